@@ -1,0 +1,1 @@
+//! Desk: the ephemerides that sessions ask for and uploads fill.

@@ -1,0 +1,1 @@
+//! Configuration: one struct per concern, every value named, explained and echoed back.

@@ -1,0 +1,1 @@
+//! Solutions against truth: errors, availability, fix rates, plots.

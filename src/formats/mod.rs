@@ -1,0 +1,1 @@
+//! Bytes to vocabulary and back; takes readers and writers, opens nothing.

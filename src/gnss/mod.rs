@@ -1,0 +1,28 @@
+//! The vocabulary: plain data that every other module speaks.
+//!
+//! Time, coordinates, satellites, signals, observations, ephemerides, base stations and solutions.
+//! Nothing here computes a model, reads a byte or waits. Inside the service everything is ECEF,
+//! metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
+
+pub mod constants;
+mod coordinates;
+mod ephemeris;
+mod navigation;
+mod observation;
+mod satellite;
+mod signal;
+mod solution;
+mod time;
+
+pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
+pub use ephemeris::{
+    Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
+};
+pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
+pub use observation::{BaseEpoch, Cycles, Epoch, Meters, Observation};
+pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
+pub use signal::{Band, ObservationCode, Signal};
+pub use solution::{
+    Dops, EphemerisIssue, Provenance, Reason, Solution, SolutionEstimate, Status, Velocity,
+};
+pub use time::{CivilTime, GpsTime, LeapSeconds, TimeScale, wrap_half_week};

@@ -1,0 +1,97 @@
+//! What satellites broadcast, gathered: ephemerides, ionosphere coefficients, leap seconds.
+
+use std::collections::BTreeMap;
+
+use super::{Ephemeris, LeapSeconds, SatelliteId};
+
+/// Coefficients of a Klobuchar model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KlobucharCoefficients {
+    /// Amplitude α_0 … α_3 (s, s/semicircle, s/semicircle², s/semicircle³).
+    pub alpha: [f64; 4],
+    /// Period β_0 … β_3 (s, s/semicircle, s/semicircle², s/semicircle³).
+    pub beta: [f64; 4],
+}
+
+/// Effective ionisation level coefficients of NeQuick-G; Galileo OS SIS ICD 2.1, 5.1.6.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NeQuickCoefficients {
+    /// a_i0 (sfu), a_i1 (sfu/degree), a_i2 (sfu/degree²).
+    pub ai: [f64; 3],
+}
+
+/// Everything broadcast that positioning needs, for all satellites and times it is held for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Navigation {
+    /// By satellite, each list in order of `toe`.
+    ephemerides: BTreeMap<SatelliteId, Vec<Ephemeris>>,
+    /// Klobuchar coefficients that GPS broadcast.
+    pub klobuchar_gps: Option<KlobucharCoefficients>,
+    /// Klobuchar coefficients that BeiDou broadcast, for BeiDou's own model.
+    pub klobuchar_beidou: Option<KlobucharCoefficients>,
+    /// Klobuchar coefficients that QZSS broadcast.
+    pub klobuchar_qzss: Option<KlobucharCoefficients>,
+    /// NeQuick-G coefficients that Galileo broadcast.
+    pub nequick: Option<NeQuickCoefficients>,
+    /// Leap seconds, as far as broadcast.
+    pub leap_seconds: LeapSeconds,
+}
+
+impl Navigation {
+    /// Adds an ephemeris; returns whether it is new. One with the same message, `toe`, `toc` and
+    /// issue replaces the old one only if it differs.
+    pub fn insert(&mut self, ephemeris: Ephemeris) -> bool {
+        let list = self.ephemerides.entry(ephemeris.satellite()).or_default();
+        let key = |e: &Ephemeris| {
+            let message = match e {
+                Ephemeris::Keplerian(k) => Some(k.message),
+                Ephemeris::Glonass(_) => None,
+            };
+            (e.toe(), message, e.toc(), e.issue())
+        };
+        match list.binary_search_by_key(&key(&ephemeris), key) {
+            Ok(index) if list[index] == ephemeris => false,
+            Ok(index) => {
+                list[index] = ephemeris;
+                true
+            }
+            Err(index) => {
+                list.insert(index, ephemeris);
+                true
+            }
+        }
+    }
+
+    /// Ephemerides of one satellite in order of `toe`.
+    pub fn of(&self, satellite: SatelliteId) -> &[Ephemeris] {
+        self.ephemerides.get(&satellite).map_or(&[], Vec::as_slice)
+    }
+
+    /// All satellites that have an ephemeris, with them.
+    pub fn satellites(&self) -> impl Iterator<Item = (SatelliteId, &[Ephemeris])> {
+        self.ephemerides.iter().map(|(satellite, list)| (*satellite, list.as_slice()))
+    }
+
+    /// How many ephemerides are held.
+    pub fn len(&self) -> usize {
+        self.ephemerides.values().map(Vec::len).sum()
+    }
+
+    /// Whether no ephemeris is held.
+    pub fn is_empty(&self) -> bool {
+        self.ephemerides.is_empty()
+    }
+
+    /// Takes over all of `other`; its coefficients and leap seconds win where it has them.
+    /// Returns how many ephemerides were new.
+    pub fn merge(&mut self, other: Self) -> usize {
+        self.klobuchar_gps = other.klobuchar_gps.or(self.klobuchar_gps);
+        self.klobuchar_beidou = other.klobuchar_beidou.or(self.klobuchar_beidou);
+        self.klobuchar_qzss = other.klobuchar_qzss.or(self.klobuchar_qzss);
+        self.nequick = other.nequick.or(self.nequick);
+        if other.leap_seconds != LeapSeconds::table() {
+            self.leap_seconds = other.leap_seconds;
+        }
+        other.ephemerides.into_values().flatten().filter(|e| self.insert(e.clone())).count()
+    }
+}

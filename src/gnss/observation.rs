@@ -1,0 +1,104 @@
+//! What a receiver measured.
+
+use super::{Ecef, GpsTime, ObservationCode, SatelliteId, Signal};
+
+/// A length (m), where metres and cycles could be swapped.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Meters(pub f64);
+
+/// Carrier phase (cycles): receivers give cycles, estimators want metres.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Cycles(pub f64);
+
+impl Cycles {
+    /// The same phase as a length, λφ.
+    pub fn to_meters(self, wavelength: Meters) -> Meters {
+        Meters(self.0 * wavelength.0)
+    }
+}
+
+/// One signal of one satellite at one epoch.
+///
+/// Signs are RINEX's: a satellite that approaches has positive Doppler and falling phase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// The satellite.
+    pub satellite: SatelliteId,
+    /// Band and tracking attribute.
+    pub code: ObservationCode,
+    /// Loss-of-lock indicator: a cycle slip was possible since the previous epoch.
+    pub loss_of_lock: bool,
+    /// The carrier phase may be off by half a cycle.
+    pub half_cycle: bool,
+    /// Pseudorange (m).
+    pub pseudorange_m: Option<f64>,
+    /// Carrier phase.
+    pub carrier_phase: Option<Cycles>,
+    /// Doppler (Hz).
+    pub doppler_hz: Option<f64>,
+    /// Carrier-to-noise density C/N0 (dB-Hz).
+    pub cn0_db_hz: Option<f64>,
+}
+
+impl Observation {
+    /// An observation of `satellite` under `code` with nothing measured yet.
+    pub const fn empty(satellite: SatelliteId, code: ObservationCode) -> Self {
+        Self {
+            satellite,
+            code,
+            loss_of_lock: false,
+            half_cycle: false,
+            pseudorange_m: None,
+            carrier_phase: None,
+            doppler_hz: None,
+            cn0_db_hz: None,
+        }
+    }
+
+    /// The signal observed.
+    pub const fn signal(&self) -> Signal {
+        Signal::of(self.satellite, self.code)
+    }
+
+    /// Whether nothing was measured.
+    pub const fn is_empty(&self) -> bool {
+        self.pseudorange_m.is_none()
+            && self.carrier_phase.is_none()
+            && self.doppler_hz.is_none()
+            && self.cn0_db_hz.is_none()
+    }
+}
+
+/// All observations of one receiver at one receiver time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Epoch {
+    /// The receiver's own tag, which its clock error shifts from the true time of reception.
+    pub time: GpsTime,
+    /// The receiver lost power since the previous epoch (RINEX epoch flag 1).
+    pub power_failure: bool,
+    /// Observations; those of one satellite stand together. A signal appears at most once.
+    pub observations: Vec<Observation>,
+}
+
+impl Epoch {
+    /// An epoch without observations.
+    pub const fn new(time: GpsTime) -> Self {
+        Self { time, power_failure: false, observations: Vec::new() }
+    }
+
+    /// Observations satellite by satellite.
+    pub fn by_satellite(&self) -> impl Iterator<Item = (SatelliteId, &[Observation])> {
+        self.observations.chunk_by(|a, b| a.satellite == b.satellite).map(|c| (c[0].satellite, c))
+    }
+}
+
+/// An epoch of a base station.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseEpoch {
+    /// The base station's id.
+    pub base: String,
+    /// Its antenna reference point, ECEF (m).
+    pub antenna_reference_point: Ecef,
+    /// What it observed.
+    pub epoch: Epoch,
+}

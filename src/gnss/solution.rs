@@ -1,0 +1,215 @@
+//! What the service answers: a position, how good it is, and why it is no better.
+
+use std::fmt;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Constellation, Ecef, GpsTime, SatelliteId};
+
+/// How a position was obtained, from none to best.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Status {
+    /// No position; the reasons say why.
+    None,
+    /// Single-point positioning from one epoch.
+    Single,
+}
+
+impl Status {
+    /// Every status, from none to best.
+    pub const ALL: [Self; 2] = [Self::None, Self::Single];
+
+    /// The name as the API writes it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "NONE",
+            Self::Single => "SINGLE",
+        }
+    }
+
+    /// The status of a name as the API writes it.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|status| status.name() == name)
+    }
+}
+
+/// Dilutions of precision of the satellites used, each system's clock being unknown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dops {
+    /// Geometric: position and the first clock.
+    pub gdop: f64,
+    /// Position.
+    pub pdop: f64,
+    /// Horizontal.
+    pub hdop: f64,
+    /// Vertical.
+    pub vdop: f64,
+    /// Time: the first clock.
+    pub tdop: f64,
+}
+
+/// Velocity of the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Velocity {
+    /// ECEF velocity (m/s).
+    pub velocity_m_s: Vector3<f64>,
+    /// Its covariance, ECEF, 3×3 (m²/s²).
+    pub covariance: Matrix3<f64>,
+    /// Receiver clock drift c·δṫ (m/s).
+    pub clock_drift_m_s: f64,
+}
+
+/// A position with what is known of its quality.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SolutionEstimate {
+    /// Antenna position at the estimated time of reception, ECEF (m).
+    pub position: Ecef,
+    /// Its covariance, ECEF, 3×3 (m²).
+    pub covariance: Matrix3<f64>,
+    /// The velocity, where it could be had.
+    pub velocity: Option<Velocity>,
+    /// Receiver clock error against GPS time (m), or against the first constellation present.
+    pub clock_m: f64,
+    /// Clock of each further constellation less `clock_m` (m).
+    pub inter_system_biases_m: Vec<(Constellation, f64)>,
+    /// True time of reception: the receiver's tag less its clock error.
+    pub reception_time: GpsTime,
+    /// Dilutions of precision.
+    pub dops: Dops,
+    /// Satellites that determined the position, sorted.
+    pub satellites_used: Vec<SatelliteId>,
+}
+
+/// What kept a solution from a better status or quality, with the values one needs to act.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reason {
+    /// Satellites were observed for which no valid healthy ephemeris is held.
+    EphemerisMissing {
+        /// Which.
+        satellites: Vec<SatelliteId>,
+    },
+    /// Fewer usable satellites than unknowns.
+    TooFewSatellites {
+        /// Usable satellites.
+        used: usize,
+        /// Needed, one more for each further constellation.
+        needed: usize,
+    },
+    /// The satellites' geometry is too weak to trust a position.
+    GeometryTooWeak {
+        /// Geometric dilution of precision.
+        gdop: f64,
+    },
+    /// Exactly as many satellites as unknowns: errors cannot be detected.
+    NoRedundancy,
+    /// The residuals contradict the stated errors; the covariance was widened to match.
+    ResidualsTooLarge {
+        /// Sum of squared whitened residuals over its threshold.
+        ratio: f64,
+    },
+    /// Satellites were left out because they disagreed with the others.
+    SatellitesExcluded {
+        /// Which.
+        satellites: Vec<SatelliteId>,
+    },
+    /// The iteration did not settle.
+    NotConverged,
+    /// No broadcast coefficients for the ionosphere model asked for; the one named was used.
+    IonosphereFallback {
+        /// The model used instead.
+        used: &'static str,
+    },
+}
+
+impl Reason {
+    /// Stable code, upper snake case.
+    pub const fn code(&self) -> &'static str {
+        match self {
+            Self::EphemerisMissing { .. } => "EPHEMERIS_MISSING",
+            Self::TooFewSatellites { .. } => "TOO_FEW_SATELLITES",
+            Self::GeometryTooWeak { .. } => "GEOMETRY_TOO_WEAK",
+            Self::NoRedundancy => "NO_REDUNDANCY",
+            Self::ResidualsTooLarge { .. } => "RESIDUALS_TOO_LARGE",
+            Self::SatellitesExcluded { .. } => "SATELLITES_EXCLUDED",
+            Self::NotConverged => "NOT_CONVERGED",
+            Self::IonosphereFallback { .. } => "IONOSPHERE_FALLBACK",
+        }
+    }
+
+    /// What the user can do about it.
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::EphemerisMissing { .. } => "push current navigation data for these satellites",
+            Self::TooFewSatellites { .. } => {
+                "wait for a clearer sky, or allow more constellations or a lower elevation mask"
+            }
+            Self::GeometryTooWeak { .. } => "allow more constellations or wait for a clearer sky",
+            Self::NoRedundancy => "allow more constellations so that errors can be detected",
+            Self::ResidualsTooLarge { .. } => {
+                "expect reflections; trust the covariance, which has been widened"
+            }
+            Self::SatellitesExcluded { .. } => "none needed: the others determine the position",
+            Self::NotConverged => "check the observations; they contradict one another",
+            Self::IonosphereFallback { .. } => {
+                "push navigation data that carries the ionosphere coefficients"
+            }
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.code())?;
+        match self {
+            Self::EphemerisMissing { satellites } | Self::SatellitesExcluded { satellites } => {
+                write!(f, "{satellites:?}")
+            }
+            Self::TooFewSatellites { used, needed } => write!(f, "{{used {used} of {needed}}}"),
+            Self::GeometryTooWeak { gdop } => write!(f, "{{gdop {gdop:.1}}}"),
+            Self::ResidualsTooLarge { ratio } => write!(f, "{{ratio {ratio:.2}}}"),
+            Self::IonosphereFallback { used } => write!(f, "{{used {used}}}"),
+            Self::NoRedundancy | Self::NotConverged => Ok(()),
+        }
+    }
+}
+
+/// An ephemeris that a solution used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EphemerisIssue {
+    /// The satellite.
+    pub satellite: SatelliteId,
+    /// Its time of ephemeris.
+    pub toe: GpsTime,
+    /// Its issue of data.
+    pub issue: u32,
+}
+
+/// Where a solution came from: enough to compute it again.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Provenance {
+    /// Ephemerides used, one for each satellite used.
+    pub ephemerides: Vec<EphemerisIssue>,
+}
+
+/// The answer to one epoch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solution {
+    /// The receiver's tag, as received: it names the epoch.
+    pub time: GpsTime,
+    /// How the position was obtained.
+    pub status: Status,
+    /// The position; present unless the status is [`Status::None`].
+    pub estimate: Option<SolutionEstimate>,
+    /// What kept it from being better.
+    pub reasons: Vec<Reason>,
+    /// What it came from.
+    pub provenance: Provenance,
+}
+
+impl Solution {
+    /// The answer that there is no position, and why.
+    pub fn none(time: GpsTime, reasons: Vec<Reason>) -> Self {
+        let provenance = Provenance::default();
+        Self { time, status: Status::None, estimate: None, reasons, provenance }
+    }
+}

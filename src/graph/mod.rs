@@ -1,0 +1,1 @@
+//! Least squares on factor graphs; knows nothing of what its variables mean.

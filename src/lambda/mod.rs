@@ -1,0 +1,1 @@
+//! Integer least squares; knows nothing of what its integers mean.

@@ -1,0 +1,23 @@
+//! Graphfix positions GNSS receivers: raw observations in, stored solutions out.
+//!
+//! Modules in reading order, from the ground floor up; see `ARCHITECTURE.md` for the invariants.
+
+pub mod config;
+pub mod gnss;
+
+pub mod formats;
+pub mod graph;
+pub mod lambda;
+pub mod models;
+pub mod simulation;
+
+pub mod evaluation;
+pub mod positioning;
+pub mod store;
+
+pub mod aiding;
+pub mod session;
+
+pub mod cli;
+pub mod grpc;
+pub mod http;

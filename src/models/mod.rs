@@ -1,0 +1,1 @@
+//! Physics: ephemeris and time to satellite state, atmosphere, group delays, geometry.

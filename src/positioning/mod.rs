@@ -1,0 +1,1 @@
+//! Estimation: pure, synchronous, deterministic. Same input, same bits.

@@ -1,0 +1,1 @@
+//! Desk: where estimation, aiding and storage meet. One task owns one session.

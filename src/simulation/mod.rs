@@ -1,0 +1,1 @@
+//! Observations with known truth, from a seed.

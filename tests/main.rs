@@ -1,0 +1,5 @@
+//! The integration tests, one binary: goldens on real data, doors, and the architecture itself.
+
+mod data;
+
+mod tidy;
