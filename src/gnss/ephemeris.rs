@@ -133,9 +133,9 @@ pub enum GroupDelays {
 
 /// Keplerian broadcast ephemeris.
 ///
-/// Symbols of IS-GPS-200N, table 20-II; Galileo OS SIS ICD 2.1, 5.1.1 and BDS-SIS-ICD-B1I-3.0, 5.2.4
-/// define the same set. Angles in radians, lengths in metres, times in seconds. CNAV's A_0 + ΔA is
-/// stored as its square root; its rates are zero in legacy messages.
+/// Symbols of IS-GPS-200N, table 20-II; Galileo OS SIS ICD 2.1, 5.1.1 and BDS-SIS-ICD-B1I-3.0,
+/// 5.2.4 define the same set. Angles in radians, lengths in metres, times in seconds. CNAV's
+/// A_0 + ΔA is stored as its square root; its rates are zero in legacy messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeplerianEphemeris {
     /// The satellite.

@@ -149,7 +149,7 @@ impl Add<f64> for GpsTime {
     type Output = Self;
 
     fn add(self, seconds: f64) -> Self {
-        Self(self.0.saturating_add((seconds * 1e9).round() as i64))
+        Self(self.0.saturating_add(nanoseconds(seconds)))
     }
 }
 
@@ -167,8 +167,16 @@ impl Sub for GpsTime {
     type Output = f64;
 
     fn sub(self, earlier: Self) -> f64 {
-        self.0.saturating_sub(earlier.0) as f64 * 1e-9
+        seconds(self.0.saturating_sub(earlier.0))
     }
+}
+
+fn nanoseconds(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
+}
+
+fn seconds(nanoseconds: i64) -> f64 {
+    nanoseconds as f64 * 1e-9
 }
 
 /// The scale in which a calendar date is meant.
@@ -362,7 +370,9 @@ fn days_in_month(year: i32, month: u8) -> u8 {
     }
 }
 
-/// Difference of two times of week brought into half a week around zero (s); IS-GPS-200N 20.3.3.4.3.
+/// Difference of two times of week brought into half a week around zero (s).
+///
+/// IS-GPS-200N, 20.3.3.4.3.
 pub fn wrap_half_week(seconds: f64) -> f64 {
     seconds - SECONDS_PER_WEEK * (seconds / SECONDS_PER_WEEK).round()
 }
