@@ -1,0 +1,214 @@
+//! Solutions as comma-separated values, every epoch a row, those without a position included.
+//!
+//! | column | is |
+//! |---|---|
+//! | `gps_week`, `tow_s` | the receiver's tag: GPS week and seconds of week (s) |
+//! | `status` | as in the API: `NONE`, `SINGLE`, … |
+//! | `x_m`, `y_m`, `z_m` | antenna position, ECEF (m) |
+//! | `latitude_deg`, `longitude_deg`, `height_m` | the same, WGS 84, ellipsoidal height |
+//! | `var_e_m2` … `cov_nu_m2` | its covariance, east, north, up (m²) |
+//! | `ve_m_s`, `vn_m_s`, `vu_m_s` | velocity, east, north, up (m/s) |
+//! | `var_ve_m2_s2` … `cov_vnvu_m2_s2` | its covariance, east, north, up (m²/s²) |
+//! | `clock_m`, `clock_drift_m_s` | receiver clock error (m) and drift (m/s) |
+//! | `reception_tow_s` | estimated true time of reception, seconds of GPS week (s) |
+//! | `gdop`, `pdop`, `hdop`, `vdop`, `tdop` | dilutions of precision |
+//! | `satellites` | number used |
+//! | `satellite_list` | which, separated by blanks |
+//! | `reasons` | what kept it from being better, separated by `; `, in quotes |
+//!
+//! A field that is not known is empty.
+
+use std::io::{self, Write};
+
+use nalgebra::Matrix3;
+
+use super::decimal::{push_fixed, push_integer, push_seconds};
+use crate::gnss::{LocalFrame, Solution, SolutionEstimate, Velocity};
+
+const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
+     var_e_m2,var_n_m2,var_u_m2,cov_en_m2,cov_eu_m2,cov_nu_m2,ve_m_s,vn_m_s,vu_m_s,\
+     var_ve_m2_s2,var_vn_m2_s2,var_vu_m2_s2,cov_vevn_m2_s2,cov_vevu_m2_s2,cov_vnvu_m2_s2,\
+     clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
+     satellite_list,reasons";
+/// Columns between `status` and `reasons`.
+const ESTIMATE_COLUMNS: usize = 31;
+/// Columns from `ve_m_s` to `cov_vnvu_m2_s2`.
+const VELOCITY_COLUMNS: usize = 9;
+
+/// Writes solutions as CSV rows, one at a time, to a buffered writer.
+pub struct Writer<W> {
+    output: W,
+    line: Vec<u8>,
+}
+
+impl<W: Write> Writer<W> {
+    /// Writes the column titles.
+    pub fn new(mut output: W) -> io::Result<Self> {
+        writeln!(output, "{COLUMNS}")?;
+        Ok(Self { output, line: Vec::with_capacity(512) })
+    }
+
+    /// Writes one row.
+    pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
+        let line = &mut self.line;
+        line.clear();
+        push_integer(line, i64::from(solution.time.week()), 0);
+        line.push(b',');
+        push_seconds(line, solution.time.ns_of_week(), 3, 0);
+        line.push(b',');
+        line.extend_from_slice(solution.status.name().as_bytes());
+        match &solution.estimate {
+            Some(estimate) => push_estimate(line, estimate),
+            None => line.extend_from_slice(&[b','; ESTIMATE_COLUMNS]),
+        }
+        line.push(b',');
+        push_reasons(line, solution);
+        line.push(b'\n');
+        self.output.write_all(line)
+    }
+
+    /// Flushes and gives the writer back.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.output.flush()?;
+        Ok(self.output)
+    }
+}
+
+fn push_estimate(line: &mut Vec<u8>, estimate: &SolutionEstimate) {
+    let geodetic = estimate.position.to_geodetic();
+    let frame = LocalFrame::at(estimate.position);
+    estimate.position.0.iter().for_each(|value| push_field(line, *value, 4));
+    push_field(line, geodetic.latitude_rad.to_degrees(), 9);
+    push_field(line, geodetic.longitude_rad.to_degrees(), 9);
+    push_field(line, geodetic.height_m, 4);
+    push_covariance(line, &frame.covariance_to_enu(&estimate.covariance));
+    match &estimate.velocity {
+        Some(velocity) => push_velocity(line, velocity, &frame),
+        None => line.extend_from_slice(&[b','; VELOCITY_COLUMNS]),
+    }
+    push_field(line, estimate.clock_m, 4);
+    match &estimate.velocity {
+        Some(velocity) => push_field(line, velocity.clock_drift_m_s, 4),
+        None => line.push(b','),
+    }
+    line.push(b',');
+    push_seconds(line, estimate.reception_time.ns_of_week(), 3, 0);
+    let dops = &estimate.dops;
+    [dops.gdop, dops.pdop, dops.hdop, dops.vdop, dops.tdop]
+        .into_iter()
+        .for_each(|value| push_field(line, value, 3));
+    line.push(b',');
+    push_integer(line, estimate.satellites_used.len() as i64, 0);
+    for (index, satellite) in estimate.satellites_used.iter().enumerate() {
+        let before = if index == 0 { ',' } else { ' ' };
+        write!(line, "{before}{satellite}").expect("a Vec<u8> takes every byte");
+    }
+    if estimate.satellites_used.is_empty() {
+        line.push(b',');
+    }
+}
+
+fn push_velocity(line: &mut Vec<u8>, velocity: &Velocity, frame: &LocalFrame) {
+    let enu = frame.rotation * velocity.velocity_m_s;
+    enu.iter().for_each(|value| push_field(line, *value, 5));
+    push_covariance(line, &frame.covariance_to_enu(&velocity.covariance));
+}
+
+/// Variances, then covariances 12, 13, 23.
+fn push_covariance(line: &mut Vec<u8>, covariance: &Matrix3<f64>) {
+    for (row, column) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] {
+        push_field(line, covariance[(row, column)], 8);
+    }
+}
+
+fn push_reasons(line: &mut Vec<u8>, solution: &Solution) {
+    if solution.reasons.is_empty() {
+        return;
+    }
+    line.push(b'"');
+    for (index, reason) in solution.reasons.iter().enumerate() {
+        let before = if index == 0 { "" } else { "; " };
+        let text = format!("{before}{reason}").replace('"', "\"\"");
+        line.extend_from_slice(text.as_bytes());
+    }
+    line.push(b'"');
+}
+
+/// A comma and a number.
+fn push_field(line: &mut Vec<u8>, value: f64, decimals: usize) {
+    line.push(b',');
+    push_fixed(line, value, decimals, 0);
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::gnss::{Dops, Ecef, GpsTime, Provenance, Reason, Status};
+
+    fn solution(velocity: Option<Velocity>) -> Solution {
+        let time = GpsTime::from_week_seconds(2300, 100.0);
+        // On the equator at longitude 0: up is x, east y, north z.
+        let covariance = Matrix3::new(9.0, 0.5, 0.0, 0.5, 1.0, 0.25, 0.0, 0.25, 4.0);
+        let estimate = SolutionEstimate {
+            position: Ecef::new(6_378_147.0, 0.0, 0.0),
+            covariance,
+            velocity,
+            clock_m: -3.5,
+            inter_system_biases_m: Vec::new(),
+            reception_time: time - 0.001,
+            dops: Dops { gdop: 2.0, pdop: 1.5, hdop: 1.0, vdop: 1.1, tdop: 1.2 },
+            satellites_used: ["C05", "G01"].map(|name| name.parse().unwrap()).to_vec(),
+        };
+        let reasons = vec![
+            Reason::NoRedundancy,
+            Reason::SatellitesExcluded { satellites: estimate.satellites_used.clone() },
+        ];
+        Solution {
+            time,
+            status: Status::Single,
+            estimate: Some(estimate),
+            reasons,
+            provenance: Provenance::default(),
+        }
+    }
+
+    fn rows(solutions: &[Solution]) -> Vec<String> {
+        let mut writer = Writer::new(Vec::new()).unwrap();
+        solutions.iter().for_each(|solution| writer.write(solution).unwrap());
+        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        text.lines().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn every_column_in_its_place() {
+        let velocity = Velocity {
+            velocity_m_s: Vector3::new(3.0, 1.0, 2.0),
+            covariance: Matrix3::identity() * 0.25,
+            clock_drift_m_s: 0.5,
+        };
+        let lines = rows(&[solution(Some(velocity))]);
+        let (row, quoted) = lines[1].split_once('"').unwrap();
+        assert_eq!(
+            row,
+            "2300,100.000,SINGLE,6378147.0000,0.0000,0.0000,0.000000000,0.000000000,10.0000,\
+             1.00000000,4.00000000,9.00000000,0.25000000,0.50000000,0.00000000,\
+             1.00000,2.00000,3.00000,0.25000000,0.25000000,0.25000000,0.00000000,0.00000000,\
+             0.00000000,-3.5000,0.5000,99.999,2.000,1.500,1.000,1.100,1.200,2,C05 G01,"
+        );
+        assert_eq!(quoted, "NO_REDUNDANCY; SATELLITES_EXCLUDED[C05, G01]\"");
+    }
+
+    #[test]
+    fn unknown_fields_are_empty_and_columns_stay() {
+        let mut bare = solution(None);
+        bare.reasons.clear();
+        let nothing = Solution::none(bare.time, Vec::new());
+        let lines = rows(&[bare, nothing]);
+        for line in &lines {
+            assert_eq!(line.split(',').count(), lines[0].split(',').count(), "{line}");
+        }
+        assert!(lines[2].starts_with("2300,100.000,NONE,,,"));
+    }
+}
