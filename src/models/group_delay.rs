@@ -1,0 +1,113 @@
+//! Delays of a satellite's signals against its broadcast clock.
+
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{Ephemeris, GroupDelays, NavigationMessage, ObservationCode, Signal};
+
+/// γ of L2 and L1: (f_L1/f_L2)² = (77/60)²; IS-GPS-200N, 20.3.3.3.3.2.
+const GAMMA_L2: f64 = (77.0 / 60.0) * (77.0 / 60.0);
+/// (f_E1/f_E5a)² = (154/115)².
+const GAMMA_E5A: f64 = (154.0 / 115.0) * (154.0 / 115.0);
+/// (f_E1/f_E5b)² = (154/118)².
+const GAMMA_E5B: f64 = (154.0 / 118.0) * (154.0 / 118.0);
+
+/// Group delay τ of a signal (m): it leaves that much later than the broadcast clock says, so its
+/// pseudorange is longer by τ. `None` where the message does not tell.
+///
+/// - GPS, QZSS: T_GD for L1, γ·T_GD for L2 P(Y); L2C too, whose inter-signal correction LNAV does
+///   not carry; T_GD − ISC with CNAV (IS-GPS-200N, 20.3.3.3.3.2 and 30.3.3.3.1.1; IS-GPS-705J,
+///   20.3.3.3.1.2).
+/// - Galileo: the clock of I/NAV is that of the pair E1, E5b, of F/NAV that of E1, E5a; BGD of that
+///   pair for E1, γ·BGD for its other signal (Galileo OS SIS ICD 2.1, 5.1.5), the third through E1.
+/// - BeiDou: the clock is that of B3I; T_GD1, T_GD2 (BDS-SIS-ICD-B1I-3.0, 5.2.4.10), or T_GD of a
+///   pilot and T_GD + ISC of its data channel (BDS-SIS-ICD-B1C-1.0, 7.6; B2a-1.0, 7.6).
+/// - GLONASS: the clock is taken as that of G1; Δτ_n for G2 (GLONASS ICD 5.1, 4.4).
+pub fn group_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64> {
+    let delay_s = match ephemeris {
+        Ephemeris::Glonass(e) => match code.band_digit() {
+            1 => Some(0.0),
+            2 => e.delta_tau_s,
+            _ => None,
+        },
+        Ephemeris::Keplerian(e) => {
+            let signal = Signal::of(e.satellite, code);
+            signal.frequency_hz(None)?;
+            match e.group_delays {
+                GroupDelays::Gps { .. } => gps_s(&e.group_delays, code),
+                GroupDelays::Galileo { bgd_e5a_s, bgd_e5b_s } => {
+                    galileo_s(e.message, bgd_e5a_s, bgd_e5b_s, code)
+                }
+                GroupDelays::BeiDou { tgd1_s, tgd2_s } => match code.band_digit() {
+                    2 => Some(tgd1_s),
+                    // 7I, 7Q and 7X are B2I; 7D, 7P and 7Z are B2b of the third generation.
+                    7 if matches!(code.attribute(), b'I' | b'Q' | b'X') => Some(tgd2_s),
+                    6 => Some(0.0),
+                    _ => None,
+                },
+                GroupDelays::BeiDouCnav { .. } => beidou_cnav_s(&e.group_delays, code),
+            }
+        }
+    };
+    delay_s.map(|s| s * SPEED_OF_LIGHT)
+}
+
+/// The constellation's group delays are `GroupDelays::Gps`.
+fn gps_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
+    let &GroupDelays::Gps {
+        tgd_s,
+        isc_l1ca_s,
+        isc_l2c_s,
+        isc_l5i_s,
+        isc_l5q_s,
+        isc_l1cd_s,
+        isc_l1cp_s,
+    } = delays
+    else {
+        return None;
+    };
+    let corrected = |isc: Option<f64>| isc.map(|isc_s| tgd_s - isc_s);
+    match (code.band_digit(), code.attribute()) {
+        (1, b'S') => corrected(isc_l1cd_s),
+        (1, b'L' | b'X') => corrected(isc_l1cp_s),
+        (1, b'C') => corrected(isc_l1ca_s).or(Some(tgd_s)),
+        (1, _) => Some(tgd_s),
+        (2, b'C' | b'S' | b'L' | b'X') => corrected(isc_l2c_s).or(Some(GAMMA_L2 * tgd_s)),
+        (2, _) => Some(GAMMA_L2 * tgd_s),
+        (5, b'I') => corrected(isc_l5i_s),
+        (5, b'Q' | b'X') => corrected(isc_l5q_s),
+        _ => None,
+    }
+}
+
+fn galileo_s(
+    message: NavigationMessage,
+    e5a_s: f64,
+    e5b_s: Option<f64>,
+    code: ObservationCode,
+) -> Option<f64> {
+    // Delay of E1 against this message's clock; E5a and E5b hang on it by their own BGD.
+    let e1_s = if message == NavigationMessage::Fnav { e5a_s } else { e5b_s? };
+    match code.band_digit() {
+        1 => Some(e1_s),
+        5 => Some(e1_s + (GAMMA_E5A - 1.0) * e5a_s),
+        7 => e5b_s.map(|bgd_s| e1_s + (GAMMA_E5B - 1.0) * bgd_s),
+        _ => None,
+    }
+}
+
+/// A combined data and pilot channel (`X`) is taken as its pilot, which has most of the power.
+fn beidou_cnav_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
+    let &GroupDelays::BeiDouCnav { tgd_b1cp_s, tgd_b2ap_s, tgd_b2bi_s, isc_b1cd_s, isc_b2ad_s } =
+        delays
+    else {
+        return None;
+    };
+    match (code.band_digit(), code.attribute()) {
+        (1, b'P' | b'X') => tgd_b1cp_s,
+        (1, b'D') => Some(tgd_b1cp_s? + isc_b1cd_s?),
+        (5, b'P' | b'X') => tgd_b2ap_s,
+        (5, b'D') => Some(tgd_b2ap_s? + isc_b2ad_s?),
+        (7, b'D') => tgd_b2bi_s,
+        (6, _) => Some(0.0),
+        _ => None,
+    }
+}

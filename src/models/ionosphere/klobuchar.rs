@@ -1,0 +1,90 @@
+//! Klobuchar's model as GPS and as BeiDou broadcast it.
+
+use std::f64::consts::{PI, TAU};
+
+use super::L1_HZ;
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{Geodetic, GpsTime, KlobucharCoefficients};
+use crate::models::LookAngles;
+
+const DAY_S: f64 = 86_400.0;
+/// Local time of the greatest delay: 14 h (s).
+const PEAK_S: f64 = 50_400.0;
+/// Delay at night (s).
+const NIGHT_S: f64 = 5e-9;
+/// BeiDou B1I (Hz).
+const B1I_HZ: f64 = 1_561.098e6;
+
+/// Klobuchar delay with GPS coefficients (m) at `frequency_hz`; IS-GPS-200N, 20.3.3.5.2.5.
+pub fn klobuchar_delay_m(
+    coefficients: &KlobucharCoefficients,
+    frequency_hz: f64,
+    receiver: &Geodetic,
+    look: &LookAngles,
+    time: GpsTime,
+) -> f64 {
+    // Semicircles from here on, as the document has them.
+    let elevation = look.elevation_rad / PI;
+    let (azimuth_sin, azimuth_cos) = look.azimuth_rad.sin_cos();
+    let earth_angle = 0.0137 / (elevation + 0.11) - 0.022;
+    let latitude = (receiver.latitude_rad / PI + earth_angle * azimuth_cos).clamp(-0.416, 0.416);
+    let longitude = receiver.longitude_rad / PI + earth_angle * azimuth_sin / (latitude * PI).cos();
+    let geomagnetic = latitude + 0.064 * ((longitude - 1.617) * PI).cos();
+    let local_s = 0.5 * DAY_S * longitude + time.seconds_of_week();
+    let obliquity = 1.0 + 16.0 * (0.53 - elevation).powi(3);
+
+    let amplitude_s = cubic(&coefficients.alpha, geomagnetic).max(0.0);
+    let period_s = cubic(&coefficients.beta, geomagnetic).max(72_000.0);
+    let x = TAU * (local_s.rem_euclid(DAY_S) - PEAK_S) / period_s;
+    let vertical_s = if x.abs() < 1.57 {
+        let x2 = x * x;
+        NIGHT_S + amplitude_s * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
+    } else {
+        NIGHT_S
+    };
+    SPEED_OF_LIGHT * obliquity * vertical_s * (L1_HZ / frequency_hz).powi(2)
+}
+
+/// Earth's radius and height of the ionosphere's shell (km); BDS-SIS-ICD-B1I-3.0, 5.2.4.7.
+const BEIDOU_EARTH_KM: f64 = 6_378.0;
+const BEIDOU_SHELL_KM: f64 = 375.0;
+
+/// Klobuchar delay with BeiDou coefficients (m) at `frequency_hz`; BDS-SIS-ICD-B1I-3.0, 5.2.4.7.
+///
+/// Unlike GPS's: the pierce point by spherical trigonometry in geographic latitude, a shell at
+/// 375 km, an exact cosine, a bounded period, delays on B1I, and BeiDou time.
+pub fn beidou_klobuchar_delay_m(
+    coefficients: &KlobucharCoefficients,
+    frequency_hz: f64,
+    receiver: &Geodetic,
+    look: &LookAngles,
+    time: GpsTime,
+) -> f64 {
+    let (azimuth_sin, azimuth_cos) = look.azimuth_rad.sin_cos();
+    let (latitude_sin, latitude_cos) = receiver.latitude_rad.sin_cos();
+    let squeeze = BEIDOU_EARTH_KM / (BEIDOU_EARTH_KM + BEIDOU_SHELL_KM) * look.elevation_rad.cos();
+    let earth_angle = 0.5 * PI - look.elevation_rad - squeeze.asin();
+    let (angle_sin, angle_cos) = earth_angle.sin_cos();
+    let pierce_sin = latitude_sin * angle_cos + latitude_cos * angle_sin * azimuth_cos;
+    let pierce_cos = (1.0 - pierce_sin * pierce_sin).max(0.0).sqrt();
+    let pierce_longitude = receiver.longitude_rad
+        + (angle_sin * azimuth_sin / pierce_cos.max(1e-12)).clamp(-1.0, 1.0).asin();
+
+    let semicircles = (pierce_sin.asin() / PI).abs();
+    let amplitude_s = cubic(&coefficients.alpha, semicircles).max(0.0);
+    let period_s = cubic(&coefficients.beta, semicircles).clamp(72_000.0, 172_800.0);
+    let local_s = time.to_beidou().1 + pierce_longitude * 0.5 * DAY_S / PI;
+    let from_peak = local_s.rem_euclid(DAY_S) - PEAK_S;
+    let vertical_s = if from_peak.abs() < 0.25 * period_s {
+        NIGHT_S + amplitude_s * (TAU * from_peak / period_s).cos()
+    } else {
+        NIGHT_S
+    };
+    let slant = 1.0 / (1.0 - squeeze * squeeze).sqrt();
+    SPEED_OF_LIGHT * slant * vertical_s * (B1I_HZ / frequency_hz).powi(2)
+}
+
+fn cubic(coefficients: &[f64; 4], x: f64) -> f64 {
+    let [c0, c1, c2, c3] = *coefficients;
+    c0 + x * (c1 + x * (c2 + x * c3))
+}

@@ -1,0 +1,52 @@
+//! Delay of the ionosphere.
+//!
+//! To first order it falls with the square of the frequency, I(f) = I(f_0)·(f_0/f)²; every model
+//! here gives the delay of a pseudorange on the frequency asked for. Carrier phases are advanced
+//! by as much.
+
+mod klobuchar;
+
+pub use klobuchar::{beidou_klobuchar_delay_m, klobuchar_delay_m};
+
+use super::LookAngles;
+use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
+
+/// Broadcast Klobuchar delay of a signal (m), or `None` where no coefficients were broadcast.
+///
+/// BeiDou's own model with its own coefficients for BeiDou; GPS's for all others, and for BeiDou
+/// where it broadcast none.
+pub fn broadcast_delay_m(
+    navigation: &Navigation,
+    constellation: Constellation,
+    frequency_hz: f64,
+    receiver: &Geodetic,
+    look: &LookAngles,
+    time: GpsTime,
+) -> Option<f64> {
+    match (constellation, &navigation.klobuchar_beidou, &navigation.klobuchar_gps) {
+        (Constellation::BeiDou, Some(own), _) => {
+            Some(beidou_klobuchar_delay_m(own, frequency_hz, receiver, look, time))
+        }
+        (_, _, Some(gps)) => Some(klobuchar_delay_m(gps, frequency_hz, receiver, look, time)),
+        _ => None,
+    }
+}
+
+/// Variance of a Klobuchar delay (m²): half the delay as its standard deviation.
+///
+/// Klobuchar (1987), *Ionospheric time-delay algorithm for single-frequency GPS users*: the model
+/// removes about half of the delay's rms.
+pub fn klobuchar_variance_m2(delay_m: f64) -> f64 {
+    0.25 * delay_m * delay_m
+}
+
+/// Variance where no ionosphere is modelled (m²): 5 m on L1, scaled by frequency.
+///
+/// RTKLIB manual 2.4.2, constant `ERR_ION`.
+pub fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
+    let scale = (L1_HZ / frequency_hz).powi(2);
+    25.0 * scale * scale
+}
+
+/// GPS L1 (Hz).
+const L1_HZ: f64 = 1_575.42e6;

@@ -1,0 +1,106 @@
+//! Which broadcast ephemeris to use.
+
+use crate::gnss::{Constellation, Ephemeris, GpsTime, Navigation, NavigationMessage, SatelliteId};
+
+const HOUR_S: f64 = 3_600.0;
+/// Longest span on either side of toe that any message is used for (s).
+const LONGEST_S: f64 = 24.0 * HOUR_S;
+
+/// The ephemeris to use for `satellite` at `time`: healthy, valid, and closest in time.
+///
+/// *Healthy*: the health bits of the message's own signals are zero. *Valid*: no further from toe
+/// than half the stated fit interval, or else GPS and QZSS 2 h (CNAV 1.5 h), Galileo 4 h, BeiDou
+/// 2 h (an hour's validity and one of margin), GLONASS 30 min; its orbit must be one of an Earth
+/// satellite. *Message*: the one that every satellite of the system sends comes first, LNAV before
+/// CNAV before CNAV-2, I/NAV before F/NAV, D1 and D2 before B-CNAV1, 2 and 3; another is used only
+/// where that has nothing valid. *Closest*: by |time − toe|; of two as close, the later toe, then
+/// the later toc, then the later entry of the list.
+pub fn select_ephemeris(
+    navigation: &Navigation,
+    satellite: SatelliteId,
+    time: GpsTime,
+) -> Option<&Ephemeris> {
+    let list = navigation.of(satellite);
+    let first = list.partition_point(|e| e.toe() < time - LONGEST_S);
+    let mut best: Option<(u8, f64, &Ephemeris)> = None;
+    for ephemeris in &list[first..] {
+        let ahead = ephemeris.toe() - time;
+        if LONGEST_S < ahead {
+            break;
+        }
+        let (rank, distance) = (preference(ephemeris), ahead.abs());
+        let better = best.is_none_or(|(r, d, _)| rank < r || (rank == r && distance <= d));
+        if better && distance <= validity_s(ephemeris) && is_usable(ephemeris) {
+            best = Some((rank, distance, ephemeris));
+        }
+    }
+    best.map(|(_, _, ephemeris)| ephemeris)
+}
+
+/// Place of the message in the order of preference, 0 first.
+fn preference(ephemeris: &Ephemeris) -> u8 {
+    use NavigationMessage as M;
+    match ephemeris {
+        Ephemeris::Glonass(_) => 0,
+        Ephemeris::Keplerian(e) => match e.message {
+            M::Lnav | M::Inav | M::D1 | M::D2 | M::Fdma => 0,
+            M::Cnav | M::Fnav | M::Cnv1 => 1,
+            M::Cnav2 | M::Cnv2 => 2,
+            M::Cnv3 => 3,
+        },
+    }
+}
+
+/// How far from toe an ephemeris may be used (s).
+///
+/// IS-GPS-200N 20.3.4.4 (4 h fit interval or a stated longer one, toe in its middle) and 30.3.4.4
+/// (3 h); Galileo OS SDD 1.3, C.4.4.1 (4 h); BDS-SIS-ICD-B1I-3.0 (hourly); GLONASS ICD 5.1, 4.4
+/// (half-hourly, t_b in the middle; used for one interval more).
+fn validity_s(ephemeris: &Ephemeris) -> f64 {
+    use NavigationMessage as M;
+    let Ephemeris::Keplerian(e) = ephemeris else {
+        return 0.5 * HOUR_S;
+    };
+    let unstated = match e.message {
+        M::Lnav | M::D1 | M::D2 | M::Cnv1 | M::Cnv2 | M::Cnv3 | M::Fdma => 2.0 * HOUR_S,
+        M::Cnav | M::Cnav2 => 1.5 * HOUR_S,
+        M::Inav | M::Fnav => 4.0 * HOUR_S,
+    };
+    match (e.message, e.fit_interval_h) {
+        // No GPS fit interval is shorter; RINEX 2 writers put the flag (0 or 1) in its place.
+        (M::Lnav, Some(hours)) if e.satellite.constellation == Constellation::Gps => {
+            (0.5 * hours.max(4.0) * HOUR_S).min(LONGEST_S)
+        }
+        _ => unstated,
+    }
+}
+
+fn is_usable(ephemeris: &Ephemeris) -> bool {
+    is_healthy(ephemeris) && is_orbit(ephemeris)
+}
+
+fn is_healthy(ephemeris: &Ephemeris) -> bool {
+    use NavigationMessage as M;
+    match ephemeris {
+        Ephemeris::Glonass(e) => e.health == 0,
+        Ephemeris::Keplerian(e) => match (e.satellite.constellation, e.message) {
+            // RINEX 3.05, table A8: bits 0–2 E1-B, 3–5 E5a, 6–8 E5b (validity, then status).
+            (Constellation::Galileo, M::Fnav) => e.health & 0b000_111_000 == 0,
+            (Constellation::Galileo, _) => e.health & 0b111_000_111 == 0,
+            // The last bit is that of L1C/B, which a satellite sends in place of L1C/A.
+            (Constellation::Qzss, M::Lnav) => e.health & !1 == 0,
+            _ => e.health == 0,
+        },
+    }
+}
+
+/// Whether the numbers can be an orbit at all, so that a damaged record yields no position.
+fn is_orbit(ephemeris: &Ephemeris) -> bool {
+    match ephemeris {
+        // From low orbits to beyond the geosynchronous ones: 6 400 to 50 000 km.
+        Ephemeris::Keplerian(e) => {
+            (2_530.0..7_072.0).contains(&e.sqrt_a) && (0.0..0.9).contains(&e.eccentricity)
+        }
+        Ephemeris::Glonass(e) => (6.4e6..5e7).contains(&e.position_m.norm()),
+    }
+}

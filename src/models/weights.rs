@@ -1,0 +1,160 @@
+//! How uncertain a measurement is.
+//!
+//! One function, [`MeasurementWeights::variance_m2`], of elevation and C/N0; published models are
+//! choices of its parameters. It covers the receiver's noise and multipath only: orbit and clock
+//! ([`ephemeris_variance_m2`]), troposphere and ionosphere add theirs.
+
+use crate::gnss::{Ephemeris, NavigationMessage};
+
+/// How the variance grows towards the horizon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ElevationTerm {
+    /// No dependence: 1.
+    None,
+    /// a² + b²/sin²E (m²): the cosecant model.
+    InverseSineSquared {
+        /// Part that does not depend on elevation (m).
+        a_m: f64,
+        /// Part at the zenith that grows towards the horizon (m).
+        b_m: f64,
+    },
+    /// a² + b²/sin E (m²): RTKLIB's, whose manual 2.4.2 has it in (E.6.24).
+    ///
+    /// RTKLIB's code variance with its defaults is a = b = 0.3 m: 100 (the code/phase ratio)
+    /// times 0.003 m, both; GLONASS 1.5 times that in σ.
+    InverseSine {
+        /// Part that does not depend on elevation (m).
+        a_m: f64,
+        /// Part at the zenith that grows towards the horizon (m).
+        b_m: f64,
+    },
+}
+
+/// How the variance grows with falling C/N0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Cn0Term {
+    /// No dependence: factor 1, or 0 m² where it is added.
+    None,
+    /// V + C·10^(−S/10) (m²): Hartinger & Brunner (1999), *Variances of GPS phase observations: the
+    /// SIGMA-ε model*, GPS Solutions 2(4); Wieser (2007) with V. Added to the elevation term.
+    SigmaEpsilon {
+        /// V (m²).
+        v_m2: f64,
+        /// C (m²·Hz).
+        c_m2_hz: f64,
+    },
+    /// goGPS's factor on the elevation term; Realini & Reguzzoni (2013), *goGPS: open source
+    /// software for enhancing the accuracy of low-cost receivers by single-frequency relative
+    /// kinematic positioning*, Meas. Sci. Technol. 24, and Herrera et al. (2016), *goGPS: open-source
+    /// MATLAB software*, GPS Solutions 20:
+    /// 10^(−(S−T)/a)·[(A/10^(−(F−T)/a) − 1)·(S−T)/(F−T) + 1] below T, else 1: it is A at S = F.
+    GoGps {
+        /// T: C/N0 from which on no signal is weighted down (dB-Hz).
+        threshold_db_hz: f64,
+        /// F: C/N0 at which the factor is A (dB-Hz).
+        reference_db_hz: f64,
+        /// A: factor at F.
+        factor: f64,
+        /// a: decay (dB-Hz).
+        decay_db_hz: f64,
+    },
+}
+
+impl Cn0Term {
+    /// goGPS's own parameters, which its variants for Hong Kong's streets kept: T = 50, F = 10,
+    /// A = 30, a = 30.
+    pub const fn gogps() -> Self {
+        Self::GoGps {
+            threshold_db_hz: 50.0,
+            reference_db_hz: 10.0,
+            factor: 30.0,
+            decay_db_hz: 30.0,
+        }
+    }
+}
+
+/// Variance of a measurement from its elevation and C/N0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasurementWeights {
+    /// Elevation's part.
+    pub elevation: ElevationTerm,
+    /// C/N0's part.
+    pub cn0: Cn0Term,
+    /// C/N0 taken where a receiver reports none (dB-Hz).
+    pub cn0_if_missing_db_hz: f64,
+}
+
+/// Elevations below this count as this (rad): 1/sin has no bound at the horizon.
+const ELEVATION_MIN_RAD: f64 = 0.017_453_292_519_943_295;
+
+impl MeasurementWeights {
+    /// Variance (m² for a pseudorange) at an elevation (rad) and C/N0 (dB-Hz).
+    pub fn variance_m2(&self, elevation_rad: f64, cn0_db_hz: Option<f64>) -> f64 {
+        let elevation = self.elevation.variance_m2(elevation_rad);
+        let s = cn0_db_hz.unwrap_or(self.cn0_if_missing_db_hz);
+        match self.cn0 {
+            Cn0Term::None => elevation,
+            Cn0Term::SigmaEpsilon { v_m2, c_m2_hz } => elevation + v_m2 + c_m2_hz * decibel(-s),
+            Cn0Term::GoGps { threshold_db_hz, reference_db_hz, factor, decay_db_hz } => {
+                let below = s - threshold_db_hz;
+                if 0.0 <= below {
+                    return elevation;
+                }
+                let reference = reference_db_hz - threshold_db_hz;
+                let decay = |db: f64| decibel(-10.0 * db / decay_db_hz);
+                let line = (factor / decay(reference) - 1.0) * below / reference + 1.0;
+                elevation * decay(below) * line
+            }
+        }
+    }
+}
+
+impl ElevationTerm {
+    fn variance_m2(&self, elevation_rad: f64) -> f64 {
+        let sin = elevation_rad.max(ELEVATION_MIN_RAD).sin();
+        match *self {
+            Self::None => 1.0,
+            Self::InverseSineSquared { a_m, b_m } => a_m * a_m + b_m * b_m / (sin * sin),
+            Self::InverseSine { a_m, b_m } => a_m * a_m + b_m * b_m / sin,
+        }
+    }
+}
+
+/// 10^(x/10), by `exp`: several times faster than `powf`.
+fn decibel(x: f64) -> f64 {
+    (x * (std::f64::consts::LN_10 / 10.0)).exp()
+}
+
+/// Upper bounds of the URA index 0 … 14 (m); IS-GPS-200N, 20.3.3.3.1.3; BDS-SIS-ICD-B1I-3.0, 5.2.4.5.
+const URA_BOUNDS_M: [f64; 15] = [
+    2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1_536.0, 3_072.0,
+    6_144.0,
+];
+/// Accuracy taken where a message states none or warns: the URA's last bound (m).
+const UNSTATED_M: f64 = 6_144.0;
+/// Galileo's `no accuracy prediction available` (m), as RTKLIB's `STD_GAL_NAPA`.
+const UNSTATED_GALILEO_M: f64 = 500.0;
+/// GLONASS-M's orbit and clock where F_T is not given (m), as RTKLIB's `ERREPH_GLO`.
+const UNSTATED_GLONASS_M: f64 = 5.0;
+
+/// Variance of a range due to the broadcast orbit and clock (m²).
+///
+/// The square of the stated accuracy; where that is a URA index's nominal value (LNAV, D1, D2), of
+/// the upper bound of its interval.
+pub fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
+    use NavigationMessage as M;
+    let sigma_m = match ephemeris {
+        Ephemeris::Glonass(e) => e.accuracy_m.unwrap_or(UNSTATED_GLONASS_M),
+        Ephemeris::Keplerian(e) => match (e.message, e.accuracy_m) {
+            (M::Lnav | M::D1 | M::D2, Some(nominal_m)) => ura_bound_m(nominal_m),
+            (_, Some(stated_m)) => stated_m,
+            (M::Inav | M::Fnav, None) => UNSTATED_GALILEO_M,
+            (_, None) => UNSTATED_M,
+        },
+    };
+    sigma_m * sigma_m
+}
+
+fn ura_bound_m(nominal_m: f64) -> f64 {
+    URA_BOUNDS_M.into_iter().find(|bound| nominal_m <= *bound).unwrap_or(UNSTATED_M)
+}
