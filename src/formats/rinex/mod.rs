@@ -1,0 +1,43 @@
+//! RINEX: the receiver-independent exchange format, read and written.
+//!
+//! Read: observation and navigation files of versions 2.00 to 4.0x, and Hatanaka-compressed
+//! observation files (CRINEX 1 and 3). Written: version 3.05. GPS, GLONASS, Galileo, BeiDou and
+//! QZSS are decoded; other systems are skipped and counted in [`Skipped`].
+//!
+//! A reader streams: it holds one buffer of 64 kB and one epoch. What a file gets wrong inside its
+//! data is skipped with line and reason, so that a half good file yields its good half; what makes
+//! the whole unreadable is a [`RinexError`].
+//!
+//! Choices where the format leaves one:
+//! - Blank and zero observations are missing (RINEX 3.05, 6.7).
+//! - `SYS / PHASE SHIFT` states corrections already applied to align carriers (RINEX 3.05, 5.2.18):
+//!   nothing is added or undone.
+//! - `SYS / SCALE FACTOR` is divided out.
+//! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2 (anti-spoofing
+//!   in RINEX 2, BOC tracking later) is ignored.
+//! - RINEX 2 observation types are mapped to RINEX 3 codes as the `columns` module says.
+//! - Receiver clock offsets on epoch lines are not applied: tags stay the receiver's.
+//!
+//! Sources: RINEX 2.11 (Gurtner & Estey 2007); RINEX 3.05 (IGS/RTCM 2020); RINEX 4.01 (2023);
+//! Hatanaka (2008), *A compression format and tools for GNSS observation data*, Bulletin of the
+//! Geographical Survey Institute 55.
+
+mod columns;
+mod epoch2;
+mod epoch3;
+mod error;
+mod fields;
+mod header;
+mod header_lines;
+mod lines;
+mod navigation;
+
+mod observation;
+mod skipped;
+
+pub use error::RinexError;
+pub use header::{ObservationHeader, RinexVersion};
+
+pub use navigation::read_navigation;
+pub use observation::ObservationReader;
+pub use skipped::{SkipReason, Skipped, SkippedEntry};

@@ -1,0 +1,69 @@
+//! GLONASS FDMA records.
+
+use nalgebra::Vector3;
+
+use super::record::Record;
+use crate::formats::rinex::RinexVersion;
+use crate::gnss::{Constellation, GlonassEphemeris, GpsTime, LeapSeconds, SatelliteId, TimeScale};
+
+const METRES_PER_KM: f64 = 1000.0;
+/// Farther than any GLONASS orbit (m), which is 25 500 km from the geocentre.
+const RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
+const SECONDS_PER_DAY: f64 = 86_400.0;
+/// What stands for an unknown Δτ_n in RINEX 3.05, table A10.
+const UNKNOWN_DELTA_TAU: f64 = 0.999_999_999_999e9;
+/// F_T by its index (m), 15 being unused; GLONASS ICD 5.1, table 4.4.
+const ACCURACY_M: [f64; 15] =
+    [1.0, 2.0, 2.5, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
+
+/// The ephemeris of a record; RINEX 2.11, table A11; RINEX 3.05, table A10.
+pub(super) fn ephemeris(
+    record: &Record,
+    version: RinexVersion,
+    leap: &LeapSeconds,
+) -> Option<GlonassEphemeris> {
+    let vector = |column| {
+        let in_km = [record.need(1, column)?, record.need(2, column)?, record.need(3, column)?];
+        Some(Vector3::from(in_km) * METRES_PER_KM)
+    };
+    let position_m = vector(0)?;
+    let channel = record.need(2, 3)?;
+    if !RADIUS_LIMITS_M.contains(&position_m.norm()) || !(-7.0..=13.0).contains(&channel) {
+        return None;
+    }
+    let toe = GpsTime::from_civil(&record.civil?, TimeScale::Utc, leap)?;
+    let has_status = RinexVersion::new(3, 5) <= version && 5 <= record.row_count();
+    Some(GlonassEphemeris {
+        satellite: SatelliteId::new(Constellation::Glonass, record.number)?,
+        toe,
+        transmission_time: record.optional(0, 3)?.and_then(|s| frame_time(toe, s, leap)),
+        position_m,
+        velocity_m_s: vector(1)?,
+        acceleration_m_s2: vector(2)?,
+        clock_bias_s: record.need(0, 1)?,
+        gamma: record.need(0, 2)?,
+        delta_tau_s: if has_status { delta_tau_s(record)? } else { None },
+        channel: channel as i8,
+        health: record.word(1, 3)?,
+        accuracy_m: if has_status { accuracy_m(record)? } else { None },
+        age_days: record.word(3, 3)?.min(255) as u8,
+    })
+}
+
+/// Message frame time (seconds of the UTC week, or of its day in RINEX 2) nearest to `toe`.
+fn frame_time(toe: GpsTime, seconds: f64, leap: &LeapSeconds) -> Option<GpsTime> {
+    // Weeks are whole days, so seconds of the day are what both forms share.
+    let toe_of_day_s = (toe - leap.at(toe) as f64).seconds_of_week() % SECONDS_PER_DAY;
+    let ahead_s = seconds - toe_of_day_s;
+    let nearest_s = ahead_s - SECONDS_PER_DAY * (ahead_s / SECONDS_PER_DAY).round();
+    (seconds.abs() <= 8.0 * SECONDS_PER_DAY).then(|| toe + nearest_s)
+}
+
+fn delta_tau_s(record: &Record) -> Option<Option<f64>> {
+    Some(record.optional(4, 1)?.filter(|seconds| seconds.abs() < UNKNOWN_DELTA_TAU))
+}
+
+fn accuracy_m(record: &Record) -> Option<Option<f64>> {
+    let index = record.optional(4, 2)?.filter(|index| (0.0..15.0).contains(index));
+    Some(index.map(|index| ACCURACY_M[index as usize]))
+}

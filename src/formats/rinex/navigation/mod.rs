@@ -1,0 +1,243 @@
+//! Navigation files: ephemerides, ionosphere coefficients, leap seconds.
+//!
+//! The week of an ephemeris is taken from its clock reference date, not from the week field: the two
+//! times are never half a week apart, and files disagree on whether the field rolls over.
+
+mod glonass;
+mod header;
+mod ionosphere;
+mod keplerian;
+mod record;
+
+use std::io::BufRead;
+
+use header::NavigationHeader;
+use record::{Record, RecordLayout};
+
+use super::fields::constellation;
+use super::header_lines::first_line;
+use super::lines::Lines;
+use super::{RinexError, SkipReason, Skipped};
+use crate::gnss::{Constellation, Ephemeris, Navigation, NavigationMessage};
+
+/// Reads a navigation file of version 2, 3 or 4 to its end.
+///
+/// # Errors
+/// What makes the whole unreadable; a broken record alone is skipped and noted.
+pub fn read_navigation(input: impl BufRead) -> Result<(Navigation, Skipped), RinexError> {
+    let mut lines = Lines::new(input);
+    let first = first_line(&mut lines)?;
+    let mut reader = Reader {
+        layout: RecordLayout::of(first, lines.number())?,
+        navigation: Navigation::default(),
+        skipped: Skipped::default(),
+        header: NavigationHeader::new(first),
+    };
+    reader.header.read(&mut lines, &mut reader.skipped)?;
+    reader.header.apply_to(&mut reader.navigation);
+    if first.version.major < 4 {
+        reader.read_records(&mut lines)?;
+    } else {
+        reader.read_typed_records(&mut lines)?;
+    }
+    Ok((reader.navigation, reader.skipped))
+}
+
+struct Reader {
+    layout: RecordLayout,
+    navigation: Navigation,
+    skipped: Skipped,
+    header: NavigationHeader,
+}
+
+impl Reader {
+    /// Versions 2 and 3: one ephemeris after another.
+    fn read_records<R: BufRead>(&mut self, lines: &mut Lines<R>) -> Result<(), RinexError> {
+        while lines.next()?.is_some() {
+            let (line, number) = (lines.current(), lines.number());
+            if line.trim_ascii().is_empty() {
+                continue;
+            }
+            let start = self.layout.parse_start(line);
+            let Some(mut record) = start else {
+                self.skipped.note(SkipReason::MalformedEphemeris, number);
+                self.layout.skip_continuation(lines)?;
+                continue;
+            };
+            self.layout.read_continuation(&mut record, lines)?;
+            let Some(system) = constellation(record.letter) else {
+                let letter = char::from(record.letter);
+                self.skipped.note(SkipReason::OtherConstellation(letter), number);
+                continue;
+            };
+            let message = legacy_message(system, &record);
+            self.insert(&record, message, number);
+        }
+        Ok(())
+    }
+
+    /// Version 4: each record behind a line that names its kind.
+    fn read_typed_records<R: BufRead>(&mut self, lines: &mut Lines<R>) -> Result<(), RinexError> {
+        while lines.next()?.is_some() {
+            let (line, number) = (lines.current(), lines.number());
+            let Some(title) = Title::parse(line) else {
+                if !line.trim_ascii().is_empty() {
+                    self.skipped.note(SkipReason::StrayLine, number);
+                }
+                continue;
+            };
+            match title.kind {
+                Kind::Ephemeris => self.read_ephemeris(&title, lines)?,
+                Kind::Ionosphere => self.read_ionosphere(&title, lines)?,
+                Kind::Other => self.skipped.note(SkipReason::OtherMessage, number),
+            }
+            // Whatever is left of the record.
+            while let Some(line) = lines.next()? {
+                if line.first() == Some(&b'>') {
+                    lines.unread();
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn read_ephemeris<R: BufRead>(
+        &mut self,
+        title: &Title,
+        lines: &mut Lines<R>,
+    ) -> Result<(), RinexError> {
+        let number = lines.number();
+        let Some(system) = constellation(title.letter) else {
+            let reason = SkipReason::OtherConstellation(char::from(title.letter));
+            self.skipped.note(reason, number);
+            return Ok(());
+        };
+        let Some(message) = typed_message(system, &title.message) else {
+            self.skipped.note(SkipReason::OtherMessage, number);
+            return Ok(());
+        };
+        let start = match lines.next()? {
+            Some(line) if line.first() != Some(&b'>') => self.layout.parse_start(line),
+            _ => {
+                lines.unread();
+                None
+            }
+        };
+        let Some(mut record) = start else {
+            self.skipped.note(SkipReason::MalformedEphemeris, number);
+            return Ok(());
+        };
+        self.layout.read_continuation(&mut record, lines)?;
+        self.insert(&record, message, number);
+        Ok(())
+    }
+
+    fn read_ionosphere<R: BufRead>(
+        &mut self,
+        title: &Title,
+        lines: &mut Lines<R>,
+    ) -> Result<(), RinexError> {
+        let number = lines.number();
+        let Some(line) = lines.next()? else { return Ok(()) };
+        if line.first() == Some(&b'>') {
+            lines.unread();
+            self.skipped.note(SkipReason::MalformedEphemeris, number);
+            return Ok(());
+        }
+        let mut record = self.layout.parse_undated(line);
+        self.layout.read_continuation(&mut record, lines)?;
+        let reason =
+            match ionosphere::apply(title.letter, &title.message, &record, &mut self.navigation) {
+                Ok(()) => return Ok(()),
+                Err(reason) => reason,
+            };
+        self.skipped.note(reason, number);
+        Ok(())
+    }
+
+    fn insert(&mut self, record: &Record, message: NavigationMessage, number: u64) {
+        let leap = self.navigation.leap_seconds;
+        let ephemeris = match message {
+            NavigationMessage::Fdma => {
+                glonass::ephemeris(record, self.header.version, &leap).map(Ephemeris::Glonass)
+            }
+            _ => keplerian::ephemeris(record, message, &leap).map(Ephemeris::Keplerian),
+        };
+        match ephemeris {
+            Some(ephemeris) => drop(self.navigation.insert(ephemeris)),
+            None => self.skipped.note(SkipReason::MalformedEphemeris, number),
+        }
+    }
+}
+
+/// What a version 4 record is, `> EPH G01 LNAV`.
+struct Title {
+    kind: Kind,
+    letter: u8,
+    message: [u8; 4],
+}
+
+enum Kind {
+    Ephemeris,
+    Ionosphere,
+    /// System time offsets and Earth orientation, which positioning does not use.
+    Other,
+}
+
+impl Title {
+    fn parse(line: &[u8]) -> Option<Self> {
+        let rest = line.strip_prefix(b"> ")?;
+        let kind = match rest.get(..3)? {
+            b"EPH" => Kind::Ephemeris,
+            b"ION" => Kind::Ionosphere,
+            b"STO" | b"EOP" => Kind::Other,
+            _ => return None,
+        };
+        let mut message = [b' '; 4];
+        let named = rest.get(8..).unwrap_or(&[]);
+        for (to, from) in message.iter_mut().zip(named) {
+            *to = *from;
+        }
+        Some(Self { kind, letter: *rest.get(4)?, message })
+    }
+}
+
+/// The message of a version 2 or 3 record.
+///
+/// Galileo: RINEX 3.05, table A8, data sources: bit 8 says that the clock is of E5a and E1 (F/NAV),
+/// bit 9 of E5b and E1 (I/NAV); without either the message bits decide, and I/NAV by default.
+fn legacy_message(system: Constellation, record: &Record) -> NavigationMessage {
+    match system {
+        Constellation::Gps | Constellation::Qzss => NavigationMessage::Lnav,
+        Constellation::Glonass => NavigationMessage::Fdma,
+        Constellation::BeiDou if keplerian::is_geostationary(record) => NavigationMessage::D2,
+        Constellation::BeiDou => NavigationMessage::D1,
+        Constellation::Galileo => {
+            let sources = keplerian::galileo_data_sources(record);
+            let fnav_clock = sources >> 8 & 1 == 1 && sources >> 9 & 1 == 0;
+            let fnav_only = sources >> 8 & 3 == 0 && sources & 7 == 2;
+            if fnav_clock || fnav_only { NavigationMessage::Fnav } else { NavigationMessage::Inav }
+        }
+    }
+}
+
+/// The message a version 4 title names; RINEX 4.01, table 9.
+fn typed_message(system: Constellation, name: &[u8; 4]) -> Option<NavigationMessage> {
+    use Constellation as C;
+    use NavigationMessage as M;
+    Some(match (system, name) {
+        (C::Gps | C::Qzss, b"LNAV") => M::Lnav,
+        (C::Gps | C::Qzss, b"CNAV") => M::Cnav,
+        (C::Gps | C::Qzss, b"CNV2") => M::Cnav2,
+        (C::Galileo, b"INAV") => M::Inav,
+        (C::Galileo, b"FNAV") => M::Fnav,
+        (C::BeiDou, b"D1  ") => M::D1,
+        (C::BeiDou, b"D2  ") => M::D2,
+        (C::BeiDou, b"CNV1") => M::Cnv1,
+        (C::BeiDou, b"CNV2") => M::Cnv2,
+        (C::BeiDou, b"CNV3") => M::Cnv3,
+        (C::Glonass, b"FDMA") => M::Fdma,
+        _ => return None,
+    })
+}
