@@ -13,8 +13,8 @@
 //! | C6, C7, C8 | – | – | 6X, 7X, 8X | 6I, 7I, – | 6X, –, – |
 //!
 //! P1 and P2 of GPS are taken as semi-codeless W, not P: anti-spoofing has been on since 1994.
-//! A phase, Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band: on band 1 to C1 where
-//! that is declared, else to P1; on band 2 to P2, else to C2, because the P(Y) carrier was the only
+//! A phase, Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band: on band 1 to C1
+//! where that is declared, else to P1; on band 2 to P2, else to C2, because the P(Y) carrier was the only
 //! one there when the format was made. Where the preferred pseudorange is blank in a record and the
 //! other is not, the phase goes with the one present.
 
