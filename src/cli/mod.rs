@@ -1,1 +1,104 @@
 //! Door: the command line, one file per subcommand.
+//!
+//! A command that cannot do its work ends with a non-zero exit code and one line on standard
+//! error, `error[CODE]: what is wrong (what to do)`.
+
+mod config;
+mod failure;
+mod option_arguments;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+pub use failure::Failure;
+
+/// GNSS positioning: observations in, positions out.
+#[derive(Debug, Parser)]
+#[command(name = "graphfix", version, about, arg_required_else_help = true)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Config(config::ConfigArguments),
+}
+
+impl Command {
+    fn run(self) -> Result<(), Failure> {
+        match self {
+            Self::Config(arguments) => config::run(&arguments),
+        }
+    }
+}
+
+/// Runs the command that `arguments` name, the program's own name first.
+///
+/// Exit codes: 0 done, 1 the command failed, 2 the command line was not understood.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let command = match CommandLine::try_parse_from(arguments) {
+        Ok(command_line) => command_line.command,
+        Err(refusal) => return refuse(&refusal),
+    };
+    match command.run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("{failure}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Prints help or version where asked for, else the reason in one line.
+fn refuse(refusal: &clap::Error) -> ExitCode {
+    if !refusal.use_stderr() {
+        // Err: standard output is closed, so nobody reads the help.
+        refusal.print().ok();
+        return ExitCode::SUCCESS;
+    }
+    eprintln!("{}", usage_failure(refusal));
+    ExitCode::from(2)
+}
+
+/// The first paragraph of clap's message, in one line.
+fn usage_failure(refusal: &clap::Error) -> Failure {
+    use clap::error::ErrorKind;
+    let message = match refusal.kind() {
+        ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => "no command was given".to_owned(),
+        _ => {
+            let text = refusal.render().to_string();
+            let paragraph = text.lines().take_while(|line| !line.is_empty());
+            let line = paragraph.map(str::trim).collect::<Vec<_>>().join(" ");
+            line.trim_start_matches("error: ").to_owned()
+        }
+    };
+    Failure::new("USAGE", message, "see graphfix --help, or graphfix COMMAND --help")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    fn refusal(line: &str) -> String {
+        let error = CommandLine::try_parse_from(line.split(' ')).unwrap_err();
+        usage_failure(&error).to_string()
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn a_refusal_is_one_line() {
+        for line in ["graphfix", "graphfix fly", "graphfix config --sett a=b"] {
+            let text = refusal(line);
+            assert!(text.starts_with("error[USAGE]: ") && !text.contains('\n'), "{text}");
+        }
+    }
+}

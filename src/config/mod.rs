@@ -1,1 +1,16 @@
 //! Configuration: one struct per concern, every value named, explained and echoed back.
+//!
+//! A configuration is a profile plus overrides by name. Nothing here reads a file, an argument or
+//! the environment; the doors do, and pass what they read as texts to [`PositioningOptions::set`].
+
+mod choices;
+mod error;
+mod option_table;
+mod positioning;
+
+pub use choices::{
+    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereModel, WeightModel,
+};
+pub use error::ConfigError;
+pub use option_table::OptionEntry;
+pub use positioning::PositioningOptions;

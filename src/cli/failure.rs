@@ -1,0 +1,49 @@
+//! Why a command ends without having done its work.
+
+use std::fmt;
+
+use crate::config::ConfigError;
+
+/// Why a command failed: a stable code, what is wrong and what to do, in one line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failure {
+    code: &'static str,
+    message: String,
+    remedy: String,
+}
+
+impl Failure {
+    /// From a stable upper-snake-case code, what is wrong, and what the user can do.
+    pub fn new(code: &'static str, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
+        Self { code, message: message.to_string(), remedy: remedy.to_string() }
+    }
+
+    /// The stable code.
+    pub fn code(&self) -> &'static str {
+        self.code
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let line = format!("{} ({})", self.message, self.remedy).replace(['\n', '\r'], " ");
+        write!(f, "error[{}]: {line}", self.code)
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::new(error.code(), error, "see graphfix config")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_is_one_line_with_code_and_remedy() {
+        let failure = Failure::new("FILE_NOT_FOUND", "no file a\nb", "name another");
+        assert_eq!(failure.to_string(), "error[FILE_NOT_FOUND]: no file a b (name another)");
+    }
+}

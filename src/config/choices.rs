@@ -1,0 +1,211 @@
+//! The values that options choose from.
+
+use std::fmt;
+
+use crate::gnss::{Band, Constellation};
+
+use super::ConfigError;
+
+/// Declares an enumeration whose values have names in the configuration.
+macro_rules! named_choice {
+    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $text:literal,)+ }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $name {
+            $($(#[$doc])* $variant,)+
+        }
+
+        impl $name {
+            /// Every value.
+            pub const ALL: &[Self] = &[$(Self::$variant,)+];
+
+            /// The name as users write it.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $text,)+
+                }
+            }
+
+            /// The value of a name as users write it.
+            pub fn from_name(name: &str) -> Option<Self> {
+                Self::ALL.iter().copied().find(|value| value.name() == name)
+            }
+        }
+    };
+}
+
+named_choice! {
+    /// An estimator.
+    Mode {
+        /// Single-point positioning: least squares on the pseudoranges of one epoch.
+        Spp = "spp",
+    }
+}
+
+named_choice! {
+    /// A set of defaults.
+    Profile {
+        /// Robust, without assumptions beyond what a walker, car, boat or drone can do.
+        General = "general",
+        /// A road vehicle among buildings.
+        UrbanVehicle = "urban-vehicle",
+        /// A receiver that stands still under an open sky.
+        Static = "static",
+        /// A telephone's antenna and receiver.
+        Phone = "phone",
+        /// The comparator of Wen & Hsu (2021): RTKLIB's single mode as its authors call it.
+        Paper = "paper",
+    }
+}
+
+named_choice! {
+    /// How the ionosphere's delay is corrected.
+    IonosphereModel {
+        /// Not at all.
+        None = "none",
+        /// The broadcast Klobuchar model.
+        Klobuchar = "klobuchar",
+        /// The broadcast NeQuick-G model.
+        NequickG = "nequick-g",
+        /// By the combination of two frequencies that cancels it to first order.
+        IonosphereFree = "ionosphere-free",
+    }
+}
+
+named_choice! {
+    /// How the troposphere's delay is corrected.
+    TroposphereModel {
+        /// Not at all.
+        None = "none",
+        /// Saastamoinen's zenith delay in a standard atmosphere, mapped to the elevation.
+        Saastamoinen = "saastamoinen",
+    }
+}
+
+named_choice! {
+    /// How a pseudorange's variance is stated.
+    WeightModel {
+        /// From C/N0 and elevation, see `positioning::measurements`.
+        Cn0Elevation = "cn0-elevation",
+        /// From elevation alone, as RTKLIB 2.4 does.
+        Rtklib = "rtklib",
+    }
+}
+
+impl Mode {
+    /// The mode of a name.
+    ///
+    /// # Errors
+    /// [`ConfigError::UnknownMode`] names those there are.
+    pub fn parse(name: &str) -> Result<Self, ConfigError> {
+        Self::from_name(name).ok_or_else(|| ConfigError::UnknownMode {
+            name: name.to_owned(),
+            allowed: Self::ALL.iter().map(|mode| mode.name()).collect::<Vec<_>>().join(", "),
+        })
+    }
+}
+
+impl Profile {
+    /// The profile of a name.
+    ///
+    /// # Errors
+    /// [`ConfigError::UnknownProfile`] names those there are.
+    pub fn parse(name: &str) -> Result<Self, ConfigError> {
+        Self::from_name(name).ok_or_else(|| ConfigError::UnknownProfile {
+            name: name.to_owned(),
+            allowed: Self::ALL.iter().map(|profile| profile.name()).collect::<Vec<_>>().join(", "),
+        })
+    }
+}
+
+/// A set of constellations; displays as `G,R,E`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConstellationSet(u8);
+
+impl ConstellationSet {
+    /// All of them.
+    pub const ALL: Self = Self((1 << Constellation::COUNT) - 1);
+
+    /// Those given.
+    pub fn of(constellations: &[Constellation]) -> Self {
+        Self(constellations.iter().fold(0, |bits, c| bits | 1 << c.index()))
+    }
+
+    /// From RINEX letters between commas, at least one.
+    pub fn parse(text: &str) -> Option<Self> {
+        let letter = |item: &str| {
+            let mut letters = item.trim().chars();
+            let constellation = Constellation::from_letter(letters.next()?.to_ascii_uppercase())?;
+            letters.next().is_none().then_some(constellation)
+        };
+        let list: Option<Vec<_>> = text.split(',').map(letter).collect();
+        list.map(|list| Self::of(&list))
+    }
+
+    /// Whether `constellation` is among them.
+    pub const fn contains(self, constellation: Constellation) -> bool {
+        self.0 & 1 << constellation.index() != 0
+    }
+}
+
+impl fmt::Display for ConstellationSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let chosen = Constellation::ALL.into_iter().filter(|c| self.contains(*c));
+        f.write_str(&chosen.map(|c| c.letter().to_string()).collect::<Vec<_>>().join(","))
+    }
+}
+
+/// A set of bands; displays as `L1,L5`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BandSet(u8);
+
+impl BandSet {
+    /// Those given.
+    pub fn of(bands: &[Band]) -> Self {
+        Self(bands.iter().fold(0, |bits, band| bits | 1 << *band as u8))
+    }
+
+    /// From names between commas, at least one.
+    pub fn parse(text: &str) -> Option<Self> {
+        let band = |item: &str| {
+            Band::ALL.into_iter().find(|band| band.name().eq_ignore_ascii_case(item.trim()))
+        };
+        let list: Option<Vec<_>> = text.split(',').map(band).collect();
+        list.map(|list| Self::of(&list))
+    }
+
+    /// Whether `band` is among them.
+    pub const fn contains(self, band: Band) -> bool {
+        self.0 & 1 << band as u8 != 0
+    }
+}
+
+impl fmt::Display for BandSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let chosen = Band::ALL.into_iter().filter(|band| self.contains(*band));
+        f.write_str(&chosen.map(Band::name).collect::<Vec<_>>().join(","))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modes_to_come_are_refused_by_name() {
+        assert_eq!(Mode::parse("spp"), Ok(Mode::Spp));
+        let error = Mode::parse("rtk-fgo").unwrap_err();
+        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp");
+    }
+
+    #[test]
+    fn sets_round_trip_in_their_own_order() {
+        assert_eq!(ConstellationSet::parse("c, g").unwrap().to_string(), "G,C");
+        assert_eq!(ConstellationSet::ALL.to_string(), "G,R,E,C,J");
+        assert_eq!(BandSet::parse("L5,l1").unwrap().to_string(), "L1,L5");
+        for wrong in ["", "G,", "GPS", "X"] {
+            assert_eq!(ConstellationSet::parse(wrong), None, "{wrong}");
+        }
+        assert_eq!(BandSet::parse("L1,L3"), None);
+    }
+}

@@ -1,0 +1,300 @@
+//! The table of positioning options: every name, unit and meaning in one place.
+
+use crate::gnss::SatelliteId;
+
+use super::{
+    BandSet, ConfigError, ConstellationSet, IonosphereModel, PositioningOptions, TroposphereModel,
+    WeightModel,
+};
+
+/// One option with its value in force.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OptionEntry {
+    /// The name that [`PositioningOptions::set`] takes.
+    pub name: &'static str,
+    /// Unit of the value; empty where it has none.
+    pub unit: &'static str,
+    /// The profile's value.
+    pub default: String,
+    /// The value in force.
+    pub value: String,
+    /// What it does, in one sentence.
+    pub meaning: &'static str,
+    /// The values it takes.
+    pub allowed: &'static str,
+}
+
+/// Reads one option out of the options, as text.
+type Get = fn(&PositioningOptions) -> String;
+/// Puts a text into the options; `None` if the option does not take it.
+type Set = fn(&mut PositioningOptions, &str) -> Option<()>;
+
+struct OptionSpecification {
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    allowed: &'static str,
+    get: Get,
+    set: Set,
+}
+
+#[rustfmt::skip]
+const TABLE: &[OptionSpecification] = &[
+    OptionSpecification {
+        name: "systems", unit: "",
+        meaning: "constellations used, by RINEX letter",
+        allowed: "letters of G,R,E,C,J between commas",
+        get: |o| o.systems.to_string(),
+        set: |o, text| ConstellationSet::parse(text).map(|v| o.systems = v),
+    },
+    OptionSpecification {
+        name: "exclude_satellites", unit: "",
+        meaning: "satellites never used",
+        allowed: "satellites such as G05,C12 between commas, or nothing",
+        get: |o| satellites_text(&o.excluded_satellites),
+        set: |o, text| parse_satellites(text).map(|v| o.excluded_satellites = v),
+    },
+    OptionSpecification {
+        name: "frequencies", unit: "",
+        meaning: "bands used; the first that a satellite offers is its main one",
+        allowed: "bands of L1,L2,L5,L6 between commas",
+        get: |o| o.frequencies.to_string(),
+        set: |o, text| BandSet::parse(text).map(|v| o.frequencies = v),
+    },
+    OptionSpecification {
+        name: "elevation_mask_deg", unit: "deg",
+        meaning: "satellites lower than this are not used",
+        allowed: "a number from 0 to 60",
+        get: |o| degrees_text(o.elevation_mask_rad),
+        set: |o, text| number(text, 0.0, 60.0).map(|v| o.elevation_mask_rad = v.to_radians()),
+    },
+    OptionSpecification {
+        name: "cn0_mask_db_hz", unit: "dB-Hz",
+        meaning: "signals weaker than this are not used; those without C/N0 are",
+        allowed: "a number from 0 to 60",
+        get: |o| o.cn0_mask_db_hz.to_string(),
+        set: |o, text| number(text, 0.0, 60.0).map(|v| o.cn0_mask_db_hz = v),
+    },
+    OptionSpecification {
+        name: "ionosphere", unit: "",
+        meaning: "how the ionosphere's delay is corrected",
+        allowed: "none, klobuchar, nequick-g, ionosphere-free",
+        get: |o| o.ionosphere.name().to_owned(),
+        set: |o, text| IonosphereModel::from_name(text).map(|v| o.ionosphere = v),
+    },
+    OptionSpecification {
+        name: "dual_frequency", unit: "",
+        meaning: "whether a second frequency improves the modelled ionosphere, by their variances",
+        allowed: "on, off",
+        get: |o| switch_text(o.dual_frequency),
+        set: |o, text| switch(text).map(|v| o.dual_frequency = v),
+    },
+    OptionSpecification {
+        name: "troposphere", unit: "",
+        meaning: "how the troposphere's delay is corrected",
+        allowed: "none, saastamoinen",
+        get: |o| o.troposphere.name().to_owned(),
+        set: |o, text| TroposphereModel::from_name(text).map(|v| o.troposphere = v),
+    },
+    OptionSpecification {
+        name: "weighting", unit: "",
+        meaning: "how a pseudorange's variance is stated",
+        allowed: "cn0-elevation, rtklib",
+        get: |o| o.weighting.name().to_owned(),
+        set: |o, text| WeightModel::from_name(text).map(|v| o.weighting = v),
+    },
+    OptionSpecification {
+        name: "pseudorange_sigma_m", unit: "m",
+        meaning: "standard deviation of a strong signal's pseudorange at zenith",
+        allowed: "a number from 0.01 to 100",
+        get: |o| o.pseudorange_sigma_m.to_string(),
+        set: |o, text| number(text, 0.01, 100.0).map(|v| o.pseudorange_sigma_m = v),
+    },
+    OptionSpecification {
+        name: "cn0_sigma_m", unit: "m",
+        meaning: "standard deviation that a signal of 42 dB-Hz adds; tenfold for 20 dB less",
+        allowed: "a number from 0 to 100",
+        get: |o| o.cn0_sigma_m.to_string(),
+        set: |o, text| number(text, 0.0, 100.0).map(|v| o.cn0_sigma_m = v),
+    },
+    OptionSpecification {
+        name: "doppler_sigma_m_s", unit: "m/s",
+        meaning: "standard deviation of a strong signal's Doppler, as range rate",
+        allowed: "a number from 0.001 to 10",
+        get: |o| o.doppler_sigma_m_s.to_string(),
+        set: |o, text| number(text, 0.001, 10.0).map(|v| o.doppler_sigma_m_s = v),
+    },
+    OptionSpecification {
+        name: "fault_exclusion", unit: "",
+        meaning: "whether satellites that disagree with the others are left out",
+        allowed: "on, off",
+        get: |o| switch_text(o.fault_exclusion),
+        set: |o, text| switch(text).map(|v| o.fault_exclusion = v),
+    },
+    OptionSpecification {
+        name: "false_alarm_probability", unit: "",
+        meaning: "probability that the residual test rejects an epoch without a fault",
+        allowed: "a number from 0.000001 to 0.5",
+        get: |o| o.false_alarm_probability.to_string(),
+        set: |o, text| number(text, 1e-6, 0.5).map(|v| o.false_alarm_probability = v),
+    },
+    OptionSpecification {
+        name: "gdop_limit", unit: "",
+        meaning: "geometric dilution of precision above which no position is given",
+        allowed: "a number from 1, or inf",
+        get: |o| o.gdop_limit.to_string(),
+        set: |o, text| number(text, 1.0, f64::INFINITY).map(|v| o.gdop_limit = v),
+    },
+    OptionSpecification {
+        name: "velocity", unit: "",
+        meaning: "whether the velocity is estimated from Doppler",
+        allowed: "on, off",
+        get: |o| switch_text(o.velocity),
+        set: |o, text| switch(text).map(|v| o.velocity = v),
+    },
+];
+
+/// Overrides one option by its name.
+pub(super) fn set(
+    options: &mut PositioningOptions,
+    key: &str,
+    value: &str,
+) -> Result<(), ConfigError> {
+    let Some(option) = TABLE.iter().find(|option| option.name == key) else {
+        return Err(ConfigError::UnknownKey { key: key.to_owned(), nearest: nearest_name(key) });
+    };
+    (option.set)(options, value.trim()).ok_or_else(|| ConfigError::InvalidValue {
+        key: option.name,
+        value: value.to_owned(),
+        allowed: option.allowed,
+    })
+}
+
+/// Every option with its value in `options`.
+pub(super) fn entries(options: &PositioningOptions) -> Vec<OptionEntry> {
+    let defaults = PositioningOptions::new(options.mode, options.profile);
+    TABLE
+        .iter()
+        .map(|option| OptionEntry {
+            name: option.name,
+            unit: option.unit,
+            default: (option.get)(&defaults),
+            value: (option.get)(options),
+            meaning: option.meaning,
+            allowed: option.allowed,
+        })
+        .collect()
+}
+
+/// The option whose name is the fewest edits away; the first of equals.
+fn nearest_name(key: &str) -> &'static str {
+    let names = TABLE.iter().map(|option| option.name);
+    names.min_by_key(|name| edit_distance(key, name)).expect("the table is not empty")
+}
+
+/// Levenshtein (1966) distance: insertions, deletions and substitutions from `a` to `b`.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    // Names are short; a longer key is far from all of them after its first letters.
+    for (i, byte) in a.bytes().take(64).enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, other) in b.bytes().enumerate() {
+            let substituted = diagonal + usize::from(byte != other);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+fn number(text: &str, lowest: f64, highest: f64) -> Option<f64> {
+    text.parse().ok().filter(|value| (lowest..=highest).contains(value))
+}
+
+fn switch(text: &str) -> Option<bool> {
+    match text {
+        "on" => Some(true),
+        "off" => Some(false),
+        _ => None,
+    }
+}
+
+fn switch_text(on: bool) -> String {
+    if on { "on" } else { "off" }.to_owned()
+}
+
+/// Degrees as the user wrote them: the conversion's rounding is hidden below a microdegree.
+fn degrees_text(angle_rad: f64) -> String {
+    ((angle_rad.to_degrees() * 1e6).round() / 1e6).to_string()
+}
+
+fn satellites_text(satellites: &[SatelliteId]) -> String {
+    satellites.iter().map(SatelliteId::to_string).collect::<Vec<_>>().join(",")
+}
+
+fn parse_satellites(text: &str) -> Option<Vec<SatelliteId>> {
+    let items = text.split(',').map(str::trim).filter(|item| !item.is_empty());
+    let mut satellites: Vec<SatelliteId> = items.map(|i| i.parse().ok()).collect::<Option<_>>()?;
+    satellites.sort_unstable();
+    satellites.dedup();
+    Some(satellites)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Mode, Profile};
+    use super::*;
+
+    fn general() -> PositioningOptions {
+        PositioningOptions::new(Mode::Spp, Profile::General)
+    }
+
+    #[test]
+    fn every_value_shown_can_be_set_again() {
+        for profile in Profile::ALL {
+            let shown = PositioningOptions::new(Mode::Spp, *profile);
+            let mut set = general();
+            for entry in shown.entries() {
+                assert_eq!(entry.default, entry.value, "{}", entry.name);
+                set.set(entry.name, &entry.value).unwrap();
+            }
+            assert_eq!(set.configuration_hash(), shown.configuration_hash());
+        }
+    }
+
+    #[test]
+    fn a_misspelt_option_is_told_its_neighbour() {
+        let error = general().set("elevation_mask", "10").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "no option is called \"elevation_mask\"; the nearest is \"elevation_mask_deg\"",
+        );
+        assert_eq!((edit_distance("", "abc"), edit_distance("kitten", "sitting")), (3, 3));
+    }
+
+    #[test]
+    fn a_wrong_value_is_told_the_allowed_ones_and_changes_nothing() {
+        let mut options = general();
+        for (key, value) in [
+            ("ionosphere", "off"),
+            ("elevation_mask_deg", "-1"),
+            ("elevation_mask_deg", "nan"),
+            ("systems", ""),
+            ("exclude_satellites", "G05,X1"),
+            ("velocity", "yes"),
+        ] {
+            let error = options.set(key, value).unwrap_err();
+            assert!(error.to_string().contains("allowed: "), "{error}");
+        }
+        assert_eq!(options, general());
+    }
+
+    #[test]
+    fn satellites_are_sorted_and_single() {
+        let mut options = general();
+        options.set("exclude_satellites", "C12, G05,C12").unwrap();
+        assert_eq!(satellites_text(&options.excluded_satellites), "G05,C12");
+        options.set("exclude_satellites", "").unwrap();
+        assert!(options.excluded_satellites.is_empty());
+    }
+}
