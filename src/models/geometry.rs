@@ -34,8 +34,8 @@ pub struct RangeRate {
 ///
 /// ρ̇ = [eᵀ(vˢ − v) + (ω_e/c)(vˢ_x p_y + s_x v_y − vˢ_y p_x − s_y v_x)] / (1 + eᵀvˢ/c), e the unit
 /// vector from receiver to satellite. Wen & Hsu (2021), equations (5) and (6), differ: (5) prints
-/// +e for ∂ρ̇/∂v, and the Sagnac term of (6) has the opposite sign of the range's derivative (9 mm/s
-/// apart at most). The denominator comes from a time of transmission that moves at 1 − ρ̇/c; it
+/// +e for ∂ρ̇/∂v, and the Sagnac term of (6) has the opposite sign of the range's derivative (up to
+/// 1 cm/s apart). The denominator comes from a time of transmission that moves at 1 − ρ̇/c; it
 /// matters up to 3 mm/s.
 pub fn range_rate(
     satellite: Ecef,

@@ -111,3 +111,128 @@ fn beidou_cnav_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::KeplerianEphemeris;
+    use crate::models::sample;
+
+    fn delay_ns(ephemeris: &Ephemeris, code: &str) -> Option<f64> {
+        let code = ObservationCode::parse(code).unwrap();
+        group_delay_m(ephemeris, code).map(|m| m / SPEED_OF_LIGHT * 1e9)
+    }
+
+    fn check(ephemeris: KeplerianEphemeris, expected: &[(&str, Option<f64>)]) {
+        let ephemeris = Ephemeris::Keplerian(ephemeris);
+        for (code, expected_ns) in expected {
+            match (delay_ns(&ephemeris, code), expected_ns) {
+                (Some(ns), Some(expected)) => {
+                    assert!((ns - expected).abs() < 1e-9, "{code}: {ns}, not {expected}");
+                }
+                (ns, expected) => assert_eq!(ns, *expected, "{code}"),
+            }
+        }
+    }
+
+    /// T_GD = −5 ns; γ = (77/60)².
+    #[test]
+    fn gps_legacy() {
+        let gamma = 5_929.0 / 3_600.0;
+        check(
+            sample::gps(),
+            &[
+                ("1C", Some(-5.0)),
+                ("1W", Some(-5.0)),
+                ("2W", Some(-5.0 * gamma)),
+                ("2L", Some(-5.0 * gamma)),
+                ("5Q", None),
+                ("1L", None),
+            ],
+        );
+    }
+
+    /// T_GD − ISC.
+    #[test]
+    fn gps_civil() {
+        let mut e = sample::gps();
+        e.message = NavigationMessage::Cnav;
+        e.group_delays = GroupDelays::Gps {
+            tgd_s: -5e-9,
+            isc_l1ca_s: Some(1e-9),
+            isc_l2c_s: Some(-2e-9),
+            isc_l5i_s: Some(3e-9),
+            isc_l5q_s: Some(3.5e-9),
+            isc_l1cd_s: None,
+            isc_l1cp_s: Some(0.5e-9),
+        };
+        let expected = [
+            ("1C", Some(-6.0)),
+            ("2L", Some(-3.0)),
+            ("5I", Some(-8.0)),
+            ("5Q", Some(-8.5)),
+            ("1L", Some(-5.5)),
+            ("1S", None),
+        ];
+        check(e, &expected);
+    }
+
+    /// BGD(E1, E5a) = 2 ns, BGD(E1, E5b) = 3 ns; BGD = (τ_E1 − τ_E5)/(1 − γ) must come back out,
+    /// and the clock's own pair be free of delay: (τ_E5 − γ·τ_E1)/(1 − γ) = 0 with γ of f_E1/f_E5.
+    #[test]
+    fn galileo_messages_differ_in_their_clock() {
+        for message in [NavigationMessage::Inav, NavigationMessage::Fnav] {
+            let e = Ephemeris::Keplerian(KeplerianEphemeris { message, ..sample::galileo() });
+            let [e1, e5a, e5b] = ["1C", "5Q", "7Q"].map(|code| delay_ns(&e, code).unwrap());
+            assert!(((e1 - e5a) / (1.0 - GAMMA_E5A) - 2.0).abs() < 1e-9);
+            assert!(((e1 - e5b) / (1.0 - GAMMA_E5B) - 3.0).abs() < 1e-9);
+            let of_pair = match message {
+                NavigationMessage::Fnav => GAMMA_E5A * e1 - e5a,
+                _ => GAMMA_E5B * e1 - e5b,
+            };
+            assert!(of_pair.abs() < 1e-9, "{message:?}: {of_pair}");
+            assert_eq!(delay_ns(&e, "6C"), None);
+        }
+    }
+
+    #[test]
+    fn galileo_without_the_other_pair() {
+        let mut e = sample::galileo();
+        e.group_delays = GroupDelays::Galileo { bgd_e5a_s: 2e-9, bgd_e5b_s: None };
+        e.message = NavigationMessage::Fnav;
+        check(e, &[("1C", Some(2.0)), ("5Q", Some(2.0 * GAMMA_E5A)), ("7Q", None)]);
+    }
+
+    #[test]
+    fn beidou_refers_to_b3i() {
+        let expected =
+            [("2I", Some(4.0)), ("7I", Some(-2.0)), ("6I", Some(0.0)), ("7D", None), ("1P", None)];
+        check(sample::beidou(), &expected);
+        let mut e = sample::beidou();
+        e.message = NavigationMessage::Cnv1;
+        e.group_delays = GroupDelays::BeiDouCnav {
+            tgd_b1cp_s: Some(1e-9),
+            tgd_b2ap_s: Some(2e-9),
+            tgd_b2bi_s: None,
+            isc_b1cd_s: Some(0.5e-9),
+            isc_b2ad_s: None,
+        };
+        let expected = [
+            ("1P", Some(1.0)),
+            ("1D", Some(1.5)),
+            ("5P", Some(2.0)),
+            ("5D", None),
+            ("6I", Some(0.0)),
+            ("7D", None),
+        ];
+        check(e, &expected);
+    }
+
+    #[test]
+    fn glonass_second_frequency() {
+        let e = Ephemeris::Glonass(sample::glonass());
+        assert_eq!(delay_ns(&e, "1C"), Some(0.0));
+        assert!((delay_ns(&e, "2C").unwrap() + 3.0).abs() < 1e-9);
+        assert_eq!(delay_ns(&e, "3Q"), None);
+    }
+}

@@ -104,3 +104,111 @@ fn is_orbit(ephemeris: &Ephemeris) -> bool {
         Ephemeris::Glonass(e) => (6.4e6..5e7).contains(&e.position_m.norm()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::KeplerianEphemeris;
+    use crate::models::sample;
+
+    fn shifted(base: KeplerianEphemeris, hours: f64, issue: u32) -> Ephemeris {
+        let (toe, toc) = (base.toe + hours * HOUR_S, base.toc + hours * HOUR_S);
+        Ephemeris::Keplerian(KeplerianEphemeris { toe, toc, iode: issue, ..base })
+    }
+
+    fn navigation(list: impl IntoIterator<Item = Ephemeris>) -> Navigation {
+        let mut navigation = Navigation::default();
+        for ephemeris in list {
+            navigation.insert(ephemeris);
+        }
+        navigation
+    }
+
+    /// Issue of the choice at so many hours after the samples' toe.
+    fn chosen(navigation: &Navigation, name: &str, hours: f64) -> Option<u32> {
+        let time = sample::toe() + hours * HOUR_S;
+        select_ephemeris(navigation, name.parse().unwrap(), time).map(Ephemeris::issue)
+    }
+
+    #[test]
+    fn the_closest_and_of_two_as_close_the_later() {
+        let gps = sample::gps;
+        let navigation =
+            navigation([shifted(gps(), 0.0, 1), shifted(gps(), 2.0, 2), shifted(gps(), 4.0, 3)]);
+        assert_eq!(chosen(&navigation, "G05", 0.9), Some(1));
+        assert_eq!(chosen(&navigation, "G05", 1.0), Some(2));
+        assert_eq!(chosen(&navigation, "G05", 3.2), Some(3));
+        assert_eq!(chosen(&navigation, "G06", 1.0), None);
+    }
+
+    #[test]
+    fn each_message_has_its_validity() {
+        let limits = [
+            (shifted(sample::gps(), 0.0, 1), 2.0),
+            (shifted(sample::galileo(), 0.0, 1), 4.0),
+            (shifted(sample::beidou(), 0.0, 1), 2.0),
+            (shifted(sample::qzss(), 0.0, 1), 2.0),
+            (Ephemeris::Glonass(sample::glonass()), 0.5),
+        ];
+        for (ephemeris, hours) in limits {
+            let name = ephemeris.satellite().to_string();
+            let navigation = navigation([ephemeris]);
+            for side in [-1.0, 1.0] {
+                assert!(chosen(&navigation, &name, side * (hours - 0.01)).is_some(), "{name}");
+                assert!(chosen(&navigation, &name, side * (hours + 0.01)).is_none(), "{name}");
+            }
+            // Months old, as real navigation files hold them.
+            assert_eq!(chosen(&navigation, &name, 2_000.0), None);
+        }
+    }
+
+    #[test]
+    fn a_stated_fit_interval_is_respected() {
+        let mut e = sample::gps();
+        for (stated, hours) in [(Some(6.0), 3.0), (Some(1.0), 2.0), (None, 2.0)] {
+            e.fit_interval_h = stated;
+            let navigation = navigation([shifted(e.clone(), 0.0, 1)]);
+            assert_eq!(chosen(&navigation, "G05", hours - 0.01), Some(1));
+            assert_eq!(chosen(&navigation, "G05", hours + 0.01), None);
+        }
+    }
+
+    #[test]
+    fn the_preferred_message_goes_before_a_closer_one() {
+        let fnav = KeplerianEphemeris { message: NavigationMessage::Fnav, ..sample::galileo() };
+        let both = navigation([shifted(sample::galileo(), 0.0, 1), shifted(fnav, 1.0, 2)]);
+        assert_eq!(chosen(&both, "E12", 1.0), Some(1));
+        assert_eq!(chosen(&both, "E12", 4.5), Some(2));
+    }
+
+    #[test]
+    fn health_is_that_of_the_message_and_its_signals() {
+        let with = |base: KeplerianEphemeris, health| {
+            let name = base.satellite.to_string();
+            let navigation =
+                navigation([Ephemeris::Keplerian(KeplerianEphemeris { health, ..base })]);
+            chosen(&navigation, &name, 0.0).is_some()
+        };
+        assert!(!with(sample::gps(), 1) && !with(sample::beidou(), 1));
+        let fnav = || KeplerianEphemeris { message: NavigationMessage::Fnav, ..sample::galileo() };
+        assert!(with(sample::galileo(), 0b000_010_000) && !with(fnav(), 0b000_010_000));
+        assert!(!with(sample::galileo(), 0b000_000_010) && with(fnav(), 0b000_000_010));
+        assert!(with(sample::qzss(), 1) && !with(sample::qzss(), 0b10_0000));
+        let sick =
+            Ephemeris::Glonass(crate::gnss::GlonassEphemeris { health: 1, ..sample::glonass() });
+        assert_eq!(chosen(&navigation([sick]), "R07", 0.0), None);
+    }
+
+    #[test]
+    fn a_damaged_record_is_no_orbit() {
+        let damaged = [
+            KeplerianEphemeris { sqrt_a: 0.0, ..sample::gps() },
+            KeplerianEphemeris { eccentricity: 1.5, ..sample::gps() },
+            KeplerianEphemeris { sqrt_a: f64::NAN, ..sample::gps() },
+        ];
+        for e in damaged {
+            let navigation = navigation([Ephemeris::Keplerian(e)]);
+            assert_eq!(chosen(&navigation, "G05", 0.0), None);
+        }
+    }
+}

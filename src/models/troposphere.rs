@@ -205,3 +205,77 @@ impl Fraction {
         (1.0 + a / (1.0 + b / (1.0 + c))) / (sin + a / (sin + b / (sin + c)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(value: f64, expected: f64, tolerance: f64) {
+        assert!((value - expected).abs() < tolerance, "{value}, not {expected}");
+    }
+
+    /// Zenith delays worked in Python from the formulas above.
+    #[test]
+    fn zenith_delays_worked_apart() {
+        let sea = Geodetic::from_degrees(45.0, 0.0, 0.0);
+        let (dry, wet) = zenith_delays_m(&sea, &Weather::standard(0.0, 0.5));
+        near(dry, 2.306_967_6, 1e-12);
+        near(wet, 0.086_010_049_640_126, 1e-12);
+        let hill = Geodetic::from_degrees(30.0, 0.0, 1_500.0);
+        let weather = Weather::standard(1_500.0, 0.7);
+        near(weather.pressure_hpa, 845.537_958_563, 1e-6);
+        let (dry, wet) = zenith_delays_m(&hill, &weather);
+        near(dry, 1.928_495_691_516_435, 1e-12);
+        near(wet, 0.064_719_185_444_12, 1e-12);
+    }
+
+    /// Niell's functions worked in Python: at 45° in mid-spring, at 30° on the winter day.
+    #[test]
+    fn niell_worked_apart() {
+        let winter = GpsTime::EPOCH + (WINTER_DAY - GPS_EPOCH_DAY) * 86_400.0;
+        let place = Geodetic::from_degrees(45.0, 0.0, 0.0);
+        let spring = winter + YEAR_S / 4.0;
+        let slant = |place: &Geodetic, time, elevation: f64, dry: f64, wet: f64| {
+            let mapping = PreparedMapping::niell(place, time);
+            Troposphere { hydrostatic_m: dry, wet_m: wet, mapping }
+                .slant_delay_m(elevation.to_radians())
+        };
+        near(slant(&place, spring, 5.0, 1.0, 0.0), 10.128_617_232_579_067, 1e-9);
+        near(slant(&place, spring, 5.0, 0.0, 1.0), 10.750_884_210_392_691, 1e-9);
+        near(slant(&place, spring, 90.0, 1.0, 1.0), 2.0, 1e-12);
+        let hill = Geodetic::from_degrees(30.0, 0.0, 1_500.0);
+        near(slant(&hill, winter, 10.0, 1.0, 0.0), 5.556_008_471_066_759, 1e-9);
+        near(slant(&hill, winter, 10.0, 0.0, 1.0), 5.659_495_589_978_741, 1e-9);
+        // Half a year later it is winter in the south.
+        let south = Geodetic::from_degrees(-30.0, 0.0, 1_500.0);
+        near(slant(&south, winter + YEAR_S / 2.0, 10.0, 1.0, 0.0), 5.556_008_471_066_759, 1e-9);
+    }
+
+    /// The mappings agree high in the sky and part towards the horizon.
+    #[test]
+    fn mappings_part_towards_the_horizon() {
+        let place = Geodetic::from_degrees(22.3, 114.2, 5.0);
+        let time = GpsTime::from_week_seconds(2051, 46_701.0);
+        let with = |mapping| Troposphere::saastamoinen(&place, time, 0.7, mapping).unwrap();
+        let (niell, cosecant) = (with(Mapping::Niell), with(Mapping::Cosecant));
+        near(niell.slant_delay_m(1.0) / cosecant.slant_delay_m(1.0), 1.0, 1e-3);
+        near(cosecant.slant_delay_m(0.5), cosecant.zenith_delay_m() / 0.5_f64.sin(), 1e-12);
+        let low = 5.0_f64.to_radians();
+        assert!(3.0 < cosecant.slant_delay_m(low) - niell.slant_delay_m(low));
+        assert!(niell.slant_delay_m(-1.0).is_finite());
+    }
+
+    #[test]
+    fn no_atmosphere_far_from_the_ground() {
+        for height_m in [-2_000.0, 30_000.0, f64::NAN] {
+            let place = Geodetic::from_degrees(0.0, 0.0, height_m);
+            let mapping = Mapping::Cosecant;
+            assert_eq!(Troposphere::saastamoinen(&place, GpsTime::EPOCH, 0.5, mapping), None);
+        }
+    }
+
+    #[test]
+    fn the_variance_worked_by_hand() {
+        near(variance_m2(std::f64::consts::FRAC_PI_2), (0.3_f64 / 1.1).powi(2), 1e-12);
+    }
+}

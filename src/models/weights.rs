@@ -43,11 +43,12 @@ pub enum Cn0Term {
         /// C (m²·Hz).
         c_m2_hz: f64,
     },
-    /// goGPS's factor on the elevation term; Realini & Reguzzoni (2013), *goGPS: open source
-    /// software for enhancing the accuracy of low-cost receivers by single-frequency relative
-    /// kinematic positioning*, Meas. Sci. Technol. 24, and Herrera et al. (2016), *goGPS: open-source
-    /// MATLAB software*, GPS Solutions 20:
-    /// 10^(−(S−T)/a)·[(A/10^(−(F−T)/a) − 1)·(S−T)/(F−T) + 1] below T, else 1: it is A at S = F.
+    /// goGPS's factor on the elevation term:
+    /// 10^(−(S−T)/a)·[(A/10^(−(F−T)/a) − 1)·(S−T)/(F−T) + 1] below T, else 1; it is A at S = F.
+    ///
+    /// Realini & Reguzzoni (2013), *goGPS: open source software for enhancing the accuracy of
+    /// low-cost receivers by single-frequency relative kinematic positioning*, Meas. Sci. Technol.
+    /// 24; Herrera et al. (2016), *goGPS: open-source MATLAB software*, GPS Solutions 20.
     GoGps {
         /// T: C/N0 from which on no signal is weighted down (dB-Hz).
         threshold_db_hz: f64,
@@ -125,7 +126,8 @@ fn decibel(x: f64) -> f64 {
     (x * (std::f64::consts::LN_10 / 10.0)).exp()
 }
 
-/// Upper bounds of the URA index 0 … 14 (m); IS-GPS-200N, 20.3.3.3.1.3; BDS-SIS-ICD-B1I-3.0, 5.2.4.5.
+/// Upper bounds of the URA index 0 … 14 (m); IS-GPS-200N, 20.3.3.3.1.3, and
+/// BDS-SIS-ICD-B1I-3.0, 5.2.4.5.
 const URA_BOUNDS_M: [f64; 15] = [
     2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1_536.0, 3_072.0,
     6_144.0,
@@ -157,4 +159,67 @@ pub fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
 
 fn ura_bound_m(nominal_m: f64) -> f64 {
     URA_BOUNDS_M.into_iter().find(|bound| nominal_m <= *bound).unwrap_or(UNSTATED_M)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::models::sample;
+
+    fn weights(elevation: ElevationTerm, cn0: Cn0Term) -> MeasurementWeights {
+        MeasurementWeights { elevation, cn0, cn0_if_missing_db_hz: 30.0 }
+    }
+
+    fn near(value: f64, expected: f64) {
+        assert!((value / expected - 1.0).abs() < 1e-9, "{value}, not {expected}");
+    }
+
+    /// sin 30° = 1/2: 0.3² + 0.4²/(1/4) and 0.3² + 0.3²/(1/2).
+    #[test]
+    fn elevation_terms_worked_by_hand() {
+        let low = 30.0_f64.to_radians();
+        let squared = ElevationTerm::InverseSineSquared { a_m: 0.3, b_m: 0.4 };
+        near(weights(squared, Cn0Term::None).variance_m2(low, None), 0.73);
+        let rtklib = ElevationTerm::InverseSine { a_m: 0.3, b_m: 0.3 };
+        near(weights(rtklib, Cn0Term::None).variance_m2(low, Some(20.0)), 0.27);
+        assert!(weights(squared, Cn0Term::None).variance_m2(-0.2, None).is_finite());
+    }
+
+    /// C·10^(−4) at 40 dB-Hz; the value for signals without C/N0 is that of 30 dB-Hz.
+    #[test]
+    fn sigma_epsilon_worked_by_hand() {
+        let term = Cn0Term::SigmaEpsilon { v_m2: 0.25, c_m2_hz: 1e4 };
+        let model = weights(ElevationTerm::InverseSine { a_m: 0.0, b_m: 0.0 }, term);
+        near(model.variance_m2(1.0, Some(40.0)), 1.25);
+        near(model.variance_m2(1.0, None), 10.25);
+    }
+
+    /// goGPS's factor worked in Python from the published formula.
+    #[test]
+    fn gogps_worked_apart() {
+        let cosecant = ElevationTerm::InverseSineSquared { a_m: 0.0, b_m: 1.0 };
+        let model = weights(cosecant, Cn0Term::gogps());
+        let zenith = std::f64::consts::FRAC_PI_2;
+        near(model.variance_m2(zenith, Some(10.0)), 30.0);
+        near(model.variance_m2(zenith, None), 5.552_446_451_854_215);
+        near(model.variance_m2(30.0_f64.to_radians(), Some(40.0)), 9.463_304_070_095_655);
+        near(model.variance_m2(zenith, Some(50.0)), 1.0);
+        near(model.variance_m2(zenith, Some(55.0)), 1.0);
+    }
+
+    #[test]
+    fn ephemeris_variances() {
+        let mut gps = sample::gps();
+        let variance = |e: &crate::gnss::KeplerianEphemeris| {
+            ephemeris_variance_m2(&Ephemeris::Keplerian(e.clone()))
+        };
+        // URA index 0 is written as 2.0 m and bounded by 2.4 m.
+        near(variance(&gps), 2.4 * 2.4);
+        gps.accuracy_m = None;
+        near(variance(&gps), 6_144.0 * 6_144.0);
+        let mut galileo = sample::galileo();
+        galileo.accuracy_m = Some(3.12);
+        near(variance(&galileo), 3.12 * 3.12);
+        near(ephemeris_variance_m2(&Ephemeris::Glonass(sample::glonass())), 25.0);
+    }
 }

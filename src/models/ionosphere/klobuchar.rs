@@ -88,3 +88,61 @@ fn cubic(coefficients: &[f64; 4], x: f64) -> f64 {
     let [c0, c1, c2, c3] = *coefficients;
     c0 + x * (c1 + x * (c2 + x * c3))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Invented, of the usual magnitudes.
+    const COEFFICIENTS: KlobucharCoefficients =
+        KlobucharCoefficients { alpha: [2e-8, 1e-8, -6e-8, -1e-7], beta: [9e4, 5e4, -2e5, -1e5] };
+
+    fn look(azimuth: f64, elevation: f64) -> LookAngles {
+        LookAngles { azimuth_rad: azimuth.to_radians(), elevation_rad: elevation.to_radians() }
+    }
+
+    fn near(value: f64, expected: f64) {
+        assert!((value - expected).abs() < 1e-9, "{value}, not {expected}");
+    }
+
+    /// The formulas of both documents worked in Python, term by term as printed there.
+    #[test]
+    fn delays_worked_apart() {
+        let hong_kong = Geodetic::from_degrees(22.3, 114.2, 0.0);
+        let sky = look(210.0, 40.0);
+        let at = |seconds| GpsTime::from_week_seconds(2244, seconds);
+        let gps = |time| klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &hong_kong, &sky, time);
+        near(gps(at(27_000.0)), 10.863_182_210_415_653);
+        near(gps(at(200_000.0)), 10.832_804_819_501_68);
+        let sydney = Geodetic::from_degrees(-33.0, 151.0, 0.0);
+        let low = klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &sydney, &look(10.0, 15.0), at(10_000.0));
+        near(low, 15.230_522_525_681_154);
+        let beidou = |time| beidou_klobuchar_delay_m(&COEFFICIENTS, B1I_HZ, &hong_kong, &sky, time);
+        near(beidou(at(27_000.0)), 10.722_786_055_827_108);
+        near(beidou(at(200_000.0)), 10.693_873_388_105_029);
+    }
+
+    /// At night 5 ns remain; towards the zenith the obliquity of GPS's model is 1.0004.
+    #[test]
+    fn nights_leave_five_nanoseconds() {
+        let place = Geodetic::from_degrees(0.0, 0.0, 0.0);
+        let midnight = GpsTime::from_week_seconds(2244, 0.0);
+        let zenith = look(0.0, 90.0);
+        let delay = klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &place, &zenith, midnight);
+        near(delay, SPEED_OF_LIGHT * 5e-9 * (1.0 + 16.0 * 0.03_f64.powi(3)));
+        let delay = beidou_klobuchar_delay_m(&COEFFICIENTS, B1I_HZ, &place, &zenith, midnight);
+        near(delay, SPEED_OF_LIGHT * 5e-9);
+    }
+
+    /// L2 sees (77/60)² of L1's delay; B3I (1561.098/1268.52)² of B1I's.
+    #[test]
+    fn delays_fall_with_the_square_of_frequency() {
+        let place = Geodetic::from_degrees(22.3, 114.2, 0.0);
+        let time = GpsTime::from_week_seconds(2244, 27_000.0);
+        let sky = look(210.0, 40.0);
+        let gps = |hz| klobuchar_delay_m(&COEFFICIENTS, hz, &place, &sky, time);
+        near(gps(1_227.6e6) / gps(L1_HZ), (77.0_f64 / 60.0).powi(2));
+        let beidou = |hz| beidou_klobuchar_delay_m(&COEFFICIENTS, hz, &place, &sky, time);
+        near(beidou(1_268.52e6) / beidou(B1I_HZ), (1_561.098_f64 / 1_268.52).powi(2));
+    }
+}

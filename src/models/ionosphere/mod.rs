@@ -50,3 +50,40 @@ pub fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
 
 /// GPS L1 (Hz).
 const L1_HZ: f64 = 1_575.42e6;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::KlobucharCoefficients;
+
+    #[test]
+    fn each_system_has_its_coefficients() {
+        let gps =
+            KlobucharCoefficients { alpha: [2e-8, 0.0, 0.0, 0.0], beta: [9e4, 0.0, 0.0, 0.0] };
+        let beidou = KlobucharCoefficients { alpha: [4e-8, 0.0, 0.0, 0.0], ..gps };
+        let receiver = Geodetic::from_degrees(22.3, 114.2, 0.0);
+        let look = LookAngles { azimuth_rad: 3.0, elevation_rad: 0.7 };
+        let time = GpsTime::from_week_seconds(2244, 27_000.0);
+        let delay = |navigation: &Navigation, constellation| {
+            broadcast_delay_m(navigation, constellation, L1_HZ, &receiver, &look, time)
+        };
+        let mut navigation = Navigation::default();
+        assert_eq!(delay(&navigation, Constellation::Gps), None);
+        navigation.klobuchar_gps = Some(gps);
+        let of_gps = klobuchar_delay_m(&gps, L1_HZ, &receiver, &look, time);
+        for constellation in Constellation::ALL {
+            assert_eq!(delay(&navigation, constellation), Some(of_gps));
+        }
+        navigation.klobuchar_beidou = Some(beidou);
+        let own = beidou_klobuchar_delay_m(&beidou, L1_HZ, &receiver, &look, time);
+        assert_eq!(delay(&navigation, Constellation::BeiDou), Some(own));
+        assert_eq!(delay(&navigation, Constellation::Galileo), Some(of_gps));
+        assert!(1.5 < own / of_gps);
+    }
+
+    #[test]
+    fn variances_worked_by_hand() {
+        assert_eq!(klobuchar_variance_m2(6.0), 9.0);
+        assert!((unmodelled_variance_m2(L1_HZ / 2.0) - 400.0).abs() < 1e-9);
+    }
+}
