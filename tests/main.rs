@@ -1,5 +1,6 @@
 //! The integration tests, one binary: goldens on real data, doors, and the architecture itself.
 
 mod data;
+mod rinex;
 
 mod tidy;

@@ -1,7 +1,7 @@
 //! Which column holds what: from declared observation types to slots of observations.
 //!
 //! RINEX 2 types name band and quantity but not always the tracking, so that each is given the
-//! RINEX 3 code it most likely is (RINEX 2.11, table A1; RINEX 3.05, tables 4 to 10):
+//! RINEX 3 code it most likely is (RINEX 2.11 and 3.05):
 //!
 //! | type | GPS | GLONASS | Galileo | BeiDou | QZSS |
 //! |---|---|---|---|---|---|
@@ -14,9 +14,9 @@
 //!
 //! P1 and P2 of GPS are taken as semi-codeless W, not P: anti-spoofing has been on since 1994.
 //! A phase, Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band: on band 1 to C1
-//! where that is declared, else to P1; on band 2 to P2, else to C2, because the P(Y) carrier was the only
-//! one there when the format was made. Where the preferred pseudorange is blank in a record and the
-//! other is not, the phase goes with the one present.
+//! where that is declared, else to P1; on band 2 to P2, else to C2, because the P(Y) carrier was
+//! the only one there when the format was made. Where the preferred pseudorange is blank in a
+//! record and the other is not, the phase goes with the one present.
 
 use super::RinexVersion;
 use super::fields::{Value, observation_value};
@@ -167,7 +167,7 @@ impl ColumnTable {
     }
 }
 
-/// The code of a RINEX 3 type. BeiDou B1I was called band 1 in version 3.02 (RINEX 3.05, table 9).
+/// The code of a RINEX 3 type. BeiDou B1I was called band 1 in version 3.02 (RINEX 3.05).
 fn rinex3_code(
     constellation: Constellation,
     version: RinexVersion,
@@ -244,28 +244,33 @@ pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observati
                 continue;
             }
         };
-        set(column, value, field[NUMBER_WIDTH], slots);
+        set_value(column, value, slots);
+        set_loss_of_lock(column, field[NUMBER_WIDTH], slots);
     }
     sound
 }
 
-/// Puts one number and its loss-of-lock indicator into its slot.
+/// Puts a number into its slot.
 #[inline]
-pub(super) fn set(column: &Column, value: Option<f64>, lli: u8, slots: &mut [Observation]) {
+pub(super) fn set_value(column: &Column, value: Option<f64>, slots: &mut [Observation]) {
     let Some(slot) = slots.get_mut(usize::from(column.slot)) else { return };
     let value = if column.divisor == 1.0 { value } else { value.map(|v| v / column.divisor) };
     match column.quantity {
         Quantity::Ignored => {}
         Quantity::Pseudorange => slot.pseudorange_m = value,
+        Quantity::CarrierPhase => slot.carrier_phase = value.map(Cycles),
         Quantity::Doppler => slot.doppler_hz = value,
         Quantity::Cn0 => slot.cn0_db_hz = value,
-        Quantity::CarrierPhase => {
-            slot.carrier_phase = value.map(Cycles);
-            if lli.is_ascii_digit() {
-                slot.loss_of_lock = lli & 1 != 0;
-                slot.half_cycle = lli & 2 != 0;
-            }
-        }
+    }
+}
+
+/// Puts the loss-of-lock indicator of a carrier into its slot; those of others say nothing.
+#[inline]
+pub(super) fn set_loss_of_lock(column: &Column, lli: u8, slots: &mut [Observation]) {
+    if column.quantity == Quantity::CarrierPhase && lli.is_ascii_digit() {
+        let Some(slot) = slots.get_mut(usize::from(column.slot)) else { return };
+        slot.loss_of_lock = lli & 1 != 0;
+        slot.half_cycle = lli & 2 != 0;
     }
 }
 

@@ -14,7 +14,7 @@ const SATELLITES_PER_LINE: usize = 12;
 const SATELLITES_COLUMN: usize = 32;
 const LINE_COLUMNS: usize = 80;
 
-/// ` 18 01 01 00 00 00.0000000  0  9G05G16…`; RINEX 2.11, table A2.
+/// ` 18 01 01 00 00 00.0000000  0  9G05G16…`; RINEX 2.11.
 ///
 /// There is no mark that tells an epoch line from data, so every column must be as it should.
 pub(super) fn parse_epoch_line(line: &[u8]) -> Option<EpochLine> {
@@ -61,11 +61,14 @@ impl<R: BufRead> ObservationReader<R> {
             };
             epoch.time = time;
             epoch.power_failure = head.flag == 1;
-            if !self.read_satellite_list(head.count)? || !self.read_satellites2(epoch)? {
+            if !self.read_satellite_list(head.count)? {
                 continue;
             }
             if head.flag == 6 {
-                self.note(SkipReason::CycleSlipRecords);
+                self.skip_cycle_slips2()?;
+                continue;
+            }
+            if !self.read_satellites2(epoch)? {
                 continue;
             }
             return Ok(true);
@@ -109,6 +112,23 @@ impl<R: BufRead> ObservationReader<R> {
             self.satellites.push(satellite);
         }
         Ok(true)
+    }
+
+    /// Passes over repaired cycle slips, which have the lines of observations.
+    fn skip_cycle_slips2(&mut self) -> Result<(), RinexError> {
+        self.note(SkipReason::CycleSlipRecords);
+        let lines_each = self.state.types2.len().div_ceil(FIELDS_PER_LINE);
+        for _ in 0..self.satellites.len() * lines_each {
+            match self.lines.next()? {
+                Some(line) if is_epoch_line(line) => {
+                    self.lines.unread();
+                    break;
+                }
+                Some(_) => {}
+                None => break,
+            }
+        }
+        Ok(())
     }
 
     /// Reads the lines of all satellites listed; `false` if the epoch is to be dropped.

@@ -21,7 +21,7 @@ pub(super) struct EpochLine {
 }
 
 impl EpochLine {
-    /// `> 2019 04 28 12 44 33.9970000  0  8`; RINEX 3.05, table A3.
+    /// `> 2019 04 28 12 44 33.9970000  0  8`; RINEX 3.05.
     pub(super) fn parse(line: &[u8]) -> Option<Self> {
         let flag = match columns(line, 31, 32) {
             [flag @ b'0'..=b'6'] => flag - b'0',
@@ -90,9 +90,9 @@ impl<R: BufRead> ObservationReader<R> {
         self.seen = SeenSatellites::default();
         for _ in 0..count {
             let Some(line) = self.lines.next()? else {
-                // The last line may be cut as well, so nothing of the epoch is safe.
+                // A number that is cut is left out by itself, so what is there can be used.
                 self.note(SkipReason::TruncatedEpoch);
-                return Ok(false);
+                return Ok(true);
             };
             if is_epoch_line(line) {
                 self.lines.unread();

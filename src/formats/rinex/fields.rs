@@ -22,8 +22,8 @@ const DIGITS: u64 = 0x3030_3030_3030_3030;
 
 /// The number of an observation field, format F14.3, followed by two indicator columns.
 ///
-/// Twelve digits and a point are read as one integer m, eight digits at a time; m < 2⁵³ and 10³ are
-/// exact, so m / 10³ is the correctly rounded value. Anything laid out otherwise takes the slow way.
+/// Digits around the point are read as one integer m, eight at a time; m < 2⁵³ and 10³ are exact,
+/// so m / 10³ is the correctly rounded value. Anything laid out otherwise takes the slow way.
 pub(super) fn observation_value(field: &[u8; 16]) -> Value {
     let number = u128::from_le_bytes(*field) & NUMBER;
     let not_blank = number ^ (SPACES & NUMBER);
@@ -184,7 +184,7 @@ pub(super) const fn constellation(letter: u8) -> Option<Constellation> {
 
 /// A date `year month day hour minute` in the given column starts, and seconds with decimals.
 ///
-/// Two-digit years below 80 are of this century (RINEX 2.11, 6.5).
+/// Two-digit years below 80 are of this century (RINEX 2.11).
 pub(super) fn date(
     year: &[u8],
     [month, day, hour, minute]: [&[u8]; 4],
@@ -288,7 +288,9 @@ mod tests {
     proptest! {
         /// The quick way gives what the standard library gives.
         #[test]
-        fn observation_values_are_correctly_rounded(thousandths in -999_999_999_999_i64..9_999_999_999_999) {
+        fn observation_values_are_correctly_rounded(
+            thousandths in -999_999_999_999_i64..9_999_999_999_999,
+        ) {
             let text = format!("{:>10}.{:03}", thousandths / 1000, thousandths.abs() % 1000);
             let text = if -1000 < thousandths && thousandths < 0 {
                 format!("        -0.{:03}", -thousandths)
@@ -296,7 +298,9 @@ mod tests {
                 text
             };
             let expected: f64 = text.trim().parse().unwrap();
-            prop_assert_eq!(field(&text), if expected == 0.0 { Value::Missing } else { Value::Number(expected) });
+            let missing = expected == 0.0;
+            let expected = if missing { Value::Missing } else { Value::Number(expected) };
+            prop_assert_eq!(field(&text), expected);
         }
 
         /// So does the general way, on both sides of its exact range.

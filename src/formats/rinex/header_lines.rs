@@ -12,6 +12,7 @@ const LABEL_END: usize = 80;
 /// Header lines of any sane file, comments included.
 const HEADER_LINES_LIMIT: u64 = 20_000;
 const LABEL_VERSION: &str = "RINEX VERSION / TYPE";
+const LABEL_COMPACT: &[u8] = b"CRINEX VERS   / TYPE";
 const LABEL_END_OF_HEADER: &str = "END OF HEADER";
 const TYPES_LABEL_2: &str = "# / TYPES OF OBSERV";
 const TYPES_LABEL_3: &str = "SYS / # / OBS TYPES";
@@ -24,6 +25,8 @@ pub(super) struct FirstLine {
     pub(super) kind: u8,
     /// Upper-case letter of its satellite system, blank where not stated.
     pub(super) system: u8,
+    /// Whether the file is CRINEX.
+    pub(super) compact: bool,
 }
 
 /// The label of a header line.
@@ -34,6 +37,7 @@ pub(super) fn label(line: &[u8]) -> &[u8] {
 /// Reads the first line, passing over blank ones before it.
 pub(super) fn first_line<R: std::io::Read>(lines: &mut Lines<R>) -> Result<FirstLine, RinexError> {
     refuse_compressed(lines.peek_start()?)?;
+    let mut compact = false;
     loop {
         let number = lines.number() + 1;
         let Some(line) = lines.next()? else {
@@ -43,6 +47,21 @@ pub(super) fn first_line<R: std::io::Read>(lines: &mut Lines<R>) -> Result<First
             continue;
         }
         let version = text(line, 0, 20);
+        match label(line) {
+            LABEL_COMPACT if !compact && matches!(version.as_bytes(), [b'1' | b'3', b'.', ..]) => {
+                compact = true;
+                lines.next()?;
+                continue;
+            }
+            LABEL_COMPACT => {
+                return Err(RinexError::UnsupportedVersion {
+                    line: number,
+                    format: "CRINEX",
+                    version,
+                });
+            }
+            _ => {}
+        }
         if label(line) != LABEL_VERSION.as_bytes() {
             let found = String::from_utf8_lossy(&line[..line.len().min(LABEL_END)]).into_owned();
             return Err(RinexError::NotRinex { line: number, found });
@@ -52,7 +71,7 @@ pub(super) fn first_line<R: std::io::Read>(lines: &mut Lines<R>) -> Result<First
         let (kind, system) = (first(20), first(40));
         return match parse_version(&version) {
             Some(version @ RinexVersion { major: 2..=4, .. }) => {
-                Ok(FirstLine { version, kind, system })
+                Ok(FirstLine { version, kind, system, compact })
             }
             _ => Err(RinexError::UnsupportedVersion { line: number, format: "RINEX", version }),
         };
@@ -92,7 +111,7 @@ pub(super) struct HeaderState {
     types3: [Vec<[u8; 3]>; Constellation::COUNT],
     scales: Vec<ScaleFactor>,
     /// Whether L1 and L2 have half-cycle ambiguities (wavelength factor 2), by default and for
-    /// single satellites; RINEX 2.11, table A1.
+    /// single satellites; RINEX 2.11.
     pub(super) half_cycles: [bool; 2],
     pub(super) half_cycles_of: Vec<(SatelliteId, [bool; 2])>,
     /// System letter of the last type record, for its continuation.
@@ -324,7 +343,7 @@ impl HeaderState {
     }
 
     /// Marks carriers tracked with wavelength factor 2; bit 1 of the indicator means the opposite
-    /// of the factor then (RINEX 2.11, table A2).
+    /// of the factor then (RINEX 2.11).
     pub(super) fn mark_half_cycles(&self, satellite: SatelliteId, slots: &mut [Observation]) {
         let single = self.half_cycles_of.iter().rev().find(|(s, _)| *s == satellite);
         let [first, second] = single.map_or(self.half_cycles, |(_, factors)| *factors);
@@ -372,14 +391,22 @@ fn types_in(fields: &[u8]) -> impl Iterator<Item = [u8; 3]> {
     })
 }
 
+/// Three numbers of fourteen columns; where a writer kept other columns, those between blanks.
 fn three_numbers(line: &[u8]) -> Option<[f64; 3]> {
     let number = |from| decimal(columns(line, from, from + 14)).map(|value| value.unwrap_or(0.0));
-    Some([number(0)?, number(14)?, number(28)?])
+    let in_columns = || Some([number(0)?, number(14)?, number(28)?]);
+    let between_blanks = || {
+        let fields = columns(line, 0, LABEL_COLUMN).split(u8::is_ascii_whitespace);
+        let mut numbers = fields.filter(|field| !field.is_empty()).map(|field| decimal(field)?);
+        let three = [numbers.next()??, numbers.next()??, numbers.next()??];
+        numbers.next().is_none().then_some(three)
+    };
+    in_columns().or_else(between_blanks)
 }
 
 /// GPS time minus UTC (s) of a `LEAP SECONDS` record, `Some(None)` where it states nothing.
 ///
-/// A count that starts with BeiDou time is 14 s smaller (RINEX 3.05, table A5: field "time system
+/// A count that starts with BeiDou time is 14 s smaller (RINEX 3.05, field "time system
 /// identifier"). Some BeiDou files leave the identifier out; since GPS − UTC was 14 s when BeiDou
 /// time began, a smaller count in such a file can only be BeiDou's.
 pub(super) fn leap_seconds(line: &[u8], file: Option<Constellation>) -> Option<Option<i64>> {

@@ -9,12 +9,12 @@
 //! the whole unreadable is a [`RinexError`].
 //!
 //! Choices where the format leaves one:
-//! - Blank and zero observations are missing (RINEX 3.05, 6.7).
-//! - `SYS / PHASE SHIFT` states corrections already applied to align carriers (RINEX 3.05, 5.2.18):
+//! - Blank and zero observations are missing (RINEX 3.05).
+//! - `SYS / PHASE SHIFT` states corrections already applied to align carriers (RINEX 3.05):
 //!   nothing is added or undone.
 //! - `SYS / SCALE FACTOR` is divided out.
-//! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2 (anti-spoofing
-//!   in RINEX 2, BOC tracking later) is ignored.
+//! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2
+//!   (anti-spoofing in RINEX 2, BOC tracking later) is ignored.
 //! - RINEX 2 observation types are mapped to RINEX 3 codes as the `columns` module says.
 //! - Receiver clock offsets on epoch lines are not applied: tags stay the receiver's.
 //!
@@ -23,6 +23,7 @@
 //! Geographical Survey Institute 55.
 
 mod columns;
+mod compact;
 mod epoch2;
 mod epoch3;
 mod error;

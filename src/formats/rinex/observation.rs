@@ -3,6 +3,7 @@
 use std::io::BufRead;
 
 use super::columns::ColumnTable;
+use super::compact::CompactState;
 use super::header::ObservationHeader;
 use super::header_lines::{HeaderState, first_line};
 use super::lines::Lines;
@@ -22,6 +23,8 @@ pub struct ObservationReader<R> {
     pub(super) seen: SeenSatellites,
     /// Satellites of the epoch at hand, `None` for those passed over (RINEX 2).
     pub(super) satellites: Vec<Option<SatelliteId>>,
+    /// What the differences of a CRINEX file refer to.
+    compact: Option<CompactState>,
     leap_seconds: LeapSeconds,
 }
 
@@ -41,6 +44,7 @@ impl<R: BufRead> ObservationReader<R> {
             skipped,
             seen: SeenSatellites::default(),
             satellites: Vec::new(),
+            compact: first.compact.then(CompactState::default),
             leap_seconds,
         };
         reader.note_unknown_types();
@@ -64,7 +68,11 @@ impl<R: BufRead> ObservationReader<R> {
     /// # Errors
     /// Only where nothing behind can be read. What is broken by itself is skipped and noted.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
-        if self.state.header.version.major == 2 {
+        if let Some(mut state) = self.compact.take() {
+            let outcome = self.read_compact_epoch(&mut state, epoch);
+            self.compact = Some(state);
+            outcome
+        } else if self.state.header.version.major == 2 {
             self.read_epoch2(epoch)
         } else {
             self.read_epoch3(epoch)

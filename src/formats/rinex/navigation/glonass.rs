@@ -10,13 +10,13 @@ const METRES_PER_KM: f64 = 1000.0;
 /// Farther than any GLONASS orbit (m), which is 25 500 km from the geocentre.
 const RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
 const SECONDS_PER_DAY: f64 = 86_400.0;
-/// What stands for an unknown Δτ_n in RINEX 3.05, table A10.
+/// What stands for an unknown Δτ_n in RINEX 3.05.
 const UNKNOWN_DELTA_TAU: f64 = 0.999_999_999_999e9;
 /// F_T by its index (m), 15 being unused; GLONASS ICD 5.1, table 4.4.
 const ACCURACY_M: [f64; 15] =
     [1.0, 2.0, 2.5, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
 
-/// The ephemeris of a record; RINEX 2.11, table A11; RINEX 3.05, table A10.
+/// The ephemeris of a record; RINEX 2.11 and 3.05.
 pub(super) fn ephemeris(
     record: &Record,
     version: RinexVersion,

@@ -14,7 +14,7 @@ pub(super) fn nequick(ai: [f64; 3]) -> Option<NeQuickCoefficients> {
     (ai != [0.0; 3]).then_some(NeQuickCoefficients { ai })
 }
 
-/// Takes over a `> ION` record; RINEX 4.01, tables 32 to 34. A later record replaces an earlier one.
+/// Takes over a `> ION` record of version 4. A later record replaces an earlier one.
 ///
 /// BeiDou's BDGIM (`CNVX`) is not decoded, nor is QZSS's model for Japan alone (region code 1).
 pub(super) fn apply(

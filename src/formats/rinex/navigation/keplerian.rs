@@ -1,8 +1,8 @@
 //! Records of orbital elements: GPS, QZSS, Galileo and BeiDou, legacy and civil messages.
 //!
 //! Rows 1 to 4 and the first number of row 5 are laid out alike in all of them, but for the first
-//! numbers of rows 1 and 3 (issue or Ȧ; toe or top). Sources: RINEX 2.11, table A4; RINEX 3.05,
-//! tables A6, A8, A12, A14; RINEX 4.01, tables 11 to 25.
+//! numbers of rows 1 and 3 (issue or Ȧ; toe or top). Sources: RINEX 2.11 and
+//! 4.01, tables of navigation records.
 
 use super::record::Record;
 use crate::formats::rinex::fields::constellation;
@@ -126,7 +126,7 @@ fn read_lnav(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> 
     };
     ephemeris.transmission_time = transmission_time(record, 7, ephemeris)?;
     ephemeris.fit_interval_h = match (ephemeris.satellite.constellation, record.optional(7, 1)?) {
-        // QZSS states a flag: zero is two hours (RINEX 3.05, table A12), one is more.
+        // QZSS states a flag: zero is two hours (RINEX 3.05), one is more.
         (Constellation::Qzss, Some(0.0)) => Some(2.0),
         // Below two hours it is the flag of the message, not hours.
         (_, hours) => hours.filter(|hours| 2.0 <= *hours),

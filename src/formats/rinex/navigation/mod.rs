@@ -1,7 +1,7 @@
 //! Navigation files: ephemerides, ionosphere coefficients, leap seconds.
 //!
-//! The week of an ephemeris is taken from its clock reference date, not from the week field: the two
-//! times are never half a week apart, and files disagree on whether the field rolls over.
+//! The week of an ephemeris is taken from its clock reference date, not from the week field: the
+//! two times are never half a week apart, and files disagree on whether the field rolls over.
 
 mod glonass;
 mod header;
@@ -205,7 +205,7 @@ impl Title {
 
 /// The message of a version 2 or 3 record.
 ///
-/// Galileo: RINEX 3.05, table A8, data sources: bit 8 says that the clock is of E5a and E1 (F/NAV),
+/// Galileo: RINEX 3.05, data sources: bit 8 says that the clock is of E5a and E1 (F/NAV),
 /// bit 9 of E5b and E1 (I/NAV); without either the message bits decide, and I/NAV by default.
 fn legacy_message(system: Constellation, record: &Record) -> NavigationMessage {
     match system {
@@ -222,7 +222,7 @@ fn legacy_message(system: Constellation, record: &Record) -> NavigationMessage {
     }
 }
 
-/// The message a version 4 title names; RINEX 4.01, table 9.
+/// The message a version 4 title names; RINEX 4.01.
 fn typed_message(system: Constellation, name: &[u8; 4]) -> Option<NavigationMessage> {
     use Constellation as C;
     use NavigationMessage as M;

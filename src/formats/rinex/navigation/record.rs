@@ -101,7 +101,7 @@ impl RecordLayout {
         if self.rinex2 { self.parse_start2(line) } else { self.parse_start3(line) }
     }
 
-    /// ` 1 18  1  1  0  0  0.0-0.207438133657D-04…`; RINEX 2.11, table A4.
+    /// ` 1 18  1  1  0  0  0.0-0.207438133657D-04…`; RINEX 2.11.
     fn parse_start2(self, line: &[u8]) -> Option<Record> {
         let number = u8::try_from(integer(columns(line, 0, 2))?).ok().filter(|n| 0 < *n)?;
         let fields =
@@ -110,7 +110,7 @@ impl RecordLayout {
         Some(start(self.system, number, Some(civil), columns(line, 22, usize::MAX)))
     }
 
-    /// `G01 2019 04 27 12 00 00-3.328546881676D-06…`; RINEX 3.05, table A6.
+    /// `G01 2019 04 27 12 00 00-3.328546881676D-06…`; RINEX 3.05.
     fn parse_start3(self, line: &[u8]) -> Option<Record> {
         let (letter, number) = satellite(columns(line, 0, 3), self.system)?;
         let fields =
