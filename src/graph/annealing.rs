@@ -1,0 +1,123 @@
+//! Graduated non-convexity: begin convex, then let the kernels narrow to what they are meant to be.
+//!
+//! A redescending kernel has many minima. Yang et al. solve a family of losses ρ_μ instead: for
+//! Geman–McClure ρ_μ(s) = μc²s²/2(μc² + s²), convex within reach for large μ and the kernel itself
+//! at μ = 1. That is the same kernel with its width multiplied by √μ, here the *widening*, so one
+//! rule serves every law. Each solve starts where the last one ended.
+//!
+//! Source: Yang, Antonante, Tzoumas & Carlone (2020), *Graduated non-convexity for robust spatial
+//! perception*, IEEE RA-L 5(2), section IV.
+
+use crate::graph::kernel::Kernel;
+
+/// Where in its annealing a solve stands; tells each row which kernel to use.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Phase {
+    /// The convex opening: a row uses its convex kernel.
+    Convex,
+    /// A row uses its final kernel, widths multiplied by this; one is the kernel itself.
+    Graduated(f64),
+}
+
+/// A kernel with the convex one that stands in for it at the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnnealedKernel {
+    /// Used in [`Phase::Convex`].
+    pub convex: Kernel,
+    /// Used from then on, widened first.
+    pub target: Kernel,
+}
+
+impl AnnealedKernel {
+    /// One kernel in every phase, never widened.
+    pub fn constant(kernel: Kernel) -> Self {
+        Self { convex: kernel, target: kernel }
+    }
+
+    /// The kernel of a phase.
+    #[inline]
+    pub fn at(&self, phase: Phase) -> Kernel {
+        match phase {
+            Phase::Convex => self.convex,
+            Phase::Graduated(widening) => self.target.widened(widening),
+        }
+    }
+}
+
+/// Some iterations in one phase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stage {
+    /// The phase.
+    pub phase: Phase,
+    /// Most iterations spent in it; convergence ends it sooner.
+    pub iterations: usize,
+}
+
+/// The stages of a solve, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Schedule(Vec<Stage>);
+
+impl Schedule {
+    /// Stages as given; an empty list moves nothing.
+    pub fn new(stages: Vec<Stage>) -> Self {
+        Self(stages)
+    }
+
+    /// One stage with the final kernels, for convex ones and for warm starts.
+    pub fn direct(iterations: usize) -> Self {
+        Self(vec![Stage { phase: Phase::Graduated(1.0), iterations }])
+    }
+
+    /// `convex` iterations of the convex kernels; then widenings from `widest` divided by `ratio`
+    /// (above one) until one, `each` iterations a step; at one, `last` iterations.
+    pub fn graduated(convex: usize, widest: f64, ratio: f64, each: usize, last: usize) -> Self {
+        let mut stages = Vec::new();
+        if 0 < convex {
+            stages.push(Stage { phase: Phase::Convex, iterations: convex });
+        }
+        let mut widening = widest;
+        while 1.0 < widening && 1.0 < ratio {
+            stages.push(Stage { phase: Phase::Graduated(widening), iterations: each });
+            widening /= ratio;
+        }
+        stages.push(Stage { phase: Phase::Graduated(1.0), iterations: last });
+        Self(stages)
+    }
+
+    /// The stages.
+    pub fn stages(&self) -> &[Stage] {
+        &self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 15 → 1 by 1.4: ln 15/ln 1.4 = 8.05, so nine wide stages, one convex, one final.
+    #[test]
+    fn graduated_narrows_to_the_kernel_itself() {
+        let schedule = Schedule::graduated(6, 15.0, 1.4, 2, 10);
+        let stages = schedule.stages();
+        assert_eq!(stages.len(), 11);
+        assert_eq!(stages[0], Stage { phase: Phase::Convex, iterations: 6 });
+        assert_eq!(stages[10], Stage { phase: Phase::Graduated(1.0), iterations: 10 });
+        let widenings = stages[1..].iter().map(|stage| match stage.phase {
+            Phase::Graduated(widening) => widening,
+            Phase::Convex => panic!("convex stage after the first"),
+        });
+        assert!(widenings.clone().zip(widenings.skip(1)).all(|(wide, narrow)| narrow < wide));
+    }
+
+    /// Yang et al. (2020), example 2: w = (μc²/(s² + μc²))², with μ = widening².
+    #[test]
+    fn widening_is_the_square_root_of_mu() {
+        let kernel =
+            AnnealedKernel { convex: Kernel::huber(1.345), target: Kernel::geman_mcclure(2.0) };
+        let (mu, c2, s): (f64, f64, f64) = (9.0, 4.0, 5.0);
+        let published = (mu * c2 / (s * s + mu * c2)).powi(2);
+        assert!((kernel.at(Phase::Graduated(mu.sqrt())).weight(s) - published).abs() < 1e-15);
+        assert_eq!(kernel.at(Phase::Convex), Kernel::huber(1.345));
+        assert_eq!(kernel.at(Phase::Graduated(1.0)), kernel.target);
+    }
+}

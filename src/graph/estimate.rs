@@ -1,0 +1,47 @@
+//! Values of the unknowns: one vector per state of the chain, one scalar per border variable.
+
+use nalgebra::SVector;
+
+/// The estimate x: `states` along the chain and the `border`.
+#[derive(Debug, PartialEq)]
+pub struct Estimate<const S: usize> {
+    /// State vectors in chain order.
+    pub states: Vec<SVector<f64, S>>,
+    /// Border variables by their index.
+    pub border: Vec<f64>,
+}
+
+impl<const S: usize> Estimate<S> {
+    /// No states, no border.
+    pub fn new() -> Self {
+        Self { states: Vec::new(), border: Vec::new() }
+    }
+
+    /// x ← x + δ.
+    pub fn step(&mut self, delta: &Self) {
+        for (state, d) in self.states.iter_mut().zip(&delta.states) {
+            *state += d;
+        }
+        for (value, d) in self.border.iter_mut().zip(&delta.border) {
+            *value += d;
+        }
+    }
+}
+
+impl<const S: usize> Default for Estimate<S> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const S: usize> Clone for Estimate<S> {
+    fn clone(&self) -> Self {
+        Self { states: self.states.clone(), border: self.border.clone() }
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        self.states.clone_from(&source.states);
+        self.border.clone_from(&source.border);
+    }
+}

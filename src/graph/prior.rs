@@ -1,0 +1,231 @@
+//! Old states marginalised into a dense prior on what they touched.
+//!
+//! With e = x − x̄ on (one state, border variables alive), the prior is ½·eᵀΛe + γᵀe. Λ and γ are
+//! the Schur complement of everything older, linearised once at x̄ and never again: the rows gone
+//! are not there to be linearised anew. Later estimates enter through e alone, so the prior's
+//! information stays consistent whatever the window does.
+//!
+//! Source: Dellaert & Kaess (2017), section 5.3; Sibley, Matthies & Sukhatme (2010), *Sliding
+//! window filter with application to planetary landing*.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::graph::block::symmetric;
+use crate::graph::border::Packed;
+use crate::graph::elimination::{Elimination, EliminationError};
+use crate::graph::estimate::Estimate;
+use crate::graph::system::System;
+
+/// A border variable's part of the prior.
+#[derive(Clone, Copy, Debug)]
+struct Bordering<const S: usize> {
+    variable: usize,
+    linearized_at: f64,
+    gradient: f64,
+    /// Λ between the state and the variable.
+    column: SVector<f64, S>,
+}
+
+/// Quadratic prior on the oldest state of a window and the border variables alive.
+#[derive(Debug)]
+pub struct Prior<const S: usize> {
+    linearized_at: SVector<f64, S>,
+    gradient: SVector<f64, S>,
+    /// Λ of the state, full symmetric.
+    information: SMatrix<f64, S, S>,
+    border: Vec<Bordering<S>>,
+    matrix: Packed,
+}
+
+impl<const S: usize> Prior<S> {
+    /// A prior that says nothing.
+    pub fn none() -> Self {
+        Self::on_state(SVector::zeros(), SMatrix::zeros())
+    }
+
+    /// A prior on the state alone: `mean`, with `information` (inverse covariance, symmetric).
+    pub fn on_state(mean: SVector<f64, S>, information: SMatrix<f64, S, S>) -> Self {
+        Self {
+            linearized_at: mean,
+            gradient: SVector::zeros(),
+            information,
+            border: Vec::new(),
+            matrix: Packed::new(),
+        }
+    }
+
+    /// Information Λ on the state, full symmetric; border variables held fixed.
+    pub fn information(&self) -> &SMatrix<f64, S, S> {
+        &self.information
+    }
+
+    /// Border variables the prior speaks of.
+    pub fn variables(&self) -> impl Iterator<Item = usize> + '_ {
+        self.border.iter().map(|bordering| bordering.variable)
+    }
+
+    /// Adds the prior on state `k` and the border to a system, at an estimate.
+    pub fn add_to(&self, k: usize, estimate: &Estimate<S>, system: &mut System<S>) {
+        let e = estimate.states[k] - self.linearized_at;
+        let moved = |b: &Bordering<S>| estimate.border[b.variable] - b.linearized_at;
+        let mut pull = self.information * e;
+        for bordering in &self.border {
+            pull += bordering.column * moved(bordering);
+        }
+        let mut cost = e.dot(&(pull * 0.5 + self.gradient));
+        system.add_information(k, &self.information, &(pull + self.gradient));
+        for (i, bordering) in self.border.iter().enumerate() {
+            let place = system.touch(k, bordering.variable);
+            let mut pull = bordering.column.dot(&e);
+            for (j, other) in self.border.iter().enumerate() {
+                pull += self.matrix.get(i, j) * moved(other);
+            }
+            cost += moved(bordering) * (0.5 * pull + bordering.gradient);
+            let touched = &mut system.touched[k];
+            touched.columns[place] += bordering.column;
+            touched.gradient[place] += pull + bordering.gradient;
+            for (j, other) in self.border[..=i].iter().enumerate() {
+                let other = touched.find(other.variable, j);
+                *touched.matrix.get_mut(place, other) += self.matrix.get(i, j);
+            }
+        }
+        system.add_cost(cost);
+    }
+
+    /// Replaces the prior by what `system` says about its last state and the border.
+    ///
+    /// The system holds the old prior and every row that touches a state to be forgotten, and no
+    /// other: states 0 … n − 1, of which the last one stays. Border variables for which `retired`
+    /// holds are forgotten too: no later row may name them before they start anew. `estimate` is
+    /// where the rows were linearised; its first n states are those of the system.
+    ///
+    /// Directions without information are left out; they say nothing about the rest.
+    pub fn marginalize(
+        &mut self,
+        system: &System<S>,
+        estimate: &Estimate<S>,
+        retired: impl Fn(usize) -> bool,
+        elimination: &mut Elimination<S>,
+    ) -> Result<(), EliminationError> {
+        elimination.reduce(system, retired)?;
+        let front = &elimination.front;
+        self.linearized_at = estimate.states[system.states() - 1];
+        self.information = symmetric(&front.block);
+        self.gradient = -front.right;
+        self.matrix.copy_from(&front.matrix);
+        self.border.clear();
+        for (place, &variable) in front.variables.iter().enumerate() {
+            self.border.push(Bordering {
+                variable,
+                linearized_at: estimate.border[variable],
+                gradient: -front.border_right[place],
+                column: front.columns[place],
+            });
+        }
+        Ok(())
+    }
+}
+
+impl<const S: usize> Clone for Prior<S> {
+    fn clone(&self) -> Self {
+        Self { border: self.border.clone(), matrix: self.matrix.clone(), ..*self }
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        self.linearized_at = source.linearized_at;
+        self.gradient = source.gradient;
+        self.information = source.information;
+        self.border.clone_from(&source.border);
+        self.matrix.copy_from(&source.matrix);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::covariance::Covariances;
+    use crate::graph::oracle::Linear;
+    use crate::graph::system::BorderLife;
+
+    const LENGTH: usize = 4;
+
+    /// Slides a window of `LENGTH` states over a linear problem; returns the last window's estimate
+    /// and the border variables retired on the way.
+    fn slide(problem: &Linear<5>, covariances: &mut Covariances<5>) -> (Estimate<5>, Vec<usize>) {
+        let mut system = System::new(BorderLife::WholeChain);
+        let mut elimination = Elimination::new();
+        let (mut prior, mut delta) = (Prior::none(), Estimate::new());
+        let mut window = Estimate { states: vec![], border: vec![0.0; problem.border] };
+        let mut gone = Vec::new();
+        for end in 1..=problem.states {
+            window.states.push(SVector::repeat(end as f64));
+            let begin = end.saturating_sub(LENGTH);
+            if LENGTH < window.states.len() {
+                let forgotten = begin - 1;
+                system.reset(2, problem.border);
+                prior.add_to(0, &window, &mut system);
+                for row in problem.rows.iter().filter(|row| row.k == forgotten) {
+                    problem.add(row, forgotten, &window, &mut system);
+                }
+                let over = |variable| problem.last_state_of(variable) == Some(forgotten);
+                prior.marginalize(&system, &window, over, &mut elimination).unwrap();
+                gone.extend((0..problem.border).filter(|&variable| over(variable)));
+                window.states.remove(0);
+            }
+            system.reset(window.states.len(), problem.border);
+            prior.add_to(0, &window, &mut system);
+            let inside = |k: usize, linked: bool| begin <= k && k + usize::from(linked) < end;
+            for row in problem.rows.iter().filter(|row| inside(row.k, row.is_link())) {
+                problem.add(row, begin, &window, &mut system);
+            }
+            elimination.factor(&system, 0.0).unwrap();
+            elimination.solve(&mut delta);
+            window.step(&delta);
+        }
+        covariances.newest(&elimination);
+        (window, gone)
+    }
+
+    #[test]
+    fn a_marginalised_window_is_the_batch_on_linear_problems() {
+        for border in [0, 3, 12] {
+            let problem = Linear::<5>::random(23, 17, border);
+            let (dense, inverse) = problem.dense();
+            let mut covariances = Covariances::new();
+            let (window, gone) = slide(&problem, &mut covariances);
+            let first = 17 - LENGTH;
+            for (k, state) in window.states.iter().enumerate() {
+                let oracle = dense.fixed_rows::<5>(5 * (first + k));
+                assert!((state - oracle).norm() < 1e-9 * dense.amax(), "state {k}, {border}");
+            }
+            for b in (0..border).filter(|b| !gone.contains(b)) {
+                assert!((window.border[b] - dense[85 + b]).abs() < 1e-9 * dense.amax());
+            }
+            assert_eq!(gone.is_empty(), border == 0);
+            let oracle = inverse.fixed_view::<5, 5>(80, 80);
+            assert!((covariances.state() - oracle).norm() < 1e-9 * oracle.norm());
+        }
+    }
+
+    /// A state seen in one coordinate only, linked to the next in that coordinate: the other says
+    /// nothing, and nothing is what the prior must say about it.
+    #[test]
+    fn directions_without_information_are_left_out() {
+        use crate::graph::kernel::Kernel;
+        use crate::graph::system::{Link, Row};
+        let mut system = System::<2>::new(BorderLife::WholeChain);
+        system.reset(2, 0);
+        let row = Row { residual: 1.0, columns: [0], jacobian: [2.0] };
+        system.add(0, &row, &Kernel::QUADRATIC);
+        let (residual, columns, next_columns) = (0.0, [0], [0]);
+        let link = Link { residual, columns, jacobian: [1.0], next_columns, next_jacobian: [-1.0] };
+        system.add_link(0, &link, &Kernel::QUADRATIC);
+        let estimate = Estimate { states: vec![SVector::zeros(); 2], border: vec![] };
+        let mut prior = Prior::none();
+        prior.marginalize(&system, &estimate, |_| false, &mut Elimination::new()).unwrap();
+        // 4 and 1 in series: 1/(1/4 + 1/1) = 0.8.
+        let expected = SMatrix::<f64, 2, 2>::new(0.8, 0.0, 0.0, 0.0);
+        assert!((prior.information() - expected).norm() < 1e-15);
+    }
+}

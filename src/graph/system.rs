@@ -1,0 +1,295 @@
+//! Normal equations of a chain with a border, accumulated row by row: H·δ = −g.
+//!
+//! H = Σ w·JᵀJ and g = Σ w·Jᵀr, with w the kernel's weight. Per state k the system holds the
+//! diagonal block Hₖₖ (lower triangle), the coupling Hₖ₊₁,ₖ, and what rows at k say about border
+//! variables. Rows name only the coordinates they depend on, so an N-entry row costs N² / 2
+//! products, not S².
+//!
+//! The order of calls fixes the order of sums: the same calls give the same bits.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::graph::border::Packed;
+use crate::graph::kernel::Kernel;
+
+/// When elimination lets a border variable go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BorderLife {
+    /// With the last state that touches it: batch, arcs with lives of their own; linear in length.
+    WhileTouched,
+    /// At the end of the chain: windows, where all of the border's joint covariance is wanted.
+    WholeChain,
+}
+
+/// A whitened scalar row on one state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row<const N: usize> {
+    /// r (model − measured) / σ.
+    pub residual: f64,
+    /// Coordinates it depends on, ascending, none twice.
+    pub columns: [usize; N],
+    /// ∂r/∂x at those coordinates.
+    pub jacobian: [f64; N],
+}
+
+/// A whitened scalar row on two neighbouring states.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link<const N: usize, const M: usize> {
+    /// r (model − measured) / σ.
+    pub residual: f64,
+    /// Coordinates of the earlier state, ascending, none twice.
+    pub columns: [usize; N],
+    /// ∂r/∂xₖ at those coordinates.
+    pub jacobian: [f64; N],
+    /// Coordinates of the later state, ascending, none twice.
+    pub next_columns: [usize; M],
+    /// ∂r/∂xₖ₊₁ at those coordinates.
+    pub next_jacobian: [f64; M],
+}
+
+/// What rows at one state say about border variables, in the order these were met.
+#[derive(Clone, Debug)]
+pub(crate) struct Touched<const S: usize> {
+    pub(crate) variables: Vec<usize>,
+    /// Hₖᵦ, one column per variable.
+    pub(crate) columns: Vec<SVector<f64, S>>,
+    pub(crate) gradient: Vec<f64>,
+    pub(crate) matrix: Packed,
+}
+
+impl<const S: usize> Touched<S> {
+    const fn new() -> Self {
+        Self {
+            variables: Vec::new(),
+            columns: Vec::new(),
+            gradient: Vec::new(),
+            matrix: Packed::new(),
+        }
+    }
+
+    fn clear(&mut self) {
+        self.variables.clear();
+        self.columns.clear();
+        self.gradient.clear();
+        self.matrix.clear();
+    }
+
+    /// Place of a variable known to be here; `hint` is where it probably is.
+    pub(crate) fn find(&self, variable: usize, hint: usize) -> usize {
+        if self.variables.get(hint) == Some(&variable) {
+            return hint;
+        }
+        let place = self.variables.iter().position(|&known| known == variable);
+        place.expect("touched before")
+    }
+
+    /// Place of a variable, given the place it had at the last state.
+    fn place(&mut self, variable: usize, hint: usize) -> usize {
+        if self.variables.get(hint) == Some(&variable) {
+            return hint;
+        }
+        if let Some(place) = self.variables.iter().position(|&known| known == variable) {
+            return place;
+        }
+        self.variables.push(variable);
+        self.columns.push(SVector::zeros());
+        self.gradient.push(0.0);
+        self.matrix.push();
+        self.variables.len() - 1
+    }
+}
+
+/// The life of one border variable within the chain.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Life {
+    /// Last state with a row on it; none: never touched.
+    pub(crate) last: Option<usize>,
+    /// Its place among the variables of the state last written.
+    hint: usize,
+}
+
+/// Normal equations over `S`-vectors along a chain, and a border. Keeps its storage when reset.
+#[derive(Clone, Debug)]
+pub struct System<const S: usize> {
+    pub(crate) states: usize,
+    pub(crate) border_life: BorderLife,
+    pub(crate) diagonal: Vec<SMatrix<f64, S, S>>,
+    pub(crate) coupling: Vec<SMatrix<f64, S, S>>,
+    pub(crate) gradient: Vec<SVector<f64, S>>,
+    pub(crate) touched: Vec<Touched<S>>,
+    pub(crate) lives: Vec<Life>,
+    cost: f64,
+}
+
+impl<const S: usize> System<S> {
+    /// An empty system; [`System::reset`] gives it its shape.
+    pub const fn new(border_life: BorderLife) -> Self {
+        Self {
+            states: 0,
+            border_life,
+            diagonal: Vec::new(),
+            coupling: Vec::new(),
+            gradient: Vec::new(),
+            touched: Vec::new(),
+            lives: Vec::new(),
+            cost: 0.0,
+        }
+    }
+
+    /// All zero, for `states` states and border variables 0 … `border` − 1.
+    pub fn reset(&mut self, states: usize, border: usize) {
+        self.states = states;
+        self.cost = 0.0;
+        for blocks in [&mut self.diagonal, &mut self.coupling] {
+            blocks.clear();
+            blocks.resize(states, SMatrix::zeros());
+        }
+        self.gradient.clear();
+        self.gradient.resize(states, SVector::zeros());
+        self.touched.iter_mut().for_each(Touched::clear);
+        if self.touched.len() < states {
+            self.touched.resize_with(states, Touched::new);
+        }
+        self.lives.clear();
+        self.lives.resize(border, Life { last: None, hint: 0 });
+    }
+
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.states
+    }
+
+    /// Number of border variables, untouched ones included.
+    pub fn border(&self) -> usize {
+        self.lives.len()
+    }
+
+    /// Σ ρ(r) of the rows added since the reset.
+    pub fn cost(&self) -> f64 {
+        self.cost
+    }
+
+    /// Adds a constant or an own term to the cost.
+    pub fn add_cost(&mut self, cost: f64) {
+        self.cost += cost;
+    }
+
+    /// Whether any row touched this border variable.
+    pub fn is_touched(&self, variable: usize) -> bool {
+        self.lives[variable].last.is_some()
+    }
+
+    /// Adds a row on state `k`; returns the weight its kernel gave it.
+    #[inline]
+    pub fn add<const N: usize>(&mut self, k: usize, row: &Row<N>, kernel: &Kernel) -> f64 {
+        let (loss, weight) = kernel.loss_and_weight(row.residual);
+        self.cost += loss;
+        self.add_weighted(k, row, weight);
+        weight
+    }
+
+    /// Adds a row with a weight known already; the cost is the caller's.
+    #[inline]
+    pub fn add_weighted<const N: usize>(&mut self, k: usize, row: &Row<N>, weight: f64) {
+        let block = &mut self.diagonal[k].data.0;
+        let gradient = &mut self.gradient[k].data.0[0];
+        for j in 0..N {
+            let (column, scaled) = (row.columns[j], weight * row.jacobian[j]);
+            gradient[column] += scaled * row.residual;
+            let target = &mut block[column];
+            for i in j..N {
+                target[row.columns[i]] += scaled * row.jacobian[i];
+            }
+        }
+    }
+
+    /// Adds a row on states `k` and `k + 1`; returns the weight its kernel gave it.
+    #[inline]
+    pub fn add_link<const N: usize, const M: usize>(
+        &mut self,
+        k: usize,
+        link: &Link<N, M>,
+        kernel: &Kernel,
+    ) -> f64 {
+        let (loss, weight) = kernel.loss_and_weight(link.residual);
+        self.cost += loss;
+        let Link { residual, columns, jacobian, next_columns, next_jacobian } = *link;
+        self.add_weighted(k, &Row { residual, columns, jacobian }, weight);
+        let next = Row { residual, columns: next_columns, jacobian: next_jacobian };
+        self.add_weighted(k + 1, &next, weight);
+        let block = &mut self.coupling[k].data.0;
+        for j in 0..N {
+            let scaled = weight * jacobian[j];
+            let target = &mut block[columns[j]];
+            for i in 0..M {
+                target[next_columns[i]] += scaled * next_jacobian[i];
+            }
+        }
+        weight
+    }
+
+    /// Adds a row on state `k` and border variables `(variable, ∂r/∂b)`, none twice; a row on the
+    /// border alone has `N` = 0. Returns the weight its kernel gave it.
+    #[inline]
+    pub fn add_with_border<const N: usize>(
+        &mut self,
+        k: usize,
+        row: &Row<N>,
+        border: &[(usize, f64)],
+        kernel: &Kernel,
+    ) -> f64 {
+        let weight = self.add(k, row, kernel);
+        for (position, &(variable, derivative)) in border.iter().enumerate() {
+            let place = self.touch(k, variable);
+            let touched = &mut self.touched[k];
+            let scaled = weight * derivative;
+            touched.gradient[place] += scaled * row.residual;
+            let column = &mut touched.columns[place];
+            for i in 0..N {
+                column[row.columns[i]] += scaled * row.jacobian[i];
+            }
+            for &(other, derivative) in &border[..=position] {
+                let other = self.lives[other].hint;
+                *touched.matrix.get_mut(place, other) += scaled * derivative;
+            }
+        }
+        weight
+    }
+
+    /// Adds M correlated rows on state `k`, already whitened together: one kernel weight for all,
+    /// taken at ‖r‖. Returns that weight.
+    pub fn add_block<const M: usize>(
+        &mut self,
+        k: usize,
+        residual: &SVector<f64, M>,
+        jacobian: &SMatrix<f64, M, S>,
+        kernel: &Kernel,
+    ) -> f64 {
+        let (loss, weight) = kernel.loss_and_weight(residual.norm());
+        self.cost += loss;
+        self.diagonal[k] += jacobian.tr_mul(jacobian) * weight;
+        self.gradient[k] += jacobian.tr_mul(residual) * weight;
+        weight
+    }
+
+    /// Adds information `h` (lower triangle read) and gradient `g` on state `k`.
+    pub(crate) fn add_information(
+        &mut self,
+        k: usize,
+        h: &SMatrix<f64, S, S>,
+        g: &SVector<f64, S>,
+    ) {
+        self.diagonal[k] += h;
+        self.gradient[k] += g;
+    }
+
+    /// Place of a border variable among those of state `k`, made if new; kept as its hint.
+    #[inline]
+    pub(crate) fn touch(&mut self, k: usize, variable: usize) -> usize {
+        let life = &mut self.lives[variable];
+        let place = self.touched[k].place(variable, life.hint);
+        life.hint = place;
+        life.last = Some(life.last.map_or(k, |last| last.max(k)));
+        place
+    }
+}
