@@ -82,6 +82,14 @@ impl Navigation {
         self.ephemerides.is_empty()
     }
 
+    /// Forgets the ephemerides that `keep` refuses.
+    pub fn retain(&mut self, mut keep: impl FnMut(&Ephemeris) -> bool) {
+        self.ephemerides.retain(|_, list| {
+            list.retain(&mut keep);
+            !list.is_empty()
+        });
+    }
+
     /// Takes over all of `other`; its coefficients and leap seconds win where it has them.
     /// Returns how many ephemerides were new.
     pub fn merge(&mut self, other: Self) -> usize {

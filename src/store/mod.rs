@@ -1,1 +1,83 @@
-//! SQL, and nothing else has any.
+//! SQL, and nothing else has any: sessions, epochs, solutions and navigation on SQLite or Postgres.
+//!
+//! [`Store`] holds either pool; one text of SQL with `$1` serves both wherever it can, and both
+//! give the same answers. The schema lives in `migrations/`, is embedded, and is brought up to date
+//! at start; a database with a newer schema is refused.
+//!
+//! # Durability
+//! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk.
+//! [`Store::commit`] hands epochs and solutions to the committer, which writes those of many
+//! sessions in one transaction and tells each session when that one is committed.
+
+mod codec;
+mod committer;
+mod error;
+mod navigation;
+mod page;
+mod pool;
+mod sessions;
+mod solutions;
+
+use std::fmt;
+use std::sync::Arc;
+
+use tokio::sync::Mutex;
+use tokio::task::JoinHandle;
+
+pub use codec::CodecError;
+pub use committer::{Batch, EncodedEpoch};
+pub use error::StoreError;
+pub use navigation::{StoredEphemeris, StoredNavigation};
+pub use page::Page;
+pub use sessions::{SessionKey, SessionRow, SessionSettings};
+pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};
+
+use committer::Committer;
+use pool::Pool;
+
+/// The database and its committer. Clones share both.
+#[derive(Clone)]
+pub struct Store {
+    pool: Pool,
+    committer: Committer,
+    task: Arc<Mutex<Option<JoinHandle<()>>>>,
+}
+
+impl Store {
+    /// Opens the database of `url`, `sqlite://FILE` (created if absent) or `postgres://…`, and
+    /// brings its schema up to date.
+    ///
+    /// # Errors
+    /// A URL of another kind, a database that cannot be reached, a schema from a newer Graphfix.
+    pub async fn open(url: &str) -> Result<Self, StoreError> {
+        let pool = Pool::open(url).await?;
+        let (committer, task) = Committer::start(pool.clone());
+        Ok(Self { pool, committer, task: Arc::new(Mutex::new(Some(task))) })
+    }
+
+    /// Commits epochs with their solutions; returns when they are durable. All of the batch is
+    /// stored, or nothing.
+    ///
+    /// # Errors
+    /// Nothing of the batch may be taken for stored. After [`StoreError::Database`] its fate is
+    /// open, for a connection may break during the commit: read before writing again.
+    pub async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
+        self.committer.commit(batch).await
+    }
+
+    /// Commits what was handed over, then closes the database. Later calls fail.
+    pub async fn close(&self) {
+        self.committer.stop().await;
+        if let Some(task) = self.task.lock().await.take() {
+            // A panic of the committer has already failed those who waited for it.
+            task.await.ok();
+        }
+        self.pool.close().await;
+    }
+}
+
+impl fmt::Debug for Store {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Store").field("pool", &self.pool).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,58 @@
+-- Sessions. `key` is the short form of `id` in the tables that grow.
+CREATE TABLE sessions (
+    key                BIGINT  GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    id                 TEXT    NOT NULL UNIQUE,
+    label              TEXT    NOT NULL,
+    mode               TEXT    NOT NULL,
+    profile            TEXT    NOT NULL,
+    overrides          TEXT    NOT NULL, -- JSON object: option name, value
+    configuration      TEXT    NOT NULL, -- JSON object: every option with its value in force
+    configuration_hash TEXT    NOT NULL,
+    created_unix_ms    BIGINT NOT NULL,
+    closed_unix_ms     BIGINT
+);
+
+-- Epochs as received; `content` is their canonical encoding, version in its first byte.
+CREATE TABLE epochs (
+    session     BIGINT NOT NULL REFERENCES sessions (key),
+    seq         BIGINT NOT NULL,
+    gps_time_ns BIGINT NOT NULL,
+    content     BYTEA    NOT NULL,
+    UNIQUE (session, seq)
+);
+
+-- Solutions. `content` holds all of them bit by bit; the columns serve filters and readers of SQL.
+CREATE TABLE solutions (
+    session     BIGINT NOT NULL REFERENCES sessions (key),
+    seq         BIGINT NOT NULL,
+    revision    INTEGER NOT NULL, -- 0 is the real-time answer
+    gps_time_ns BIGINT NOT NULL,
+    status      SMALLINT NOT NULL, -- 0 none, 10 single
+    x_m         DOUBLE PRECISION, -- ECEF
+    y_m         DOUBLE PRECISION,
+    z_m         DOUBLE PRECISION,
+    content     BYTEA    NOT NULL,
+    UNIQUE (session, seq, revision)
+);
+CREATE INDEX solutions_by_time ON solutions (session, gps_time_ns);
+
+-- Broadcast ephemerides; the key is what tells two of them apart.
+CREATE TABLE ephemerides (
+    satellite     TEXT    NOT NULL,
+    toe_ns        BIGINT NOT NULL,
+    message       TEXT    NOT NULL,
+    toc_ns        BIGINT NOT NULL,
+    issue         BIGINT NOT NULL,
+    source        TEXT    NOT NULL,
+    stored_unix_ms BIGINT NOT NULL,
+    content       BYTEA    NOT NULL,
+    PRIMARY KEY (satellite, toe_ns, message, toc_ns, issue)
+);
+
+-- Ionosphere coefficients and leap seconds, the newest of each kind.
+CREATE TABLE navigation_records (
+    kind          TEXT    PRIMARY KEY,
+    source        TEXT    NOT NULL,
+    stored_unix_ms BIGINT NOT NULL,
+    content       BYTEA    NOT NULL
+);

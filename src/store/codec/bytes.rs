@@ -1,0 +1,369 @@
+//! The primitives: integers, floats, texts, times, satellites.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::gnss::{Constellation, GpsTime, SatelliteId};
+
+use super::CodecError;
+
+const NS_PER_SECOND: i64 = 1_000_000_000;
+/// Up to here thousandths take no more bytes than an `f64` does.
+const THOUSANDTHS_MAX: u64 = 1 << 55;
+
+/// Writes primitives to the end of a buffer.
+pub(super) struct Encoder {
+    bytes: Vec<u8>,
+}
+
+impl Encoder {
+    pub(super) fn new(version: u8, capacity: usize) -> Self {
+        let mut bytes = Vec::with_capacity(capacity);
+        bytes.push(version);
+        Self { bytes }
+    }
+
+    pub(super) fn finish(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    pub(super) fn u8(&mut self, value: u8) {
+        self.bytes.push(value);
+    }
+
+    /// Place of the next byte, for [`Self::set`].
+    pub(super) fn position(&self) -> usize {
+        self.bytes.len()
+    }
+
+    pub(super) fn set(&mut self, position: usize, value: u8) {
+        self.bytes[position] = value;
+    }
+
+    pub(super) fn unsigned(&mut self, mut value: u64) {
+        while 0x80 <= value {
+            self.bytes.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.bytes.push(value as u8);
+    }
+
+    pub(super) fn signed(&mut self, value: i64) {
+        self.unsigned(((value << 1) ^ (value >> 63)) as u64);
+    }
+
+    pub(super) fn count(&mut self, value: usize) {
+        self.unsigned(value as u64);
+    }
+
+    pub(super) fn f64(&mut self, value: f64) {
+        self.bytes.extend_from_slice(&value.to_le_bytes());
+    }
+
+    pub(super) fn optional_f64(&mut self, value: Option<f64>) {
+        self.u8(u8::from(value.is_some()));
+        if let Some(value) = value {
+            self.f64(value);
+        }
+    }
+
+    /// A measured value, shortly where it is a number of thousandths. Returns its 2-bit tag.
+    pub(super) fn measured(&mut self, value: Option<f64>) -> u8 {
+        let Some(value) = value else { return 0 };
+        // Saturates, and turns NaN into zero: the comparison of bits sorts those out.
+        let thousandths = (value * 1e3).round() as i64;
+        let exact = (thousandths as f64 / 1e3).to_bits() == value.to_bits();
+        if exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX {
+            self.signed(thousandths);
+            1
+        } else {
+            self.f64(value);
+            2
+        }
+    }
+
+    pub(super) fn text(&mut self, text: &str) {
+        self.count(text.len());
+        self.bytes.extend_from_slice(text.as_bytes());
+    }
+
+    /// A whole second of GPS time in few bytes, any other nanosecond in more.
+    pub(super) fn time(&mut self, time: GpsTime) {
+        let ns = time.as_ns();
+        let whole = ns % NS_PER_SECOND == 0;
+        self.u8(u8::from(whole));
+        self.signed(if whole { ns / NS_PER_SECOND } else { ns });
+    }
+
+    pub(super) fn optional_time(&mut self, time: Option<GpsTime>) {
+        match time {
+            Some(time) => self.time(time),
+            None => self.u8(2),
+        }
+    }
+
+    pub(super) fn satellite(&mut self, satellite: SatelliteId) {
+        self.u8(constellation_number(satellite.constellation));
+        self.u8(satellite.number);
+    }
+
+    pub(super) fn satellites(&mut self, satellites: &[SatelliteId]) {
+        self.count(satellites.len());
+        satellites.iter().for_each(|satellite| self.satellite(*satellite));
+    }
+
+    pub(super) fn vector(&mut self, vector: &Vector3<f64>) {
+        vector.iter().for_each(|value| self.f64(*value));
+    }
+
+    /// A covariance: its upper triangle where the lower one has the same bits.
+    pub(super) fn covariance(&mut self, matrix: &Matrix3<f64>) {
+        let same = |(i, j): (usize, usize)| matrix[(i, j)].to_bits() == matrix[(j, i)].to_bits();
+        let symmetric = [(0, 1), (0, 2), (1, 2)].into_iter().all(same);
+        self.u8(u8::from(symmetric));
+        for row in 0..3 {
+            for column in 0..3 {
+                if !symmetric || row <= column {
+                    self.f64(matrix[(row, column)]);
+                }
+            }
+        }
+    }
+}
+
+/// Reads primitives from the front of a slice.
+pub(super) struct Decoder<'a> {
+    bytes: &'a [u8],
+    offset: usize,
+}
+
+impl<'a> Decoder<'a> {
+    /// Starts behind the version, which must be `version`.
+    pub(super) fn new(bytes: &'a [u8], version: u8) -> Result<Self, CodecError> {
+        let mut decoder = Self { bytes, offset: 0 };
+        match decoder.u8()? {
+            found if found == version => Ok(decoder),
+            found => Err(CodecError::UnknownVersion { version: found }),
+        }
+    }
+
+    pub(super) fn finish(self) -> Result<(), CodecError> {
+        match self.bytes.len() - self.offset {
+            0 => Ok(()),
+            extra => Err(CodecError::TrailingBytes { extra }),
+        }
+    }
+
+    pub(super) fn invalid(&self, what: &'static str) -> CodecError {
+        CodecError::Invalid { what, offset: self.offset }
+    }
+
+    fn take(&mut self, length: usize) -> Result<&'a [u8], CodecError> {
+        let rest = &self.bytes[self.offset..];
+        let Some(taken) = rest.get(..length) else {
+            return Err(CodecError::Truncated { offset: self.bytes.len() });
+        };
+        self.offset += length;
+        Ok(taken)
+    }
+
+    pub(super) fn u8(&mut self) -> Result<u8, CodecError> {
+        Ok(self.take(1)?[0])
+    }
+
+    pub(super) fn flag(&mut self, what: &'static str) -> Result<bool, CodecError> {
+        match self.u8()? {
+            0 => Ok(false),
+            1 => Ok(true),
+            _ => Err(self.invalid(what)),
+        }
+    }
+
+    pub(super) fn unsigned(&mut self) -> Result<u64, CodecError> {
+        let mut value = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let byte = self.u8()?;
+            let bits = u64::from(byte & 0x7f);
+            if bits << shift >> shift != bits {
+                return Err(self.invalid("integer"));
+            }
+            value |= bits << shift;
+            if byte < 0x80 {
+                return Ok(value);
+            }
+        }
+        Err(self.invalid("integer"))
+    }
+
+    pub(super) fn signed(&mut self) -> Result<i64, CodecError> {
+        let value = self.unsigned()?;
+        Ok((value >> 1) as i64 ^ -((value & 1) as i64))
+    }
+
+    pub(super) fn u32(&mut self, what: &'static str) -> Result<u32, CodecError> {
+        let value = self.unsigned()?;
+        u32::try_from(value).map_err(|_| self.invalid(what))
+    }
+
+    pub(super) fn usize(&mut self, what: &'static str) -> Result<usize, CodecError> {
+        let value = self.unsigned()?;
+        usize::try_from(value).map_err(|_| self.invalid(what))
+    }
+
+    /// A number of items to follow, none of which is empty: never more than bytes are left.
+    pub(super) fn count(&mut self, what: &'static str) -> Result<usize, CodecError> {
+        let count = self.usize(what)?;
+        let left = self.bytes.len() - self.offset;
+        if left < count { Err(self.invalid(what)) } else { Ok(count) }
+    }
+
+    pub(super) fn f64(&mut self) -> Result<f64, CodecError> {
+        let bytes = self.take(8)?.try_into().expect("eight bytes were taken");
+        Ok(f64::from_le_bytes(bytes))
+    }
+
+    pub(super) fn optional_f64(&mut self) -> Result<Option<f64>, CodecError> {
+        if self.flag("presence")? { self.f64().map(Some) } else { Ok(None) }
+    }
+
+    /// A measured value by its 2-bit tag.
+    pub(super) fn measured(&mut self, tag: u8) -> Result<Option<f64>, CodecError> {
+        match tag & 3 {
+            0 => Ok(None),
+            1 => Ok(Some(self.signed()? as f64 / 1e3)),
+            2 => self.f64().map(Some),
+            _ => Err(self.invalid("measured value")),
+        }
+    }
+
+    pub(super) fn text(&mut self) -> Result<&'a str, CodecError> {
+        let length = self.count("text length")?;
+        let bytes = self.take(length)?;
+        std::str::from_utf8(bytes).map_err(|_| self.invalid("text"))
+    }
+
+    pub(super) fn time(&mut self) -> Result<GpsTime, CodecError> {
+        self.optional_time()?.ok_or_else(|| self.invalid("time"))
+    }
+
+    pub(super) fn optional_time(&mut self) -> Result<Option<GpsTime>, CodecError> {
+        let ns = match self.u8()? {
+            0 => self.signed()?,
+            1 => {
+                let seconds = self.signed()?;
+                seconds.checked_mul(NS_PER_SECOND).ok_or_else(|| self.invalid("time"))?
+            }
+            2 => return Ok(None),
+            _ => return Err(self.invalid("time")),
+        };
+        Ok(Some(GpsTime::from_ns(ns)))
+    }
+
+    pub(super) fn constellation(&mut self) -> Result<Constellation, CodecError> {
+        let number = self.u8()?;
+        let mut all = Constellation::ALL.into_iter();
+        all.find(|c| constellation_number(*c) == number)
+            .ok_or_else(|| self.invalid("constellation"))
+    }
+
+    pub(super) fn satellite(&mut self) -> Result<SatelliteId, CodecError> {
+        let constellation = self.constellation()?;
+        let number = self.u8()?;
+        SatelliteId::new(constellation, number).ok_or_else(|| self.invalid("satellite"))
+    }
+
+    pub(super) fn satellites(&mut self) -> Result<Vec<SatelliteId>, CodecError> {
+        let count = self.count("number of satellites")?;
+        (0..count).map(|_| self.satellite()).collect()
+    }
+
+    pub(super) fn vector(&mut self) -> Result<Vector3<f64>, CodecError> {
+        Ok(Vector3::new(self.f64()?, self.f64()?, self.f64()?))
+    }
+
+    pub(super) fn covariance(&mut self) -> Result<Matrix3<f64>, CodecError> {
+        let symmetric = self.flag("symmetry")?;
+        let mut matrix = Matrix3::zeros();
+        for row in 0..3 {
+            for column in 0..3 {
+                matrix[(row, column)] = match symmetric && column < row {
+                    true => matrix[(column, row)],
+                    false => self.f64()?,
+                };
+            }
+        }
+        Ok(matrix)
+    }
+}
+
+/// The stored number of a constellation: it never changes.
+pub(super) const fn constellation_number(constellation: Constellation) -> u8 {
+    match constellation {
+        Constellation::Gps => 0,
+        Constellation::Glonass => 1,
+        Constellation::Galileo => 2,
+        Constellation::BeiDou => 3,
+        Constellation::Qzss => 4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn round_trip<T>(
+        write: impl Fn(&mut Encoder),
+        read: impl Fn(&mut Decoder<'_>) -> Result<T, CodecError>,
+    ) -> T {
+        let mut encoder = Encoder::new(1, 0);
+        write(&mut encoder);
+        let bytes = encoder.finish();
+        let mut decoder = Decoder::new(&bytes, 1).unwrap();
+        let value = read(&mut decoder).unwrap();
+        decoder.finish().unwrap();
+        value
+    }
+
+    #[test]
+    fn a_pseudorange_with_three_decimals_takes_six_bytes() {
+        let mut encoder = Encoder::new(1, 0);
+        assert_eq!(encoder.measured(Some(23_456_789.123)), 1);
+        // 23 456 789 123, zigzag: 36 bits in groups of seven.
+        assert_eq!(encoder.finish().len(), 1 + 6);
+    }
+
+    #[test]
+    fn integers_too_long_are_refused() {
+        let bytes = [&[1_u8][..], &[0xff; 9], &[2]].concat();
+        let error = Decoder::new(&bytes, 1).unwrap().unsigned().unwrap_err();
+        assert_eq!(error, CodecError::Invalid { what: "integer", offset: 11 });
+    }
+
+    proptest! {
+        #[test]
+        fn integers(value: i64) {
+            prop_assert_eq!(round_trip(|e| e.signed(value), |d| d.signed()), value);
+            let unsigned = value as u64;
+            prop_assert_eq!(round_trip(|e| e.unsigned(unsigned), |d| d.unsigned()), unsigned);
+        }
+
+        #[test]
+        fn measured_values_keep_their_bits(bits: u64, decimal in -1e12_f64..1e12) {
+            for value in [f64::from_bits(bits), (decimal * 1e3).round() / 1e3, -0.0, f64::NAN] {
+                let mut encoder = Encoder::new(1, 0);
+                let tag = encoder.measured(Some(value));
+                let bytes = encoder.finish();
+                let read = Decoder::new(&bytes, 1).unwrap().measured(tag).unwrap().unwrap();
+                prop_assert_eq!(read.to_bits(), value.to_bits());
+            }
+        }
+
+        #[test]
+        fn times(ns: i64, seconds in -9_000_000_000_i64..9_000_000_000) {
+            for time in [GpsTime::from_ns(ns), GpsTime::from_ns(seconds * NS_PER_SECOND)] {
+                prop_assert_eq!(round_trip(|e| e.time(time), |d| d.time()), time);
+            }
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Epochs as bytes.
+//!
+//! Header: version, time, power failure, number of observations. Each observation: satellite, code,
+//! one byte of flags, one byte of four 2-bit tags, then the values present.
+
+use crate::gnss::{Cycles, Epoch, Observation, ObservationCode};
+
+use super::CodecError;
+use super::bytes::{Decoder, Encoder};
+
+const VERSION: u8 = 1;
+const LOSS_OF_LOCK: u8 = 1;
+const HALF_CYCLE: u8 = 2;
+
+/// The bytes of an epoch.
+pub(in crate::store) fn encode_epoch(epoch: &Epoch) -> Vec<u8> {
+    let mut out = Encoder::new(VERSION, 16 + 26 * epoch.observations.len());
+    out.time(epoch.time);
+    out.u8(u8::from(epoch.power_failure));
+    out.count(epoch.observations.len());
+    for observation in &epoch.observations {
+        encode_observation(&mut out, observation);
+    }
+    out.finish()
+}
+
+fn encode_observation(out: &mut Encoder, observation: &Observation) {
+    out.satellite(observation.satellite);
+    out.u8(observation.code.band_digit() + b'0');
+    out.u8(observation.code.attribute());
+    let lost = if observation.loss_of_lock { LOSS_OF_LOCK } else { 0 };
+    out.u8(lost | if observation.half_cycle { HALF_CYCLE } else { 0 });
+    let tags_at = out.position();
+    out.u8(0);
+    let values = [
+        observation.pseudorange_m,
+        observation.carrier_phase.map(|phase| phase.0),
+        observation.doppler_hz,
+        observation.cn0_db_hz,
+    ];
+    let mut tags = 0;
+    for (place, value) in values.into_iter().enumerate() {
+        tags |= out.measured(value) << (2 * place);
+    }
+    out.set(tags_at, tags);
+}
+
+/// The epoch of its bytes.
+pub(in crate::store) fn decode_epoch(bytes: &[u8]) -> Result<Epoch, CodecError> {
+    let mut input = Decoder::new(bytes, VERSION)?;
+    let mut epoch = Epoch::new(input.time()?);
+    epoch.power_failure = input.flag("power failure")?;
+    let count = input.count("number of observations")?;
+    epoch.observations =
+        (0..count).map(|_| decode_observation(&mut input)).collect::<Result<_, _>>()?;
+    input.finish()?;
+    Ok(epoch)
+}
+
+fn decode_observation(input: &mut Decoder<'_>) -> Result<Observation, CodecError> {
+    let satellite = input.satellite()?;
+    let (band, attribute) = (input.u8()?, input.u8()?);
+    let code = ObservationCode::new(band, attribute).ok_or_else(|| input.invalid("code"))?;
+    let flags = input.u8()?;
+    if LOSS_OF_LOCK | HALF_CYCLE < flags {
+        return Err(input.invalid("flags"));
+    }
+    let tags = input.u8()?;
+    Ok(Observation {
+        satellite,
+        code,
+        loss_of_lock: flags & LOSS_OF_LOCK != 0,
+        half_cycle: flags & HALF_CYCLE != 0,
+        pseudorange_m: input.measured(tags)?,
+        carrier_phase: input.measured(tags >> 2)?.map(Cycles),
+        doppler_hz: input.measured(tags >> 4)?,
+        cn0_db_hz: input.measured(tags >> 6)?,
+    })
+}

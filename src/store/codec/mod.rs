@@ -1,0 +1,158 @@
+//! Rows as bytes: a compact binary form of epochs, solutions and ephemerides.
+//!
+//! Each form starts with its version and is canonical: equal values give equal bytes and every
+//! `f64` comes back bit by bit. Numbers are LEB128 variable-length integers (signed ones zigzag),
+//! times nanoseconds, `f64` little-endian IEEE 754. Corrupt bytes give a [`CodecError`].
+
+mod bytes;
+mod ephemeris;
+mod epoch;
+#[cfg(test)]
+mod sample;
+mod solution;
+
+pub(super) use ephemeris::{
+    NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
+};
+pub(super) use epoch::{decode_epoch, encode_epoch};
+pub(super) use solution::{decode_solution, encode_solution, status_number};
+
+/// Why bytes are not what the store wrote.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// They end too early.
+    #[error("the bytes end at {offset}")]
+    Truncated {
+        /// Where they end.
+        offset: usize,
+    },
+    /// They are of a version unknown here.
+    #[error("version {version} is not known")]
+    UnknownVersion {
+        /// The version they name.
+        version: u8,
+    },
+    /// A value is out of its range.
+    #[error("{what} at byte {offset} is out of range")]
+    Invalid {
+        /// Which value.
+        what: &'static str,
+        /// Where it ends.
+        offset: usize,
+    },
+    /// There are more of them.
+    #[error("{extra} bytes too many")]
+    TrailingBytes {
+        /// How many.
+        extra: usize,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fmt::Debug;
+
+    use proptest::prelude::*;
+
+    use crate::gnss::{GpsTime, KlobucharCoefficients, NeQuickCoefficients, Solution};
+
+    use super::*;
+
+    /// Values that print alike are alike bit by bit but for the payload of NaN, which the second
+    /// encoding compares.
+    fn assert_round_trip<T: Debug>(
+        value: &T,
+        encode: impl Fn(&T) -> Vec<u8>,
+        decode: impl Fn(&[u8]) -> Result<T, CodecError>,
+    ) {
+        let bytes = encode(value);
+        let read = decode(&bytes).unwrap();
+        assert_eq!(format!("{read:?}"), format!("{value:?}"));
+        assert_eq!(encode(&read), bytes);
+        for length in 0..bytes.len() {
+            assert!(decode(&bytes[..length]).is_err(), "cut to {length} of {}", bytes.len());
+        }
+        let longer = [&bytes[..], &[0]].concat();
+        assert_eq!(decode(&longer).unwrap_err(), CodecError::TrailingBytes { extra: 1 });
+    }
+
+    /// The solution of its bytes, without what made it.
+    fn solution_of(bytes: &[u8]) -> Result<Solution, CodecError> {
+        decode_solution(bytes).map(|decoded| decoded.solution)
+    }
+
+    #[test]
+    fn a_solution_names_what_made_it() {
+        let time = GpsTime::EPOCH;
+        let bytes = encode_solution(&Solution::none(time, vec![]), "1.2.3", "abc");
+        let decoded = decode_solution(&bytes).unwrap();
+        assert_eq!((&*decoded.version, &*decoded.configuration_hash), ("1.2.3", "abc"));
+    }
+
+    #[test]
+    fn a_later_version_is_named() {
+        assert_eq!(decode_epoch(&[9]), Err(CodecError::UnknownVersion { version: 9 }));
+        assert_eq!(decode_epoch(&[]), Err(CodecError::Truncated { offset: 0 }));
+    }
+
+    #[test]
+    fn records_round_trip() {
+        let klobuchar = KlobucharCoefficients {
+            alpha: [1.1e-8, -7.4e-9, -5.9e-8, 1.1e-7],
+            beta: [1.1e5, -6.5e4, -6.5e4, 3.2e5],
+        };
+        let nequick = NeQuickCoefficients { ai: [65.5, -0.1, 0.01] };
+        for record in [
+            NavigationRecord::Klobuchar(klobuchar),
+            NavigationRecord::NeQuick(nequick),
+            NavigationRecord::LeapSeconds(19),
+        ] {
+            assert_round_trip(&record, encode_record, decode_record);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn epochs_round_trip(epoch in sample::epoch()) {
+            assert_round_trip(&epoch, encode_epoch, decode_epoch);
+        }
+
+        #[test]
+        fn solutions_round_trip(solution in sample::solution()) {
+            assert_round_trip(&solution, |s| encode_solution(s, "0.1.0", "c0ffee"), solution_of);
+        }
+
+        #[test]
+        fn ephemerides_round_trip(ephemeris in sample::ephemeris()) {
+            assert_round_trip(&ephemeris, encode_ephemeris, decode_ephemeris);
+        }
+
+        /// Bytes changed anywhere give an error or other values of the form, never a panic.
+        #[test]
+        fn corrupted_bytes_never_panic(
+            epoch in sample::epoch(),
+            solution in sample::solution(),
+            ephemeris in sample::ephemeris(),
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+        ) {
+            let corrupted = |mut bytes: Vec<u8>| {
+                for (place, byte) in &changes {
+                    let place = place.index(bytes.len());
+                    bytes[place] = *byte;
+                }
+                bytes
+            };
+            if let Ok(read) = decode_epoch(&corrupted(encode_epoch(&epoch))) {
+                prop_assert!(decode_epoch(&encode_epoch(&read)).is_ok());
+            }
+            if let Ok(read) = solution_of(&corrupted(encode_solution(&solution, "v", "h"))) {
+                prop_assert!(solution_of(&encode_solution(&read, "v", "h")).is_ok());
+            }
+            if let Ok(read) = decode_ephemeris(&corrupted(encode_ephemeris(&ephemeris))) {
+                prop_assert!(decode_ephemeris(&encode_ephemeris(&read)).is_ok());
+            }
+        }
+    }
+}

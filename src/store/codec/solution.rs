@@ -1,0 +1,198 @@
+//! Solutions as bytes: the whole of them, with the version and configuration that made them.
+
+use crate::config::IonosphereModel;
+use crate::gnss::{
+    Dops, Ecef, EphemerisIssue, Provenance, Reason, Solution, SolutionEstimate, Status, Velocity,
+};
+
+use super::CodecError;
+use super::bytes::{Decoder, Encoder, constellation_number};
+
+const VERSION: u8 = 1;
+
+/// A solution with what made it.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::store) struct DecodedSolution {
+    /// The solution.
+    pub solution: Solution,
+    /// Version of the program that made it.
+    pub version: String,
+    /// Hash of the configuration in force.
+    pub configuration_hash: String,
+}
+
+/// The stored number of a status: it never changes, and rises from none to best.
+pub(in crate::store) const fn status_number(status: Status) -> i16 {
+    match status {
+        Status::None => 0,
+        Status::Single => 10,
+    }
+}
+
+/// The bytes of a solution.
+pub(in crate::store) fn encode_solution(
+    solution: &Solution,
+    version: &str,
+    configuration_hash: &str,
+) -> Vec<u8> {
+    let mut out = Encoder::new(VERSION, 512);
+    out.time(solution.time);
+    out.u8(status_number(solution.status) as u8);
+    out.u8(u8::from(solution.estimate.is_some()));
+    if let Some(estimate) = &solution.estimate {
+        encode_estimate(&mut out, estimate);
+    }
+    out.count(solution.reasons.len());
+    for reason in &solution.reasons {
+        encode_reason(&mut out, reason);
+    }
+    out.count(solution.provenance.ephemerides.len());
+    for used in &solution.provenance.ephemerides {
+        out.satellite(used.satellite);
+        out.time(used.toe);
+        out.unsigned(used.issue.into());
+    }
+    out.text(version);
+    out.text(configuration_hash);
+    out.finish()
+}
+
+fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate) {
+    out.vector(&estimate.position.0);
+    out.covariance(&estimate.covariance);
+    out.u8(u8::from(estimate.velocity.is_some()));
+    if let Some(velocity) = &estimate.velocity {
+        out.vector(&velocity.velocity_m_s);
+        out.covariance(&velocity.covariance);
+        out.f64(velocity.clock_drift_m_s);
+    }
+    out.f64(estimate.clock_m);
+    out.count(estimate.inter_system_biases_m.len());
+    for (constellation, bias_m) in &estimate.inter_system_biases_m {
+        out.u8(constellation_number(*constellation));
+        out.f64(*bias_m);
+    }
+    out.time(estimate.reception_time);
+    let Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
+    [gdop, pdop, hdop, vdop, tdop].into_iter().for_each(|dop| out.f64(dop));
+    out.satellites(&estimate.satellites_used);
+}
+
+fn encode_reason(out: &mut Encoder, reason: &Reason) {
+    match reason {
+        Reason::EphemerisMissing { satellites } => {
+            out.u8(0);
+            out.satellites(satellites);
+        }
+        Reason::TooFewSatellites { used, needed } => {
+            out.u8(1);
+            out.count(*used);
+            out.count(*needed);
+        }
+        Reason::GeometryTooWeak { gdop } => {
+            out.u8(2);
+            out.f64(*gdop);
+        }
+        Reason::NoRedundancy => out.u8(3),
+        Reason::ResidualsTooLarge { ratio } => {
+            out.u8(4);
+            out.f64(*ratio);
+        }
+        Reason::SatellitesExcluded { satellites } => {
+            out.u8(5);
+            out.satellites(satellites);
+        }
+        Reason::NotConverged => out.u8(6),
+        Reason::IonosphereFallback { used } => {
+            out.u8(7);
+            out.text(used);
+        }
+    }
+}
+
+/// The solution of its bytes.
+pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution, CodecError> {
+    let mut input = Decoder::new(bytes, VERSION)?;
+    let time = input.time()?;
+    let number = i16::from(input.u8()?);
+    let known = Status::ALL.into_iter().find(|status| status_number(*status) == number);
+    let status = known.ok_or_else(|| input.invalid("status"))?;
+    let estimate = match input.flag("estimate")? {
+        true => Some(decode_estimate(&mut input)?),
+        false => None,
+    };
+    let count = input.count("number of reasons")?;
+    let reasons = (0..count).map(|_| decode_reason(&mut input)).collect::<Result<_, _>>()?;
+    let count = input.count("number of ephemerides")?;
+    let ephemerides = (0..count).map(|_| decode_issue(&mut input)).collect::<Result<_, _>>()?;
+    let (version, configuration_hash) = (input.text()?.to_owned(), input.text()?.to_owned());
+    input.finish()?;
+    let provenance = Provenance { ephemerides };
+    let solution = Solution { time, status, estimate, reasons, provenance };
+    Ok(DecodedSolution { solution, version, configuration_hash })
+}
+
+fn decode_issue(input: &mut Decoder<'_>) -> Result<EphemerisIssue, CodecError> {
+    Ok(EphemerisIssue {
+        satellite: input.satellite()?,
+        toe: input.time()?,
+        issue: input.u32("issue")?,
+    })
+}
+
+fn decode_estimate(input: &mut Decoder<'_>) -> Result<SolutionEstimate, CodecError> {
+    let position = Ecef(input.vector()?);
+    let covariance = input.covariance()?;
+    let velocity = match input.flag("velocity")? {
+        true => Some(Velocity {
+            velocity_m_s: input.vector()?,
+            covariance: input.covariance()?,
+            clock_drift_m_s: input.f64()?,
+        }),
+        false => None,
+    };
+    let clock_m = input.f64()?;
+    let count = input.count("number of biases")?;
+    let mut inter_system_biases_m = Vec::with_capacity(count);
+    for _ in 0..count {
+        inter_system_biases_m.push((input.constellation()?, input.f64()?));
+    }
+    Ok(SolutionEstimate {
+        position,
+        covariance,
+        velocity,
+        clock_m,
+        inter_system_biases_m,
+        reception_time: input.time()?,
+        dops: Dops {
+            gdop: input.f64()?,
+            pdop: input.f64()?,
+            hdop: input.f64()?,
+            vdop: input.f64()?,
+            tdop: input.f64()?,
+        },
+        satellites_used: input.satellites()?,
+    })
+}
+
+fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
+    Ok(match input.u8()? {
+        0 => Reason::EphemerisMissing { satellites: input.satellites()? },
+        1 => Reason::TooFewSatellites {
+            used: input.usize("satellites used")?,
+            needed: input.usize("satellites needed")?,
+        },
+        2 => Reason::GeometryTooWeak { gdop: input.f64()? },
+        3 => Reason::NoRedundancy,
+        4 => Reason::ResidualsTooLarge { ratio: input.f64()? },
+        5 => Reason::SatellitesExcluded { satellites: input.satellites()? },
+        6 => Reason::NotConverged,
+        7 => {
+            let text = input.text()?;
+            let model = IonosphereModel::ALL.iter().find(|model| model.name() == text);
+            let model = model.ok_or_else(|| input.invalid("ionosphere model"))?;
+            Reason::IonosphereFallback { used: model.name() }
+        }
+        _ => return Err(input.invalid("reason")),
+    })
+}

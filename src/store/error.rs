@@ -1,0 +1,115 @@
+//! Why the store refuses or fails.
+
+use std::sync::Arc;
+
+use super::codec::CodecError;
+
+/// Why the store refuses or fails. Cloned to every batch of a transaction that failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The URL names no database that Graphfix knows. The URL itself may hold a password and is
+    /// not repeated.
+    #[error("database URL: {why}")]
+    Url {
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The database has a schema from a newer Graphfix.
+    #[error("the database has schema {found}, this Graphfix knows schemas up to {known}")]
+    NewerSchema {
+        /// The database's schema.
+        found: i64,
+        /// The newest schema known here.
+        known: i64,
+    },
+    /// The schema could not be brought up to date.
+    #[error("migrating the database: {source}")]
+    Migration {
+        /// What the database said.
+        source: Arc<sqlx::migrate::MigrateError>,
+    },
+    /// The database failed.
+    #[error("{operation}: {source}")]
+    Database {
+        /// What was being done.
+        operation: &'static str,
+        /// What the database said.
+        source: Arc<sqlx::Error>,
+    },
+    /// Another writer stored an epoch or solution under this number.
+    #[error("an epoch of this batch is already stored by another writer")]
+    AlreadyStored,
+    /// A stored row cannot be read.
+    #[error("a stored {what} cannot be read: {source}")]
+    Corrupt {
+        /// What kind of row.
+        what: &'static str,
+        /// Where it fails.
+        source: CodecError,
+    },
+    /// A stored text cannot be read.
+    #[error("a stored {what} cannot be read: {why}")]
+    CorruptText {
+        /// What kind of text.
+        what: &'static str,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A page token that no answer gave.
+    #[error("{token:?} is not a page token of this list")]
+    PageToken {
+        /// What was given.
+        token: String,
+    },
+    /// A page size that is not allowed.
+    #[error("a page of {size} is not from 1 to {limit}")]
+    PageSize {
+        /// What was asked for.
+        size: usize,
+        /// The largest allowed.
+        limit: usize,
+    },
+    /// The store has been closed.
+    #[error("the store is closed")]
+    Closed,
+}
+
+impl StoreError {
+    pub(super) fn database(operation: &'static str) -> impl FnOnce(sqlx::Error) -> Self {
+        move |source| Self::Database { operation, source: Arc::new(source) }
+    }
+
+    pub(super) fn corrupt(what: &'static str) -> impl FnOnce(CodecError) -> Self {
+        move |source| Self::Corrupt { what, source }
+    }
+
+    /// Stable code, upper snake case.
+    pub const fn code(&self) -> &'static str {
+        match self {
+            Self::Url { .. } => "DATABASE_URL_INVALID",
+            Self::NewerSchema { .. } => "DATABASE_SCHEMA_NEWER",
+            Self::Migration { .. } => "DATABASE_MIGRATION_FAILED",
+            Self::Database { .. } => "DATABASE_FAILED",
+            Self::AlreadyStored => "WRITTEN_ELSEWHERE",
+            Self::Corrupt { .. } | Self::CorruptText { .. } => "STORED_DATA_CORRUPT",
+            Self::PageToken { .. } => "PAGE_TOKEN_INVALID",
+            Self::PageSize { .. } => "PAGE_SIZE_INVALID",
+            Self::Closed => "DRAINING",
+        }
+    }
+
+    /// What the user can do about it.
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::Url { .. } => "give sqlite://FILE or postgres://USER@HOST/DATABASE",
+            Self::NewerSchema { .. } => "run the Graphfix that wrote it, or a newer one",
+            Self::Migration { .. } => "restore the database from a backup, or report the failure",
+            Self::Database { .. } => "check the database and its disk; send the same request again",
+            Self::AlreadyStored => "let one service write a session; send the same request again",
+            Self::Corrupt { .. } | Self::CorruptText { .. } => "restore the database from a backup",
+            Self::PageToken { .. } => "give the token of the page before, or none to start anew",
+            Self::PageSize { .. } => "ask for a smaller page",
+            Self::Closed => "send the same request again once the service is back",
+        }
+    }
+}

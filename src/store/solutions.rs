@@ -1,0 +1,279 @@
+//! Epochs and solutions read back.
+
+use std::sync::Arc;
+
+use crate::gnss::{Epoch, GpsTime, Solution, Status};
+
+use super::codec::{decode_epoch, decode_solution, encode_epoch, status_number};
+use super::page::rows_asked;
+use super::pool::{Pool, reading};
+use super::{Page, SessionKey, Store, StoreError};
+
+const PAGE_LIMIT: usize = 10_000;
+
+/// A solution as it is stored.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredSolution {
+    /// The epoch's number.
+    pub seq: u64,
+    /// 0 is the real-time answer.
+    pub revision: u32,
+    /// The solution.
+    pub solution: Solution,
+    /// Version of the program that made it.
+    pub version: Arc<str>,
+    /// Hash of the configuration in force.
+    pub configuration_hash: Arc<str>,
+}
+
+/// Which revisions of each epoch's solution to list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Revisions {
+    /// The real-time answer.
+    First,
+    /// The newest.
+    Last,
+    /// Every one.
+    All,
+}
+
+/// Which solutions to list.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SolutionQuery {
+    /// Not before this time tag.
+    pub from: Option<GpsTime>,
+    /// Not after this time tag.
+    pub to: Option<GpsTime>,
+    /// Only those of this status.
+    pub status: Option<Status>,
+    /// Which revisions.
+    pub revisions: Revisions,
+    /// Solutions on a page, 1 … 10 000.
+    pub page_size: usize,
+    /// The token of the page before; `None` for the first page.
+    pub page_token: Option<String>,
+}
+
+/// A stored epoch with the real-time answer to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredEpoch {
+    content: Vec<u8>,
+    /// The answer.
+    pub solution: StoredSolution,
+}
+
+impl StoredEpoch {
+    /// The epoch.
+    ///
+    /// # Errors
+    /// The stored bytes are corrupt.
+    pub fn epoch(&self) -> Result<Epoch, StoreError> {
+        decode_epoch(&self.content).map_err(StoreError::corrupt("epoch"))
+    }
+
+    /// Whether `epoch` is the one stored, bit by bit.
+    ///
+    /// # Errors
+    /// The stored bytes are corrupt.
+    pub fn is(&self, epoch: &Epoch) -> Result<bool, StoreError> {
+        let encoded = encode_epoch(epoch);
+        // Bytes of an older version of the encoding are compared by what they mean.
+        Ok(self.content == encoded || encode_epoch(&self.epoch()?) == encoded)
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct RawSolution {
+    seq: i64,
+    revision: i32,
+    content: Vec<u8>,
+}
+
+impl RawSolution {
+    fn parse(self) -> Result<StoredSolution, StoreError> {
+        let decoded = decode_solution(&self.content).map_err(StoreError::corrupt("solution"))?;
+        Ok(StoredSolution {
+            seq: self.seq as u64,
+            revision: self.revision as u32,
+            solution: decoded.solution,
+            version: decoded.version.into(),
+            configuration_hash: decoded.configuration_hash.into(),
+        })
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct RawEpoch {
+    seq: i64,
+    epoch: Vec<u8>,
+    content: Vec<u8>,
+}
+
+impl RawEpoch {
+    fn parse(self) -> Result<StoredEpoch, StoreError> {
+        let raw = RawSolution { seq: self.seq, revision: 0, content: self.content };
+        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()? })
+    }
+}
+
+impl Store {
+    /// The last `count` epochs of a session with their real-time answers, the newest first.
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub async fn last_epochs(
+        &self,
+        session: SessionKey,
+        count: usize,
+    ) -> Result<Vec<StoredEpoch>, StoreError> {
+        let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
+            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content
+             FROM epochs e
+             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
+             WHERE e.session = $1 ORDER BY e.seq DESC LIMIT $2",
+        )
+        .bind(session.0)
+        .bind(count as i64)
+        .fetch_all(pool)
+        .await);
+        let rows = rows.map_err(StoreError::database("reading a session's last epochs"))?;
+        rows.into_iter().map(RawEpoch::parse).collect()
+    }
+
+    /// The epoch of a number with its real-time answer.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn epoch(
+        &self,
+        session: SessionKey,
+        seq: u64,
+    ) -> Result<Option<StoredEpoch>, StoreError> {
+        let Ok(seq) = i64::try_from(seq) else { return Ok(None) };
+        let row: Result<Option<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
+            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content
+             FROM epochs e
+             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
+             WHERE e.session = $1 AND e.seq = $2",
+        )
+        .bind(session.0)
+        .bind(seq)
+        .fetch_optional(pool)
+        .await);
+        let row = row.map_err(StoreError::database("reading an epoch"))?;
+        row.map(RawEpoch::parse).transpose()
+    }
+
+    /// Solutions of a session in order of number and revision.
+    ///
+    /// # Errors
+    /// A page token or size that is refused, a database that fails, a row that is corrupt.
+    pub async fn solutions(
+        &self,
+        session: SessionKey,
+        query: &SolutionQuery,
+    ) -> Result<Page<StoredSolution>, StoreError> {
+        let rows_asked = rows_asked(query.page_size, PAGE_LIMIT)?;
+        let after = match &query.page_token {
+            None => (-1, i32::MAX),
+            Some(token) => {
+                parse_token(token).ok_or_else(|| StoreError::PageToken { token: token.clone() })?
+            }
+        };
+        let Some((first, last)) = self.numbers_between(session, query.from, query.to).await? else {
+            return Ok(Page { items: Vec::new(), next_page_token: None });
+        };
+        let rows = self.select(session, query, (first, last), after, rows_asked).await;
+        let rows = rows.map_err(StoreError::database("listing solutions"))?;
+        Page::of(rows, query.page_size, |row| format!("{}.{}", row.seq, row.revision))
+            .try_map(RawSolution::parse)
+    }
+
+    async fn select(
+        &self,
+        session: SessionKey,
+        query: &SolutionQuery,
+        (first, last): (i64, i64),
+        (after_seq, after_revision): (i64, i32),
+        rows: i64,
+    ) -> Result<Vec<RawSolution>, sqlx::Error> {
+        const ANY_STATUS: i16 = -1;
+        let status = query.status.map_or(ANY_STATUS, status_number);
+        macro_rules! list {
+            ($condition:literal) => {
+                concat!(
+                    "SELECT seq, revision, content FROM solutions s ",
+                    "WHERE session = $1 AND seq >= $2 AND seq <= $3 ",
+                    "AND (seq > $4 OR revision > $5) AND ($6 = -1 OR status = $6) ",
+                    $condition,
+                    " ORDER BY seq, revision LIMIT $7"
+                )
+            };
+        }
+        let sql = match query.revisions {
+            Revisions::All => list!(""),
+            Revisions::First => list!("AND revision = 0"),
+            Revisions::Last => list!(
+                "AND NOT EXISTS (SELECT 1 FROM solutions n WHERE n.session = s.session \
+                 AND n.seq = s.seq AND n.revision > s.revision)"
+            ),
+        };
+        reading!(&self.pool, pool => sqlx::query_as(sql)
+            .bind(session.0)
+            .bind(first.max(after_seq))
+            .bind(last)
+            .bind(after_seq)
+            .bind(after_revision)
+            .bind(status)
+            .bind(rows)
+            .fetch_all(pool)
+            .await)
+    }
+
+    /// The first and last number of a span of time. Within a session time rises with the number,
+    /// so a span of time is a span of numbers, in which pages cost what they hold.
+    async fn numbers_between(
+        &self,
+        session: SessionKey,
+        from: Option<GpsTime>,
+        to: Option<GpsTime>,
+    ) -> Result<Option<(i64, i64)>, StoreError> {
+        let mut span = (0, i64::MAX);
+        if let Some(from) = from {
+            let sql = "SELECT seq FROM solutions WHERE session = $1 AND gps_time_ns >= $2 \
+                       ORDER BY gps_time_ns LIMIT 1";
+            match number(&self.pool, sql, session, from).await? {
+                Some(first) => span.0 = first,
+                None => return Ok(None),
+            }
+        }
+        if let Some(to) = to {
+            let sql = "SELECT seq FROM solutions WHERE session = $1 AND gps_time_ns <= $2 \
+                       ORDER BY gps_time_ns DESC LIMIT 1";
+            match number(&self.pool, sql, session, to).await? {
+                Some(last) => span.1 = last,
+                None => return Ok(None),
+            }
+        }
+        Ok(Some(span))
+    }
+}
+
+async fn number(
+    pool: &Pool,
+    sql: &'static str,
+    session: SessionKey,
+    time: GpsTime,
+) -> Result<Option<i64>, StoreError> {
+    let row: Result<Option<(i64,)>, _> = reading!(pool, pool => {
+        sqlx::query_as(sql).bind(session.0).bind(time.as_ns()).fetch_optional(pool).await
+    });
+    Ok(row.map_err(StoreError::database("finding a time"))?.map(|(seq,)| seq))
+}
+
+/// Number and revision of the last item of the page before, from `seq.revision`.
+fn parse_token(token: &str) -> Option<(i64, i32)> {
+    let (seq, revision) = token.split_once('.')?;
+    let (seq, revision) = (seq.parse().ok()?, revision.parse().ok()?);
+    (0 <= seq && 0 <= revision).then_some((seq, revision))
+}
