@@ -3,4 +3,6 @@
 mod data;
 mod rinex;
 
+mod evaluation;
+
 mod tidy;

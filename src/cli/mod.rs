@@ -4,6 +4,7 @@
 //! error, `error[CODE]: what is wrong (what to do)`.
 
 mod config;
+mod evaluate;
 mod failure;
 mod option_arguments;
 
@@ -25,12 +26,14 @@ struct CommandLine {
 #[derive(Debug, Subcommand)]
 enum Command {
     Config(config::ConfigArguments),
+    Evaluate(Box<evaluate::EvaluateArguments>),
 }
 
 impl Command {
     fn run(self) -> Result<(), Failure> {
         match self {
             Self::Config(arguments) => config::run(&arguments),
+            Self::Evaluate(arguments) => evaluate::run(&arguments),
         }
     }
 }

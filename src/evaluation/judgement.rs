@@ -1,0 +1,296 @@
+//! Every solution row against its reference, and by which limits.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix2, Vector2, Vector3};
+
+use super::matching::Trajectory;
+use super::report::{Report, matched_report, share};
+use crate::formats::pos::PosRow;
+use crate::formats::truth::TruthRow;
+use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
+
+/// Slack of the window's limits (s).
+const WINDOW_SLACK_S: f64 = 1e-6;
+
+/// Where the antenna truly was.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Truth {
+    /// One place.
+    Static(Ecef),
+    /// A trajectory, in any order.
+    Trajectory(Vec<TruthRow>),
+}
+
+/// How many epochs ought to have a solution.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Expected {
+    /// As many as the reference has in the window; of a static truth, as many as are judged.
+    Reference,
+    /// The rover's epochs in the window, as far as they have a reference.
+    RoverEpochs(Vec<GpsTime>),
+    /// A number.
+    Count(usize),
+}
+
+/// What is judged, and by which limits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Criteria {
+    /// First and last second of week judged (s).
+    pub window_tow_s: (f64, f64),
+    /// Distance to the nearest reference where there is none to interpolate (s).
+    pub tolerance_s: f64,
+    /// Widest gap of the reference interpolated over (s).
+    pub max_gap_s: f64,
+    /// Added to the times of solutions and rover epochs (s).
+    pub shift_s: f64,
+    /// From the reference point to the antenna, east, north, up (m).
+    pub lever: Option<Enu>,
+    /// Only these quality numbers are judged; empty means all.
+    pub qualities: Vec<i64>,
+    /// A fix within this is correct (m).
+    pub fix_tolerance_m: f64,
+    /// How many epochs ought to have a solution.
+    pub expected: Expected,
+}
+
+impl Criteria {
+    /// The whole file, 20 ms tolerance, gaps to 1.5 s, fixes right within 10 cm.
+    pub const fn whole_file() -> Self {
+        Self {
+            window_tow_s: (f64::NEG_INFINITY, f64::INFINITY),
+            tolerance_s: 0.02,
+            max_gap_s: 1.5,
+            shift_s: 0.0,
+            lever: None,
+            qualities: Vec::new(),
+            fix_tolerance_m: 0.10,
+            expected: Expected::Reference,
+        }
+    }
+
+    fn covers(&self, time: GpsTime) -> bool {
+        let tow_s = time.seconds_of_week();
+        self.window_tow_s.0 - WINDOW_SLACK_S <= tow_s
+            && tow_s <= self.window_tow_s.1 + WINDOW_SLACK_S
+    }
+}
+
+/// A solution row beside its reference.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JudgedEpoch {
+    /// GPS time, shifted as asked.
+    pub time: GpsTime,
+    /// RTKLIB's quality number.
+    pub quality: i64,
+    /// The reference position.
+    pub reference: Ecef,
+    /// Solution minus reference in the reference's frame (m).
+    pub error: Enu,
+    /// Standard deviations stated, east, north, up (m), where the row states its covariance.
+    pub stated_sigma_m: Option<Vector3<f64>>,
+    /// Normalised squared errors eᵀC⁻¹e in 2D and 3D, where the covariance can be inverted.
+    pub normalised_squares: Option<(f64, f64)>,
+}
+
+impl JudgedEpoch {
+    /// Horizontal error (m).
+    pub fn error_2d_m(&self) -> f64 {
+        self.error.0.xy().norm()
+    }
+
+    /// Error in space (m).
+    pub fn error_3d_m(&self) -> f64 {
+        self.error.0.norm()
+    }
+}
+
+/// The outcome of [`judge`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judgement {
+    /// The numbers.
+    pub report: Report,
+    /// What they were made of, in order of time.
+    pub epochs: Vec<JudgedEpoch>,
+    /// The reference in the window; one row of the first epoch's time where it is static.
+    pub reference: Vec<TruthRow>,
+}
+
+/// Judges `rows`, in any order, against `truth`; of several rows at one time the last counts.
+pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
+    let reference = Reference::new(truth, criteria);
+    let mut in_window: BTreeMap<GpsTime, &PosRow> = BTreeMap::new();
+    for row in rows {
+        in_window.insert(row.time + criteria.shift_s, row);
+    }
+    in_window.retain(|time, _| criteria.covers(*time));
+    let judged = |(time, row): (&GpsTime, &&PosRow)| {
+        let position = reference.at(*time)?;
+        Some(judge_row(*time, row, position))
+    };
+    let mut epochs: Vec<_> = in_window.iter().filter_map(judged).collect();
+    let unmatched_solutions = in_window.len() - epochs.len();
+    if !criteria.qualities.is_empty() {
+        epochs.retain(|epoch| criteria.qualities.contains(&epoch.quality));
+    }
+    let expected = reference.expected(&epochs);
+    let report = Report {
+        expected,
+        matched: epochs.len(),
+        unmatched_solutions,
+        availability: share(epochs.len(), expected),
+        errors: matched_report(&epochs, expected, criteria),
+    };
+    let reference = reference.rows(epochs.first().map(|epoch| epoch.time));
+    Judgement { report, epochs, reference }
+}
+
+/// The truth, as the criteria want it asked.
+struct Reference<'a> {
+    place: Place,
+    criteria: &'a Criteria,
+}
+
+enum Place {
+    Static(Ecef),
+    Trajectory(Trajectory),
+}
+
+impl<'a> Reference<'a> {
+    fn new(truth: Truth, criteria: &'a Criteria) -> Self {
+        let place = match truth {
+            Truth::Static(position) => Place::Static(position),
+            Truth::Trajectory(rows) => Place::Trajectory(Trajectory::new(rows)),
+        };
+        Self { place, criteria }
+    }
+
+    fn at(&self, time: GpsTime) -> Option<Ecef> {
+        let c = self.criteria;
+        let position = match &self.place {
+            Place::Static(position) => *position,
+            Place::Trajectory(trajectory) => trajectory.at(time, c.tolerance_s, c.max_gap_s)?,
+        };
+        Some(c.lever.map_or(position, |lever| LocalFrame::at(position).to_ecef(lever)))
+    }
+
+    fn expected(&self, epochs: &[JudgedEpoch]) -> usize {
+        let covered = |time: GpsTime| self.criteria.covers(time);
+        match (&self.criteria.expected, &self.place) {
+            (Expected::Count(count), _) => *count,
+            (Expected::RoverEpochs(times), _) => {
+                let mut times: Vec<_> =
+                    times.iter().map(|time| *time + self.criteria.shift_s).collect();
+                times.sort_unstable();
+                times.dedup();
+                times.into_iter().filter(|t| covered(*t) && self.at(*t).is_some()).count()
+            }
+            (Expected::Reference, Place::Static(_)) => epochs.len(),
+            (Expected::Reference, Place::Trajectory(trajectory)) => {
+                trajectory.rows().iter().filter(|row| covered(row.time)).count()
+            }
+        }
+    }
+
+    fn rows(self, first: Option<GpsTime>) -> Vec<TruthRow> {
+        match self.place {
+            Place::Static(position) => {
+                let time = first.unwrap_or(GpsTime::EPOCH);
+                vec![TruthRow { time, position }]
+            }
+            Place::Trajectory(trajectory) => {
+                let rows = trajectory.rows().iter();
+                rows.filter(|row| self.criteria.covers(row.time)).copied().collect()
+            }
+        }
+    }
+}
+
+fn judge_row(time: GpsTime, row: &PosRow, reference: Ecef) -> JudgedEpoch {
+    let frame = LocalFrame::at(reference);
+    let error = frame.to_enu(row.position);
+    let covariance = row.covariance.map(|ecef| frame.covariance_to_enu(&ecef));
+    let stated_sigma_m = covariance.map(|c| c.diagonal().map(f64::sqrt));
+    let normalised_squares = covariance.and_then(|covariance| {
+        let horizontal: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into();
+        let e2: Vector2<f64> = error.0.xy();
+        let square_2d = e2.dot(&horizontal.cholesky()?.solve(&e2));
+        let square_3d = error.0.dot(&covariance.cholesky()?.solve(&error.0));
+        Some((square_2d, square_3d))
+    });
+    JudgedEpoch { time, quality: row.quality, reference, error, stated_sigma_m, normalised_squares }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix3;
+
+    use super::*;
+
+    const PLACE: Ecef = Ecef::new(6_378_137.0, 0.0, 0.0);
+
+    /// Row `seconds` into the week, off PLACE by east, north, up; 2 m of standard deviation.
+    fn row(seconds: f64, quality: i64, enu: [f64; 3]) -> PosRow {
+        PosRow {
+            time: GpsTime::from_week_seconds(2300, seconds),
+            position: LocalFrame::at(PLACE).to_ecef(Enu(enu.into())),
+            quality,
+            satellites: None,
+            covariance: Some(Matrix3::identity() * 4.0),
+        }
+    }
+
+    fn static_report(rows: &[PosRow], criteria: &Criteria) -> Report {
+        judge(rows, Truth::Static(PLACE), criteria).report
+    }
+
+    #[test]
+    fn four_rows_worked_by_hand() {
+        let rows = [
+            row(3.0, 1, [0.03, 0.04, 0.0]),
+            row(1.0, 5, [3.0, 4.0, 12.0]),
+            row(2.0, 2, [0.0, -1.0, 0.0]),
+            row(4.0, 1, [0.6, 0.8, 0.0]),
+            row(4.0, 1, [0.3, 0.4, 0.0]),
+        ];
+        let report = static_report(&rows, &Criteria::whole_file());
+        assert_eq!((report.expected, report.matched, report.availability), (4, 4, Some(1.0)));
+        let errors = report.errors.unwrap();
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-8, "{a} {b}");
+        near(errors.err2d.mean, (0.05 + 5.0 + 1.0 + 0.5) / 4.0);
+        near(errors.err3d.max, 13.0);
+        near(errors.err_up.p50, 0.0);
+        near(errors.bias_enu_median[0], 0.165);
+        assert_eq!(errors.q_counts, BTreeMap::from([(1, 2), (2, 1), (5, 1)]));
+        let fixed = errors.fix.errors.unwrap();
+        assert_eq!((fixed.correct_3d, fixed.wrong_3d_gt_tol, fixed.ttff_s), (0.5, 0.5, 2.0));
+        assert_eq!(errors.within["1"], [0.5, 0.5]);
+        // eᵀC⁻¹e: 25/4 and 169/4 lie outside, the rest inside.
+        let stated = errors.uncertainty.unwrap();
+        assert_eq!((stated.n, stated.inside_95_2d, stated.inside_95_3d), (4, 0.75, 0.75));
+        near(stated.normalised_rms_2d.powi(2), (0.0025 + 25.0 + 1.0 + 0.25) / 4.0 / 4.0 / 2.0);
+    }
+
+    #[test]
+    fn window_qualities_lever_and_expectation() {
+        let rows = [row(1.0, 5, [1.0, 0.0, 0.0]), row(2.0, 1, [1.0, 2.0, 0.0])];
+        let mut criteria = Criteria::whole_file();
+        criteria.lever = Some(Enu(Vector3::new(1.0, 0.0, 0.0)));
+        criteria.qualities = vec![1];
+        criteria.window_tow_s = (0.0, 2.0);
+        criteria.expected = Expected::RoverEpochs(vec![rows[0].time, rows[1].time + 1.0]);
+        let report = static_report(&rows, &criteria);
+        assert_eq!((report.expected, report.matched), (1, 1));
+        assert!((report.errors.unwrap().err2d.mean - 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn rows_without_reference_are_counted() {
+        let truth = vec![TruthRow { time: GpsTime::from_week_seconds(2300, 1.0), position: PLACE }];
+        let rows = [row(1.01, 5, [0.0; 3]), row(5.0, 5, [0.0; 3])];
+        let judged = judge(&rows, Truth::Trajectory(truth), &Criteria::whole_file());
+        assert_eq!((judged.report.matched, judged.report.unmatched_solutions), (1, 1));
+        let nothing = judge(&[], Truth::Static(PLACE), &Criteria::whole_file()).report;
+        assert_eq!((nothing.expected, nothing.availability, nothing.errors), (0, None, None));
+    }
+}
