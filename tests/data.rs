@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The folder of a data set, or `None` (noted) where it is absent and need not be there.
-pub fn set(name: &str) -> Option<PathBuf> {
+pub(crate) fn set(name: &str) -> Option<PathBuf> {
     let required = std::env::var_os("GRAPHFIX_DATA");
     let root = required.clone().map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),

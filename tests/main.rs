@@ -1,8 +1,9 @@
 //! The integration tests, one binary: goldens on real data, doors, and the architecture itself.
 
-mod data;
-mod rinex;
+#![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
+mod data;
 mod evaluation;
+mod rinex;
 
 mod tidy;

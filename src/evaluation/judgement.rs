@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix2, Vector2, Vector3};
-
+use super::epoch::JudgedEpoch;
 use super::matching::Trajectory;
 use super::report::{Report, matched_report, share};
 use crate::formats::pos::PosRow;
@@ -76,35 +75,6 @@ impl Criteria {
     }
 }
 
-/// A solution row beside its reference.
-#[derive(Clone, Debug, PartialEq)]
-pub struct JudgedEpoch {
-    /// GPS time, shifted as asked.
-    pub time: GpsTime,
-    /// RTKLIB's quality number.
-    pub quality: i64,
-    /// The reference position.
-    pub reference: Ecef,
-    /// Solution minus reference in the reference's frame (m).
-    pub error: Enu,
-    /// Standard deviations stated, east, north, up (m), where the row states its covariance.
-    pub stated_sigma_m: Option<Vector3<f64>>,
-    /// Normalised squared errors eᵀC⁻¹e in 2D and 3D, where the covariance can be inverted.
-    pub normalised_squares: Option<(f64, f64)>,
-}
-
-impl JudgedEpoch {
-    /// Horizontal error (m).
-    pub fn error_2d_m(&self) -> f64 {
-        self.error.0.xy().norm()
-    }
-
-    /// Error in space (m).
-    pub fn error_3d_m(&self) -> f64 {
-        self.error.0.norm()
-    }
-}
-
 /// The outcome of [`judge`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judgement {
@@ -126,7 +96,7 @@ pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
     in_window.retain(|time, _| criteria.covers(*time));
     let judged = |(time, row): (&GpsTime, &&PosRow)| {
         let position = reference.at(*time)?;
-        Some(judge_row(*time, row, position))
+        Some(JudgedEpoch::of(*time, row, position))
     };
     let mut epochs: Vec<_> = in_window.iter().filter_map(judged).collect();
     let unmatched_solutions = in_window.len() - epochs.len();
@@ -139,7 +109,7 @@ pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
         matched: epochs.len(),
         unmatched_solutions,
         availability: share(epochs.len(), expected),
-        errors: matched_report(&epochs, expected, criteria),
+        errors: matched_report(&epochs, expected, criteria.fix_tolerance_m),
     };
     let reference = reference.rows(epochs.first().map(|epoch| epoch.time));
     Judgement { report, epochs, reference }
@@ -206,24 +176,9 @@ impl<'a> Reference<'a> {
     }
 }
 
-fn judge_row(time: GpsTime, row: &PosRow, reference: Ecef) -> JudgedEpoch {
-    let frame = LocalFrame::at(reference);
-    let error = frame.to_enu(row.position);
-    let covariance = row.covariance.map(|ecef| frame.covariance_to_enu(&ecef));
-    let stated_sigma_m = covariance.map(|c| c.diagonal().map(f64::sqrt));
-    let normalised_squares = covariance.and_then(|covariance| {
-        let horizontal: Matrix2<f64> = covariance.fixed_view::<2, 2>(0, 0).into();
-        let e2: Vector2<f64> = error.0.xy();
-        let square_2d = e2.dot(&horizontal.cholesky()?.solve(&e2));
-        let square_3d = error.0.dot(&covariance.cholesky()?.solve(&error.0));
-        Some((square_2d, square_3d))
-    });
-    JudgedEpoch { time, quality: row.quality, reference, error, stated_sigma_m, normalised_squares }
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Vector3};
 
     use super::*;
 

@@ -6,12 +6,14 @@
 //! √(E² + N²), 3D √(E² + N² + U²). Reading files is [`formats`](crate::formats)' work, choosing
 //! them the caller's.
 
+mod epoch;
 mod judgement;
 mod matching;
 pub mod plot;
 mod report;
 mod statistics;
 
-pub use judgement::{Criteria, Expected, JudgedEpoch, Judgement, Truth, judge};
+pub use epoch::JudgedEpoch;
+pub use judgement::{Criteria, Expected, Judgement, Truth, judge};
 pub use report::{FixReport, FixedErrors, MatchedReport, Report, Uncertainty};
 pub use statistics::{ErrorStatistics, percentile};

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::judgement::{Criteria, JudgedEpoch};
+use super::epoch::JudgedEpoch;
 use super::statistics::{ErrorStatistics, percentile, root_mean_square, sorted};
 use crate::gnss::GpsTime;
 
@@ -117,7 +117,7 @@ pub struct Uncertainty {
 pub(super) fn matched_report(
     epochs: &[JudgedEpoch],
     expected: usize,
-    criteria: &Criteria,
+    fix_tolerance_m: f64,
 ) -> Option<MatchedReport> {
     let (first, last) = (epochs.first()?, epochs.last()?);
     let errors = |of: fn(&JudgedEpoch) -> f64| epochs.iter().map(of).collect::<Vec<_>>();
@@ -140,7 +140,7 @@ pub(super) fn matched_report(
         err_up: ErrorStatistics::of(&errors(|epoch| epoch.error.0.z.abs()))?,
         err3d: ErrorStatistics::of(&spatial)?,
         q_counts,
-        fix: fix_report(epochs, expected, criteria.fix_tolerance_m),
+        fix: fix_report(epochs, expected, fix_tolerance_m),
         within: LIMITS.into_iter().map(|(name, limit)| (name, within(limit))).collect(),
         uncertainty: uncertainty(epochs),
     })

@@ -10,8 +10,12 @@ use super::{Judgement, PlotError};
 use crate::evaluation::statistics::{ErrorStatistics, percentile, sorted};
 use crate::evaluation::{JudgedEpoch, MatchedReport};
 
-const LEFT: u32 = 84;
-const RIGHT: u32 = 24;
+/// Room for the axis' name, and for its labels.
+const MARGIN_LEFT: u32 = 24;
+const LABELS: u32 = 60;
+const LEFT: u32 = MARGIN_LEFT + LABELS;
+/// Room for the table beside the curves.
+const RIGHT: u32 = 330;
 const TOP: u32 = 34;
 const BOTTOM: u32 = 60;
 /// Shares told in the table (%).
@@ -20,7 +24,7 @@ const MARKED: [f64; 3] = [50.0, 68.0, 95.0];
 const CURVE_POINTS: usize = 400;
 /// Errors below this are shown at it (m).
 const SMALLEST_M: f64 = 1e-4;
-const COLUMN_WIDTH: i32 = 74;
+const COLUMN_WIDTH: i32 = 60;
 const ROW_HEIGHT: i32 = 22;
 
 /// One of the curves.
@@ -67,10 +71,11 @@ pub(super) fn draw<DB: DrawingBackend>(
     let high = errors.err3d.max.max(10.0 * SMALLEST_M).log10() + 0.05;
     let range = low.min(high - 0.5)..high;
     let mut chart = ChartBuilder::on(area)
+        .margin_left(MARGIN_LEFT)
         .margin_top(TOP)
         .margin_right(RIGHT)
         .x_label_area_size(BOTTOM)
-        .y_label_area_size(LEFT)
+        .y_label_area_size(LABELS)
         .build_cartesian_2d(range.clone(), 0.0..100.0)?;
     chart
         .configure_mesh()
@@ -97,7 +102,7 @@ pub(super) fn draw<DB: DrawingBackend>(
             Circle::new((x, share), 4, curve.color.filled())
         }))?;
     }
-    draw_table(area, errors, plane.place(range.end, 0.0))?;
+    draw_table(area, errors, plane.place(range.end, 100.0))?;
     draw_title(area, "Distribution of the errors", LEFT as i32)
 }
 
@@ -168,18 +173,14 @@ fn rounded(step: f64, decade: i32) -> f64 {
     format!("{step}e{decade}").parse().expect("the text is a float")
 }
 
-/// The percentiles, right-aligned above `corner` (pixels).
+/// The percentiles, right of and below `corner` (pixels).
 fn draw_table<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     errors: &MatchedReport,
     corner: (i32, i32),
 ) -> Result<(), PlotError> {
-    let (right, bottom) = (corner.0 - 14, corner.1 - 14);
-    let top = bottom - ROW_HEIGHT * (1 + CURVES.len() as i32);
-    let left = right - COLUMN_WIDTH * 5 + 20;
-    let background = [(left - 14, top - 8), (right + 8, bottom + 2)];
-    area.draw(&Rectangle::new(background, WHITE.filled()))?;
-    area.draw(&Rectangle::new(background, GRID.stroke_width(1)))?;
+    let (left, top) = (corner.0 + 22, corner.1 + 30);
+    let right = left + COLUMN_WIDTH * 5 - 16;
     let cell = |text: &str, column: i32, row: i32, color: &RGBColor| {
         let style = label(15, color).pos(Pos::new(HPos::Right, VPos::Top));
         let at = (right - COLUMN_WIDTH * (4 - column), top + ROW_HEIGHT * row);

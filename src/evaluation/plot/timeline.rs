@@ -7,7 +7,10 @@ use super::style::{BAND, GRID, INK, MUTED, QualityStyle, Thinning, draw_title, l
 use super::{Judgement, PlotError};
 use crate::evaluation::JudgedEpoch;
 
-const LEFT: u32 = 84;
+/// Room for the axis' name, and for its labels.
+const MARGIN_LEFT: u32 = 24;
+const LABELS: u32 = 60;
+const LEFT: u32 = MARGIN_LEFT + LABELS;
 const RIGHT: u32 = 28;
 const TOP: u32 = 34;
 const BOTTOM: u32 = 30;
@@ -79,10 +82,11 @@ fn draw_panel<DB: DrawingBackend>(
     let pixels = (width - LEFT - RIGHT, height - TOP - bottom);
     let mut thinning = Thinning::new((end_s - start_s, y.end - y.start), pixels);
     let mut chart = ChartBuilder::on(area)
+        .margin_left(MARGIN_LEFT)
         .margin_top(TOP)
         .margin_right(RIGHT)
         .x_label_area_size(bottom)
-        .y_label_area_size(LEFT)
+        .y_label_area_size(LABELS)
         .build_cartesian_2d(start_s..end_s, y.clone())?;
     if let Some(sigma) = panel.sigma {
         for band in band_pieces(epochs, |epoch| Some((at(epoch), sigma(epoch)?))) {

@@ -7,7 +7,10 @@ use super::style::{GRID, INK, MUTED, QualityStyle, REFERENCE, Thinning, draw_tit
 use super::{Judgement, PlotError};
 use crate::gnss::{Ecef, LocalFrame};
 
-const LEFT: u32 = 84;
+/// Room for the axis' name, and for its labels.
+const MARGIN_LEFT: u32 = 24;
+const LABELS: u32 = 60;
+const LEFT: u32 = MARGIN_LEFT + LABELS;
 const BOTTOM: u32 = 54;
 const TOP: u32 = 34;
 const RIGHT: u32 = 24;
@@ -46,10 +49,11 @@ pub(super) fn draw<DB: DrawingBackend>(
     let (x, y) = equal_ranges(points.chain(reference.iter().map(|(_, point)| *point)), pixels);
     let mut thinning = Thinning::new((x.end - x.start, y.end - y.start), pixels);
     let mut chart = ChartBuilder::on(area)
+        .margin_left(MARGIN_LEFT)
         .margin_top(TOP)
         .margin_right(RIGHT)
         .x_label_area_size(BOTTOM)
-        .y_label_area_size(LEFT)
+        .y_label_area_size(LABELS)
         .build_cartesian_2d(x, y)?;
     chart
         .configure_mesh()
