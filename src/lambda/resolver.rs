@@ -1,0 +1,346 @@
+//! From a float estimate to integers one accepts: all of them, a part, or none and why.
+
+use nalgebra::DMatrix;
+
+use crate::lambda::EXACT_MAX;
+use crate::lambda::Fix;
+use crate::lambda::LambdaError;
+use crate::lambda::reduction::Reduction;
+use crate::lambda::search::Search;
+use crate::lambda::search::SearchLimits;
+use crate::lambda::search::SearchOutcome;
+use crate::lambda::success::adop;
+use crate::lambda::success::bootstrapped_success_rate;
+use crate::lambda::success::log_rounding_success;
+use crate::lambda::validation::RatioTest;
+use crate::lambda::validation::posterior_probability;
+use crate::lambda::validation::ratio;
+
+/// What must hold for integers to be accepted, and how much may be spent on them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Least bootstrapped success rate of what is fixed; 0 asks nothing.
+    pub success_rate_min: f64,
+    /// Acceptance test of the best against the second best.
+    pub ratio_test: RatioTest,
+    /// Fewest entries (or combinations) a fix must hold.
+    pub fixed_min: usize,
+    /// Candidates kept for the posterior, at least 2.
+    pub candidates: usize,
+    /// Integers tried in all searches of one call together.
+    pub nodes_max: usize,
+    /// Subsets tried in one call, the whole included.
+    pub attempts_max: usize,
+}
+
+/// What to do when the whole is not accepted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Partial<'a> {
+    /// Nothing: all or none.
+    None,
+    /// Fix the decorrelated entries of least variance only, as many as the success rate allows.
+    ///
+    /// Source: Teunissen, Joosten & Tiberius (1999), *Geometry-free ambiguity success rates in case
+    /// of partial fixing*, ION NTM.
+    Decorrelated,
+    /// Leave out original entries one by one, in this order, weakest first.
+    Ordered(&'a [usize]),
+    /// Leave out each original entry once; keep the accepted subset of the largest ratio.
+    LeaveOneOut,
+}
+
+/// Why no integers are held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rejection {
+    /// Fewer entries than `fixed_min`.
+    TooFew,
+    /// The bootstrapped success rate is below the least.
+    SuccessRate,
+    /// The second best is too close to the best.
+    Ratio,
+    /// The search met its limit of nodes.
+    SearchLimit,
+    /// The integers are too large to be exact.
+    Magnitude,
+}
+
+/// What an attempt came to: the accepted one, or else the first, of all entries.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// `None` when the integers are accepted.
+    pub rejection: Option<Rejection>,
+    /// Combinations tried together; held when accepted.
+    pub size: usize,
+    /// Bootstrapped success rate of these.
+    pub success_rate: f64,
+    /// Ambiguity dilution of precision of these, in the unit of the entries.
+    pub adop: f64,
+    /// Second-best over best squared norm, when searched.
+    pub ratio: Option<f64>,
+    /// What the ratio had to reach.
+    pub ratio_threshold: f64,
+    /// Posterior probability that the best integers are right, when searched.
+    pub probability: Option<f64>,
+    /// Best squared norm ‖â − ǎ‖²_Q, when searched.
+    pub squared_norm: Option<f64>,
+    /// Integers tried, in all searches of the call.
+    pub nodes: usize,
+    /// Subsets tried in the call.
+    pub attempts: usize,
+}
+
+/// Resolves integers; its buffers are reused, so that a warm one allocates nothing.
+#[derive(Clone, Debug)]
+pub struct Resolver {
+    reduction: Reduction,
+    search: Search,
+    fix: Fix,
+    members: Vec<usize>,
+    base: Vec<f64>,
+    fraction: Vec<f64>,
+    decorrelated: Vec<f64>,
+    nodes: usize,
+    attempts: usize,
+}
+
+impl Resolver {
+    /// A resolver with room for `size` entries; more are allowed and then allocated.
+    pub fn with_capacity(size: usize) -> Self {
+        Self {
+            reduction: Reduction::with_capacity(size),
+            search: Search::with_capacity(size),
+            fix: Fix::with_capacity(size),
+            members: Vec::with_capacity(size),
+            base: Vec::with_capacity(size),
+            fraction: Vec::with_capacity(size),
+            decorrelated: Vec::with_capacity(size),
+            nodes: 0,
+            attempts: 0,
+        }
+    }
+
+    /// Resolves `float` (n) with `covariance` (n×n); what is held afterwards stands in [`Self::fix`].
+    ///
+    /// # Errors
+    /// Arguments that do not fit each other, floats beyond ±2⁵², a covariance that is not positive
+    /// definite. Integers that are not accepted are no error: see [`Outcome::rejection`].
+    pub fn resolve(
+        &mut self,
+        float: &[f64],
+        covariance: &DMatrix<f64>,
+        partial: Partial<'_>,
+        options: &Options,
+    ) -> Result<Outcome, LambdaError> {
+        check(float, covariance, partial)?;
+        (self.nodes, self.attempts) = (0, 0);
+        self.members.clear();
+        self.members.extend(0..float.len());
+        self.load(float, covariance)?;
+        let whole = self.attempt(0, float.len(), options);
+        let outcome = match partial {
+            _ if whole.rejection.is_none() => whole,
+            Partial::None => whole,
+            Partial::Decorrelated => self.shrink(float.len(), options).unwrap_or(whole),
+            Partial::Ordered(order) => {
+                self.drop_in_order(float, covariance, order, options)?.unwrap_or(whole)
+            }
+            Partial::LeaveOneOut => {
+                self.leave_one_out(float, covariance, options)?.unwrap_or(whole)
+            }
+        };
+        if outcome.rejection.is_some() {
+            self.fix.clear(float.len());
+        }
+        Ok(Outcome { nodes: self.nodes, attempts: self.attempts, ..outcome })
+    }
+
+    /// The integers held since the last call; empty when they were rejected.
+    pub fn fix(&self) -> &Fix {
+        &self.fix
+    }
+
+    /// Decorrelates the block of `covariance` of the present members, and their floats.
+    ///
+    /// The nearest integers are taken off first: what is left is small and keeps its digits.
+    fn load(&mut self, float: &[f64], covariance: &DMatrix<f64>) -> Result<(), LambdaError> {
+        let members = &self.members;
+        let entries = members.iter().flat_map(|&j| members.iter().map(move |&i| (i, j)));
+        self.reduction.reduce_flat(members.len(), entries.map(|at| covariance[at]))?;
+        self.base.clear();
+        self.base.extend(members.iter().map(|&i| float[i].round()));
+        self.fraction.clear();
+        self.fraction.extend(members.iter().map(|&i| float[i] - float[i].round()));
+        self.reduction.transform(&self.fraction, &mut self.decorrelated);
+        Ok(())
+    }
+
+    /// Tests the decorrelated entries from `start` on and holds them when accepted.
+    fn attempt(&mut self, start: usize, size: usize, options: &Options) -> Outcome {
+        self.attempts += 1;
+        let variances = &self.reduction.variances()[start..];
+        let mut outcome = Outcome {
+            rejection: None,
+            size: variances.len(),
+            success_rate: bootstrapped_success_rate(variances),
+            adop: adop(variances),
+            ratio: None,
+            ratio_threshold: options.ratio_test.threshold(variances),
+            probability: None,
+            squared_norm: None,
+            nodes: 0,
+            attempts: 0,
+        };
+        outcome.rejection = if outcome.size < options.fixed_min {
+            Some(Rejection::TooFew)
+        } else if outcome.success_rate < options.success_rate_min {
+            Some(Rejection::SuccessRate)
+        } else {
+            self.search(start, options, &mut outcome)
+        };
+        if outcome.rejection.is_none() {
+            self.fix.clear(size);
+            let best = self.search.candidate(0);
+            if !self.fix.hold(&self.reduction, &self.members, &self.base, start, best) {
+                outcome.rejection = Some(Rejection::Magnitude);
+            }
+        }
+        outcome
+    }
+
+    /// Searches with half of the nodes left, so that a smaller subset still has some.
+    fn search(
+        &mut self,
+        start: usize,
+        options: &Options,
+        outcome: &mut Outcome,
+    ) -> Option<Rejection> {
+        let nodes = (options.nodes_max - self.nodes).div_ceil(2);
+        let limits = SearchLimits { candidates: options.candidates.max(2), nodes };
+        let searched = self.search.run(&self.reduction, &self.decorrelated, start, limits);
+        self.nodes += searched.nodes();
+        if let SearchOutcome::LimitReached { .. } = searched {
+            return Some(Rejection::SearchLimit);
+        }
+        let norms = self.search.norms();
+        outcome.ratio = ratio(norms);
+        outcome.squared_norm = norms.first().copied();
+        let variances = &self.reduction.variances()[start..];
+        outcome.probability = Some(posterior_probability(norms, variances));
+        let passed = outcome.ratio.is_some_and(|ratio| outcome.ratio_threshold <= ratio);
+        (!passed).then_some(Rejection::Ratio)
+    }
+
+    /// Whether another subset may be tried.
+    fn has_budget(&self, options: &Options) -> bool {
+        self.attempts < options.attempts_max && self.nodes < options.nodes_max
+    }
+
+    /// Leaves decorrelated entries real from the least precise on, an eighth of the rest at a time.
+    fn shrink(&mut self, size: usize, options: &Options) -> Option<Outcome> {
+        let mut start = self.first_strong(options.success_rate_min).max(1);
+        while start < size && options.fixed_min <= size - start && self.has_budget(options) {
+            let outcome = self.attempt(start, size, options);
+            if outcome.rejection.is_none() {
+                return Some(outcome);
+            }
+            start += (size - start).div_ceil(8);
+        }
+        None
+    }
+
+    /// First entry from which on the success rate reaches the least.
+    fn first_strong(&self, success_rate_min: f64) -> usize {
+        let variances = self.reduction.variances();
+        let mut log_rate = 0.0;
+        let strong = variances.iter().rev().take_while(|variance| {
+            log_rate += log_rounding_success(**variance);
+            success_rate_min.ln() <= log_rate
+        });
+        variances.len() - strong.count()
+    }
+
+    fn drop_in_order(
+        &mut self,
+        float: &[f64],
+        covariance: &DMatrix<f64>,
+        order: &[usize],
+        options: &Options,
+    ) -> Result<Option<Outcome>, LambdaError> {
+        for &weakest in order {
+            if self.members.len() <= options.fixed_min.max(1) || !self.has_budget(options) {
+                break;
+            }
+            self.members.retain(|&member| member != weakest);
+            self.load(float, covariance)?;
+            let outcome = self.attempt(0, float.len(), options);
+            if outcome.rejection.is_none() {
+                return Ok(Some(outcome));
+            }
+        }
+        Ok(None)
+    }
+
+    fn leave_one_out(
+        &mut self,
+        float: &[f64],
+        covariance: &DMatrix<f64>,
+        options: &Options,
+    ) -> Result<Option<Outcome>, LambdaError> {
+        let size = float.len();
+        let mut best: Option<(usize, Outcome)> = None;
+        for out in (0..size).filter(|_| 1 < size) {
+            if !self.has_budget(options) {
+                break;
+            }
+            self.load_without(out, float, covariance)?;
+            let outcome = self.attempt(0, size, options);
+            let better = best.is_none_or(|(_, other)| other.ratio < outcome.ratio);
+            if outcome.rejection.is_none() && better {
+                best = Some((out, outcome));
+            }
+        }
+        let Some((out, outcome)) = best else { return Ok(None) };
+        self.load_without(out, float, covariance)?;
+        let limits = SearchLimits { candidates: 1, nodes: options.nodes_max };
+        self.search.run(&self.reduction, &self.decorrelated, 0, limits);
+        self.fix.clear(size);
+        self.fix.hold(&self.reduction, &self.members, &self.base, 0, self.search.candidate(0));
+        Ok(Some(outcome))
+    }
+
+    fn load_without(
+        &mut self,
+        out: usize,
+        float: &[f64],
+        covariance: &DMatrix<f64>,
+    ) -> Result<(), LambdaError> {
+        self.members.clear();
+        self.members.extend((0..float.len()).filter(|&member| member != out));
+        self.load(float, covariance)
+    }
+}
+
+fn check(
+    float: &[f64],
+    covariance: &DMatrix<f64>,
+    partial: Partial<'_>,
+) -> Result<(), LambdaError> {
+    let size = float.len();
+    for actual in [covariance.nrows(), covariance.ncols()] {
+        if actual != size {
+            return Err(LambdaError::Dimension { what: "covariance", actual, expected: size });
+        }
+    }
+    let outside = |value: &f64| value.is_nan() || EXACT_MAX <= value.abs();
+    if let Some(index) = float.iter().position(outside) {
+        return Err(LambdaError::Float { index, value: float[index] });
+    }
+    if let Partial::Ordered(order) = partial {
+        for (at, &index) in order.iter().enumerate() {
+            if size <= index || order[..at].contains(&index) {
+                return Err(LambdaError::Index { index, size });
+            }
+        }
+    }
+    Ok(())
+}
