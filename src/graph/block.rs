@@ -51,10 +51,7 @@ impl<const S: usize> Factor<S> {
             }
             a[j] = column;
             for k in j + 1..S {
-                let factor = column[k];
-                for i in 0..S {
-                    a[k][i] -= column[i] * factor;
-                }
+                subtract_column(k, &mut a[k], &column, column[k]);
             }
         }
         Ok(())
@@ -128,13 +125,30 @@ impl<const S: usize> Factor<S> {
 pub(crate) fn subtract_square<const S: usize>(d: &mut SMatrix<f64, S, S>, g: &SMatrix<f64, S, S>) {
     for c in 0..S {
         let mut column = d.data.0[c];
-        for j in 0..S {
-            let (source, factor) = (&g.data.0[j], g.data.0[j][c]);
-            for r in 0..S {
-                column[r] -= source[r] * factor;
-            }
+        for source in &g.data.0 {
+            subtract_column(c, &mut column, source, source[c]);
         }
         d.data.0[c] = column;
+    }
+}
+
+/// Column `c` of a lower triangle less a multiple of another: in the right half the upper rows are
+/// skipped, a fixed bound that keeps the loop straight.
+#[inline(always)]
+fn subtract_column<const S: usize>(
+    c: usize,
+    column: &mut [f64; S],
+    source: &[f64; S],
+    factor: f64,
+) {
+    if c < S / 2 {
+        for r in 0..S {
+            column[r] -= source[r] * factor;
+        }
+    } else {
+        for r in S / 2..S {
+            column[r] -= source[r] * factor;
+        }
     }
 }
 

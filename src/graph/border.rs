@@ -2,6 +2,8 @@
 //!
 //! Appending a variable appends a row, so nothing moves; all storage is kept when variables leave.
 
+use nalgebra::SVector;
+
 use crate::graph::block::{BadPivot, Rank};
 
 /// Lower triangle of a symmetric matrix, or its Cholesky factor, packed by rows.
@@ -32,7 +34,64 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
 }
 
+/// Columns of height S in tiles of four: entry [s][lane], short tiles filled up with zeros.
+#[derive(Clone, Debug)]
+pub(crate) struct Tiles<const S: usize>(Vec<[[f64; 4]; S]>);
+
+impl<const S: usize> Tiles<S> {
+    pub(crate) const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    pub(crate) fn load(&mut self, columns: &[SVector<f64, S>]) {
+        self.0.clear();
+        for four in columns.chunks(4) {
+            let mut tile = [[0.0; 4]; S];
+            for (lane, column) in four.iter().enumerate() {
+                for s in 0..S {
+                    tile[s][lane] = column[s];
+                }
+            }
+            self.0.push(tile);
+        }
+    }
+
+    pub(crate) fn capacity(&self) -> usize {
+        self.0.capacity() * 4 * S
+    }
+}
+
+/// aᵀ·b of two tiles, 4×4.
+#[inline]
+fn multiply<const S: usize>(a: &[[f64; 4]; S], b: &[[f64; 4]; S]) -> [[f64; 4]; 4] {
+    let mut product = [[0.0; 4]; 4];
+    for s in 0..S {
+        for i in 0..4 {
+            for j in 0..4 {
+                product[i][j] += a[s][i] * b[s][j];
+            }
+        }
+    }
+    product
+}
+
 impl Packed {
+    /// Subtracts Wᵀ·W, W's columns in tiles; four rows and four columns at a time.
+    pub(crate) fn subtract_gram<const S: usize>(&mut self, tiles: &Tiles<S>) {
+        for (group, a) in tiles.0.iter().enumerate() {
+            let rows = 4.min(self.size - 4 * group);
+            for (other, b) in tiles.0[..=group].iter().enumerate() {
+                let product = multiply(a, b);
+                for (i, values) in product[..rows].iter().enumerate() {
+                    let row = &mut self.row_mut(4 * group + i)[4 * other..];
+                    for (value, taken) in row.iter_mut().zip(values) {
+                        *value -= taken;
+                    }
+                }
+            }
+        }
+    }
+
     pub(crate) const fn new() -> Self {
         Self { size: 0, values: Vec::new() }
     }

@@ -13,7 +13,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::block::{BadPivot, Factor, PIVOT_FLOOR, Rank, subtract_product, subtract_square};
-use crate::graph::border::{Packed, dot};
+use crate::graph::border::{Packed, Tiles, dot};
 use crate::graph::estimate::Estimate;
 use crate::graph::system::{BorderLife, System};
 
@@ -111,6 +111,7 @@ pub(crate) struct Front<const S: usize> {
     pub(crate) border_diagonal: Vec<f64>,
     /// Place of each border variable, if alive.
     pub(crate) places: Vec<Option<usize>>,
+    tiles: Tiles<S>,
 }
 
 impl<const S: usize> Front<S> {
@@ -125,6 +126,7 @@ impl<const S: usize> Front<S> {
             border_right: Vec::new(),
             border_diagonal: Vec::new(),
             places: Vec::new(),
+            tiles: Tiles::new(),
         }
     }
 
@@ -175,13 +177,11 @@ impl<const S: usize> Front<S> {
 
     /// Takes the eliminated state's part from the border: Hᵦᵦ −= Wᵀ·W.
     fn reduce_border(&mut self, columns: &[SVector<f64, S>], forward: &SVector<f64, S>) {
-        for (i, w) in columns.iter().enumerate() {
-            self.border_right[i] -= dot(w.as_slice(), forward.as_slice());
-            let row = self.matrix.row_mut(i);
-            for (value, other) in row.iter_mut().zip(columns) {
-                *value -= dot(w.as_slice(), other.as_slice());
-            }
+        for (right, w) in self.border_right.iter_mut().zip(columns) {
+            *right -= dot(w.as_slice(), forward.as_slice());
         }
+        self.tiles.load(columns);
+        self.matrix.subtract_gram(&self.tiles);
     }
 
     /// Adds the border part of state `k`; variables met for the first time join.
@@ -192,10 +192,12 @@ impl<const S: usize> Front<S> {
             self.columns[place] += touched.columns[index];
             self.border_right[place] -= touched.gradient[index];
             let row = touched.matrix.row(index);
-            for (&other, &value) in touched.variables.iter().zip(row) {
+            let coupled = if touched.coupled { &row[..index] } else { &[] };
+            for (&other, &value) in touched.variables.iter().zip(coupled) {
                 let other = self.place(other);
                 *self.matrix.get_mut(place, other) += value;
             }
+            *self.matrix.get_mut(place, place) += row[index];
             let damped = damping * row[index];
             *self.matrix.get_mut(place, place) += damped;
             self.border_diagonal[place] += row[index] + damped;
@@ -460,6 +462,7 @@ impl<const S: usize> Elimination<S> {
         let retired = self.retired.capacity() * (S + 2) + self.retired_rows.capacity();
         let border = self.front.matrix.capacity() + self.last.capacity();
         let lists = self.front.border_right.capacity() + self.front.places.capacity();
+        let border = border + self.front.tiles.capacity();
         let scratch = self.floor.capacity() + self.alive.capacity() + self.last_forward.capacity();
         blocks + columns + retired + border + lists + scratch
     }
@@ -569,6 +572,27 @@ mod tests {
         let solved = solve(&mut problem, BorderLife::WholeChain);
         assert_eq!(solved.border[2..], [0.0, 0.0]);
         assert!(solved.border[..2].iter().all(|&value| value != 0.0));
+    }
+
+    /// Once warm, the same shape allocates nothing: no capacity moves, in either life.
+    #[test]
+    fn a_warm_solve_allocates_nothing() {
+        for life in [BorderLife::WholeChain, BorderLife::WhileTouched] {
+            let mut problem = Linear::<5>::random(9, 20, 12);
+            let mut system = System::new(life);
+            let mut elimination = Elimination::new();
+            let mut delta = problem.zero();
+            let mut capacities = Vec::new();
+            for _ in 0..4 {
+                system.reset(20, 12);
+                problem.linearize(&problem.zero(), Phase::Convex, &mut system);
+                elimination.factor(&system, 0.0).unwrap();
+                elimination.solve(&mut delta);
+                capacities.push((system.capacity(), elimination.capacity()));
+            }
+            assert!(0 < capacities[0].0 && 0 < capacities[0].1);
+            assert!(capacities.iter().all(|&warm| warm == capacities[0]), "{capacities:?}");
+        }
     }
 
     #[test]

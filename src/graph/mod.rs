@@ -20,6 +20,56 @@
 //! states, and a border variable leaves it after the last state that touches it ([`BorderLife`]).
 //! What a variable means, how a row is linearised and which kernel it deserves is the caller's.
 //!
+//! # Example
+//!
+//! Two states of (place, pace), both places read, the second state one step of the first; their
+//! readings share an unknown offset, the border variable 0, itself known to be near zero.
+//!
+//! ```
+//! use graphfix::graph::*;
+//!
+//! struct Walk;
+//!
+//! impl Problem<2> for Walk {
+//!     fn linearize(&mut self, x: &Estimate<2>, _: Phase, system: &mut System<2>) {
+//!         let huber = Kernel::huber(1.345);
+//!         for (k, reading) in [1.0, 3.0].into_iter().enumerate() {
+//!             let residual = x.states[k][0] + x.border[0] - reading;
+//!             let row = Row { residual, columns: [0], jacobian: [1.0] };
+//!             system.add_with_border(k, &row, &[(0, 1.0)], &huber);
+//!         }
+//!         let link = Link {
+//!             residual: x.states[1][0] - x.states[0][0] - x.states[0][1],
+//!             columns: [0, 1],
+//!             jacobian: [-1.0, -1.0],
+//!             next_columns: [0],
+//!             next_jacobian: [1.0],
+//!         };
+//!         system.add_link(0, &link, &Kernel::QUADRATIC);
+//!         let residual = x.states[1][1] - x.states[0][1];
+//!         let (columns, next_columns) = ([1], [1]);
+//!         let (jacobian, next_jacobian) = ([-1.0], [1.0]);
+//!         let steady = Link { residual, columns, jacobian, next_columns, next_jacobian };
+//!         system.add_link(0, &steady, &Kernel::QUADRATIC);
+//!         let offset = Row { residual: x.border[0] / 0.1, columns: [], jacobian: [] };
+//!         system.add_with_border(0, &offset, &[(0, 10.0)], &Kernel::QUADRATIC);
+//!     }
+//! }
+//!
+//! let mut x = Estimate { states: vec![[0.0, 0.0].into(); 2], border: vec![0.0] };
+//! let mut workspace = Workspace::new(BorderLife::WholeChain);
+//! let schedule = Schedule::direct(20);
+//! let options = OptimizerOptions { schedule, tolerance: 1e-6, damping: 0.0 };
+//! let summary = optimize(&mut Walk, &mut x, &options, &mut workspace)?;
+//! assert_eq!(summary.outcome, Outcome::Converged);
+//! assert!((x.states[1][1] - 2.0).abs() < 1e-9);
+//!
+//! let mut covariances = Covariances::new();
+//! covariances.newest(&workspace.elimination);
+//! assert!(covariances.border(0, 0) < Some(0.0101));
+//! # Ok::<(), EliminationError>(())
+//! ```
+//!
 //! Sources: Dellaert & Kaess (2017), *Factor Graphs for Robot Perception*, FnT Robotics 6; Golub &
 //! Van Loan (2013), *Matrix Computations*, 4th ed., sections 4.2 and 4.5.
 

@@ -82,6 +82,7 @@ impl<const S: usize> Prior<S> {
             }
             cost += moved(bordering) * (0.5 * pull + bordering.gradient);
             let touched = &mut system.touched[k];
+            touched.coupled |= 0 < i;
             touched.columns[place] += bordering.column;
             touched.gradient[place] += pull + bordering.gradient;
             for (j, other) in self.border[..=i].iter().enumerate() {

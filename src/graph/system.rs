@@ -55,6 +55,8 @@ pub(crate) struct Touched<const S: usize> {
     pub(crate) columns: Vec<SVector<f64, S>>,
     pub(crate) gradient: Vec<f64>,
     pub(crate) matrix: Packed,
+    /// Whether any row named two of the variables: else only the matrix's diagonal is filled.
+    pub(crate) coupled: bool,
 }
 
 impl<const S: usize> Touched<S> {
@@ -64,6 +66,7 @@ impl<const S: usize> Touched<S> {
             columns: Vec::new(),
             gradient: Vec::new(),
             matrix: Packed::new(),
+            coupled: false,
         }
     }
 
@@ -72,6 +75,7 @@ impl<const S: usize> Touched<S> {
         self.columns.clear();
         self.gradient.clear();
         self.matrix.clear();
+        self.coupled = false;
     }
 
     /// Place of a variable known to be here; `hint` is where it probably is.
@@ -242,6 +246,7 @@ impl<const S: usize> System<S> {
         for (position, &(variable, derivative)) in border.iter().enumerate() {
             let place = self.touch(k, variable);
             let touched = &mut self.touched[k];
+            touched.coupled |= 0 < position;
             let scaled = weight * derivative;
             touched.gradient[place] += scaled * row.residual;
             let column = &mut touched.columns[place];
@@ -281,6 +286,16 @@ impl<const S: usize> System<S> {
     ) {
         self.diagonal[k] += h;
         self.gradient[k] += g;
+    }
+
+    /// Numbers all storage can hold without growing: constant once warm.
+    pub fn capacity(&self) -> usize {
+        let blocks = (self.diagonal.capacity() + self.coupling.capacity()) * S * S;
+        let border = self.touched.iter().map(|touched| {
+            let columns = touched.columns.capacity() * S + touched.variables.capacity();
+            columns + touched.gradient.capacity() + touched.matrix.capacity()
+        });
+        blocks + self.gradient.capacity() * S + border.sum::<usize>() + self.lives.capacity()
     }
 
     /// Place of a border variable among those of state `k`, made if new; kept as its hint.
