@@ -4,7 +4,7 @@
 //!
 //! With H = I this is b̂ − Q_bâ Q_â⁻¹ (â − ǎ).
 //!
-//! Source: Teunissen (1995), section 2.
+//! Source: Teunissen (1995).
 
 use nalgebra::DMatrix;
 use nalgebra::DVector;

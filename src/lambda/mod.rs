@@ -7,7 +7,7 @@
 //! settles for a part when the whole is too weak, `conditioning` brings the integers back to the
 //! real-valued parameters. What the integers mean is the caller's business.
 //!
-//! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*, J. Geodesy 70;
+//! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*;
 //! de Jonge & Tiberius (1996), *The LAMBDA method for integer ambiguity estimation: implementation
 //! aspects*, LGR-Series 12; Chang, Yang & Zhou (2005), *MLAMBDA: a modified LAMBDA method for
 //! integer least-squares estimation*, J. Geodesy 79.

@@ -1,8 +1,8 @@
-//! Decorrelation: Q = Zᵀ-transformed into LᵀDL with small off-diagonals and ordered variances.
+//! Decorrelation: Q into ZᵀQZ = LᵀDL with small off-diagonals and ordered variances.
 //!
 //! ẑ = Zᵀâ, Q_ẑ = ZᵀQZ = LᵀDL, L unit lower triangular, |l_ij| ≤ ½, Z integer with det ±1.
 //!
-//! Sources: de Jonge & Tiberius (1996), sections 3.3–3.4; Chang, Yang & Zhou (2005), section 3
+//! Sources: de Jonge & Tiberius (1996); Chang, Yang & Zhou (2005)
 //! (symmetric pivoting; an integer Gauss step below the subdiagonal only where a swap follows).
 
 use nalgebra::DMatrix;
@@ -15,7 +15,6 @@ use crate::lambda::LambdaError;
 const SWAP_GAIN: f64 = 1.0 - 1e-6;
 
 /// Swaps allowed per entry; what is left unswapped costs search time, never correctness.
-/// Random geometries of 100 entries need some 25 per entry.
 const SWAPS_PER_ENTRY_MAX: usize = 60;
 
 /// A conditional variance below this fraction of its variance is rounding noise.

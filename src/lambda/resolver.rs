@@ -39,9 +39,6 @@ pub enum Partial<'a> {
     /// Nothing: all or none.
     None,
     /// Fix the decorrelated entries of least variance only, as many as the success rate allows.
-    ///
-    /// Source: Teunissen, Joosten & Tiberius (1999), *Geometry-free ambiguity success rates in case
-    /// of partial fixing*, ION NTM.
     Decorrelated,
     /// Leave out original entries one by one, in this order, weakest first.
     Ordered(&'a [usize]),
@@ -119,7 +116,7 @@ impl Resolver {
         }
     }
 
-    /// Resolves `float` (n) with `covariance` (n×n); what is held afterwards stands in [`Self::fix`].
+    /// Resolves `float` (n) with `covariance` (n×n); what is held then stands in [`Self::fix`].
     ///
     /// # Errors
     /// Arguments that do not fit each other, floats beyond ±2⁵², a covariance that is not positive

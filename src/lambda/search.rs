@@ -1,9 +1,11 @@
 //! Depth-first search for the integers closest in the metric of a decorrelated covariance.
 //!
-//! ‖ẑ − z‖² = Σ_k (z̄_k − z_k)²/d_k, z̄_k = ẑ_k + Σ_{j>k} (z_j − z̄_j) l_jk: from the last entry to the
-//! first, nearest integers first, the ellipsoid shrinking to the worst candidate kept.
+//! ‖ẑ − z‖² = Σ_k (z̄_k − z_k)²/d_k, z̄_k = ẑ_k + Σ_{j>k} (z_j − z̄_j) l_jk
 //!
-//! Source: Chang, Yang & Zhou (2005), section 4 (Schnorr & Euchner enumeration).
+//! From the last entry to the first, nearest integers first, the ellipsoid shrinking to the worst
+//! candidate kept.
+//!
+//! Source: Chang, Yang & Zhou (2005), whose search is Schnorr & Euchner's enumeration.
 
 use crate::lambda::reduction::Reduction;
 

@@ -3,8 +3,7 @@
 //! P_s = Π_i (2Φ(1/(2σ_i)) − 1) with the conditional standard deviations σ_i of the decorrelated
 //! entries: exact for bootstrapping, a lower bound for integer least squares.
 //!
-//! Source: Teunissen (1998), *Success probability of integer GPS ambiguity rounding and
-//! bootstrapping*, J. Geodesy 72.
+//! Source: Teunissen (1998), on the success probability of rounding and bootstrapping.
 
 use std::f64::consts::FRAC_2_SQRT_PI;
 use std::f64::consts::SQRT_2;
@@ -24,7 +23,7 @@ pub fn bootstrapped_failure_rate(conditional_variances: &[f64]) -> f64 {
 
 /// Ambiguity dilution of precision |Q|^(1/2n), in the unit of the entries; |Q| = Π d_i.
 ///
-/// Source: Teunissen (1997), *A canonical theory for short GPS baselines, part IV*, J. Geodesy 71.
+/// Source: Teunissen (1997), J. Geodesy 71, 513–525.
 pub fn adop(conditional_variances: &[f64]) -> f64 {
     (log_determinant(conditional_variances) / (2.0 * conditional_variances.len() as f64)).exp()
 }
@@ -50,8 +49,6 @@ pub(in crate::lambda) fn scaled_erfc(x: f64) -> f64 {
 }
 
 /// erf(x) = 2/√π · e^(−x²) · Σ 2^k x^(2k+1) / (1·3·…·(2k+1)).
-///
-/// Source: Abramowitz & Stegun (1964), eq. 7.1.6.
 fn erf_series(x: f64) -> f64 {
     let (mut term, mut sum, mut odd) = (x, x, 1.0);
     while f64::EPSILON * sum < term {
@@ -67,8 +64,6 @@ fn erfc_fraction(x: f64) -> f64 {
 }
 
 /// √π e^(x²) erfc(x) = 1/(x + ½/(x + 1/(x + 3⁄2/(x + …)))), from the 80th level up; over √π.
-///
-/// Source: Abramowitz & Stegun (1964), eq. 7.1.14.
 fn fraction(x: f64) -> f64 {
     let tail = (1..=80).rev().fold(x, |tail, k| x + f64::from(k) / 2.0 / tail);
     FRAC_2_SQRT_PI / 2.0 / tail
@@ -78,7 +73,7 @@ fn fraction(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Abramowitz & Stegun (1964), table 7.1: erf(0.5), erf(1), erf(2); both branches meet.
+    /// erf(0.5), erf(1) and erf(2) to ten digits; the two branches meet.
     #[test]
     fn error_function_matches_the_table() {
         assert!((erf_series(0.5) - 0.520_499_877_8).abs() < 1e-10);

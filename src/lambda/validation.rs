@@ -15,8 +15,8 @@ pub enum RatioTest {
     Constant(f64),
     /// The threshold that keeps accepted wrong integers at a rate, whatever the model's strength.
     ///
-    /// Source: Verhagen & Teunissen (2013), *The ratio test for future GNSS ambiguity resolution*,
-    /// GPS Solutions 17; the thresholds are our own simulation, see `thresholds`.
+    /// Source: Verhagen & Teunissen (2013); the thresholds are our own simulation, see
+    /// `thresholds`.
     FixedFailureRate(FailureRate),
 }
 
@@ -44,12 +44,12 @@ pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
 
 /// Posterior probability of the best candidate under a flat prior over all integers.
 ///
-/// P = e^(−q₁/2) / Σ_{z ∈ ℤⁿ} e^(−‖â−z‖²/2). The sum is over the candidates' squared norms q_i; what
-/// lies beyond the last, q_m, is taken at the mean density |Q|^½ of integers in the metric:
+/// P = e^(−q₁/2) / Σ_{z ∈ ℤⁿ} e^(−‖â−z‖²/2). The sum is over the candidates' squared norms q_i;
+/// what lies beyond the last, q_m, is taken at the mean density |Q|^½ of integers in the metric:
 /// (2π)^(n/2) |Q|^½ P(χ²_n > q_m). Presumes that Q is right.
 ///
-/// Source: Betti, Crespi & Sansò (1993), *A geometric illustration of ambiguity resolution in GPS
-/// theory and a Bayesian approach*, Manuscripta Geodaetica 18, for the posterior; the tail is ours.
+/// Source: Betti, Crespi & Sansò (1993), Manuscripta Geodaetica 18, 317–330, for the posterior; the
+/// tail is ours.
 pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f64 {
     let (Some(best), Some(last)) = (norms.first(), norms.last()) else { return 0.0 };
     let found: f64 = norms.iter().map(|q| (0.5 * (best - q)).exp()).sum();
@@ -60,8 +60,6 @@ pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f6
 }
 
 /// ln P(χ²_n > q), by Γ(a+1, x)/Γ(a+1) = Γ(a, x)/Γ(a) + xᵃe⁻ˣ/Γ(a+1) with a = n/2, x = q/2.
-///
-/// Source: Abramowitz & Stegun (1964), eq. 26.4.4 and 26.4.5.
 fn log_chi_squared_survival(n: usize, q: f64) -> f64 {
     let x = 0.5 * q;
     // All terms carry e⁻ˣ, which underflows: it is taken out.
@@ -82,7 +80,7 @@ fn log_chi_squared_survival(n: usize, q: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// 95 % quantiles of χ², Abramowitz & Stegun (1964), table 26.8: n = 1, 2, 5, 10.
+    /// The usual 95 % quantiles of χ²: n = 1, 2, 5, 10.
     #[test]
     fn chi_squared_survival_matches_the_table() {
         for (n, q) in [(1, 3.84146), (2, 5.99147), (5, 11.0705), (10, 18.3070)] {
