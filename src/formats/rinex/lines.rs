@@ -45,6 +45,8 @@ impl<R: Read> Lines<R> {
             }
             searched = unread.len();
             if self.at_end {
+                // Behind the end there is no line to give again.
+                self.current = self.next;
                 return if searched == 0 { Ok(None) } else { self.take(searched, searched) };
             }
             if LINE_LIMIT < searched {
@@ -123,6 +125,8 @@ mod tests {
         }
         assert_eq!(seen, [b"one".as_slice(), b"", b"two", b"last"]);
         assert_eq!(lines.number(), 4);
+        lines.unread();
+        assert!(lines.next().unwrap().is_none(), "a line came again behind the end");
     }
 
     #[test]

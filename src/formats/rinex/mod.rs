@@ -30,15 +30,23 @@ mod error;
 mod fields;
 mod header;
 mod header_lines;
+mod header_writer;
 mod lines;
 mod navigation;
+mod navigation_writer;
 
 mod observation;
+mod observation_writer;
+#[cfg(test)]
+mod round_trip;
 mod skipped;
 
 pub use error::RinexError;
 pub use header::{ObservationHeader, RinexVersion};
 
+pub use header_writer::RinexWriteError;
 pub use navigation::read_navigation;
+pub use navigation_writer::write_navigation;
 pub use observation::ObservationReader;
+pub use observation_writer::ObservationWriter;
 pub use skipped::{SkipReason, Skipped, SkippedEntry};

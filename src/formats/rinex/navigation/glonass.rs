@@ -67,3 +67,8 @@ fn accuracy_m(record: &Record) -> Option<Option<f64>> {
     let index = record.optional(4, 2)?.filter(|index| (0.0..15.0).contains(index));
     Some(index.map(|index| ACCURACY_M[index as usize]))
 }
+
+/// The index of the least F_T that is no smaller.
+pub(in crate::formats::rinex) fn accuracy_index(metres: f64) -> f64 {
+    ACCURACY_M.iter().position(|step| metres <= *step).unwrap_or(ACCURACY_M.len()) as f64
+}

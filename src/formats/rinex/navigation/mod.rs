@@ -11,6 +11,8 @@ mod record;
 
 use std::io::BufRead;
 
+pub(super) use glonass::accuracy_index as glonass_accuracy_index;
+
 use header::NavigationHeader;
 use record::{Record, RecordLayout};
 
