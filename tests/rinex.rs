@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 use graphfix::formats::decompress;
 use graphfix::formats::rinex::{ObservationReader, RinexError, Skipped, read_navigation};
-use graphfix::gnss::{Epoch, GpsTime};
+use graphfix::gnss::{Cycles, Epoch, GpsTime};
 
 use crate::data;
 
-/// What becomes of each file, judged one by one: the counts of observation files agree with
-/// `scripts/count_rinex.py`, and each reason with the lines it names.
+/// What becomes of each file, judged one by one: the counts of plain observation files that are not
+/// broken agree with `scripts/count_rinex.py`, and each reason with the lines it names.
 const OUTCOMES: &str = include_str!("rinex/outcomes.txt");
 
 fn open(path: &Path) -> impl BufRead {
@@ -113,4 +113,58 @@ fn compact_twins_decode_to_equal_epochs() {
         }
         assert_eq!(compact_epochs.len(), plain_epochs.len(), "{compact}");
     }
+}
+
+/// Epochs and observations that `scripts/count_rinex.py`, another method, counts in the data sets.
+#[test]
+fn counts_agree_with_an_independent_count() {
+    let counts = [
+        ("tst-2019/COM3_190428_124409.obs", 1760, 26_146),
+        ("hers-hert/hers0010.18O", 2880, 57_766),
+        ("hers-hert/hert0010.18O", 2880, 59_239),
+        ("klt-2021/20210610.klt1.ublox.f9p.obs", 205, 10_250),
+        ("klt-2021/hksc1610.obs", 205, 18_959),
+        ("meijo-static/base.obs", 301, 44_240),
+        ("meijo-static/rover.obs", 301, 45_089),
+        ("spirent-rtk/Base-static_MO_Spirent.obs", 601, 60_100),
+        ("spirent-ubx/spirent_f9p_static_15min.obs", 931, 28_669),
+        ("galway-static/base-20181004-1236.obs.gz", 283, 5_918),
+        ("galway-static/rover-20181004-1237.obs.gz", 1202, 25_291),
+        ("galway-walk/rover-20181004-1532.obs.gz", 1180, 22_011),
+        ("geonet/07590920.05o", 120, 1_872),
+        ("geonet/30400920.05o", 120, 2_075),
+        ("fujisawa-kinematic/3034265G.21O", 360, 23_040),
+        ("fujisawa-kinematic/SEPT265G.21O", 360, 26_969),
+    ];
+    for (file, epochs, observations) in counts {
+        let (set, name) = file.split_once('/').unwrap();
+        let Some(folder) = data::set(set) else { continue };
+        let (read, _) = read_epochs(&folder.join(name)).unwrap();
+        let count: usize = read.iter().map(|epoch| epoch.observations.len()).sum();
+        assert_eq!((read.len(), count), (epochs, observations), "{file}");
+    }
+}
+
+/// The rover of hers-hert has P1 and no C1: one L1 observation, its phase with it.
+#[test]
+fn rinex_2_phase_goes_with_the_pseudorange_there_is() {
+    let Some(folder) = data::set("hers-hert") else { return };
+    let (epochs, _) = read_epochs(&folder.join("hers0010.18O")).unwrap();
+    let first = &epochs[0].observations[0];
+    assert_eq!(first.signal().to_string(), "G1W");
+    assert_eq!(first.pseudorange_m, Some(24_133_243.234));
+    assert_eq!(first.carrier_phase, Some(Cycles(126_821_078.928)));
+    assert_eq!(epochs[0].observations[1].signal().to_string(), "G2W");
+}
+
+/// Column `X1` of meijo-static is a channel number: passed over, and no column moves.
+#[test]
+fn unknown_types_keep_their_column() {
+    let Some(folder) = data::set("meijo-static") else { return };
+    let (epochs, _) = read_epochs(&folder.join("rover.obs")).unwrap();
+    let first = &epochs[0].observations[0];
+    assert_eq!(first.signal().to_string(), "C2I");
+    assert_eq!(first.pseudorange_m, Some(36_842_422.530));
+    assert_eq!(first.carrier_phase, Some(Cycles(191_848_164.080)));
+    assert_eq!((first.doppler_hz, first.cn0_db_hz), (Some(161.587), Some(44.438)));
 }

@@ -41,6 +41,15 @@ fn is_epoch_line(line: &[u8]) -> bool {
     })
 }
 
+/// How a satellite's lines ended.
+enum Record {
+    Whole,
+    /// The next epoch came first.
+    Short,
+    /// The file ended first.
+    Cut,
+}
+
 impl<R: BufRead> ObservationReader<R> {
     pub(super) fn read_epoch2(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
         loop {
@@ -135,8 +144,15 @@ impl<R: BufRead> ObservationReader<R> {
     fn read_satellites2(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
         epoch.observations.clear();
         for index in 0..self.satellites.len() {
-            if !self.read_satellite2(self.satellites[index], epoch)? {
-                return Ok(false);
+            let start = epoch.observations.len();
+            match self.read_satellite2(self.satellites[index], epoch)? {
+                Record::Whole => {}
+                // A line is missing somewhere: numbers may stand under the wrong satellite.
+                Record::Short => return Ok(false),
+                Record::Cut => {
+                    epoch.observations.truncate(start);
+                    return Ok(0 < start);
+                }
             }
         }
         Ok(true)
@@ -146,7 +162,7 @@ impl<R: BufRead> ObservationReader<R> {
         &mut self,
         satellite: Option<SatelliteId>,
         epoch: &mut Epoch,
-    ) -> Result<bool, RinexError> {
+    ) -> Result<Record, RinexError> {
         let start = epoch.observations.len();
         let table = satellite.and_then(|s| self.tables[s.constellation.index()].as_ref());
         if let (Some(satellite), Some(table)) = (satellite, table) {
@@ -158,12 +174,12 @@ impl<R: BufRead> ObservationReader<R> {
         for first in (0..self.state.types2.len()).step_by(FIELDS_PER_LINE) {
             let Some(line) = self.lines.next()? else {
                 self.skipped.note(SkipReason::TruncatedEpoch, self.lines.number());
-                return Ok(false);
+                return Ok(Record::Cut);
             };
             if is_epoch_line(line) {
                 self.lines.unread();
                 self.skipped.note(SkipReason::WrongSatelliteCount, self.lines.number());
-                return Ok(false);
+                return Ok(Record::Short);
             }
             if let Some(table) = table {
                 let last = (first + FIELDS_PER_LINE).min(table.columns.len());
@@ -182,6 +198,6 @@ impl<R: BufRead> ObservationReader<R> {
         if !sound {
             self.note(SkipReason::MalformedValue);
         }
-        Ok(true)
+        Ok(Record::Whole)
     }
 }

@@ -18,7 +18,7 @@ fn header() -> ObservationHeader {
     header.marker = "ROVER".to_owned();
     header.receiver = "SIMULATED".to_owned();
     header.antenna = "NONE".to_owned();
-    header.approximate_position = Some(Ecef::new(-2_414_266.9197, 5_386_768.9868, 2_407_460.0314));
+    header.approximate_position = Some(Ecef::new(-2_414_266.919_7, 5_386_768.986_8, 2_407_460.031));
     header.antenna_delta_hen_m = [1.5, 0.0, -0.25];
     header.interval_s = Some(0.1);
     header.first_observation = Some(GpsTime::from_week_seconds(2051, 46_701.5));
@@ -109,12 +109,37 @@ fn digits() -> impl Strategy<Value = f64> {
         .prop_map(|(m, e)| format!("{:.12e}", m * 10_f64.powi(e)).parse().unwrap())
 }
 
+fn message_of(satellite: SatelliteId, v: &[f64], full: bool) -> (NavigationMessage, GroupDelays) {
+    use NavigationMessage as M;
+    let gps = GroupDelays::Gps {
+        tgd_s: v[0],
+        isc_l1ca_s: None,
+        isc_l2c_s: None,
+        isc_l5i_s: None,
+        isc_l5q_s: None,
+        isc_l1cd_s: None,
+        isc_l1cp_s: None,
+    };
+    match satellite.constellation {
+        Constellation::Galileo if full => {
+            (M::Inav, GroupDelays::Galileo { bgd_e5a_s: v[0], bgd_e5b_s: Some(v[1]) })
+        }
+        Constellation::Galileo => {
+            (M::Fnav, GroupDelays::Galileo { bgd_e5a_s: v[0], bgd_e5b_s: None })
+        }
+        Constellation::BeiDou => (
+            if satellite.is_beidou_geo() { M::D2 } else { M::D1 },
+            GroupDelays::BeiDou { tgd1_s: v[0], tgd2_s: v[1] },
+        ),
+        _ => (M::Lnav, gps),
+    }
+}
+
 fn keplerian() -> impl Strategy<Value = KeplerianEphemeris> {
     let times = (1_400_i32..2_800, 0..302_400_i32, -3_600..3_600_i32, -7_000..7_000_i32);
     let small = proptest::collection::vec(digits(), 21);
     (0..4_usize, 1..64_u8, times, small, any::<[u16; 2]>(), any::<bool>())
         .prop_map(|(system, number, (week, pair, clock_s, sent_s), v, [iode, health], full)| {
-            use NavigationMessage as M;
             let system = [
                 Constellation::Gps,
                 Constellation::Qzss,
@@ -122,28 +147,7 @@ fn keplerian() -> impl Strategy<Value = KeplerianEphemeris> {
                 Constellation::BeiDou,
             ][system];
             let satellite = SatelliteId::new(system, number).unwrap();
-            let gps = GroupDelays::Gps {
-                tgd_s: v[0],
-                isc_l1ca_s: None,
-                isc_l2c_s: None,
-                isc_l5i_s: None,
-                isc_l5q_s: None,
-                isc_l1cd_s: None,
-                isc_l1cp_s: None,
-            };
-            let (message, group_delays) = match system {
-                Constellation::Galileo if full => {
-                    (M::Inav, GroupDelays::Galileo { bgd_e5a_s: v[0], bgd_e5b_s: Some(v[1]) })
-                }
-                Constellation::Galileo => {
-                    (M::Fnav, GroupDelays::Galileo { bgd_e5a_s: v[0], bgd_e5b_s: None })
-                }
-                Constellation::BeiDou => (
-                    if satellite.is_beidou_geo() { M::D2 } else { M::D1 },
-                    GroupDelays::BeiDou { tgd1_s: v[0], tgd2_s: v[1] },
-                ),
-                _ => (M::Lnav, gps),
-            };
+            let (message, group_delays) = message_of(satellite, &v, full);
             let galileo = system == Constellation::Galileo;
             let toe = GpsTime::from_week_seconds(week, f64::from(pair) * 2.0);
             KeplerianEphemeris {
@@ -177,7 +181,7 @@ fn keplerian() -> impl Strategy<Value = KeplerianEphemeris> {
                 cis_rad: v[19],
                 accuracy_m: full.then_some(2.0),
                 health: u32::from(health),
-                fit_interval_h: (full && message == M::Lnav).then_some(4.0),
+                fit_interval_h: (full && message == NavigationMessage::Lnav).then_some(4.0),
             }
         })
         .prop_map(|mut e| {
