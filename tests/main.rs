@@ -4,6 +4,7 @@
 
 mod data;
 mod evaluation;
+mod models;
 mod rinex;
 
 mod tidy;
