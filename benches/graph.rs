@@ -82,7 +82,7 @@ impl Window {
         for reading in &self.epochs[k] {
             let line = position - reading.anchor;
             let distance = line.norm();
-            let sight = line / distance;
+            let sight = line * distance.recip();
             let residual = distance + x[6] - reading.range;
             let jacobian = [sight.x, sight.y, sight.z, 1.0];
             system.add(k, &Row { residual, columns: [0, 1, 2, 6], jacobian }, range);

@@ -87,10 +87,9 @@ impl<const S: usize> Factor<S> {
         x
     }
 
-    /// B·L⁻ᵀ for a full block B.
+    /// B ← B·L⁻ᵀ for a full block B.
     #[inline]
-    pub(crate) fn solve_right(&self, b: &SMatrix<f64, S, S>) -> SMatrix<f64, S, S> {
-        let mut g = *b;
+    pub(crate) fn solve_right(&self, g: &mut SMatrix<f64, S, S>) {
         for j in 0..S {
             let mut column = g.data.0[j];
             for i in 0..j {
@@ -105,7 +104,6 @@ impl<const S: usize> Factor<S> {
             }
             g.data.0[j] = column;
         }
-        g
     }
 
     /// (L·Lᵀ)⁻¹, full.
@@ -191,7 +189,9 @@ mod tests {
         let inverse = oracle.try_inverse().unwrap();
         assert!((factor.lower.lower_triangle() - oracle).norm() < 1e-12);
         assert!((factor.inverse() - a.try_inverse().unwrap()).norm() < 1e-12);
-        assert!((factor.solve_right(&b) - b * inverse.transpose()).norm() < 1e-11);
+        let mut solved = b;
+        factor.solve_right(&mut solved);
+        assert!((solved - b * inverse.transpose()).norm() < 1e-11);
         let v = SVector::<f64, 4>::new(1.0, -2.0, 3.0, 0.5);
         assert!((factor.solve_lower(&v) - inverse * v).norm() < 1e-12);
         assert!((factor.solve_upper(&v) - inverse.transpose() * v).norm() < 1e-12);

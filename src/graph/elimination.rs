@@ -83,6 +83,21 @@ pub(crate) struct Step<const S: usize> {
     pub(crate) retired_count: usize,
 }
 
+impl<const S: usize> Step<S> {
+    fn new() -> Self {
+        Self {
+            factor: Factor { lower: SMatrix::zeros(), reciprocal: SVector::zeros() },
+            coupling: SMatrix::zeros(),
+            forward: SVector::zeros(),
+            columns: 0,
+            alive: 0,
+            carried: 0,
+            retired: 0,
+            retired_count: 0,
+        }
+    }
+}
+
 /// A border variable eliminated before the end of the chain.
 #[derive(Clone, Debug)]
 pub(crate) struct Retired<const S: usize> {
@@ -290,13 +305,14 @@ impl<const S: usize> Elimination<S> {
     /// Border variables no row touched are left out: their step is zero and they have no variance.
     pub fn factor(&mut self, system: &System<S>, damping: f64) -> Result<(), EliminationError> {
         let early = system.border_life == BorderLife::WhileTouched;
-        self.begin(system, damping);
+        self.begin(system, system.states, damping);
         for k in 0..system.states {
             self.eliminate(system, k, Rank::Full)?;
             if k + 1 < system.states {
                 self.move_to(system, k + 1, damping);
                 let over = |last: Option<usize>| last.is_none_or(|last| last <= k);
                 self.retire(Rank::Full, |variable| early && over(system.lives[variable].last))?;
+                self.steps[k].retired_count = self.retired.len() - self.steps[k].retired;
                 self.join(system, k + 1, damping);
             }
         }
@@ -310,7 +326,7 @@ impl<const S: usize> Elimination<S> {
         system: &System<S>,
         retired: impl Fn(usize) -> bool,
     ) -> Result<(), EliminationError> {
-        self.begin(system, 0.0);
+        self.begin(system, system.states - 1, 0.0);
         for k in 0..system.states - 1 {
             self.eliminate(system, k, Rank::Deficient)?;
             self.move_to(system, k + 1, 0.0);
@@ -319,8 +335,8 @@ impl<const S: usize> Elimination<S> {
         self.retire(Rank::Deficient, retired)
     }
 
-    fn begin(&mut self, system: &System<S>, damping: f64) {
-        self.steps.clear();
+    fn begin(&mut self, system: &System<S>, steps: usize, damping: f64) {
+        self.steps.resize_with(steps, Step::new);
         self.columns.clear();
         self.retired.clear();
         self.retired_rows.clear();
@@ -337,29 +353,29 @@ impl<const S: usize> Elimination<S> {
         k: usize,
         rank: Rank,
     ) -> Result<(), EliminationError> {
-        let front = &mut self.front;
-        let mut factor = Factor { lower: front.block, reciprocal: SVector::zeros() };
-        factor.factor(&(front.diagonal * PIVOT_FLOOR), rank).map_err(|bad| {
+        let (front, step) = (&mut self.front, &mut self.steps[k]);
+        step.factor.lower = front.block;
+        step.factor.factor(&(front.diagonal * PIVOT_FLOOR), rank).map_err(|bad| {
             let variable = Variable::State { index: k, coordinate: bad.index };
             EliminationError::new(variable, bad.pivot, front.diagonal[bad.index])
         })?;
-        let forward = factor.solve_lower(&front.right);
-        let coupling = match k + 1 < system.states {
-            true => factor.solve_right(&system.coupling[k]),
-            false => SMatrix::zeros(),
-        };
-        let (columns, alive) = (self.columns.len(), front.variables.len());
-        self.columns.extend(front.columns.iter().map(|column| factor.solve_lower(column)));
-        front.reduce_border(&self.columns[columns..], &forward);
-        let (carried, retired) = (self.carried, self.retired.len());
-        let end =
-            Step { factor, coupling, forward, columns, alive, carried, retired, retired_count: 0 };
-        self.steps.push(end);
+        step.forward = step.factor.solve_lower(&front.right);
+        if k + 1 < system.states {
+            step.coupling = system.coupling[k];
+            step.factor.solve_right(&mut step.coupling);
+        } else {
+            step.coupling = SMatrix::zeros();
+        }
+        step.columns = self.columns.len();
+        self.columns.extend(front.columns.iter().map(|column| step.factor.solve_lower(column)));
+        front.reduce_border(&self.columns[step.columns..], &step.forward);
+        (step.alive, step.carried) = (front.variables.len(), self.carried);
+        (step.retired, step.retired_count) = (self.retired.len(), 0);
         Ok(())
     }
 
     fn move_to(&mut self, system: &System<S>, k: usize, damping: f64) {
-        let step = self.steps.last().expect("a state was eliminated before");
+        let step = &self.steps[k - 1];
         self.front.move_to(system, k, damping, step, &self.columns[step.columns..]);
     }
 
@@ -374,10 +390,6 @@ impl<const S: usize> Elimination<S> {
             if over(self.front.variables[place]) {
                 self.retire_one(rank, place)?;
             }
-        }
-        let count = self.retired.len();
-        if let Some(step) = self.steps.last_mut() {
-            step.retired_count = count - step.retired;
         }
         Ok(())
     }

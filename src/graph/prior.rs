@@ -100,6 +100,7 @@ impl<const S: usize> Prior<S> {
     /// holds are forgotten too: no later row may name them before they start anew. `estimate` is
     /// where the rows were linearised; its first n states are those of the system.
     ///
+    /// A system of one state forgets no state: that is how a border variable alone is retired.
     /// Directions without information are left out; they say nothing about the rest.
     pub fn marginalize(
         &mut self,
@@ -207,6 +208,29 @@ mod tests {
             let oracle = inverse.fixed_view::<5, 5>(80, 80);
             assert!((covariances.state() - oracle).norm() < 1e-9 * oracle.norm());
         }
+    }
+
+    /// Retiring one of two border variables keeps the other's joint information with the state.
+    #[test]
+    fn a_border_variable_is_retired_without_a_state() {
+        let problem = Linear::<5>::random(4, 1, 2);
+        let (_, inverse) = problem.dense();
+        let mut system = System::new(BorderLife::WholeChain);
+        let (mut elimination, mut prior) = (Elimination::new(), Prior::none());
+        system.reset(1, 2);
+        let zero = problem.zero();
+        problem.rows.iter().for_each(|row| problem.add(row, 0, &zero, &mut system));
+        prior.marginalize(&system, &zero, |variable| variable == 0, &mut elimination).unwrap();
+        assert_eq!(prior.variables().collect::<Vec<_>>(), [1]);
+        system.reset(1, 2);
+        prior.add_to(0, &zero, &mut system);
+        elimination.factor(&system, 0.0).unwrap();
+        let mut covariances = Covariances::new();
+        covariances.newest(&elimination);
+        let oracle = inverse.fixed_view::<5, 5>(0, 0);
+        assert!((covariances.state() - oracle).norm() < 1e-9 * oracle.norm());
+        assert!((covariances.border(1, 1).unwrap() - inverse[(6, 6)]).abs() < 1e-9);
+        assert_eq!(covariances.border(0, 0), None);
     }
 
     /// A state seen in one coordinate only, linked to the next in that coordinate: the other says
