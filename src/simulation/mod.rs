@@ -1,1 +1,291 @@
 //! Observations with known truth, from a seed.
+//!
+//! [`Simulator`] makes one epoch after the other: where the rover is, what it and its base measure.
+//! Satellites move as their generated broadcast [`Navigation`] says, evaluated by
+//! [`models`](crate::models), so that the truth is exact: a measurement is
+//!
+//! P = ρ + c·δt_r − c·δtˢ + τ + T + I + reflection + multipath + noise,
+//! λφ = ρ + c·δt_r − c·δtˢ + T − I + λN + reflection + multipath + noise,
+//!
+//! each term of which [`Scenario`] can switch off. The same scenario and seed give the same bits.
+//! The navigation depends on the scenario alone: a fleet of many seeds shares one. Not modelled:
+//! errors of ephemerides, half-cycle ambiguities, antenna phase patterns, diffraction at edges.
+
+mod city;
+mod constellation;
+mod motion;
+mod random;
+mod receiver;
+mod scenario;
+
+pub use city::CityPlan;
+pub use motion::Motion;
+pub use receiver::signals;
+pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
+
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
+use self::city::City;
+use self::motion::{Path, Place};
+use self::random::Random;
+use self::receiver::{Receiver, Surroundings};
+use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation};
+
+const ROVER_STREAM: u64 = 1;
+const BASE_STREAM: u64 = 2;
+
+/// One instant of a simulation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedEpoch {
+    /// What the rover measured.
+    pub rover: Epoch,
+    /// What the base measured at the same tag; `None` without base.
+    pub base: Option<Epoch>,
+    /// Where the rover's antenna was when GPS time was the tag.
+    pub position: Ecef,
+    /// Its velocity then, ECEF (m/s).
+    pub velocity_m_s: Vector3<f64>,
+    /// Offset of the rover's clock (m).
+    pub clock_m: f64,
+}
+
+/// A simulation under way: an iterator over its epochs.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    scenario: Scenario,
+    navigation: Arc<Navigation>,
+    frame: LocalFrame,
+    path: Path,
+    city: Option<City>,
+    rover: Receiver,
+    base: Option<(Receiver, Ecef)>,
+    next_index: u64,
+}
+
+/// The broadcast navigation of a scenario, from its start to its end.
+pub fn navigation(scenario: &Scenario) -> Navigation {
+    let end = scenario.start + scenario.duration_s;
+    let klobuchar = scenario.atmosphere.map(|atmosphere| atmosphere.klobuchar);
+    constellation::navigation(&scenario.constellations, scenario.start, end, klobuchar)
+}
+
+impl Simulator {
+    /// A simulation of its own navigation.
+    pub fn new(scenario: Scenario, seed: u64) -> Self {
+        let navigation = Arc::new(navigation(&scenario));
+        Self::with_navigation(scenario, seed, navigation)
+    }
+
+    /// One of several simulations under the same sky: `navigation` is that of their scenario.
+    pub fn with_navigation(scenario: Scenario, seed: u64, navigation: Arc<Navigation>) -> Self {
+        let frame = LocalFrame::at(scenario.origin.to_ecef());
+        let city = scenario.city.map(|plan| City::new(plan, seed));
+        let path = Path::new(scenario.motion, city.as_ref(), scenario.duration_s, seed);
+        let receiver =
+            |errors, stream| Receiver::new(errors, scenario.clock, Random::new(seed, stream));
+        let rover = receiver(scenario.rover_errors, ROVER_STREAM);
+        let base = scenario
+            .base
+            .map(|enu| (receiver(scenario.base_errors, BASE_STREAM), frame.to_ecef(enu)));
+        Self { scenario, navigation, frame, path, city, rover, base, next_index: 0 }
+    }
+
+    /// What the satellites broadcast.
+    pub fn navigation(&self) -> &Arc<Navigation> {
+        &self.navigation
+    }
+
+    /// The base's antenna; `None` without base.
+    pub fn base_position(&self) -> Option<Ecef> {
+        self.base.as_ref().map(|(_, position)| *position)
+    }
+
+    /// The rover's antenna and its velocity at an instant, in ECEF and in the local frame.
+    fn rover_at(&self, time: GpsTime) -> (Ecef, Vector3<f64>, Place) {
+        let mut place = self.path.at(time - self.scenario.start);
+        place.position_m.z += self.scenario.antenna_height_m;
+        let velocity = self.frame.rotation.transpose() * place.velocity_m_s;
+        (self.frame.to_ecef(Enu(place.position_m)), velocity, place)
+    }
+}
+
+impl Iterator for Simulator {
+    type Item = SimulatedEpoch;
+
+    fn next(&mut self) -> Option<SimulatedEpoch> {
+        let elapsed_s = self.next_index as f64 * self.scenario.interval_s;
+        if self.scenario.duration_s < elapsed_s {
+            return None;
+        }
+        self.next_index += 1;
+        let tag = self.scenario.start + elapsed_s;
+        let received = self.rover.advance_clock(tag);
+        let (position, velocity_m_s, local) = self.rover_at(received);
+        let open = Surroundings {
+            navigation: &self.navigation,
+            atmosphere: self.scenario.atmosphere.as_ref(),
+            city: None,
+            scenario: &self.scenario,
+        };
+        let around = Surroundings { city: self.city.as_ref().map(|city| (city, local)), ..open };
+        let rover = self.rover.observe(tag, position, velocity_m_s, &around);
+        let base = self.base.as_mut().map(|(receiver, position)| {
+            receiver.advance_clock(tag);
+            receiver.observe(tag, *position, Vector3::zeros(), &open)
+        });
+        let (position, velocity_m_s, _) = self.rover_at(tag);
+        let clock_m = self.rover.clock_m();
+        Some(SimulatedEpoch { rover, base, position, velocity_m_s, clock_m })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::gnss::Observation;
+    use crate::gnss::constants::SPEED_OF_LIGHT;
+    use crate::models::{
+        geometric_range, group_delay_m, range_rate, select_ephemeris, state_at_transmission,
+    };
+
+    /// Pseudorange, phase and range rate less what the models say without atmosphere (m, m/s).
+    fn residuals(
+        observation: &Observation,
+        navigation: &Navigation,
+        tag: GpsTime,
+        (position, velocity): (Ecef, Vector3<f64>),
+    ) -> (f64, f64, f64) {
+        let ephemeris = select_ephemeris(navigation, observation.satellite, tag).unwrap();
+        let pseudorange_m = observation.pseudorange_m.unwrap();
+        let state = state_at_transmission(ephemeris, tag, pseudorange_m);
+        let (range_m, _) = geometric_range(state.position, position);
+        let modelled_m = range_m - state.clock_m;
+        let frequency = observation.signal().frequency_hz(ephemeris.glonass_channel()).unwrap();
+        let wavelength_m = SPEED_OF_LIGHT / frequency;
+        let rate = range_rate(state.position, &state.velocity_m_s, position, &velocity);
+        let rate_m_s = rate.rate_m_s - state.clock_drift_m_s;
+        (
+            pseudorange_m - modelled_m - group_delay_m(ephemeris, observation.code).unwrap(),
+            observation.carrier_phase.unwrap().0 * wavelength_m - modelled_m,
+            -observation.doppler_hz.unwrap() * wavelength_m - rate_m_s,
+        )
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bits_and_another_others() {
+        for (name, _) in Scenario::NAMES {
+            let run = |seed| {
+                let scenario = Scenario { duration_s: 40.0, ..Scenario::by_name(name).unwrap() };
+                Simulator::new(scenario, seed).collect::<Vec<_>>()
+            };
+            assert_eq!(run(7), run(7), "{name}");
+            assert_ne!(run(7), run(8), "{name}");
+        }
+    }
+
+    /// Without noise and atmosphere the models explain every measurement at the truth: code to
+    /// 1 mm, phase to an integer, Doppler to 0.1 mm/s.
+    #[test]
+    fn clean_measurements_are_what_the_models_say() {
+        let mut simulator = Simulator::new(Scenario::clean(), 3);
+        let navigation = simulator.navigation().clone();
+        let mut count = 0;
+        while let Some(epoch) = simulator.next() {
+            let tag = epoch.rover.time;
+            let (position, velocity, _) = simulator.rover_at(tag - epoch.clock_m / SPEED_OF_LIGHT);
+            for observation in &epoch.rover.observations {
+                let (code, phase, rate) =
+                    residuals(observation, &navigation, tag, (position, velocity));
+                assert!((code - epoch.clock_m).abs() < 1e-3, "{observation:?}: {code}");
+                let channel = navigation.of(observation.satellite)[0].glonass_channel();
+                let frequency = observation.signal().frequency_hz(channel).unwrap();
+                let cycles = (phase - epoch.clock_m) * frequency / SPEED_OF_LIGHT;
+                assert!((cycles - cycles.round()).abs() < 5e-3, "{observation:?}: {cycles}");
+                let drift = simulator.rover.drift_m_s();
+                assert!((rate - drift).abs() < 1e-4, "{observation:?}: {rate} {drift}");
+                count += 1;
+            }
+        }
+        assert!(300 * 40 < count, "{count} observations");
+    }
+
+    /// Thermal noise alone, at its stated size: code, phase (after a mean per arc) and Doppler.
+    #[test]
+    fn noise_has_its_stated_size() {
+        let errors = ReceiverErrors {
+            code_multipath_m: 0.0,
+            phase_multipath_m: 0.0,
+            fading_db: 0.0,
+            slips_per_hour: 0.0,
+            ..ReceiverErrors::open_sky()
+        };
+        let scenario = Scenario { rover_errors: Some(errors), ..Scenario::clean() };
+        let mut simulator = Simulator::new(scenario, 9);
+        let navigation = simulator.navigation().clone();
+        let (mut codes, mut rates) = (Vec::new(), Vec::new());
+        let mut phases: BTreeMap<_, Vec<(f64, f64)>> = BTreeMap::new();
+        while let Some(epoch) = simulator.next() {
+            let tag = epoch.rover.time;
+            let (position, velocity, _) = simulator.rover_at(tag - epoch.clock_m / SPEED_OF_LIGHT);
+            for observation in &epoch.rover.observations {
+                let (code, phase, rate) =
+                    residuals(observation, &navigation, tag, (position, velocity));
+                let scale = 10_f64.powf((observation.cn0_db_hz.unwrap() - 45.0) / 20.0);
+                codes.push((code - epoch.clock_m) * scale / errors.code_m);
+                rates.push((rate - simulator.rover.drift_m_s()) * scale / errors.doppler_m_s);
+                let arc = phases.entry((observation.satellite, observation.code)).or_default();
+                arc.push((phase - epoch.clock_m, scale / errors.phase_m));
+            }
+        }
+        let square = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
+        for (name, values) in [("code", codes), ("Doppler", rates)] {
+            let sigma = (square(&values) / values.len() as f64).sqrt();
+            assert!((sigma - 1.0).abs() < 0.02, "{name}: {sigma}");
+        }
+        // Differences of neighbours leave √2 of the noise and no ambiguity; scales change slowly.
+        let steps: Vec<f64> = phases
+            .values()
+            .flat_map(|arc| arc.windows(2).map(|pair| (pair[1].0 - pair[0].0) * pair[1].1))
+            .filter(|step| step.abs() < 50.0)
+            .collect();
+        let sigma = (square(&steps) / steps.len() as f64 / 2.0).sqrt();
+        assert!((sigma - 1.0).abs() < 0.05, "phase: {sigma}");
+    }
+
+    /// The canyon hides a good part of the sky; what it lets through late is late and never early.
+    #[test]
+    fn the_canyon_blocks_and_delays() {
+        let quiet = |scenario: Scenario| Scenario {
+            atmosphere: None,
+            rover_errors: None,
+            duration_s: 300.0,
+            ..scenario
+        };
+        let in_city = Simulator::new(quiet(Scenario::urban_canyon()), 4);
+        let navigation = in_city.navigation().clone();
+        let mut simulator = in_city.clone();
+        let open = Scenario { city: None, ..quiet(Scenario::urban_canyon()) };
+        let path = in_city.path.clone();
+        let mut free = Simulator { city: None, path, ..Simulator::new(open, 4) };
+        let (mut seen, mut late, mut all) = (0_usize, 0_usize, 0_usize);
+        while let Some(epoch) = simulator.next() {
+            all += free.next().unwrap().rover.observations.len();
+            let tag = epoch.rover.time;
+            let (position, velocity, _) = simulator.rover_at(tag - epoch.clock_m / SPEED_OF_LIGHT);
+            for observation in &epoch.rover.observations {
+                let (code, ..) = residuals(observation, &navigation, tag, (position, velocity));
+                let excess_m = code - epoch.clock_m;
+                assert!((-1e-3..200.1).contains(&excess_m), "{observation:?}: {excess_m}");
+                seen += 1;
+                late += usize::from(1.0 < excess_m);
+            }
+        }
+        let (seen_share, late_share) = (seen as f64 / all as f64, late as f64 / seen as f64);
+        assert!((0.2..0.8).contains(&seen_share), "{seen_share} of the sky is received");
+        assert!((0.05..0.6).contains(&late_share), "{late_share} of it late");
+    }
+}

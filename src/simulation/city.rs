@@ -1,0 +1,292 @@
+//! A city of blocks and streets, and what its walls do to signals.
+//!
+//! Streets form a square grid; between them stand blocks, each of one height. Signals are plane
+//! waves: a wall that stands in their way blocks them, one that is rightly placed reflects them.
+//! City axes: x along the first street, y to its left, origin at a crossing.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::motion::Place;
+use super::random::of_place;
+
+/// Cells of the grid looked through for a wall.
+const LONGEST_LOOK: usize = 40;
+/// Step away from a wall before looking on from it (m).
+const OFF_THE_WALL_M: f64 = 1e-3;
+
+/// The measures of a city.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CityPlan {
+    /// Azimuth of the streets along x (rad).
+    pub street_azimuth_rad: f64,
+    /// From wall to wall (m).
+    pub street_width_m: f64,
+    /// Length and depth of a block (m).
+    pub block_m: f64,
+    /// Lowest and highest building (m).
+    pub heights_m: (f64, f64),
+    /// Share of blocks without a building.
+    pub open_share: f64,
+    /// Loss of a reflection, least and most (dB).
+    pub reflection_loss_db: (f64, f64),
+    /// Reflections longer than the direct path by more are too diffuse to be tracked (m).
+    pub longest_excess_m: f64,
+}
+
+impl CityPlan {
+    /// Streets of 22 m between buildings of 15 to 60 m, a block in eight being open.
+    pub const fn dense() -> Self {
+        Self {
+            street_azimuth_rad: 0.6,
+            street_width_m: 22.0,
+            block_m: 90.0,
+            heights_m: (15.0, 60.0),
+            open_share: 0.125,
+            reflection_loss_db: (3.0, 14.0),
+            longest_excess_m: 200.0,
+        }
+    }
+}
+
+/// A city: a plan, and the seed of its buildings.
+#[derive(Clone, Debug)]
+pub(super) struct City {
+    plan: CityPlan,
+    pub(super) street_azimuth_rad: f64,
+    seed: u64,
+}
+
+/// How a satellite's signal reaches the rover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Arrival {
+    /// Directly; `reflected` tells whether a reflection comes with it.
+    Direct { reflected: bool },
+    /// By one reflection only.
+    Reflected(Reflection),
+    /// Not at all.
+    Blocked,
+}
+
+/// What a reflection adds to the direct path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reflection {
+    /// Length (m).
+    pub(super) excess_m: f64,
+    /// Its rate as the rover moves (m/s).
+    pub(super) excess_rate_m_s: f64,
+    /// Loss of strength (dB).
+    pub(super) loss_db: f64,
+}
+
+/// Where a ray first meets a wall.
+struct Hit {
+    point: Vector3<f64>,
+    /// Out of the wall, horizontal.
+    normal: Vector2<f64>,
+    block: (i64, i64),
+}
+
+impl City {
+    pub(super) fn new(plan: CityPlan, seed: u64) -> Self {
+        Self { plan, street_azimuth_rad: plan.street_azimuth_rad, seed }
+    }
+
+    /// From crossing to crossing (m).
+    pub(super) fn pitch_m(&self) -> f64 {
+        self.plan.block_m + self.plan.street_width_m
+    }
+
+    /// Height of a block's building (m); 0 where there is none.
+    pub(super) fn height_m(&self, block: (i64, i64)) -> f64 {
+        if of_place(self.seed, block.0, block.1, 0) < self.plan.open_share {
+            return 0.0;
+        }
+        let (low, high) = self.plan.heights_m;
+        low + (high - low) * of_place(self.seed, block.0, block.1, 1)
+    }
+
+    /// How a signal from azimuth and elevation reaches an antenna at `place`, its height above the
+    /// street being the third coordinate.
+    pub(super) fn arrival(&self, place: &Place, azimuth_rad: f64, elevation_rad: f64) -> Arrival {
+        let (from, velocity) =
+            (self.to_streets(&place.position_m), self.to_streets(&place.velocity_m_s));
+        let bearing = self.street_azimuth_rad - azimuth_rad;
+        let flat = elevation_rad.cos();
+        let ray = Vector3::new(flat * bearing.cos(), flat * bearing.sin(), elevation_rad.sin());
+        let reflection = self.shortest_reflection(&from, &velocity, &ray);
+        match (self.first_wall(&from, &ray), reflection) {
+            (None, reflection) => Arrival::Direct { reflected: reflection.is_some() },
+            (Some(_), Some(reflection)) => Arrival::Reflected(reflection),
+            (Some(_), None) => Arrival::Blocked,
+        }
+    }
+
+    /// East, north, up as along the streets: (sin, cos) of their azimuth, and what lies left of it.
+    fn to_streets(&self, enu: &Vector3<f64>) -> Vector3<f64> {
+        let (sin, cos) = self.street_azimuth_rad.sin_cos();
+        Vector3::new(enu.x * sin + enu.y * cos, enu.y * sin - enu.x * cos, enu.z)
+    }
+
+    /// The shorter of the single reflections on walls along x and along y. For a plane wave from
+    /// direction u and a wall with normal n at distance p it is 2·p·(u·n) longer than the direct
+    /// path.
+    fn shortest_reflection(
+        &self,
+        from: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+        ray: &Vector3<f64>,
+    ) -> Option<Reflection> {
+        let mirrored = [Vector3::new(-ray.x, ray.y, ray.z), Vector3::new(ray.x, -ray.y, ray.z)];
+        let found = mirrored.iter().enumerate().filter_map(|(axis, direction)| {
+            let hit = self.first_wall(from, direction)?;
+            let slant = hit.normal.dot(&ray.xy());
+            if hit.normal[axis] == 0.0 || slant <= 0.0 {
+                return None;
+            }
+            let off = Vector3::new(hit.normal.x, hit.normal.y, 0.0) * OFF_THE_WALL_M;
+            if self.first_wall(&(hit.point + off), ray).is_some() {
+                return None;
+            }
+            let (low, high) = self.plan.reflection_loss_db;
+            let share = of_place(self.seed, hit.block.0, hit.block.1, 2);
+            Some(Reflection {
+                excess_m: 2.0 * (from.xy() - hit.point.xy()).dot(&hit.normal) * slant,
+                excess_rate_m_s: 2.0 * velocity.xy().dot(&hit.normal) * slant,
+                loss_db: low + (high - low) * share,
+            })
+        });
+        let tracked = found.filter(|found| found.excess_m <= self.plan.longest_excess_m);
+        tracked.min_by(|a, b| a.excess_m.total_cmp(&b.excess_m))
+    }
+
+    /// The first wall that a rising ray meets below its roof.
+    fn first_wall(&self, from: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Hit> {
+        let pitch = self.pitch_m();
+        let index = |value: f64| (value / pitch).floor() as i64;
+        let (mut i, mut j) = (index(from.x), index(from.y));
+        for _ in 0..LONGEST_LOOK {
+            if let Some(hit) = self.wall_of((i, j), from, ray) {
+                return Some(hit);
+            }
+            // On to the cell whose border the ray crosses first.
+            let border = |cell: i64, start: f64, slope: f64| match slope {
+                s if 0.0 < s => ((cell + 1) as f64 * pitch - start) / s,
+                s if s < 0.0 => (cell as f64 * pitch - start) / s,
+                _ => f64::INFINITY,
+            };
+            let (across, along) = (border(i, from.x, ray.x), border(j, from.y, ray.y));
+            let nearer = across.min(along);
+            if self.plan.heights_m.1 < from.z + nearer * ray.z || !nearer.is_finite() {
+                return None;
+            }
+            if across <= along {
+                i += if 0.0 < ray.x { 1 } else { -1 };
+            } else {
+                j += if 0.0 < ray.y { 1 } else { -1 };
+            }
+        }
+        None
+    }
+
+    /// The ray's entry into the block of a cell, if it lies below the roof.
+    fn wall_of(&self, cell: (i64, i64), from: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Hit> {
+        let (pitch, half_street) = (self.pitch_m(), 0.5 * self.plan.street_width_m);
+        let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+        let mut normal = Vector2::zeros();
+        for (axis, index) in [cell.0, cell.1].into_iter().enumerate() {
+            let low = index as f64 * pitch + half_street;
+            let high = (index + 1) as f64 * pitch - half_street;
+            if ray[axis] == 0.0 {
+                if from[axis] < low || high < from[axis] {
+                    return None;
+                }
+                continue;
+            }
+            let (a, b) = ((low - from[axis]) / ray[axis], (high - from[axis]) / ray[axis]);
+            if enter < a.min(b) {
+                enter = a.min(b);
+                normal = Vector2::zeros();
+                normal[axis] = -ray[axis].signum();
+            }
+            leave = leave.min(a.max(b));
+        }
+        if leave <= enter || enter <= 0.0 {
+            return None;
+        }
+        let point = from + ray * enter;
+        (point.z < self.height_m(cell)).then_some(Hit { point, normal, block: cell })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Streets run east; every building is 40 m high.
+    fn canyon() -> City {
+        let plan = CityPlan {
+            street_azimuth_rad: std::f64::consts::FRAC_PI_2,
+            street_width_m: 20.0,
+            block_m: 180.0,
+            heights_m: (40.0, 40.0),
+            open_share: 0.0,
+            reflection_loss_db: (6.0, 6.0),
+            longest_excess_m: 200.0,
+        };
+        City::new(plan, 1)
+    }
+
+    /// Antenna on the ground, driving north at 2 m/s.
+    fn at(east_m: f64, north_m: f64, azimuth_deg: f64, elevation_deg: f64) -> Arrival {
+        let place = Place {
+            position_m: Vector3::new(east_m, north_m, 0.0),
+            velocity_m_s: Vector3::new(0.0, 2.0, 0.0),
+        };
+        canyon().arrival(&place, azimuth_deg.to_radians(), elevation_deg.to_radians())
+    }
+
+    /// In the middle of a block, 4 m north of the street's middle, antenna on the ground.
+    fn arrival(azimuth_deg: f64, elevation_deg: f64) -> Arrival {
+        at(100.0, 4.0, azimuth_deg, elevation_deg)
+    }
+
+    /// The wall in the north is 6 m away: it hides what is below atan(40/6) = 81.47°.
+    #[test]
+    fn a_wall_blocks_up_to_its_roof() {
+        assert!(matches!(arrival(0.0, 82.0), Arrival::Direct { .. }));
+        assert!(!matches!(arrival(0.0, 81.0), Arrival::Direct { .. }));
+        // South: 14 m, atan(40/14) = 70.71°.
+        assert!(matches!(arrival(180.0, 71.0), Arrival::Direct { .. }));
+        assert!(!matches!(arrival(180.0, 70.0), Arrival::Direct { .. }));
+        // Along the street nothing stands.
+        assert!(matches!(arrival(90.0, 10.0), Arrival::Direct { .. }));
+    }
+
+    /// A satellite in the north at 65° is seen in the southern wall, 14 m away: the path is
+    /// 2·14·cos 65° longer. There the ray is 14·tan 65° = 30.0 m high; from the northern roof's edge,
+    /// 20 m on, it is 72.9 m, above the roof.
+    #[test]
+    fn the_far_wall_reflects() {
+        let Arrival::Reflected(reflection) = arrival(0.0, 65.0) else {
+            panic!("{:?}", arrival(0.0, 65.0))
+        };
+        let cos = 65_f64.to_radians().cos();
+        assert!((reflection.excess_m - 28.0 * cos).abs() < 1e-9, "{reflection:?}");
+        assert!((reflection.excess_rate_m_s - 4.0 * cos).abs() < 1e-9, "{reflection:?}");
+        assert_eq!(reflection.loss_db, 6.0);
+        // At 40° the ray to the southern wall passes the northern one at 28.5 m: too low.
+        assert_eq!(arrival(0.0, 40.0), Arrival::Blocked);
+    }
+
+    /// Past the crossing, buildings of the next block stand in the way of slanting rays.
+    #[test]
+    fn buildings_beyond_the_crossing_count() {
+        // From x = 100 the block ends at 190; bearing 10° north of east reaches the wall (y = 10) at
+        // 34 m: blocked when low.
+        assert!(!matches!(arrival(80.0, 20.0), Arrival::Direct { .. }));
+        assert!(
+            matches!(at(195.0, 0.0, 0.0, 10.0), Arrival::Direct { .. }),
+            "the street northwards"
+        );
+    }
+}

@@ -1,0 +1,216 @@
+//! What is simulated: sky, surroundings, rover, receivers and atmosphere, each with its numbers.
+
+use super::city::CityPlan;
+use super::motion::Motion;
+use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients};
+
+/// Everything that shapes a simulation, except its seed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scenario {
+    /// Tag of the first epoch.
+    pub start: GpsTime,
+    /// From the first epoch to the last (s).
+    pub duration_s: f64,
+    /// Between epochs (s).
+    pub interval_s: f64,
+    /// Where the rover starts: street level, or the ground.
+    pub origin: Geodetic,
+    /// Height of the rover's antenna above it (m).
+    pub antenna_height_m: f64,
+    /// How the rover moves.
+    pub motion: Motion,
+    /// The city around the rover; `None` is open sky.
+    pub city: Option<CityPlan>,
+    /// Base station, relative to the origin, under open sky; `None` is no base.
+    pub base: Option<Enu>,
+    /// Constellations received.
+    pub constellations: Vec<Constellation>,
+    /// Signals received of each satellite: 1 or 2.
+    pub frequencies: usize,
+    /// Satellites below are not received (rad).
+    pub elevation_mask_rad: f64,
+    /// Atmosphere; `None` is vacuum.
+    pub atmosphere: Option<Atmosphere>,
+    /// Errors of the rover's receiver; `None` is a perfect one.
+    pub rover_errors: Option<ReceiverErrors>,
+    /// Errors of the base's receiver; `None` is a perfect one.
+    pub base_errors: Option<ReceiverErrors>,
+    /// Receiver clocks.
+    pub clock: ReceiverClock,
+}
+
+/// Delays on the way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Atmosphere {
+    /// Broadcast coefficients.
+    pub klobuchar: KlobucharCoefficients,
+    /// True ionosphere over broadcast ionosphere.
+    pub ionosphere_ratio: f64,
+    /// Relative humidity, 0 … 1.
+    pub relative_humidity: f64,
+}
+
+/// What a receiver and its surroundings do to measurements; standard deviations at 45 dB-Hz,
+/// growing by 10^(−(S − 45)/20) with C/N0 S as tracking loops' thermal noise does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReceiverErrors {
+    /// Thermal noise of pseudoranges (m).
+    pub code_m: f64,
+    /// Thermal noise of carrier phases (m).
+    pub phase_m: f64,
+    /// Thermal noise of Doppler as range rate (m/s).
+    pub doppler_m_s: f64,
+    /// Multipath of pseudoranges at the horizon, falling with the elevation's cosine (m).
+    pub code_multipath_m: f64,
+    /// Multipath of carrier phases, likewise (m).
+    pub phase_multipath_m: f64,
+    /// Correlation time of multipath (s).
+    pub multipath_correlation_s: f64,
+    /// Standard deviation of slow fading of C/N0 (dB).
+    pub fading_db: f64,
+    /// Correlation time of fading (s).
+    pub fading_correlation_s: f64,
+    /// Cycle slips per satellite and hour at 45 dB-Hz; ten times as many 10 dB below.
+    pub slips_per_hour: f64,
+    /// Share of slips that the receiver reports.
+    pub slips_reported: f64,
+    /// Weaker signals are lost (dB-Hz).
+    pub tracking_threshold_db_hz: f64,
+    /// From a signal's return to its measurements (s).
+    pub reacquisition_s: f64,
+}
+
+/// A receiver's clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReceiverClock {
+    /// Largest offset at the start (s).
+    pub offset_s: f64,
+    /// Largest drift at the start (s/s).
+    pub drift: f64,
+    /// Random walk of the offset (m/√s).
+    pub offset_walk_m: f64,
+    /// Random walk of the drift (m/s/√s).
+    pub drift_walk_m_s: f64,
+    /// Offsets beyond half a millisecond are set back by one.
+    pub millisecond_jumps: bool,
+}
+
+/// Height of an antenna on a car or a pole (m).
+const ANTENNA_HEIGHT_M: f64 = 1.6;
+
+impl ReceiverErrors {
+    /// A receiver with a good antenna in the open.
+    pub const fn open_sky() -> Self {
+        Self {
+            code_m: 0.25,
+            phase_m: 0.001_5,
+            doppler_m_s: 0.03,
+            code_multipath_m: 0.6,
+            phase_multipath_m: 0.004,
+            multipath_correlation_s: 40.0,
+            fading_db: 0.7,
+            fading_correlation_s: 20.0,
+            slips_per_hour: 0.05,
+            slips_reported: 0.9,
+            tracking_threshold_db_hz: 25.0,
+            reacquisition_s: 1.0,
+        }
+    }
+
+    /// A low-cost receiver on a car between walls.
+    pub const fn urban() -> Self {
+        Self {
+            code_m: 0.4,
+            phase_m: 0.002,
+            doppler_m_s: 0.05,
+            code_multipath_m: 3.0,
+            phase_multipath_m: 0.012,
+            multipath_correlation_s: 8.0,
+            fading_db: 3.0,
+            fading_correlation_s: 4.0,
+            slips_per_hour: 2.0,
+            slips_reported: 0.8,
+            tracking_threshold_db_hz: 20.0,
+            reacquisition_s: 1.0,
+        }
+    }
+}
+
+impl Scenario {
+    /// Scenarios by name, with what each is.
+    pub const NAMES: [(&'static str, &'static str); 3] = [
+        ("open-sky", "a car on a figure of eight under open sky, base 2.5 km away"),
+        (
+            "urban-canyon",
+            "a car in streets of 22 m between buildings of 15 to 60 m, base 3 km away",
+        ),
+        ("clean", "the figure of eight without noise and without atmosphere"),
+    ];
+
+    /// The scenario of a name; `None` for a name that [`Scenario::NAMES`] does not have.
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "open-sky" => Some(Self::open_sky()),
+            "urban-canyon" => Some(Self::urban_canyon()),
+            "clean" => Some(Self::clean()),
+            _ => None,
+        }
+    }
+
+    /// Five minutes at 1 Hz on a figure of eight under open sky, two frequencies, with base.
+    pub fn open_sky() -> Self {
+        Self {
+            // 2026-01-01 in the afternoon, when the ionosphere is strong.
+            start: GpsTime::from_week_seconds(2399, 4.0 * 86_400.0 + 6.0 * 3_600.0),
+            duration_s: 300.0,
+            interval_s: 1.0,
+            origin: Geodetic::from_degrees(22.3, 114.17, 8.0),
+            antenna_height_m: ANTENNA_HEIGHT_M,
+            motion: Motion::Loop { half_length_m: 250.0, speed_m_s: 10.0 },
+            city: None,
+            base: Some(Enu(nalgebra::Vector3::new(1_900.0, 1_600.0, 25.0))),
+            constellations: vec![
+                Constellation::Gps,
+                Constellation::Glonass,
+                Constellation::Galileo,
+                Constellation::BeiDou,
+            ],
+            frequencies: 2,
+            elevation_mask_rad: 5_f64.to_radians(),
+            atmosphere: Some(Atmosphere {
+                klobuchar: KlobucharCoefficients {
+                    alpha: [1.2e-8, 1.5e-8, -6.0e-8, -1.2e-7],
+                    beta: [1.0e5, 1.0e5, -6.6e4, -3.9e5],
+                },
+                ionosphere_ratio: 1.15,
+                relative_humidity: 0.6,
+            }),
+            rover_errors: Some(ReceiverErrors::open_sky()),
+            base_errors: Some(ReceiverErrors::open_sky()),
+            clock: ReceiverClock {
+                offset_s: 1e-5,
+                drift: 3e-8,
+                offset_walk_m: 0.05,
+                drift_walk_m_s: 0.02,
+                millisecond_jumps: false,
+            },
+        }
+    }
+
+    /// Ten minutes at 1 Hz through the streets of a dense city.
+    pub fn urban_canyon() -> Self {
+        Self {
+            duration_s: 600.0,
+            motion: Motion::Streets,
+            city: Some(CityPlan::dense()),
+            base: Some(Enu(nalgebra::Vector3::new(-2_400.0, 1_800.0, 60.0))),
+            rover_errors: Some(ReceiverErrors::urban()),
+            ..Self::open_sky()
+        }
+    }
+
+    /// The open sky with perfect receivers in a vacuum: what is left is geometry and clocks.
+    pub fn clean() -> Self {
+        Self { atmosphere: None, rover_errors: None, base_errors: None, ..Self::open_sky() }
+    }
+}
