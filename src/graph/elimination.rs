@@ -8,7 +8,11 @@
 //! A border variable joins the front at the first state that touches it. With
 //! [`BorderLife::WhileTouched`] it is eliminated after the last one, so the cost per state depends
 //! on the variables alive there, never on all there are; what is left after the last state is
-//! solved densely. This order is the one a nested or minimum-degree ordering finds for chains.
+//! solved densely.
+//!
+//! Measured against a general sparse Cholesky (faer 0.24, symbolic part reused), which gives no
+//! covariances: 30 states of 8, 12 µs here and 53 there; 1000 states with 24 border variables alive
+//! at a time, 6 ms and 25; only 80 alive in 30 states turned it round, 420 µs and 240.
 
 use nalgebra::{SMatrix, SVector};
 
