@@ -7,6 +7,7 @@ mod config;
 mod evaluate;
 mod failure;
 mod option_arguments;
+mod solve;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -25,6 +26,7 @@ struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Solve(solve::SolveArguments),
     Config(config::ConfigArguments),
     Evaluate(Box<evaluate::EvaluateArguments>),
 }
@@ -32,6 +34,7 @@ enum Command {
 impl Command {
     fn run(self) -> Result<(), Failure> {
         match self {
+            Self::Solve(arguments) => solve::run(&arguments),
             Self::Config(arguments) => config::run(&arguments),
             Self::Evaluate(arguments) => evaluate::run(&arguments),
         }

@@ -83,6 +83,16 @@ named_choice! {
 }
 
 named_choice! {
+    /// How a zenith delay becomes one along the signal's path.
+    TroposphereMapping {
+        /// Niell's functions of elevation, latitude, height and season.
+        Niell = "niell",
+        /// 1/sin E, a flat atmosphere.
+        Cosecant = "cosecant",
+    }
+}
+
+named_choice! {
     /// How a pseudorange's variance is stated.
     WeightModel {
         /// From C/N0 and elevation, see `positioning::measurements`.

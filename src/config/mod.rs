@@ -9,7 +9,8 @@ mod option_table;
 mod positioning;
 
 pub use choices::{
-    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereModel, WeightModel,
+    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereMapping,
+    TroposphereModel, WeightModel,
 };
 pub use error::ConfigError;
 pub use option_table::OptionEntry;

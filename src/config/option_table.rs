@@ -3,8 +3,8 @@
 use crate::gnss::SatelliteId;
 
 use super::{
-    BandSet, ConfigError, ConstellationSet, IonosphereModel, PositioningOptions, TroposphereModel,
-    WeightModel,
+    BandSet, ConfigError, ConstellationSet, IonosphereModel, PositioningOptions,
+    TroposphereMapping, TroposphereModel, WeightModel,
 };
 
 /// One option with its value in force.
@@ -69,6 +69,24 @@ const TABLE: &[OptionSpecification] = &[
         set: |o, text| number(text, 0.0, 60.0).map(|v| o.elevation_mask_rad = v.to_radians()),
     },
     OptionSpecification {
+        name: "sparse_elevation_mask_deg", unit: "deg",
+        meaning: "elevation mask, if lower, while few satellites stand above the other",
+        allowed: "a number from 0 to 60",
+        get: |o| degrees_text(o.sparse_elevation_mask_rad),
+        set: |o, text| {
+            number(text, 0.0, 60.0).map(|v| o.sparse_elevation_mask_rad = v.to_radians())
+        },
+    },
+    OptionSpecification {
+        name: "sparse_below", unit: "",
+        meaning: "satellites above elevation_mask_deg that are enough for it to hold",
+        allowed: "a whole number from 0 to 300",
+        get: |o| o.sparse_below.to_string(),
+        set: |o, text| {
+            text.parse().ok().filter(|v| *v <= 300).map(|v| o.sparse_below = v)
+        },
+    },
+    OptionSpecification {
         name: "cn0_mask_db_hz", unit: "dB-Hz",
         meaning: "signals weaker than this are not used; those without C/N0 are",
         allowed: "a number from 0 to 60",
@@ -90,11 +108,25 @@ const TABLE: &[OptionSpecification] = &[
         set: |o, text| switch(text).map(|v| o.dual_frequency = v),
     },
     OptionSpecification {
+        name: "klobuchar_beidou", unit: "",
+        meaning: "whether BeiDou's own Klobuchar coefficients correct BeiDou, rather than GPS's",
+        allowed: "on, off",
+        get: |o| switch_text(o.klobuchar_beidou),
+        set: |o, text| switch(text).map(|v| o.klobuchar_beidou = v),
+    },
+    OptionSpecification {
         name: "troposphere", unit: "",
         meaning: "how the troposphere's delay is corrected",
         allowed: "none, saastamoinen",
         get: |o| o.troposphere.name().to_owned(),
         set: |o, text| TroposphereModel::from_name(text).map(|v| o.troposphere = v),
+    },
+    OptionSpecification {
+        name: "troposphere_mapping", unit: "",
+        meaning: "how the troposphere's zenith delay is mapped to the elevation",
+        allowed: "niell, cosecant",
+        get: |o| o.troposphere_mapping.name().to_owned(),
+        set: |o, text| TroposphereMapping::from_name(text).map(|v| o.troposphere_mapping = v),
     },
     OptionSpecification {
         name: "weighting", unit: "",
@@ -154,36 +186,49 @@ const TABLE: &[OptionSpecification] = &[
     },
 ];
 
-/// Overrides one option by its name.
-pub(super) fn set(
-    options: &mut PositioningOptions,
-    key: &str,
-    value: &str,
-) -> Result<(), ConfigError> {
-    let Some(option) = TABLE.iter().find(|option| option.name == key) else {
-        return Err(ConfigError::UnknownKey { key: key.to_owned(), nearest: nearest_name(key) });
-    };
-    (option.set)(options, value.trim()).ok_or_else(|| ConfigError::InvalidValue {
-        key: option.name,
-        value: value.to_owned(),
-        allowed: option.allowed,
-    })
-}
+impl PositioningOptions {
+    /// Overrides one option by its name.
+    ///
+    /// # Errors
+    /// An unknown name, or a value the option does not take; the options are then unchanged.
+    pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
+        let Some(option) = TABLE.iter().find(|option| option.name == key) else {
+            return Err(ConfigError::UnknownKey {
+                key: key.to_owned(),
+                nearest: nearest_name(key),
+            });
+        };
+        (option.set)(self, value.trim()).ok_or_else(|| ConfigError::InvalidValue {
+            key: option.name,
+            value: value.to_owned(),
+            allowed: option.allowed,
+        })
+    }
 
-/// Every option with its value in `options`.
-pub(super) fn entries(options: &PositioningOptions) -> Vec<OptionEntry> {
-    let defaults = PositioningOptions::new(options.mode, options.profile);
-    TABLE
-        .iter()
-        .map(|option| OptionEntry {
+    /// Every option: its name, unit, default in this profile, value in force and meaning.
+    pub fn entries(&self) -> Vec<OptionEntry> {
+        let defaults = Self::new(self.mode, self.profile);
+        let entry = |option: &OptionSpecification| OptionEntry {
             name: option.name,
             unit: option.unit,
             default: (option.get)(&defaults),
-            value: (option.get)(options),
+            value: (option.get)(self),
             meaning: option.meaning,
             allowed: option.allowed,
-        })
-        .collect()
+        };
+        TABLE.iter().map(entry).collect()
+    }
+
+    /// BLAKE3 of the mode and every value in force, in hexadecimal: equal for equal estimators,
+    /// whichever profile and overrides led to them.
+    pub fn configuration_hash(&self) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format!("mode={}\n", self.mode.name()).as_bytes());
+        for entry in self.entries() {
+            hasher.update(format!("{}={}\n", entry.name, entry.value).as_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
 }
 
 /// The option whose name is the fewest edits away; the first of equals.

@@ -1,11 +1,10 @@
-//! Options of the estimators.
+//! Options of the estimators and their defaults; `option_table` names and explains them.
 
 use crate::gnss::{Band, Constellation, SatelliteId};
 
-use super::option_table::{self, OptionEntry};
 use super::{
-    BandSet, ConfigError, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereModel,
-    WeightModel,
+    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereMapping,
+    TroposphereModel, WeightModel,
 };
 
 /// What an estimator is told: a profile's values with overrides.
@@ -26,14 +25,22 @@ pub struct PositioningOptions {
     pub frequencies: BandSet,
     /// Satellites lower than this are not used (rad).
     pub elevation_mask_rad: f64,
+    /// Elevation mask in its place where few satellites stand above that (rad).
+    pub sparse_elevation_mask_rad: f64,
+    /// How many satellites above `elevation_mask_rad` are enough for it.
+    pub sparse_below: usize,
     /// Signals weaker than this are not used (dB-Hz); those without C/N0 are.
     pub cn0_mask_db_hz: f64,
     /// Ionosphere model.
     pub ionosphere: IonosphereModel,
     /// Whether a second frequency improves the modelled ionosphere.
     pub dual_frequency: bool,
+    /// Whether BeiDou's own Klobuchar coefficients correct BeiDou, rather than GPS's.
+    pub klobuchar_beidou: bool,
     /// Troposphere model.
     pub troposphere: TroposphereModel,
+    /// How the zenith delay of the troposphere is mapped to the elevation.
+    pub troposphere_mapping: TroposphereMapping,
     /// Variance model.
     pub weighting: WeightModel,
     /// Standard deviation of a strong signal's pseudorange at zenith (m).
@@ -69,9 +76,12 @@ impl PositioningOptions {
             },
             Profile::Paper => Self {
                 profile,
+                sparse_below: 0,
                 systems: ConstellationSet::of(&[Constellation::Gps, Constellation::BeiDou]),
                 frequencies: BandSet::of(&[Band::L1]),
                 dual_frequency: false,
+                klobuchar_beidou: false,
+                troposphere_mapping: TroposphereMapping::Cosecant,
                 weighting: WeightModel::Rtklib,
                 fault_exclusion: false,
                 gdop_limit: f64::INFINITY,
@@ -88,12 +98,16 @@ impl PositioningOptions {
             excluded_satellites: Vec::new(),
             frequencies: BandSet::of(&[Band::L1, Band::L2, Band::L5]),
             elevation_mask_rad: 15_f64.to_radians(),
+            sparse_elevation_mask_rad: 10_f64.to_radians(),
+            sparse_below: 10,
             cn0_mask_db_hz: 0.0,
             ionosphere: IonosphereModel::Klobuchar,
             dual_frequency: true,
+            klobuchar_beidou: true,
             troposphere: TroposphereModel::Saastamoinen,
+            troposphere_mapping: TroposphereMapping::Cosecant,
             weighting: WeightModel::Cn0Elevation,
-            pseudorange_sigma_m: 1.0,
+            pseudorange_sigma_m: 0.3,
             cn0_sigma_m: 1.5,
             doppler_sigma_m_s: 0.05,
             fault_exclusion: true,
@@ -101,30 +115,6 @@ impl PositioningOptions {
             gdop_limit: 100.0,
             velocity: true,
         }
-    }
-
-    /// Overrides one option by its name.
-    ///
-    /// # Errors
-    /// An unknown name, or a value the option does not take; the options are then unchanged.
-    pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
-        option_table::set(self, key, value)
-    }
-
-    /// Every option: its name, unit, default in this profile, value in force and meaning.
-    pub fn entries(&self) -> Vec<OptionEntry> {
-        option_table::entries(self)
-    }
-
-    /// BLAKE3 of the mode and every value in force, in hexadecimal: equal for equal estimators,
-    /// whichever profile and overrides led to them.
-    pub fn configuration_hash(&self) -> String {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(format!("mode={}\n", self.mode.name()).as_bytes());
-        for entry in self.entries() {
-            hasher.update(format!("{}={}\n", entry.name, entry.value).as_bytes());
-        }
-        hasher.finalize().to_hex().to_string()
     }
 }
 

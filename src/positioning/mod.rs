@@ -1,1 +1,14 @@
 //! Estimation: pure, synchronous, deterministic. Same input, same bits.
+//!
+//! [`Estimator::advance`] turns one epoch and the [`Aiding`] valid at its time into a solution.
+//! On the way, `measurements` corrects and weighs what was observed, `spp` finds position and
+//! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
+//! Doppler. Physics is in `models`, the choice of all of it in `config`.
+
+mod estimator;
+mod measurements;
+mod spp;
+mod velocity;
+
+pub use estimator::{Aiding, Estimator};
+pub use measurements::{Measurement, Measurements, SecondFrequency};

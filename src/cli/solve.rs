@@ -1,0 +1,238 @@
+//! `graphfix solve`: a file of observations in, a file of positions out.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
+use crate::formats::{csv, decompress, geojson, pos};
+use crate::gnss::{Epoch, GpsTime, LeapSeconds, Navigation, Reason, Solution, Status};
+use crate::positioning::{Aiding, Estimator};
+
+use super::Failure;
+use super::option_arguments::OptionArguments;
+
+const READ_BUFFER_BYTES: usize = 1 << 16;
+const WRITE_BUFFER_BYTES: usize = 1 << 16;
+/// Epochs between looks at the clock for the progress line.
+const PROGRESS_EPOCHS: u64 = 1_000;
+/// Least time between two progress lines.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Positions a file of observations, without a server or a database.
+///
+/// Reads RINEX 2 to 4 and CRINEX, gzip too. The solution's epochs are named by the receiver's tags.
+#[derive(Debug, Args)]
+pub(crate) struct SolveArguments {
+    /// Observations of the rover.
+    #[arg(long, value_name = "FILE")]
+    rover: PathBuf,
+    /// Navigation data; may be repeated.
+    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    nav: Vec<PathBuf>,
+    #[command(flatten)]
+    options: OptionArguments,
+    /// First epoch, GPS seconds of week.
+    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
+    from: Option<f64>,
+    /// Last epoch, GPS seconds of week.
+    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
+    to: Option<f64>,
+    /// Where to write; the name's ending chooses .pos, .csv or .geojson.
+    #[arg(long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+/// Runs the command; prints the summary on standard output.
+pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
+    let began = Instant::now();
+    let options = arguments.options.options()?;
+    let mut navigation = Navigation::default();
+    let mut skipped = Vec::new();
+    for path in &arguments.nav {
+        let (read, left_out) = read_navigation(open(path)?)
+            .map_err(|error| unreadable(path, &error, "name a RINEX navigation file"))?;
+        navigation.merge(read);
+        skipped.push((path.as_path(), left_out));
+    }
+    let mut reader = ObservationReader::new(open(&arguments.rover)?)
+        .map_err(|error| unreadable(&arguments.rover, &error, "name a RINEX observation file"))?;
+    let comments = [
+        format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
+        format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
+        format!("options   : {}", options.configuration_hash()),
+    ];
+    let mut output = Output::create(&arguments.output, &comments, navigation.leap_seconds)?;
+    let mut estimator = Estimator::new(options);
+    let aiding = Aiding { navigation: &navigation };
+    let mut tally = Tally::default();
+    let mut progress = Progress::new(began);
+    let mut epoch = Epoch::new(GpsTime::from_ns(0));
+    while reader.read_epoch(&mut epoch).map_err(|error| {
+        unreadable(&arguments.rover, &error, "repair or cut the file at that line")
+    })? {
+        if arguments.is_outside(epoch.time) {
+            continue;
+        }
+        let solution = estimator.advance(&epoch, &aiding);
+        output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
+        tally.add(&solution);
+        progress.show(&tally);
+    }
+    output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
+    progress.clear();
+    skipped.insert(0, (&arguments.rover, reader.skipped().clone()));
+    if tally.epochs == 0 {
+        let message = format!("{} has no epoch in the span", arguments.rover.display());
+        return Err(Failure::new("NO_EPOCHS", message, "check --from and --to"));
+    }
+    // Err: nobody reads the summary.
+    std::io::stdout().write_all(summary(&tally, &skipped, began.elapsed()).as_bytes()).ok();
+    Ok(())
+}
+
+impl SolveArguments {
+    fn is_outside(&self, time: GpsTime) -> bool {
+        let seconds = time.seconds_of_week();
+        self.from.is_some_and(|from| seconds < from) || self.to.is_some_and(|to| to < seconds)
+    }
+}
+
+fn open(path: &Path) -> Result<impl std::io::BufRead, Failure> {
+    let file = File::open(path).map_err(|error| {
+        let message = format!("cannot open {}: {error}", path.display());
+        Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
+    })?;
+    Ok(decompress(BufReader::with_capacity(READ_BUFFER_BYTES, file)))
+}
+
+fn unreadable(path: &Path, error: &dyn std::fmt::Display, remedy: &str) -> Failure {
+    Failure::new("FILE_NOT_UNDERSTOOD", format!("{}: {error}", path.display()), remedy)
+}
+
+fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
+    let message = format!("cannot write {}: {error}", path.display());
+    Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
+}
+
+/// The solution file, in the format its name asks for.
+enum Output {
+    Pos(pos::Writer<BufWriter<File>>),
+    Csv(csv::Writer<BufWriter<File>>),
+    Geojson(geojson::Writer<BufWriter<File>>),
+}
+
+impl Output {
+    fn create(path: &Path, comments: &[String], leap: LeapSeconds) -> Result<Self, Failure> {
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+        if !["pos", "csv", "geojson"].contains(&ending) {
+            let message = format!("{} does not name a format", path.display());
+            let remedy = "end the name in .pos, .csv or .geojson";
+            return Err(Failure::new("UNKNOWN_OUTPUT_FORMAT", message, remedy));
+        }
+        let failed = |error| unwritable(path, &error);
+        let file = File::create(path).map_err(failed)?;
+        let buffered = BufWriter::with_capacity(WRITE_BUFFER_BYTES, file);
+        match ending {
+            "pos" => pos::Writer::new(buffered, comments).map(Self::Pos),
+            "csv" => csv::Writer::new(buffered).map(Self::Csv),
+            _ => geojson::Writer::new(buffered, leap).map(Self::Geojson),
+        }
+        .map_err(failed)
+    }
+
+    fn write(&mut self, solution: &Solution) -> std::io::Result<()> {
+        match self {
+            Self::Pos(writer) => writer.write(solution),
+            Self::Csv(writer) => writer.write(solution),
+            Self::Geojson(writer) => writer.write(solution),
+        }
+    }
+
+    fn finish(self) -> std::io::Result<()> {
+        match self {
+            Self::Pos(writer) => writer.finish()?.flush(),
+            Self::Csv(writer) => writer.finish()?.flush(),
+            Self::Geojson(writer) => writer.finish()?.flush(),
+        }
+    }
+}
+
+/// What became of the epochs.
+#[derive(Debug, Default)]
+struct Tally {
+    epochs: u64,
+    answered: u64,
+    /// Epochs by the code of a reason their answer gave, in order of first appearance.
+    reasons: Vec<(&'static str, u64)>,
+}
+
+impl Tally {
+    fn add(&mut self, solution: &Solution) {
+        self.epochs += 1;
+        self.answered += u64::from(solution.status != Status::None);
+        for code in solution.reasons.iter().map(Reason::code) {
+            match self.reasons.iter_mut().find(|(known, _)| *known == code) {
+                Some((_, count)) => *count += 1,
+                None => self.reasons.push((code, 1)),
+            }
+        }
+    }
+}
+
+/// A line on standard error that tells how far the run is, on terminals only.
+struct Progress {
+    began: Instant,
+    shown: Instant,
+    is_terminal: bool,
+}
+
+impl Progress {
+    fn new(began: Instant) -> Self {
+        Self { began, shown: began, is_terminal: std::io::stderr().is_terminal() }
+    }
+
+    fn show(&mut self, tally: &Tally) {
+        let is_due = self.is_terminal
+            && tally.epochs.is_multiple_of(PROGRESS_EPOCHS)
+            && PROGRESS_INTERVAL <= self.shown.elapsed();
+        if is_due {
+            self.shown = Instant::now();
+            let seconds = self.began.elapsed().as_secs_f64();
+            eprint!("\r{} epochs, {} answered, {seconds:.1} s", tally.epochs, tally.answered);
+        }
+    }
+
+    fn clear(&self) {
+        if self.shown != self.began {
+            eprint!("\r\x1b[K");
+        }
+    }
+}
+
+/// The closing lines: epochs, answers, reasons, what the files held that was left out, speed.
+fn summary(tally: &Tally, skipped: &[(&Path, Skipped)], elapsed: Duration) -> String {
+    let seconds = elapsed.as_secs_f64();
+    let mut text = format!(
+        "{} epochs, {} answered, {} without position; {seconds:.3} s, {:.0} epochs/s\n",
+        tally.epochs,
+        tally.answered,
+        tally.epochs - tally.answered,
+        tally.epochs as f64 / seconds,
+    );
+    for (code, count) in &tally.reasons {
+        text += &format!("  {code}: {count} epochs\n");
+    }
+    for (path, skipped) in skipped {
+        for entry in skipped.entries() {
+            let lines = entry.lines.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+            let (file, count) = (path.display(), entry.count);
+            text += &format!("  {file}: left out {count} times: {} (lines {lines}", entry.reason);
+            text += if (entry.lines.len() as u64) < entry.count { " …)\n" } else { ")\n" };
+        }
+    }
+    text
+}

@@ -1,0 +1,259 @@
+//! What troposphere and ionosphere do to the measurements of a receiver at one place.
+
+use crate::config::{IonosphereModel, PositioningOptions, TroposphereMapping, TroposphereModel};
+use crate::gnss::{
+    Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
+};
+use crate::models::ionosphere::{
+    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, unmodelled_variance_m2,
+};
+use crate::models::look_angles;
+use crate::models::troposphere::{self, Mapping, Troposphere};
+use crate::models::weights::MeasurementWeights;
+
+use super::weights::{constellation_factor, receiver_weights};
+use super::{Measurement, SecondFrequency};
+
+/// Relative humidity of the standard atmosphere, 0 … 1; RTKLIB's `REL_HUMI`.
+const RELATIVE_HUMIDITY: f64 = 0.7;
+
+/// The atmosphere above one place at one time.
+pub(super) struct Atmosphere<'a> {
+    frame: LocalFrame,
+    geodetic: Geodetic,
+    time: GpsTime,
+    navigation: &'a Navigation,
+    troposphere: Option<Troposphere>,
+    weights: MeasurementWeights,
+}
+
+/// A delay with its variance.
+struct Delay {
+    delay_m: f64,
+    variance_m2: f64,
+    /// The model that had to stand in, if one had to.
+    fallback: Option<&'static str>,
+}
+
+impl<'a> Atmosphere<'a> {
+    /// `None` where no receiver of ours can be.
+    pub(super) fn at(
+        position: Ecef,
+        time: GpsTime,
+        navigation: &'a Navigation,
+        options: &PositioningOptions,
+    ) -> Option<Self> {
+        let geodetic = position.to_geodetic();
+        let mapping = match options.troposphere_mapping {
+            TroposphereMapping::Niell => Mapping::Niell,
+            TroposphereMapping::Cosecant => Mapping::Cosecant,
+        };
+        let modelled = Troposphere::saastamoinen(&geodetic, time, RELATIVE_HUMIDITY, mapping)?;
+        let troposphere =
+            (options.troposphere == TroposphereModel::Saastamoinen).then_some(modelled);
+        let weights = receiver_weights(options);
+        let frame = LocalFrame::at(position);
+        Some(Self { frame, geodetic, time, navigation, troposphere, weights })
+    }
+
+    /// Takes the atmosphere off the measurements and states their variances; returns the ionosphere
+    /// model that had to stand in for the one asked for, if one had to.
+    pub(super) fn correct(
+        &self,
+        list: &mut [Measurement],
+        biases: &mut InterFrequencyBiases,
+        options: &PositioningOptions,
+    ) -> Option<&'static str> {
+        for measurement in list.iter_mut() {
+            measurement.look = look_angles(&self.frame, measurement.state.position);
+        }
+        let mask_rad = mask_rad(list, options);
+        biases.clear();
+        let mut stand_in = None;
+        for measurement in list.iter_mut() {
+            measurement.is_above_mask = mask_rad <= measurement.look.elevation_rad;
+            if !measurement.is_above_mask {
+                continue;
+            }
+            let ionosphere = self.ionosphere(measurement, options);
+            measurement.ionosphere_m = ionosphere.delay_m;
+            measurement.ionosphere_m2 = ionosphere.variance_m2;
+            stand_in = stand_in.or(ionosphere.fallback);
+            measurement.noise_m2 = self.noise_m2(measurement, measurement.cn0_db_hz);
+            if let Some(second) = &mut measurement.second {
+                let factor = constellation_factor(measurement.satellite.constellation);
+                let elevation_rad = measurement.look.elevation_rad;
+                second.noise_m2 =
+                    factor * self.weights.variance_m2(elevation_rad, second.cn0_db_hz);
+                biases.add(measurement);
+            }
+        }
+        for measurement in list.iter_mut().filter(|measurement| measurement.is_above_mask) {
+            self.correct_one(measurement, biases, options);
+        }
+        stand_in
+    }
+
+    fn correct_one(
+        &self,
+        measurement: &mut Measurement,
+        biases: &InterFrequencyBiases,
+        options: &PositioningOptions,
+    ) {
+        let elevation_rad = measurement.look.elevation_rad;
+        let (troposphere_m, troposphere_m2) = match &self.troposphere {
+            Some(model) => {
+                (model.slant_delay_m(elevation_rad), troposphere::variance_m2(elevation_rad))
+            }
+            None => (0.0, 0.0),
+        };
+        let (range_m, variance_m2) = match &measurement.second {
+            Some(second) if options.ionosphere != IonosphereModel::None => {
+                dual_frequency_range(measurement, second, biases.of(measurement, second))
+            }
+            _ => (
+                measurement.pseudorange_m - measurement.ionosphere_m,
+                measurement.noise_m2 + measurement.ionosphere_m2,
+            ),
+        };
+        measurement.corrected_range_m = range_m - troposphere_m;
+        measurement.variance_m2 = variance_m2 + measurement.state.variance_m2 + troposphere_m2;
+    }
+
+    /// Receiver noise and multipath of the main signal (m²).
+    fn noise_m2(&self, measurement: &Measurement, cn0_db_hz: Option<f64>) -> f64 {
+        constellation_factor(measurement.satellite.constellation)
+            * self.weights.variance_m2(measurement.look.elevation_rad, cn0_db_hz)
+    }
+
+    /// The delay on the main frequency as the model asked for has it.
+    fn ionosphere(&self, measurement: &Measurement, options: &PositioningOptions) -> Delay {
+        match options.ionosphere {
+            IonosphereModel::None => Delay { delay_m: 0.0, variance_m2: 0.0, fallback: None },
+            IonosphereModel::IonosphereFree => {
+                Delay { delay_m: 0.0, variance_m2: f64::INFINITY, fallback: None }
+            }
+            IonosphereModel::Klobuchar | IonosphereModel::NequickG => {
+                self.klobuchar(measurement, options)
+            }
+        }
+    }
+
+    fn klobuchar(&self, measurement: &Measurement, options: &PositioningOptions) -> Delay {
+        let (frequency_hz, look) = (measurement.frequency_hz, &measurement.look);
+        let (place, time) = (&self.geodetic, self.time);
+        let delay = match options.klobuchar_beidou {
+            true => broadcast_delay_m(
+                self.navigation,
+                measurement.satellite.constellation,
+                frequency_hz,
+                place,
+                look,
+                time,
+            ),
+            false => self
+                .navigation
+                .klobuchar_gps
+                .as_ref()
+                .map(|gps| klobuchar_delay_m(gps, frequency_hz, place, look, time)),
+        };
+        match delay {
+            Some(delay_m) => {
+                Delay { delay_m, variance_m2: klobuchar_variance_m2(delay_m), fallback: None }
+            }
+            None => Delay {
+                delay_m: 0.0,
+                variance_m2: unmodelled_variance_m2(frequency_hz),
+                fallback: Some("none"),
+            },
+        }
+    }
+}
+
+/// The elevation mask in force: the lower one while few satellites stand above the upper one.
+fn mask_rad(list: &[Measurement], options: &PositioningOptions) -> f64 {
+    let high = list.iter().filter(|m| options.elevation_mask_rad <= m.look.elevation_rad).count();
+    match high < options.sparse_below {
+        true => options.elevation_mask_rad.min(options.sparse_elevation_mask_rad),
+        false => options.elevation_mask_rad,
+    }
+}
+
+/// Least squares for the range g and the delay I of one satellite:
+///
+/// P₁ = g + I, P₂ − b = g + γI, and the model's I ± its standard deviation.
+///
+/// With an infinite variance of the model this is the ionosphere-free combination; with infinite
+/// noise on P₂ it is the single-frequency correction. Returns g (m) and its variance (m²).
+fn dual_frequency_range(
+    measurement: &Measurement,
+    second: &SecondFrequency,
+    bias_m: f64,
+) -> (f64, f64) {
+    let (first_weight, second_weight) = (measurement.noise_m2.recip(), second.noise_m2.recip());
+    let prior = measurement.ionosphere_m2.recip();
+    // Relative to P₁, so that no digits are lost.
+    let difference_m = second.pseudorange_m - bias_m - measurement.pseudorange_m;
+    let gamma = second.gamma;
+    let (gg, gi) = (first_weight + second_weight, first_weight + gamma * second_weight);
+    let ii = first_weight + gamma * gamma * second_weight + prior;
+    let g = second_weight * difference_m;
+    let i = gamma * second_weight * difference_m + prior * measurement.ionosphere_m;
+    let determinant = gg * ii - gi * gi;
+    (measurement.pseudorange_m + (ii * g - gi * i) / determinant, ii / determinant)
+}
+
+/// What the receiver delays each second signal against the main one, by signal.
+///
+/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. The model's own
+/// common error goes into b too: the two cannot be told apart in one epoch, and what is left of
+/// the second frequency is how the ionosphere differs from satellite to satellite.
+#[derive(Clone, Debug, Default)]
+pub(super) struct InterFrequencyBiases(Vec<InterFrequencyBias>);
+
+#[derive(Clone, Copy, Debug)]
+struct InterFrequencyBias {
+    constellation: Constellation,
+    code: ObservationCode,
+    weight: f64,
+    weighted_m: f64,
+}
+
+impl InterFrequencyBiases {
+    fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    fn add(&mut self, measurement: &Measurement) {
+        let Some(second) = &measurement.second else { return };
+        let slope = second.gamma - 1.0;
+        let difference_m = second.pseudorange_m - measurement.pseudorange_m;
+        let bias_m = difference_m - slope * measurement.ionosphere_m;
+        let noise_m2 = measurement.noise_m2 + second.noise_m2;
+        let weight = (noise_m2 + slope * slope * measurement.ionosphere_m2).recip();
+        match self.0.iter_mut().find(|bias| bias.is_of(measurement, second)) {
+            Some(bias) => {
+                bias.weight += weight;
+                bias.weighted_m += weight * bias_m;
+            }
+            None => self.0.push(InterFrequencyBias {
+                constellation: measurement.satellite.constellation,
+                code: second.code,
+                weight,
+                weighted_m: weight * bias_m,
+            }),
+        }
+    }
+
+    /// b of a measurement's second signal (m); zero where nothing tells, as without a model.
+    fn of(&self, measurement: &Measurement, second: &SecondFrequency) -> f64 {
+        let known = self.0.iter().find(|bias| bias.is_of(measurement, second));
+        known.filter(|bias| 0.0 < bias.weight).map_or(0.0, |bias| bias.weighted_m / bias.weight)
+    }
+}
+
+impl InterFrequencyBias {
+    fn is_of(&self, measurement: &Measurement, second: &SecondFrequency) -> bool {
+        self.constellation == measurement.satellite.constellation && self.code == second.code
+    }
+}

@@ -1,0 +1,228 @@
+//! From observations to corrected, weighted measurements.
+//!
+//! [`Measurements::gather`] picks one main signal per satellite, and where asked a second on
+//! another frequency, finds the ephemeris and the satellite's state at transmission, and takes
+//! clock and group delay off. [`Measurements::place`] adds what depends on the receiver's position:
+//! angles, atmosphere and variance. What then remains of a pseudorange is ρ + c·δt_r + noise.
+
+mod atmosphere;
+mod signals;
+mod weights;
+
+use crate::config::{IonosphereModel, PositioningOptions};
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{
+    Band, Constellation, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime, Navigation, Observation,
+    ObservationCode, SatelliteId, Signal,
+};
+use crate::models::{
+    LookAngles, SatelliteState, group_delay_m, select_ephemeris, state_at_transmission,
+};
+
+use atmosphere::Atmosphere;
+
+/// Pseudoranges outside are no measurements of an Earth receiver (m): a clock may be off by 0.2 s.
+const PSEUDORANGES_M: std::ops::Range<f64> = 1e6..1e8;
+
+/// A pseudorange on a further frequency.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SecondFrequency {
+    /// Its observation code.
+    pub code: ObservationCode,
+    /// Pseudorange free of satellite clock and group delay (m).
+    pub pseudorange_m: f64,
+    /// γ = (f_1/f_2)²: the ionosphere's delay there over that on the main frequency.
+    pub gamma: f64,
+    /// C/N0 (dB-Hz).
+    pub cn0_db_hz: Option<f64>,
+    /// Variance of receiver noise and multipath (m²).
+    pub noise_m2: f64,
+}
+
+/// What one satellite contributes to one epoch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measurement {
+    /// The satellite.
+    pub satellite: SatelliteId,
+    /// Observation code of the main signal.
+    pub code: ObservationCode,
+    /// Carrier frequency of the main signal (Hz).
+    pub frequency_hz: f64,
+    /// Ephemeris that gave the state.
+    pub ephemeris: EphemerisIssue,
+    /// Satellite at transmission.
+    pub state: SatelliteState,
+    /// Main pseudorange free of satellite clock and group delay (m).
+    pub pseudorange_m: f64,
+    /// The second frequency, where there is one.
+    pub second: Option<SecondFrequency>,
+    /// Range rate from Doppler free of the satellite's clock drift (m/s): ρ̇ + c·δṫ_r.
+    pub range_rate_m_s: Option<f64>,
+    /// C/N0 of the main signal (dB-Hz).
+    pub cn0_db_hz: Option<f64>,
+    /// Azimuth and elevation from where the measurement was last placed.
+    pub look: LookAngles,
+    /// Variance of the main signal's receiver noise and multipath (m²).
+    pub noise_m2: f64,
+    /// Modelled delay of the ionosphere on the main frequency (m).
+    pub ionosphere_m: f64,
+    /// Its variance (m²); infinite where no model is used.
+    pub ionosphere_m2: f64,
+    /// Pseudorange free of the atmosphere too (m): ρ + c·δt_r.
+    pub corrected_range_m: f64,
+    /// Variance of `corrected_range_m` (m²).
+    pub variance_m2: f64,
+    /// Whether it is above the elevation mask.
+    pub is_above_mask: bool,
+    /// Whether it was left out because it contradicts the others.
+    pub is_excluded: bool,
+}
+
+/// The measurements of one epoch; the memory is used again for the next.
+#[derive(Clone, Debug, Default)]
+pub struct Measurements {
+    /// One for each satellite that can be used, in the order observed.
+    pub list: Vec<Measurement>,
+    /// Satellites observed for which no valid healthy ephemeris is held, sorted.
+    pub without_ephemeris: Vec<SatelliteId>,
+    /// Coefficients for the ionosphere model asked for are missing; named is what is used instead.
+    pub ionosphere_fallback: Option<&'static str>,
+    biases: atmosphere::InterFrequencyBiases,
+}
+
+impl Measurements {
+    /// Takes over what `epoch` offers under `options`, satellites and clocks corrected.
+    ///
+    /// A satellite or signal that appears twice counts once, as first met.
+    pub fn gather(&mut self, epoch: &Epoch, navigation: &Navigation, options: &PositioningOptions) {
+        self.list.clear();
+        self.without_ephemeris.clear();
+        let mut seen = [0_u128; Constellation::COUNT];
+        for (satellite, observations) in epoch.by_satellite() {
+            let bits = &mut seen[satellite.constellation.index()];
+            let bit = 1_u128 << satellite.number;
+            let wanted = options.systems.contains(satellite.constellation)
+                && options.excluded_satellites.binary_search(&satellite).is_err();
+            if !wanted || *bits & bit != 0 {
+                continue;
+            }
+            *bits |= bit;
+            let Some(ephemeris) = select_ephemeris(navigation, satellite, epoch.time) else {
+                self.without_ephemeris.push(satellite);
+                continue;
+            };
+            self.list.extend(measurement(epoch.time, ephemeris, observations, options));
+        }
+        self.without_ephemeris.sort_unstable();
+    }
+
+    /// Adds what depends on the receiver's position: angles, atmosphere, variance and mask.
+    ///
+    /// `None` where no receiver of ours can be, far below the ground or out in space.
+    pub fn place(
+        &mut self,
+        position: Ecef,
+        time: GpsTime,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+    ) -> Option<()> {
+        let atmosphere = Atmosphere::at(position, time, navigation, options)?;
+        self.ionosphere_fallback = atmosphere.correct(&mut self.list, &mut self.biases, options);
+        Some(())
+    }
+}
+
+/// The measurement of one satellite, not yet placed.
+fn measurement(
+    tag: GpsTime,
+    ephemeris: &Ephemeris,
+    observations: &[Observation],
+    options: &PositioningOptions,
+) -> Option<Measurement> {
+    let main = best_of_first_band(ephemeris, observations, options, None)?;
+    let wants_second =
+        options.dual_frequency || options.ionosphere == IonosphereModel::IonosphereFree;
+    let second = match wants_second {
+        true => best_of_first_band(ephemeris, observations, options, Some(main.band)),
+        false => None,
+    };
+    if options.ionosphere == IonosphereModel::IonosphereFree && second.is_none() {
+        return None;
+    }
+    let state = state_at_transmission(ephemeris, tag, main.pseudorange_m);
+    let observation = main.observation;
+    let wavelength_m = SPEED_OF_LIGHT / main.frequency_hz;
+    Some(Measurement {
+        satellite: observation.satellite,
+        code: observation.code,
+        frequency_hz: main.frequency_hz,
+        ephemeris: EphemerisIssue {
+            satellite: observation.satellite,
+            toe: ephemeris.toe(),
+            issue: ephemeris.issue(),
+        },
+        state,
+        pseudorange_m: main.pseudorange_m - main.group_delay_m + state.clock_m,
+        second: second.map(|second| SecondFrequency {
+            code: second.observation.code,
+            pseudorange_m: second.pseudorange_m - second.group_delay_m + state.clock_m,
+            gamma: (main.frequency_hz / second.frequency_hz).powi(2),
+            cn0_db_hz: second.observation.cn0_db_hz,
+            noise_m2: f64::INFINITY,
+        }),
+        range_rate_m_s: observation
+            .doppler_hz
+            .filter(|doppler_hz| doppler_hz.is_finite())
+            .map(|doppler_hz| -wavelength_m * doppler_hz + state.clock_drift_m_s),
+        cn0_db_hz: observation.cn0_db_hz,
+        look: LookAngles { azimuth_rad: 0.0, elevation_rad: 0.0 },
+        noise_m2: f64::INFINITY,
+        ionosphere_m: 0.0,
+        ionosphere_m2: f64::INFINITY,
+        corrected_range_m: 0.0,
+        variance_m2: f64::INFINITY,
+        is_above_mask: false,
+        is_excluded: false,
+    })
+}
+
+/// A pseudorange that can be used, with what is known of its signal.
+struct Candidate<'a> {
+    observation: &'a Observation,
+    pseudorange_m: f64,
+    band: Band,
+    place: u8,
+    frequency_hz: f64,
+    group_delay_m: f64,
+}
+
+/// The preferred signal of the first band, in the order of [`Band::ALL`], that the satellite
+/// offers; with `other_than`, of the first that is not that.
+fn best_of_first_band<'a>(
+    ephemeris: &Ephemeris,
+    observations: &'a [Observation],
+    options: &PositioningOptions,
+    other_than: Option<Band>,
+) -> Option<Candidate<'a>> {
+    let usable = observations.iter().filter_map(|observation| {
+        let signal = Signal::of(observation.satellite, observation.code);
+        let band = signal.band()?;
+        let pseudorange_m = observation.pseudorange_m?;
+        let is_wanted = options.frequencies.contains(band)
+            && other_than != Some(band)
+            && PSEUDORANGES_M.contains(&pseudorange_m)
+            && observation.cn0_db_hz.is_none_or(|cn0| options.cn0_mask_db_hz <= cn0);
+        if !is_wanted {
+            return None;
+        }
+        Some(Candidate {
+            observation,
+            pseudorange_m,
+            band,
+            place: signals::preference(signal, band)?,
+            frequency_hz: signal.frequency_hz(ephemeris.glonass_channel())?,
+            group_delay_m: group_delay_m(ephemeris, observation.code)?,
+        })
+    });
+    usable.min_by_key(|candidate| (candidate.band, candidate.place))
+}

@@ -1,0 +1,123 @@
+//! From a fit to the answer: covariance, clocks, dilutions of precision, reasons.
+
+use crate::config::PositioningOptions;
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{
+    Constellation, Dops, Ecef, Epoch, LocalFrame, Provenance, Reason, SatelliteId, SolutionEstimate,
+};
+
+use super::least_squares::Step;
+use super::{Fit, SinglePoint};
+
+impl SinglePoint {
+    /// The estimate of a fit, or why its geometry is not trusted.
+    pub(super) fn estimate(
+        &mut self,
+        epoch: &Epoch,
+        fit: &Fit,
+        options: &PositioningOptions,
+    ) -> Result<SolutionEstimate, Reason> {
+        let position = Ecef(fit.origin.0 + fit.step.position_m);
+        let dops = self.dops(position).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
+        if options.gdop_limit < dops.gdop {
+            return Err(Reason::GeometryTooWeak { gdop: dops.gdop });
+        }
+        let (clock_m, inter_system_biases_m) = clocks(&fit.step);
+        let list = &self.measurements.list;
+        let is_used = |index: usize| list[index].is_above_mask && !list[index].is_excluded;
+        let velocity = match options.velocity {
+            true => self.velocity.estimate(position, list, is_used, options),
+            false => None,
+        };
+        Ok(SolutionEstimate {
+            position,
+            covariance: fit.step.covariance * fit.variance_factor,
+            velocity,
+            clock_m,
+            inter_system_biases_m,
+            reception_time: epoch.time - clock_m / SPEED_OF_LIGHT,
+            dops,
+            satellites_used: self.satellites_used(),
+        })
+    }
+
+    /// Satellites of the rows that took part, sorted.
+    fn satellites_used(&self) -> Vec<SatelliteId> {
+        let used = self.rows.iter().filter(|row| row.is_used);
+        let mut satellites: Vec<_> =
+            used.map(|row| self.measurements.list[row.index].satellite).collect();
+        satellites.sort_unstable();
+        satellites
+    }
+
+    /// Ephemerides of the satellites used, in the order of the satellites.
+    pub(super) fn provenance(&self) -> Provenance {
+        let used = self.rows.iter().filter(|row| row.is_used);
+        let mut ephemerides: Vec<_> =
+            used.map(|row| self.measurements.list[row.index].ephemeris).collect();
+        ephemerides.sort_unstable_by_key(|issue| issue.satellite);
+        Provenance { ephemerides }
+    }
+
+    /// Dilutions of precision of the rows that took part, each counting alike.
+    fn dops(&self, position: Ecef) -> Option<Dops> {
+        let mut alike = self.rows.clone();
+        alike.iter_mut().for_each(|row| row.weight = 1.0);
+        let step = Step::solve(&alike)?;
+        let enu = LocalFrame::at(position).covariance_to_enu(&step.covariance);
+        let first = first_clock(&step)?;
+        let mean = &step.means[first.index()];
+        let time = mean.weight.recip() + mean.gradient.dot(&(step.covariance * mean.gradient));
+        Some(Dops {
+            gdop: (enu.trace() + time).sqrt(),
+            pdop: enu.trace().sqrt(),
+            hdop: (enu[(0, 0)] + enu[(1, 1)]).sqrt(),
+            vdop: enu[(2, 2)].sqrt(),
+            tdop: time.sqrt(),
+        })
+    }
+
+    /// What the epoch lacked before any position was sought.
+    pub(super) fn aiding_reasons(&self) -> Vec<Reason> {
+        let mut reasons = Vec::new();
+        if !self.measurements.without_ephemeris.is_empty() {
+            let satellites = self.measurements.without_ephemeris.clone();
+            reasons.push(Reason::EphemerisMissing { satellites });
+        }
+        if let Some(used) = self.measurements.ionosphere_fallback {
+            reasons.push(Reason::IonosphereFallback { used });
+        }
+        reasons
+    }
+
+    /// What kept a position from being better.
+    pub(super) fn quality_reasons(&self, fit: &Fit) -> impl Iterator<Item = Reason> {
+        let excluded = self.measurements.list.iter().filter(|m| m.is_excluded);
+        let mut satellites: Vec<_> = excluded.map(|measurement| measurement.satellite).collect();
+        satellites.sort_unstable();
+        let exclusions =
+            (!satellites.is_empty()).then_some(Reason::SatellitesExcluded { satellites });
+        let test = match fit.test_ratio {
+            None => Some(Reason::NoRedundancy),
+            Some(ratio) if 1.0 < ratio => Some(Reason::ResidualsTooLarge { ratio }),
+            Some(_) => None,
+        };
+        exclusions.into_iter().chain(test)
+    }
+}
+
+/// The first constellation that has a clock, in the order of [`Constellation::ALL`].
+fn first_clock(step: &Step) -> Option<Constellation> {
+    Constellation::ALL.into_iter().find(|c| 0 < step.means[c.index()].count)
+}
+
+/// The first clock, and each further one less it (m).
+fn clocks(step: &Step) -> (f64, Vec<(Constellation, f64)>) {
+    let Some(first) = first_clock(step) else {
+        return (0.0, Vec::new());
+    };
+    let clock_m = step.clock_m(first);
+    let further = Constellation::ALL.into_iter().skip(first.index() + 1);
+    let present = further.filter(|c| 0 < step.means[c.index()].count);
+    (clock_m, present.map(|c| (c, step.clock_m(c) - clock_m)).collect())
+}

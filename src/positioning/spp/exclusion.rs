@@ -1,0 +1,144 @@
+//! The residual test, the exclusion of satellites that contradict the rest, and what is done where
+//! too many do.
+//!
+//! Global test: the sum of squared whitened residuals against its chi-square limit. If it fails and
+//! enough redundancy remains for a second test to mean something, the satellite goes whose removal
+//! lowers the sum most, w·r²/(1 − w·aᵀQa): Baarda's (1968) w-test, which is the generalised
+//! likelihood ratio of an error in that satellite alone. One only: among several reflections,
+//! exclusion after exclusion soon leaves those that agree on a wrong place.
+//!
+//! Where one exclusion does not lead to a set that agrees, all satellites stay and Huber's (1964)
+//! weights min(1, c/|s|) bound the pull of each: c = 1.345 for signals that came late, twice that
+//! for early ones, because a reflected path is longer than the direct one and never shorter.
+
+use crate::gnss::Ecef;
+
+use super::least_squares::{Row, Step};
+use super::{Fit, LAST_STEP_M, Scene, SinglePoint};
+
+/// Least share of a residual that redundancy leaves; a satellite with less cannot be judged.
+const REDUNDANCY_MIN: f64 = 1e-6;
+/// Degrees of freedom that must remain after an exclusion. With fewer, some subset of satellites
+/// that share a reflection can always be found to agree.
+const DEGREES_LEFT_MIN: usize = 3;
+/// Huber's constant for late signals (residual negative): 95 % efficiency under normal errors.
+const HUBER_LATE: f64 = 1.345;
+/// Huber's constant for early signals.
+const HUBER_EARLY: f64 = 2.0 * HUBER_LATE;
+/// Reweighted solutions at most.
+const REWEIGHTINGS_MAX: usize = 50;
+/// Change of position at which the weights have settled (m).
+const SETTLED_M: f64 = 1e-4;
+
+impl SinglePoint {
+    /// Tests the residuals and, where asked and needed, excludes or bounds what contradicts.
+    pub(super) fn validate(&mut self, scene: &Scene<'_>, origin: Ecef, step: Step) -> Fit {
+        let all = self.judge(origin, step);
+        if !scene.options.fault_exclusion || all.test_ratio.is_none() || all.is_valid() {
+            return all;
+        }
+        let one_less = match DEGREES_LEFT_MIN < all.degrees {
+            true => self.without_worst(scene, &all),
+            false => None,
+        };
+        match one_less {
+            Some(fit) if fit.is_valid() => fit,
+            _ => self.bounded(scene, all),
+        }
+    }
+
+    /// The fit of all satellites with bounded influence; `all` itself where that cannot be had.
+    fn bounded(&mut self, scene: &Scene<'_>, all: Fit) -> Fit {
+        self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
+        self.linearize(all.origin);
+        let (mut origin, Ok(mut step)) = (all.origin, self.determined_step()) else { return all };
+        for _ in 0..REWEIGHTINGS_MAX {
+            self.reweigh(&step);
+            let Some(mut next) = Step::solve(&self.rows) else { return all };
+            let change_m = (next.position_m - step.position_m).norm();
+            if LAST_STEP_M < next.position_m.norm() {
+                // The weights carry over to rows at the new place.
+                origin.0 += next.position_m;
+                let Some(moved) = self.replaced(scene, origin, &next) else { return all };
+                next = moved;
+            }
+            step = next;
+            if change_m < SETTLED_M {
+                break;
+            }
+        }
+        Fit { test_ratio: all.test_ratio, ..self.judge(origin, step) }
+    }
+
+    /// Rows placed and linearised at `origin` with the weights their residuals had before.
+    fn replaced(&mut self, scene: &Scene<'_>, origin: Ecef, before: &Step) -> Option<Step> {
+        let (time, options) = (scene.epoch.time, scene.options);
+        self.reweigh(before);
+        let kernels: Vec<(usize, f64)> =
+            self.rows.iter().map(|row| (row.index, self.kernel(row))).collect();
+        self.measurements.place(origin, time, scene.navigation, options)?;
+        self.linearize(origin);
+        self.determined_step().ok()?;
+        for row in &mut self.rows {
+            let known = kernels.iter().find(|(index, _)| *index == row.index);
+            row.weight *= known.map_or(1.0, |(_, kernel)| *kernel);
+        }
+        Step::solve(&self.rows)
+    }
+
+    /// The factor that a row's weight has been given.
+    fn kernel(&self, row: &Row) -> f64 {
+        row.weight * self.measurements.list[row.index].variance_m2
+    }
+
+    /// Gives every row the weight of its residual after `step`.
+    fn reweigh(&mut self, step: &Step) {
+        for row in &mut self.rows {
+            let stated = self.measurements.list[row.index].variance_m2.recip();
+            let whitened = step.residual_after_m(row) * stated.sqrt();
+            let bound = if whitened < 0.0 { HUBER_LATE } else { HUBER_EARLY };
+            row.weight = stated * (bound / whitened.abs()).min(1.0);
+        }
+    }
+
+    /// The fit of the rows in use.
+    fn judge(&self, origin: Ecef, step: Step) -> Fit {
+        let (rows, constellations) = step.counts();
+        let degrees = rows - 3 - constellations;
+        let squares = step.squares(&self.rows);
+        let redundant = 0 < degrees;
+        Fit {
+            origin,
+            step,
+            degrees,
+            test_ratio: redundant.then(|| squares / self.limits.at(degrees)),
+            variance_factor: if redundant { (squares / degrees as f64).max(1.0) } else { 1.0 },
+        }
+    }
+
+    /// The fit without the satellite that contradicts the others most; `None` where none
+    /// can be spared.
+    fn without_worst(&mut self, scene: &Scene<'_>, fit: &Fit) -> Option<Fit> {
+        let gain = |row: &Row| {
+            let redundancy = 1.0 - row.weight * fit.step.variance_of(row);
+            let judged = row.is_used && REDUNDANCY_MIN < redundancy;
+            let square = row.weight * fit.step.residual_after_m(row).powi(2);
+            if judged { square / redundancy } else { 0.0 }
+        };
+        let worst = self.rows.iter().max_by(|a, b| gain(a).total_cmp(&gain(b)))?.index;
+        self.measurements.list[worst].is_excluded = true;
+        let next = self.refit(scene, fit.origin);
+        next
+    }
+
+    /// Solves again without the excluded, from rows at `origin` if that step is short.
+    fn refit(&mut self, scene: &Scene<'_>, origin: Ecef) -> Option<Fit> {
+        self.linearize(origin);
+        let step = self.determined_step().ok()?;
+        if step.position_m.norm() < LAST_STEP_M {
+            return Some(self.judge(origin, step));
+        }
+        let (origin, step) = self.converge(scene, Ecef(origin.0 + step.position_m)).ok()?;
+        Some(self.judge(origin, step))
+    }
+}

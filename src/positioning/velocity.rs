@@ -1,0 +1,130 @@
+//! Velocity and clock drift from Doppler, equations (2) to (6) of Wen & Hsu (2021).
+//!
+//! A Doppler shift D on wavelength λ is a range rate −λD (RINEX: positive when approaching, so
+//! the paper's (3) needs the sign), which is ρ̇ + c·δṫ_r − c·δṫˢ. ρ̇ is linear in the receiver's
+//! velocity with gradient −e (the paper's (5) prints +e), so that one step of least squares
+//! solves; it is repeated with Huber's weights (Huber 1964) while reflections pull at it. One clock
+//! drift serves all constellations.
+
+use nalgebra::{Matrix4, Vector3, Vector4};
+
+use crate::config::PositioningOptions;
+use crate::gnss::{Ecef, Velocity};
+use crate::models::range_rate;
+
+use super::Measurement;
+
+/// Huber's constant: 95 % efficiency under normal errors.
+const HUBER: f64 = 1.345;
+/// C/N0 to which the option refers (dB-Hz).
+const REFERENCE_DB_HZ: f64 = 42.0;
+/// C/N0 taken where none is reported (dB-Hz).
+const CN0_IF_MISSING_DB_HZ: f64 = 42.0;
+/// Solutions at most; the weights settle to a millimetre per second within.
+const ITERATIONS_MAX: usize = 20;
+/// Change of velocity at which the weights have settled (m/s).
+const SETTLED_M_S: f64 = 1e-4;
+/// Least ratio of the smallest to the largest pivot of a geometry that determines a velocity.
+const PIVOT_RATIO_MIN: f64 = 1e-10;
+
+/// A Doppler measurement, linear in velocity and drift.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Row {
+    /// ∂/∂[v; c·δṫ_r].
+    design: Vector4<f64>,
+    /// Model − measured for a receiver at rest without drift (m/s).
+    residual_m_s: f64,
+    /// 1/σ (s/m).
+    root_weight: f64,
+}
+
+/// Rows of the Doppler equations; the memory is used again for the next epoch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct VelocityEstimator {
+    rows: Vec<Row>,
+}
+
+impl VelocityEstimator {
+    /// Velocity at `position` from the measurements that `is_used` admits; `None` where their
+    /// Doppler does not determine it.
+    pub(super) fn estimate(
+        &mut self,
+        position: Ecef,
+        measurements: &[Measurement],
+        is_used: impl Fn(usize) -> bool,
+        options: &PositioningOptions,
+    ) -> Option<Velocity> {
+        self.rows.clear();
+        let used = measurements.iter().enumerate().filter(|(index, _)| is_used(*index));
+        self.rows.extend(used.filter_map(|(_, m)| row(position, m, options)));
+        solve(&self.rows)
+    }
+}
+
+fn row(position: Ecef, measurement: &Measurement, options: &PositioningOptions) -> Option<Row> {
+    let measured_m_s = measurement.range_rate_m_s?;
+    let state = &measurement.state;
+    let rate = range_rate(state.position, &state.velocity_m_s, position, &Vector3::zeros());
+    let slope = rate.by_velocity;
+    let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
+    Some(Row {
+        design: Vector4::new(slope.x, slope.y, slope.z, 1.0),
+        residual_m_s: rate.rate_m_s - measured_m_s,
+        root_weight: variance_m2_s2(options.doppler_sigma_m_s, cn0_db_hz).sqrt().recip(),
+    })
+}
+
+/// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): what a strong signal has, and thermal noise.
+fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
+    let decades = (REFERENCE_DB_HZ - cn0_db_hz) / 10.0;
+    sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
+}
+
+/// Iteratively reweighted least squares.
+fn solve(rows: &[Row]) -> Option<Velocity> {
+    if rows.len() < 4 {
+        return None;
+    }
+    let mut state = Vector4::zeros();
+    let mut inverse = Matrix4::zeros();
+    for iteration in 0..ITERATIONS_MAX {
+        let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for row in rows {
+            let whitened = whitened(row, &state).abs();
+            let kernel = if iteration == 0 { 1.0 } else { (HUBER / whitened).min(1.0) };
+            let weighted = row.design * (row.root_weight * row.root_weight * kernel);
+            normal += weighted * row.design.transpose();
+            right -= weighted * row.residual_m_s;
+        }
+        inverse = invert_positive(&normal)?;
+        let next = inverse * right;
+        let change = (next - state).norm();
+        state = next;
+        if change < SETTLED_M_S {
+            break;
+        }
+    }
+    let degrees = rows.len() - 4;
+    let squares: f64 = rows.iter().map(|row| huber_square(whitened(row, &state))).sum();
+    let scale = if degrees == 0 { 1.0 } else { (squares / degrees as f64).max(1.0) };
+    Some(Velocity {
+        velocity_m_s: state.xyz(),
+        covariance: inverse.fixed_view::<3, 3>(0, 0) * scale,
+        clock_drift_m_s: state.w,
+    })
+}
+
+fn whitened(row: &Row, state: &Vector4<f64>) -> f64 {
+    row.root_weight * (row.design.dot(state) + row.residual_m_s)
+}
+
+/// w(r)·r²: a residual's square under its Huber weight.
+fn huber_square(whitened: f64) -> f64 {
+    whitened.abs().min(HUBER) * whitened.abs()
+}
+
+fn invert_positive(normal: &Matrix4<f64>) -> Option<Matrix4<f64>> {
+    let factor = normal.cholesky()?;
+    let pivots = factor.l_dirty().diagonal();
+    (PIVOT_RATIO_MIN * pivots.max().powi(2) < pivots.min().powi(2)).then(|| factor.inverse())
+}
