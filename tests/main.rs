@@ -6,5 +6,6 @@ mod data;
 mod evaluation;
 mod models;
 mod rinex;
+mod spp;
 
 mod tidy;

@@ -205,8 +205,8 @@ fn dual_frequency_range(
 
 /// What the receiver delays each second signal against the main one, by signal.
 ///
-/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. The model's own
-/// common error goes into b too: the two cannot be told apart in one epoch, and what is left of
+/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. The model's
+/// own common error goes into b too: the two cannot be told apart in one epoch, and what is left of
 /// the second frequency is how the ionosphere differs from satellite to satellite.
 #[derive(Clone, Debug, Default)]
 pub(super) struct InterFrequencyBiases(Vec<InterFrequencyBias>);

@@ -26,9 +26,9 @@ const HUBER_LATE: f64 = 1.345;
 /// Huber's constant for early signals.
 const HUBER_EARLY: f64 = 2.0 * HUBER_LATE;
 /// Reweighted solutions at most.
-const REWEIGHTINGS_MAX: usize = 50;
+const REWEIGHTINGS_MAX: usize = 500;
 /// Change of position at which the weights have settled (m).
-const SETTLED_M: f64 = 1e-4;
+const SETTLED_M: f64 = 1e-6;
 
 impl SinglePoint {
     /// Tests the residuals and, where asked and needed, excludes or bounds what contradicts.
@@ -127,8 +127,7 @@ impl SinglePoint {
         };
         let worst = self.rows.iter().max_by(|a, b| gain(a).total_cmp(&gain(b)))?.index;
         self.measurements.list[worst].is_excluded = true;
-        let next = self.refit(scene, fit.origin);
-        next
+        self.refit(scene, fit.origin)
     }
 
     /// Solves again without the excluded, from rows at `origin` if that step is short.

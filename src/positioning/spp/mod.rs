@@ -2,7 +2,7 @@
 //!
 //! Unknowns are the position and one clock per constellation. From the Earth's centre, or from the
 //! previous position, Gauss–Newton steps alternate with placing the measurements anew until a step
-//! is shorter than 10 m: then the range's curvature (step²/ρ < 5 µm) and the atmosphere's slope
+//! is shorter than 0.1 m: then the range's curvature (step²/ρ < 1 nm) and the atmosphere's slope
 //! (below 0.1 mm) are exhausted, so that the answer no longer depends on the start.
 //!
 //! The residual test compares the sum of squared whitened residuals with its chi-square limit, and
@@ -24,7 +24,7 @@ use chi_square::ChiSquareLimits;
 use least_squares::{Row, Step};
 
 /// A step shorter than this needs no further one (m).
-const LAST_STEP_M: f64 = 10.0;
+const LAST_STEP_M: f64 = 0.1;
 /// A coarse step shorter than this gives way to full models (m).
 const COARSE_STEP_M: f64 = 10_000.0;
 /// Steps at most, coarse or fine; from the Earth's centre some five and three are taken.
