@@ -6,6 +6,7 @@ mod data;
 mod evaluation;
 mod models;
 mod rinex;
+mod simulation;
 mod spp;
 
 mod tidy;

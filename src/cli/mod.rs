@@ -7,6 +7,7 @@ mod config;
 mod evaluate;
 mod failure;
 mod option_arguments;
+mod simulate;
 mod solve;
 
 use std::ffi::OsString;
@@ -29,6 +30,7 @@ enum Command {
     Solve(solve::SolveArguments),
     Config(config::ConfigArguments),
     Evaluate(Box<evaluate::EvaluateArguments>),
+    Simulate(simulate::SimulateArguments),
 }
 
 impl Command {
@@ -37,6 +39,7 @@ impl Command {
             Self::Solve(arguments) => solve::run(&arguments),
             Self::Config(arguments) => config::run(&arguments),
             Self::Evaluate(arguments) => evaluate::run(&arguments),
+            Self::Simulate(arguments) => simulate::run(&arguments),
         }
     }
 }

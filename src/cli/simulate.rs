@@ -1,0 +1,203 @@
+//! `graphfix simulate`: observations with known truth as files.
+
+use std::fs::{File, create_dir_all};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::Failure;
+use crate::formats::rinex::{
+    ObservationHeader, ObservationWriter, RinexVersion, RinexWriteError, write_navigation,
+};
+use crate::formats::truth::{self, TruthRow};
+use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
+use crate::simulation::{Scenario, Simulator, signals};
+
+/// The files written.
+const FILES: [&str; 5] = ["rover.obs", "base.obs", "navigation.rnx", "truth.csv", "README.txt"];
+/// Longest simulation and shortest interval: what one file shall hold.
+const LONGEST_S: f64 = 7.0 * 86_400.0;
+const SHORTEST_INTERVAL_S: f64 = 0.01;
+
+/// Simulates a rover and its base and writes RINEX 3.05 files and the truth.
+#[derive(Debug, Args)]
+pub(crate) struct SimulateArguments {
+    /// What is simulated: open-sky, urban-canyon or clean.
+    #[arg(long, value_name = "NAME")]
+    scenario: String,
+    /// The same seed gives the same files.
+    #[arg(long, value_name = "N")]
+    seed: u64,
+    /// Folder to write to; it is made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    output: PathBuf,
+    /// Length (s); the scenario's own where not given.
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+    /// Epochs per second (Hz); the scenario's own where not given.
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Receives one frequency only.
+    #[arg(long)]
+    single_frequency: bool,
+    /// Writes over files that are there.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Simulates and writes.
+pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
+    let scenario = arguments.scenario()?;
+    let folder = &arguments.output;
+    if let Some(name) = FILES.iter().find(|name| !arguments.force && folder.join(name).exists()) {
+        let message = format!("{} is there already", folder.join(name).display());
+        return Err(Failure::new("FILE_EXISTS", message, "name another folder or add --force"));
+    }
+    create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
+    let simulator = Simulator::new(scenario.clone(), arguments.seed);
+    let navigation = simulator.navigation().clone();
+    let base_position = simulator.base_position();
+    write_navigation(create(&folder.join("navigation.rnx"))?, &navigation)
+        .map_err(|error| not_writable(&folder.join("navigation.rnx"), &error))?;
+    let epochs = write_epochs(folder, &scenario, simulator)?;
+    let summary = summary(arguments, &scenario, epochs, base_position);
+    let readme = folder.join("README.txt");
+    let written = create(&readme)?.write_all(summary.as_bytes());
+    written.map_err(|error| not_writable(&readme, &error))?;
+    // Err: the reader of a pipe has seen enough.
+    std::io::stdout().write_all(summary.as_bytes()).ok();
+    Ok(())
+}
+
+impl SimulateArguments {
+    fn scenario(&self) -> Result<Scenario, Failure> {
+        let mut scenario = Scenario::by_name(&self.scenario).ok_or_else(|| {
+            let names: Vec<_> = Scenario::NAMES.iter().map(|(name, _)| *name).collect();
+            let message = format!("no scenario is named {:?}", self.scenario);
+            Failure::new("UNKNOWN_SCENARIO", message, format!("one of {}", names.join(", ")))
+        })?;
+        if let Some(duration_s) = self.duration {
+            if !(0.0..=LONGEST_S).contains(&duration_s) {
+                return Err(out_of_range("--duration", duration_s, 0.0, LONGEST_S));
+            }
+            scenario.duration_s = duration_s;
+        }
+        if let Some(rate_hz) = self.rate {
+            let (lowest, highest) = (1.0 / 3_600.0, 1.0 / SHORTEST_INTERVAL_S);
+            if !(lowest..=highest).contains(&rate_hz) {
+                return Err(out_of_range("--rate", rate_hz, lowest, highest));
+            }
+            scenario.interval_s = 1.0 / rate_hz;
+        }
+        if self.single_frequency {
+            scenario.frequencies = 1;
+        }
+        Ok(scenario)
+    }
+}
+
+/// Writes rover, base and truth; returns how many epochs there are.
+fn write_epochs(
+    folder: &Path,
+    scenario: &Scenario,
+    simulator: Simulator,
+) -> Result<usize, Failure> {
+    let observations = |name: &str, position: Option<Ecef>, navigation: &Navigation| {
+        let path = folder.join(name);
+        let header = header(name, scenario, position, navigation);
+        ObservationWriter::new(create(&path)?, &header).map_err(|e| not_writable(&path, &e))
+    };
+    let navigation = simulator.navigation().clone();
+    let failed = |error: RinexWriteError| not_writable(folder, &error);
+    let mut rover = observations("rover.obs", None, &navigation)?;
+    let mut base = match simulator.base_position() {
+        Some(position) => Some(observations("base.obs", Some(position), &navigation)?),
+        None => None,
+    };
+    let mut rows = Vec::new();
+    for epoch in simulator {
+        rover.write_epoch(&epoch.rover).map_err(failed)?;
+        if let (Some(writer), Some(observed)) = (&mut base, &epoch.base) {
+            writer.write_epoch(observed).map_err(failed)?;
+        }
+        rows.push(TruthRow { time: epoch.rover.time, position: epoch.position });
+    }
+    rover.finish().map_err(failed)?;
+    base.map(ObservationWriter::finish).transpose().map_err(failed)?;
+    let path = folder.join("truth.csv");
+    truth::write(create(&path)?, &rows).map_err(|error| not_writable(&path, &error))?;
+    Ok(rows.len())
+}
+
+fn header(
+    name: &str,
+    scenario: &Scenario,
+    position: Option<Ecef>,
+    navigation: &Navigation,
+) -> ObservationHeader {
+    let mut codes = [const { Vec::new() }; Constellation::COUNT];
+    for constellation in &scenario.constellations {
+        codes[constellation.index()] =
+            signals(*constellation).into_iter().take(scenario.frequencies).collect();
+    }
+    let channel = |list: &[Ephemeris]| {
+        let first = list.first()?;
+        Some((first.satellite().number, first.glonass_channel()?))
+    };
+    ObservationHeader {
+        marker: name.trim_end_matches(".obs").to_uppercase(),
+        receiver: "GRAPHFIX SIMULATION".to_owned(),
+        antenna: "IDEAL".to_owned(),
+        approximate_position: position,
+        interval_s: Some(scenario.interval_s),
+        first_observation: Some(scenario.start),
+        leap_seconds: Some(navigation.leap_seconds.at(scenario.start)),
+        glonass_channels: navigation.satellites().filter_map(|(_, list)| channel(list)).collect(),
+        codes,
+        ..ObservationHeader::new(RinexVersion::new(3, 5))
+    }
+}
+
+fn summary(
+    arguments: &SimulateArguments,
+    scenario: &Scenario,
+    epochs: usize,
+    base: Option<Ecef>,
+) -> String {
+    let named = Scenario::NAMES.iter().find(|(name, _)| *name == arguments.scenario);
+    let mut text = format!(
+        "Simulated by graphfix {}: scenario {}, seed {}\n{}\n\n\
+         {epochs} epochs from GPS {} on, every {} s\n\
+         rover.obs       what the rover measured (RINEX 3.05)\n",
+        env!("CARGO_PKG_VERSION"),
+        arguments.scenario,
+        arguments.seed,
+        named.map_or("", |(_, meaning)| meaning),
+        scenario.start,
+        scenario.interval_s,
+    );
+    if let Some(Ecef(p)) = base {
+        text += &format!(
+            "base.obs        what the base measured, antenna at {:.4},{:.4},{:.4} (ECEF, m)\n",
+            p.x, p.y, p.z
+        );
+    }
+    text += "navigation.rnx  what the satellites broadcast (RINEX 3.05)\n\
+             truth.csv       where the rover's antenna was: gps_week,tow,x_m,y_m,z_m\n";
+    text
+}
+
+fn create(path: &Path) -> Result<BufWriter<File>, Failure> {
+    File::create(path).map(BufWriter::new).map_err(|error| not_writable(path, &error))
+}
+
+fn not_writable(path: &Path, error: &dyn std::error::Error) -> Failure {
+    let message = format!("cannot write {}: {error}", path.display());
+    Failure::new("FILE_NOT_WRITABLE", message, "check the folder and its permissions")
+}
+
+fn out_of_range(name: &str, value: f64, low: f64, high: f64) -> Failure {
+    let message = format!("{name} {value} is outside {low} to {high}");
+    Failure::new("INVALID_OPTION_VALUE", message, "give a value inside")
+}
