@@ -20,10 +20,15 @@ pub(crate) fn set(name: &str) -> Option<PathBuf> {
         return Some(folder);
     }
     assert!(required.is_none(), "GRAPHFIX_DATA is set and {} is missing", folder.display());
+    note_missing(&format!("data set {name}"));
+    None
+}
+
+/// Notes what a test was skipped for, so that `scripts/test` can say it at its end.
+pub(crate) fn note_missing(what: &str) {
     let note = Path::new(env!("CARGO_TARGET_TMPDIR")).join("missing-data-sets");
     let mut file =
         OpenOptions::new().create(true).append(true).open(note).expect("target is writable");
-    writeln!(file, "{name}").expect("target is writable");
-    eprintln!("skipped: data set {name} is not there");
-    None
+    writeln!(file, "{what}").expect("target is writable");
+    eprintln!("skipped: {what} is not there");
 }

@@ -140,28 +140,43 @@ impl Store {
         rows.into_iter().map(RawEpoch::parse).collect()
     }
 
-    /// The epoch of a number with its real-time answer.
+    /// Those of the epochs `seqs` that are stored, with their real-time answers.
     ///
     /// # Errors
-    /// The database fails, or the row is corrupt.
-    pub async fn epoch(
+    /// The database fails, or a row is corrupt.
+    pub async fn epochs(
         &self,
         session: SessionKey,
-        seq: u64,
-    ) -> Result<Option<StoredEpoch>, StoreError> {
-        let Ok(seq) = i64::try_from(seq) else { return Ok(None) };
-        let row: Result<Option<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content
-             FROM epochs e
-             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
-             WHERE e.session = $1 AND e.seq = $2",
-        )
-        .bind(session.0)
-        .bind(seq)
-        .fetch_optional(pool)
-        .await);
-        let row = row.map_err(StoreError::database("reading an epoch"))?;
-        row.map(RawEpoch::parse).transpose()
+        seqs: &[u64],
+    ) -> Result<Vec<StoredEpoch>, StoreError> {
+        let seqs: Vec<i64> = seqs.iter().filter_map(|seq| i64::try_from(*seq).ok()).collect();
+        macro_rules! select {
+            ($among:literal) => {
+                concat!(
+                    "SELECT e.seq AS seq, e.content AS epoch, s.content AS content ",
+                    "FROM epochs e JOIN solutions s ",
+                    "ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
+                    "WHERE e.session = $1 AND e.seq ",
+                    $among
+                )
+            };
+        }
+        let rows: Result<Vec<RawEpoch>, _> = match &self.pool {
+            Pool::Sqlite { readers, .. } => {
+                let list = serde_json::to_string(&seqs).expect("a list of numbers is JSON");
+                sqlx::query_as(select!("IN (SELECT value FROM json_each($2))"))
+                    .bind(session.0)
+                    .bind(list)
+                    .fetch_all(readers)
+                    .await
+            }
+            Pool::Postgres(pool) => {
+                let sql = select!("= ANY($2)");
+                sqlx::query_as(sql).bind(session.0).bind(seqs).fetch_all(pool).await
+            }
+        };
+        let rows = rows.map_err(StoreError::database("reading epochs"))?;
+        rows.into_iter().map(RawEpoch::parse).collect()
     }
 
     /// Solutions of a session in order of number and revision.

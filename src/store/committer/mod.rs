@@ -63,6 +63,11 @@ impl EncodedEpoch {
             solution: encode_solution(solution, version, configuration_hash),
         }
     }
+
+    /// Whether `epoch` is this one, bit by bit.
+    pub fn is(&self, epoch: &Epoch) -> bool {
+        self.content == encode_epoch(epoch)
+    }
 }
 
 struct Request {

@@ -1,0 +1,50 @@
+//! From what users ask for to the options in force, and back from what is stored.
+
+use std::collections::BTreeMap;
+
+use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
+use crate::store::SessionSettings;
+
+/// The options of a mode and profile with overrides.
+///
+/// # Errors
+/// A mode, profile, option or value that does not exist.
+pub(super) fn options(
+    mode: &str,
+    profile: &str,
+    overrides: &BTreeMap<String, String>,
+) -> Result<PositioningOptions, ConfigError> {
+    let mut options = PositioningOptions::new(Mode::parse(mode)?, Profile::parse(profile)?);
+    for (name, value) in overrides {
+        options.set(name, value)?;
+    }
+    Ok(options)
+}
+
+/// The settings to store.
+///
+/// # Errors
+/// A mode, profile, option or value that does not exist.
+pub(super) fn settings(
+    label: String,
+    mode: String,
+    profile: String,
+    overrides: BTreeMap<String, String>,
+) -> Result<SessionSettings, ConfigError> {
+    let options = options(&mode, &profile, &overrides)?;
+    let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
+    let configuration = in_force.collect();
+    let configuration_hash = options.configuration_hash().into();
+    Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash })
+}
+
+/// The options that were in force when the settings were stored, though a profile's values may
+/// have changed since.
+///
+/// # Errors
+/// An option that no longer exists.
+pub(super) fn stored_options(
+    settings: &SessionSettings,
+) -> Result<PositioningOptions, ConfigError> {
+    options(&settings.mode, &settings.profile, &settings.configuration)
+}

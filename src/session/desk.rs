@@ -1,0 +1,391 @@
+//! The desk itself: what the doors call.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::mem;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinSet;
+
+use crate::aiding::NavigationBroker;
+use crate::store::{
+    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
+};
+
+use super::configuration::{settings, stored_options};
+use super::solvers::Solvers;
+use super::task::{Place, Submission, Task};
+use super::{
+    NewSession, Pending, SequencedEpoch, SessionError, SessionId, SessionInfo, SessionLimits,
+    SessionUpdate, Submitted,
+};
+
+/// Locks that starting and closing a session share, by its id.
+const STARTING_LOCKS: usize = 64;
+
+/// The desk for sessions. Clones share it.
+///
+/// A session's task is started by its first batch of epochs and holds the estimator in memory. When
+/// [`SessionLimits::active_sessions`] have one, the least recently used session without waiting
+/// epochs is parked: its task ends, and a later batch starts a new one from the store.
+#[derive(Clone)]
+pub struct Sessions {
+    desk: Arc<Desk>,
+}
+
+struct Desk {
+    store: Store,
+    aiding: NavigationBroker,
+    limits: SessionLimits,
+    solvers: Solvers,
+    /// Epochs waiting in all mailboxes.
+    waiting: Arc<AtomicUsize>,
+    /// Held from reading a session's row until its task is started, and while it is closed.
+    starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
+    tasks: Mutex<Tasks>,
+}
+
+/// The tasks that run. Batches are posted under its lock, so a task taken out of `handles` with
+/// nothing waiting never gets another one.
+struct Tasks {
+    handles: HashMap<SessionId, Handle>,
+    running: JoinSet<()>,
+    /// Counts batches, to tell who was used least recently.
+    posted: u64,
+    draining: bool,
+}
+
+struct Handle {
+    mailbox: mpsc::Sender<Submission>,
+    waiting: Arc<AtomicUsize>,
+    outdated: Arc<AtomicBool>,
+    last_used: u64,
+}
+
+impl Sessions {
+    /// Opens the desk.
+    pub fn open(store: Store, aiding: NavigationBroker, mut limits: SessionLimits) -> Self {
+        limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_batch);
+        limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_batch);
+        let tasks =
+            Tasks { handles: HashMap::new(), running: JoinSet::new(), posted: 0, draining: false };
+        let desk = Desk {
+            store,
+            aiding,
+            solvers: Solvers::new(limits.solver_threads),
+            limits,
+            waiting: Arc::default(),
+            starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
+            tasks: Mutex::new(tasks),
+        };
+        Self { desk: Arc::new(desk) }
+    }
+
+    /// Creates a session and stores it.
+    ///
+    /// # Errors
+    /// A configuration that does not exist, a label too long, or the store fails.
+    pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
+        self.check_label(&new.label)?;
+        let settings = settings(new.label, new.mode, new.profile, new.overrides)?;
+        let id = SessionId::random();
+        let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
+        info(id, row)
+    }
+
+    /// A session, open or closed.
+    ///
+    /// # Errors
+    /// There is none of this id, or the store fails.
+    pub async fn get(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        info(id.clone(), self.row(id).await?)
+    }
+
+    /// Sessions, the newest first; 1 to 1000 on a page.
+    ///
+    /// # Errors
+    /// A page token or size that is refused, or the store fails.
+    pub async fn list(
+        &self,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<SessionInfo>, SessionError> {
+        let page = self.desk.store.sessions(page_size, page_token).await?;
+        page.try_map(|row| {
+            let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
+                what: "session id",
+                why: format!("{:?} is none", row.id),
+            })?;
+            info(id, row)
+        })
+    }
+
+    /// Changes a session's label and configuration. Epochs sent after it returns are positioned by
+    /// the new configuration; those that wait may be, too.
+    ///
+    /// # Errors
+    /// No such session, one that is closed, a configuration that does not exist.
+    pub async fn update(
+        &self,
+        id: &SessionId,
+        update: SessionUpdate,
+    ) -> Result<SessionInfo, SessionError> {
+        if let Some(label) = &update.label {
+            self.check_label(label)?;
+        }
+        let _starting = self.starting(id).lock().await;
+        let mut row = self.open_row(id).await?;
+        let mut overrides = row.settings.overrides;
+        overrides.retain(|name, _| !update.clear_overrides.contains(name));
+        overrides.extend(update.overrides);
+        row.settings = settings(
+            update.label.unwrap_or(row.settings.label),
+            update.mode.unwrap_or(row.settings.mode),
+            update.profile.unwrap_or(row.settings.profile),
+            overrides,
+        )?;
+        self.desk.store.update_session(row.key, &row.settings).await?;
+        if let Some(handle) = self.tasks().handles.get(id) {
+            handle.outdated.store(true, Ordering::Release);
+        }
+        info(id.clone(), row)
+    }
+
+    /// Closes a session: it takes no more epochs, what it stored stays readable. Epochs that wait
+    /// are still positioned and stored.
+    ///
+    /// # Errors
+    /// No such session, or the store fails.
+    pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        let _starting = self.starting(id).lock().await;
+        let row = self.row(id).await?;
+        self.desk.store.close_session(row.key, unix_ms()).await?;
+        self.tasks().handles.remove(id);
+        self.get(id).await
+    }
+
+    /// Positions and commits a batch of epochs; returns when it is durable.
+    ///
+    /// # Errors
+    /// The batch was refused, or could not be committed: nothing of it is acknowledged.
+    pub async fn submit(
+        &self,
+        id: &SessionId,
+        epochs: Vec<SequencedEpoch>,
+    ) -> Result<Submitted, SessionError> {
+        self.enqueue(id, epochs).await?.answer().await
+    }
+
+    /// Puts a batch of epochs into the session's mailbox. Batches of calls that follow one another
+    /// are positioned in that order, and their answers may be awaited later.
+    ///
+    /// # Errors
+    /// No such session, one that is closed, a batch too large, a full mailbox: nothing is accepted.
+    pub async fn enqueue(
+        &self,
+        id: &SessionId,
+        epochs: Vec<SequencedEpoch>,
+    ) -> Result<Pending, SessionError> {
+        self.check_batch(&epochs)?;
+        let mut epochs = epochs;
+        if let Some(pending) = self.post(id, &mut epochs)? {
+            return Ok(pending);
+        }
+        let _starting = self.starting(id).lock().await;
+        if let Some(pending) = self.post(id, &mut epochs)? {
+            return Ok(pending); // Another call has started it meanwhile.
+        }
+        let row = self.open_row(id).await?;
+        self.start(id, row.key)?;
+        self.post(id, &mut epochs)?.ok_or(SessionError::Interrupted)
+    }
+
+    /// Stored solutions of a session, open or closed, in order of number and revision.
+    ///
+    /// # Errors
+    /// No such session, a page token or size that is refused, or the store fails.
+    pub async fn solutions(
+        &self,
+        id: &SessionId,
+        query: &SolutionQuery,
+    ) -> Result<Page<StoredSolution>, SessionError> {
+        let row = self.row(id).await?;
+        Ok(self.desk.store.solutions(row.key, query).await?)
+    }
+
+    /// Refuses further epochs and waits until those accepted are positioned and stored.
+    pub async fn drain(&self) {
+        let mut running = {
+            let mut tasks = self.tasks();
+            tasks.draining = true;
+            tasks.handles.clear();
+            mem::take(&mut tasks.running)
+        };
+        while running.join_next().await.is_some() {}
+    }
+
+    /// Whether [`Self::drain`] was called.
+    pub fn is_draining(&self) -> bool {
+        self.tasks().draining
+    }
+
+    pub(super) fn store(&self) -> &Store {
+        &self.desk.store
+    }
+
+    pub(super) fn aiding(&self) -> &NavigationBroker {
+        &self.desk.aiding
+    }
+
+    pub(super) fn solvers(&self) -> &Solvers {
+        &self.desk.solvers
+    }
+
+    /// The limits in force.
+    pub fn limits(&self) -> &SessionLimits {
+        &self.desk.limits
+    }
+
+    pub(super) async fn row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
+        let row = self.desk.store.session(id.as_str()).await?;
+        row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })
+    }
+
+    async fn open_row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
+        let row = self.row(id).await?;
+        match row.closed_unix_ms {
+            None => Ok(row),
+            Some(_) => Err(SessionError::Closed { id: id.to_string() }),
+        }
+    }
+
+    pub(super) fn check_batch(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
+        let (epochs, limit) = (epochs.len(), self.desk.limits.epochs_per_batch);
+        match epochs {
+            0 => Err(SessionError::NoEpochs),
+            _ if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
+            _ => Ok(()),
+        }
+    }
+
+    fn check_label(&self, label: &str) -> Result<(), SessionError> {
+        let (length, limit) = (label.chars().count(), self.desk.limits.label_characters);
+        if limit < length { Err(SessionError::LabelTooLong { length, limit }) } else { Ok(()) }
+    }
+
+    fn tasks(&self) -> MutexGuard<'_, Tasks> {
+        self.desk.tasks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn starting(&self, id: &SessionId) -> &tokio::sync::Mutex<()> {
+        let mut hasher = DefaultHasher::new();
+        id.hash(&mut hasher);
+        &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
+    }
+
+    /// Puts the epochs into the mailbox of a running task; `None` leaves them, for none runs.
+    fn post(
+        &self,
+        id: &SessionId,
+        epochs: &mut Vec<SequencedEpoch>,
+    ) -> Result<Option<Pending>, SessionError> {
+        let Desk { limits, waiting: of_all, .. } = &*self.desk;
+        let retry_after = limits.retry_after;
+        let mut tasks = self.tasks();
+        if tasks.draining {
+            return Err(SessionError::Draining);
+        }
+        tasks.posted += 1;
+        let posted = tasks.posted;
+        let Some(handle) = tasks.handles.get_mut(id) else { return Ok(None) };
+        let (waiting, limit) = (handle.waiting.load(Ordering::Acquire), limits.mailbox_epochs);
+        if limit < waiting + epochs.len() {
+            return Err(SessionError::MailboxFull { waiting, limit, retry_after });
+        }
+        let (all, limit) = (of_all.load(Ordering::Acquire), limits.waiting_epochs);
+        if limit < all + epochs.len() {
+            return Err(SessionError::Overloaded { waiting: all, limit, retry_after });
+        }
+        let place = Place::take(epochs.len(), &handle.waiting, of_all);
+        let (reply, answer) = oneshot::channel();
+        match handle.mailbox.try_send(Submission { epochs: mem::take(epochs), place, reply }) {
+            Ok(()) => {
+                handle.last_used = posted;
+                Ok(Some(Pending(answer)))
+            }
+            Err(TrySendError::Full(_)) => {
+                let limit = limits.mailbox_epochs;
+                Err(SessionError::MailboxFull { waiting, limit, retry_after })
+            }
+            Err(TrySendError::Closed(submission)) => {
+                *epochs = submission.epochs;
+                tasks.handles.remove(id);
+                Ok(None)
+            }
+        }
+    }
+
+    /// Starts a session's task, parking another where as many run as may.
+    fn start(&self, id: &SessionId, key: SessionKey) -> Result<(), SessionError> {
+        let Desk { store, aiding, limits, solvers, .. } = &*self.desk;
+        let mut tasks = self.tasks();
+        if tasks.draining {
+            return Err(SessionError::Draining);
+        }
+        let limit = limits.active_sessions;
+        if limit <= tasks.handles.len() && !tasks.park_one() {
+            return Err(SessionError::TooManyActive { limit, retry_after: limits.retry_after });
+        }
+        let (mailbox, inbox) = mpsc::channel(limits.mailbox_epochs);
+        let outdated = Arc::new(AtomicBool::new(false));
+        let task = Task {
+            id: id.clone(),
+            key,
+            store: store.clone(),
+            aiding: aiding.clone(),
+            solvers: solvers.clone(),
+            observations_per_epoch: limits.observations_per_epoch,
+            outdated: outdated.clone(),
+        };
+        while tasks.running.try_join_next().is_some() {} // Tasks that ended are forgotten.
+        tasks.running.spawn(task.run(inbox));
+        let last_used = tasks.posted;
+        let handle = Handle { mailbox, waiting: Arc::default(), outdated, last_used };
+        tasks.handles.insert(id.clone(), handle);
+        Ok(())
+    }
+}
+
+impl Tasks {
+    /// Ends the least recently used task that nothing waits for; `false` if there is none.
+    fn park_one(&mut self) -> bool {
+        let idle = self.handles.iter().filter(|(_, h)| h.waiting.load(Ordering::Acquire) == 0);
+        let least = idle.min_by_key(|(_, handle)| handle.last_used).map(|(id, _)| id.clone());
+        least.and_then(|id| self.handles.remove(&id)).is_some()
+    }
+}
+
+fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
+    let configuration = stored_options(&row.settings)?.entries();
+    Ok(SessionInfo {
+        id,
+        label: row.settings.label,
+        mode: row.settings.mode,
+        profile: row.settings.profile,
+        overrides: row.settings.overrides,
+        configuration,
+        configuration_hash: row.settings.configuration_hash,
+        created_unix_ms: row.created_unix_ms,
+        closed_unix_ms: row.closed_unix_ms,
+        durable_through: row.last_seq,
+    })
+}
+
+fn unix_ms() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("the clock is past 1970");
+    i64::try_from(since.as_millis()).expect("the clock is not millions of years ahead")
+}

@@ -1,0 +1,166 @@
+//! Why the desk refuses a call.
+
+use std::time::Duration;
+
+use crate::config::ConfigError;
+use crate::store::StoreError;
+
+/// Why the desk refuses a call. Refusals of single epochs are [`super::EpochRefusal`].
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum SessionError {
+    /// No such session.
+    #[error("there is no session {id:?}")]
+    NotFound {
+        /// What was asked for.
+        id: String,
+    },
+    /// The session takes no more epochs.
+    #[error("session {id} is closed")]
+    Closed {
+        /// Its id.
+        id: String,
+    },
+    /// The configuration asked for does not exist.
+    #[error(transparent)]
+    Configuration(#[from] ConfigError),
+    /// The label is too long.
+    #[error("the label has {length} characters, allowed are {limit}")]
+    LabelTooLong {
+        /// Its length.
+        length: usize,
+        /// The length allowed.
+        limit: usize,
+    },
+    /// A batch without epochs.
+    #[error("the batch holds no epoch")]
+    NoEpochs,
+    /// More epochs at once than allowed.
+    #[error("the batch holds {epochs} epochs, allowed are {limit}")]
+    TooManyEpochs {
+        /// How many it holds.
+        epochs: usize,
+        /// How many it may hold.
+        limit: usize,
+    },
+    /// Epochs of a burst are not in order of time.
+    #[error("epoch {index} of the burst is not after the one before it")]
+    BurstOutOfOrder {
+        /// Its place, from 0.
+        index: usize,
+    },
+    /// An epoch of a burst has more observations than allowed.
+    #[error("epoch {index} of the burst has {observations} observations, allowed are {limit}")]
+    TooManyObservations {
+        /// Its place, from 0.
+        index: usize,
+        /// How many it has.
+        observations: usize,
+        /// How many it may have.
+        limit: usize,
+    },
+    /// The session has as many epochs waiting as it may.
+    #[error("{waiting} epochs of this session wait, allowed are {limit}")]
+    MailboxFull {
+        /// Epochs waiting.
+        waiting: usize,
+        /// Epochs that may wait.
+        limit: usize,
+        /// When to try again.
+        retry_after: Duration,
+    },
+    /// All sessions together have as many epochs waiting as the service holds.
+    #[error("{waiting} epochs of all sessions wait, allowed are {limit}")]
+    Overloaded {
+        /// Epochs waiting.
+        waiting: usize,
+        /// Epochs that may wait.
+        limit: usize,
+        /// When to try again.
+        retry_after: Duration,
+    },
+    /// Every session that may be active has epochs waiting.
+    #[error("{limit} sessions are active, which are all that may be")]
+    TooManyActive {
+        /// Sessions that may be active.
+        limit: usize,
+        /// When to try again.
+        retry_after: Duration,
+    },
+    /// The session has no epoch to solve yet.
+    #[error("session {id} has no epoch yet")]
+    Empty {
+        /// Its id.
+        id: String,
+    },
+    /// The service is shutting down and takes no more epochs.
+    #[error("the service is shutting down")]
+    Draining,
+    /// The estimator failed; the session continues from its last committed epoch.
+    #[error("the estimator failed on this batch: {message}")]
+    EstimatorFailed {
+        /// What it said.
+        message: String,
+    },
+    /// The session's task ended before it answered; nothing of the batch is acknowledged.
+    #[error("the session was interrupted before the batch was committed")]
+    Interrupted,
+    /// The store failed; nothing of the batch is acknowledged.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl SessionError {
+    /// Stable code, upper snake case.
+    pub const fn code(&self) -> &'static str {
+        match self {
+            Self::NotFound { .. } => "SESSION_NOT_FOUND",
+            Self::Closed { .. } => "SESSION_CLOSED",
+            Self::Configuration(error) => error.code(),
+            Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
+            Self::NoEpochs => "NO_EPOCHS",
+            Self::TooManyEpochs { .. } => "TOO_MANY_EPOCHS",
+            Self::BurstOutOfOrder { .. } => "OUT_OF_ORDER",
+            Self::TooManyObservations { .. } => "TOO_MANY_OBSERVATIONS",
+            Self::MailboxFull { .. } => "MAILBOX_FULL",
+            Self::Overloaded { .. } => "OVERLOADED",
+            Self::TooManyActive { .. } => "TOO_MANY_ACTIVE_SESSIONS",
+            Self::Empty { .. } => "SESSION_EMPTY",
+            Self::Draining => "DRAINING",
+            Self::EstimatorFailed { .. } => "ESTIMATOR_FAILED",
+            Self::Interrupted => "INTERRUPTED",
+            Self::Store(error) => error.code(),
+        }
+    }
+
+    /// What the caller can do about it.
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::NotFound { .. } => "create the session first, or check its id",
+            Self::Closed { .. } => "create a new session; what this one stored stays readable",
+            Self::Configuration(_) => "list the options and their values with `graphfix config`",
+            Self::LabelTooLong { .. } => "shorten the label",
+            Self::NoEpochs => "send at least one epoch",
+            Self::TooManyEpochs { .. } => "send the epochs in several batches",
+            Self::BurstOutOfOrder { .. } => "send epochs in order of time",
+            Self::TooManyObservations { .. } => "send fewer signals of each satellite",
+            Self::MailboxFull { .. } | Self::Overloaded { .. } | Self::TooManyActive { .. } => {
+                "wait for the delay given and send the same batch again"
+            }
+            Self::Empty { .. } => "push an epoch first",
+            Self::Draining => "send the same batch again once the service is back",
+            Self::EstimatorFailed { .. } => "report this with the batch; resend the epochs singly",
+            Self::Interrupted => "send the same batch again; what is stored is answered from there",
+            Self::Store(error) => error.remedy(),
+        }
+    }
+
+    /// When to try again, for refusals that time cures.
+    pub const fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::MailboxFull { retry_after, .. }
+            | Self::Overloaded { retry_after, .. }
+            | Self::TooManyActive { retry_after, .. } => Some(*retry_after),
+            _ => None,
+        }
+    }
+}
