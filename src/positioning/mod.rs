@@ -7,6 +7,8 @@
 
 mod estimator;
 mod measurements;
+#[cfg(test)]
+mod scenario;
 mod spp;
 mod velocity;
 

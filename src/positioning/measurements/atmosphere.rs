@@ -133,9 +133,7 @@ impl<'a> Atmosphere<'a> {
             IonosphereModel::IonosphereFree => {
                 Delay { delay_m: 0.0, variance_m2: f64::INFINITY, fallback: None }
             }
-            IonosphereModel::Klobuchar | IonosphereModel::NequickG => {
-                self.klobuchar(measurement, options)
-            }
+            IonosphereModel::Klobuchar => self.klobuchar(measurement, options),
         }
     }
 

@@ -1,0 +1,213 @@
+//! Invented skies: the estimator against observations whose truth is known exactly.
+
+use nalgebra::Vector3;
+
+use crate::config::{Mode, PositioningOptions, Profile};
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{
+    Ecef, Ephemeris, Epoch, Geodetic, GpsTime, GroupDelays, KeplerianEphemeris, LocalFrame,
+    Navigation, NavigationMessage, Observation, ObservationCode, Reason, SatelliteId, Solution,
+    Status,
+};
+use crate::models::{geometric_range, look_angles, range_rate, state_at_transmission};
+
+use super::{Aiding, Estimator};
+
+const CLOCK_M: f64 = 1_234.5;
+const DRIFT_M_S: f64 = 0.7;
+
+fn tag() -> GpsTime {
+    GpsTime::from_week_seconds(2244, 36_000.0)
+}
+
+fn receiver() -> Ecef {
+    Geodetic::from_degrees(22.3, 114.2, 30.0).to_ecef()
+}
+
+fn velocity_m_s() -> Vector3<f64> {
+    Vector3::new(3.0, -4.0, 1.5)
+}
+
+fn ephemeris(satellite: SatelliteId, node_rad: f64, anomaly_rad: f64) -> Ephemeris {
+    let gps = satellite.to_string().starts_with('G');
+    Ephemeris::Keplerian(KeplerianEphemeris {
+        satellite,
+        message: if gps { NavigationMessage::Lnav } else { NavigationMessage::Inav },
+        toc: tag(),
+        toe: tag(),
+        transmission_time: None,
+        af0_s: 1e-5,
+        af1: 0.0,
+        af2_per_s: 0.0,
+        iode: 1,
+        iodc: 1,
+        sqrt_a: 5_153.6,
+        a_dot_m_s: 0.0,
+        eccentricity: 0.005,
+        m0_rad: anomaly_rad,
+        delta_n_rad_s: 0.0,
+        delta_n_dot_rad_s2: 0.0,
+        omega_rad: 0.3,
+        omega0_rad: node_rad,
+        omega_dot_rad_s: 0.0,
+        i0_rad: 0.96,
+        idot_rad_s: 0.0,
+        cuc_rad: 0.0,
+        cus_rad: 0.0,
+        crc_m: 0.0,
+        crs_m: 0.0,
+        cic_rad: 0.0,
+        cis_rad: 0.0,
+        accuracy_m: Some(2.0),
+        health: 0,
+        fit_interval_h: Some(4.0),
+        group_delays: match gps {
+            true => GroupDelays::Gps {
+                tgd_s: 0.0,
+                isc_l1ca_s: None,
+                isc_l2c_s: None,
+                isc_l5i_s: None,
+                isc_l5q_s: None,
+                isc_l1cd_s: None,
+                isc_l1cp_s: None,
+            },
+            false => GroupDelays::Galileo { bgd_e5a_s: 0.0, bgd_e5b_s: Some(0.0) },
+        },
+    })
+}
+
+/// What the receiver measures of a satellite: exact pseudorange and Doppler.
+fn observation(ephemeris: &Ephemeris) -> Observation {
+    let mut pseudorange_m = 2.2e7;
+    let mut state = state_at_transmission(ephemeris, tag(), pseudorange_m);
+    for _ in 0..8 {
+        let range_m = geometric_range(state.position, receiver()).0;
+        pseudorange_m = range_m + CLOCK_M - state.clock_m;
+        state = state_at_transmission(ephemeris, tag(), pseudorange_m);
+    }
+    let rate =
+        range_rate(state.position, &state.velocity_m_s, receiver(), &velocity_m_s()).rate_m_s;
+    let rate = rate + DRIFT_M_S - state.clock_drift_m_s;
+    Observation {
+        pseudorange_m: Some(pseudorange_m),
+        doppler_hz: Some(-rate * 1_575.42e6 / SPEED_OF_LIGHT),
+        cn0_db_hz: Some(45.0),
+        ..Observation::empty(ephemeris.satellite(), ObservationCode::parse("1C").unwrap())
+    }
+}
+
+/// Satellites of `letter` above 20°, and what is measured of them.
+fn sky(letter: char, count: usize, navigation: &mut Navigation) -> Vec<Observation> {
+    let frame = LocalFrame::at(receiver());
+    let mut observations = Vec::new();
+    let mut number = 1;
+    for node in 0..12 {
+        for slot in 0..12 {
+            if observations.len() == count {
+                return observations;
+            }
+            let satellite: SatelliteId = format!("{letter}{number:02}").parse().unwrap();
+            let offset = if letter == 'G' { 0.0 } else { 0.31 };
+            let (node_rad, anomaly_rad) =
+                (f64::from(node) * 0.93 + offset, f64::from(slot) * 0.71 + offset);
+            let ephemeris = ephemeris(satellite, node_rad, anomaly_rad);
+            let state = state_at_transmission(&ephemeris, tag(), 2.2e7);
+            if 20_f64.to_radians() < look_angles(&frame, state.position).elevation_rad {
+                observations.push(observation(&ephemeris));
+                navigation.insert(ephemeris);
+                number += 1;
+            }
+        }
+    }
+    observations
+}
+
+fn solve(observations: Vec<Observation>, navigation: &Navigation) -> Solution {
+    let mut options = PositioningOptions::new(Mode::Spp, Profile::General);
+    for (key, value) in [("ionosphere", "none"), ("troposphere", "none")] {
+        options.set(key, value).unwrap();
+    }
+    let epoch = Epoch { observations, ..Epoch::new(tag()) };
+    Estimator::new(options).advance(&epoch, &Aiding { navigation })
+}
+
+fn error_m(solution: &Solution) -> f64 {
+    solution.estimate.as_ref().unwrap().position.distance_m(receiver())
+}
+
+#[test]
+fn exact_observations_give_the_exact_position_velocity_and_clocks() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 7, &mut navigation);
+    observations.extend(sky('E', 5, &mut navigation));
+    let solution = solve(observations, &navigation);
+    let estimate = solution.estimate.as_ref().unwrap();
+    // 1 ns of transmission time is a few micrometres of orbit.
+    assert!(error_m(&solution) < 1e-4, "{}", error_m(&solution));
+    assert!((estimate.clock_m - CLOCK_M).abs() < 1e-4);
+    assert!(estimate.inter_system_biases_m[0].1.abs() < 1e-4);
+    let velocity = estimate.velocity.unwrap();
+    assert!((velocity.velocity_m_s - velocity_m_s()).norm() < 1e-5);
+    assert!((velocity.clock_drift_m_s - DRIFT_M_S).abs() < 1e-5);
+    assert_eq!((solution.reasons.len(), estimate.satellites_used.len()), (0, 12));
+}
+
+#[test]
+fn order_and_duplicates_change_nothing() {
+    let mut navigation = Navigation::default();
+    let observations = sky('G', 8, &mut navigation);
+    let expected = solve(observations.clone(), &navigation).estimate.unwrap();
+    let mut doubled = observations.clone();
+    doubled.extend(observations.iter().rev().copied());
+    let reversed: Vec<_> = observations.into_iter().rev().collect();
+    for other in [reversed, doubled] {
+        let estimate = solve(other, &navigation).estimate.unwrap();
+        assert!(estimate.position.distance_m(expected.position) < 1e-6);
+        assert_eq!(estimate.satellites_used, expected.satellites_used);
+    }
+}
+
+#[test]
+fn a_reflected_satellite_is_excluded_by_name() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 9, &mut navigation);
+    let reflected = observations[4].satellite;
+    observations[4].pseudorange_m = observations[4].pseudorange_m.map(|range| range + 150.0);
+    let solution = solve(observations, &navigation);
+    assert!(error_m(&solution) < 1e-4);
+    assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: vec![reflected] }]);
+}
+
+#[test]
+fn too_few_satellites_are_answered_with_the_reason() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 3, &mut navigation);
+    let three = solve(observations.clone(), &navigation);
+    assert_eq!(three.status, Status::None);
+    assert_eq!(three.reasons, [Reason::TooFewSatellites { used: 3, needed: 4 }]);
+    // A second constellation's only satellite brings its own unknown.
+    observations.extend(sky('E', 1, &mut navigation));
+    let four = solve(observations, &navigation);
+    assert_eq!(four.reasons, [Reason::TooFewSatellites { used: 4, needed: 5 }]);
+}
+
+#[test]
+fn four_satellites_give_a_position_that_cannot_be_checked() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 4, &mut navigation);
+    observations.extend(sky('E', 1, &mut navigation));
+    let solution = solve(observations, &navigation);
+    assert!(solution.reasons.contains(&Reason::NoRedundancy), "{:?}", solution.reasons);
+    assert!(error_m(&solution) < 1e-2, "{}", error_m(&solution));
+    assert_eq!(solution.estimate.unwrap().satellites_used.len(), 4);
+}
+
+#[test]
+fn a_satellite_without_ephemeris_is_named() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 6, &mut navigation);
+    let unknown = "G31".parse().unwrap();
+    observations.push(Observation { satellite: unknown, ..observations[0] });
+    let solution = solve(observations, &navigation);
+    assert_eq!(solution.reasons, [Reason::EphemerisMissing { satellites: vec![unknown] }]);
+}
