@@ -199,7 +199,8 @@ impl Receiver {
             });
         let errors = self.errors.as_ref();
         let cn0 = track.advance(elapsed_s, &path.look, &arrival, errors, random);
-        if !track.is_received(sky.time, cn0, &arrival, errors, random) {
+        let is_first = self.last.is_none();
+        if !track.is_received(sky.time, cn0, &arrival, is_first, errors, random) {
             return;
         }
         for (index, code) in
@@ -343,6 +344,7 @@ impl Track {
         time: GpsTime,
         cn0: f64,
         arrival: &Arrival,
+        is_first: bool,
         errors: Option<&ReceiverErrors>,
         random: &mut Random,
     ) -> bool {
@@ -357,7 +359,9 @@ impl Track {
             let was_tracked = self.since.is_some();
             self.begin_arc(random);
             // A signal that only changes its way stays in the loops; others are acquired anew.
-            self.since = Some(if was_tracked { GpsTime::EPOCH } else { time });
+            // So does what the receiver tracked before the simulation began.
+            let stays = was_tracked || is_first;
+            self.since = Some(if stays { GpsTime::EPOCH } else { time });
             self.is_reflected = is_reflected;
         } else if let Some(errors) = errors {
             self.slip(cn0, errors, random);
