@@ -157,6 +157,36 @@ impl Reason {
     }
 }
 
+/// A value of a [`Reason`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum ReasonValue {
+    /// A count or measure.
+    Number(f64),
+    /// A name.
+    Text(&'static str),
+    /// Satellites.
+    Satellites(Vec<SatelliteId>),
+}
+
+impl Reason {
+    /// The values of the case by name, lower camel case as the API writes them.
+    pub fn values(&self) -> Vec<(&'static str, ReasonValue)> {
+        use ReasonValue as V;
+        match self {
+            Self::EphemerisMissing { satellites } | Self::SatellitesExcluded { satellites } => {
+                vec![("satellites", V::Satellites(satellites.clone()))]
+            }
+            Self::TooFewSatellites { used, needed } => {
+                vec![("used", V::Number(*used as f64)), ("needed", V::Number(*needed as f64))]
+            }
+            Self::GeometryTooWeak { gdop } => vec![("gdop", V::Number(*gdop))],
+            Self::ResidualsTooLarge { ratio } => vec![("ratio", V::Number(*ratio))],
+            Self::IonosphereFallback { used } => vec![("used", V::Text(used))],
+            Self::NoRedundancy | Self::NotConverged => Vec::new(),
+        }
+    }
+}
+
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.code())?;
