@@ -18,6 +18,8 @@ pub mod store;
 pub mod aiding;
 pub mod session;
 
+pub mod contract;
+
 pub mod cli;
 pub mod grpc;
 pub mod http;

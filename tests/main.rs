@@ -2,13 +2,20 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
+mod clients;
+mod crash;
 mod data;
 mod database;
+mod doors;
+mod errors;
 mod evaluation;
+mod grpc;
+mod http;
 mod models;
 mod rinex;
 mod sessions;
 mod simulation;
+mod snapshot;
 mod spp;
 mod store;
 

@@ -21,8 +21,9 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("evaluation", &["gnss", "formats"]),
     ("aiding", &["gnss", "config", "models", "formats", "store"]),
     ("session", &["gnss", "config", "models", "positioning", "store", "aiding"]),
-    ("grpc", &["gnss", "config", "formats", "aiding", "session", "store"]),
-    ("http", &["gnss", "config", "formats", "aiding", "session", "store", "grpc"]),
+    ("contract", &["gnss", "config", "formats", "positioning", "store", "aiding", "session"]),
+    ("grpc", &["gnss", "config", "aiding", "session", "contract"]),
+    ("http", &["gnss", "config", "aiding", "session", "contract", "grpc"]),
     (
         "cli",
         &[
@@ -36,6 +37,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "store",
             "aiding",
             "session",
+            "contract",
             "grpc",
             "http",
         ],

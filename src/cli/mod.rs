@@ -4,11 +4,16 @@
 //! error, `error[CODE]: what is wrong (what to do)`.
 
 mod config;
+mod demo;
+mod device;
 mod evaluate;
 mod failure;
+mod host;
 mod option_arguments;
+mod serve;
 mod simulate;
 mod solve;
+mod stream;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -31,6 +36,9 @@ enum Command {
     Config(config::ConfigArguments),
     Evaluate(Box<evaluate::EvaluateArguments>),
     Simulate(simulate::SimulateArguments),
+    Demo(demo::DemoArguments),
+    Serve(Box<serve::ServeArguments>),
+    Stream(Box<stream::StreamArguments>),
 }
 
 impl Command {
@@ -40,6 +48,9 @@ impl Command {
             Self::Config(arguments) => config::run(&arguments),
             Self::Evaluate(arguments) => evaluate::run(&arguments),
             Self::Simulate(arguments) => simulate::run(&arguments),
+            Self::Demo(arguments) => demo::run(arguments),
+            Self::Serve(arguments) => serve::run(*arguments),
+            Self::Stream(arguments) => stream::run(*arguments),
         }
     }
 }

@@ -7,6 +7,7 @@ mod choices;
 mod error;
 mod option_table;
 mod positioning;
+mod service;
 
 pub use choices::{
     BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereMapping,
@@ -15,3 +16,6 @@ pub use choices::{
 pub use error::ConfigError;
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
+pub use service::{
+    IntakeLimits, Limits, LogConfiguration, ServiceConfiguration, ServiceConfigurationError,
+};

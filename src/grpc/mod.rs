@@ -1,1 +1,29 @@
-//! Door: gRPC.
+//! Door: gRPC. One file per service; what it carries is in `contract`.
+
+mod codec;
+mod frame;
+mod navigation;
+mod positioning;
+mod routes;
+mod sessions;
+mod solutions;
+mod status;
+
+use crate::contract::Service;
+
+pub use codec::Codec;
+pub use routes::routes;
+pub use status::{code_of, grpc_code, to_status};
+
+/// The services of `proto/graphfix/v1`, servers and clients.
+#[allow(missing_docs, unreachable_pub, clippy::all)]
+pub mod v1 {
+    include!(concat!(env!("OUT_DIR"), "/services/graphfix.v1.rs"));
+}
+
+/// The schema, for reflection.
+pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+
+/// What the services of this door are implemented on.
+#[derive(Clone)]
+struct Door(Service);

@@ -1,1 +1,59 @@
-//! Door: REST.
+//! Door: REST, and the one port that both doors share. The router is on this page.
+
+mod body;
+mod navigation;
+mod openapi;
+mod pages;
+mod positioning;
+mod problem;
+mod server;
+mod sessions;
+mod solutions;
+
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::routing::{get, post};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::decompression::RequestDecompressionLayer;
+use tower_http::trace::TraceLayer;
+use utoipa_swagger_ui::{Config, SwaggerUi};
+
+use crate::contract::Service;
+use crate::grpc;
+
+pub use openapi::document;
+pub use problem::{Problem, http_status};
+pub use server::{ServerError, serve};
+
+/// Both doors on one router: REST, pages and gRPC.
+pub fn router(service: &Service) -> Router {
+    let rest = Router::new()
+        .route("/v1/sessions", get(sessions::list).post(sessions::create))
+        .route(
+            "/v1/sessions/{session}",
+            // POST is `{session}:solve`.
+            get(sessions::get)
+                .patch(sessions::update)
+                .delete(sessions::close)
+                .post(positioning::solve),
+        )
+        .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))
+        .route("/v1/sessions/{session}/solutions", get(solutions::list))
+        .route("/v1/solve", post(positioning::solve_once))
+        .route("/v1/navigation", get(navigation::status).post(navigation::push))
+        .route("/healthz", get(pages::live))
+        .route("/readyz", get(pages::ready))
+        .route("/openapi.json", get(pages::schema))
+        .route("/", get(pages::home))
+        .method_not_allowed_fallback(pages::no_method)
+        .with_state(service.clone())
+        .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
+        .layer(DefaultBodyLimit::max(service.limits().body_bytes))
+        .layer(RequestDecompressionLayer::new())
+        .layer(CatchPanicLayer::custom(server::panicked));
+    Router::new()
+        .merge(rest)
+        .merge(grpc::routes(service))
+        .fallback(pages::no_route)
+        .layer(TraceLayer::new_for_http())
+}

@@ -1,0 +1,56 @@
+//! Compiles `proto/` to Rust: messages once, with their JSON twins, and the services over them.
+
+use std::path::PathBuf;
+
+use prost::Message;
+
+const SERVICES: [&str; 4] = [
+    "proto/graphfix/v1/sessions.proto",
+    "proto/graphfix/v1/positioning.proto",
+    "proto/graphfix/v1/solutions.proto",
+    "proto/graphfix/v1/navigation.proto",
+];
+const PACKAGE: &str = "graphfix.v1";
+/// Travels as a bare body over HTTP.
+const WITHOUT_JSON: &str = "PushNavigationRequest";
+const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+    #[serde(rename_all = \"camelCase\", default, deny_unknown_fields)]";
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("cargo::rerun-if-changed=proto");
+    let descriptors = protox::compile(SERVICES, ["proto"])?;
+    let folder = PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(folder.join("descriptors.bin"), descriptors.encode_to_vec())?;
+    let (messages, services) = (folder.join("messages"), folder.join("services"));
+    std::fs::create_dir_all(&messages)?;
+    std::fs::create_dir_all(&services)?;
+
+    let mut build = tonic_prost_build::configure()
+        .build_client(false)
+        .build_server(false)
+        .out_dir(messages)
+        .bytes(".graphfix.v1.PushNavigationRequest.content")
+        .btree_map(".");
+    let in_package = descriptors.file.iter().filter(|file| file.package() == PACKAGE);
+    for message in in_package.flat_map(|file| &file.message_type) {
+        if message.name() != WITHOUT_JSON {
+            build = build.message_attribute(format!(".{PACKAGE}.{}", message.name()), JSON);
+        }
+    }
+    let as_name = "#[serde(with = \"crate::contract::json::status\")]
+        #[schema(value_type = String, example = \"SINGLE\")]";
+    let as_object = "#[serde(with = \"crate::contract::json::values\")]
+        #[schema(value_type = Object)]";
+    build
+        .field_attribute(".graphfix.v1.Solution.status", as_name)
+        .field_attribute(".graphfix.v1.ListSolutionsRequest.status", as_name)
+        .field_attribute(".graphfix.v1.Reason.values", as_object)
+        .compile_fds(descriptors.clone())?;
+
+    tonic_prost_build::configure()
+        .out_dir(services)
+        .extern_path(".graphfix.v1", "crate::contract::v1")
+        .codec_path("crate::grpc::Codec")
+        .compile_fds(descriptors)?;
+    Ok(())
+}

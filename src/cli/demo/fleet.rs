@@ -1,0 +1,94 @@
+//! The simulated devices: each drives, observes and pushes epoch by epoch.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use crate::cli::Failure;
+use crate::cli::device::Connection;
+use crate::contract::{convert, v1};
+use crate::gnss::{Ecef, LocalFrame, Navigation};
+use crate::simulation::{Scenario, Simulator};
+
+/// What stands around a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sky {
+    Open,
+    Urban,
+}
+
+/// How one device drives.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plan {
+    pub(super) index: usize,
+    pub(super) sky: Sky,
+    pub(super) seed: u64,
+    pub(super) duration_s: f64,
+    /// How much faster than real time.
+    pub(super) speed: f64,
+}
+
+/// What one epoch came to.
+#[derive(Clone, Debug)]
+pub(super) struct Report {
+    pub(super) index: usize,
+    pub(super) sky: Sky,
+    /// The service's name of the status.
+    pub(super) status: &'static str,
+    pub(super) satellites: usize,
+    /// Horizontal distance from the truth (m), where there is a position.
+    pub(super) error_m: Option<f64>,
+    /// From sending to the durable answer.
+    pub(super) latency: Duration,
+}
+
+/// Drives to the end of the plan; each epoch is pushed when it is due.
+pub(super) async fn drive(
+    plan: Plan,
+    navigation: Arc<Navigation>,
+    connection: Connection,
+    reports: mpsc::Sender<Report>,
+) -> Result<(), Failure> {
+    let (scenario, name) = match plan.sky {
+        Sky::Open => (Scenario::open_sky(), "open"),
+        Sky::Urban => (Scenario::urban_canyon(), "urban"),
+    };
+    let scenario = Scenario { duration_s: plan.duration_s, base: None, ..scenario };
+    let interval = Duration::from_secs_f64(scenario.interval_s / plan.speed);
+    let simulator = Simulator::with_navigation(scenario, plan.seed, navigation);
+    let label = format!("demo {} {name}", plan.index + 1);
+    let new = v1::CreateSessionRequest { label, ..Default::default() };
+    let mut device = connection.open(None, new).await?;
+    // Devices are not in step.
+    let start = Instant::now() + interval.mul_f64(plan.index as f64 * 0.618 % 1.0);
+    for (number, simulated) in simulator.enumerate() {
+        tokio::time::sleep_until(start + interval * number as u32).await;
+        let epoch = convert::epoch_message(number as u64 + 1, &simulated.rover);
+        let sent = Instant::now();
+        let pushed = device.push(vec![epoch]).await?;
+        let latency = sent.elapsed();
+        for solution in &pushed.solutions {
+            let report = report(&plan, solution, simulated.position, latency);
+            // Err: nobody watches any more.
+            reports.send(report).await.ok();
+        }
+    }
+    Ok(())
+}
+
+fn report(plan: &Plan, solution: &v1::Solution, truth: Ecef, latency: Duration) -> Report {
+    let error_m = solution.position.as_ref().and_then(|position| position.ecef).map(|ecef| {
+        let position = Ecef::new(ecef.x_m, ecef.y_m, ecef.z_m);
+        LocalFrame::at(truth).to_enu(position).0.xy().norm()
+    });
+    Report {
+        index: plan.index,
+        sky: plan.sky,
+        status: solution.status().as_str_name().trim_start_matches("STATUS_"),
+        satellites: solution.satellites_used.len(),
+        error_m,
+        latency,
+    }
+}

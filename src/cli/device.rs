@@ -1,0 +1,245 @@
+//! A device's side of the gRPC door: one session, pushed to in order, over broken connections too.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code as GrpcCode, Status};
+use tonic_types::StatusExt;
+
+use crate::contract::v1;
+use crate::grpc::v1::positioning_client::PositioningClient;
+use crate::grpc::v1::sessions_client::SessionsClient;
+use crate::grpc::{self, v1::navigation_client::NavigationClient};
+
+use super::Failure;
+
+const FIRST_DELAY: Duration = Duration::from_millis(100);
+const LONGEST_DELAY: Duration = Duration::from_secs(5);
+
+/// A connection to a service.
+#[derive(Clone)]
+pub(super) struct Connection {
+    channel: Channel,
+    /// For how long a service that does not answer is tried again.
+    patience: Duration,
+}
+
+/// One session of a device. Pushes follow one another: the next waits for the answer of the last.
+pub(super) struct Device {
+    connection: Connection,
+    positioning: PositioningClient<Channel>,
+    session: v1::Session,
+}
+
+/// What became of a push.
+#[derive(Debug, Default)]
+pub(super) struct Pushed {
+    /// Solutions of epochs acknowledged in this answer.
+    pub(super) solutions: Vec<v1::Solution>,
+    /// Refusals of single epochs.
+    pub(super) refusals: Vec<(u64, String)>,
+    /// Epochs found committed after a connection was lost before their answer.
+    pub(super) recovered: usize,
+    /// Times that the service was tried again.
+    pub(super) retries: usize,
+    /// What a device may forget.
+    pub(super) durable_through: Option<u64>,
+}
+
+impl Connection {
+    /// To the service at `server`, such as `http://127.0.0.1:8080`; connected when first used.
+    ///
+    /// # Errors
+    /// A text that is no address.
+    pub(super) fn to(server: &str, patience: Duration) -> Result<Self, Failure> {
+        let endpoint = Endpoint::from_shared(server.to_owned()).map_err(|error| {
+            let message = format!("--server {server:?}: {error}");
+            Failure::new("USAGE", message, "write an address such as http://127.0.0.1:8080")
+        })?;
+        let endpoint = endpoint
+            .connect_timeout(Duration::from_secs(5))
+            .timeout(Duration::from_secs(60))
+            .initial_stream_window_size(4 << 20)
+            .initial_connection_window_size(8 << 20)
+            .tcp_nodelay(true);
+        Ok(Self { channel: endpoint.connect_lazy(), patience })
+    }
+
+    /// Pushes a navigation file; answers how many of its ephemerides are new.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is refused.
+    pub(super) async fn push_navigation(&self, path: &Path) -> Result<u64, Failure> {
+        let content = std::fs::read(path).map_err(|error| {
+            let message = format!("{}: {error}", path.display());
+            Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+        })?;
+        self.push_navigation_bytes(content.into()).await
+    }
+
+    /// Pushes navigation data as RINEX; answers how many ephemerides are new.
+    ///
+    /// # Errors
+    /// Content that is refused.
+    pub(super) async fn push_navigation_bytes(&self, content: Bytes) -> Result<u64, Failure> {
+        let mut client = NavigationClient::new(self.channel.clone());
+        let mut retry = Retry::new(self.patience);
+        loop {
+            let request = v1::PushNavigationRequest { content: content.clone() };
+            match client.push(request).await {
+                Ok(answer) => return Ok(answer.into_inner().new_ephemerides),
+                Err(status) => retry.wait(&status).await?,
+            }
+        }
+    }
+
+    /// Opens a session, or takes up the one named.
+    ///
+    /// # Errors
+    /// A configuration that is refused, or no such session.
+    pub(super) async fn open(
+        &self,
+        existing: Option<&str>,
+        new: v1::CreateSessionRequest,
+    ) -> Result<Device, Failure> {
+        let mut client = SessionsClient::new(self.channel.clone());
+        let mut retry = Retry::new(self.patience);
+        loop {
+            let answer = match existing {
+                Some(id) => client.get(v1::GetSessionRequest { session: id.to_owned() }).await,
+                None => client.create(new.clone()).await,
+            };
+            match answer {
+                Ok(answer) => {
+                    let positioning = PositioningClient::new(self.channel.clone())
+                        .max_decoding_message_size(usize::MAX);
+                    let session = answer.into_inner();
+                    return Ok(Device { connection: self.clone(), positioning, session });
+                }
+                Err(status) => retry.wait(&status).await?,
+            }
+        }
+    }
+}
+
+impl Device {
+    /// The session.
+    pub(super) const fn session(&self) -> &v1::Session {
+        &self.session
+    }
+
+    /// Pushes epochs and waits until they are committed. A connection that is lost is made again,
+    /// and what the service has not committed is sent again.
+    ///
+    /// # Errors
+    /// A refusal of the whole push, or a service that does not come back.
+    pub(super) async fn push(&mut self, mut epochs: Vec<v1::Epoch>) -> Result<Pushed, Failure> {
+        let mut pushed = Pushed::default();
+        let mut retry = Retry::new(self.connection.patience);
+        while !epochs.is_empty() {
+            let session = self.session.session.clone();
+            let request = v1::PushEpochsRequest { session, epochs: epochs.clone() };
+            match self.positioning.push_epochs(request).await {
+                Ok(answer) => {
+                    pushed.take(answer.into_inner());
+                    break;
+                }
+                Err(status) if refuses_epochs(&status) => {
+                    let words = status.message().to_owned();
+                    pushed.refusals.extend(epochs.drain(..).map(|e| (e.seq, words.clone())));
+                }
+                Err(status) => {
+                    retry.wait(&status).await?;
+                    pushed.retries += 1;
+                    let durable = self.durable_through(&mut retry).await?;
+                    let before = epochs.len();
+                    epochs.retain(|epoch| durable.is_none_or(|durable| durable < epoch.seq));
+                    pushed.recovered += before - epochs.len();
+                    pushed.durable_through = durable;
+                }
+            }
+        }
+        Ok(pushed)
+    }
+
+    /// How far the session is committed, once the service answers again.
+    async fn durable_through(&self, retry: &mut Retry) -> Result<Option<u64>, Failure> {
+        let mut client = SessionsClient::new(self.connection.channel.clone());
+        loop {
+            let session = self.session.session.clone();
+            match client.get(v1::GetSessionRequest { session }).await {
+                Ok(answer) => return Ok(answer.into_inner().durable_through),
+                Err(status) => retry.wait(&status).await?,
+            }
+        }
+    }
+}
+
+impl Pushed {
+    fn take(&mut self, answer: v1::PushEpochsResponse) {
+        self.durable_through = answer.durable_through;
+        for result in answer.results {
+            match (result.solution, result.refusal) {
+                (Some(solution), _) => self.solutions.push(solution),
+                (None, Some(refusal)) => {
+                    self.refusals
+                        .push((result.seq, format!("{}: {}", refusal.code, refusal.message)));
+                }
+                (None, None) => self.refusals.push((result.seq, "no answer".to_owned())),
+            }
+        }
+    }
+}
+
+/// Whether the session refused every epoch of a push, which then is the device's to skip.
+fn refuses_epochs(status: &Status) -> bool {
+    let code = grpc::code_of(status);
+    matches!(code.as_deref(), Some("SEQUENCE_CONFLICT" | "SEQUENCE_SUPERSEDED" | "OUT_OF_ORDER"))
+}
+
+/// Exponential backoff within a device's patience; an answer that asks for a delay is given it.
+struct Retry {
+    patience: Duration,
+    since: Option<Instant>,
+    delay: Duration,
+}
+
+impl Retry {
+    const fn new(patience: Duration) -> Self {
+        Self { patience, since: None, delay: FIRST_DELAY }
+    }
+
+    /// Waits before the next attempt.
+    ///
+    /// # Errors
+    /// The refusal itself, where time does not cure it or patience is at its end.
+    async fn wait(&mut self, status: &Status) -> Result<(), Failure> {
+        let asked = status.get_details_retry_info().and_then(|info| info.retry_delay);
+        let passing = matches!(
+            status.code(),
+            GrpcCode::Unavailable
+                | GrpcCode::Unknown
+                | GrpcCode::Cancelled
+                | GrpcCode::DeadlineExceeded
+        );
+        // A request that exceeds a limit is not cured by time: it comes without a delay.
+        let since = *self.since.get_or_insert_with(Instant::now);
+        if asked.is_none() && (!passing || self.patience < since.elapsed()) {
+            return Err(failure(status));
+        }
+        tokio::time::sleep(asked.unwrap_or(self.delay)).await;
+        self.delay = (self.delay * 2).min(LONGEST_DELAY);
+        Ok(())
+    }
+}
+
+fn failure(status: &Status) -> Failure {
+    let remedy = status
+        .get_details_error_info()
+        .and_then(|info| info.metadata.get("remedy").cloned())
+        .unwrap_or_else(|| "check that the service runs and --server names it".to_owned());
+    let code = grpc::code_of(status).unwrap_or_else(|| "SERVICE_UNREACHABLE".to_owned());
+    Failure::new("REFUSED", format!("{code}: {}", status.message()), remedy)
+}

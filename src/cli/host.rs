@@ -1,0 +1,128 @@
+//! A service in this process: its desks opened, served on a listener, closed in order.
+
+use std::future::Future;
+use std::num::NonZeroUsize;
+use std::thread::available_parallelism;
+
+use tokio::net::TcpListener;
+
+use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
+use crate::config::{Limits, ServiceConfiguration, ServiceConfigurationError};
+use crate::contract::Service;
+use crate::http::{self, ServerError};
+use crate::session::{SessionLimits, Sessions};
+use crate::store::{Store, StoreError};
+
+use super::Failure;
+
+/// A service whose desks are open.
+pub(super) struct Host {
+    store: Store,
+    service: Service,
+}
+
+impl Host {
+    /// Opens the database and the desks.
+    ///
+    /// # Errors
+    /// The database cannot be opened or read.
+    pub(super) async fn open(database: &str, limits: &Limits) -> Result<Self, Failure> {
+        let store = Store::open(database).await?;
+        let held = AidingLimits { ephemerides_per_satellite: limits.ephemerides_per_satellite };
+        let navigation = NavigationBroker::open(store.clone(), held).await?;
+        let sessions = Sessions::open(store.clone(), navigation.clone(), session_limits(limits));
+        Ok(Self { store, service: Service::new(sessions, navigation, limits.clone()) })
+    }
+
+    /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes the
+    /// database.
+    ///
+    /// # Errors
+    /// The listener fails.
+    pub(super) async fn serve(
+        self,
+        listener: TcpListener,
+        stop: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<(), Failure> {
+        let served = http::serve(listener, &self.service, stop).await;
+        self.service.sessions().drain().await;
+        self.store.close().await;
+        Ok(served?)
+    }
+}
+
+fn session_limits(limits: &Limits) -> SessionLimits {
+    SessionLimits {
+        mailbox_epochs: limits.mailbox_epochs,
+        waiting_epochs: limits.waiting_epochs,
+        epochs_per_batch: limits.epochs_per_push,
+        observations_per_epoch: limits.observations_per_epoch,
+        active_sessions: limits.active_sessions,
+        solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
+        ..SessionLimits::service()
+    }
+}
+
+/// Runs asynchronous work to its end on all cores.
+///
+/// # Errors
+/// The work's own failure, or threads that cannot be started.
+pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    let runtime = runtime
+        .map_err(|error| Failure::new("NO_THREADS", error, "let the process start threads"))?;
+    runtime.block_on(work)
+}
+
+/// Waits for the user or the system to ask the process to stop.
+pub(super) async fn interrupted() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut terminate = signal(SignalKind::terminate()).expect("SIGTERM can be listened to");
+    tokio::select! {
+        _ = tokio::signal::ctrl_c() => {}
+        _ = terminate.recv() => {}
+    }
+}
+
+/// Sends the log of `configuration` to standard error.
+///
+/// # Errors
+/// A filter that is none.
+pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Failure> {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_new(&configuration.log.filter).map_err(|error| {
+        let message = format!("log filter {:?}: {error}", configuration.log.filter);
+        Failure::new("LOG_FILTER_INVALID", message, "write a filter such as info")
+    })?;
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    if configuration.log.json {
+        log.json().init();
+    } else {
+        log.init();
+    }
+    Ok(())
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::new(error.code(), &error, error.remedy())
+    }
+}
+
+impl From<AidingError> for Failure {
+    fn from(error: AidingError) -> Self {
+        Self::new(error.code(), &error, error.remedy())
+    }
+}
+
+impl From<ServerError> for Failure {
+    fn from(error: ServerError) -> Self {
+        Self::new("LISTENER_FAILED", error, "see the log, and start again")
+    }
+}
+
+impl From<ServiceConfigurationError> for Failure {
+    fn from(error: ServiceConfigurationError) -> Self {
+        Self::new(error.code(), &error, error.remedy())
+    }
+}

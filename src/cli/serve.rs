@@ -1,0 +1,78 @@
+//! `graphfix serve`: the service.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+use tokio::net::TcpListener;
+
+use crate::config::ServiceConfiguration;
+
+use super::Failure;
+use super::host::{self, Host};
+
+/// Runs the service until it is interrupted.
+#[derive(Clone, Debug, Args)]
+pub(super) struct ServeArguments {
+    /// TOML file; what it does not name is standard, what follows here overrides it.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
+    config: Option<PathBuf>,
+    /// Address and port; loopback only, as long as there are no keys and no TLS.
+    /// Standard: 127.0.0.1:8080.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
+    listen: Option<SocketAddr>,
+    /// sqlite://FILE (created if absent) or postgres://…; standard: sqlite://graphfix.db.
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
+    database: Option<String>,
+    /// What is logged, such as info or graphfix=debug.
+    #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
+    log: Option<String>,
+    /// Log one JSON object a line.
+    #[arg(long, env = "GRAPHFIX_LOG_JSON")]
+    log_json: bool,
+}
+
+impl ServeArguments {
+    /// The file's configuration with what the arguments override, checked.
+    fn configuration(self) -> Result<ServiceConfiguration, Failure> {
+        let mut configuration = match &self.config {
+            None => ServiceConfiguration::standard(),
+            Some(path) => {
+                let text = std::fs::read_to_string(path).map_err(|error| {
+                    let message = format!("{}: {error}", path.display());
+                    Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+                })?;
+                ServiceConfiguration::from_toml(&text)?
+            }
+        };
+        configuration.listen = self.listen.unwrap_or(configuration.listen);
+        configuration.database = self.database.unwrap_or(configuration.database);
+        configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
+        configuration.log.json |= self.log_json;
+        configuration.check()?;
+        Ok(configuration)
+    }
+}
+
+/// Runs the service.
+///
+/// # Errors
+/// A configuration that is refused, an address in use, a database that cannot be opened.
+pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
+    let configuration = arguments.configuration()?;
+    host::start_log(&configuration)?;
+    host::block_on(serve(configuration))
+}
+
+async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
+    let listener = TcpListener::bind(configuration.listen).await.map_err(|error| {
+        let message = format!("{}: {error}", configuration.listen);
+        Failure::new("ADDRESS_UNAVAILABLE", message, "choose another with --listen")
+    })?;
+    let host = Host::open(&configuration.database, &configuration.limits).await?;
+    let address = listener.local_addr().unwrap_or(configuration.listen);
+    tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
+    host.serve(listener, host::interrupted()).await?;
+    tracing::info!("stopped; everything acknowledged is stored");
+    Ok(())
+}

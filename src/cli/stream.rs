@@ -1,0 +1,282 @@
+//! `graphfix stream`: plays a file to a service as a device would.
+
+use std::fs::File;
+use std::io::{BufReader, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+
+use crate::contract::{convert, v1};
+use crate::formats::decompress;
+use crate::formats::rinex::ObservationReader;
+use crate::gnss::{Epoch, GpsTime};
+
+use super::Failure;
+use super::device::{Connection, Device};
+use super::host;
+
+/// Epochs of one push at full speed.
+const BATCH: usize = 256;
+
+/// Plays a RINEX observation file to a service as a device would, and survives its restarts.
+#[derive(Clone, Debug, Args)]
+pub(super) struct StreamArguments {
+    /// RINEX or CRINEX observations, plain or gzip. Epochs are numbered from 1 in their order.
+    #[arg(long, value_name = "FILE")]
+    rover: PathBuf,
+    /// The service.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
+    server: String,
+    /// Navigation files to push first.
+    #[arg(long, value_name = "FILE")]
+    nav: Vec<PathBuf>,
+    /// How fast: 1 is real time, 10 ten times as fast, max as fast as acknowledged.
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = parse_speed)]
+    speed: Speed,
+    /// An existing session to resume after the last epoch it committed.
+    #[arg(long, value_name = "ID")]
+    session: Option<String>,
+    /// Estimator of a new session.
+    #[arg(long, value_name = "MODE", default_value = "spp")]
+    mode: String,
+    /// Profile of a new session.
+    #[arg(long, value_name = "NAME", default_value = "general")]
+    profile: String,
+    /// Seconds for which a service that does not answer is tried again.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    patience: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Speed {
+    Factor(f64),
+    Max,
+}
+
+fn parse_speed(text: &str) -> Result<Speed, String> {
+    match text.parse::<f64>() {
+        _ if text == "max" => Ok(Speed::Max),
+        Ok(factor) if factor.is_finite() && 0.0 < factor => Ok(Speed::Factor(factor)),
+        _ => Err("not a positive number or max".to_owned()),
+    }
+}
+
+/// Streams a file.
+///
+/// # Errors
+/// A file that cannot be read, a refusal that time does not cure, or a service that stays away.
+pub(super) fn run(arguments: StreamArguments) -> Result<(), Failure> {
+    host::block_on(stream(arguments))
+}
+
+async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
+    let mut rover = Rover::open(&arguments.rover)?;
+    let patience = Duration::from_secs(arguments.patience);
+    let connection = Connection::to(&arguments.server, patience)?;
+    for path in &arguments.nav {
+        let new = connection.push_navigation(path).await?;
+        eprintln!("{}: {new} new ephemerides", path.display());
+    }
+    let label = arguments.rover.file_name().map(|name| name.to_string_lossy().into_owned());
+    let new = v1::CreateSessionRequest {
+        label: label.unwrap_or_default().chars().take(200).collect(),
+        mode: arguments.mode,
+        profile: arguments.profile,
+        ..Default::default()
+    };
+    let mut device = connection.open(arguments.session.as_deref(), new).await?;
+    println!("session {}", device.session().session);
+    let mut progress = Progress::start();
+    rover.skip_through(device.session().durable_through.unwrap_or(0), &mut progress)?;
+    match arguments.speed {
+        Speed::Max => at_full_speed(&mut rover, &mut device, &mut progress).await?,
+        Speed::Factor(factor) => paced(&mut rover, &mut device, factor, &mut progress).await?,
+    }
+    progress.close();
+    Ok(())
+}
+
+/// Reads and encodes the next push while the last one is on its way.
+async fn at_full_speed(
+    rover: &mut Rover,
+    device: &mut Device,
+    progress: &mut Progress,
+) -> Result<(), Failure> {
+    let mut batch = rover.batch(BATCH)?;
+    while !batch.is_empty() {
+        let (pushed, next) = tokio::join!(device.push(batch), async {
+            // The push is sent before the reader takes the thread.
+            tokio::task::yield_now().await;
+            rover.batch(BATCH)
+        });
+        progress.count(&pushed?);
+        batch = next?;
+    }
+    Ok(())
+}
+
+/// Sends each epoch when it is due; those that fell due meanwhile go together.
+async fn paced(
+    rover: &mut Rover,
+    device: &mut Device,
+    factor: f64,
+    progress: &mut Progress,
+) -> Result<(), Failure> {
+    let start = tokio::time::Instant::now();
+    let mut first: Option<GpsTime> = None;
+    let mut due = Vec::new();
+    while let Some((seq, epoch)) = rover.next()? {
+        let after_s = (epoch.time - *first.get_or_insert(epoch.time)) / factor;
+        let when = start + Duration::from_secs_f64(after_s.max(0.0));
+        if tokio::time::Instant::now() < when || due.len() == BATCH {
+            progress.count(&device.push(std::mem::take(&mut due)).await?);
+            tokio::time::sleep_until(when).await;
+        }
+        due.push(convert::epoch_message(seq, epoch));
+    }
+    progress.count(&device.push(due).await?);
+    Ok(())
+}
+
+/// The observation file, its epochs numbered.
+struct Rover {
+    reader: ObservationReader<Box<dyn std::io::BufRead + Send>>,
+    path: PathBuf,
+    seq: u64,
+    epoch: Epoch,
+}
+
+impl Rover {
+    fn open(path: &Path) -> Result<Self, Failure> {
+        let file = File::open(path).map_err(|error| {
+            let message = format!("{}: {error}", path.display());
+            Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+        })?;
+        let input: Box<dyn std::io::BufRead + Send> =
+            Box::new(decompress(BufReader::with_capacity(1 << 16, file)));
+        let reader = ObservationReader::new(input);
+        let reader = reader.map_err(|error| unreadable(path, &error))?;
+        let epoch = Epoch::new(GpsTime::EPOCH);
+        Ok(Self { reader, path: path.to_owned(), seq: 0, epoch })
+    }
+
+    /// The next epoch with its number.
+    fn next(&mut self) -> Result<Option<(u64, &Epoch)>, Failure> {
+        let read = self.reader.read_epoch(&mut self.epoch);
+        if !read.map_err(|error| unreadable(&self.path, &error))? {
+            return Ok(None);
+        }
+        self.seq += 1;
+        Ok(Some((self.seq, &self.epoch)))
+    }
+
+    fn batch(&mut self, size: usize) -> Result<Vec<v1::Epoch>, Failure> {
+        let mut batch = Vec::with_capacity(size);
+        while batch.len() < size
+            && let Some((seq, epoch)) = self.next()?
+        {
+            batch.push(convert::epoch_message(seq, epoch));
+        }
+        Ok(batch)
+    }
+
+    fn skip_through(&mut self, seq: u64, progress: &mut Progress) -> Result<(), Failure> {
+        while self.seq < seq && self.next()?.is_some() {
+            progress.skipped += 1;
+        }
+        Ok(())
+    }
+}
+
+fn unreadable(path: &Path, error: &crate::formats::rinex::RinexError) -> Failure {
+    Failure::new(error.code(), format!("{}: {error}", path.display()), error.remedy())
+}
+
+/// Counts, shown each second on a terminal and at the end.
+struct Progress {
+    start: Instant,
+    shown: Instant,
+    terminal: bool,
+    skipped: u64,
+    acknowledged: u64,
+    positioned: u64,
+    recovered: u64,
+    retries: usize,
+    refused: u64,
+}
+
+impl Progress {
+    fn start() -> Self {
+        let now = Instant::now();
+        let terminal = std::io::stderr().is_terminal();
+        Self {
+            start: now,
+            shown: now,
+            terminal,
+            skipped: 0,
+            acknowledged: 0,
+            positioned: 0,
+            recovered: 0,
+            retries: 0,
+            refused: 0,
+        }
+    }
+
+    fn count(&mut self, pushed: &super::device::Pushed) {
+        let with_position = |solution: &&v1::Solution| solution.position.is_some();
+        self.acknowledged += pushed.solutions.len() as u64;
+        self.positioned += pushed.solutions.iter().filter(with_position).count() as u64;
+        self.recovered += pushed.recovered as u64;
+        self.retries += pushed.retries;
+        for (seq, words) in &pushed.refusals {
+            if self.refused < 10 {
+                eprintln!("epoch {seq} refused: {words}");
+            }
+            self.refused += 1;
+        }
+        if self.terminal && Duration::from_secs(1) < self.shown.elapsed() {
+            self.shown = Instant::now();
+            eprint!("\r{}", self.line());
+        }
+    }
+
+    fn rate(&self) -> f64 {
+        self.acknowledged as f64 / self.start.elapsed().as_secs_f64().max(1e-9)
+    }
+
+    fn line(&self) -> String {
+        format!("{} epochs acknowledged, {:.0} a second", self.acknowledged, self.rate())
+    }
+
+    fn close(&self) {
+        if self.terminal {
+            eprintln!();
+        }
+        println!(
+            "{}, {:.1} s; {} with a position, {} skipped as stored, {} found stored after a break, \
+             {} refused, {} retries",
+            self.line(),
+            self.start.elapsed().as_secs_f64(),
+            self.positioned,
+            self.skipped,
+            self.recovered,
+            self.refused,
+            self.retries
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds() {
+        assert_eq!(parse_speed("max"), Ok(Speed::Max));
+        assert_eq!(parse_speed("10"), Ok(Speed::Factor(10.0)));
+        for wrong in ["0", "-1", "fast", "inf", "nan"] {
+            assert!(parse_speed(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! Navigation: uploads, and what is held.
+
+use std::io::Read;
+
+use crate::aiding::{NavigationStatus, SatelliteCoverage};
+use crate::contract::{Code, Refusal, Service, v1};
+use crate::formats::decompress;
+use crate::formats::rinex::{self, Skipped};
+use crate::gnss::Navigation;
+
+/// Who brought what came through this call.
+const SOURCE: &str = "upload";
+
+/// Takes a RINEX navigation file.
+///
+/// # Errors
+/// A file that cannot be read at all or exceeds a limit, or the store's failure.
+pub async fn push(
+    service: &Service,
+    request: v1::PushNavigationRequest,
+) -> Result<v1::PushNavigationResponse, Refusal> {
+    let bytes_max = service.limits().decompressed_bytes;
+    let reading = tokio::task::spawn_blocking(move || read(&request.content, bytes_max));
+    let read = reading.await.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))?;
+    let (navigation, skipped) = read?;
+    let counts = service.navigation().push(navigation, SOURCE).await?;
+    Ok(v1::PushNavigationResponse {
+        ephemerides: counts.received as u64,
+        new_ephemerides: counts.new as u64,
+        skipped: skipped.entries().iter().map(skipped_entry).collect(),
+    })
+}
+
+/// Which satellites are covered.
+pub fn status(service: &Service) -> v1::NavigationStatusResponse {
+    let status = service.navigation().status();
+    v1::NavigationStatusResponse {
+        ephemerides: status.ephemerides as u64,
+        ionosphere_models: ionosphere_models(&status),
+        satellites: status.satellites.iter().map(coverage).collect(),
+    }
+}
+
+/// Unpacks within the limit and reads.
+fn read(content: &[u8], bytes_max: u64) -> Result<(Navigation, Skipped), Refusal> {
+    let mut text = Vec::new();
+    let unpacked = decompress(content).take(bytes_max + 1).read_to_end(&mut text);
+    unpacked.map_err(|error| Refusal::new(Code::RinexReadFailed, error.to_string()))?;
+    if bytes_max < text.len() as u64 {
+        let message = format!("unpacked, the file exceeds {bytes_max} bytes");
+        return Err(Refusal::new(Code::DecompressedTooLarge, message));
+    }
+    Ok(rinex::read_navigation(text.as_slice())?)
+}
+
+fn skipped_entry(entry: &rinex::SkippedEntry) -> v1::Skipped {
+    v1::Skipped {
+        what: entry.reason.to_string(),
+        count: entry.count,
+        first_line: entry.lines.first().copied().unwrap_or_default(),
+    }
+}
+
+fn coverage(coverage: &SatelliteCoverage) -> v1::SatelliteCoverage {
+    v1::SatelliteCoverage {
+        satellite: coverage.satellite.to_string(),
+        ephemerides: coverage.ephemerides as u32,
+        covered_from: coverage.usable.map(|(from, _)| from.into()),
+        covered_until: coverage.usable.map(|(_, until)| until.into()),
+        source: coverage.source.clone(),
+    }
+}
+
+fn ionosphere_models(status: &NavigationStatus) -> Vec<String> {
+    let held = [
+        (status.klobuchar_gps, "klobuchar-gps"),
+        (status.klobuchar_beidou, "klobuchar-beidou"),
+        (status.klobuchar_qzss, "klobuchar-qzss"),
+        (status.nequick, "nequick-g"),
+    ];
+    held.into_iter().filter(|(held, _)| *held).map(|(_, name)| name.to_owned()).collect()
+}

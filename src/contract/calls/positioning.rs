@@ -1,0 +1,120 @@
+//! Positioning: epochs in, solutions out.
+
+use crate::config::IntakeLimits;
+use crate::contract::convert::{self, Stored};
+use crate::contract::{Refusal, Service, intake, v1};
+use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
+
+use super::{MODE, PROFILE, or_standard, session_id};
+
+/// Positions a batch of epochs; returns when they are committed.
+///
+/// # Errors
+/// A malformed epoch refuses the batch; else the session's refusal, and where the session refuses
+/// every epoch, that of the first.
+pub async fn push_epochs(
+    service: &Service,
+    request: v1::PushEpochsRequest,
+) -> Result<v1::PushEpochsResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    let epochs = epochs(&request.epochs, &service.limits().intake(), Numbered::Yes)?;
+    drop(request.epochs);
+    answer(service.sessions().submit(&id, epochs).await?)
+}
+
+/// Solves the session's last epoch on request.
+///
+/// # Errors
+/// No such session, no epoch in it, or a configuration that does not exist.
+pub async fn solve(
+    service: &Service,
+    request: v1::SolveRequest,
+) -> Result<v1::SolveResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    let given = |text: String| Some(text).filter(|text| !text.is_empty());
+    let request = SolveRequest {
+        mode: given(request.mode),
+        profile: given(request.profile),
+        overrides: request.overrides,
+    };
+    let computed = service.sessions().solve(&id, &request).await?;
+    Ok(v1::SolveResponse { solution: Some(message(&computed)) })
+}
+
+/// Positions a burst of epochs without a session.
+///
+/// # Errors
+/// A malformed epoch, epochs out of order, or a configuration that does not exist.
+pub async fn solve_once(
+    service: &Service,
+    request: v1::SolveOnceRequest,
+) -> Result<v1::SolveOnceResponse, Refusal> {
+    let burst = Burst {
+        mode: or_standard(request.mode, MODE),
+        profile: or_standard(request.profile, PROFILE),
+        overrides: request.overrides,
+        epochs: epochs(&request.epochs, &service.limits().intake(), Numbered::No)?,
+        navigation: None,
+    };
+    let computed = service.sessions().solve_once(burst).await?;
+    Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
+}
+
+/// Whether epochs must carry a number.
+#[derive(Clone, Copy, PartialEq)]
+enum Numbered {
+    Yes,
+    No,
+}
+
+fn epochs(
+    messages: &[v1::Epoch],
+    limits: &IntakeLimits,
+    numbered: Numbered,
+) -> Result<Vec<SequencedEpoch>, Refusal> {
+    intake::epoch_count(messages.len(), limits)?;
+    let read = |(index, message): (usize, &v1::Epoch)| {
+        let within = |refusal: Refusal| refusal.within(&format!("epochs[{index}]"));
+        let seq = match numbered {
+            Numbered::Yes => intake::sequence(message.seq).map_err(within)?,
+            Numbered::No => message.seq,
+        };
+        Ok(SequencedEpoch { seq, epoch: convert::epoch(message, limits).map_err(within)? })
+    };
+    messages.iter().enumerate().map(read).collect()
+}
+
+fn answer(submitted: Submitted) -> Result<v1::PushEpochsResponse, Refusal> {
+    let mut refused = None;
+    let mut taken = false;
+    let mut results = Vec::with_capacity(submitted.outcomes.len());
+    for (index, EpochOutcome { seq, result }) in submitted.outcomes.into_iter().enumerate() {
+        let mut message = v1::EpochResult { seq, solution: None, refusal: None };
+        match result {
+            Ok(acknowledged) => {
+                taken = true;
+                message.solution = Some(convert::stored(&acknowledged.solution));
+            }
+            Err(refusal) => {
+                let refusal = Refusal::from(refusal).within(&format!("epochs[{index}]"));
+                message.refusal = Some(convert::refusal(&refusal));
+                refused.get_or_insert(refusal);
+            }
+        }
+        results.push(message);
+    }
+    match refused {
+        Some(first) if !taken => Err(first),
+        _ => Ok(v1::PushEpochsResponse { results, durable_through: submitted.durable_through }),
+    }
+}
+
+fn message(computed: &Computed) -> v1::Solution {
+    let stored = Stored {
+        seq: computed.seq,
+        revision: 0,
+        configuration_hash: &computed.configuration_hash,
+        version: &computed.version,
+    };
+    convert::solution(&computed.solution, stored)
+}

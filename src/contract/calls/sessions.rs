@@ -1,0 +1,135 @@
+//! Sessions.
+
+use crate::contract::{Refusal, Service, v1};
+use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
+use crate::session::{NewSession, SessionInfo, SessionUpdate};
+
+use super::{MODE, PROFILE, or_standard, page_size, page_token, session_id};
+
+/// Sessions on a page where no size is asked for.
+const PAGE: usize = 100;
+
+/// Opens a session.
+///
+/// # Errors
+/// A configuration that does not exist, or the store's failure.
+pub async fn create(
+    service: &Service,
+    request: v1::CreateSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let new = NewSession {
+        label: request.label,
+        mode: or_standard(request.mode, MODE),
+        profile: or_standard(request.profile, PROFILE),
+        overrides: request.overrides,
+    };
+    Ok(message(service.sessions().create(new).await?))
+}
+
+/// One session.
+///
+/// # Errors
+/// No such session.
+pub async fn get(
+    service: &Service,
+    request: v1::GetSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let id = session_id(&request.session)?;
+    Ok(message(service.sessions().get(&id).await?))
+}
+
+/// Sessions, newest first.
+///
+/// # Errors
+/// A page token or size that is refused.
+pub async fn list(
+    service: &Service,
+    request: v1::ListSessionsRequest,
+) -> Result<v1::ListSessionsResponse, Refusal> {
+    let size = page_size(request.page_size, PAGE);
+    let page = service.sessions().list(size, page_token(&request.page_token)).await?;
+    Ok(v1::ListSessionsResponse {
+        sessions: page.items.into_iter().map(message).collect(),
+        next_page_token: page.next_page_token.unwrap_or_default(),
+    })
+}
+
+/// Changes what is given.
+///
+/// # Errors
+/// No such session, one that is closed, or a configuration that does not exist.
+pub async fn update(
+    service: &Service,
+    request: v1::UpdateSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let id = session_id(&request.session)?;
+    let update = SessionUpdate {
+        label: request.label,
+        mode: request.mode,
+        profile: request.profile,
+        overrides: request.overrides,
+        clear_overrides: request.clear_overrides,
+    };
+    Ok(message(service.sessions().update(&id, update).await?))
+}
+
+/// Closes a session.
+///
+/// # Errors
+/// No such session.
+pub async fn close(
+    service: &Service,
+    request: v1::CloseSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let id = session_id(&request.session)?;
+    Ok(message(service.sessions().close(&id).await?))
+}
+
+fn message(info: SessionInfo) -> v1::Session {
+    let option = |entry: crate::config::OptionEntry| v1::Option {
+        name: entry.name.to_owned(),
+        unit: entry.unit.to_owned(),
+        value: entry.value,
+        default: entry.default,
+        meaning: entry.meaning.to_owned(),
+        allowed: entry.allowed.to_owned(),
+    };
+    v1::Session {
+        session: info.id.to_string(),
+        label: info.label,
+        mode: info.mode,
+        profile: info.profile,
+        overrides: info.overrides,
+        configuration: info.configuration.into_iter().map(option).collect(),
+        configuration_hash: info.configuration_hash.to_string(),
+        created_utc: utc(info.created_unix_ms),
+        closed: info.closed_unix_ms.is_some(),
+        durable_through: info.durable_through,
+    }
+}
+
+/// RFC 3339 of milliseconds since 1970-01-01 UTC, which know no leap seconds.
+fn utc(unix_ms: i64) -> String {
+    const EPOCH: CivilTime =
+        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
+    let leap = LeapSeconds::table();
+    // A scale without leap seconds counts as the system clock does.
+    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &leap).expect("the date exists");
+    let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
+        .to_civil(TimeScale::Gps, &leap);
+    let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
+    let ms = nanosecond / 1_000_000;
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn system_time_is_written_as_it_is() {
+        assert_eq!(utc(0), "1970-01-01T00:00:00.000Z");
+        // date -u -d @1556456281 gives 2019-04-28 12:58:01.
+        assert_eq!(utc(1_556_456_281_250), "2019-04-28T12:58:01.250Z");
+    }
+}

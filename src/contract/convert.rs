@@ -1,0 +1,246 @@
+//! Protobuf ↔ vocabulary.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::config::IntakeLimits;
+use crate::gnss::{
+    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Provenance, Reason, ReasonValue, Solution,
+    SolutionEstimate, Status,
+};
+
+use crate::store::StoredSolution;
+
+use super::intake::{self, RawObservation};
+use super::{Code, Refusal, v1};
+
+/// A solution with what the store knows about it.
+#[derive(Clone, Copy, Debug)]
+pub struct Stored<'a> {
+    /// The client's number of the epoch, zero where it has none.
+    pub seq: u64,
+    /// Revision, zero for the real-time answer.
+    pub revision: u32,
+    /// Hash of the configuration that computed it.
+    pub configuration_hash: &'a str,
+    /// Version of Graphfix that computed it.
+    pub version: &'a str,
+}
+
+impl From<GpsTime> for v1::GpsTime {
+    fn from(time: GpsTime) -> Self {
+        Self { week: time.week(), ns_of_week: time.ns_of_week() }
+    }
+}
+
+/// A time that may be absent.
+///
+/// # Errors
+/// A week or nanosecond that is none.
+pub fn time(message: Option<v1::GpsTime>, field: &str) -> Result<Option<GpsTime>, Refusal> {
+    let read = |t: v1::GpsTime| intake::time(t.week, t.ns_of_week).map_err(|e| e.within(field));
+    message.map(read).transpose()
+}
+
+/// An epoch, checked.
+///
+/// # Errors
+/// What is wrong with it, and where below the epoch.
+pub fn epoch(message: &v1::Epoch, limits: &IntakeLimits) -> Result<Epoch, Refusal> {
+    let given = message
+        .time
+        .ok_or_else(|| Refusal::new(Code::InvalidTime, "the epoch has no time").at("time"))?;
+    let time = intake::time(given.week, given.ns_of_week).map_err(|e| e.within("time"))?;
+    let observations = message.observations.iter().map(|o| RawObservation {
+        satellite: &o.satellite,
+        code: &o.code,
+        pseudorange_m: o.pseudorange_m,
+        carrier_phase_cycles: o.carrier_phase_cycles,
+        doppler_hz: o.doppler_hz,
+        cn0_db_hz: o.cn0_db_hz,
+        loss_of_lock: o.loss_of_lock,
+        half_cycle: o.half_cycle,
+    });
+    intake::epoch(time, message.power_failure, observations, limits)
+}
+
+/// An epoch as a client sends it.
+pub fn epoch_message(seq: u64, epoch: &Epoch) -> v1::Epoch {
+    let observation = |o: &crate::gnss::Observation| v1::Observation {
+        satellite: o.satellite.to_string(),
+        code: o.code.to_string(),
+        pseudorange_m: o.pseudorange_m,
+        carrier_phase_cycles: o.carrier_phase.map(|phase| phase.0),
+        doppler_hz: o.doppler_hz,
+        cn0_db_hz: o.cn0_db_hz,
+        loss_of_lock: o.loss_of_lock,
+        half_cycle: o.half_cycle,
+    };
+    v1::Epoch {
+        seq,
+        time: Some(epoch.time.into()),
+        observations: epoch.observations.iter().map(observation).collect(),
+        power_failure: epoch.power_failure,
+    }
+}
+
+/// A solution as the wire has it.
+pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
+    let estimate = solution.estimate.as_ref();
+    v1::Solution {
+        seq: stored.seq,
+        revision: stored.revision,
+        time: Some(solution.time.into()),
+        time_utc: solution.time.to_rfc3339(&LeapSeconds::table()),
+        status: status(solution.status).into(),
+        position: estimate.map(position),
+        velocity: estimate.and_then(velocity),
+        clock: estimate.map(clock),
+        dops: estimate.map(|e| v1::Dops {
+            gdop: e.dops.gdop,
+            pdop: e.dops.pdop,
+            hdop: e.dops.hdop,
+            vdop: e.dops.vdop,
+            tdop: e.dops.tdop,
+        }),
+        satellites_used: estimate
+            .map(|e| e.satellites_used.iter().map(ToString::to_string).collect())
+            .unwrap_or_default(),
+        reasons: solution.reasons.iter().map(reason).collect(),
+        provenance: Some(provenance(&solution.provenance, stored)),
+    }
+}
+
+/// A status as the wire has it.
+pub const fn status(status: Status) -> v1::Status {
+    match status {
+        Status::None => v1::Status::None,
+        Status::Single => v1::Status::Single,
+    }
+}
+
+/// The status a filter asks for; `None` for all.
+///
+/// # Errors
+/// A number that the schema does not name.
+pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
+    match v1::Status::try_from(number) {
+        Ok(v1::Status::Unspecified) => Ok(None),
+        Ok(v1::Status::None) => Ok(Some(Status::None)),
+        Ok(v1::Status::Single) => Ok(Some(Status::Single)),
+        Err(_) => Err(intake::unknown_status(&number.to_string())),
+    }
+}
+
+fn position(estimate: &SolutionEstimate) -> v1::Position {
+    let Ecef(p) = estimate.position;
+    let geodetic = estimate.position.to_geodetic();
+    let frame = LocalFrame::at(estimate.position);
+    v1::Position {
+        ecef: Some(v1::Ecef { x_m: p.x, y_m: p.y, z_m: p.z }),
+        geodetic: Some(v1::Geodetic {
+            latitude_deg: geodetic.latitude_rad.to_degrees(),
+            longitude_deg: geodetic.longitude_rad.to_degrees(),
+            height_m: geodetic.height_m,
+        }),
+        covariance_ecef_m2: Some(covariance(&estimate.covariance)),
+        covariance_enu_m2: Some(covariance(&frame.covariance_to_enu(&estimate.covariance))),
+    }
+}
+
+fn velocity(estimate: &SolutionEstimate) -> Option<v1::Velocity> {
+    let velocity = estimate.velocity.as_ref()?;
+    let v: Vector3<f64> = velocity.velocity_m_s;
+    let local = LocalFrame::at(estimate.position).rotation * v;
+    Some(v1::Velocity {
+        x_m_s: v.x,
+        y_m_s: v.y,
+        z_m_s: v.z,
+        east_m_s: local.x,
+        north_m_s: local.y,
+        up_m_s: local.z,
+        covariance_ecef_m2_s2: Some(covariance(&velocity.covariance)),
+    })
+}
+
+fn clock(estimate: &SolutionEstimate) -> v1::Clock {
+    let bias = |(constellation, bias_m): &(crate::gnss::Constellation, f64)| v1::InterSystemBias {
+        constellation: constellation.name().to_owned(),
+        bias_m: *bias_m,
+    };
+    v1::Clock {
+        bias_m: estimate.clock_m,
+        drift_m_s: estimate.velocity.as_ref().map(|v| v.clock_drift_m_s),
+        inter_system_biases: estimate.inter_system_biases_m.iter().map(bias).collect(),
+        reception_time: Some(estimate.reception_time.into()),
+    }
+}
+
+const fn covariance(matrix: &Matrix3<f64>) -> v1::Covariance {
+    let [[xx, _, _], [xy, yy, _], [xz, yz, zz]] = matrix.data.0;
+    v1::Covariance {
+        first_first: xx,
+        first_second: xy,
+        first_third: xz,
+        second_second: yy,
+        second_third: yz,
+        third_third: zz,
+    }
+}
+
+fn reason(reason: &Reason) -> v1::Reason {
+    use prost_types::value::Kind;
+    let text = |text: String| prost_types::Value { kind: Some(Kind::StringValue(text)) };
+    let value = |value| match value {
+        ReasonValue::Number(number) => prost_types::Value { kind: Some(Kind::NumberValue(number)) },
+        ReasonValue::Text(name) => text(name.to_owned()),
+        ReasonValue::Satellites(list) => {
+            let values = list.iter().map(|satellite| text(satellite.to_string())).collect();
+            let list = prost_types::ListValue { values };
+            prost_types::Value { kind: Some(Kind::ListValue(list)) }
+        }
+    };
+    let fields: BTreeMap<_, _> =
+        reason.values().into_iter().map(|(name, v)| (name.to_owned(), value(v))).collect();
+    v1::Reason {
+        code: reason.code().to_owned(),
+        message: reason.to_string(),
+        remedy: reason.remedy().to_owned(),
+        values: Some(prost_types::Struct { fields }),
+    }
+}
+
+fn provenance(provenance: &Provenance, stored: Stored<'_>) -> v1::Provenance {
+    let issue = |e: &crate::gnss::EphemerisIssue| v1::EphemerisIssue {
+        satellite: e.satellite.to_string(),
+        toe: Some(e.toe.into()),
+        issue: e.issue,
+    };
+    v1::Provenance {
+        ephemerides: provenance.ephemerides.iter().map(issue).collect(),
+        configuration_hash: stored.configuration_hash.to_owned(),
+        version: stored.version.to_owned(),
+    }
+}
+
+/// A stored solution as the wire has it.
+pub fn stored(row: &StoredSolution) -> v1::Solution {
+    let stored = Stored {
+        seq: row.seq,
+        revision: row.revision,
+        configuration_hash: &row.configuration_hash,
+        version: &row.version,
+    };
+    solution(&row.solution, stored)
+}
+
+/// The refusal of one epoch among others.
+pub fn refusal(refusal: &Refusal) -> v1::Refusal {
+    v1::Refusal {
+        code: refusal.code.name().to_owned(),
+        message: refusal.message.clone(),
+        remedy: refusal.code.remedy().to_owned(),
+        field: refusal.field.clone().unwrap_or_default(),
+    }
+}

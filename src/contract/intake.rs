@@ -1,0 +1,274 @@
+//! What comes in, checked: the parts of an epoch as texts and numbers become vocabulary.
+//!
+//! Both doors hand over what their encoding gave them; what is refused names the field.
+
+use std::collections::HashMap;
+
+use crate::config::IntakeLimits;
+use crate::gnss::{
+    Cycles, Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Signal, Status,
+};
+
+use super::{Code, Refusal};
+
+/// The largest sequence number: the largest integer that every JSON reader keeps exactly.
+pub const SEQUENCE_MAX: u64 = (1 << 53) - 1;
+/// No signal of a satellite arrives from farther (m): GEO orbit radius and a clock off by 0.3 s.
+const PSEUDORANGE_MAX_M: f64 = 1.5e8;
+/// Carrier phases are counted from anywhere; beyond this a double no longer holds a hundredth of a
+/// cycle.
+const CARRIER_PHASE_MAX_CYCLES: f64 = 1e13;
+/// Doppler of a satellite seen from low orbit, with a bad oscillator (Hz).
+const DOPPLER_MAX_HZ: f64 = 1e6;
+/// C/N0 (dB-Hz).
+const CN0_MAX_DB_HZ: f64 = 100.0;
+
+/// An observation as it came in.
+#[derive(Clone, Copy, Debug)]
+pub struct RawObservation<'a> {
+    /// Such as `G05`.
+    pub satellite: &'a str,
+    /// Such as `1C`.
+    pub code: &'a str,
+    /// (m)
+    pub pseudorange_m: Option<f64>,
+    /// (cycles)
+    pub carrier_phase_cycles: Option<f64>,
+    /// (Hz)
+    pub doppler_hz: Option<f64>,
+    /// (dB-Hz)
+    pub cn0_db_hz: Option<f64>,
+    /// Loss-of-lock indicator.
+    pub loss_of_lock: bool,
+    /// Half-cycle ambiguity.
+    pub half_cycle: bool,
+}
+
+/// A time from week and nanoseconds of week.
+///
+/// # Errors
+/// [`Code::InvalidTime`].
+pub fn time(week: i32, ns_of_week: i64) -> Result<GpsTime, Refusal> {
+    GpsTime::from_week_ns(week, ns_of_week).ok_or_else(|| {
+        Refusal::new(Code::InvalidTime, format!("week {week}, {ns_of_week} ns of week is no time"))
+    })
+}
+
+/// A time from a text `week:seconds of week`, such as `2051:46701.5`.
+///
+/// # Errors
+/// [`Code::InvalidTime`].
+pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
+    let parse = || {
+        let (week, seconds) = text.split_once(':')?;
+        let (week, seconds) = (week.parse().ok()?, seconds.parse::<f64>().ok()?);
+        GpsTime::from_week_ns(week, (seconds * 1e9).round() as i64)
+    };
+    parse().ok_or_else(|| {
+        let message = format!("{text:?} is not WEEK:SECONDS such as 2051:46701.5");
+        Refusal::new(Code::InvalidTime, message)
+    })
+}
+
+/// A sequence number.
+///
+/// # Errors
+/// [`Code::InvalidSequence`].
+pub fn sequence(seq: u64) -> Result<u64, Refusal> {
+    if (1..=SEQUENCE_MAX).contains(&seq) {
+        return Ok(seq);
+    }
+    let message = format!("{seq} is not in 1 to {SEQUENCE_MAX}");
+    Err(Refusal::new(Code::InvalidSequence, message).at("seq"))
+}
+
+/// Checks how many epochs a push carries.
+///
+/// # Errors
+/// [`Code::NoEpochs`] and [`Code::TooManyEpochs`].
+pub fn epoch_count(count: usize, limits: &IntakeLimits) -> Result<(), Refusal> {
+    match count {
+        0 => Err(Refusal::new(Code::NoEpochs, "no epoch").at("epochs")),
+        _ if limits.epochs_per_push < count => {
+            let message = format!("{count} epochs, at most {} a push", limits.epochs_per_push);
+            Err(Refusal::new(Code::TooManyEpochs, message).at("epochs"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The refusal of a status that there is not.
+pub fn unknown_status(given: &str) -> Refusal {
+    let names: Vec<_> = Status::ALL.into_iter().map(Status::name).collect();
+    let message = format!("{given:?} is no status; there are {}", names.join(", "));
+    Refusal::new(Code::InvalidField, message).at("status")
+}
+
+/// An epoch from its parts: satellites brought together in the order of their first observation.
+///
+/// # Errors
+/// The first observation at fault, its field a path below the epoch.
+pub fn epoch<'a>(
+    time: GpsTime,
+    power_failure: bool,
+    observations: impl ExactSizeIterator<Item = RawObservation<'a>>,
+    limits: &IntakeLimits,
+) -> Result<Epoch, Refusal> {
+    let count_max = limits.observations_per_epoch;
+    if count_max < observations.len() {
+        let message = format!("{} observations, at most {count_max} an epoch", observations.len());
+        return Err(Refusal::new(Code::TooManyObservations, message).at("observations"));
+    }
+    let mut epoch = Epoch { time, power_failure, observations: Vec::new() };
+    epoch.observations.reserve(observations.len());
+    for (index, raw) in observations.enumerate() {
+        let at = |refusal: Refusal| refusal.within(&format!("observations[{index}]"));
+        epoch.observations.push(observation(raw).map_err(at)?);
+    }
+    bring_satellites_together(&mut epoch.observations);
+    check_satellites(&epoch, limits)?;
+    Ok(epoch)
+}
+
+fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
+    let satellite: SatelliteId = raw.satellite.parse().map_err(|_| {
+        let message = format!("{:?} is no satellite", raw.satellite);
+        Refusal::new(Code::InvalidSatellite, message).at("satellite")
+    })?;
+    let code = ObservationCode::parse(raw.code)
+        .filter(|code| Signal::of(satellite, *code).band().is_some())
+        .ok_or_else(|| {
+            let message = format!("{:?} is no signal of {satellite}", raw.code);
+            Refusal::new(Code::InvalidSignal, message).at("code")
+        })?;
+    let name = |field: &str| format!("{satellite} {code}: {field}");
+    let within = |value: Option<f64>, low: f64, high: f64, field: &str| match value {
+        // NaN is in no range.
+        Some(v) if !(low..=high).contains(&v) => {
+            let message = format!("{} {v} is not in {low:e} to {high:e}", name(field));
+            Err(Refusal::new(Code::InvalidMeasurement, message).at(field))
+        }
+        kept => Ok(kept),
+    };
+    let phase_max = CARRIER_PHASE_MAX_CYCLES;
+    Ok(Observation {
+        satellite,
+        code,
+        loss_of_lock: raw.loss_of_lock,
+        half_cycle: raw.half_cycle,
+        pseudorange_m: within(raw.pseudorange_m, 1.0, PSEUDORANGE_MAX_M, "pseudorangeM")?,
+        carrier_phase: within(
+            raw.carrier_phase_cycles,
+            -phase_max,
+            phase_max,
+            "carrierPhaseCycles",
+        )?
+        .map(Cycles),
+        doppler_hz: within(raw.doppler_hz, -DOPPLER_MAX_HZ, DOPPLER_MAX_HZ, "dopplerHz")?,
+        cn0_db_hz: within(raw.cn0_db_hz, 0.0, CN0_MAX_DB_HZ, "cn0DbHz")?,
+    })
+}
+
+/// Stable order by each satellite's first appearance; most receivers send it so already.
+fn bring_satellites_together(observations: &mut [Observation]) {
+    let mut first: HashMap<SatelliteId, usize> = HashMap::new();
+    let mut together = true;
+    for (index, pair) in observations.windows(2).enumerate() {
+        first.entry(pair[0].satellite).or_insert(index);
+        together &=
+            pair[0].satellite == pair[1].satellite || !first.contains_key(&pair[1].satellite);
+    }
+    if together {
+        return;
+    }
+    if let Some(last) = observations.last() {
+        first.entry(last.satellite).or_insert(observations.len());
+    }
+    observations.sort_by_key(|observation| first[&observation.satellite]);
+}
+
+fn check_satellites(epoch: &Epoch, limits: &IntakeLimits) -> Result<(), Refusal> {
+    let mut satellites = 0;
+    for (satellite, observations) in epoch.by_satellite() {
+        satellites += 1;
+        for (index, observation) in observations.iter().enumerate() {
+            if observations[..index].iter().any(|other| other.code == observation.code) {
+                let message = format!("{satellite} {} appears twice", observation.code);
+                return Err(Refusal::new(Code::DuplicateSignal, message).at("observations"));
+            }
+        }
+    }
+    if limits.satellites_per_epoch < satellites {
+        let most = limits.satellites_per_epoch;
+        let message = format!("{satellites} satellites in an epoch, at most {most}");
+        return Err(Refusal::new(Code::TooManySatellites, message).at("observations"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: IntakeLimits =
+        IntakeLimits { satellites_per_epoch: 3, observations_per_epoch: 5, epochs_per_push: 2 };
+
+    fn raw<'a>(satellite: &'a str, code: &'a str) -> RawObservation<'a> {
+        RawObservation {
+            satellite,
+            code,
+            pseudorange_m: Some(2.2e7),
+            carrier_phase_cycles: None,
+            doppler_hz: None,
+            cn0_db_hz: None,
+            loss_of_lock: false,
+            half_cycle: false,
+        }
+    }
+
+    fn taken(raw: &[RawObservation<'_>]) -> Result<Epoch, Refusal> {
+        epoch(GpsTime::EPOCH, false, raw.iter().copied(), &LIMITS)
+    }
+
+    fn refused(raw: &[RawObservation<'_>]) -> (Code, String) {
+        let refusal = taken(raw).unwrap_err();
+        (refusal.code, refusal.field.unwrap_or_default())
+    }
+
+    #[test]
+    fn satellites_come_together_in_order_of_appearance() {
+        let epoch = taken(&[raw("G05", "1C"), raw("E11", "1C"), raw("G05", "2W")]).unwrap();
+        let names: Vec<_> =
+            epoch.observations.iter().map(|o| format!("{}{}", o.satellite, o.code)).collect();
+        assert_eq!(names, ["G051C", "G052W", "E111C"]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        assert_eq!(
+            refused(&[raw("X05", "1C")]),
+            (Code::InvalidSatellite, "observations[0].satellite".into())
+        );
+        let no_such_band = [raw("G01", "1C"), raw("G05", "7Q")];
+        assert_eq!(refused(&no_such_band), (Code::InvalidSignal, "observations[1].code".into()));
+        let nan = RawObservation { pseudorange_m: Some(f64::NAN), ..raw("G05", "1C") };
+        assert_eq!(
+            refused(&[nan]),
+            (Code::InvalidMeasurement, "observations[0].pseudorangeM".into())
+        );
+        let twice = [raw("G05", "1C"), raw("E11", "1C"), raw("G05", "1C")];
+        assert_eq!(refused(&twice).0, Code::DuplicateSignal);
+    }
+
+    #[test]
+    fn limits_hold() {
+        let four = ["G01", "G02", "G03", "G04"].map(|name| raw(name, "1C"));
+        assert_eq!(refused(&four).0, Code::TooManySatellites);
+        let six = ["1C", "1W", "1L", "2W", "2L", "5Q"].map(|code| raw("G01", code));
+        assert_eq!(refused(&six).0, Code::TooManyObservations);
+        assert_eq!(epoch_count(3, &LIMITS).unwrap_err().code, Code::TooManyEpochs);
+        assert_eq!(epoch_count(0, &LIMITS).unwrap_err().code, Code::NoEpochs);
+        assert_eq!(sequence(0).unwrap_err().code, Code::InvalidSequence);
+        assert_eq!(time(2051, -1).unwrap_err().code, Code::InvalidTime);
+    }
+}

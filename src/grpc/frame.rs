@@ -1,0 +1,39 @@
+//! What surrounds every call: refusals of tonic itself in our words, and panics.
+
+use std::any::Any;
+
+use axum::body::Body;
+use axum::response::Response;
+use tonic::{Code as GrpcCode, Status};
+
+use crate::contract::{Code, Refusal};
+
+use super::status::to_status;
+
+const STATUS: &str = "grpc-status";
+const DETAILS: &str = "grpc-status-details-bin";
+
+/// Gives a status that tonic made, and which therefore has no code of ours, one.
+pub(super) async fn explain(response: Response) -> Response {
+    if !response.headers().contains_key(STATUS) || response.headers().contains_key(DETAILS) {
+        return response;
+    }
+    let Some(status) = Status::from_header_map(response.headers()) else { return response };
+    let code = match status.code() {
+        // Tonic's answer to a message beyond its limit, by length or while it is unpacked.
+        GrpcCode::OutOfRange | GrpcCode::ResourceExhausted => Code::BodyTooLarge,
+        GrpcCode::Unimplemented => Code::RouteNotFound,
+        GrpcCode::Internal | GrpcCode::InvalidArgument => Code::MalformedBody,
+        _ => return response,
+    };
+    to_status(&Refusal::new(code, status.message())).into_http::<Body>()
+}
+
+/// What a panic answers.
+pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
+    let words = panic.downcast_ref::<String>().map(String::as_str);
+    let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+    tracing::error!(panic = words, "a call panicked");
+    let refusal = Refusal::new(Code::Internal, "the call failed inside the service");
+    to_status(&refusal).into_http::<Body>()
+}

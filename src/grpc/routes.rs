@@ -1,0 +1,74 @@
+//! The services of this door as routes of the shared port.
+
+use axum::Router;
+use axum::middleware;
+use tonic::service::Routes;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+use tower_http::catch_panic::CatchPanicLayer;
+
+use crate::contract::Service;
+
+use super::v1::navigation_server::NavigationServer;
+use super::v1::positioning_server::PositioningServer;
+use super::v1::sessions_server::SessionsServer;
+use super::v1::solutions_server::SolutionsServer;
+use super::{DESCRIPTORS, Door, frame};
+
+/// Every service, health and reflection. Has no fallback: the router it joins has.
+///
+/// # Panics
+/// Outside a tokio runtime: gRPC health follows the service's readiness by a task.
+pub fn routes(service: &Service) -> Router {
+    let limit = service.limits().body_bytes;
+    let door = Door(service.clone());
+    let (health, health_service) = tonic_health::server::health_reporter();
+    tokio::spawn(report_health(service.drained(), health));
+    let reflection = |builder: tonic_reflection::server::Builder<'static>| {
+        builder
+            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let configure = tonic_reflection::server::Builder::configure;
+    let v1 = reflection(configure()).build_v1().expect("the descriptors are protox's");
+    let v1alpha = reflection(configure()).build_v1alpha().expect("the descriptors are protox's");
+    macro_rules! limited {
+        ($server:ident) => {
+            $server::new(door.clone())
+                .max_decoding_message_size(limit)
+                .max_encoding_message_size(usize::MAX)
+                .accept_compressed(tonic::codec::CompressionEncoding::Gzip)
+                .accept_compressed(tonic::codec::CompressionEncoding::Zstd)
+                .send_compressed(tonic::codec::CompressionEncoding::Gzip)
+        };
+    }
+    Routes::new(health_service)
+        .add_service(v1)
+        .add_service(v1alpha)
+        .add_service(limited!(SessionsServer))
+        .add_service(limited!(PositioningServer))
+        .add_service(limited!(SolutionsServer))
+        .add_service(limited!(NavigationServer))
+        .into_axum_router()
+        .reset_fallback()
+        .layer(middleware::map_response(frame::explain))
+        .layer(CatchPanicLayer::custom(frame::panicked))
+}
+
+/// Serving until the service drains; for each service by name, and for the whole.
+async fn report_health(drained: impl Future<Output = ()>, health: HealthReporter) {
+    const NAMES: [&str; 5] = [
+        "",
+        "graphfix.v1.Sessions",
+        "graphfix.v1.Positioning",
+        "graphfix.v1.Solutions",
+        "graphfix.v1.Navigation",
+    ];
+    for name in NAMES {
+        health.set_service_status(name, ServingStatus::Serving).await;
+    }
+    drained.await;
+    for name in NAMES {
+        health.set_service_status(name, ServingStatus::NotServing).await;
+    }
+}

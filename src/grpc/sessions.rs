@@ -1,0 +1,46 @@
+//! `graphfix.v1.Sessions`.
+
+use tonic::{Request, Response, Status, async_trait};
+
+use crate::contract::{calls, v1};
+
+use super::status::carry;
+use super::{Door, v1::sessions_server::Sessions};
+
+#[async_trait]
+impl Sessions for Door {
+    async fn create(
+        &self,
+        request: Request<v1::CreateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::create(&self.0, request.into_inner()).await)
+    }
+
+    async fn get(
+        &self,
+        request: Request<v1::GetSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::get(&self.0, request.into_inner()).await)
+    }
+
+    async fn list(
+        &self,
+        request: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        carry(calls::sessions::list(&self.0, request.into_inner()).await)
+    }
+
+    async fn update(
+        &self,
+        request: Request<v1::UpdateSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::update(&self.0, request.into_inner()).await)
+    }
+
+    async fn close(
+        &self,
+        request: Request<v1::CloseSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::close(&self.0, request.into_inner()).await)
+    }
+}

@@ -1,0 +1,77 @@
+//! Refusals as `google.rpc.Status` with `ErrorInfo`, `BadRequest` and `RetryInfo`.
+
+use std::collections::HashMap;
+
+use tonic::{Code as GrpcCode, Response, Status};
+use tonic_types::{ErrorDetails, StatusExt};
+
+use crate::contract::{Class, Refusal};
+
+/// Domain of the codes in `ErrorInfo`.
+const DOMAIN: &str = "graphfix";
+
+/// The status of a class of refusals.
+pub const fn grpc_code(class: Class) -> GrpcCode {
+    match class {
+        Class::Malformed | Class::MediaType => GrpcCode::InvalidArgument,
+        Class::TooLarge | Class::Exhausted => GrpcCode::ResourceExhausted,
+        Class::NotFound => GrpcCode::NotFound,
+        Class::Route | Class::Method => GrpcCode::Unimplemented,
+        Class::Conflict => GrpcCode::AlreadyExists,
+        Class::Precondition => GrpcCode::FailedPrecondition,
+        Class::Unavailable => GrpcCode::Unavailable,
+        Class::Internal => GrpcCode::Internal,
+    }
+}
+
+/// A refusal as gRPC sends it. Faults of the service are logged here, once.
+pub fn to_status(refusal: &Refusal) -> Status {
+    if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
+        tracing::error!(code = refusal.code.name(), "{}", refusal.message);
+    }
+    let mut metadata = HashMap::from([("remedy".to_owned(), refusal.code.remedy().to_owned())]);
+    let place =
+        [("field", refusal.field.clone()), ("line", refusal.line.map(|line| line.to_string()))];
+    metadata.extend(place.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))));
+    let mut details = ErrorDetails::new();
+    details.set_error_info(refusal.code.name(), DOMAIN, metadata);
+    if let Some(field) = &refusal.field {
+        details.add_bad_request_violation(field, &refusal.message);
+    }
+    if refusal.retry_after.is_some() {
+        details.set_retry_info(refusal.retry_after);
+    }
+    Status::with_error_details(grpc_code(refusal.code.class()), &refusal.message, details)
+}
+
+/// A call's outcome as tonic takes it.
+pub(super) fn carry<T>(outcome: Result<T, Refusal>) -> Result<Response<T>, Status> {
+    outcome.map(Response::new).map_err(|refusal| to_status(&refusal))
+}
+
+/// The stable code of a status that this service sent; for its clients.
+pub fn code_of(status: &Status) -> Option<String> {
+    status.get_details_error_info().map(|info| info.reason)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::contract::Code;
+
+    #[test]
+    fn a_refusal_keeps_its_values() {
+        let refusal = Refusal::new(Code::MailboxFull, "64 pushes wait")
+            .at("epochs")
+            .retry_after(Duration::from_millis(250));
+        let status = to_status(&refusal);
+        assert_eq!(status.code(), GrpcCode::ResourceExhausted);
+        let details = status.get_error_details();
+        assert_eq!(details.error_info().unwrap().reason, "MAILBOX_FULL");
+        assert_eq!(details.error_info().unwrap().metadata["field"], "epochs");
+        assert_eq!(details.retry_info().unwrap().retry_delay, Some(Duration::from_millis(250)));
+        assert_eq!(details.bad_request().unwrap().field_violations[0].field, "epochs");
+    }
+}

@@ -1,0 +1,33 @@
+//! `/v1/navigation`.
+
+use axum::Json;
+use axum::extract::State;
+
+use crate::contract::{Service, calls, v1};
+
+use super::body::RawBody;
+use super::problem::{Problem, Refused};
+
+/// Takes a RINEX navigation file, plain or gzip; what it holds is committed before the answer.
+#[utoipa::path(post, path = "/v1/navigation", tag = "Navigation",
+    request_body(content = String, content_type = "application/octet-stream",
+        description = "RINEX 2.10 to 4.0x navigation, plain or gzip"),
+    responses((status = 200, body = v1::PushNavigationResponse),
+        (status = "4XX", body = Problem)))]
+pub(super) async fn push(
+    State(service): State<Service>,
+    RawBody(content): RawBody,
+) -> Result<Json<v1::PushNavigationResponse>, Refused> {
+    let request = v1::PushNavigationRequest { content };
+    Ok(Json(calls::navigation::push(&service, request).await?))
+}
+
+/// Which satellites are covered from when until when.
+#[utoipa::path(get, path = "/v1/navigation", tag = "Navigation",
+    responses((status = 200, body = v1::NavigationStatusResponse),
+        (status = "4XX", body = Problem)))]
+pub(super) async fn status(
+    State(service): State<Service>,
+) -> Result<Json<v1::NavigationStatusResponse>, Refused> {
+    Ok(Json(calls::navigation::status(&service)))
+}

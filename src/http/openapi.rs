@@ -1,0 +1,42 @@
+//! The REST door as OpenAPI 3.1.
+
+use utoipa::OpenApi;
+
+use super::{navigation, positioning, sessions, solutions};
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "Graphfix",
+        description = "GNSS positioning: raw observations in, stored positions out. Every call has \
+                       its twin in the gRPC package graphfix.v1, on the same port. Times are \
+                       GPS week and nanoseconds of week; refusals are RFC 9457 problem documents \
+                       with a stable code.",
+        license(name = "MIT OR Apache-2.0"),
+    ),
+    tags(
+        (name = "Sessions", description = "A rover's sessions"),
+        (name = "Positioning", description = "Epochs in, solutions out"),
+        (name = "Solutions", description = "What was stored"),
+        (name = "Navigation", description = "Broadcast ephemerides, which every session uses"),
+    ),
+    paths(
+        sessions::create,
+        sessions::list,
+        sessions::get,
+        sessions::update,
+        sessions::close,
+        positioning::push_epochs,
+        positioning::solve,
+        positioning::solve_once,
+        solutions::list,
+        navigation::push,
+        navigation::status,
+    )
+)]
+struct Rest;
+
+/// The document that `/openapi.json` answers.
+pub fn document() -> utoipa::openapi::OpenApi {
+    Rest::openapi()
+}

@@ -1,0 +1,53 @@
+//! What is not a call: health, the schema, and the first page.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
+use axum::response::{Html, IntoResponse, Response};
+
+use crate::contract::{Code, Refusal, Service};
+use crate::grpc;
+
+use super::openapi;
+use super::problem::Refused;
+
+/// `GET /`: what this is and where to go on.
+pub(super) async fn home() -> Html<&'static str> {
+    Html(include_str!("home.html"))
+}
+
+/// `GET /healthz`: the process answers.
+pub(super) async fn live() -> &'static str {
+    "ok\n"
+}
+
+/// `GET /readyz`: 200 while requests are welcome, 503 while the service stops.
+pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, &'static str) {
+    if service.is_draining() {
+        (StatusCode::SERVICE_UNAVAILABLE, "draining\n")
+    } else {
+        (StatusCode::OK, "ready\n")
+    }
+}
+
+/// `GET /openapi.json`.
+pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
+    Json(openapi::document())
+}
+
+/// Any path that is none, in the words of the door it was meant for.
+pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+    let message = format!("{method} {} is no call", uri.path());
+    let refusal = Refusal::new(Code::RouteNotFound, message);
+    let kind = headers.get(header::CONTENT_TYPE).map(|kind| kind.as_bytes());
+    if kind.is_some_and(|kind| kind.starts_with(b"application/grpc")) {
+        return grpc::to_status(&refusal).into_http::<axum::body::Body>();
+    }
+    Refused(refusal).into_response()
+}
+
+/// A path that does not take the method.
+pub(super) async fn no_method(method: Method, uri: Uri) -> Refused {
+    let message = format!("{} does not take {method}", uri.path());
+    Refusal::new(Code::MethodNotAllowed, message).into()
+}

@@ -1,0 +1,59 @@
+//! Epochs in, solutions out.
+
+use axum::Json;
+use axum::extract::{Path, State};
+
+use crate::contract::{Code, Refusal, Service, calls, v1};
+
+use super::body::JsonBody;
+use super::problem::{Problem, Refused};
+use super::sessions::named;
+
+/// Positions a batch of epochs, in their order; what is acknowledged is committed.
+///
+/// A malformed epoch refuses the push before anything is positioned. What the session then refuses
+/// (a conflict, an epoch out of order) stops no other epoch and is told in its place; where it
+/// refuses every epoch, the call is refused as its first.
+#[utoipa::path(post, path = "/v1/sessions/{session}/epochs", tag = "Positioning",
+    params(("session" = String, Path, description = "Its id")),
+    request_body = v1::PushEpochsRequest,
+    responses((status = 200, body = v1::PushEpochsResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn push_epochs(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    JsonBody(request): JsonBody<v1::PushEpochsRequest>,
+) -> Result<Json<v1::PushEpochsResponse>, Refused> {
+    let session = named(session, &request.session)?;
+    let request = v1::PushEpochsRequest { session, ..request };
+    Ok(Json(calls::positioning::push_epochs(&service, request).await?))
+}
+
+/// Solves the session's last epoch on request with any mode and options; nothing is stored.
+#[utoipa::path(post, path = "/v1/sessions/{session}:solve", tag = "Positioning",
+    params(("session" = String, Path, description = "Its id")),
+    request_body = v1::SolveRequest,
+    responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn solve(
+    State(service): State<Service>,
+    Path(target): Path<String>,
+    JsonBody(request): JsonBody<v1::SolveRequest>,
+) -> Result<Json<v1::SolveResponse>, Refused> {
+    let Some(session) = target.strip_suffix(":solve") else {
+        let message = format!("POST /v1/sessions/{target} is no call");
+        return Err(Refusal::new(Code::RouteNotFound, message).into());
+    };
+    let session = named(session.to_owned(), &request.session)?;
+    let request = v1::SolveRequest { session, ..request };
+    Ok(Json(calls::positioning::solve(&service, request).await?))
+}
+
+/// Positions one epoch or a short burst without a session; nothing is stored.
+#[utoipa::path(post, path = "/v1/solve", tag = "Positioning",
+    request_body = v1::SolveOnceRequest,
+    responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn solve_once(
+    State(service): State<Service>,
+    JsonBody(request): JsonBody<v1::SolveOnceRequest>,
+) -> Result<Json<v1::SolveOnceResponse>, Refused> {
+    Ok(Json(calls::positioning::solve_once(&service, request).await?))
+}

@@ -1,0 +1,105 @@
+//! Refusals as RFC 9457 problem documents.
+
+use axum::Json;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::contract::{Class, Refusal};
+
+/// What is answered instead of a result: an RFC 9457 problem document.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct Problem {
+    /// `urn:graphfix:error:` and the code.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The code in words.
+    pub title: String,
+    /// The HTTP status.
+    pub status: u16,
+    /// What is wrong, with the values at fault.
+    pub detail: String,
+    /// Stable, upper snake case; see `docs/errors.md`.
+    pub code: String,
+    /// What can be done about it.
+    pub remedy: String,
+    /// The field at fault, such as `epochs[3].time`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field: Option<String>,
+    /// The line at fault of an uploaded file, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<u64>,
+    /// The byte at fault of the body, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub byte_offset: Option<u64>,
+    /// When to try again (ms).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retry_after_ms: Option<u64>,
+}
+
+/// A refusal on its way out.
+#[derive(Clone, Debug)]
+pub(super) struct Refused(pub Refusal);
+
+impl From<Refusal> for Refused {
+    fn from(refusal: Refusal) -> Self {
+        Self(refusal)
+    }
+}
+
+/// The status of a class of refusals.
+pub const fn http_status(class: Class) -> StatusCode {
+    match class {
+        Class::Malformed => StatusCode::BAD_REQUEST,
+        Class::MediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        Class::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+        Class::NotFound | Class::Route => StatusCode::NOT_FOUND,
+        Class::Method => StatusCode::METHOD_NOT_ALLOWED,
+        Class::Conflict | Class::Precondition => StatusCode::CONFLICT,
+        Class::Exhausted => StatusCode::TOO_MANY_REQUESTS,
+        Class::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
+        Class::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}
+
+impl Problem {
+    /// The document of a refusal.
+    pub fn of(refusal: &Refusal) -> Self {
+        let code = refusal.code.name();
+        let words = code.to_lowercase().replace('_', " ");
+        Self {
+            kind: format!("urn:graphfix:error:{code}"),
+            title: words,
+            status: http_status(refusal.code.class()).as_u16(),
+            detail: refusal.message.clone(),
+            code: code.to_owned(),
+            remedy: refusal.code.remedy().to_owned(),
+            field: refusal.field.clone(),
+            line: refusal.line,
+            byte_offset: refusal.byte_offset,
+            retry_after_ms: refusal.retry_after.map(|delay| delay.as_millis() as u64),
+        }
+    }
+}
+
+/// The document with its status, and `Retry-After` in whole seconds where there is a delay.
+/// Faults of the service are logged here, once.
+impl IntoResponse for Refused {
+    fn into_response(self) -> Response {
+        let Self(refusal) = self;
+        if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
+            tracing::error!(code = refusal.code.name(), "{}", refusal.message);
+        }
+        let status = http_status(refusal.code.class());
+        let mut response = (status, Json(Problem::of(&refusal))).into_response();
+        let kind = HeaderValue::from_static("application/problem+json");
+        response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        if let Some(delay) = refusal.retry_after {
+            let seconds = delay.as_millis().div_ceil(1000) as u64;
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+        }
+        response
+    }
+}

@@ -1,0 +1,94 @@
+//! `/v1/sessions`.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Code, Refusal, Service, calls, v1};
+
+use super::body::{JsonBody, StrictQuery};
+use super::problem::{Problem, Refused};
+
+/// Which page of a list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct PageQuery {
+    /// At most so many, 1 to 1000; 100 if not given.
+    page_size: u32,
+    /// From the answer before.
+    page_token: String,
+}
+
+/// The session of a path; a body that names one must name the same.
+pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
+    if body.is_empty() || body == path {
+        return Ok(path);
+    }
+    let message = format!("the path names {path:?}, the body {body:?}");
+    Err(Refusal::new(Code::InvalidField, message).at("session"))
+}
+
+/// Opens a session; answers it with the configuration in force.
+#[utoipa::path(post, path = "/v1/sessions", tag = "Sessions",
+    request_body = v1::CreateSessionRequest,
+    responses((status = 201, body = v1::Session), (status = "4XX", body = Problem)))]
+pub(super) async fn create(
+    State(service): State<Service>,
+    JsonBody(request): JsonBody<v1::CreateSessionRequest>,
+) -> Result<(StatusCode, Json<v1::Session>), Refused> {
+    Ok((StatusCode::CREATED, Json(calls::sessions::create(&service, request).await?)))
+}
+
+/// One session with the configuration in force.
+#[utoipa::path(get, path = "/v1/sessions/{session}", tag = "Sessions",
+    params(("session" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+pub(super) async fn get(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+) -> Result<Json<v1::Session>, Refused> {
+    let request = v1::GetSessionRequest { session };
+    Ok(Json(calls::sessions::get(&service, request).await?))
+}
+
+/// Sessions, newest first.
+#[utoipa::path(get, path = "/v1/sessions", tag = "Sessions", params(PageQuery),
+    responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn list(
+    State(service): State<Service>,
+    StrictQuery(page): StrictQuery<PageQuery>,
+) -> Result<Json<v1::ListSessionsResponse>, Refused> {
+    let PageQuery { page_size, page_token } = page;
+    let request = v1::ListSessionsRequest { page_size, page_token };
+    Ok(Json(calls::sessions::list(&service, request).await?))
+}
+
+/// Changes what is given and nothing else; the epochs that follow are positioned by it.
+#[utoipa::path(patch, path = "/v1/sessions/{session}", tag = "Sessions",
+    params(("session" = String, Path, description = "Its id")),
+    request_body = v1::UpdateSessionRequest,
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+pub(super) async fn update(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    JsonBody(request): JsonBody<v1::UpdateSessionRequest>,
+) -> Result<Json<v1::Session>, Refused> {
+    let session = named(session, &request.session)?;
+    let request = v1::UpdateSessionRequest { session, ..request };
+    Ok(Json(calls::sessions::update(&service, request).await?))
+}
+
+/// Closes a session: it takes no more epochs, what it stored stays readable.
+#[utoipa::path(delete, path = "/v1/sessions/{session}", tag = "Sessions",
+    params(("session" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+pub(super) async fn close(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+) -> Result<Json<v1::Session>, Refused> {
+    let request = v1::CloseSessionRequest { session };
+    Ok(Json(calls::sessions::close(&service, request).await?))
+}

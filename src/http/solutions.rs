@@ -1,0 +1,58 @@
+//! `/v1/sessions/{session}/solutions`.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Refusal, Service, calls, intake, v1};
+
+use super::body::StrictQuery;
+use super::problem::{Problem, Refused};
+
+/// Which solutions.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct SolutionsQuery {
+    /// Not before: GPS week and seconds of week, such as `2051:46701.5`.
+    from: Option<String>,
+    /// Not after, in the same form.
+    to: Option<String>,
+    /// Only this status, such as `SINGLE`.
+    status: Option<String>,
+    /// At most so many, 1 to 10000; 1000 if not given.
+    page_size: u32,
+    /// From the answer before.
+    page_token: String,
+}
+
+/// Stored solutions of a session in order of seq.
+#[utoipa::path(get, path = "/v1/sessions/{session}/solutions", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"), SolutionsQuery),
+    responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn list(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<SolutionsQuery>,
+) -> Result<Json<v1::ListSolutionsResponse>, Refused> {
+    let request = v1::ListSolutionsRequest {
+        session,
+        from: query.from.map(|text| time("from", &text)).transpose()?,
+        to: query.to.map(|text| time("to", &text)).transpose()?,
+        status: query.status.map_or(Ok(0), |name| status(&name))?,
+        page_size: query.page_size,
+        page_token: query.page_token,
+    };
+    Ok(Json(calls::solutions::list(&service, request).await?))
+}
+
+fn time(field: &str, text: &str) -> Result<v1::GpsTime, Refusal> {
+    intake::time_text(text).map(Into::into).map_err(|refusal| refusal.at(field))
+}
+
+fn status(name: &str) -> Result<i32, Refusal> {
+    v1::Status::from_str_name(&format!("STATUS_{name}"))
+        .map(i32::from)
+        .ok_or_else(|| intake::unknown_status(name))
+}

@@ -1,0 +1,267 @@
+//! Every refusal: in the table of `docs/errors.md`, and answered so by the REST door.
+
+use std::collections::BTreeSet;
+
+use axum::body::Body;
+use axum::http::Request;
+use graphfix::contract::{Code, Refusal};
+use graphfix::grpc::grpc_code;
+use graphfix::http::http_status;
+use serde_json::{Value, json};
+
+use crate::doors::{Doors, code, epoch};
+use crate::http::navigation::navigation;
+
+/// Codes that only a failing database, a load, a fault or an observation file brings about: the
+/// tests of their origin hold them.
+const NOT_BY_REQUEST: [Code; 11] = [
+    Code::DatabaseFailed,
+    Code::WrittenElsewhere,
+    Code::StoredDataCorrupt,
+    Code::MailboxFull,
+    Code::Overloaded,
+    Code::TooManyActiveSessions,
+    Code::EstimatorFailed,
+    Code::Interrupted,
+    Code::RinexHeaderInvalid,
+    Code::RinexTruncated,
+    Code::Internal,
+];
+
+#[test]
+fn the_table_has_every_code_with_its_statuses() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/errors.md");
+    let table = std::fs::read_to_string(path).unwrap();
+    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| `")).collect();
+    for code in Code::ALL {
+        let http = http_status(code.class()).as_u16();
+        let grpc = format!("{:?}", grpc_code(code.class()));
+        let row = rows.iter().find(|row| row.starts_with(&format!("| `{code}` |")));
+        let row = row.unwrap_or_else(|| panic!("{code} is not in docs/errors.md"));
+        assert!(row.contains(&format!("| {http} | {grpc} |")), "{code}: {http}, {grpc}; {row}");
+        assert!(row.contains(code.remedy()), "{code}: {}", code.remedy());
+    }
+    assert_eq!(rows.len(), Code::ALL.len(), "a row of the table is no code");
+}
+
+/// A push of one epoch in which `change` was made.
+fn push(change: impl FnOnce(&mut Value)) -> Value {
+    let mut epoch = epoch(5);
+    change(&mut epoch);
+    json!({ "epochs": [epoch] })
+}
+
+/// Requests by JSON, each with what it must be refused as: method, path, body, code, field.
+fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Code, &'static str)> {
+    let epochs = format!("/v1/sessions/{session}/epochs");
+    let solutions = format!("/v1/sessions/{session}/solutions");
+    let create = "/v1/sessions".to_owned();
+    let observation = |e: &mut Value, key: &str, value: Value| e["observations"][0][key] = value;
+    let many: Vec<Value> = (1..=40)
+        .map(|n| json!({"satellite": format!("G{n:02}"), "code": "1C", "pseudorangeM": 2.2e7}))
+        .collect();
+    let twice = vec![epoch(5)["observations"][0].clone(); 2];
+    let codes = ["1C", "1W", "1X", "2W", "2X", "5Q"]
+        .map(|code| json!({"satellite": "G01", "code": code, "pseudorangeM": 2.2e7}));
+    let long = "x".repeat(201);
+    vec![
+        ("POST", create.clone(), json!({"labl": ""}), Code::UnknownField, "labl"),
+        ("POST", create.clone(), json!({"label": 7}), Code::InvalidField, "label"),
+        ("POST", create.clone(), json!({"label": long}), Code::LabelTooLong, "label"),
+        ("POST", create.clone(), json!({"mode": "rtk"}), Code::UnknownMode, "mode"),
+        ("POST", create.clone(), json!({"profile": "x"}), Code::UnknownProfile, "profile"),
+        (
+            "POST",
+            create.clone(),
+            json!({"overrides": {"x": "1"}}),
+            Code::UnknownOption,
+            "overrides.x",
+        ),
+        (
+            "POST",
+            create,
+            json!({"overrides": {"elevation_mask_deg": "steep"}}),
+            Code::InvalidOptionValue,
+            "overrides.elevation_mask_deg",
+        ),
+        ("GET", "/v1/nothing".into(), json!({}), Code::RouteNotFound, ""),
+        ("PUT", "/v1/sessions".into(), json!({}), Code::MethodNotAllowed, ""),
+        ("GET", "/v1/sessions/ses_1".into(), json!({}), Code::SessionNotFound, "session"),
+        ("GET", "/v1/sessions?pageSize=2000".into(), json!({}), Code::PageSizeInvalid, "pageSize"),
+        ("GET", "/v1/sessions?pageToken=x".into(), json!({}), Code::PageTokenInvalid, "pageToken"),
+        (
+            "POST",
+            format!("/v1/sessions/{closed}/epochs"),
+            push(|_| ()),
+            Code::SessionClosed,
+            "session",
+        ),
+        ("POST", format!("/v1/sessions/{closed}:solve"), json!({}), Code::SessionEmpty, "session"),
+        ("GET", format!("{solutions}?from=now"), json!({}), Code::InvalidTime, "from"),
+        ("POST", epochs.clone(), json!({"epochs": []}), Code::NoEpochs, "epochs"),
+        (
+            "POST",
+            epochs.clone(),
+            json!({"epochs": vec![epoch(5); 4]}),
+            Code::TooManyEpochs,
+            "epochs",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| e["time"] = Value::Null),
+            Code::InvalidTime,
+            "epochs[0].time",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| e["seq"] = json!(0)),
+            Code::InvalidSequence,
+            "epochs[0].seq",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| observation(e, "satellite", json!("G"))),
+            Code::InvalidSatellite,
+            "epochs[0].observations[0].satellite",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| observation(e, "code", json!("7Q"))),
+            Code::InvalidSignal,
+            "epochs[0].observations[0].code",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| observation(e, "pseudorangeM", json!(-1.0))),
+            Code::InvalidMeasurement,
+            "epochs[0].observations[0].pseudorangeM",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| e["observations"] = json!(twice)),
+            Code::DuplicateSignal,
+            "epochs[0].observations",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| e["observations"] = json!(codes)),
+            Code::TooManyObservations,
+            "epochs[0].observations",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| e["observations"] = json!(many[..5])),
+            Code::TooManySatellites,
+            "epochs[0].observations",
+        ),
+        (
+            "POST",
+            epochs.clone(),
+            push(|e| {
+                e["seq"] = json!(10);
+                observation(e, "pseudorangeM", json!(2.3e7));
+            }),
+            Code::SequenceConflict,
+            "epochs[0].seq",
+        ),
+        ("POST", epochs.clone(), push(|_| ()), Code::SequenceSuperseded, "epochs[0].seq"),
+        ("POST", epochs, push(|e| e["seq"] = json!(11)), Code::OutOfOrder, "epochs[0].time"),
+    ]
+}
+
+/// Bodies that are no JSON requests: path, content type, body, code.
+fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
+    let rinex = |line: &str| format!("{line}\n").into_bytes();
+    let nav = |version: &str, kind: &str| {
+        rinex(&format!("{version:>9}{:11}{kind:<20}{:20}RINEX VERSION / TYPE", "", ""))
+    };
+    let mut truncated = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut truncated, &vec![b' '; 5000]).unwrap();
+    let mut truncated = truncated.finish().unwrap();
+    let mut bomb = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut bomb, &vec![b'\n'; 200_000]).unwrap();
+    truncated.truncate(truncated.len() - 6);
+    let json = "application/json";
+    let raw = "application/octet-stream";
+    let path = "/v1/navigation";
+    vec![
+        ("/v1/solve", json, b"{\"epochs\": [}".to_vec(), Code::MalformedBody),
+        ("/v1/solve", "text/plain", b"{}".to_vec(), Code::UnsupportedMediaType),
+        ("/v1/solve", json, vec![b' '; 200_000], Code::BodyTooLarge),
+        (path, raw, bomb.finish().unwrap(), Code::DecompressedTooLarge),
+        (path, raw, rinex("not a navigation file"), Code::RinexNotRinex),
+        (path, raw, nav("3.05", "OBSERVATION DATA"), Code::RinexWrongKind),
+        (path, raw, nav("9.00", "N: GNSS NAV DATA"), Code::RinexUnsupportedVersion),
+        (path, raw, vec![0x1f, 0x9d, 0x90, 0, 0, 0], Code::RinexCompressionUnsupported),
+        (path, raw, truncated, Code::RinexReadFailed),
+        (path, raw, vec![b'x'; 90_000], Code::RinexLineTooLong),
+        (path, raw, navigation(4), Code::TooManyEphemerides),
+    ]
+}
+
+fn limits() -> graphfix::config::Limits {
+    graphfix::config::Limits {
+        body_bytes: 100_000,
+        decompressed_bytes: 100_000,
+        epochs_per_push: 3,
+        satellites_per_epoch: 4,
+        observations_per_epoch: 5,
+        ephemerides_per_satellite: 2,
+        ..graphfix::config::Limits::standard()
+    }
+}
+
+#[tokio::test]
+async fn every_refusal_is_answered_by_code_status_and_field() {
+    let doors = Doors::with(limits()).await;
+    let (session, closed) = (doors.session().await, doors.session().await);
+    doors.send("DELETE", &format!("/v1/sessions/{closed}"), json!({})).await;
+    let first = json!({"epochs": [epoch(10)]});
+    doors.post(&format!("/v1/sessions/{session}/epochs"), first).await;
+
+    let mut seen = BTreeSet::new();
+    let mut wrong = Vec::new();
+    let mut check = |what: String, expected: Code, field: &str, status: u16, answer: &Value| {
+        seen.insert(expected.name());
+        let right = (expected.name(), http_status(expected.class()).as_u16(), field);
+        let given = (code(answer), status, answer["field"].as_str().unwrap_or(""));
+        if right != given || answer["remedy"] != expected.remedy() {
+            wrong.push(format!("{what}: {right:?} expected, {answer}"));
+        }
+    };
+    for (method, path, body, expected, field) in requests(&session, &closed) {
+        let (status, answer) = doors.send(method, &path, body).await;
+        check(format!("{method} {path}"), expected, field, status.as_u16(), &answer);
+    }
+    for (path, kind, body, expected) in uploads() {
+        let request = Request::post(path).header("content-type", kind);
+        let (status, answer) = doors.ask(request.body(Body::from(body)).unwrap()).await;
+        check(format!("{path} {expected}"), expected, "", status.as_u16(), &answer);
+    }
+    doors.service.sessions().drain().await;
+    let path = format!("/v1/sessions/{session}/epochs");
+    let (status, answer) = doors.post(&path, json!({"epochs": [epoch(20)]})).await;
+    check("draining".into(), Code::Draining, "", status.as_u16(), &answer);
+
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    seen.extend(NOT_BY_REQUEST.map(Code::name));
+    let all: BTreeSet<_> = Code::ALL.iter().map(|code| code.name()).collect();
+    assert_eq!(seen, all, "a code has no test");
+}
+
+/// What time cures says when to come back.
+#[test]
+fn a_full_mailbox_asks_for_a_delay() {
+    let retry_after = std::time::Duration::from_millis(100);
+    let full = graphfix::session::SessionError::MailboxFull { waiting: 9, limit: 9, retry_after };
+    let refusal = Refusal::from(full);
+    assert_eq!((refusal.code, refusal.retry_after), (Code::MailboxFull, Some(retry_after)));
+}

@@ -1,0 +1,19 @@
+//! Texts that must not change unseen, in `tests/snapshots`.
+
+use std::path::Path;
+
+/// Fails where `text` differs from the snapshot; `GRAPHFIX_ACCEPT=1` takes the text over.
+pub(crate) fn assert(name: &str, text: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots").join(name);
+    if std::env::var_os("GRAPHFIX_ACCEPT").is_some() {
+        std::fs::write(&path, text).unwrap();
+    }
+    let kept = std::fs::read_to_string(&path).unwrap_or_default();
+    let line = kept.lines().zip(text.lines()).position(|(a, b)| a != b);
+    assert!(
+        kept == text,
+        "{} differs from line {}; look at the change, then run with GRAPHFIX_ACCEPT=1",
+        path.display(),
+        line.unwrap_or_else(|| kept.lines().count().min(text.lines().count())) + 1
+    );
+}
