@@ -65,6 +65,8 @@ named_choice! {
         None = "none",
         /// The broadcast Klobuchar model.
         Klobuchar = "klobuchar",
+        /// The broadcast NeQuick-G model.
+        NequickG = "nequick-g",
         /// By the combination of two frequencies that cancels it to first order.
         IonosphereFree = "ionosphere-free",
     }

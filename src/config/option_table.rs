@@ -96,7 +96,7 @@ const TABLE: &[OptionSpecification] = &[
     OptionSpecification {
         name: "ionosphere", unit: "",
         meaning: "how the ionosphere's delay is corrected",
-        allowed: "none, klobuchar, ionosphere-free",
+        allowed: "none, klobuchar, nequick-g, ionosphere-free",
         get: |o| o.ionosphere.name().to_owned(),
         set: |o, text| IonosphereModel::from_name(text).map(|v| o.ionosphere = v),
     },

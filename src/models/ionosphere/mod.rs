@@ -5,8 +5,10 @@
 //! by as much.
 
 mod klobuchar;
+mod nequick;
 
 pub use klobuchar::{beidou_klobuchar_delay_m, klobuchar_delay_m};
+pub use nequick::{nequick_delay_m, nequick_variance_m2};
 
 use super::LookAngles;
 use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};

@@ -5,7 +5,8 @@ use crate::gnss::{
     Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
 };
 use crate::models::ionosphere::{
-    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, unmodelled_variance_m2,
+    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, nequick_delay_m,
+    nequick_variance_m2, unmodelled_variance_m2,
 };
 use crate::models::look_angles;
 use crate::models::troposphere::{self, Mapping, Troposphere};
@@ -134,7 +135,24 @@ impl<'a> Atmosphere<'a> {
                 Delay { delay_m: 0.0, variance_m2: f64::INFINITY, fallback: None }
             }
             IonosphereModel::Klobuchar => self.klobuchar(measurement, options),
+            IonosphereModel::NequickG => self.nequick(measurement).unwrap_or_else(|| {
+                let stand_in = self.klobuchar(measurement, options);
+                Delay { fallback: stand_in.fallback.or(Some("klobuchar")), ..stand_in }
+            }),
         }
+    }
+
+    /// `None` where Galileo broadcast no coefficients, or the model has no answer for this ray.
+    fn nequick(&self, measurement: &Measurement) -> Option<Delay> {
+        let delay_m = nequick_delay_m(
+            self.navigation.nequick.as_ref()?,
+            measurement.frequency_hz,
+            &self.geodetic,
+            measurement.state.position,
+            self.time,
+            &self.navigation.leap_seconds,
+        )?;
+        Some(Delay { delay_m, variance_m2: nequick_variance_m2(delay_m), fallback: None })
     }
 
     fn klobuchar(&self, measurement: &Measurement, options: &PositioningOptions) -> Delay {
