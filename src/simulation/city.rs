@@ -6,7 +6,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::motion::Place;
+use super::place::Place;
 use super::random::of_place;
 
 /// Cells of the grid looked through for a wall.

@@ -14,6 +14,7 @@
 mod city;
 mod constellation;
 mod motion;
+mod place;
 mod random;
 mod receiver;
 mod scenario;
@@ -28,7 +29,8 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use self::city::City;
-use self::motion::{Path, Place};
+use self::motion::Path;
+use self::place::Place;
 use self::random::Random;
 use self::receiver::{Receiver, Surroundings};
 use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation};

@@ -3,6 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::city::City;
+use super::place::Place;
 use super::random::Random;
 
 /// Acceleration and braking of a car in town (m/s²).
@@ -35,13 +36,6 @@ pub enum Motion {
     },
     /// Through the streets of the scenario's city, with turns and red lights.
     Streets,
-}
-
-/// Where the rover is and how it moves, east, north, up of the scenario's origin (m, m/s).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Place {
-    pub(super) position_m: Vector3<f64>,
-    pub(super) velocity_m_s: Vector3<f64>,
 }
 
 /// A path made ready for a duration.
@@ -283,8 +277,8 @@ fn turn(corner: (i64, i64), direction: (i64, i64), random: &mut Random) -> (i64,
 
 #[cfg(test)]
 mod tests {
-    use super::super::city::CityPlan;
     use super::*;
+    use crate::simulation::city::CityPlan;
 
     fn paths() -> Vec<Path> {
         let city = City::new(CityPlan::dense(), 5);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::city::{Arrival, City};
-use super::motion::Place;
+use super::place::Place;
 use super::random::{GaussMarkov, Random};
 use super::scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
 use crate::gnss::constants::SPEED_OF_LIGHT;
