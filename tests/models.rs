@@ -305,27 +305,6 @@ fn klobuchar_agrees_with_the_simulator() {
     worst.check("Klobuchar delay (m)", 1_200, 0.001);
 }
 
-/// The table's Galileo rows, which are not Klobuchar: are they NeQuick-G?
-#[test]
-fn nequick_against_the_simulator() {
-    let Some((navigation, rows)) = oracle() else { return };
-    let (mut worst, mut relative) = (Worst::default(), Worst::default());
-    let place = RECEIVER.to_geodetic();
-    let coefficients = navigation.nequick.unwrap();
-    for row in rows.iter().filter(|r| r.satellite.constellation == Constellation::Galileo) {
-        let signal = Signal::of(row.satellite, first_signal(row.satellite));
-        let hz = signal.frequency_hz(None).unwrap();
-        let leap = navigation.leap_seconds;
-        let delay_m =
-            ionosphere::nequick_delay_m(&coefficients, hz, &place, row.position, row.time, &leap);
-        println!("{} {:?} {}", row.satellite, delay_m, row.ionosphere_m);
-        worst.take(delay_m.unwrap() - row.ionosphere_m);
-        relative.take(delay_m.unwrap() / row.ionosphere_m - 1.0);
-    }
-    worst.check("NeQuick-G delay (m)", 100, 0.01);
-    relative.check("NeQuick-G delay (share)", 100, 0.01);
-}
-
 /// Consecutive real ephemerides of one satellite agree half-way between their reference times.
 ///
 /// Broadcast orbits are good to a metre or two, so their halves meet within metres; a wrong tilt
