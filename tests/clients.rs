@@ -105,6 +105,7 @@ fn as_python_prints(solution: &Value) -> Value {
     let ecef = &solution["position"]["ecef"];
     let status = match solution["status"].as_str() {
         Some("SINGLE") => 2,
+        Some("FGO") => 3,
         _ => 1,
     };
     json!({

@@ -9,6 +9,7 @@ mod database;
 mod doors;
 mod errors;
 mod evaluation;
+mod fgo;
 mod grpc;
 mod http;
 mod models;

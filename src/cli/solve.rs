@@ -7,16 +7,19 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 
+use crate::config::{Mode, PositioningOptions};
 use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
 use crate::formats::{csv, decompress, geojson, pos};
 use crate::gnss::{Epoch, GpsTime, LeapSeconds, Navigation, Reason, Solution, Status};
-use crate::positioning::{Aiding, Estimator};
+use crate::positioning::{Aiding, Batch, Estimator};
 
 use super::Failure;
 use super::option_arguments::OptionArguments;
 
 const READ_BUFFER_BYTES: usize = 1 << 16;
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
+/// The window that holds everything.
+const BATCH: &str = "batch";
 /// Epochs between looks at the clock for the progress line.
 const PROGRESS_EPOCHS: u64 = 1_000;
 /// Least time between two progress lines.
@@ -35,6 +38,12 @@ pub(crate) struct SolveArguments {
     nav: Vec<PathBuf>,
     #[command(flatten)]
     options: OptionArguments,
+    /// Length of the window of mode fgo in seconds, or `batch` for everything at once.
+    #[arg(long, value_name = "SECONDS|batch")]
+    window: Option<String>,
+    /// Write each epoch as it is once it leaves the window of mode fgo, smoothed by what followed.
+    #[arg(long)]
+    smoothed: bool,
     /// First epoch, GPS seconds of week.
     #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
     from: Option<f64>,
@@ -49,7 +58,7 @@ pub(crate) struct SolveArguments {
 /// Runs the command; prints the summary on standard output.
 pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let began = Instant::now();
-    let options = arguments.options.options()?;
+    let options = arguments.options()?;
     let mut navigation = Navigation::default();
     let mut skipped = Vec::new();
     for path in &arguments.nav {
@@ -66,7 +75,7 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
         format!("options   : {}", options.configuration_hash()),
     ];
     let mut output = Output::create(&arguments.output, &comments, navigation.leap_seconds)?;
-    let mut estimator = Estimator::new(options);
+    let mut solver = arguments.solver(options);
     let aiding = Aiding { navigation: &navigation };
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
@@ -77,10 +86,15 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
         if arguments.is_outside(epoch.time) {
             continue;
         }
-        let solution = estimator.advance(&epoch, &aiding);
+        for solution in solver.advance(&epoch, &aiding) {
+            output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
+            tally.add(&solution);
+        }
+        progress.show(&tally);
+    }
+    for solution in solver.finish() {
         output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
         tally.add(&solution);
-        progress.show(&tally);
     }
     output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
     progress.clear();
@@ -95,9 +109,71 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
 }
 
 impl SolveArguments {
+    /// The options asked for, `--window` among them.
+    fn options(&self) -> Result<PositioningOptions, Failure> {
+        let mut options = self.options.options()?;
+        if options.mode != Mode::Fgo && (self.window.is_some() || self.smoothed) {
+            let message = format!("mode {} has no window", options.mode.name());
+            return Err(Failure::new("USAGE", message, "add --mode fgo"));
+        }
+        if let Some(window) = self.window.as_deref().filter(|window| *window != BATCH) {
+            options.set("window_s", window)?;
+        }
+        Ok(options)
+    }
+
+    fn solver(&self, options: PositioningOptions) -> Solver {
+        match (self.window.as_deref(), self.smoothed) {
+            (Some(BATCH), _) => Solver::Batch(Box::new(Batch::new(options))),
+            (_, true) => Solver::FixedLag(Estimator::revising(options)),
+            (_, false) => Solver::Causal(Estimator::new(options)),
+        }
+    }
+
     fn is_outside(&self, time: GpsTime) -> bool {
         let seconds = time.seconds_of_week();
         self.from.is_some_and(|from| seconds < from) || self.to.is_some_and(|to| to < seconds)
+    }
+}
+
+/// Which answer of an estimator is written.
+enum Solver {
+    /// The one at once.
+    Causal(Estimator),
+    /// The one when the epoch leaves the window.
+    FixedLag(Estimator),
+    /// The one from everything.
+    Batch(Box<Batch>),
+}
+
+impl Solver {
+    /// The answers due after an epoch.
+    fn advance(
+        &mut self,
+        epoch: &Epoch,
+        aiding: &Aiding<'_>,
+    ) -> impl Iterator<Item = Solution> + use<> {
+        let (now, revised) = match self {
+            Self::Causal(estimator) => (Some(estimator.advance(epoch, aiding)), Vec::new()),
+            Self::FixedLag(estimator) => {
+                estimator.advance(epoch, aiding);
+                (None, estimator.take_revisions())
+            }
+            Self::Batch(batch) => {
+                batch.push(epoch, aiding);
+                (None, Vec::new())
+            }
+        };
+        now.into_iter().chain(revised)
+    }
+
+    /// The answers due at the end.
+    fn finish(self) -> Vec<Solution> {
+        match self {
+            Self::Causal(_) => Vec::new(),
+            Self::FixedLag(estimator) => estimator.finish(),
+            Self::Batch(batch) => batch.finish(),
+        }
     }
 }
 

@@ -39,6 +39,34 @@ named_choice! {
     Mode {
         /// Single-point positioning: least squares on the pseudoranges of one epoch.
         Spp = "spp",
+        /// Factor graph over a sliding window: pseudoranges, Doppler, phase in time, motion.
+        Fgo = "fgo",
+    }
+}
+
+named_choice! {
+    /// A robust kernel; formulas in `graph::kernel`.
+    KernelLaw {
+        /// None: least squares.
+        Quadratic = "quadratic",
+        /// Huber's, convex.
+        Huber = "huber",
+        /// Cauchy's, redescending.
+        Cauchy = "cauchy",
+        /// Geman's and McClure's, redescending and bounded.
+        GemanMcclure = "geman-mcclure",
+    }
+}
+
+named_choice! {
+    /// How Doppler enters a factor graph.
+    DopplerUse {
+        /// Not at all.
+        None = "none",
+        /// Each satellite's on velocity and clock drift.
+        Satellites = "satellites",
+        /// Solved for a velocity first, as Wen & Hsu (2021), equations (11) and (12).
+        Velocity = "velocity",
     }
 }
 
@@ -99,10 +127,33 @@ named_choice! {
         Cn0Elevation = "cn0-elevation",
         /// From elevation alone, as RTKLIB 2.4 does.
         Rtklib = "rtklib",
+        /// goGPS's: 1/sin²E times a factor of C/N0.
+        GoGps = "gogps",
     }
 }
 
 impl Mode {
+    /// Whether the last solution is all that an estimator of this mode remembers, so that a
+    /// restarted one goes on with the same bits. Sessions serve these modes only.
+    pub const fn is_resumable(self) -> bool {
+        match self {
+            Self::Spp => true,
+            Self::Fgo => false,
+        }
+    }
+
+    /// The mode itself, if sessions serve it.
+    ///
+    /// # Errors
+    /// [`ConfigError::UnknownMode`] names those they do.
+    pub fn resumable(self) -> Result<Self, ConfigError> {
+        let served = Self::ALL.iter().filter(|mode| mode.is_resumable());
+        self.is_resumable().then_some(self).ok_or_else(|| ConfigError::UnknownMode {
+            name: self.name().to_owned(),
+            allowed: served.map(|mode| mode.name()).collect::<Vec<_>>().join(", "),
+        })
+    }
+
     /// The mode of a name.
     ///
     /// # Errors
@@ -205,7 +256,14 @@ mod tests {
     fn modes_to_come_are_refused_by_name() {
         assert_eq!(Mode::parse("spp"), Ok(Mode::Spp));
         let error = Mode::parse("rtk-fgo").unwrap_err();
-        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp");
+        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp, fgo");
+    }
+
+    #[test]
+    fn sessions_take_what_they_can_resume() {
+        assert_eq!(Mode::Spp.resumable(), Ok(Mode::Spp));
+        let error = Mode::Fgo.resumable().unwrap_err();
+        assert_eq!(error.to_string(), "mode \"fgo\" is not available; allowed: spp");
     }
 
     #[test]

@@ -5,15 +5,19 @@
 
 mod choices;
 mod error;
+mod graph_options;
+mod graph_table;
+mod option_specification;
 mod option_table;
 mod positioning;
 mod service;
 
 pub use choices::{
-    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereMapping,
-    TroposphereModel, WeightModel,
+    BandSet, ConstellationSet, DopplerUse, IonosphereModel, KernelLaw, Mode, Profile,
+    TroposphereMapping, TroposphereModel, WeightModel,
 };
 pub use error::ConfigError;
+pub use graph_options::GraphOptions;
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub use service::{

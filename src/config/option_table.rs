@@ -2,8 +2,10 @@
 
 use crate::gnss::SatelliteId;
 
+use super::graph_table::GRAPH_TABLE;
+use super::option_specification::{OptionSpecification, number, switch, switch_text};
 use super::{
-    BandSet, ConfigError, ConstellationSet, IonosphereModel, PositioningOptions,
+    BandSet, ConfigError, ConstellationSet, IonosphereModel, Mode, PositioningOptions,
     TroposphereMapping, TroposphereModel, WeightModel,
 };
 
@@ -22,20 +24,6 @@ pub struct OptionEntry {
     pub meaning: &'static str,
     /// The values it takes.
     pub allowed: &'static str,
-}
-
-/// Reads one option out of the options, as text.
-type Get = fn(&PositioningOptions) -> String;
-/// Puts a text into the options; `None` if the option does not take it.
-type Set = fn(&mut PositioningOptions, &str) -> Option<()>;
-
-struct OptionSpecification {
-    name: &'static str,
-    unit: &'static str,
-    meaning: &'static str,
-    allowed: &'static str,
-    get: Get,
-    set: Set,
 }
 
 #[rustfmt::skip]
@@ -131,7 +119,7 @@ const TABLE: &[OptionSpecification] = &[
     OptionSpecification {
         name: "weighting", unit: "",
         meaning: "how a pseudorange's variance is stated",
-        allowed: "cn0-elevation, rtklib",
+        allowed: "cn0-elevation, rtklib, gogps",
         get: |o| o.weighting.name().to_owned(),
         set: |o, text| WeightModel::from_name(text).map(|v| o.weighting = v),
     },
@@ -192,7 +180,7 @@ impl PositioningOptions {
     /// # Errors
     /// An unknown name, or a value the option does not take; the options are then unchanged.
     pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
-        let Some(option) = TABLE.iter().find(|option| option.name == key) else {
+        let Some(option) = all().find(|option| option.name == key) else {
             return Err(ConfigError::UnknownKey {
                 key: key.to_owned(),
                 nearest: nearest_name(key),
@@ -205,7 +193,7 @@ impl PositioningOptions {
         })
     }
 
-    /// Every option: its name, unit, default in this profile, value in force and meaning.
+    /// Every option of the mode: name, unit, default in this profile, value in force and meaning.
     pub fn entries(&self) -> Vec<OptionEntry> {
         let defaults = Self::new(self.mode, self.profile);
         let entry = |option: &OptionSpecification| OptionEntry {
@@ -216,7 +204,11 @@ impl PositioningOptions {
             meaning: option.meaning,
             allowed: option.allowed,
         };
-        TABLE.iter().map(entry).collect()
+        let graph: &[OptionSpecification] = match self.mode {
+            Mode::Spp => &[],
+            Mode::Fgo => GRAPH_TABLE,
+        };
+        TABLE.iter().chain(graph).map(entry).collect()
     }
 
     /// BLAKE3 of the mode and every value in force, in hexadecimal: equal for equal estimators,
@@ -231,9 +223,14 @@ impl PositioningOptions {
     }
 }
 
+/// The options of all modes.
+fn all() -> impl Iterator<Item = &'static OptionSpecification> {
+    TABLE.iter().chain(GRAPH_TABLE)
+}
+
 /// The option whose name is the fewest edits away; the first of equals.
 fn nearest_name(key: &str) -> &'static str {
-    let names = TABLE.iter().map(|option| option.name);
+    let names = all().map(|option| option.name);
     names.min_by_key(|name| edit_distance(key, name)).expect("the table is not empty")
 }
 
@@ -250,22 +247,6 @@ fn edit_distance(a: &str, b: &str) -> usize {
         }
     }
     row[b.len()]
-}
-
-fn number(text: &str, lowest: f64, highest: f64) -> Option<f64> {
-    text.parse().ok().filter(|value| (lowest..=highest).contains(value))
-}
-
-fn switch(text: &str) -> Option<bool> {
-    match text {
-        "on" => Some(true),
-        "off" => Some(false),
-        _ => None,
-    }
-}
-
-fn switch_text(on: bool) -> String {
-    if on { "on" } else { "off" }.to_owned()
 }
 
 /// Degrees as the user wrote them: the conversion's rounding is hidden below a microdegree.
@@ -287,7 +268,7 @@ fn parse_satellites(text: &str) -> Option<Vec<SatelliteId>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Mode, Profile};
+    use super::super::Profile;
     use super::*;
 
     fn general() -> PositioningOptions {
@@ -297,8 +278,8 @@ mod tests {
     #[test]
     fn every_value_shown_can_be_set_again() {
         for profile in Profile::ALL {
-            let shown = PositioningOptions::new(Mode::Spp, *profile);
-            let mut set = general();
+            let shown = PositioningOptions::new(Mode::Fgo, *profile);
+            let mut set = PositioningOptions::new(Mode::Fgo, Profile::General);
             for entry in shown.entries() {
                 assert_eq!(entry.default, entry.value, "{}", entry.name);
                 set.set(entry.name, &entry.value).unwrap();

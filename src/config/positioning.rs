@@ -3,7 +3,7 @@
 use crate::gnss::{Band, Constellation, SatelliteId};
 
 use super::{
-    BandSet, ConstellationSet, IonosphereModel, Mode, Profile, TroposphereMapping,
+    BandSet, ConstellationSet, GraphOptions, IonosphereModel, Mode, Profile, TroposphereMapping,
     TroposphereModel, WeightModel,
 };
 
@@ -57,12 +57,14 @@ pub struct PositioningOptions {
     pub gdop_limit: f64,
     /// Whether the velocity is estimated.
     pub velocity: bool,
+    /// Options of the modes with a factor graph.
+    pub graph: GraphOptions,
 }
 
 impl PositioningOptions {
     /// The defaults of `profile` for `mode`.
     pub fn new(mode: Mode, profile: Profile) -> Self {
-        let general = Self::general(mode);
+        let general = Self { graph: GraphOptions::new(profile), ..Self::general(mode) };
         match profile {
             Profile::General => general,
             Profile::UrbanVehicle => Self { profile, ..general },
@@ -114,6 +116,7 @@ impl PositioningOptions {
             false_alarm_probability: 1e-3,
             gdop_limit: 100.0,
             velocity: true,
+            graph: GraphOptions::new(Profile::General),
         }
     }
 }

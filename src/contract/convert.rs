@@ -117,6 +117,7 @@ pub const fn status(status: Status) -> v1::Status {
     match status {
         Status::None => v1::Status::None,
         Status::Single => v1::Status::Single,
+        Status::Fgo => v1::Status::Fgo,
     }
 }
 
@@ -129,6 +130,7 @@ pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
         Ok(v1::Status::Unspecified) => Ok(None),
         Ok(v1::Status::None) => Ok(Some(Status::None)),
         Ok(v1::Status::Single) => Ok(Some(Status::Single)),
+        Ok(v1::Status::Fgo) => Ok(Some(Status::Fgo)),
         Err(_) => Err(intake::unknown_status(&number.to_string())),
     }
 }

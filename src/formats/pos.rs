@@ -25,7 +25,7 @@ const LARGEST_ANGLE: f64 = 1000.0;
 pub const fn quality(status: Status) -> Option<u8> {
     match status {
         Status::None => None,
-        Status::Single => Some(5),
+        Status::Single | Status::Fgo => Some(5),
     }
 }
 

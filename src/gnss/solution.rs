@@ -13,17 +13,20 @@ pub enum Status {
     None,
     /// Single-point positioning from one epoch.
     Single,
+    /// A factor graph over a window of epochs.
+    Fgo,
 }
 
 impl Status {
     /// Every status, from none to best.
-    pub const ALL: [Self; 2] = [Self::None, Self::Single];
+    pub const ALL: [Self; 3] = [Self::None, Self::Single, Self::Fgo];
 
     /// The name as the API writes it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::None => "NONE",
             Self::Single => "SINGLE",
+            Self::Fgo => "FGO",
         }
     }
 

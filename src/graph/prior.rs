@@ -35,6 +35,7 @@ pub struct Prior<const S: usize> {
     information: SMatrix<f64, S, S>,
     border: Vec<Bordering<S>>,
     matrix: Packed,
+    scratch: Vec<f64>,
 }
 
 impl<const S: usize> Prior<S> {
@@ -51,6 +52,7 @@ impl<const S: usize> Prior<S> {
             information,
             border: Vec::new(),
             matrix: Packed::new(),
+            scratch: Vec::new(),
         }
     }
 
@@ -62,6 +64,29 @@ impl<const S: usize> Prior<S> {
     /// Border variables the prior speaks of.
     pub fn variables(&self) -> impl Iterator<Item = usize> + '_ {
         self.border.iter().map(|bordering| bordering.variable)
+    }
+
+    /// Lets every border variable of the prior wander: adds `variance` to each, uncorrelated.
+    ///
+    /// For one variable with q added, Σ + q·e·eᵀ has the information Λ − Λe·eᵀΛ·q/(1 + q·Λ_ee), and
+    /// the mean stays where it was (Woodbury 1950).
+    pub fn loosen_border(&mut self, variance: f64) {
+        for i in 0..self.border.len() {
+            let factor = variance / (1.0 + variance * self.matrix.get(i, i));
+            let (column, pull) = (self.border[i].column, self.border[i].gradient);
+            self.information -= column * column.transpose() * factor;
+            self.gradient -= column * (pull * factor);
+            self.scratch.clear();
+            self.scratch.extend((0..self.border.len()).map(|j| self.matrix.get(i, j)));
+            for (j, other) in self.border.iter_mut().enumerate() {
+                let slope = self.scratch[j] * factor;
+                other.column -= column * slope;
+                other.gradient -= pull * slope;
+                for (l, &across) in self.scratch[..=j].iter().enumerate() {
+                    *self.matrix.get_mut(j, l) -= slope * across;
+                }
+            }
+        }
     }
 
     /// Adds the prior on state `k` and the border to a system, at an estimate.
@@ -130,7 +155,8 @@ impl<const S: usize> Prior<S> {
 
 impl<const S: usize> Clone for Prior<S> {
     fn clone(&self) -> Self {
-        Self { border: self.border.clone(), matrix: self.matrix.clone(), ..*self }
+        let (border, matrix) = (self.border.clone(), self.matrix.clone());
+        Self { border, matrix, scratch: Vec::new(), ..*self }
     }
 
     /// Copies into the storage already held.
@@ -187,6 +213,43 @@ mod tests {
         }
         covariances.newest(&elimination);
         (window, gone)
+    }
+
+    /// Against the dense inverse: covariance plus variance on the border, mean where it was.
+    #[test]
+    fn a_loosened_border_is_process_noise() {
+        let problem = Linear::<5>::random(7, 2, 3);
+        let estimate = Estimate { states: vec![SVector::zeros(); 2], border: vec![0.0; 3] };
+        let mut system = System::new(BorderLife::WholeChain);
+        system.reset(2, 3);
+        for row in &problem.rows {
+            problem.add(row, 0, &estimate, &mut system);
+        }
+        let mut prior = Prior::none();
+        prior.marginalize(&system, &estimate, |_| false, &mut Elimination::new()).unwrap();
+        let dense = |prior: &Prior<5>| {
+            let mut matrix = nalgebra::DMatrix::<f64>::zeros(8, 8);
+            let mut gradient = nalgebra::DVector::<f64>::zeros(8);
+            matrix.view_mut((0, 0), (5, 5)).copy_from(&prior.information);
+            gradient.rows_mut(0, 5).copy_from(&prior.gradient);
+            for (i, b) in prior.border.iter().enumerate() {
+                matrix.view_mut((0, 5 + i), (5, 1)).copy_from(&b.column);
+                matrix.view_mut((5 + i, 0), (1, 5)).copy_from(&b.column.transpose());
+                gradient[5 + i] = b.gradient;
+                for j in 0..3 {
+                    matrix[(5 + i, 5 + j)] = prior.matrix.get(i, j);
+                }
+            }
+            let inverse = matrix.try_inverse().unwrap();
+            let mean = -&inverse * gradient;
+            (inverse, mean)
+        };
+        let (mut expected, mean) = dense(&prior);
+        prior.loosen_border(0.7);
+        let (covariance, moved) = dense(&prior);
+        (5..8).for_each(|i| expected[(i, i)] += 0.7);
+        assert!((covariance - &expected).amax() < 1e-9 * expected.amax());
+        assert!((moved - &mean).amax() < 1e-9 * mean.amax());
     }
 
     #[test]

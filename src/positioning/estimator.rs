@@ -1,10 +1,11 @@
-//! The estimator that sessions, jobs and the command line run.
+//! The estimators that sessions, jobs and the command line run.
 
 use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Ecef, Epoch, Navigation, Solution};
 
+use super::fgo::{SlidingWindow, WholeChain};
 use super::spp::SinglePoint;
 
 /// What an epoch needs beside its own observations.
@@ -19,18 +20,41 @@ pub struct Aiding<'a> {
 /// In mode `spp` an epoch is solved from its own observations alone. The previous position serves
 /// as the point to start from, which saves iterations and moves the answer by less than 0.1 mm.
 /// That position is all the state there is: [`Self::resume`] restores it bit by bit.
+///
+/// In mode `fgo` the state is a window of epochs, which no solution restores:
+/// [`Mode::is_resumable`] tells them apart.
 #[derive(Debug)]
 pub struct Estimator {
     options: Arc<PositioningOptions>,
-    start: Option<Ecef>,
-    single_point: SinglePoint,
+    engine: Engine,
+}
+
+#[derive(Debug)]
+enum Engine {
+    SinglePoint { start: Option<Ecef>, single_point: Box<SinglePoint> },
+    FactorGraph(Box<SlidingWindow>),
 }
 
 impl Estimator {
     /// An estimator that has seen nothing yet.
     pub fn new(options: PositioningOptions) -> Self {
-        let single_point = SinglePoint::new(&options);
-        Self { options: Arc::new(options), start: None, single_point }
+        Self::with_revisions(options, false)
+    }
+
+    /// One that, in a mode with a window, answers epochs again as they leave it.
+    pub fn revising(options: PositioningOptions) -> Self {
+        Self::with_revisions(options, true)
+    }
+
+    fn with_revisions(options: PositioningOptions, revises: bool) -> Self {
+        let engine = match options.mode {
+            Mode::Spp => {
+                let single_point = Box::new(SinglePoint::new(&options));
+                Engine::SinglePoint { start: None, single_point }
+            }
+            Mode::Fgo => Engine::FactorGraph(Box::new(SlidingWindow::new(&options, revises))),
+        };
+        Self { options: Arc::new(options), engine }
     }
 
     /// What it was told.
@@ -40,35 +64,98 @@ impl Estimator {
 
     /// Solves one epoch. No position is an answer too, with its reasons.
     pub fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Solution {
-        let solution = match self.options.mode {
-            Mode::Spp => {
-                self.single_point.solve(epoch, aiding.navigation, &self.options, self.start)
+        let (options, navigation) = (&*self.options, aiding.navigation);
+        match &mut self.engine {
+            Engine::SinglePoint { start, single_point } => {
+                let solution = single_point.solve(epoch, navigation, options, *start);
+                *start = solution.estimate.as_ref().map(|estimate| estimate.position);
+                solution
             }
-        };
-        self.resume(&solution);
-        solution
+            Engine::FactorGraph(window) => window.advance(epoch, navigation, options),
+        }
+    }
+
+    /// Answers of the epochs that have left the window since the last call, smoothed by what came
+    /// after them. None unless [`Self::revising`].
+    pub fn take_revisions(&mut self) -> Vec<Solution> {
+        match &mut self.engine {
+            Engine::SinglePoint { .. } => Vec::new(),
+            Engine::FactorGraph(window) => window.take_revisions(),
+        }
+    }
+
+    /// The revisions not yet taken, and those of the epochs still in the window.
+    pub fn finish(mut self) -> Vec<Solution> {
+        match &mut self.engine {
+            Engine::SinglePoint { .. } => Vec::new(),
+            Engine::FactorGraph(window) => window.finish(),
+        }
     }
 
     /// Goes on as if `last` had been its own last answer.
+    ///
+    /// Only where [`Mode::is_resumable`]: a window begins anew, which gives other answers.
     pub fn resume(&mut self, last: &Solution) {
-        self.start = last.estimate.as_ref().map(|estimate| estimate.position);
+        match &mut self.engine {
+            Engine::SinglePoint { start, .. } => {
+                *start = last.estimate.as_ref().map(|estimate| estimate.position);
+            }
+            Engine::FactorGraph(window) => **window = SlidingWindow::new(&self.options, false),
+        }
     }
 }
 
 /// Copies what the next answers depend on; scratch memory stays where it is.
 impl Clone for Estimator {
     fn clone(&self) -> Self {
-        Self {
-            options: Arc::clone(&self.options),
-            start: self.start,
-            single_point: self.single_point.with_fresh_memory(),
-        }
+        let engine = match &self.engine {
+            Engine::SinglePoint { start, single_point } => Engine::SinglePoint {
+                start: *start,
+                single_point: Box::new(single_point.with_fresh_memory()),
+            },
+            Engine::FactorGraph(window) => Engine::FactorGraph(window.clone()),
+        };
+        Self { options: Arc::clone(&self.options), engine }
     }
 
     fn clone_from(&mut self, source: &Self) {
         if !Arc::ptr_eq(&self.options, &source.options) {
             *self = source.clone();
+            return;
         }
-        self.start = source.start;
+        match (&mut self.engine, &source.engine) {
+            (Engine::SinglePoint { start, .. }, Engine::SinglePoint { start: from, .. }) => {
+                *start = *from;
+            }
+            (Engine::FactorGraph(window), Engine::FactorGraph(from)) => {
+                (**window).clone_from(from);
+            }
+            _ => *self = source.clone(),
+        }
+    }
+}
+
+/// Smooths all epochs of a recording at once, mode `fgo` only.
+#[derive(Debug)]
+pub struct Batch {
+    options: PositioningOptions,
+    chain: WholeChain,
+}
+
+impl Batch {
+    /// A batch without epochs yet.
+    pub fn new(options: PositioningOptions) -> Self {
+        let chain = WholeChain::new(&options);
+        Self { options, chain }
+    }
+
+    /// Takes one epoch.
+    pub fn push(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) {
+        self.chain.push(epoch, aiding.navigation, &self.options);
+    }
+
+    /// Solves everything; one solution for each epoch, in order of time.
+    pub fn finish(mut self) -> Vec<Solution> {
+        self.chain.finish()
     }
 }

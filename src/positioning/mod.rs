@@ -3,14 +3,17 @@
 //! [`Estimator::advance`] turns one epoch and the [`Aiding`] valid at its time into a solution.
 //! On the way, `measurements` corrects and weighs what was observed, `spp` finds position and
 //! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
-//! Doppler. Physics is in `models`, the choice of all of it in `config`.
+//! Doppler, and `fgo` keeps a window of epochs in a factor graph made of `factors`. Physics is in
+//! `models`, the choice of all of it in `config`.
 
 mod estimator;
+mod factors;
+mod fgo;
 mod measurements;
 #[cfg(test)]
 mod scenario;
 mod spp;
 mod velocity;
 
-pub use estimator::{Aiding, Estimator};
-pub use measurements::{Measurement, Measurements, SecondFrequency};
+pub use estimator::{Aiding, Batch, Estimator};
+pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};

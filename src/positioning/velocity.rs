@@ -19,7 +19,7 @@ const HUBER: f64 = 1.345;
 /// C/N0 to which the option refers (dB-Hz).
 const REFERENCE_DB_HZ: f64 = 42.0;
 /// C/N0 taken where none is reported (dB-Hz).
-const CN0_IF_MISSING_DB_HZ: f64 = 42.0;
+pub(super) const CN0_IF_MISSING_DB_HZ: f64 = 42.0;
 /// Solutions at most; the weights settle to a millimetre per second within.
 const ITERATIONS_MAX: usize = 20;
 /// Change of velocity at which the weights have settled (m/s).
@@ -75,7 +75,7 @@ fn row(position: Ecef, measurement: &Measurement, options: &PositioningOptions) 
 }
 
 /// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): what a strong signal has, and thermal noise.
-fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
+pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
     let decades = (REFERENCE_DB_HZ - cn0_db_hz) / 10.0;
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }

@@ -24,7 +24,8 @@ pub(super) fn options(
 /// The settings to store.
 ///
 /// # Errors
-/// A mode, profile, option or value that does not exist.
+/// A mode, profile, option or value that does not exist; a mode whose estimator cannot go on with
+/// the same bits after a restart.
 pub(super) fn settings(
     label: String,
     mode: String,
@@ -32,6 +33,7 @@ pub(super) fn settings(
     overrides: BTreeMap<String, String>,
 ) -> Result<SessionSettings, ConfigError> {
     let options = options(&mode, &profile, &overrides)?;
+    options.mode.resumable()?;
     let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
     let configuration = in_force.collect();
     let configuration_hash = options.configuration_hash().into();

@@ -117,6 +117,7 @@ impl<'a> Atmosphere<'a> {
                 measurement.noise_m2 + measurement.ionosphere_m2,
             ),
         };
+        measurement.troposphere_m = troposphere_m;
         measurement.corrected_range_m = range_m - troposphere_m;
         measurement.variance_m2 = variance_m2 + measurement.state.variance_m2 + troposphere_m2;
     }

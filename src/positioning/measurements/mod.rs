@@ -12,8 +12,8 @@ mod weights;
 use crate::config::{IonosphereModel, PositioningOptions};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Band, Constellation, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime, Navigation, Observation,
-    ObservationCode, SatelliteId, Signal,
+    Band, Constellation, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime, Meters, Navigation,
+    Observation, ObservationCode, Reason, SatelliteId, Signal,
 };
 use crate::models::{
     LookAngles, SatelliteState, group_delay_m, select_ephemeris, state_at_transmission,
@@ -39,6 +39,17 @@ pub struct SecondFrequency {
     pub noise_m2: f64,
 }
 
+/// A carrier phase as a length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CarrierPhase {
+    /// λφ free of the satellite's clock (m): ρ + c·δt_r + λN, advanced by the ionosphere.
+    pub range_m: f64,
+    /// A cycle slip was possible since the previous epoch.
+    pub loss_of_lock: bool,
+    /// It may be off by half a cycle.
+    pub half_cycle: bool,
+}
+
 /// What one satellite contributes to one epoch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
@@ -58,6 +69,8 @@ pub struct Measurement {
     pub second: Option<SecondFrequency>,
     /// Range rate from Doppler free of the satellite's clock drift (m/s): ρ̇ + c·δṫ_r.
     pub range_rate_m_s: Option<f64>,
+    /// Carrier phase of the main signal, where it was measured.
+    pub phase: Option<CarrierPhase>,
     /// C/N0 of the main signal (dB-Hz).
     pub cn0_db_hz: Option<f64>,
     /// Azimuth and elevation from where the measurement was last placed.
@@ -68,6 +81,8 @@ pub struct Measurement {
     pub ionosphere_m: f64,
     /// Its variance (m²); infinite where no model is used.
     pub ionosphere_m2: f64,
+    /// Modelled slant delay of the troposphere (m).
+    pub troposphere_m: f64,
     /// Pseudorange free of the atmosphere too (m): ρ + c·δt_r.
     pub corrected_range_m: f64,
     /// Variance of `corrected_range_m` (m²).
@@ -130,6 +145,17 @@ impl Measurements {
         self.ionosphere_fallback = atmosphere.correct(&mut self.list, &mut self.biases, options);
         Some(())
     }
+
+    /// What the epoch lacked before any position was sought, into `reasons`.
+    pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
+        if !self.without_ephemeris.is_empty() {
+            let satellites = self.without_ephemeris.clone();
+            reasons.push(Reason::EphemerisMissing { satellites });
+        }
+        if let Some(used) = self.ionosphere_fallback {
+            reasons.push(Reason::IonosphereFallback { used });
+        }
+    }
 }
 
 /// The measurement of one satellite, not yet placed.
@@ -174,11 +200,19 @@ fn measurement(
             .doppler_hz
             .filter(|doppler_hz| doppler_hz.is_finite())
             .map(|doppler_hz| -wavelength_m * doppler_hz + state.clock_drift_m_s),
+        phase: observation.carrier_phase.filter(|phase| phase.0.is_finite()).map(|phase| {
+            CarrierPhase {
+                range_m: phase.to_meters(Meters(wavelength_m)).0 + state.clock_m,
+                loss_of_lock: observation.loss_of_lock,
+                half_cycle: observation.half_cycle,
+            }
+        }),
         cn0_db_hz: observation.cn0_db_hz,
         look: LookAngles { azimuth_rad: 0.0, elevation_rad: 0.0 },
         noise_m2: f64::INFINITY,
         ionosphere_m: 0.0,
         ionosphere_m2: f64::INFINITY,
+        troposphere_m: 0.0,
         corrected_range_m: 0.0,
         variance_m2: f64::INFINITY,
         is_above_mask: false,

@@ -18,6 +18,7 @@ const GLONASS_FACTOR: f64 = 1.5;
 /// `cn0-elevation`: σ² = s²/sin²E + u²·10^(−(S−42)/10), s and u from the options, S the C/N0. The
 /// first term is multipath that grows towards the horizon, the second thermal noise and, where
 /// buildings weaken a signal, the reflections that come with it.
+/// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²).
 /// `rtklib`: σ² = 0.3² + 0.3²/sin E, and 0.3² for code biases.
 pub(super) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeights {
     match options.weighting {
@@ -27,6 +28,11 @@ pub(super) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeigh
                 b_m: RTKLIB_NOISE_M,
             },
             cn0: Cn0Term::None,
+            cn0_if_missing_db_hz: REFERENCE_DB_HZ,
+        },
+        WeightModel::GoGps => MeasurementWeights {
+            elevation: ElevationTerm::InverseSineSquared { a_m: 0.0, b_m: 1.0 },
+            cn0: Cn0Term::gogps(),
             cn0_if_missing_db_hz: REFERENCE_DB_HZ,
         },
         WeightModel::Cn0Elevation => MeasurementWeights {

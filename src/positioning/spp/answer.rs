@@ -80,13 +80,7 @@ impl SinglePoint {
     /// What the epoch lacked before any position was sought.
     pub(super) fn aiding_reasons(&self) -> Vec<Reason> {
         let mut reasons = Vec::new();
-        if !self.measurements.without_ephemeris.is_empty() {
-            let satellites = self.measurements.without_ephemeris.clone();
-            reasons.push(Reason::EphemerisMissing { satellites });
-        }
-        if let Some(used) = self.measurements.ionosphere_fallback {
-            reasons.push(Reason::IonosphereFallback { used });
-        }
+        self.measurements.aiding_reasons(&mut reasons);
         reasons
     }
 

@@ -26,6 +26,7 @@ pub(in crate::store) const fn status_number(status: Status) -> i16 {
     match status {
         Status::None => 0,
         Status::Single => 10,
+        Status::Fgo => 20,
     }
 }
 

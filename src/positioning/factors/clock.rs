@@ -1,0 +1,104 @@
+//! The clock factor: drift moves the clock and wanders.
+
+use crate::graph::Link;
+
+use super::{CLOCK, DRIFT, State};
+
+/// How far the receiver's clock wanders.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::positioning) struct ClockWalk {
+    /// Of the clock (m/√s).
+    pub(in crate::positioning) clock_m: f64,
+    /// Of the drift (m/s/√s).
+    pub(in crate::positioning) drift_m_s: f64,
+}
+
+/// Clock factor between two states, two rows.
+///
+/// r₁ = (b₊ − b − J − Δt·(d + d₊)/2) / σ₁, σ₁² = h²Δt + q²Δt³/12
+/// r₂ = (d₊ − d) / σ₂, σ₂² = q²Δt
+///
+/// J is a jump of the clock found in the pseudoranges, a whole number of milliseconds (m); where a
+/// jump is no such number, σ₁ is infinite.
+///
+/// Source: the two-state clock of Brown & Hwang (1997), *Introduction to Random Signals and Applied
+/// Kalman Filtering*, with the drift's share as in [`super::MotionFactor`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::positioning) struct ClockFactor {
+    interval_s: f64,
+    jump_m: f64,
+    inverse_clock: f64,
+    inverse_drift: f64,
+}
+
+impl ClockFactor {
+    /// Over an interval (s), with the jump J (m), or `None` where the clock starts anew.
+    pub(in crate::positioning) fn new(
+        walk: &ClockWalk,
+        interval_s: f64,
+        jump_m: Option<f64>,
+    ) -> Self {
+        let ClockWalk { clock_m: h, drift_m_s: q } = *walk;
+        let variance = h * h * interval_s + q * q * interval_s.powi(3) / 12.0;
+        Self {
+            interval_s,
+            jump_m: jump_m.unwrap_or(0.0),
+            inverse_clock: jump_m.map_or(0.0, |_| variance.sqrt().recip()),
+            inverse_drift: (q * interval_s.sqrt()).recip(),
+        }
+    }
+
+    /// r₁ and its Jacobian on [b; d] and [b₊; d₊].
+    #[inline]
+    pub(in crate::positioning) fn clock(&self, state: &State, next: &State) -> Link<2, 2> {
+        let (w, half) = (self.inverse_clock, 0.5 * self.interval_s);
+        let moved = next[CLOCK] - state[CLOCK] - self.jump_m;
+        Link {
+            residual: (moved - half * (state[DRIFT] + next[DRIFT])) * w,
+            columns: [CLOCK, DRIFT],
+            jacobian: [-w, -half * w],
+            next_columns: [CLOCK, DRIFT],
+            next_jacobian: [w, -half * w],
+        }
+    }
+
+    /// r₂ and its Jacobian on d and d₊.
+    #[inline]
+    pub(in crate::positioning) fn drift(&self, state: &State, next: &State) -> Link<1, 1> {
+        let w = self.inverse_drift;
+        Link {
+            residual: (next[DRIFT] - state[DRIFT]) * w,
+            columns: [DRIFT],
+            jacobian: [-w],
+            next_columns: [DRIFT],
+            next_jacobian: [w],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::positioning::factors::sample::{check_link, next_state, state};
+
+    const WALK: ClockWalk = ClockWalk { clock_m: 0.3, drift_m_s: 0.6 };
+
+    /// 12 − 5 − 11.75 = −4.75 m over √(0.3² + 0.6²/12) m; −0.5 m/s over 0.6 m/s.
+    #[test]
+    fn residuals_worked_by_hand() {
+        let factor = ClockFactor::new(&WALK, 1.0, Some(5.0));
+        let clock = factor.clock(&state(), &next_state()).residual;
+        assert!((clock + 4.75 / 0.12_f64.sqrt()).abs() < 1e-9, "{clock}");
+        let drift = factor.drift(&state(), &next_state()).residual;
+        assert!((drift + 0.5 / 0.6).abs() < 1e-12, "{drift}");
+        let anew = ClockFactor::new(&WALK, 1.0, None);
+        assert_eq!(anew.clock(&state(), &next_state()).residual, 0.0);
+    }
+
+    #[test]
+    fn the_jacobians_are_the_derivatives() {
+        let factor = ClockFactor::new(&WALK, 2.0, Some(5.0));
+        check_link(|a, b| factor.clock(a, b));
+        check_link(|a, b| factor.drift(a, b));
+    }
+}

@@ -1,0 +1,44 @@
+//! What is known of one number of a state before any measurement.
+
+use crate::graph::Row;
+
+use super::State;
+
+/// Component factor on one state.
+///
+/// r = (xᵢ − m) / σ
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::positioning) struct ComponentFactor {
+    /// i.
+    pub(in crate::positioning) column: usize,
+    /// m, in the column's unit.
+    pub(in crate::positioning) mean: f64,
+    /// 1/σ.
+    pub(in crate::positioning) inverse_sigma: f64,
+}
+
+impl ComponentFactor {
+    /// Whitened residual and its Jacobian on xᵢ.
+    #[inline]
+    pub(in crate::positioning) fn linearize(&self, state: &State) -> Row<1> {
+        Row {
+            residual: (state[self.column] - self.mean) * self.inverse_sigma,
+            columns: [self.column],
+            jacobian: [self.inverse_sigma],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::positioning::factors::sample::{check_row, state};
+
+    /// Upward 0.2 m/s, expected none, over 0.5 m/s.
+    #[test]
+    fn worked_by_hand_with_its_derivative() {
+        let factor = ComponentFactor { column: 5, mean: 0.0, inverse_sigma: 2.0 };
+        assert!((factor.linearize(&state()).residual - 0.4).abs() < 1e-12);
+        check_row(&state(), |state| factor.linearize(state));
+    }
+}

@@ -1,0 +1,59 @@
+//! The range to one satellite in the local frame of a graph.
+
+use nalgebra::Vector3;
+
+use crate::gnss::{Ecef, LocalFrame};
+use crate::models::geometric_range;
+
+/// A satellite as seen from anywhere near the origin of a local frame.
+///
+/// ρ(p) = ‖s − p‖ + a + gᵀp: the Sagnac term is linear in the receiver's position, so that the
+/// frame's origin o gives its value a and its slope g once, exactly; s, p, g local.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::positioning) struct Sight {
+    satellite_m: Vector3<f64>,
+    sagnac_m: f64,
+    sagnac_slope: Vector3<f64>,
+}
+
+impl Sight {
+    /// Of a satellite at transmission.
+    pub(in crate::positioning) fn new(frame: &LocalFrame, satellite: Ecef) -> Self {
+        let line = satellite.0 - frame.origin.0;
+        let distance_m = line.norm();
+        let (range_m, slope) = geometric_range(satellite, frame.origin);
+        Self {
+            satellite_m: frame.rotation * line,
+            sagnac_m: range_m - distance_m,
+            sagnac_slope: frame.rotation * (slope.transpose() + line / distance_m),
+        }
+    }
+
+    /// Range from a local position (m), and ∂ρ/∂p.
+    #[inline]
+    pub(in crate::positioning) fn range(&self, position: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let line = self.satellite_m - position;
+        let distance_m = line.norm();
+        let range_m = distance_m + self.sagnac_m + self.sagnac_slope.dot(position);
+        (range_m, self.sagnac_slope - line * distance_m.recip())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::Enu;
+    use crate::positioning::factors::sample::{SATELLITE, frame};
+
+    /// The same range as in ECEF, 20 km from the origin.
+    #[test]
+    fn the_frame_changes_no_range() {
+        let frame = frame();
+        let sight = Sight::new(&frame, SATELLITE);
+        let local = Vector3::new(12_000.0, -16_000.0, 300.0);
+        let (expected, slope) = geometric_range(SATELLITE, frame.to_ecef(Enu(local)));
+        let (range_m, gradient) = sight.range(&local);
+        assert!((range_m - expected).abs() < 1e-6, "{range_m} {expected}");
+        assert!((gradient - frame.rotation * slope.transpose()).norm() < 1e-12);
+    }
+}

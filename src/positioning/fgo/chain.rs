@@ -1,0 +1,358 @@
+//! The chain of epochs in a graph: how it begins, grows and forgets.
+
+use nalgebra::Vector3;
+
+use crate::config::{DopplerUse, PositioningOptions};
+use crate::gnss::{Constellation, Ecef, GpsTime, LocalFrame};
+use crate::graph::{Elimination, EliminationError, Estimate, Phase, Prior, System};
+use crate::positioning::factors::{
+    BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerFactor, DopplerVelocityFactor,
+    MotionFactor, PseudorangeFactor, STATE, Sight, State, VELOCITY, position,
+};
+use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
+use crate::positioning::{Measurement, Measurements};
+
+use super::epoch::{GraphEpoch, Ranging, Rows, Tie};
+use super::phases::{MILLISECOND_M, Phases, median};
+use super::settings::Settings;
+
+/// Deviation of the first position about its start (m): says nearly nothing.
+const START_M: f64 = 1e4;
+/// Deviation of the first velocity about zero, per axis (m/s).
+const START_M_S: f64 = 100.0;
+/// Deviation of the first clock (m): far more than any receiver leaves after the median.
+const START_CLOCK_M: f64 = 1e5;
+/// Deviation of the first drift (m/s): 3 ppm, a plain crystal.
+const START_DRIFT_M_S: f64 = 1e3;
+/// Deviation of an inter-system bias before it is measured (m): 1 µs.
+const BIAS_M: f64 = 300.0;
+/// Speed taken for a deviation where no Doppler gives the velocity of a tie (m/s).
+const UNKNOWN_SPEED_M_S: f64 = 50.0;
+/// Clocks that miss their prediction by more jumped (m), besides what an unknown drift explains.
+const JUMP_M: f64 = 1e3;
+
+/// The epochs in the graph, their estimate, and the prior of those before.
+#[derive(Debug)]
+pub(super) struct Chain {
+    pub(super) frame: LocalFrame,
+    pub(super) epochs: Vec<GraphEpoch>,
+    pub(super) estimate: Estimate<STATE>,
+    pub(super) prior: Prior<STATE>,
+    phases: Phases,
+    spare: Vec<GraphEpoch>,
+    /// Constellations whose constant bias has begun.
+    begun: [bool; Constellation::COUNT],
+    sequence: usize,
+    /// Epochs whose own biases may be alive at once; zero where biases are constant.
+    ring: usize,
+    scratch: Vec<f64>,
+}
+
+impl Clone for Chain {
+    fn clone(&self) -> Self {
+        let mut clone = Self::new(self.ring);
+        clone.clone_from(self);
+        clone
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        self.frame = source.frame;
+        self.epochs.clone_from(&source.epochs);
+        self.estimate.clone_from(&source.estimate);
+        self.prior.clone_from(&source.prior);
+        self.phases.clone_from(&source.phases);
+        self.begun = source.begun;
+        self.sequence = source.sequence;
+        self.ring = source.ring;
+    }
+}
+
+impl Chain {
+    /// An empty chain; `ring` is how many epochs may have biases of their own, zero for constant
+    /// biases.
+    pub(super) fn new(ring: usize) -> Self {
+        Self {
+            frame: LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)),
+            epochs: Vec::new(),
+            estimate: Estimate::new(),
+            prior: Prior::none(),
+            phases: Phases::default(),
+            spare: Vec::new(),
+            begun: [false; Constellation::COUNT],
+            sequence: 0,
+            ring,
+            scratch: Vec::new(),
+        }
+    }
+
+    /// Time of the newest epoch.
+    pub(super) fn last_time(&self) -> Option<GpsTime> {
+        self.epochs.last().map(|epoch| epoch.time)
+    }
+
+    /// Forgets everything and puts the origin at `start`.
+    pub(super) fn begin(&mut self, start: Ecef) {
+        self.clear();
+        self.frame = LocalFrame::at(start);
+    }
+
+    /// Forgets everything.
+    pub(super) fn clear(&mut self) {
+        self.spare.append(&mut self.epochs);
+        self.estimate.states.clear();
+        self.estimate.border.clear();
+        self.prior = Prior::none();
+        self.phases.clear();
+        self.begun = [false; Constellation::COUNT];
+        self.sequence = 0;
+    }
+
+    /// Where the newest state will be at `time`, if nothing happens.
+    pub(super) fn predicted(&self, time: GpsTime) -> State {
+        let (Some(last), Some(state)) = (self.last_time(), self.estimate.states.last()) else {
+            return State::zeros();
+        };
+        let interval_s = time - last;
+        let mut next = *state;
+        for (place, rate) in [(0, VELOCITY), (1, VELOCITY + 1), (2, VELOCITY + 2), (CLOCK, DRIFT)] {
+            next[place] += interval_s * state[rate];
+        }
+        next
+    }
+
+    /// Adds an epoch whose state is about `guess`, its measurements being placed there.
+    ///
+    /// The guess's clock and the biases of constellations met for the first time are set from the
+    /// median of the pseudoranges.
+    pub(super) fn append(
+        &mut self,
+        time: GpsTime,
+        mut guess: State,
+        measurements: &Measurements,
+        doppler_velocity_m_s: Option<Vector3<f64>>,
+        options: &PositioningOptions,
+        settings: &Settings,
+    ) {
+        let mut epoch = self.spare.pop().unwrap_or_else(GraphEpoch::new);
+        epoch.clear();
+        epoch.time = time;
+        epoch.doppler_velocity_m_s = doppler_velocity_m_s;
+        epoch.slot = self.sequence % self.ring.max(1);
+        let needed = Constellation::COUNT * (epoch.slot + 1);
+        if self.estimate.border.len() < needed {
+            self.estimate.border.resize(needed, 0.0);
+        }
+        let interval_s = self.last_time().map(|last| time - last);
+        let independence_s = options.graph.independence_s;
+        let spacing_s = interval_s.unwrap_or(independence_s);
+        epoch.share = (spacing_s / independence_s).min(1.0);
+        epoch.repetition = (options.graph.correlation_s / spacing_s.max(independence_s)).max(1.0);
+        measurements.aiding_reasons(&mut epoch.reasons);
+        self.range(&mut epoch, &measurements.list);
+        let miss_m = self.settle_clock(&mut epoch, &mut guess);
+        self.doppler(&mut epoch, &guess, &measurements.list, options);
+        if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
+            epoch.tie = Some(self.tie(interval_s, miss_m, options, settings));
+            if options.graph.phase {
+                let sigma_m = options.graph.phase_sigma_m;
+                let list = &measurements.list;
+                self.phases.differences(&self.frame, list, sigma_m, &mut epoch.phases);
+                self.phases.follow_clock(&mut epoch.phases, before, &guess);
+            }
+        }
+        self.regularize(&mut epoch, interval_s.is_none(), &guess, options);
+        if options.graph.phase {
+            self.phases.keep(&self.frame, &measurements.list);
+        }
+        self.estimate.states.push(guess);
+        self.epochs.push(epoch);
+        self.sequence += 1;
+    }
+
+    /// Pseudorange factors of the measurements that are used.
+    fn range(&mut self, epoch: &mut GraphEpoch, list: &[Measurement]) {
+        let is_used = |m: &&Measurement| m.is_above_mask && !m.is_excluded;
+        let present = |c: Constellation| {
+            list.iter().any(|m| m.is_above_mask && !m.is_excluded && m.satellite.constellation == c)
+        };
+        // Constant biases refer to GPS, whether present or not; those of one epoch to its first.
+        let reference = match self.ring {
+            0 => Some(Constellation::Gps),
+            _ => Constellation::ALL.into_iter().find(|c| present(*c)),
+        };
+        let first = Constellation::COUNT * epoch.slot;
+        for measurement in list.iter().filter(is_used) {
+            let constellation = measurement.satellite.constellation;
+            let further = Some(constellation) != reference;
+            let factor = PseudorangeFactor {
+                sight: Sight::new(&self.frame, measurement.state.position),
+                corrected_range_m: measurement.corrected_range_m,
+                inverse_sigma: measurement.variance_m2.sqrt().recip(),
+            };
+            epoch.ranges.push(Ranging {
+                factor,
+                satellite: measurement.satellite,
+                ephemeris: measurement.ephemeris,
+                bias: further.then_some(first + constellation.index()),
+            });
+        }
+        if self.ring != 0 {
+            self.begun = [false; Constellation::COUNT];
+        }
+    }
+
+    /// Sets the clock of `guess` and biases that begin; returns by how much the clock missed its
+    /// prediction (m), if it could be seen.
+    fn settle_clock(&mut self, epoch: &mut GraphEpoch, guess: &mut State) -> Option<f64> {
+        let known = |range: &Ranging, begun: &[bool]| match range.bias {
+            None => true,
+            Some(_) => begun[range.satellite.constellation.index()],
+        };
+        self.scratch.clear();
+        for range in epoch.ranges.iter().filter(|range| known(range, &self.begun)) {
+            self.scratch.push(miss_m(range, guess, &self.estimate));
+        }
+        let mut miss = median(&mut self.scratch);
+        for constellation in Constellation::ALL {
+            let of = |range: &&Ranging| range.satellite.constellation == constellation;
+            let Some(first) = epoch.ranges.iter().find(of) else { continue };
+            let (Some(variable), false) = (first.bias, self.begun[constellation.index()]) else {
+                continue;
+            };
+            self.scratch.clear();
+            self.estimate.border[variable] = 0.0;
+            let misses = epoch.ranges.iter().filter(of).map(|r| miss_m(r, guess, &self.estimate));
+            self.scratch.extend(misses);
+            let own = median(&mut self.scratch).unwrap_or(0.0);
+            // Without any clock yet, the first constellation's stands in for the reference's.
+            let clock_m = *miss.get_or_insert(own);
+            let mean_m = own - clock_m;
+            self.estimate.border[variable] = mean_m;
+            self.begun[constellation.index()] = true;
+            let inverse_sigma = BIAS_M.recip();
+            epoch.biases.push(BiasFactor { variable, mean_m, inverse_sigma });
+        }
+        guess[CLOCK] += miss.unwrap_or(0.0);
+        miss
+    }
+
+    fn doppler(
+        &self,
+        epoch: &mut GraphEpoch,
+        guess: &State,
+        list: &[Measurement],
+        options: &PositioningOptions,
+    ) {
+        if options.graph.doppler != DopplerUse::Satellites {
+            return;
+        }
+        let receiver = self.frame.to_ecef(crate::gnss::Enu(position(guess)));
+        for measurement in list.iter().filter(|m| m.is_above_mask && !m.is_excluded) {
+            let Some(rate_m_s) = measurement.range_rate_m_s else { continue };
+            let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
+            let sigma_m_s = variance_m2_s2(options.doppler_sigma_m_s, cn0_db_hz).sqrt();
+            let (frame, state) = (&self.frame, &measurement.state);
+            epoch.rates.push(DopplerFactor::new(frame, receiver, state, rate_m_s, sigma_m_s));
+        }
+    }
+
+    /// The tie to the epoch before.
+    fn tie(
+        &self,
+        interval_s: f64,
+        miss_m: Option<f64>,
+        options: &PositioningOptions,
+        settings: &Settings,
+    ) -> Tie {
+        if options.graph.motion {
+            let jump_m = jump_m(miss_m.unwrap_or(0.0), interval_s);
+            let motion = MotionFactor::new(&settings.motion, interval_s);
+            return Tie::Motion(motion, ClockFactor::new(&settings.clock, interval_s, jump_m));
+        }
+        let velocity = self.epochs.last().and_then(|before| before.doppler_velocity_m_s);
+        let sigma_m_s = match velocity {
+            Some(_) => options.graph.doppler_velocity_sigma_m_s,
+            None => UNKNOWN_SPEED_M_S,
+        };
+        Tie::DopplerVelocity(DopplerVelocityFactor {
+            velocity_m_s: velocity.unwrap_or_else(Vector3::zeros),
+            interval_s,
+            inverse_sigma: sigma_m_s.recip(),
+        })
+    }
+
+    /// What is known of single numbers of the state.
+    fn regularize(
+        &self,
+        epoch: &mut GraphEpoch,
+        is_first: bool,
+        guess: &State,
+        options: &PositioningOptions,
+    ) {
+        let mut add = |column: usize, mean: f64, sigma: f64| {
+            epoch.components.push(ComponentFactor { column, mean, inverse_sigma: sigma.recip() });
+        };
+        if is_first {
+            (0..3).for_each(|axis| add(axis, guess[axis], START_M));
+        }
+        if is_first || !options.graph.motion {
+            (VELOCITY..CLOCK).for_each(|rate| add(rate, guess[rate], START_M_S));
+            add(CLOCK, guess[CLOCK], START_CLOCK_M);
+            add(DRIFT, guess[DRIFT], START_DRIFT_M_S);
+        }
+        if options.graph.vertical_velocity_m_s.is_finite() {
+            add(VELOCITY + 2, 0.0, options.graph.vertical_velocity_m_s);
+        }
+    }
+
+    /// The rows of the whole chain.
+    pub(super) fn rows<'a>(&'a self, settings: &'a Settings) -> Rows<'a> {
+        Rows { epochs: &self.epochs, prior: &self.prior, kernels: &settings.kernels }
+    }
+
+    /// Whether some epoch has been marginalised.
+    pub(super) fn has_past(&self) -> bool {
+        self.epochs.len() < self.sequence
+    }
+
+    /// Marginalises the oldest epoch into the prior; biases wander by `bias_walk_m` (m/√s).
+    pub(super) fn forget_oldest(
+        &mut self,
+        settings: &Settings,
+        bias_walk_m: f64,
+        workspace: &mut (System<STATE>, Elimination<STATE>),
+    ) -> Result<(), EliminationError> {
+        let (system, elimination) = workspace;
+        let kernels = settings.kernels.at(Phase::Graduated(1.0));
+        system.reset(2, self.estimate.border.len());
+        self.prior.add_to(0, &self.estimate, system);
+        self.epochs[0].add_to(0, &self.estimate, &kernels, system);
+        self.epochs[1].add_tie_to(0, &self.estimate, &kernels, system);
+        let (per_epoch, slot) = (self.ring != 0, self.epochs[0].slot);
+        let retired = |variable| per_epoch && variable / Constellation::COUNT == slot;
+        self.prior.marginalize(system, &self.estimate, retired, elimination)?;
+        let interval_s = self.epochs[1].time - self.epochs[0].time;
+        if !per_epoch && 0.0 < bias_walk_m {
+            self.prior.loosen_border(bias_walk_m * bias_walk_m * interval_s);
+        }
+        let oldest = self.epochs.remove(0);
+        self.spare.push(oldest);
+        self.estimate.states.remove(0);
+        Ok(())
+    }
+}
+
+/// Measured less predicted (m).
+fn miss_m(range: &Ranging, guess: &State, estimate: &Estimate<STATE>) -> f64 {
+    let factor = &range.factor;
+    -factor.linearize(guess, range.bias_m(estimate)).residual / factor.inverse_sigma
+}
+
+/// The jump that a miss of the clock's prediction is taken for: none, whole milliseconds, or
+/// `None` where it is neither and the clock starts anew.
+fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
+    let allowed_m = JUMP_M + START_DRIFT_M_S * interval_s;
+    let whole_m = (miss_m / MILLISECOND_M).round() * MILLISECOND_M;
+    ((miss_m - whole_m).abs() < allowed_m).then_some(whole_m)
+}

@@ -1,0 +1,206 @@
+//! The factors of one epoch, and how they enter the normal equations.
+
+use nalgebra::Vector3;
+
+use crate::gnss::{EphemerisIssue, GpsTime, Reason, SatelliteId};
+use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, System};
+use crate::positioning::factors::{
+    BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, MotionFactor,
+    PhaseDifferenceFactor, PseudorangeFactor, STATE,
+};
+
+use super::settings::Kernels;
+
+/// A pseudorange with what names it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ranging {
+    pub(super) factor: PseudorangeFactor,
+    pub(super) satellite: SatelliteId,
+    pub(super) ephemeris: EphemerisIssue,
+    /// Border variable of its inter-system bias; `None` for the reference constellation.
+    pub(super) bias: Option<usize>,
+}
+
+impl Ranging {
+    /// The bias in force (m).
+    pub(super) fn bias_m(&self, estimate: &Estimate<STATE>) -> f64 {
+        self.bias.map_or(0.0, |variable| estimate.border[variable])
+    }
+}
+
+/// What ties an epoch to the one before, besides carrier phase.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Tie {
+    /// Velocity and drift carry position and clock on.
+    Motion(MotionFactor, ClockFactor),
+    /// The velocity solved from the earlier epoch's Doppler does.
+    DopplerVelocity(DopplerVelocityFactor),
+}
+
+/// One epoch of the chain.
+#[derive(Debug)]
+pub(super) struct GraphEpoch {
+    pub(super) time: GpsTime,
+    /// Share of information its pseudoranges keep, because errors last.
+    pub(super) share: f64,
+    /// How many epochs in a row repeat one error.
+    pub(super) repetition: f64,
+    pub(super) ranges: Vec<Ranging>,
+    pub(super) rates: Vec<DopplerFactor>,
+    /// From the epoch before to this one.
+    pub(super) phases: Vec<PhaseDifferenceFactor>,
+    /// From the epoch before to this one; `None` for the first of a chain.
+    pub(super) tie: Option<Tie>,
+    pub(super) components: Vec<ComponentFactor>,
+    pub(super) biases: Vec<BiasFactor>,
+    /// Local velocity from this epoch's Doppler alone, where the tie needs it (m/s).
+    pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
+    /// What the epoch lacked.
+    pub(super) reasons: Vec<Reason>,
+    /// Its place in the ring of per-epoch biases.
+    pub(super) slot: usize,
+}
+
+impl GraphEpoch {
+    pub(super) fn new() -> Self {
+        Self {
+            time: GpsTime::EPOCH,
+            share: 1.0,
+            repetition: 1.0,
+            ranges: Vec::new(),
+            rates: Vec::new(),
+            phases: Vec::new(),
+            tie: None,
+            components: Vec::new(),
+            biases: Vec::new(),
+            doppler_velocity_m_s: None,
+            reasons: Vec::new(),
+            slot: 0,
+        }
+    }
+
+    /// Empties the lists; their memory stays.
+    pub(super) fn clear(&mut self) {
+        self.ranges.clear();
+        self.rates.clear();
+        self.phases.clear();
+        self.components.clear();
+        self.biases.clear();
+        self.reasons.clear();
+        self.tie = None;
+        self.doppler_velocity_m_s = None;
+    }
+
+    /// Whether its state's velocity means anything.
+    pub(super) fn carries_velocity(&self) -> bool {
+        !matches!(self.tie, Some(Tie::DopplerVelocity(_)))
+    }
+
+    /// Adds what touches this epoch's state alone, and the border.
+    pub(super) fn add_to(
+        &self,
+        k: usize,
+        estimate: &Estimate<STATE>,
+        kernels: &[Kernel; 3],
+        system: &mut System<STATE>,
+    ) {
+        let state = &estimate.states[k];
+        let pseudorange = kernels[0].tempered(self.share);
+        for range in &self.ranges {
+            let row = range.factor.linearize(state, range.bias_m(estimate));
+            match range.bias {
+                None => system.add(k, &row, &pseudorange),
+                Some(variable) => {
+                    let border = [(variable, range.factor.inverse_sigma)];
+                    system.add_with_border(k, &row, &border, &pseudorange)
+                }
+            };
+        }
+        for rate in &self.rates {
+            system.add(k, &rate.linearize(state), &kernels[1]);
+        }
+        for component in &self.components {
+            system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
+        }
+        for bias in &self.biases {
+            let (row, slope) = bias.linearize(estimate.border[bias.variable]);
+            system.add_with_border(k, &row, &[(bias.variable, slope)], &Kernel::QUADRATIC);
+        }
+    }
+
+    /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`.
+    pub(super) fn add_tie_to(
+        &self,
+        k: usize,
+        estimate: &Estimate<STATE>,
+        kernels: &[Kernel; 3],
+        system: &mut System<STATE>,
+    ) {
+        let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
+        for phase in &self.phases {
+            system.add_link(k, &phase.linearize(state, next), &kernels[2]);
+        }
+        match &self.tie {
+            None => {}
+            Some(Tie::DopplerVelocity(factor)) => {
+                for axis in 0..3 {
+                    let link = factor.linearize(axis, state, next);
+                    system.add_link(k, &link, &Kernel::QUADRATIC);
+                }
+            }
+            Some(Tie::Motion(motion, clock)) => {
+                for axis in 0..3 {
+                    let place = motion.place(axis, state, next);
+                    system.add_link(k, &place, &Kernel::QUADRATIC);
+                    system.add_link(k, &motion.pace(axis, state, next), &Kernel::QUADRATIC);
+                }
+                system.add_link(k, &clock.clock(state, next), &Kernel::QUADRATIC);
+                system.add_link(k, &clock.drift(state, next), &Kernel::QUADRATIC);
+            }
+        }
+    }
+}
+
+impl Clone for GraphEpoch {
+    fn clone(&self) -> Self {
+        let mut clone = Self::new();
+        clone.clone_from(self);
+        clone
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        self.time = source.time;
+        self.share = source.share;
+        self.repetition = source.repetition;
+        self.ranges.clone_from(&source.ranges);
+        self.rates.clone_from(&source.rates);
+        self.phases.clone_from(&source.phases);
+        self.tie = source.tie;
+        self.components.clone_from(&source.components);
+        self.biases.clone_from(&source.biases);
+        self.doppler_velocity_m_s = source.doppler_velocity_m_s;
+        self.reasons.clone_from(&source.reasons);
+        self.slot = source.slot;
+    }
+}
+
+/// All factors of a chain, as the solver wants them.
+pub(super) struct Rows<'a> {
+    pub(super) epochs: &'a [GraphEpoch],
+    pub(super) prior: &'a Prior<STATE>,
+    pub(super) kernels: &'a Kernels,
+}
+
+impl Problem<STATE> for Rows<'_> {
+    fn linearize(&mut self, estimate: &Estimate<STATE>, phase: Phase, system: &mut System<STATE>) {
+        let kernels = self.kernels.at(phase);
+        self.prior.add_to(0, estimate, system);
+        for (k, epoch) in self.epochs.iter().enumerate() {
+            if 0 < k {
+                epoch.add_tie_to(k - 1, estimate, &kernels, system);
+            }
+            epoch.add_to(k, estimate, &kernels, system);
+        }
+    }
+}

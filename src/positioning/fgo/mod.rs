@@ -1,0 +1,17 @@
+//! Factor graph optimisation: a chain of epochs, solved as a sliding window or as a whole.
+//!
+//! The objective is Σ ρ(‖r‖²_Σ) over the factors of [`super::factors`], Wen & Hsu (2021), (13).
+//! `epoch` holds the factors of one epoch, `chain` builds and forgets them, [`SlidingWindow`]
+//! answers each epoch as it comes, [`WholeChain`] all of them at the end. `docs/estimation.md`
+//! tells why the factors and kernels are what they are.
+
+mod answer;
+mod batch;
+mod chain;
+mod epoch;
+mod phases;
+mod settings;
+mod window;
+
+pub(super) use batch::WholeChain;
+pub(super) use window::SlidingWindow;

@@ -1,0 +1,91 @@
+//! What the options mean to the graph: kernels, schedules, walks.
+
+use crate::config::{GraphOptions, KernelLaw};
+use crate::graph::{AnnealedKernel, Kernel, Law, OptimizerOptions, Phase, Schedule};
+
+use crate::positioning::factors::{ClockWalk, MotionWalk};
+
+/// Huber's constant: 95 % efficiency under normal errors.
+const HUBER: f64 = 1.345;
+/// Steps shorter than this many standard deviations of the answer end a solve.
+const TOLERANCE: f64 = 1e-2;
+
+/// Robust kernels of the measurements.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kernels {
+    pub(super) pseudorange: AnnealedKernel,
+    pub(super) doppler: AnnealedKernel,
+    pub(super) phase: AnnealedKernel,
+}
+
+impl Kernels {
+    fn new(options: &GraphOptions) -> Self {
+        let law = match options.pseudorange_kernel {
+            KernelLaw::Quadratic => Law::Quadratic,
+            KernelLaw::Huber => Law::Huber,
+            KernelLaw::Cauchy => Law::Cauchy,
+            KernelLaw::GemanMcclure => Law::GemanMcClure,
+        };
+        // A late signal is longer than the model: its residual (model − measured) is negative.
+        let target = Kernel::new(law, options.early_width)
+            .one_sided(options.early_width, options.late_width);
+        let phase = Kernel::geman_mcclure(options.phase_width);
+        let convex = match law {
+            Law::Cauchy | Law::GemanMcClure => Kernel::huber(HUBER),
+            Law::Quadratic | Law::Huber => target,
+        };
+        Self {
+            pseudorange: AnnealedKernel { convex, target },
+            doppler: AnnealedKernel::constant(Kernel::cauchy(options.doppler_width)),
+            phase: AnnealedKernel { convex: Kernel::huber(HUBER), target: phase },
+        }
+    }
+
+    /// The kernels of one phase, pseudoranges tempered by their epoch later.
+    pub(super) fn at(&self, phase: Phase) -> [Kernel; 3] {
+        [self.pseudorange.at(phase), self.doppler.convex, self.phase.at(phase)]
+    }
+
+    /// Whether the kernels have many minima, so that a solve must be annealed.
+    fn is_redescending(&self) -> bool {
+        matches!(self.pseudorange.target.law, Law::Cauchy | Law::GemanMcClure)
+    }
+}
+
+/// Everything the graph takes from the options.
+#[derive(Clone, Debug)]
+pub(super) struct Settings {
+    pub(super) kernels: Kernels,
+    pub(super) motion: MotionWalk,
+    pub(super) clock: ClockWalk,
+    /// Variance of what pseudoranges share over hours: orbit, clock, atmosphere (m²).
+    pub(super) lasting_m2: f64,
+    /// For an epoch more.
+    pub(super) update: OptimizerOptions,
+    /// For a whole chain whose start is coarse.
+    pub(super) whole: OptimizerOptions,
+}
+
+impl Settings {
+    pub(super) fn new(options: &GraphOptions) -> Self {
+        let kernels = Kernels::new(options);
+        let (update, whole) = match kernels.is_redescending() {
+            true => {
+                (Schedule::graduated(1, 2.0, 2.0, 1, 2), Schedule::graduated(6, 15.0, 1.4, 2, 20))
+            }
+            false => (Schedule::direct(10), Schedule::direct(30)),
+        };
+        let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
+        let horizontal = options.horizontal_walk_m_s;
+        Self {
+            kernels,
+            motion: MotionWalk {
+                velocity_m_s: [horizontal, horizontal, options.vertical_walk_m_s],
+            },
+            clock: ClockWalk { clock_m: options.clock_walk_m, drift_m_s: options.drift_walk_m_s },
+            lasting_m2: options.lasting_sigma_m.powi(2),
+            update: solve(update),
+            whole: solve(whole),
+        }
+    }
+}
