@@ -49,8 +49,9 @@ pub fn routes(service: &Service) -> Router {
         .layer(CatchPanicLayer::custom(frame::panicked))
 }
 
-/// What reflection tells of. A function of its own and never inlined: rustc 1.95 with optimisation
-/// let two builders configured through one closure share a buffer that the first had freed.
+/// What reflection tells of. A function of its own and never inlined: built with optimisation by
+/// rustc 1.95, two builders configured through one closure shared a buffer that the first had freed
+/// and the service died at start. Whether compiler or library is at fault is not known.
 #[inline(never)]
 fn reflection() -> tonic_reflection::server::Builder<'static> {
     tonic_reflection::server::Builder::configure()

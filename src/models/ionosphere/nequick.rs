@@ -38,8 +38,8 @@ pub fn nequick_delay_m(
 
 /// Variance of a NeQuick-G delay (m²): 30 % of the delay as its standard deviation.
 ///
-/// Galileo OS SIS ICD's companion document, section 1: the model is to remove at least 70 % of the
-/// delay's rms.
+/// A choice, not a published figure: less than Klobuchar's half, as the model follows the
+/// ionosphere in three dimensions.
 pub fn nequick_variance_m2(delay_m: f64) -> f64 {
     0.09 * delay_m * delay_m
 }
@@ -67,11 +67,11 @@ mod tests {
         delay_m.unwrap() * frequency_hz * frequency_hz / 40.3e16
     }
 
-    /// The first line of the reference document's table of verification data for high solar
-    /// activity: 00 h UT, receiver at 82.49° N 297.66° E, satellite at 54.29° N 8.23° E, 20.28 Mm:
+    /// A ray of the verification data for high solar activity, as the library's own tests quote it:
+    /// 00 h UT, receiver at 82.49° N 297.66° E, satellite at 54.29° N 8.23° E, 20.28 Mm:
     /// 20.40 TECU.
     #[test]
-    fn a_ray_of_the_reference_document() {
+    fn a_ray_of_the_verification_data() {
         let tecu = delay_tecu(
             [236.831641, -0.39362878, 0.00402826613],
             0,
