@@ -151,6 +151,7 @@ fn solution(seq: u64) -> Solution {
             reception_time: time - 4e-7,
             dops: Dops { gdop: 2.1, pdop: 1.8, hdop: 0.9, vdop: 1.5, tdop: 1.1 },
             satellites_used: satellites().collect(),
+            relative: None,
         }),
         reasons: Vec::new(),
         provenance: Provenance { ephemerides: satellites().map(issue).collect() },

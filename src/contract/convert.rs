@@ -6,8 +6,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::config::IntakeLimits;
 use crate::gnss::{
-    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Provenance, Reason, ReasonValue, Solution,
-    SolutionEstimate, Status,
+    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Provenance, Reason, ReasonValue,
+    RelativeEstimate, Solution, SolutionEstimate, Status,
 };
 
 use crate::store::StoredSolution;
@@ -109,6 +109,22 @@ pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
             .unwrap_or_default(),
         reasons: solution.reasons.iter().map(reason).collect(),
         provenance: Some(provenance(&solution.provenance, stored)),
+        relative: estimate.and_then(|e| e.relative.as_ref()).map(relative),
+    }
+}
+
+fn relative(relative: &RelativeEstimate) -> v1::Relative {
+    let b = &relative.baseline_m;
+    let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    v1::Relative {
+        baseline_ecef_m: Some(v1::Ecef { x_m: b.x, y_m: b.y, z_m: b.z }),
+        length_m: b.norm(),
+        age_s: relative.age_s,
+        ambiguities: count(relative.ambiguities),
+        fixed_ambiguities: count(relative.fixed_ambiguities),
+        ratio: relative.ratio,
+        success_rate: relative.success_rate,
+        fix_probability: relative.fix_probability,
     }
 }
 
@@ -117,7 +133,10 @@ pub const fn status(status: Status) -> v1::Status {
     match status {
         Status::None => v1::Status::None,
         Status::Single => v1::Status::Single,
+        Status::Ekf => v1::Status::Ekf,
         Status::Fgo => v1::Status::Fgo,
+        Status::Float => v1::Status::Float,
+        Status::Fixed => v1::Status::Fixed,
     }
 }
 
@@ -130,7 +149,10 @@ pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
         Ok(v1::Status::Unspecified) => Ok(None),
         Ok(v1::Status::None) => Ok(Some(Status::None)),
         Ok(v1::Status::Single) => Ok(Some(Status::Single)),
+        Ok(v1::Status::Ekf) => Ok(Some(Status::Ekf)),
         Ok(v1::Status::Fgo) => Ok(Some(Status::Fgo)),
+        Ok(v1::Status::Float) => Ok(Some(Status::Float)),
+        Ok(v1::Status::Fixed) => Ok(Some(Status::Fixed)),
         Err(_) => Err(intake::unknown_status(&number.to_string())),
     }
 }

@@ -14,6 +14,10 @@
 //! | `gdop`, `pdop`, `hdop`, `vdop`, `tdop` | dilutions of precision |
 //! | `satellites` | number used |
 //! | `satellite_list` | which, separated by blanks |
+//! | `baseline_e_m`, `baseline_n_m`, `baseline_u_m` | from the base, east, north, up (m) |
+//! | `age_s` | age of the base epoch (s) |
+//! | `ambiguities`, `fixed_ambiguities` | how many, and how many held at integers |
+//! | `ratio`, `success_rate`, `fix_probability` | of the integers |
 //! | `reasons` | what kept it from being better, separated by `; `, in quotes |
 //!
 //! A field that is not known is empty.
@@ -23,15 +27,18 @@ use std::io::{self, Write};
 use nalgebra::Matrix3;
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
-use crate::gnss::{LocalFrame, Solution, SolutionEstimate, Velocity};
+use crate::gnss::{LocalFrame, RelativeEstimate, Solution, SolutionEstimate, Velocity};
 
 const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
      var_e_m2,var_n_m2,var_u_m2,cov_en_m2,cov_eu_m2,cov_nu_m2,ve_m_s,vn_m_s,vu_m_s,\
      var_ve_m2_s2,var_vn_m2_s2,var_vu_m2_s2,cov_vevn_m2_s2,cov_vevu_m2_s2,cov_vnvu_m2_s2,\
      clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
-     satellite_list,reasons";
+     satellite_list,baseline_e_m,baseline_n_m,baseline_u_m,age_s,ambiguities,\
+     fixed_ambiguities,ratio,success_rate,fix_probability,reasons";
 /// Columns between `status` and `reasons`.
-const ESTIMATE_COLUMNS: usize = 31;
+const ESTIMATE_COLUMNS: usize = 40;
+/// Columns from `baseline_e_m` to `fix_probability`.
+const RELATIVE_COLUMNS: usize = 9;
 /// Columns from `ve_m_s` to `cov_vnvu_m2_s2`.
 const VELOCITY_COLUMNS: usize = 9;
 
@@ -106,6 +113,26 @@ fn push_estimate(line: &mut Vec<u8>, estimate: &SolutionEstimate) {
     if estimate.satellites_used.is_empty() {
         line.push(b',');
     }
+    match &estimate.relative {
+        Some(relative) => push_relative(line, relative, &frame),
+        None => line.extend_from_slice(&[b','; RELATIVE_COLUMNS]),
+    }
+}
+
+fn push_relative(line: &mut Vec<u8>, relative: &RelativeEstimate, frame: &LocalFrame) {
+    let local = frame.rotation * relative.baseline_m;
+    local.iter().for_each(|value| push_field(line, *value, 4));
+    push_field(line, relative.age_s, 3);
+    for count in [relative.ambiguities, relative.fixed_ambiguities] {
+        line.push(b',');
+        push_integer(line, count as i64, 0);
+    }
+    for quality in [relative.ratio, relative.success_rate, relative.fix_probability] {
+        match quality {
+            Some(value) => push_field(line, value, 6),
+            None => line.push(b','),
+        }
+    }
 }
 
 fn push_velocity(line: &mut Vec<u8>, velocity: &Velocity, frame: &LocalFrame) {
@@ -160,6 +187,7 @@ mod tests {
             reception_time: time - 0.001,
             dops: Dops { gdop: 2.0, pdop: 1.5, hdop: 1.0, vdop: 1.1, tdop: 1.2 },
             satellites_used: ["C05", "G01"].map(|name| name.parse().unwrap()).to_vec(),
+            relative: None,
         };
         let reasons = vec![
             Reason::NoRedundancy,
@@ -188,14 +216,25 @@ mod tests {
             covariance: Matrix3::identity() * 0.25,
             clock_drift_m_s: 0.5,
         };
-        let lines = rows(&[solution(Some(velocity))]);
+        let mut solution = solution(Some(velocity));
+        solution.estimate.as_mut().unwrap().relative = Some(RelativeEstimate {
+            baseline_m: Vector3::new(10.0, 2.0, 3.0),
+            age_s: 1.5,
+            ambiguities: 14,
+            fixed_ambiguities: 12,
+            ratio: Some(3.25),
+            success_rate: None,
+            fix_probability: Some(0.999),
+        });
+        let lines = rows(&[solution]);
         let (row, quoted) = lines[1].split_once('"').unwrap();
         assert_eq!(
             row,
             "2300,100.000,SINGLE,6378147.0000,0.0000,0.0000,0.000000000,0.000000000,10.0000,\
              1.00000000,4.00000000,9.00000000,0.25000000,0.50000000,0.00000000,\
              1.00000,2.00000,3.00000,0.25000000,0.25000000,0.25000000,0.00000000,0.00000000,\
-             0.00000000,-3.5000,0.5000,99.999,2.000,1.500,1.000,1.100,1.200,2,C05 G01,"
+             0.00000000,-3.5000,0.5000,99.999,2.000,1.500,1.000,1.100,1.200,2,C05 G01,\
+             2.0000,3.0000,10.0000,1.500,14,12,3.250000,,0.999000,"
         );
         assert_eq!(quoted, "NO_REDUNDANCY; SATELLITES_EXCLUDED[C05, G01]\"");
     }

@@ -161,6 +161,7 @@ mod tests {
             reception_time: time,
             dops: Dops { gdop: 2.0, pdop: 1.5, hdop: 1.0, vdop: 1.0, tdop: 1.0 },
             satellites_used: Vec::new(),
+            relative: None,
         };
         Solution {
             time,

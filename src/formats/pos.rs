@@ -20,12 +20,16 @@ const CONVENTIONS: &str = "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3
      5:single,6:ppp,ns=# of satellites)";
 /// Coordinates above this are metres from the Earth's centre, not degrees.
 const LARGEST_ANGLE: f64 = 1000.0;
+/// Ratios are cut here, as RTKLIB does, to fit their column.
+const RATIO_MAX: f64 = 999.9;
 
 /// RTKLIB's quality number of a status; `None` for a status that has no row.
 pub const fn quality(status: Status) -> Option<u8> {
     match status {
         Status::None => None,
-        Status::Single | Status::Fgo => Some(5),
+        Status::Single | Status::Ekf | Status::Fgo => Some(5),
+        Status::Float => Some(2),
+        Status::Fixed => Some(1),
     }
 }
 
@@ -67,8 +71,10 @@ impl<W: Write> Writer<W> {
         for (row, column) in [(1, 1), (0, 0), (2, 2), (0, 1), (0, 2), (1, 2)] {
             push_column(line, signed_root(enu[(row, column)]), 4, 8);
         }
-        push_column(line, 0.0, 2, 6);
-        push_column(line, 0.0, 1, 6);
+        let relative = estimate.relative.as_ref();
+        let ratio = relative.and_then(|relative| relative.ratio).unwrap_or(0.0);
+        push_column(line, relative.map_or(0.0, |relative| relative.age_s), 2, 6);
+        push_column(line, ratio.min(RATIO_MAX), 1, 6);
         line.push(b'\n');
         self.output.write_all(line)
     }
@@ -276,6 +282,7 @@ mod tests {
             reception_time: time,
             dops: Dops { gdop: 2.0, pdop: 1.5, hdop: 1.0, vdop: 1.0, tdop: 1.0 },
             satellites_used: ["G01", "C05"].map(|name| name.parse().unwrap()).to_vec(),
+            relative: None,
         };
         Solution {
             time,

@@ -23,7 +23,7 @@ pub use observation::{BaseEpoch, Cycles, Epoch, Meters, Observation};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{
-    Dops, EphemerisIssue, Provenance, Reason, ReasonValue, Solution, SolutionEstimate, Status,
-    Velocity,
+    Dops, EphemerisIssue, Provenance, Reason, ReasonValue, RelativeEstimate, Solution,
+    SolutionEstimate, Status, Velocity,
 };
 pub use time::{CivilTime, GpsTime, LeapSeconds, TimeScale, wrap_half_week};

@@ -13,20 +13,30 @@ pub enum Status {
     None,
     /// Single-point positioning from one epoch.
     Single,
+    /// An extended Kalman filter over all epochs so far.
+    Ekf,
     /// A factor graph over a window of epochs.
     Fgo,
+    /// Relative to a base, ambiguities real-valued.
+    Float,
+    /// Relative to a base, ambiguities held at integers.
+    Fixed,
 }
 
 impl Status {
     /// Every status, from none to best.
-    pub const ALL: [Self; 3] = [Self::None, Self::Single, Self::Fgo];
+    pub const ALL: [Self; 6] =
+        [Self::None, Self::Single, Self::Ekf, Self::Fgo, Self::Float, Self::Fixed];
 
     /// The name as the API writes it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::None => "NONE",
             Self::Single => "SINGLE",
+            Self::Ekf => "EKF",
             Self::Fgo => "FGO",
+            Self::Float => "FLOAT",
+            Self::Fixed => "FIXED",
         }
     }
 
@@ -81,6 +91,27 @@ pub struct SolutionEstimate {
     pub dops: Dops,
     /// Satellites that determined the position, sorted.
     pub satellites_used: Vec<SatelliteId>,
+    /// What differencing against a base adds; `None` without one.
+    pub relative: Option<RelativeEstimate>,
+}
+
+/// What is known of a position that was found relative to a base.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RelativeEstimate {
+    /// From the base's antenna reference point to the rover's, ECEF (m).
+    pub baseline_m: Vector3<f64>,
+    /// The rover's tag less that of the base epoch (s).
+    pub age_s: f64,
+    /// Ambiguities estimated.
+    pub ambiguities: usize,
+    /// How many of them are held at integers; zero unless the status is [`Status::Fixed`].
+    pub fixed_ambiguities: usize,
+    /// Second-best over best squared norm of the integers, where they were looked for.
+    pub ratio: Option<f64>,
+    /// Bootstrapped success rate of these integers, 0 to 1.
+    pub success_rate: Option<f64>,
+    /// Estimated probability that the integers held are right, 0 to 1.
+    pub fix_probability: Option<f64>,
 }
 
 /// What kept a solution from a better status or quality, with the values one needs to act.
@@ -122,6 +153,59 @@ pub enum Reason {
         /// The model used instead.
         used: &'static str,
     },
+    /// No base epoch is at hand for a mode that needs one.
+    BaseMissing,
+    /// The newest base epoch is too old.
+    BaseStale {
+        /// The rover's tag less the base epoch's (s).
+        age_s: f64,
+    },
+    /// The base's stated position contradicts what the base observes.
+    BasePositionDoubtful {
+        /// From the stated position to its single-point solution (m).
+        distance_m: f64,
+    },
+    /// The base is too far away for differences to cancel the atmosphere.
+    BaselineTooLong {
+        /// Length of the baseline (m).
+        length_m: f64,
+    },
+    /// Fewer satellites common to rover and base than unknowns.
+    TooFewCommonSatellites {
+        /// Common satellites that can be used.
+        used: usize,
+        /// Needed, one more for each further constellation.
+        needed: usize,
+    },
+    /// Integers were found, but others explain the ambiguities nearly as well.
+    RatioBelowThreshold {
+        /// Second-best over best squared norm.
+        ratio: f64,
+        /// What it had to reach.
+        threshold: f64,
+    },
+    /// The ambiguities are not precise enough to look for integers.
+    SuccessRateTooLow {
+        /// Bootstrapped success rate, 0 to 1.
+        success_rate: f64,
+    },
+    /// Integers were found and contradict the measurements.
+    FixRejected,
+    /// Phases that may be off by half a cycle were left out of the integers.
+    HalfCycleUnresolved {
+        /// Of which satellites.
+        satellites: Vec<SatelliteId>,
+    },
+    /// Phases slipped, so that their ambiguities began anew.
+    CycleSlips {
+        /// Of which satellites.
+        satellites: Vec<SatelliteId>,
+    },
+    /// The window is young, and what it saw so far may be reflections: expect a wrong start.
+    StartUnproven {
+        /// Since the window began (s).
+        age_s: f64,
+    },
 }
 
 impl Reason {
@@ -136,6 +220,17 @@ impl Reason {
             Self::SatellitesExcluded { .. } => "SATELLITES_EXCLUDED",
             Self::NotConverged => "NOT_CONVERGED",
             Self::IonosphereFallback { .. } => "IONOSPHERE_FALLBACK",
+            Self::BaseMissing => "BASE_MISSING",
+            Self::BaseStale { .. } => "BASE_STALE",
+            Self::BasePositionDoubtful { .. } => "BASE_POSITION_DOUBTFUL",
+            Self::BaselineTooLong { .. } => "BASELINE_TOO_LONG",
+            Self::TooFewCommonSatellites { .. } => "TOO_FEW_COMMON_SATELLITES",
+            Self::RatioBelowThreshold { .. } => "RATIO_BELOW_THRESHOLD",
+            Self::SuccessRateTooLow { .. } => "SUCCESS_RATE_TOO_LOW",
+            Self::FixRejected => "FIX_REJECTED",
+            Self::HalfCycleUnresolved { .. } => "HALF_CYCLE_UNRESOLVED",
+            Self::CycleSlips { .. } => "CYCLE_SLIPS",
+            Self::StartUnproven { .. } => "START_UNPROVEN",
         }
     }
 
@@ -155,6 +250,22 @@ impl Reason {
             Self::NotConverged => "check the observations; they contradict one another",
             Self::IonosphereFallback { .. } => {
                 "push navigation data that carries the ionosphere coefficients"
+            }
+            Self::BaseMissing => "name a base and push its epochs",
+            Self::BaseStale { .. } => "check the base's connection, or allow a greater base age",
+            Self::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
+            Self::BaselineTooLong { .. } => "choose a nearer base",
+            Self::TooFewCommonSatellites { .. } => {
+                "choose a base that receives the rover's constellations and bands"
+            }
+            Self::RatioBelowThreshold { .. } | Self::SuccessRateTooLow { .. } => {
+                "wait for more epochs, a clearer sky, or receive a second frequency"
+            }
+            Self::FixRejected => "none needed: it is tried again at the next epoch",
+            Self::HalfCycleUnresolved { .. } => "none needed: the receiver resolves them in time",
+            Self::CycleSlips { .. } => "expect less precision until the new ambiguities settle",
+            Self::StartUnproven { .. } => {
+                "do not rely on the position until the reason is gone: drive on, or see more sky"
             }
         }
     }
@@ -185,7 +296,28 @@ impl Reason {
             Self::GeometryTooWeak { gdop } => vec![("gdop", V::Number(*gdop))],
             Self::ResidualsTooLarge { ratio } => vec![("ratio", V::Number(*ratio))],
             Self::IonosphereFallback { used } => vec![("used", V::Text(used))],
-            Self::NoRedundancy | Self::NotConverged => Vec::new(),
+            Self::HalfCycleUnresolved { satellites } | Self::CycleSlips { satellites } => {
+                vec![("satellites", V::Satellites(satellites.clone()))]
+            }
+            Self::TooFewCommonSatellites { used, needed } => {
+                vec![("used", V::Number(*used as f64)), ("needed", V::Number(*needed as f64))]
+            }
+            Self::BaseStale { age_s } | Self::StartUnproven { age_s } => {
+                vec![("ageS", V::Number(*age_s))]
+            }
+            Self::BasePositionDoubtful { distance_m } => {
+                vec![("distanceM", V::Number(*distance_m))]
+            }
+            Self::BaselineTooLong { length_m } => vec![("lengthM", V::Number(*length_m))],
+            Self::RatioBelowThreshold { ratio, threshold } => {
+                vec![("ratio", V::Number(*ratio)), ("threshold", V::Number(*threshold))]
+            }
+            Self::SuccessRateTooLow { success_rate } => {
+                vec![("successRate", V::Number(*success_rate))]
+            }
+            Self::NoRedundancy | Self::NotConverged | Self::BaseMissing | Self::FixRejected => {
+                Vec::new()
+            }
         }
     }
 }
@@ -194,14 +326,33 @@ impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.code())?;
         match self {
-            Self::EphemerisMissing { satellites } | Self::SatellitesExcluded { satellites } => {
-                write!(f, "{satellites:?}")
+            Self::EphemerisMissing { satellites }
+            | Self::SatellitesExcluded { satellites }
+            | Self::HalfCycleUnresolved { satellites }
+            | Self::CycleSlips { satellites } => write!(f, "{satellites:?}"),
+            Self::TooFewSatellites { used, needed }
+            | Self::TooFewCommonSatellites { used, needed } => {
+                write!(f, "{{used {used} of {needed}}}")
             }
-            Self::TooFewSatellites { used, needed } => write!(f, "{{used {used} of {needed}}}"),
             Self::GeometryTooWeak { gdop } => write!(f, "{{gdop {gdop:.1}}}"),
             Self::ResidualsTooLarge { ratio } => write!(f, "{{ratio {ratio:.2}}}"),
             Self::IonosphereFallback { used } => write!(f, "{{used {used}}}"),
-            Self::NoRedundancy | Self::NotConverged => Ok(()),
+            Self::BaseStale { age_s } | Self::StartUnproven { age_s } => {
+                write!(f, "{{age {age_s:.1} s}}")
+            }
+            Self::BasePositionDoubtful { distance_m } => {
+                write!(f, "{{distance {distance_m:.0} m}}")
+            }
+            Self::BaselineTooLong { length_m } => write!(f, "{{length {length_m:.0} m}}"),
+            Self::RatioBelowThreshold { ratio, threshold } => {
+                write!(f, "{{ratio {ratio:.2} of {threshold:.2}}}")
+            }
+            Self::SuccessRateTooLow { success_rate } => {
+                write!(f, "{{success rate {success_rate:.4}}}")
+            }
+            Self::NoRedundancy | Self::NotConverged | Self::BaseMissing | Self::FixRejected => {
+                Ok(())
+            }
         }
     }
 }

@@ -79,6 +79,7 @@ pub(super) fn solution(
         reception_time: epoch.time - clock_m / SPEED_OF_LIGHT,
         dops: geometry.map_or(UNDETERMINED, |geometry| dops(&geometry, &used)),
         satellites_used: used.iter().map(|range| range.satellite).collect(),
+        relative: None,
     };
     Solution {
         time: epoch.time,

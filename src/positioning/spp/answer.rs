@@ -38,6 +38,7 @@ impl SinglePoint {
             reception_time: epoch.time - clock_m / SPEED_OF_LIGHT,
             dops,
             satellites_used: self.satellites_used(),
+            relative: None,
         })
     }
 

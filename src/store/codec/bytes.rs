@@ -139,9 +139,17 @@ pub(super) struct Decoder<'a> {
 impl<'a> Decoder<'a> {
     /// Starts behind the version, which must be `version`.
     pub(super) fn new(bytes: &'a [u8], version: u8) -> Result<Self, CodecError> {
+        match Self::of_versions(bytes, version)? {
+            (decoder, found) if found == version => Ok(decoder),
+            (_, found) => Err(CodecError::UnknownVersion { version: found }),
+        }
+    }
+
+    /// Of an encoding that has changed: its version too, 1 to `newest`.
+    pub(super) fn of_versions(bytes: &'a [u8], newest: u8) -> Result<(Self, u8), CodecError> {
         let mut decoder = Self { bytes, offset: 0 };
         match decoder.u8()? {
-            found if found == version => Ok(decoder),
+            found if (1..=newest).contains(&found) => Ok((decoder, found)),
             found => Err(CodecError::UnknownVersion { version: found }),
         }
     }

@@ -9,7 +9,7 @@ use crate::config::IonosphereModel;
 use crate::gnss::{
     Constellation, Cycles, Dops, Ecef, Ephemeris, EphemerisIssue, Epoch, GlonassEphemeris, GpsTime,
     GroupDelays, KeplerianEphemeris, NavigationMessage, Observation, ObservationCode, Provenance,
-    Reason, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
+    Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
 };
 
 use super::ephemeris::MESSAGES;
@@ -81,6 +81,26 @@ fn reason() -> impl Strategy<Value = Reason> {
         Just(Reason::NotConverged),
         (0..IonosphereModel::ALL.len())
             .prop_map(|m| Reason::IonosphereFallback { used: IonosphereModel::ALL[m].name() }),
+        base_reason(),
+    ]
+}
+
+fn base_reason() -> impl Strategy<Value = Reason> {
+    let satellites = || vec(satellite(), 0..5);
+    prop_oneof![
+        Just(Reason::BaseMissing),
+        number().prop_map(|age_s| Reason::BaseStale { age_s }),
+        number().prop_map(|distance_m| Reason::BasePositionDoubtful { distance_m }),
+        number().prop_map(|length_m| Reason::BaselineTooLong { length_m }),
+        (any::<usize>(), any::<usize>())
+            .prop_map(|(used, needed)| Reason::TooFewCommonSatellites { used, needed }),
+        (number(), number())
+            .prop_map(|(ratio, threshold)| Reason::RatioBelowThreshold { ratio, threshold }),
+        number().prop_map(|success_rate| Reason::SuccessRateTooLow { success_rate }),
+        Just(Reason::FixRejected),
+        satellites().prop_map(|satellites| Reason::HalfCycleUnresolved { satellites }),
+        satellites().prop_map(|satellites| Reason::CycleSlips { satellites }),
+        number().prop_map(|age_s| Reason::StartUnproven { age_s }),
     ]
 }
 
@@ -90,10 +110,27 @@ fn velocity() -> impl Strategy<Value = Velocity> {
     })
 }
 
+fn relative_estimate() -> impl Strategy<Value = RelativeEstimate> {
+    let counts = (any::<usize>(), any::<usize>());
+    (vector(), number(), counts, vec(option::of(number()), 3)).prop_map(
+        |(baseline_m, age_s, (ambiguities, fixed_ambiguities), quality)| RelativeEstimate {
+            baseline_m,
+            age_s,
+            ambiguities,
+            fixed_ambiguities,
+            ratio: quality[0],
+            success_rate: quality[1],
+            fix_probability: quality[2],
+        },
+    )
+}
+
 fn estimate() -> impl Strategy<Value = SolutionEstimate> {
     let biases = vec((constellation(), number()), 0..4);
     let position = (vector(), covariance(), option::of(velocity()));
-    let rest = (number(), biases, time(), vec(number(), 5), vec(satellite(), 0..40));
+    let satellites = vec(satellite(), 0..40);
+    let rest =
+        (number(), biases, time(), vec(number(), 5), satellites, option::of(relative_estimate()));
     (position, rest).prop_map(|((position, covariance, velocity), rest)| SolutionEstimate {
         position: Ecef(position),
         covariance,
@@ -109,6 +146,7 @@ fn estimate() -> impl Strategy<Value = SolutionEstimate> {
             tdop: rest.3[4],
         },
         satellites_used: rest.4,
+        relative: rest.5,
     })
 }
 

@@ -2,13 +2,15 @@
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    Dops, Ecef, EphemerisIssue, Provenance, Reason, Solution, SolutionEstimate, Status, Velocity,
+    Dops, Ecef, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution, SolutionEstimate,
+    Status, Velocity,
 };
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
 
-const VERSION: u8 = 1;
+/// 1 had no relative estimate.
+const VERSION: u8 = 2;
 
 /// A solution with what made it.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +28,10 @@ pub(in crate::store) const fn status_number(status: Status) -> i16 {
     match status {
         Status::None => 0,
         Status::Single => 10,
+        Status::Ekf => 15,
         Status::Fgo => 20,
+        Status::Float => 30,
+        Status::Fixed => 40,
     }
 }
 
@@ -77,6 +82,20 @@ fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate) {
     let Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
     [gdop, pdop, hdop, vdop, tdop].into_iter().for_each(|dop| out.f64(dop));
     out.satellites(&estimate.satellites_used);
+    out.u8(u8::from(estimate.relative.is_some()));
+    if let Some(relative) = &estimate.relative {
+        encode_relative(out, relative);
+    }
+}
+
+fn encode_relative(out: &mut Encoder, relative: &RelativeEstimate) {
+    out.vector(&relative.baseline_m);
+    out.f64(relative.age_s);
+    out.count(relative.ambiguities);
+    out.count(relative.fixed_ambiguities);
+    [relative.ratio, relative.success_rate, relative.fix_probability]
+        .into_iter()
+        .for_each(|value| out.optional_f64(value));
 }
 
 fn encode_reason(out: &mut Encoder, reason: &Reason) {
@@ -108,18 +127,58 @@ fn encode_reason(out: &mut Encoder, reason: &Reason) {
             out.u8(7);
             out.text(used);
         }
+        of_base => encode_base_reason(out, of_base),
+    }
+}
+
+/// Those that only positions relative to a base give, and those that came with them.
+fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
+    let mut numbers = |kind: u8, values: &[f64]| {
+        out.u8(kind);
+        values.iter().for_each(|value| out.f64(*value));
+    };
+    match reason {
+        Reason::BaseMissing => numbers(8, &[]),
+        Reason::BaseStale { age_s } => numbers(9, &[*age_s]),
+        Reason::BasePositionDoubtful { distance_m } => numbers(10, &[*distance_m]),
+        Reason::BaselineTooLong { length_m } => numbers(11, &[*length_m]),
+        Reason::TooFewCommonSatellites { used, needed } => {
+            out.u8(12);
+            out.count(*used);
+            out.count(*needed);
+        }
+        Reason::RatioBelowThreshold { ratio, threshold } => numbers(13, &[*ratio, *threshold]),
+        Reason::SuccessRateTooLow { success_rate } => numbers(14, &[*success_rate]),
+        Reason::FixRejected => numbers(15, &[]),
+        Reason::HalfCycleUnresolved { satellites } => {
+            out.u8(16);
+            out.satellites(satellites);
+        }
+        Reason::CycleSlips { satellites } => {
+            out.u8(17);
+            out.satellites(satellites);
+        }
+        Reason::StartUnproven { age_s } => numbers(18, &[*age_s]),
+        Reason::EphemerisMissing { .. }
+        | Reason::TooFewSatellites { .. }
+        | Reason::GeometryTooWeak { .. }
+        | Reason::NoRedundancy
+        | Reason::ResidualsTooLarge { .. }
+        | Reason::SatellitesExcluded { .. }
+        | Reason::NotConverged
+        | Reason::IonosphereFallback { .. } => unreachable!("written by encode_reason"),
     }
 }
 
 /// The solution of its bytes.
 pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution, CodecError> {
-    let mut input = Decoder::new(bytes, VERSION)?;
+    let (mut input, layout) = Decoder::of_versions(bytes, VERSION)?;
     let time = input.time()?;
     let number = i16::from(input.u8()?);
     let known = Status::ALL.into_iter().find(|status| status_number(*status) == number);
     let status = known.ok_or_else(|| input.invalid("status"))?;
     let estimate = match input.flag("estimate")? {
-        true => Some(decode_estimate(&mut input)?),
+        true => Some(decode_estimate(&mut input, layout)?),
         false => None,
     };
     let count = input.count("number of reasons")?;
@@ -141,7 +200,7 @@ fn decode_issue(input: &mut Decoder<'_>) -> Result<EphemerisIssue, CodecError> {
     })
 }
 
-fn decode_estimate(input: &mut Decoder<'_>) -> Result<SolutionEstimate, CodecError> {
+fn decode_estimate(input: &mut Decoder<'_>, layout: u8) -> Result<SolutionEstimate, CodecError> {
     let position = Ecef(input.vector()?);
     let covariance = input.covariance()?;
     let velocity = match input.flag("velocity")? {
@@ -173,6 +232,22 @@ fn decode_estimate(input: &mut Decoder<'_>) -> Result<SolutionEstimate, CodecErr
             tdop: input.f64()?,
         },
         satellites_used: input.satellites()?,
+        relative: match 2 <= layout && input.flag("relative estimate")? {
+            true => Some(decode_relative(input)?),
+            false => None,
+        },
+    })
+}
+
+fn decode_relative(input: &mut Decoder<'_>) -> Result<RelativeEstimate, CodecError> {
+    Ok(RelativeEstimate {
+        baseline_m: input.vector()?,
+        age_s: input.f64()?,
+        ambiguities: input.usize("ambiguities")?,
+        fixed_ambiguities: input.usize("fixed ambiguities")?,
+        ratio: input.optional_f64()?,
+        success_rate: input.optional_f64()?,
+        fix_probability: input.optional_f64()?,
     })
 }
 
@@ -194,6 +269,20 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
             let model = model.ok_or_else(|| input.invalid("ionosphere model"))?;
             Reason::IonosphereFallback { used: model.name() }
         }
+        8 => Reason::BaseMissing,
+        9 => Reason::BaseStale { age_s: input.f64()? },
+        10 => Reason::BasePositionDoubtful { distance_m: input.f64()? },
+        11 => Reason::BaselineTooLong { length_m: input.f64()? },
+        12 => Reason::TooFewCommonSatellites {
+            used: input.usize("common satellites used")?,
+            needed: input.usize("common satellites needed")?,
+        },
+        13 => Reason::RatioBelowThreshold { ratio: input.f64()?, threshold: input.f64()? },
+        14 => Reason::SuccessRateTooLow { success_rate: input.f64()? },
+        15 => Reason::FixRejected,
+        16 => Reason::HalfCycleUnresolved { satellites: input.satellites()? },
+        17 => Reason::CycleSlips { satellites: input.satellites()? },
+        18 => Reason::StartUnproven { age_s: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }
