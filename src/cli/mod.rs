@@ -3,6 +3,7 @@
 //! A command that cannot do its work ends with a non-zero exit code and one line on standard
 //! error, `error[CODE]: what is wrong (what to do)`.
 
+mod answers;
 mod config;
 mod demo;
 mod device;
@@ -10,6 +11,7 @@ mod evaluate;
 mod failure;
 mod host;
 mod option_arguments;
+mod recording;
 mod serve;
 mod simulate;
 mod solve;

@@ -1,22 +1,21 @@
 //! `graphfix solve`: a file of observations in, a file of positions out.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, IsTerminal, Write};
+use std::io::{BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Args;
 
 use crate::config::{Mode, PositioningOptions};
-use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
-use crate::formats::{csv, decompress, geojson, pos};
-use crate::gnss::{Epoch, GpsTime, LeapSeconds, Navigation, Reason, Solution, Status};
-use crate::positioning::{Aiding, Batch, Estimator};
+use crate::formats::{csv, geojson, pos};
+use crate::gnss::{Epoch, GpsTime, LeapSeconds, Reason, Solution, Status};
 
 use super::Failure;
+use super::answers::{AnswerKind, Solver};
 use super::option_arguments::OptionArguments;
+use super::recording::{LeftOut, Recording, RecordingArguments};
 
-const READ_BUFFER_BYTES: usize = 1 << 16;
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
 /// The window that holds everything.
 const BATCH: &str = "batch";
@@ -30,12 +29,8 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 /// Reads RINEX 2 to 4 and CRINEX, gzip too. The solution's epochs are named by the receiver's tags.
 #[derive(Debug, Args)]
 pub(crate) struct SolveArguments {
-    /// Observations of the rover.
-    #[arg(long, value_name = "FILE")]
-    rover: PathBuf,
-    /// Navigation data; may be repeated.
-    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
-    nav: Vec<PathBuf>,
+    #[command(flatten)]
+    recording: RecordingArguments,
     #[command(flatten)]
     options: OptionArguments,
     /// Length of the window of mode fgo in seconds, or `batch` for everything at once.
@@ -44,12 +39,6 @@ pub(crate) struct SolveArguments {
     /// Write each epoch as it is once it leaves the window of mode fgo, smoothed by what followed.
     #[arg(long)]
     smoothed: bool,
-    /// First epoch, GPS seconds of week.
-    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
-    from: Option<f64>,
-    /// Last epoch, GPS seconds of week.
-    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
-    to: Option<f64>,
     /// Where to write; the name's ending chooses .pos, .csv or .geojson.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
@@ -59,34 +48,20 @@ pub(crate) struct SolveArguments {
 pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let began = Instant::now();
     let options = arguments.options()?;
-    let mut navigation = Navigation::default();
-    let mut skipped = Vec::new();
-    for path in &arguments.nav {
-        let (read, left_out) = read_navigation(open(path)?)
-            .map_err(|error| unreadable(path, &error, "name a RINEX navigation file"))?;
-        navigation.merge(read);
-        skipped.push((path.as_path(), left_out));
-    }
-    let mut reader = ObservationReader::new(open(&arguments.rover)?)
-        .map_err(|error| unreadable(&arguments.rover, &error, "name a RINEX observation file"))?;
+    let mut recording = Recording::open(&arguments.recording)?;
     let comments = [
         format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
         format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
         format!("options   : {}", options.configuration_hash()),
     ];
-    let mut output = Output::create(&arguments.output, &comments, navigation.leap_seconds)?;
-    let mut solver = arguments.solver(options);
-    let aiding = Aiding { navigation: &navigation };
+    let leap_seconds = recording.navigation().leap_seconds;
+    let mut output = Output::create(&arguments.output, &comments, leap_seconds)?;
+    let mut solver = Solver::new(options, arguments.answer_kind());
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
     let mut epoch = Epoch::new(GpsTime::from_ns(0));
-    while reader.read_epoch(&mut epoch).map_err(|error| {
-        unreadable(&arguments.rover, &error, "repair or cut the file at that line")
-    })? {
-        if arguments.is_outside(epoch.time) {
-            continue;
-        }
-        for solution in solver.advance(&epoch, &aiding) {
+    while recording.read_epoch(&mut epoch)? {
+        for solution in solver.advance(&epoch, &recording.aiding()) {
             output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
             tally.add(&solution);
         }
@@ -98,13 +73,12 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     }
     output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
     progress.clear();
-    skipped.insert(0, (&arguments.rover, reader.skipped().clone()));
     if tally.epochs == 0 {
-        let message = format!("{} has no epoch in the span", arguments.rover.display());
-        return Err(Failure::new("NO_EPOCHS", message, "check --from and --to"));
+        return Err(Recording::no_epochs(&arguments.recording));
     }
+    let summary = summary(&tally, &recording.into_left_out(), began.elapsed());
     // Err: nobody reads the summary.
-    std::io::stdout().write_all(summary(&tally, &skipped, began.elapsed()).as_bytes()).ok();
+    std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
 }
 
@@ -122,71 +96,13 @@ impl SolveArguments {
         Ok(options)
     }
 
-    fn solver(&self, options: PositioningOptions) -> Solver {
+    fn answer_kind(&self) -> AnswerKind {
         match (self.window.as_deref(), self.smoothed) {
-            (Some(BATCH), _) => Solver::Batch(Box::new(Batch::new(options))),
-            (_, true) => Solver::FixedLag(Estimator::revising(options)),
-            (_, false) => Solver::Causal(Estimator::new(options)),
+            (Some(BATCH), _) => AnswerKind::Batch,
+            (_, true) => AnswerKind::FixedLag,
+            (_, false) => AnswerKind::Causal,
         }
     }
-
-    fn is_outside(&self, time: GpsTime) -> bool {
-        let seconds = time.seconds_of_week();
-        self.from.is_some_and(|from| seconds < from) || self.to.is_some_and(|to| to < seconds)
-    }
-}
-
-/// Which answer of an estimator is written.
-enum Solver {
-    /// The one at once.
-    Causal(Estimator),
-    /// The one when the epoch leaves the window.
-    FixedLag(Estimator),
-    /// The one from everything.
-    Batch(Box<Batch>),
-}
-
-impl Solver {
-    /// The answers due after an epoch.
-    fn advance(
-        &mut self,
-        epoch: &Epoch,
-        aiding: &Aiding<'_>,
-    ) -> impl Iterator<Item = Solution> + use<> {
-        let (now, revised) = match self {
-            Self::Causal(estimator) => (Some(estimator.advance(epoch, aiding)), Vec::new()),
-            Self::FixedLag(estimator) => {
-                estimator.advance(epoch, aiding);
-                (None, estimator.take_revisions())
-            }
-            Self::Batch(batch) => {
-                batch.push(epoch, aiding);
-                (None, Vec::new())
-            }
-        };
-        now.into_iter().chain(revised)
-    }
-
-    /// The answers due at the end.
-    fn finish(self) -> Vec<Solution> {
-        match self {
-            Self::Causal(_) => Vec::new(),
-            Self::FixedLag(estimator) => estimator.finish(),
-            Self::Batch(batch) => batch.finish(),
-        }
-    }
-}
-
-fn open(path: &Path) -> Result<impl std::io::BufRead, Failure> {
-    let file = File::open(path).map_err(|error| {
-        let message = format!("cannot open {}: {error}", path.display());
-        Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
-    })?;
-    Ok(decompress(BufReader::with_capacity(READ_BUFFER_BYTES, file)))
-}
-
-fn unreadable(path: &Path, error: &dyn std::fmt::Display, remedy: &str) -> Failure {
-    Failure::new("FILE_NOT_UNDERSTOOD", format!("{}: {error}", path.display()), remedy)
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
@@ -290,7 +206,7 @@ impl Progress {
 }
 
 /// The closing lines: epochs, answers, reasons, what the files held that was left out, speed.
-fn summary(tally: &Tally, skipped: &[(&Path, Skipped)], elapsed: Duration) -> String {
+fn summary(tally: &Tally, left_out: &LeftOut<'_>, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!(
         "{} epochs, {} answered, {} without position; {seconds:.3} s, {:.0} epochs/s\n",
@@ -302,7 +218,7 @@ fn summary(tally: &Tally, skipped: &[(&Path, Skipped)], elapsed: Duration) -> St
     for (code, count) in &tally.reasons {
         text += &format!("  {code}: {count} epochs\n");
     }
-    for (path, skipped) in skipped {
+    for (path, skipped) in left_out {
         for entry in skipped.entries() {
             let lines = entry.lines.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
             let (file, count) = (path.display(), entry.count);

@@ -1,0 +1,64 @@
+//! Which of an estimator's answers a command asks for: at once, smoothed, or from everything.
+
+use crate::config::PositioningOptions;
+use crate::gnss::{Epoch, Solution};
+use crate::positioning::{Aiding, Batch, Estimator};
+
+/// The kind of an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum AnswerKind {
+    /// The one at once.
+    Causal,
+    /// The one when the epoch leaves the window.
+    FixedLag,
+    /// The one from everything.
+    Batch,
+}
+
+/// An estimator that gives one kind of answer.
+pub(crate) enum Solver {
+    /// Answers at once, or when epochs leave the window.
+    Window(AnswerKind, Box<Estimator>),
+    /// Answers at the end.
+    Whole(Box<Batch>),
+}
+
+impl Solver {
+    /// One that has seen nothing.
+    pub(crate) fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
+        match kind {
+            AnswerKind::Causal => Self::Window(kind, Box::new(Estimator::new(options))),
+            AnswerKind::FixedLag => Self::Window(kind, Box::new(Estimator::revising(options))),
+            AnswerKind::Batch => Self::Whole(Box::new(Batch::new(options))),
+        }
+    }
+
+    /// The answers due after an epoch.
+    pub(crate) fn advance(
+        &mut self,
+        epoch: &Epoch,
+        aiding: &Aiding<'_>,
+    ) -> impl Iterator<Item = Solution> + use<> {
+        let (now, revised) = match self {
+            Self::Window(AnswerKind::FixedLag, estimator) => {
+                estimator.advance(epoch, aiding);
+                (None, estimator.take_revisions())
+            }
+            Self::Window(_, estimator) => (Some(estimator.advance(epoch, aiding)), Vec::new()),
+            Self::Whole(batch) => {
+                batch.push(epoch, aiding);
+                (None, Vec::new())
+            }
+        };
+        now.into_iter().chain(revised)
+    }
+
+    /// The answers due at the end.
+    pub(crate) fn finish(self) -> Vec<Solution> {
+        match self {
+            Self::Window(AnswerKind::FixedLag, estimator) => estimator.finish(),
+            Self::Window(..) => Vec::new(),
+            Self::Whole(batch) => batch.finish(),
+        }
+    }
+}

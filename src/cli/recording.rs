@@ -1,0 +1,117 @@
+//! The files that a recording consists of, as `solve` and `compare` take and read them.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::formats::decompress;
+use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
+use crate::gnss::{Epoch, GpsTime, Navigation};
+use crate::positioning::Aiding;
+
+use super::Failure;
+
+const READ_BUFFER_BYTES: usize = 1 << 16;
+
+/// The arguments that name a recording.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct RecordingArguments {
+    /// Observations of the rover.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) rover: PathBuf,
+    /// Navigation data; may be repeated.
+    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    nav: Vec<PathBuf>,
+    /// First epoch, GPS seconds of week.
+    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
+    from: Option<f64>,
+    /// Last epoch, GPS seconds of week.
+    #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
+    to: Option<f64>,
+}
+
+impl RecordingArguments {
+    fn is_outside(&self, time: GpsTime) -> bool {
+        let seconds = time.seconds_of_week();
+        self.from.is_some_and(|from| seconds < from) || self.to.is_some_and(|to| to < seconds)
+    }
+}
+
+/// What the files of a recording held that was left out, by file.
+pub(crate) type LeftOut<'a> = Vec<(&'a Path, Skipped)>;
+
+/// A recording that is being read, epoch by epoch.
+pub(crate) struct Recording<'a> {
+    arguments: &'a RecordingArguments,
+    navigation: Navigation,
+    left_out: LeftOut<'a>,
+    rover: ObservationReader<Box<dyn BufRead>>,
+}
+
+impl<'a> Recording<'a> {
+    /// Reads the navigation data and the header of the observations.
+    pub(crate) fn open(arguments: &'a RecordingArguments) -> Result<Self, Failure> {
+        let mut navigation = Navigation::default();
+        let mut left_out = Vec::new();
+        for path in &arguments.nav {
+            let (read, skipped) = read_navigation(open(path)?)
+                .map_err(|error| unreadable(path, &error, "name a RINEX navigation file"))?;
+            navigation.merge(read);
+            left_out.push((path.as_path(), skipped));
+        }
+        let rover = ObservationReader::new(open(&arguments.rover)?).map_err(|error| {
+            unreadable(&arguments.rover, &error, "name a RINEX observation file")
+        })?;
+        Ok(Self { arguments, navigation, left_out, rover })
+    }
+
+    /// The broadcast navigation data.
+    pub(crate) fn navigation(&self) -> &Navigation {
+        &self.navigation
+    }
+
+    /// What an estimator needs for the epoch read last.
+    pub(crate) fn aiding(&self) -> Aiding<'_> {
+        Aiding { navigation: &self.navigation }
+    }
+
+    /// Reads the next epoch of the span asked for into `epoch`; false at the end.
+    pub(crate) fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, Failure> {
+        let rover = &self.arguments.rover;
+        loop {
+            let is_read = self.rover.read_epoch(epoch).map_err(|error| {
+                unreadable(rover, &error, "repair or cut the file at that line")
+            })?;
+            if !is_read || !self.arguments.is_outside(epoch.time) {
+                return Ok(is_read);
+            }
+        }
+    }
+
+    /// What was left out of the files, the rover's first.
+    pub(crate) fn into_left_out(self) -> LeftOut<'a> {
+        let mut left_out = self.left_out;
+        left_out.insert(0, (&self.arguments.rover, self.rover.skipped().clone()));
+        left_out
+    }
+
+    /// The refusal of a recording without an epoch in the span.
+    pub(crate) fn no_epochs(arguments: &RecordingArguments) -> Failure {
+        let message = format!("{} has no epoch in the span", arguments.rover.display());
+        Failure::new("NO_EPOCHS", message, "check --from and --to")
+    }
+}
+
+fn open(path: &Path) -> Result<Box<dyn BufRead>, Failure> {
+    let file = File::open(path).map_err(|error| {
+        let message = format!("cannot open {}: {error}", path.display());
+        Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
+    })?;
+    Ok(Box::new(decompress(BufReader::with_capacity(READ_BUFFER_BYTES, file))))
+}
+
+fn unreadable(path: &Path, error: &dyn std::fmt::Display, remedy: &str) -> Failure {
+    Failure::new("FILE_NOT_UNDERSTOOD", format!("{}: {error}", path.display()), remedy)
+}
