@@ -6,10 +6,14 @@
 //! Doppler, and `fgo` keeps a window of epochs in a factor graph made of `factors`. Physics is in
 //! `models`, the choice of all of it in `config`.
 
+mod answer;
+mod clock_jump;
 mod estimator;
 mod factors;
 mod fgo;
 mod measurements;
+mod phases;
+mod ranging;
 #[cfg(test)]
 mod scenario;
 mod spp;

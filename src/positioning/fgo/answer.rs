@@ -1,43 +1,20 @@
 //! From a state of the graph to a solution.
 
-use nalgebra::{Matrix3, SMatrix, SVector};
+use nalgebra::SMatrix;
 
-use crate::gnss::constants::SPEED_OF_LIGHT;
-use crate::gnss::{
-    Constellation, Dops, Enu, Provenance, Reason, Solution, SolutionEstimate, Status, Velocity,
-};
+use crate::gnss::{Solution, Status};
 use crate::graph::Phase;
-use crate::positioning::factors::{CLOCK, DRIFT, STATE, VELOCITY, position, velocity};
+use crate::positioning::answer::Answer;
+use crate::positioning::factors::STATE;
+use crate::positioning::ranging::Ranging;
 
 use super::chain::Chain;
-use super::epoch::Ranging;
 use super::settings::Settings;
 
 /// Weight from which on a pseudorange counts as used: a Geman–McClure kernel's at its width.
 const USED_WEIGHT: f64 = 0.25;
-/// Standard deviation of a position that is none (m).
-const LOST_M: f64 = 1e3;
-/// Unknowns of a geometry: position and a clock for each constellation.
-const UNKNOWNS: usize = 3 + Constellation::COUNT;
-
-/// Inverse normal matrix of position and clocks.
-type Geometry = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
-
-/// Dilutions of precision of pseudoranges that do not determine a position by themselves.
-const UNDETERMINED: Dops = Dops {
-    gdop: f64::INFINITY,
-    pdop: f64::INFINITY,
-    hdop: f64::INFINITY,
-    vdop: f64::INFINITY,
-    tdop: f64::INFINITY,
-};
 
 /// The solution of state `k` with its covariance.
-///
-/// The graph takes the errors of pseudoranges for independent from epoch to epoch. They are not:
-/// reflections last for tens of seconds, orbit, clock and atmosphere for hours. The covariance
-/// stated is n·C + σ²·(GᵀG)⁻¹, C the graph's, n how many epochs repeat one error, σ the deviation
-/// of what lasts and G the epoch's own geometry.
 pub(super) fn solution(
     chain: &Chain,
     k: usize,
@@ -45,117 +22,25 @@ pub(super) fn solution(
     settings: &Settings,
 ) -> Solution {
     let (epoch, state) = (&chain.epochs[k], &chain.estimate.states[k]);
+    let biases_m = &chain.estimate.border;
     let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
     let is_used = |range: &&Ranging| {
-        let row = range.factor.linearize(state, range.bias_m(&chain.estimate));
+        let row = range.factor.linearize(state, range.bias_m(biases_m));
         USED_WEIGHT <= kernel.weight(row.residual)
     };
-    let mut used: Vec<_> = epoch.ranges.iter().filter(is_used).collect();
-    used.sort_unstable_by_key(|range| range.satellite);
-    let mut reasons = epoch.reasons.clone();
-    quality_reasons(&epoch.ranges, &used, &mut reasons);
-    let geometry = geometry(chain, k, &used);
-    let mut place = covariance.fixed_view::<3, 3>(0, 0) * epoch.repetition;
-    if let Some(geometry) = &geometry {
-        place += geometry.fixed_view::<3, 3>(0, 0) * settings.lasting_m2;
-    }
-    if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
-        return Solution::none(epoch.time, reasons);
-    }
-    let frame = &chain.frame;
-    let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
-    let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
-    let (clock_m, inter_system_biases_m) = clocks(chain, &epoch.ranges, state[CLOCK]);
-    let estimate = SolutionEstimate {
-        position: frame.to_ecef(Enu(position(state))),
-        covariance: to_ecef(&place),
-        velocity: epoch.carries_velocity().then(|| Velocity {
-            velocity_m_s: frame.rotation.transpose() * velocity(state),
-            covariance: to_ecef(&pace),
-            clock_drift_m_s: state[DRIFT],
-        }),
-        clock_m,
-        inter_system_biases_m,
-        reception_time: epoch.time - clock_m / SPEED_OF_LIGHT,
-        dops: geometry.map_or(UNDETERMINED, |geometry| dops(&geometry, &used)),
-        satellites_used: used.iter().map(|range| range.satellite).collect(),
-        relative: None,
-    };
-    Solution {
-        time: epoch.time,
+    let answer = Answer {
         status: Status::Fgo,
-        estimate: Some(estimate),
-        reasons,
-        provenance: Provenance { ephemerides: used.iter().map(|range| range.ephemeris).collect() },
-    }
-}
-
-/// What kept the epoch from being better.
-fn quality_reasons(all: &[Ranging], used: &[&Ranging], reasons: &mut Vec<Reason>) {
-    if used.len() < all.len() {
-        let mut satellites: Vec<_> = all.iter().map(|range| range.satellite).collect();
-        satellites.retain(|satellite| used.iter().all(|range| range.satellite != *satellite));
-        satellites.sort_unstable();
-        reasons.push(Reason::SatellitesExcluded { satellites });
-    }
-    let mut present = [false; Constellation::COUNT];
-    used.iter().for_each(|range| present[range.satellite.constellation.index()] = true);
-    let needed = 3 + present.iter().filter(|present| **present).count().max(1);
-    if used.len() < needed {
-        reasons.push(Reason::TooFewSatellites { used: used.len(), needed });
-    } else if used.len() == needed {
-        reasons.push(Reason::NoRedundancy);
-    }
-    if used.len() < all.len() - used.len() {
-        let ratio = (all.len() - used.len()) as f64 / used.len().max(1) as f64;
-        reasons.push(Reason::ResidualsTooLarge { ratio });
-    }
-}
-
-/// Clock of the first constellation present (m), and each further one less it.
-fn clocks(chain: &Chain, ranges: &[Ranging], clock_m: f64) -> (f64, Vec<(Constellation, f64)>) {
-    let bias_m = |constellation: Constellation| {
-        let found = ranges.iter().find(|range| range.satellite.constellation == constellation);
-        found.map(|range| (constellation, range.bias_m(&chain.estimate)))
+        time: epoch.time,
+        frame: &chain.frame,
+        state,
+        covariance,
+        biases_m,
+        ranges: &epoch.ranges,
+        used: epoch.ranges.iter().filter(is_used).collect(),
+        has_velocity: epoch.carries_velocity(),
+        repetition: epoch.repetition,
+        lasting_m2: settings.lasting_m2,
+        reasons: epoch.reasons.clone(),
     };
-    let mut present = Constellation::ALL.into_iter().filter_map(bias_m);
-    let Some((_, first_m)) = present.next() else {
-        return (clock_m, Vec::new());
-    };
-    (clock_m + first_m, present.map(|(c, bias_m)| (c, bias_m - first_m)).collect())
-}
-
-/// (GᵀG)⁻¹ of the pseudoranges used, local position and one clock for each constellation; `None`
-/// where they do not determine the position by themselves. Clocks without any are one.
-fn geometry(chain: &Chain, k: usize, used: &[&Ranging]) -> Option<Geometry> {
-    let at = position(&chain.estimate.states[k]);
-    let mut normal = Geometry::zeros();
-    for range in used {
-        let (_, slope) = range.factor.sight.range(&at);
-        let mut row = SVector::<f64, UNKNOWNS>::zeros();
-        row.fixed_rows_mut::<3>(0).copy_from(&slope);
-        row[3 + range.satellite.constellation.index()] = 1.0;
-        normal += row * row.transpose();
-    }
-    for clock in 3..UNKNOWNS {
-        if normal[(clock, clock)] == 0.0 {
-            normal[(clock, clock)] = 1.0;
-        }
-    }
-    normal.cholesky().map(|factor| factor.inverse())
-}
-
-/// Dilutions of precision, each pseudorange counting alike.
-fn dops(geometry: &Geometry, used: &[&Ranging]) -> Dops {
-    let constellations = used.iter().map(|range| range.satellite.constellation.index());
-    let clock = 3 + constellations.min().unwrap_or(0);
-    let horizontal = geometry[(0, 0)] + geometry[(1, 1)];
-    let (vertical, time) = (geometry[(2, 2)], geometry[(clock, clock)]);
-    Dops {
-        gdop: (horizontal + vertical + time).sqrt(),
-        pdop: (horizontal + vertical).sqrt(),
-        hdop: horizontal.sqrt(),
-        vdop: vertical.sqrt(),
-        tdop: time.sqrt(),
-    }
+    answer.solution()
 }

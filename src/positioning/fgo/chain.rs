@@ -5,15 +5,17 @@ use nalgebra::Vector3;
 use crate::config::{DopplerUse, PositioningOptions};
 use crate::gnss::{Constellation, Ecef, GpsTime, LocalFrame};
 use crate::graph::{Elimination, EliminationError, Estimate, Phase, Prior, System};
+use crate::positioning::clock_jump::{CRYSTAL_DRIFT_M_S, jump_m};
 use crate::positioning::factors::{
     BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerFactor, DopplerVelocityFactor,
-    MotionFactor, PseudorangeFactor, STATE, Sight, State, VELOCITY, position,
+    MotionFactor, STATE, State, VELOCITY, position,
 };
+use crate::positioning::phases::Phases;
+use crate::positioning::ranging::{Ranging, median};
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::positioning::{Measurement, Measurements};
 
-use super::epoch::{GraphEpoch, Ranging, Rows, Tie};
-use super::phases::{MILLISECOND_M, Phases, median};
+use super::epoch::{GraphEpoch, Rows, Tie};
 use super::settings::Settings;
 
 /// Deviation of the first position about its start (m): says nearly nothing.
@@ -22,14 +24,10 @@ const START_M: f64 = 1e4;
 const START_M_S: f64 = 100.0;
 /// Deviation of the first clock (m): far more than any receiver leaves after the median.
 const START_CLOCK_M: f64 = 1e5;
-/// Deviation of the first drift (m/s): 3 ppm, a plain crystal.
-const START_DRIFT_M_S: f64 = 1e3;
 /// Deviation of an inter-system bias before it is measured (m): 1 µs.
 const BIAS_M: f64 = 300.0;
 /// Speed taken for a deviation where no Doppler gives the velocity of a tie (m/s).
 const UNKNOWN_SPEED_M_S: f64 = 50.0;
-/// Clocks that miss their prediction by more jumped (m), besides what an unknown drift explains.
-const JUMP_M: f64 = 1e3;
 
 /// The epochs in the graph, their estimate, and the prior of those before.
 #[derive(Debug)]
@@ -185,17 +183,8 @@ impl Chain {
         for measurement in list.iter().filter(is_used) {
             let constellation = measurement.satellite.constellation;
             let further = Some(constellation) != reference;
-            let factor = PseudorangeFactor {
-                sight: Sight::new(&self.frame, measurement.state.position),
-                corrected_range_m: measurement.corrected_range_m,
-                inverse_sigma: measurement.variance_m2.sqrt().recip(),
-            };
-            epoch.ranges.push(Ranging {
-                factor,
-                satellite: measurement.satellite,
-                ephemeris: measurement.ephemeris,
-                bias: further.then_some(first + constellation.index()),
-            });
+            let bias = further.then_some(first + constellation.index());
+            epoch.ranges.push(Ranging::new(&self.frame, measurement, bias));
         }
         if self.ring != 0 {
             self.begun = [false; Constellation::COUNT];
@@ -211,7 +200,7 @@ impl Chain {
         };
         self.scratch.clear();
         for range in epoch.ranges.iter().filter(|range| known(range, &self.begun)) {
-            self.scratch.push(miss_m(range, guess, &self.estimate));
+            self.scratch.push(range.miss_m(guess, &self.estimate.border));
         }
         let mut miss = median(&mut self.scratch);
         for constellation in Constellation::ALL {
@@ -222,7 +211,8 @@ impl Chain {
             };
             self.scratch.clear();
             self.estimate.border[variable] = 0.0;
-            let misses = epoch.ranges.iter().filter(of).map(|r| miss_m(r, guess, &self.estimate));
+            let misses =
+                epoch.ranges.iter().filter(of).map(|r| r.miss_m(guess, &self.estimate.border));
             self.scratch.extend(misses);
             let own = median(&mut self.scratch).unwrap_or(0.0);
             // Without any clock yet, the first constellation's stands in for the reference's.
@@ -299,7 +289,7 @@ impl Chain {
         if is_first || !options.graph.motion {
             (VELOCITY..CLOCK).for_each(|rate| add(rate, guess[rate], START_M_S));
             add(CLOCK, guess[CLOCK], START_CLOCK_M);
-            add(DRIFT, guess[DRIFT], START_DRIFT_M_S);
+            add(DRIFT, guess[DRIFT], CRYSTAL_DRIFT_M_S);
         }
         if options.graph.vertical_velocity_m_s.is_finite() {
             add(VELOCITY + 2, 0.0, options.graph.vertical_velocity_m_s);
@@ -341,18 +331,4 @@ impl Chain {
         self.estimate.states.remove(0);
         Ok(())
     }
-}
-
-/// Measured less predicted (m).
-fn miss_m(range: &Ranging, guess: &State, estimate: &Estimate<STATE>) -> f64 {
-    let factor = &range.factor;
-    -factor.linearize(guess, range.bias_m(estimate)).residual / factor.inverse_sigma
-}
-
-/// The jump that a miss of the clock's prediction is taken for: none, whole milliseconds, or
-/// `None` where it is neither and the clock starts anew.
-fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
-    let allowed_m = JUMP_M + START_DRIFT_M_S * interval_s;
-    let whole_m = (miss_m / MILLISECOND_M).round() * MILLISECOND_M;
-    ((miss_m - whole_m).abs() < allowed_m).then_some(whole_m)
 }

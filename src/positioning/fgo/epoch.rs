@@ -2,31 +2,15 @@
 
 use nalgebra::Vector3;
 
-use crate::gnss::{EphemerisIssue, GpsTime, Reason, SatelliteId};
+use crate::gnss::{GpsTime, Reason};
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, MotionFactor,
-    PhaseDifferenceFactor, PseudorangeFactor, STATE,
+    PhaseDifferenceFactor, STATE,
 };
+use crate::positioning::ranging::Ranging;
 
 use super::settings::Kernels;
-
-/// A pseudorange with what names it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Ranging {
-    pub(super) factor: PseudorangeFactor,
-    pub(super) satellite: SatelliteId,
-    pub(super) ephemeris: EphemerisIssue,
-    /// Border variable of its inter-system bias; `None` for the reference constellation.
-    pub(super) bias: Option<usize>,
-}
-
-impl Ranging {
-    /// The bias in force (m).
-    pub(super) fn bias_m(&self, estimate: &Estimate<STATE>) -> f64 {
-        self.bias.map_or(0.0, |variable| estimate.border[variable])
-    }
-}
 
 /// What ties an epoch to the one before, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +91,7 @@ impl GraphEpoch {
         let state = &estimate.states[k];
         let pseudorange = kernels[0].tempered(self.share);
         for range in &self.ranges {
-            let row = range.factor.linearize(state, range.bias_m(estimate));
+            let row = range.factor.linearize(state, range.bias_m(&estimate.border));
             match range.bias {
                 None => system.add(k, &row, &pseudorange),
                 Some(variable) => {

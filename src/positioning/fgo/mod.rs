@@ -9,7 +9,6 @@ mod answer;
 mod batch;
 mod chain;
 mod epoch;
-mod phases;
 mod settings;
 mod window;
 

@@ -1,15 +1,16 @@
 //! Carrier phases of the last epoch, and their differences to the next.
 
 use crate::gnss::{LocalFrame, ObservationCode, SatelliteId};
-use crate::positioning::Measurement;
-use crate::positioning::factors::{PhaseDifferenceFactor, Sight, State};
+
+use super::Measurement;
+use super::clock_jump::whole_milliseconds_m;
+use super::factors::{PhaseDifferenceFactor, Sight, State};
+use super::ranging::median;
 
 /// C/N0 to which the deviations refer, and which is taken where none is reported (dB-Hz).
 const REFERENCE_DB_HZ: f64 = 42.0;
 /// What thermal noise adds to a phase difference at that C/N0 (m).
 const THERMAL_M: f64 = 0.004;
-/// A millisecond, by which receivers step their clocks (m).
-pub(super) const MILLISECOND_M: f64 = 299_792.458;
 /// Differences that miss whole milliseconds by more than this have another clock (m): 0.1 ms.
 const CLOCK_DIFFERS_M: f64 = 3e4;
 
@@ -99,7 +100,7 @@ impl Phases {
         let misses = factors.iter().map(|f| f.linearize(state, next).residual / f.inverse_sigma);
         self.scratch.extend(misses);
         let Some(miss_m) = median(&mut self.scratch) else { return };
-        let whole_m = (miss_m / MILLISECOND_M).round() * MILLISECOND_M;
+        let whole_m = whole_milliseconds_m(miss_m);
         if CLOCK_DIFFERS_M < (miss_m - whole_m).abs() {
             factors.clear();
         }
@@ -116,10 +117,4 @@ fn kept(frame: &LocalFrame, measurement: &Measurement) -> Option<Kept> {
         corrected_m: phase.range_m - measurement.troposphere_m + measurement.ionosphere_m,
         half_cycle: phase.half_cycle,
     })
-}
-
-/// The lower median; `None` of nothing. Reorders.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len().checked_sub(1)? / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -1,0 +1,174 @@
+//! From the state of an epoch to a solution, for estimators that keep states.
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{
+    Constellation, Dops, Enu, GpsTime, LocalFrame, Provenance, Reason, Solution, SolutionEstimate,
+    Status, Velocity,
+};
+
+use super::factors::{CLOCK, DRIFT, STATE, State, VELOCITY, position, velocity};
+use super::ranging::Ranging;
+
+/// Standard deviation of a position that is none (m).
+const LOST_M: f64 = 1e3;
+/// Unknowns of a geometry: position and a clock for each constellation.
+const UNKNOWNS: usize = 3 + Constellation::COUNT;
+
+/// Inverse normal matrix of position and clocks.
+type Geometry = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Dilutions of precision of pseudoranges that do not determine a position by themselves.
+const UNDETERMINED: Dops = Dops {
+    gdop: f64::INFINITY,
+    pdop: f64::INFINITY,
+    hdop: f64::INFINITY,
+    vdop: f64::INFINITY,
+    tdop: f64::INFINITY,
+};
+
+/// The state of one epoch with all that its solution tells.
+pub(super) struct Answer<'a> {
+    /// What the epoch's estimate is called.
+    pub(super) status: Status,
+    /// The receiver's tag.
+    pub(super) time: GpsTime,
+    /// Frame of the state.
+    pub(super) frame: &'a LocalFrame,
+    /// The state.
+    pub(super) state: &'a State,
+    /// Its formal covariance.
+    pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
+    /// Inter-system biases, where the pseudoranges say (m).
+    pub(super) biases_m: &'a [f64],
+    /// All pseudoranges of the epoch.
+    pub(super) ranges: &'a [Ranging],
+    /// Those that determined the state.
+    pub(super) used: Vec<&'a Ranging>,
+    /// Whether the state's velocity means anything.
+    pub(super) has_velocity: bool,
+    /// How many epochs in a row repeat one error.
+    pub(super) repetition: f64,
+    /// Variance of what pseudoranges share over hours: orbit, clock, atmosphere (m²).
+    pub(super) lasting_m2: f64,
+    /// What the epoch lacked.
+    pub(super) reasons: Vec<Reason>,
+}
+
+impl Answer<'_> {
+    /// The solution with its covariance.
+    ///
+    /// The estimators take the errors of pseudoranges for independent from epoch to epoch. They are
+    /// not: reflections last for tens of seconds, orbit, clock and atmosphere for hours. The
+    /// covariance stated is n·C + σ²·(GᵀG)⁻¹, C the estimator's, n how many epochs repeat one error,
+    /// σ the deviation of what lasts and G the epoch's own geometry.
+    pub(super) fn solution(mut self) -> Solution {
+        self.used.sort_unstable_by_key(|range| range.satellite);
+        quality_reasons(self.ranges, &self.used, &mut self.reasons);
+        let Self { frame, state, covariance, used, .. } = self;
+        if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
+            return Solution::none(self.time, self.reasons);
+        }
+        let geometry = geometry(&position(state), &used);
+        let mut place = covariance.fixed_view::<3, 3>(0, 0) * self.repetition;
+        if let Some(geometry) = &geometry {
+            place += geometry.fixed_view::<3, 3>(0, 0) * self.lasting_m2;
+        }
+        let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
+        let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
+        let (clock_m, inter_system_biases_m) = clocks(self.ranges, self.biases_m, state[CLOCK]);
+        let estimate = SolutionEstimate {
+            position: frame.to_ecef(Enu(position(state))),
+            covariance: to_ecef(&place),
+            velocity: self.has_velocity.then(|| Velocity {
+                velocity_m_s: frame.rotation.transpose() * velocity(state),
+                covariance: to_ecef(&pace),
+                clock_drift_m_s: state[DRIFT],
+            }),
+            clock_m,
+            inter_system_biases_m,
+            reception_time: self.time - clock_m / SPEED_OF_LIGHT,
+            dops: geometry.map_or(UNDETERMINED, |geometry| dops(&geometry, &used)),
+            satellites_used: used.iter().map(|range| range.satellite).collect(),
+            relative: None,
+        };
+        let ephemerides = used.iter().map(|range| range.ephemeris).collect();
+        Solution {
+            time: self.time,
+            status: self.status,
+            estimate: Some(estimate),
+            reasons: self.reasons,
+            provenance: Provenance { ephemerides },
+        }
+    }
+}
+
+/// What kept the epoch from being better.
+fn quality_reasons(all: &[Ranging], used: &[&Ranging], reasons: &mut Vec<Reason>) {
+    if used.len() < all.len() {
+        let mut satellites: Vec<_> = all.iter().map(|range| range.satellite).collect();
+        satellites.retain(|satellite| used.iter().all(|range| range.satellite != *satellite));
+        satellites.sort_unstable();
+        reasons.push(Reason::SatellitesExcluded { satellites });
+    }
+    let mut present = [false; Constellation::COUNT];
+    used.iter().for_each(|range| present[range.satellite.constellation.index()] = true);
+    let needed = 3 + present.iter().filter(|present| **present).count().max(1);
+    if used.len() < needed {
+        reasons.push(Reason::TooFewSatellites { used: used.len(), needed });
+    } else if used.len() == needed {
+        reasons.push(Reason::NoRedundancy);
+    }
+    if used.len() < all.len() - used.len() {
+        let ratio = (all.len() - used.len()) as f64 / used.len().max(1) as f64;
+        reasons.push(Reason::ResidualsTooLarge { ratio });
+    }
+}
+
+/// Clock of the first constellation present (m), and each further one less it.
+fn clocks(ranges: &[Ranging], biases_m: &[f64], clock_m: f64) -> (f64, Vec<(Constellation, f64)>) {
+    let bias_m = |constellation: Constellation| {
+        let found = ranges.iter().find(|range| range.satellite.constellation == constellation);
+        found.map(|range| (constellation, range.bias_m(biases_m)))
+    };
+    let mut present = Constellation::ALL.into_iter().filter_map(bias_m);
+    let Some((_, first_m)) = present.next() else {
+        return (clock_m, Vec::new());
+    };
+    (clock_m + first_m, present.map(|(c, bias_m)| (c, bias_m - first_m)).collect())
+}
+
+/// (GᵀG)⁻¹ of the pseudoranges used, local position and one clock for each constellation; `None`
+/// where they do not determine the position by themselves. Clocks without any are one.
+fn geometry(at: &Vector3<f64>, used: &[&Ranging]) -> Option<Geometry> {
+    let mut normal = Geometry::zeros();
+    for range in used {
+        let (_, slope) = range.factor.sight.range(at);
+        let mut row = SVector::<f64, UNKNOWNS>::zeros();
+        row.fixed_rows_mut::<3>(0).copy_from(&slope);
+        row[3 + range.satellite.constellation.index()] = 1.0;
+        normal += row * row.transpose();
+    }
+    for clock in 3..UNKNOWNS {
+        if normal[(clock, clock)] == 0.0 {
+            normal[(clock, clock)] = 1.0;
+        }
+    }
+    normal.cholesky().map(|factor| factor.inverse())
+}
+
+/// Dilutions of precision, each pseudorange counting alike.
+fn dops(geometry: &Geometry, used: &[&Ranging]) -> Dops {
+    let constellations = used.iter().map(|range| range.satellite.constellation.index());
+    let clock = 3 + constellations.min().unwrap_or(0);
+    let horizontal = geometry[(0, 0)] + geometry[(1, 1)];
+    let (vertical, time) = (geometry[(2, 2)], geometry[(clock, clock)]);
+    Dops {
+        gdop: (horizontal + vertical + time).sqrt(),
+        pdop: (horizontal + vertical).sqrt(),
+        hdop: horizontal.sqrt(),
+        vdop: vertical.sqrt(),
+        tdop: time.sqrt(),
+    }
+}
