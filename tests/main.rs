@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
 mod clients;
+mod compare;
 mod crash;
 mod data;
 mod database;

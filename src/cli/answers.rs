@@ -15,6 +15,22 @@ pub(crate) enum AnswerKind {
     Batch,
 }
 
+impl AnswerKind {
+    /// The name as users write it.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Causal => "causal",
+            Self::FixedLag => "smoothed",
+            Self::Batch => "batch",
+        }
+    }
+
+    /// The kind of a name as users write it.
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
+        [Self::Causal, Self::FixedLag, Self::Batch].into_iter().find(|kind| kind.name() == name)
+    }
+}
+
 /// An estimator that gives one kind of answer.
 pub(crate) enum Solver {
     /// Answers at once, or when epochs leave the window.

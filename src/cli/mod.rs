@@ -4,6 +4,7 @@
 //! error, `error[CODE]: what is wrong (what to do)`.
 
 mod answers;
+mod compare;
 mod config;
 mod demo;
 mod device;
@@ -35,6 +36,7 @@ struct CommandLine {
 #[derive(Debug, Subcommand)]
 enum Command {
     Solve(solve::SolveArguments),
+    Compare(Box<compare::CompareArguments>),
     Config(config::ConfigArguments),
     Evaluate(Box<evaluate::EvaluateArguments>),
     Simulate(simulate::SimulateArguments),
@@ -47,6 +49,7 @@ impl Command {
     fn run(self) -> Result<(), Failure> {
         match self {
             Self::Solve(arguments) => solve::run(&arguments),
+            Self::Compare(arguments) => compare::run(&arguments),
             Self::Config(arguments) => config::run(&arguments),
             Self::Evaluate(arguments) => evaluate::run(&arguments),
             Self::Simulate(arguments) => simulate::run(&arguments),

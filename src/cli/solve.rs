@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 
-use crate::config::{Mode, PositioningOptions};
+use crate::config::PositioningOptions;
 use crate::formats::{csv, geojson, pos};
 use crate::gnss::{Epoch, GpsTime, LeapSeconds, Reason, Solution, Status};
 
@@ -86,7 +86,7 @@ impl SolveArguments {
     /// The options asked for, `--window` among them.
     fn options(&self) -> Result<PositioningOptions, Failure> {
         let mut options = self.options.options()?;
-        if options.mode != Mode::Fgo && (self.window.is_some() || self.smoothed) {
+        if !options.mode.has_window() && (self.window.is_some() || self.smoothed) {
             let message = format!("mode {} has no window", options.mode.name());
             return Err(Failure::new("USAGE", message, "add --mode fgo"));
         }

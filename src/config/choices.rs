@@ -133,6 +133,14 @@ named_choice! {
 }
 
 impl Mode {
+    /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
+    pub const fn has_window(self) -> bool {
+        match self {
+            Self::Spp => false,
+            Self::Fgo => true,
+        }
+    }
+
     /// Whether the last solution is all that an estimator of this mode remembers, so that a
     /// restarted one goes on with the same bits. Sessions serve these modes only.
     pub const fn is_resumable(self) -> bool {

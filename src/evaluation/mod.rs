@@ -6,6 +6,7 @@
 //! √(E² + N²), 3D √(E² + N² + U²). Reading files is [`formats`](crate::formats)' work, choosing
 //! them the caller's.
 
+pub mod comparison;
 mod epoch;
 mod judgement;
 mod matching;

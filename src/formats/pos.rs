@@ -112,6 +112,20 @@ pub struct PosRow {
     pub covariance: Option<Matrix3<f64>>,
 }
 
+impl PosRow {
+    /// The row that a solution makes, its digits not cut; `None` for one without position.
+    pub fn of(solution: &Solution) -> Option<Self> {
+        let estimate = solution.estimate.as_ref()?;
+        Some(Self {
+            time: solution.time,
+            position: estimate.position,
+            quality: i64::from(quality(solution.status)?),
+            satellites: u32::try_from(estimate.satellites_used.len()).ok(),
+            covariance: Some(estimate.covariance),
+        })
+    }
+}
+
 /// What a solution file holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PosFile {

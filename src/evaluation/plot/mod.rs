@@ -1,6 +1,7 @@
 //! A judgement as one figure: track, error over time, distribution of the errors.
 
 mod distribution;
+pub mod series;
 mod style;
 mod timeline;
 mod track;

@@ -84,7 +84,7 @@ pub(super) fn draw<DB: DrawingBackend>(
 }
 
 /// Ranges of x and y around the points that show a metre in the same length on both axes.
-fn equal_ranges(
+pub(super) fn equal_ranges(
     points: impl Iterator<Item = (f64, f64)>,
     pixels: (u32, u32),
 ) -> (std::ops::Range<f64>, std::ops::Range<f64>) {

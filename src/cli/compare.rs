@@ -1,0 +1,244 @@
+//! `graphfix compare`: several modes over one recording, and a report of them.
+
+use std::fs::File;
+use std::io::{BufReader, IsTerminal, Write};
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Instant;
+
+use clap::Args;
+
+use crate::config::{Mode, PositioningOptions, Profile};
+use crate::evaluation::Truth;
+use crate::evaluation::comparison::{Comparison, Method};
+use crate::formats::{decompress, truth};
+use crate::gnss::{Ecef, Epoch, GpsTime};
+
+use super::Failure;
+use super::answers::{AnswerKind, Solver};
+use super::recording::{Recording, RecordingArguments};
+
+/// Methods that one report can hold and still be read.
+const METHODS_MAX: usize = 7;
+
+/// Runs several modes over one recording and writes their errors and tracks as one HTML page.
+///
+/// The page holds Table 1 and Figure 5 of Wen & Hsu (2021), with a base Table 2 and Figure 6, and
+/// needs no other file. Without a truth it tells how far the methods agree.
+#[derive(Debug, Args)]
+pub(crate) struct CompareArguments {
+    #[command(flatten)]
+    recording: RecordingArguments,
+    /// What to compare, as MODE[:causal|smoothed|batch][@PROFILE], separated by commas.
+    #[arg(long, value_name = "METHOD,METHOD…", value_delimiter = ',', required = true)]
+    modes: Vec<MethodName>,
+    /// Set of defaults of the methods that name none.
+    #[arg(long, value_name = "NAME", default_value = "general")]
+    profile: String,
+    /// Overrides one option of every method, as in ionosphere=none; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
+    set: Vec<String>,
+    /// Length of the sliding window of modes that have one (s).
+    #[arg(long, value_name = "SECONDS")]
+    window: Option<String>,
+    /// Truth: CSV of gps_week,tow,lat_deg,lon_deg,height_m or gps_week,tow,x_m,y_m,z_m.
+    #[arg(long, value_name = "FILE", conflicts_with = "static_ecef")]
+    truth: Option<PathBuf>,
+    /// One true position instead: ECEF (m).
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        allow_hyphen_values = true,
+        value_delimiter = ',',
+        num_args = 3
+    )]
+    static_ecef: Option<Vec<f64>>,
+    /// A fix within this is correct (m).
+    #[arg(long, value_name = "M", default_value_t = 0.10)]
+    fix_tol: f64,
+    /// Where to write the report; the name ends in .html.
+    #[arg(long, value_name = "REPORT.html")]
+    output: PathBuf,
+}
+
+/// A method as users write it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct MethodName {
+    mode: String,
+    answer: AnswerKind,
+    profile: Option<String>,
+}
+
+impl FromStr for MethodName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (rest, profile) = match text.split_once('@') {
+            Some((rest, profile)) => (rest, Some(profile.to_owned())),
+            None => (text, None),
+        };
+        let (mode, answer) = match rest.split_once(':') {
+            Some((mode, answer)) => (mode, answer),
+            None => (rest, AnswerKind::Causal.name()),
+        };
+        let answer = AnswerKind::from_name(answer).ok_or_else(|| {
+            format!("{answer:?} is no kind of answer; allowed: causal, smoothed, batch")
+        })?;
+        Ok(Self { mode: mode.to_owned(), answer, profile })
+    }
+}
+
+/// Runs the command; prints the first table on standard output.
+pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
+    let truth = arguments.truth()?;
+    if arguments.output.extension().is_none_or(|ending| ending != "html") {
+        let message = format!("{} does not end in .html", arguments.output.display());
+        return Err(Failure::new("UNKNOWN_OUTPUT_FORMAT", message, "end the name in .html"));
+    }
+    if METHODS_MAX < arguments.modes.len() {
+        let message = format!("{} methods are too many for one page", arguments.modes.len());
+        let remedy = format!("name at most {METHODS_MAX}");
+        return Err(Failure::new("USAGE", message, remedy));
+    }
+    let options: Result<Vec<_>, _> =
+        arguments.modes.iter().map(|method| arguments.options(method)).collect();
+    let mut methods = Vec::new();
+    for (name, options) in arguments.modes.iter().zip(options?) {
+        if std::io::stderr().is_terminal() {
+            eprint!("\r\x1b[K{} {}", name.mode, name.answer.name());
+        }
+        methods.push(arguments.solve(name, options)?);
+    }
+    if std::io::stderr().is_terminal() {
+        eprint!("\r\x1b[K");
+    }
+    let file = arguments.recording.rover.file_name().unwrap_or_default();
+    let title = file.to_string_lossy().into_owned();
+    let command = std::env::args().collect::<Vec<_>>().join(" ");
+    let comparison = Comparison::new(title, command, methods, truth.as_ref(), arguments.fix_tol);
+    let unwritable = |error: &dyn std::fmt::Display| {
+        let message = format!("cannot write {}: {error}", arguments.output.display());
+        Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
+    };
+    let page = comparison.html().map_err(|error| unwritable(&error))?;
+    std::fs::write(&arguments.output, page).map_err(|error| unwritable(&error))?;
+    // Err: nobody reads the table.
+    std::io::stdout().write_all(table(&comparison).as_bytes()).ok();
+    Ok(())
+}
+
+impl CompareArguments {
+    fn truth(&self) -> Result<Option<Truth>, Failure> {
+        if let Some([x, y, z]) = self.static_ecef.as_deref() {
+            return Ok(Some(Truth::Static(Ecef::new(*x, *y, *z))));
+        }
+        let Some(path) = &self.truth else { return Ok(None) };
+        let file = File::open(path).map_err(|error| {
+            let message = format!("cannot open {}: {error}", path.display());
+            Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
+        })?;
+        // Rows of week −1 mean the week of the recording.
+        let mut epoch = Epoch::new(GpsTime::EPOCH);
+        if !Recording::open(&self.recording)?.read_epoch(&mut epoch)? {
+            return Err(Recording::no_epochs(&self.recording));
+        }
+        let rows = truth::read(decompress(BufReader::new(file)), epoch.time.week());
+        rows.map(|rows| Some(Truth::Trajectory(rows))).map_err(|error| {
+            let message = format!("{}: {error}", path.display());
+            Failure::new("FILE_MALFORMED", message, "correct that line or name another file")
+        })
+    }
+
+    fn options(&self, method: &MethodName) -> Result<PositioningOptions, Failure> {
+        let profile = method.profile.as_ref().unwrap_or(&self.profile);
+        let mode = Mode::parse(&method.mode)?;
+        if method.answer != AnswerKind::Causal && !mode.has_window() {
+            let answer = method.answer.name();
+            let message = format!("mode {} has no answer {answer:?}", mode.name());
+            return Err(Failure::new("USAGE", message, "name a mode with a window, as fgo"));
+        }
+        let mut options = PositioningOptions::new(mode, Profile::parse(profile)?);
+        for assignment in &self.set {
+            let (key, value) = assignment.split_once('=').ok_or_else(|| {
+                let message = format!("--set {assignment:?} has no \"=\"");
+                Failure::new("USAGE", message, "write --set KEY=VALUE")
+            })?;
+            options.set(key.trim(), value)?;
+        }
+        if let Some(window) = self.window.as_ref().filter(|_| mode.has_window()) {
+            options.set("window_s", window)?;
+        }
+        Ok(options)
+    }
+
+    fn solve(&self, name: &MethodName, options: PositioningOptions) -> Result<Method, Failure> {
+        let began = Instant::now();
+        let changed = options.entries().into_iter().filter(|entry| entry.value != entry.default);
+        let overrides = changed.map(|entry| (entry.name.to_owned(), entry.value)).collect();
+        let (profile, configuration_hash) =
+            (options.profile.name().to_owned(), options.configuration_hash());
+        let mut recording = Recording::open(&self.recording)?;
+        let mut solver = Solver::new(options, name.answer);
+        let mut solutions = Vec::new();
+        let mut epoch = Epoch::new(GpsTime::EPOCH);
+        while recording.read_epoch(&mut epoch)? {
+            solutions.extend(solver.advance(&epoch, &recording.aiding()));
+        }
+        solutions.extend(solver.finish());
+        if solutions.is_empty() {
+            return Err(Recording::no_epochs(&self.recording));
+        }
+        solutions.sort_by_key(|solution| solution.time);
+        Ok(Method {
+            mode: name.mode.clone(),
+            answer: name.answer.name().to_owned(),
+            profile,
+            configuration_hash,
+            overrides,
+            solutions,
+            elapsed_s: began.elapsed().as_secs_f64(),
+        })
+    }
+}
+
+/// Errors, or fix rates where there is no truth, one line for each method.
+fn table(comparison: &Comparison) -> String {
+    let mut text = String::new();
+    for (index, method) in comparison.methods.iter().enumerate() {
+        text += &format!("{:<20}{:<15}", method.name(), method.profile);
+        let errors = comparison.judgements.get(index).map(|judgement| &judgement.report);
+        text += &match errors.and_then(|report| report.errors.as_ref().zip(report.availability)) {
+            Some((errors, availability)) => format!(
+                "2D mean {:.3}, std {:.3}, max {:.3} m, available {:.1} %",
+                errors.err2d.mean,
+                errors.err2d.std,
+                errors.err2d.max,
+                100.0 * availability
+            ),
+            None => format!("{} epochs", method.solutions.len()),
+        };
+        text += "\n";
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn methods_as_users_write_them() {
+        let named = |text: &str| text.parse::<MethodName>().unwrap();
+        let method = |mode: &str, answer, profile: Option<&str>| MethodName {
+            mode: mode.to_owned(),
+            answer,
+            profile: profile.map(str::to_owned),
+        };
+        assert_eq!(named("spp"), method("spp", AnswerKind::Causal, None));
+        assert_eq!(named("fgo:batch"), method("fgo", AnswerKind::Batch, None));
+        assert_eq!(named("fgo@paper"), method("fgo", AnswerKind::Causal, Some("paper")));
+        let smoothed = method("fgo", AnswerKind::FixedLag, Some("urban-vehicle"));
+        assert_eq!(named("fgo:smoothed@urban-vehicle"), smoothed);
+        assert!("fgo:later".parse::<MethodName>().unwrap_err().contains("allowed: causal"));
+    }
+}

@@ -1,0 +1,158 @@
+//! The drawings of a report.
+
+use super::Comparison;
+use crate::evaluation::JudgedEpoch;
+use crate::evaluation::plot::PlotError;
+use crate::evaluation::plot::series::{Axes, Series, Stretch, lines, plane, strips};
+use crate::formats::pos::quality;
+use crate::gnss::{Ecef, GpsTime, LocalFrame, Solution};
+
+/// A longer pause breaks a line (s).
+const GAP_S: f64 = 60.0;
+/// Neighbours further apart are not joined in the plane (m).
+const GAP_M: f64 = 200.0;
+/// Errors are drawn on a logarithmic axis where those of methods differ by more.
+const LARGE_RATIO: f64 = 30.0;
+/// Smaller errors are drawn at it (m).
+const SMALLEST_M: f64 = 1e-4;
+/// Ratios are drawn up to it.
+const RATIO_MAX: f64 = 1e3;
+const TIME_AXIS: &str = "GPS seconds of week (s)";
+
+/// Figure 5 (or 6) of the paper: where each method was, over the truth.
+pub(super) fn tracks(comparison: &Comparison) -> Result<String, PlotError> {
+    let reference = comparison.judgements.first().map_or(&[][..], |j| &j.reference);
+    let first = comparison.methods.iter().flat_map(|m| m.with_position()).next();
+    let first = first.and_then(|solution| solution.estimate.as_ref()).map(|e| e.position);
+    let origin = reference.first().map(|row| row.position).or(first).ok_or(PlotError::Empty)?;
+    let frame = LocalFrame::at(origin);
+    let flat = |position: Ecef| {
+        let enu = frame.to_enu(position).0;
+        (enu.x, enu.y)
+    };
+    let of_method = |solutions: &[Solution]| Series {
+        points: solutions
+            .iter()
+            .filter_map(|solution| solution.estimate.as_ref())
+            .map(|estimate| flat(estimate.position))
+            .collect(),
+    };
+    let series: Vec<_> = comparison.methods.iter().map(|m| of_method(&m.solutions)).collect();
+    let reference: Vec<_> = reference.iter().map(|row| flat(row.position)).collect();
+    plane(&reference, &series, GAP_M)
+}
+
+/// Horizontal error of each method over time; without truth its distance to the last method.
+pub(super) fn errors(comparison: &Comparison) -> Result<String, PlotError> {
+    let (y, series) = match comparison.judgements.is_empty() {
+        false => ("2D error (m)", errors_of_truth(comparison)),
+        true => ("distance to the last method (m)", distances(comparison)),
+    };
+    let typical: Vec<f64> = series.iter().filter_map(typical_m).collect();
+    let smallest = typical.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = typical.iter().copied().fold(0.0, f64::max);
+    let is_logarithmic = LARGE_RATIO * smallest.max(SMALLEST_M) < largest;
+    lines(&Axes { x: TIME_AXIS, y, is_logarithmic, gap: GAP_S }, &series)
+}
+
+fn errors_of_truth(comparison: &Comparison) -> Vec<Series> {
+    let start = start_of(comparison);
+    let point = |epoch: &JudgedEpoch| (at(epoch.time, start), epoch.error_2d_m().max(SMALLEST_M));
+    let of_judgement =
+        |epochs: &[JudgedEpoch]| Series { points: epochs.iter().map(point).collect() };
+    comparison.judgements.iter().map(|judgement| of_judgement(&judgement.epochs)).collect()
+}
+
+fn distances(comparison: &Comparison) -> Vec<Series> {
+    let start = start_of(comparison);
+    let Some((last, others)) = comparison.methods.split_last() else { return Vec::new() };
+    let position = |solution: &Solution| solution.estimate.as_ref().map(|e| e.position);
+    let of_method = |solutions: &[Solution]| {
+        let mut points = Vec::new();
+        let mut partners = last.solutions.iter().peekable();
+        for solution in solutions {
+            while partners.next_if(|partner| partner.time < solution.time).is_some() {}
+            let partner = partners.peek().filter(|partner| partner.time == solution.time);
+            if let Some((a, b)) = position(solution).zip(partner.and_then(|p| position(p))) {
+                let distance_m = LocalFrame::at(a).to_enu(b).0.xy().norm();
+                points.push((at(solution.time, start), distance_m.max(SMALLEST_M)));
+            }
+        }
+        Series { points }
+    };
+    others.iter().map(|method| of_method(&method.solutions)).collect()
+}
+
+/// The median of a series.
+fn typical_m(series: &Series) -> Option<f64> {
+    let mut values: Vec<f64> = series.points.iter().map(|point| point.1).collect();
+    let middle = values.len().checked_sub(1)? / 2;
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Satellites used by each method over time.
+pub(super) fn satellites(comparison: &Comparison) -> Result<String, PlotError> {
+    let value = |solution: &Solution| {
+        let estimate = solution.estimate.as_ref();
+        Some(estimate.map_or(0.0, |estimate| estimate.satellites_used.len() as f64))
+    };
+    over_time(comparison, "satellites used", false, value)
+}
+
+/// The ratio of the integers over time.
+pub(super) fn ratios(comparison: &Comparison) -> Result<String, PlotError> {
+    let value = |solution: &Solution| {
+        let relative = solution.estimate.as_ref()?.relative.as_ref()?;
+        relative.ratio.map(|ratio| ratio.min(RATIO_MAX))
+    };
+    over_time(comparison, "ratio of the integers", true, value)
+}
+
+fn over_time(
+    comparison: &Comparison,
+    y: &str,
+    is_logarithmic: bool,
+    value: impl Fn(&Solution) -> Option<f64>,
+) -> Result<String, PlotError> {
+    let start = start_of(comparison);
+    let of_method = |solutions: &[Solution]| Series {
+        points: solutions
+            .iter()
+            .filter_map(|solution| Some((at(solution.time, start), value(solution)?)))
+            .collect(),
+    };
+    let series: Vec<_> = comparison.methods.iter().map(|m| of_method(&m.solutions)).collect();
+    lines(&Axes { x: TIME_AXIS, y, is_logarithmic, gap: GAP_S }, &series)
+}
+
+/// Each method's status over time as a coloured strip.
+pub(super) fn statuses(comparison: &Comparison) -> Result<String, PlotError> {
+    let start = start_of(comparison);
+    let pieces = |solutions: &[Solution]| {
+        let mut pieces: Vec<Stretch> = Vec::new();
+        for pair in solutions.windows(2) {
+            let [from, to] = [&pair[0], &pair[1]].map(|solution| at(solution.time, start));
+            let Some(quality) = quality(pair[0].status) else { continue };
+            let quality = i64::from(quality);
+            match pieces.last_mut() {
+                Some(last) if last.2 == quality && last.1 == from => last.1 = to,
+                _ if to - from <= GAP_S => pieces.push((from, to, quality)),
+                _ => {}
+            }
+        }
+        pieces
+    };
+    let rows: Vec<_> =
+        comparison.methods.iter().map(|m| (m.name(), pieces(&m.solutions))).collect();
+    strips(&rows)
+}
+
+fn start_of(comparison: &Comparison) -> GpsTime {
+    let first = comparison.methods.iter().filter_map(|m| m.solutions.first()).map(|s| s.time).min();
+    first.unwrap_or(GpsTime::EPOCH)
+}
+
+/// Seconds of week, going on past the week's end.
+fn at(time: GpsTime, start: GpsTime) -> f64 {
+    start.seconds_of_week() + (time - start)
+}
