@@ -1,114 +1,12 @@
 //! Goldens of the factor graph on real and simulated recordings, and what must not break it.
 
-use std::fs::File;
-use std::io::BufReader;
-use std::path::Path;
-
 use graphfix::config::{Mode, PositioningOptions, Profile};
-use graphfix::formats::rinex::{ObservationReader, read_navigation};
-use graphfix::formats::{decompress, truth};
 use graphfix::gnss::constants::SPEED_OF_LIGHT;
-use graphfix::gnss::{Constellation, Cycles, Ecef, Epoch, GpsTime, LocalFrame, Navigation};
-use graphfix::gnss::{Solution, Status};
-use graphfix::positioning::{Aiding, Batch, Estimator};
+use graphfix::gnss::{Constellation, Cycles, Ecef, Solution, Status};
+use graphfix::positioning::Estimator;
 
 use crate::data;
-
-fn open(path: &Path) -> impl std::io::BufRead + use<> {
-    decompress(BufReader::new(File::open(path).unwrap()))
-}
-
-/// A recording with its navigation data.
-struct Recording {
-    navigation: Navigation,
-    epochs: Vec<Epoch>,
-}
-
-impl Recording {
-    fn read(folder: &Path, rover: &str, navigation_files: &[&str]) -> Self {
-        let mut navigation = Navigation::default();
-        for file in navigation_files {
-            navigation.merge(read_navigation(open(&folder.join(file))).unwrap().0);
-        }
-        let mut reader = ObservationReader::new(open(&folder.join(rover))).unwrap();
-        let mut epoch = Epoch::new(GpsTime::from_ns(0));
-        let mut epochs = Vec::new();
-        while reader.read_epoch(&mut epoch).unwrap() {
-            epochs.push(epoch.clone());
-        }
-        Self { navigation, epochs }
-    }
-
-    fn aiding(&self) -> Aiding<'_> {
-        Aiding { navigation: &self.navigation }
-    }
-
-    fn causal(&self, profile: Profile) -> Vec<Solution> {
-        let mut estimator = Estimator::new(PositioningOptions::new(Mode::Fgo, profile));
-        self.epochs.iter().map(|epoch| estimator.advance(epoch, &self.aiding())).collect()
-    }
-
-    fn batch(&self, profile: Profile) -> Vec<Solution> {
-        let mut batch = Batch::new(PositioningOptions::new(Mode::Fgo, profile));
-        self.epochs.iter().for_each(|epoch| batch.push(epoch, &self.aiding()));
-        batch.finish()
-    }
-}
-
-fn canyon() -> Option<Recording> {
-    let folder = data::set("tst-2019")?;
-    let files = ["hksc1180.19n", "hksc1180.19b"];
-    let mut recording = Recording::read(&folder, "COM3_190428_124409.obs", &files);
-    let scored = 46_701.0..=47_185.5;
-    recording.epochs.retain(|epoch| scored.contains(&epoch.time.seconds_of_week()));
-    Some(recording)
-}
-
-/// Horizontal mean, deviation and maximum, mean of the height's error, share inside the ellipse.
-struct Errors {
-    mean_m: f64,
-    deviation_m: f64,
-    greatest_m: f64,
-    up_m: f64,
-    inside: f64,
-}
-
-impl Errors {
-    fn of(solutions: &[Solution], truth: impl Fn(GpsTime) -> Ecef) -> Self {
-        let (mut horizontal_m, mut up_m, mut inside) = (Vec::new(), 0.0, 0);
-        for solution in solutions {
-            let estimate = solution.estimate.as_ref().expect("every epoch is answered");
-            let frame = LocalFrame::at(truth(solution.time));
-            let error = frame.to_enu(estimate.position).0;
-            let covariance = frame.covariance_to_enu(&estimate.covariance);
-            let plane = covariance.fixed_view::<2, 2>(0, 0).try_inverse().unwrap();
-            // 5.991: chi-square limit of two degrees of freedom at 95 %.
-            inside += usize::from((error.xy().transpose() * plane * error.xy()).x < 5.991);
-            horizontal_m.push(error.xy().norm());
-            up_m += error.z;
-        }
-        let count = horizontal_m.len() as f64;
-        let mean_m = horizontal_m.iter().sum::<f64>() / count;
-        let squares: f64 = horizontal_m.iter().map(|error| (error - mean_m).powi(2)).sum();
-        Self {
-            mean_m,
-            deviation_m: (squares / (count - 1.0)).sqrt(),
-            greatest_m: horizontal_m.iter().copied().fold(0.0, f64::max),
-            up_m: up_m / count,
-            inside: inside as f64 / count,
-        }
-    }
-
-    fn in_the_canyon(solutions: &[Solution]) -> Self {
-        assert_eq!(solutions.len(), 485);
-        let folder = data::set("tst-2019").unwrap();
-        let rows = truth::read(open(&folder.join("truth.csv")), 2051).unwrap();
-        Self::of(solutions, |time| {
-            let row = rows.iter().find(|row| (row.time - time).abs() < 0.02);
-            row.expect("truth is given on whole seconds").position
-        })
-    }
-}
+use crate::recording::{Errors, Recording, canyon};
 
 /// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m. The maximum hangs on one epoch.
 #[test]
@@ -123,7 +21,7 @@ fn the_paper_profile_gives_the_papers_row() {
 #[test]
 fn a_car_in_the_canyon_at_once() {
     let Some(recording) = canyon() else { return };
-    let errors = Errors::in_the_canyon(&recording.causal(Profile::UrbanVehicle));
+    let errors = Errors::in_the_canyon(&recording.causal(Mode::Fgo, Profile::UrbanVehicle));
     assert!(errors.mean_m <= 2.9, "{}", errors.mean_m);
     assert!(errors.deviation_m <= 1.7, "{}", errors.deviation_m);
     assert!(errors.greatest_m <= 8.5, "{}", errors.greatest_m);
@@ -201,7 +99,7 @@ fn apart_m(a: &[Solution], b: &[Solution], from: usize) -> f64 {
 fn a_clock_jump_moves_no_position() {
     let Some(mut recording) = canyon() else { return };
     recording.epochs.truncate(120);
-    let plain = recording.causal(Profile::UrbanVehicle);
+    let plain = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     let step_m = SPEED_OF_LIGHT * 1e-3;
     for epoch in recording.epochs.iter_mut().skip(60) {
         epoch.time = epoch.time + 1e-3;
@@ -209,7 +107,7 @@ fn a_clock_jump_moves_no_position() {
             observation.pseudorange_m = observation.pseudorange_m.map(|range| range + step_m);
         }
     }
-    let jumped = recording.causal(Profile::UrbanVehicle);
+    let jumped = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     assert!(jumped.iter().all(|solution| solution.status == Status::Fgo));
     // Phases keep their clock; the tag's millisecond moves satellites and car by centimetres.
     let apart_m = apart_m(&plain, &jumped, 0);
@@ -222,7 +120,7 @@ fn gaps_and_duplicates_are_survived() {
     let duplicate = recording.epochs[50].clone();
     recording.epochs.insert(51, duplicate);
     recording.epochs.drain(100..300);
-    let solutions = recording.causal(Profile::UrbanVehicle);
+    let solutions = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     assert_eq!(solutions[51].status, Status::Single);
     let graph = solutions.iter().filter(|solution| solution.status == Status::Fgo).count();
     assert_eq!(graph, solutions.len() - 1);
@@ -237,7 +135,7 @@ fn few_satellites_are_coasted_with_a_reason() {
         epoch.observations.retain(|observation| kept.contains(&observation.satellite));
     }
     recording.epochs[56].observations.clear();
-    let solutions = recording.causal(Profile::UrbanVehicle);
+    let solutions = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     assert!(solutions.iter().all(|solution| solution.status == Status::Fgo));
     for weak in solutions[50..55].iter().chain([&solutions[56]]) {
         let codes: Vec<_> = weak.reasons.iter().map(|reason| reason.code()).collect();
@@ -266,7 +164,7 @@ fn one_constellation_alone_is_enough() {
 fn an_unflagged_slip_moves_nothing_far() {
     let Some(mut recording) = canyon() else { return };
     recording.epochs.truncate(100);
-    let plain = recording.causal(Profile::UrbanVehicle);
+    let plain = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     let slipped = recording.epochs[60].observations[0].satellite;
     for epoch in recording.epochs.iter_mut().skip(60) {
         for observation in epoch.observations.iter_mut().filter(|o| o.satellite == slipped) {
@@ -274,6 +172,6 @@ fn an_unflagged_slip_moves_nothing_far() {
             observation.carrier_phase = observation.carrier_phase.map(slip);
         }
     }
-    let apart_m = apart_m(&plain, &recording.causal(Profile::UrbanVehicle), 0);
+    let apart_m = apart_m(&plain, &recording.causal(Mode::Fgo, Profile::UrbanVehicle), 0);
     assert!(apart_m < 2.0, "{apart_m}");
 }

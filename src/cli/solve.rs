@@ -228,3 +228,32 @@ fn summary(tally: &Tally, left_out: &LeftOut<'_>, elapsed: Duration) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        solve: SolveArguments,
+    }
+
+    fn code(mode: &str, further: &[&str]) -> Option<&'static str> {
+        let fixed = ["solve", "--rover", "r", "--nav", "n", "--output", "o.pos", "--mode", mode];
+        let line = Line::try_parse_from(fixed.iter().chain(further)).unwrap();
+        line.solve.options().err().map(|failure| failure.code())
+    }
+
+    #[test]
+    fn a_window_is_for_the_factor_graph() {
+        for mode in ["spp", "ekf"] {
+            assert_eq!(code(mode, &["--window", "30"]), Some("USAGE"));
+            assert_eq!(code(mode, &["--window", "batch"]), Some("USAGE"));
+            assert_eq!(code(mode, &["--smoothed"]), Some("USAGE"));
+        }
+        assert_eq!(code("fgo", &["--window", "30", "--smoothed"]), None);
+    }
+}

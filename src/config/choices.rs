@@ -39,6 +39,8 @@ named_choice! {
     Mode {
         /// Single-point positioning: least squares on the pseudoranges of one epoch.
         Spp = "spp",
+        /// Extended Kalman filter on the factors of the graph, as its comparator.
+        Ekf = "ekf",
         /// Factor graph over a sliding window: pseudoranges, Doppler, phase in time, motion.
         Fgo = "fgo",
     }
@@ -136,7 +138,7 @@ impl Mode {
     /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
     pub const fn has_window(self) -> bool {
         match self {
-            Self::Spp => false,
+            Self::Spp | Self::Ekf => false,
             Self::Fgo => true,
         }
     }
@@ -146,7 +148,7 @@ impl Mode {
     pub const fn is_resumable(self) -> bool {
         match self {
             Self::Spp => true,
-            Self::Fgo => false,
+            Self::Ekf | Self::Fgo => false,
         }
     }
 
@@ -264,7 +266,7 @@ mod tests {
     fn modes_to_come_are_refused_by_name() {
         assert_eq!(Mode::parse("spp"), Ok(Mode::Spp));
         let error = Mode::parse("rtk-fgo").unwrap_err();
-        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp, fgo");
+        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp, ekf, fgo");
     }
 
     #[test]

@@ -206,7 +206,7 @@ impl PositioningOptions {
         };
         let graph: &[OptionSpecification] = match self.mode {
             Mode::Spp => &[],
-            Mode::Fgo => GRAPH_TABLE,
+            Mode::Ekf | Mode::Fgo => GRAPH_TABLE,
         };
         TABLE.iter().chain(graph).map(entry).collect()
     }

@@ -13,6 +13,8 @@ use super::ranging::Ranging;
 
 /// Standard deviation of a position that is none (m).
 const LOST_M: f64 = 1e3;
+/// Dilution of precision of a position that its pseudoranges do not determine by themselves.
+const PDOP_MAX: f64 = 100.0;
 /// Unknowns of a geometry: position and a clock for each constellation.
 const UNKNOWNS: usize = 3 + Constellation::COUNT;
 
@@ -59,10 +61,10 @@ pub(super) struct Answer<'a> {
 impl Answer<'_> {
     /// The solution with its covariance.
     ///
-    /// The estimators take the errors of pseudoranges for independent from epoch to epoch. They are
+    /// The estimators take errors of pseudoranges for independent from epoch to epoch. They are
     /// not: reflections last for tens of seconds, orbit, clock and atmosphere for hours. The
-    /// covariance stated is n·C + σ²·(GᵀG)⁻¹, C the estimator's, n how many epochs repeat one error,
-    /// σ the deviation of what lasts and G the epoch's own geometry.
+    /// covariance stated is n·C + σ²·(GᵀG)⁻¹, C the estimator's, n how many epochs repeat one
+    /// error, σ the deviation of what lasts and G the epoch's own geometry.
     pub(super) fn solution(mut self) -> Solution {
         self.used.sort_unstable_by_key(|range| range.satellite);
         quality_reasons(self.ranges, &self.used, &mut self.reasons);
@@ -155,7 +157,9 @@ fn geometry(at: &Vector3<f64>, used: &[&Ranging]) -> Option<Geometry> {
             normal[(clock, clock)] = 1.0;
         }
     }
-    normal.cholesky().map(|factor| factor.inverse())
+    let inverse = normal.cholesky()?.inverse();
+    let pdop_squared = inverse.fixed_view::<3, 3>(0, 0).trace();
+    (pdop_squared < PDOP_MAX * PDOP_MAX).then_some(inverse)
 }
 
 /// Dilutions of precision, each pseudorange counting alike.

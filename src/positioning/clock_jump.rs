@@ -1,7 +1,7 @@
 //! Steps of a receiver's clock.
 //!
-//! Many receivers let their clock drift and set it back by a millisecond; the pseudoranges step with
-//! it, the phases sometimes do not.
+//! Many receivers let their clock drift and set it back by a millisecond; the pseudoranges step
+//! with it, the phases sometimes do not.
 
 /// A millisecond, by which receivers step their clocks (m).
 const MILLISECOND_M: f64 = 299_792.458;

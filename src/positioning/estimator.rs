@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Ecef, Epoch, Navigation, Solution};
 
+use super::ekf::KalmanFilter;
 use super::fgo::{SlidingWindow, WholeChain};
 use super::spp::SinglePoint;
 
@@ -21,8 +22,9 @@ pub struct Aiding<'a> {
 /// as the point to start from, which saves iterations and moves the answer by less than 0.1 mm.
 /// That position is all the state there is: [`Self::resume`] restores it bit by bit.
 ///
-/// In mode `fgo` the state is a window of epochs, which no solution restores:
-/// [`Mode::is_resumable`] tells them apart.
+/// In mode `ekf` the state is a mean with its covariance and the last epoch's carrier phases, in
+/// mode `fgo` a window of epochs; no solution restores them: [`Mode::is_resumable`] tells them
+/// apart.
 #[derive(Debug)]
 pub struct Estimator {
     options: Arc<PositioningOptions>,
@@ -32,6 +34,7 @@ pub struct Estimator {
 #[derive(Debug)]
 enum Engine {
     SinglePoint { start: Option<Ecef>, single_point: Box<SinglePoint> },
+    KalmanFilter(Box<KalmanFilter>),
     FactorGraph(Box<SlidingWindow>),
 }
 
@@ -52,6 +55,7 @@ impl Estimator {
                 let single_point = Box::new(SinglePoint::new(&options));
                 Engine::SinglePoint { start: None, single_point }
             }
+            Mode::Ekf => Engine::KalmanFilter(Box::new(KalmanFilter::new(&options))),
             Mode::Fgo => Engine::FactorGraph(Box::new(SlidingWindow::new(&options, revises))),
         };
         Self { options: Arc::new(options), engine }
@@ -71,6 +75,7 @@ impl Estimator {
                 *start = solution.estimate.as_ref().map(|estimate| estimate.position);
                 solution
             }
+            Engine::KalmanFilter(filter) => filter.advance(epoch, navigation, options),
             Engine::FactorGraph(window) => window.advance(epoch, navigation, options),
         }
     }
@@ -79,7 +84,7 @@ impl Estimator {
     /// after them. None unless [`Self::revising`].
     pub fn take_revisions(&mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } => Vec::new(),
+            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) => Vec::new(),
             Engine::FactorGraph(window) => window.take_revisions(),
         }
     }
@@ -87,7 +92,7 @@ impl Estimator {
     /// The revisions not yet taken, and those of the epochs still in the window.
     pub fn finish(mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } => Vec::new(),
+            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) => Vec::new(),
             Engine::FactorGraph(window) => window.finish(),
         }
     }
@@ -100,6 +105,7 @@ impl Estimator {
             Engine::SinglePoint { start, .. } => {
                 *start = last.estimate.as_ref().map(|estimate| estimate.position);
             }
+            Engine::KalmanFilter(filter) => **filter = KalmanFilter::new(&self.options),
             Engine::FactorGraph(window) => **window = SlidingWindow::new(&self.options, false),
         }
     }
@@ -113,6 +119,7 @@ impl Clone for Estimator {
                 start: *start,
                 single_point: Box::new(single_point.with_fresh_memory()),
             },
+            Engine::KalmanFilter(filter) => Engine::KalmanFilter(filter.clone()),
             Engine::FactorGraph(window) => Engine::FactorGraph(window.clone()),
         };
         Self { options: Arc::clone(&self.options), engine }
@@ -126,6 +133,9 @@ impl Clone for Estimator {
         match (&mut self.engine, &source.engine) {
             (Engine::SinglePoint { start, .. }, Engine::SinglePoint { start: from, .. }) => {
                 *start = *from;
+            }
+            (Engine::KalmanFilter(filter), Engine::KalmanFilter(from)) => {
+                (**filter).clone_from(from);
             }
             (Engine::FactorGraph(window), Engine::FactorGraph(from)) => {
                 (**window).clone_from(from);

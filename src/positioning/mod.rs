@@ -3,11 +3,14 @@
 //! [`Estimator::advance`] turns one epoch and the [`Aiding`] valid at its time into a solution.
 //! On the way, `measurements` corrects and weighs what was observed, `spp` finds position and
 //! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
-//! Doppler, and `fgo` keeps a window of epochs in a factor graph made of `factors`. Physics is in
+//! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
+//! the same factors with one state. Physics is in
 //! `models`, the choice of all of it in `config`.
 
 mod answer;
+mod chi_square;
 mod clock_jump;
+mod ekf;
 mod estimator;
 mod factors;
 mod fgo;

@@ -1,5 +1,6 @@
 //! The clock factor: drift moves the clock and wanders.
 
+use crate::config::GraphOptions;
 use crate::graph::Link;
 
 use super::{CLOCK, DRIFT, State};
@@ -11,6 +12,24 @@ pub(in crate::positioning) struct ClockWalk {
     pub(in crate::positioning) clock_m: f64,
     /// Of the drift (m/s/√s).
     pub(in crate::positioning) drift_m_s: f64,
+}
+
+impl ClockWalk {
+    /// The walks that options ask for.
+    pub(in crate::positioning) fn of(options: &GraphOptions) -> Self {
+        Self { clock_m: options.clock_walk_m, drift_m_s: options.drift_walk_m_s }
+    }
+
+    /// σ₁² (m²).
+    pub(in crate::positioning) fn link_m2(&self, interval_s: f64) -> f64 {
+        let (h, q) = (self.clock_m, self.drift_m_s);
+        h * h * interval_s + q * q * interval_s.powi(3) / 12.0
+    }
+
+    /// σ₂² (m²/s²).
+    pub(in crate::positioning) fn drift_m2_s2(&self, interval_s: f64) -> f64 {
+        self.drift_m_s.powi(2) * interval_s
+    }
 }
 
 /// Clock factor between two states, two rows.
@@ -38,13 +57,12 @@ impl ClockFactor {
         interval_s: f64,
         jump_m: Option<f64>,
     ) -> Self {
-        let ClockWalk { clock_m: h, drift_m_s: q } = *walk;
-        let variance = h * h * interval_s + q * q * interval_s.powi(3) / 12.0;
+        let inverse = |_| walk.link_m2(interval_s).sqrt().recip();
         Self {
             interval_s,
             jump_m: jump_m.unwrap_or(0.0),
-            inverse_clock: jump_m.map_or(0.0, |_| variance.sqrt().recip()),
-            inverse_drift: (q * interval_s.sqrt()).recip(),
+            inverse_clock: jump_m.map_or(0.0, inverse),
+            inverse_drift: (walk.drift_m_s * interval_s.sqrt()).recip(),
         }
     }
 

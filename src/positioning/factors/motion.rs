@@ -1,5 +1,6 @@
 //! The motion factor: velocity moves the position and wanders.
 
+use crate::config::GraphOptions;
 use crate::graph::Link;
 
 use super::{State, VELOCITY};
@@ -12,6 +13,25 @@ const LINK_WALK_M: f64 = 0.02;
 pub(in crate::positioning) struct MotionWalk {
     /// East, north, up (m/s/√s).
     pub(in crate::positioning) velocity_m_s: [f64; 3],
+}
+
+impl MotionWalk {
+    /// The walks that options ask for.
+    pub(in crate::positioning) fn of(options: &GraphOptions) -> Self {
+        let horizontal = options.horizontal_walk_m_s;
+        Self { velocity_m_s: [horizontal, horizontal, options.vertical_walk_m_s] }
+    }
+
+    /// σ₁² of an axis (m²).
+    pub(in crate::positioning) fn link_m2(&self, axis: usize, interval_s: f64) -> f64 {
+        let q = self.velocity_m_s[axis];
+        q * q * interval_s.powi(3) / 12.0 + LINK_WALK_M.powi(2) * interval_s
+    }
+
+    /// σ₂² of an axis (m²/s²).
+    pub(in crate::positioning) fn pace_m2_s2(&self, axis: usize, interval_s: f64) -> f64 {
+        self.velocity_m_s[axis].powi(2) * interval_s
+    }
 }
 
 /// Motion factor between two states, two rows an axis.
@@ -31,10 +51,10 @@ pub(in crate::positioning) struct MotionFactor {
 impl MotionFactor {
     /// Over an interval (s).
     pub(in crate::positioning) fn new(walk: &MotionWalk, interval_s: f64) -> Self {
-        let place = |q: f64| q * q * interval_s.powi(3) / 12.0 + LINK_WALK_M.powi(2) * interval_s;
+        let inverse_place = |axis| walk.link_m2(axis, interval_s).sqrt().recip();
         Self {
             interval_s,
-            inverse_place: walk.velocity_m_s.map(|q| place(q).sqrt().recip()),
+            inverse_place: [0, 1, 2].map(inverse_place),
             inverse_pace: walk.velocity_m_s.map(|q| (q * interval_s.sqrt()).recip()),
         }
     }

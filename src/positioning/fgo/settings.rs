@@ -76,13 +76,10 @@ impl Settings {
             false => (Schedule::direct(10), Schedule::direct(30)),
         };
         let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
-        let horizontal = options.horizontal_walk_m_s;
         Self {
             kernels,
-            motion: MotionWalk {
-                velocity_m_s: [horizontal, horizontal, options.vertical_walk_m_s],
-            },
-            clock: ClockWalk { clock_m: options.clock_walk_m, drift_m_s: options.drift_walk_m_s },
+            motion: MotionWalk::of(options),
+            clock: ClockWalk::of(options),
             lasting_m2: options.lasting_sigma_m.powi(2),
             update: solve(update),
             whole: solve(whole),

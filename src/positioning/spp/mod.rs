@@ -10,7 +10,6 @@
 //! with its covariance multiplied by that sum per degree of freedom, and the reason.
 
 mod answer;
-mod chi_square;
 mod exclusion;
 mod least_squares;
 
@@ -19,8 +18,8 @@ use crate::gnss::{Constellation, Ecef, Epoch, Navigation, Reason, Solution, Stat
 use crate::models::geometric_range;
 
 use super::Measurements;
+use super::chi_square::ChiSquareLimits;
 use super::velocity::VelocityEstimator;
-use chi_square::ChiSquareLimits;
 use least_squares::{Row, Step};
 
 /// A step shorter than this needs no further one (m).

@@ -1,0 +1,27 @@
+//! Extended Kalman filter on the factors of the graph, as its comparator.
+//!
+//! State x, 17×1: position p, velocity v, clock b and drift d as in `positioning::factors`, one
+//! inter-system bias β for each constellation, and the position and clock of the epoch before, so
+//! that what ties two epochs, phase differences and odometry, is a measurement of x.
+//!
+//! Prediction over Δt, the graph's motion and clock factors solved for the later state:
+//!
+//! p₊ = p + Δt·v, v₊ = v, covariance of the noise per axis
+//! [q²Δt³/3 + (0.02 m)²·Δt, q²Δt²/2; q²Δt²/2, q²Δt]
+//!
+//! and the same for [b; d] with h²Δt in place of the link's; biases wander. Measurements are the
+//! graph's whitened rows r with Jacobian J, one after the other: S = J P Jᵀ + R, K = P Jᵀ/S,
+//! x ← x − K·r, P ← (I − K J)·P·(I − K J)ᵀ + R·K·Kᵀ (Joseph's form, Bucy & Joseph 1968).
+//!
+//! The innovation test leaves a row out whose r²/S exceeds the chi-square limit of one degree of
+//! freedom at `false_alarm_probability`; without `fault_exclusion` none is made. Rows of one kind
+//! enter in the order of their standard deviations, because a test in sequence finds faults best
+//! when the least suspect come first.
+//!
+//! Sources: Kalman (1960); Brown & Hwang (1997) for the models; Jazwinski (1970), *Stochastic
+//! Processes and Filtering Theory*, chapter 8, for the extended filter.
+
+mod belief;
+mod filter;
+
+pub(super) use filter::KalmanFilter;
