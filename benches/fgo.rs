@@ -57,7 +57,7 @@ fn options(kernel: &str, phase: &str, window_s: &str) -> PositioningOptions {
 )]
 fn causal_update(bencher: Bencher, (kernel, phase, window_s): (&str, &str, &str)) {
     let Some((epochs, navigation)) = recording() else { return };
-    let aiding = Aiding { navigation: &navigation };
+    let aiding = Aiding::alone(&navigation);
     let mut estimator = Estimator::new(options(kernel, phase, window_s));
     let mut source = epochs.iter();
     for epoch in source.by_ref().take(100) {
@@ -73,7 +73,7 @@ fn causal_update(bencher: Bencher, (kernel, phase, window_s): (&str, &str, &str)
 #[divan::bench(sample_count = 5, sample_size = 1)]
 fn batch(bencher: Bencher) {
     let Some((epochs, navigation)) = recording() else { return };
-    let aiding = Aiding { navigation: &navigation };
+    let aiding = Aiding::alone(&navigation);
     bencher.bench_local(|| {
         let mut batch = Batch::new(options("geman-mcclure", "on", "10"));
         epochs.iter().for_each(|epoch| batch.push(epoch, &aiding));

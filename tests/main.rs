@@ -17,6 +17,7 @@ mod http;
 mod models;
 mod recording;
 mod rinex;
+mod rtk;
 mod sessions;
 mod simulation;
 mod snapshot;

@@ -38,7 +38,7 @@ impl Recording {
     }
 
     pub(crate) fn aiding(&self) -> Aiding<'_> {
-        Aiding { navigation: &self.navigation }
+        Aiding::alone(&self.navigation)
     }
 
     pub(crate) fn causal(&self, mode: Mode, profile: Profile) -> Vec<Solution> {

@@ -45,7 +45,7 @@ fn epochs(path: &Path) -> Vec<Epoch> {
 
 fn solve(epochs: &[Epoch], navigation: &Navigation, options: PositioningOptions) -> Vec<Solution> {
     let mut estimator = Estimator::new(options);
-    epochs.iter().map(|epoch| estimator.advance(epoch, &Aiding { navigation })).collect()
+    epochs.iter().map(|epoch| estimator.advance(epoch, &Aiding::alone(navigation))).collect()
 }
 
 /// Errors of the epochs answered.
@@ -171,7 +171,7 @@ fn a_day_of_a_reference_station() {
 fn the_previous_position_decides_nothing() {
     let Some(folder) = data::set("tst-2019") else { return };
     let navigation = navigation(&folder, &["hksc1180.19n", "hksc1180.19b"]);
-    let aiding = Aiding { navigation: &navigation };
+    let aiding = Aiding::alone(&navigation);
     let options = options(Profile::General, &[]);
     let mut running = Estimator::new(options.clone());
     let mut last: Option<Solution> = None;

@@ -157,6 +157,7 @@ impl CompareArguments {
             let message = format!("mode {} has no answer {answer:?}", mode.name());
             return Err(Failure::new("USAGE", message, "name a mode with a window, as fgo"));
         }
+        self.recording.check_base(mode)?;
         let mut options = PositioningOptions::new(mode, Profile::parse(profile)?);
         for assignment in &self.set {
             let (key, value) = assignment.split_once('=').ok_or_else(|| {

@@ -54,7 +54,7 @@ mod tests {
     #[test]
     fn refusals_have_their_codes() {
         let code = |mode, set: &[&str]| options(mode, set).unwrap_err().code();
-        assert_eq!(code("rtk-fgo", &[]), "UNKNOWN_MODE");
+        assert_eq!(code("ppp", &[]), "UNKNOWN_MODE");
         assert_eq!(code("spp", &["velocity"]), "USAGE");
         assert_eq!(code("spp", &["velocty=on"]), "UNKNOWN_OPTION");
         assert_eq!(code("spp", &["velocity=1"]), "INVALID_OPTION_VALUE");

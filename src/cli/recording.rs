@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use crate::config::Mode;
 use crate::formats::decompress;
 use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
 use crate::gnss::{Epoch, GpsTime, Navigation};
 use crate::positioning::Aiding;
 
 use super::Failure;
+use super::base::{BaseArguments, BaseRecording};
 
 const READ_BUFFER_BYTES: usize = 1 << 16;
 
@@ -30,9 +32,20 @@ pub(crate) struct RecordingArguments {
     /// Last epoch, GPS seconds of week.
     #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
     to: Option<f64>,
+    #[command(flatten)]
+    base: BaseArguments,
 }
 
 impl RecordingArguments {
+    /// Refuses a mode that needs a base where none is named.
+    pub(crate) fn check_base(&self, mode: Mode) -> Result<(), Failure> {
+        if mode.is_relative() && self.base.file().is_none() {
+            let message = format!("mode {} needs a base", mode.name());
+            return Err(Failure::new("USAGE", message, "add --base FILE"));
+        }
+        Ok(())
+    }
+
     fn is_outside(&self, time: GpsTime) -> bool {
         let seconds = time.seconds_of_week();
         self.from.is_some_and(|from| seconds < from) || self.to.is_some_and(|to| to < seconds)
@@ -48,6 +61,7 @@ pub(crate) struct Recording<'a> {
     navigation: Navigation,
     left_out: LeftOut<'a>,
     rover: ObservationReader<Box<dyn BufRead>>,
+    base: Option<BaseRecording>,
 }
 
 impl<'a> Recording<'a> {
@@ -61,10 +75,16 @@ impl<'a> Recording<'a> {
             navigation.merge(read);
             left_out.push((path.as_path(), skipped));
         }
-        let rover = ObservationReader::new(open(&arguments.rover)?).map_err(|error| {
-            unreadable(&arguments.rover, &error, "name a RINEX observation file")
-        })?;
-        Ok(Self { arguments, navigation, left_out, rover })
+        let observations = |path: &Path| {
+            ObservationReader::new(open(path)?)
+                .map_err(|error| unreadable(path, &error, "name a RINEX observation file"))
+        };
+        let rover = observations(&arguments.rover)?;
+        let base = match arguments.base.file() {
+            Some(path) => Some(BaseRecording::new(&arguments.base, observations(path)?)?),
+            None => None,
+        };
+        Ok(Self { arguments, navigation, left_out, rover, base })
     }
 
     /// The broadcast navigation data.
@@ -74,7 +94,8 @@ impl<'a> Recording<'a> {
 
     /// What an estimator needs for the epoch read last.
     pub(crate) fn aiding(&self) -> Aiding<'_> {
-        Aiding { navigation: &self.navigation }
+        let base = self.base.as_ref().map(BaseRecording::aiding);
+        Aiding { navigation: &self.navigation, base }
     }
 
     /// Reads the next epoch of the span asked for into `epoch`; false at the end.
@@ -84,15 +105,31 @@ impl<'a> Recording<'a> {
             let is_read = self.rover.read_epoch(epoch).map_err(|error| {
                 unreadable(rover, &error, "repair or cut the file at that line")
             })?;
-            if !is_read || !self.arguments.is_outside(epoch.time) {
-                return Ok(is_read);
+            if !is_read {
+                return Ok(false);
+            }
+            if !self.arguments.is_outside(epoch.time) {
+                self.follow(epoch.time)?;
+                return Ok(true);
             }
         }
+    }
+
+    /// Reads the base on to the rover's time.
+    fn follow(&mut self, time: GpsTime) -> Result<(), Failure> {
+        let (Some(base), Some(path)) = (&mut self.base, self.arguments.base.file()) else {
+            return Ok(());
+        };
+        base.follow(time)
+            .map_err(|error| unreadable(path, &error, "repair or cut the file at that line"))
     }
 
     /// What was left out of the files, the rover's first.
     pub(crate) fn into_left_out(self) -> LeftOut<'a> {
         let mut left_out = self.left_out;
+        if let (Some(base), Some(path)) = (&self.base, self.arguments.base.file()) {
+            left_out.insert(0, (path, base.skipped()));
+        }
         left_out.insert(0, (&self.arguments.rover, self.rover.skipped().clone()));
         left_out
     }

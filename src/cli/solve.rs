@@ -90,6 +90,7 @@ impl SolveArguments {
             let message = format!("mode {} has no window", options.mode.name());
             return Err(Failure::new("USAGE", message, "add --mode fgo"));
         }
+        self.recording.check_base(options.mode)?;
         if let Some(window) = self.window.as_deref().filter(|window| *window != BATCH) {
             options.set("window_s", window)?;
         }

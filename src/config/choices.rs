@@ -43,6 +43,8 @@ named_choice! {
         Ekf = "ekf",
         /// Factor graph over a sliding window: pseudoranges, Doppler, phase in time, motion.
         Fgo = "fgo",
+        /// Factor graph on differences against a base, with integer ambiguities.
+        RtkFgo = "rtk-fgo",
     }
 }
 
@@ -138,7 +140,7 @@ impl Mode {
     /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
     pub const fn has_window(self) -> bool {
         match self {
-            Self::Spp | Self::Ekf => false,
+            Self::Spp | Self::Ekf | Self::RtkFgo => false,
             Self::Fgo => true,
         }
     }
@@ -148,8 +150,13 @@ impl Mode {
     pub const fn is_resumable(self) -> bool {
         match self {
             Self::Spp => true,
-            Self::Ekf | Self::Fgo => false,
+            Self::Ekf | Self::Fgo | Self::RtkFgo => false,
         }
+    }
+
+    /// Whether the mode positions against a base.
+    pub const fn is_relative(self) -> bool {
+        matches!(self, Self::RtkFgo)
     }
 
     /// The mode itself, if sessions serve it.
@@ -265,8 +272,9 @@ mod tests {
     #[test]
     fn modes_to_come_are_refused_by_name() {
         assert_eq!(Mode::parse("spp"), Ok(Mode::Spp));
-        let error = Mode::parse("rtk-fgo").unwrap_err();
-        assert_eq!(error.to_string(), "mode \"rtk-fgo\" is not available; allowed: spp, ekf, fgo");
+        let error = Mode::parse("ppp").unwrap_err();
+        let allowed = "spp, ekf, fgo, rtk-fgo";
+        assert_eq!(error.to_string(), format!("mode \"ppp\" is not available; allowed: {allowed}"));
     }
 
     #[test]

@@ -10,6 +10,8 @@ mod graph_table;
 mod option_specification;
 mod option_table;
 mod positioning;
+mod rtk_options;
+mod rtk_table;
 mod service;
 
 pub use choices::{
@@ -20,6 +22,7 @@ pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
+pub use rtk_options::RtkOptions;
 pub use service::{
     IntakeLimits, Limits, LogConfiguration, ServiceConfiguration, ServiceConfigurationError,
 };

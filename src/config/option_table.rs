@@ -4,6 +4,7 @@ use crate::gnss::SatelliteId;
 
 use super::graph_table::GRAPH_TABLE;
 use super::option_specification::{OptionSpecification, number, switch, switch_text};
+use super::rtk_table::RTK_TABLE;
 use super::{
     BandSet, ConfigError, ConstellationSet, IonosphereModel, Mode, PositioningOptions,
     TroposphereMapping, TroposphereModel, WeightModel,
@@ -204,11 +205,12 @@ impl PositioningOptions {
             meaning: option.meaning,
             allowed: option.allowed,
         };
-        let graph: &[OptionSpecification] = match self.mode {
-            Mode::Spp => &[],
-            Mode::Ekf | Mode::Fgo => GRAPH_TABLE,
+        let (graph, rtk): (&[OptionSpecification], &[OptionSpecification]) = match self.mode {
+            Mode::Spp => (&[], &[]),
+            Mode::Ekf | Mode::Fgo => (GRAPH_TABLE, &[]),
+            Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
         };
-        TABLE.iter().chain(graph).map(entry).collect()
+        TABLE.iter().chain(graph).chain(rtk).map(entry).collect()
     }
 
     /// BLAKE3 of the mode and every value in force, in hexadecimal: equal for equal estimators,
@@ -225,7 +227,7 @@ impl PositioningOptions {
 
 /// The options of all modes.
 fn all() -> impl Iterator<Item = &'static OptionSpecification> {
-    TABLE.iter().chain(GRAPH_TABLE)
+    TABLE.iter().chain(GRAPH_TABLE).chain(RTK_TABLE)
 }
 
 /// The option whose name is the fewest edits away; the first of equals.
@@ -278,8 +280,8 @@ mod tests {
     #[test]
     fn every_value_shown_can_be_set_again() {
         for profile in Profile::ALL {
-            let shown = PositioningOptions::new(Mode::Fgo, *profile);
-            let mut set = PositioningOptions::new(Mode::Fgo, Profile::General);
+            let shown = PositioningOptions::new(Mode::RtkFgo, *profile);
+            let mut set = PositioningOptions::new(Mode::RtkFgo, Profile::General);
             for entry in shown.entries() {
                 assert_eq!(entry.default, entry.value, "{}", entry.name);
                 set.set(entry.name, &entry.value).unwrap();

@@ -3,8 +3,8 @@
 use crate::gnss::{Band, Constellation, SatelliteId};
 
 use super::{
-    BandSet, ConstellationSet, GraphOptions, IonosphereModel, Mode, Profile, TroposphereMapping,
-    TroposphereModel, WeightModel,
+    BandSet, ConstellationSet, GraphOptions, IonosphereModel, Mode, Profile, RtkOptions,
+    TroposphereMapping, TroposphereModel, WeightModel,
 };
 
 /// What an estimator is told: a profile's values with overrides.
@@ -59,12 +59,18 @@ pub struct PositioningOptions {
     pub velocity: bool,
     /// Options of the modes with a factor graph.
     pub graph: GraphOptions,
+    /// Options of the modes that difference against a base.
+    pub rtk: RtkOptions,
 }
 
 impl PositioningOptions {
     /// The defaults of `profile` for `mode`.
     pub fn new(mode: Mode, profile: Profile) -> Self {
-        let general = Self { graph: GraphOptions::new(profile), ..Self::general(mode) };
+        let general = Self {
+            graph: GraphOptions::new(profile),
+            rtk: RtkOptions::new(profile),
+            ..Self::general(mode)
+        };
         match profile {
             Profile::General => general,
             Profile::UrbanVehicle => Self { profile, ..general },
@@ -117,6 +123,7 @@ impl PositioningOptions {
             gdop_limit: 100.0,
             velocity: true,
             graph: GraphOptions::new(Profile::General),
+            rtk: RtkOptions::new(Profile::General),
         }
     }
 }

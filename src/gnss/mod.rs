@@ -19,7 +19,7 @@ pub use ephemeris::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
 };
 pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
-pub use observation::{BaseEpoch, Cycles, Epoch, Meters, Observation};
+pub use observation::{BaseStation, Cycles, Epoch, Meters, Observation};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{

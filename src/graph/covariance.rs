@@ -91,6 +91,17 @@ impl<const S: usize> Covariances<S> {
         &self.variables
     }
 
+    /// Covariance of the border variables at two places of [`Covariances::variables`].
+    pub fn border_at(&self, a: usize, b: usize) -> f64 {
+        self.border.get(a, b)
+    }
+
+    /// Covariance between the state reached and the border variable at a place of
+    /// [`Covariances::variables`].
+    pub fn cross_at(&self, place: usize) -> &SVector<f64, S> {
+        &self.cross[place]
+    }
+
     /// Covariance of two border variables; none if either is not at hand.
     pub fn border(&self, a: usize, b: usize) -> Option<f64> {
         Some(self.border.get(self.place(a)?, self.place(b)?))

@@ -11,6 +11,7 @@
 //! | [`annealing`] | graduated non-convexity: which kernel width in which iteration |
 //! | [`estimate`] | values of all states and border variables |
 //! | [`system`] | normal equations H·δ = −g, accumulated row by row |
+//! | [`sharing`] | rows with a free offset in common, eliminated before they are accumulated |
 //! | [`elimination`] | block Cholesky along the chain, border by Schur complement, δ |
 //! | [`covariance`] | marginal covariances of any state and of the border |
 //! | [`prior`] | old states marginalised into a dense prior |
@@ -80,6 +81,7 @@ pub mod estimate;
 pub mod kernel;
 pub mod optimizer;
 pub mod prior;
+pub mod sharing;
 pub mod system;
 
 mod block;
@@ -95,4 +97,5 @@ pub use estimate::Estimate;
 pub use kernel::{Kernel, Law};
 pub use optimizer::{OptimizerOptions, Outcome, Problem, Summary, Workspace, optimize};
 pub use prior::Prior;
+pub use sharing::{SharingRow, shared_offset};
 pub use system::{BorderLife, Link, Row, System};

@@ -112,6 +112,13 @@ pub(crate) struct Life {
     hint: usize,
 }
 
+impl Life {
+    /// Its place among the variables of the state last written.
+    pub(crate) fn place(&self) -> usize {
+        self.hint
+    }
+}
+
 /// Normal equations over `S`-vectors along a chain, and a border. Keeps its storage when reset.
 #[derive(Clone, Debug)]
 pub struct System<const S: usize> {
@@ -123,6 +130,7 @@ pub struct System<const S: usize> {
     pub(crate) touched: Vec<Touched<S>>,
     pub(crate) lives: Vec<Life>,
     cost: f64,
+    pub(crate) scratch: Vec<f64>,
 }
 
 impl<const S: usize> System<S> {
@@ -137,6 +145,7 @@ impl<const S: usize> System<S> {
             touched: Vec::new(),
             lives: Vec::new(),
             cost: 0.0,
+            scratch: Vec::new(),
         }
     }
 

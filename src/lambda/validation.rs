@@ -18,6 +18,9 @@ pub enum RatioTest {
     /// Source: Verhagen & Teunissen (2013); the thresholds are our own simulation, see
     /// `thresholds`.
     FixedFailureRate(FailureRate),
+    /// That threshold, but no less than a constant: a guard against models that state too little
+    /// error, in which the failure rate is too small.
+    FixedFailureRateAtLeast(FailureRate, f64),
 }
 
 impl RatioTest {
@@ -28,6 +31,9 @@ impl RatioTest {
             Self::FixedFailureRate(rate) => {
                 let failure_rate = bootstrapped_failure_rate(conditional_variances);
                 rate.threshold(conditional_variances.len(), failure_rate)
+            }
+            Self::FixedFailureRateAtLeast(rate, least) => {
+                Self::FixedFailureRate(rate).threshold(conditional_variances).max(least)
             }
         }
     }
@@ -92,6 +98,11 @@ mod tests {
     #[test]
     fn constant_ratio_is_the_threshold_of_any_model() {
         assert_eq!(RatioTest::Constant(3.0).threshold(&[0.1, 0.2]), 3.0);
+        let strong = RatioTest::FixedFailureRateAtLeast(FailureRate::PerMille, 2.0);
+        assert_eq!(strong.threshold(&[1e-4, 1e-4]), 2.0);
+        let weak = [0.05, 0.05];
+        let rate = RatioTest::FixedFailureRate(FailureRate::PerMille).threshold(&weak);
+        assert!(2.0 < rate && strong.threshold(&weak) == rate);
         assert_eq!(ratio(&[0.5, 2.0]), Some(4.0));
         assert_eq!(ratio(&[0.0, 2.0]), Some(f64::INFINITY));
         assert_eq!(ratio(&[0.0, 0.0]), None);

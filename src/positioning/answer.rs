@@ -1,34 +1,19 @@
 //! From the state of an epoch to a solution, for estimators that keep states.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix};
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Constellation, Dops, Enu, GpsTime, LocalFrame, Provenance, Reason, Solution, SolutionEstimate,
+    Constellation, Enu, GpsTime, LocalFrame, Provenance, Reason, Solution, SolutionEstimate,
     Status, Velocity,
 };
 
 use super::factors::{CLOCK, DRIFT, STATE, State, VELOCITY, position, velocity};
+use super::geometry::{Geometry, UNDETERMINED};
 use super::ranging::Ranging;
 
 /// Standard deviation of a position that is none (m).
 const LOST_M: f64 = 1e3;
-/// Dilution of precision of a position that its pseudoranges do not determine by themselves.
-const PDOP_MAX: f64 = 100.0;
-/// Unknowns of a geometry: position and a clock for each constellation.
-const UNKNOWNS: usize = 3 + Constellation::COUNT;
-
-/// Inverse normal matrix of position and clocks.
-type Geometry = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
-
-/// Dilutions of precision of pseudoranges that do not determine a position by themselves.
-const UNDETERMINED: Dops = Dops {
-    gdop: f64::INFINITY,
-    pdop: f64::INFINITY,
-    hdop: f64::INFINITY,
-    vdop: f64::INFINITY,
-    tdop: f64::INFINITY,
-};
 
 /// The state of one epoch with all that its solution tells.
 pub(super) struct Answer<'a> {
@@ -72,10 +57,14 @@ impl Answer<'_> {
         if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
             return Solution::none(self.time, self.reasons);
         }
-        let geometry = geometry(&position(state), &used);
+        let at = position(state);
+        let geometry = Geometry::of(
+            used.iter()
+                .map(|range| (range.satellite.constellation, range.factor.sight.range(&at).1)),
+        );
         let mut place = covariance.fixed_view::<3, 3>(0, 0) * self.repetition;
         if let Some(geometry) = &geometry {
-            place += geometry.fixed_view::<3, 3>(0, 0) * self.lasting_m2;
+            place += geometry.position() * self.lasting_m2;
         }
         let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
         let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
@@ -91,7 +80,7 @@ impl Answer<'_> {
             clock_m,
             inter_system_biases_m,
             reception_time: self.time - clock_m / SPEED_OF_LIGHT,
-            dops: geometry.map_or(UNDETERMINED, |geometry| dops(&geometry, &used)),
+            dops: geometry.map_or(UNDETERMINED, |geometry| geometry.dops()),
             satellites_used: used.iter().map(|range| range.satellite).collect(),
             relative: None,
         };
@@ -139,40 +128,4 @@ fn clocks(ranges: &[Ranging], biases_m: &[f64], clock_m: f64) -> (f64, Vec<(Cons
         return (clock_m, Vec::new());
     };
     (clock_m + first_m, present.map(|(c, bias_m)| (c, bias_m - first_m)).collect())
-}
-
-/// (GᵀG)⁻¹ of the pseudoranges used, local position and one clock for each constellation; `None`
-/// where they do not determine the position by themselves. Clocks without any are one.
-fn geometry(at: &Vector3<f64>, used: &[&Ranging]) -> Option<Geometry> {
-    let mut normal = Geometry::zeros();
-    for range in used {
-        let (_, slope) = range.factor.sight.range(at);
-        let mut row = SVector::<f64, UNKNOWNS>::zeros();
-        row.fixed_rows_mut::<3>(0).copy_from(&slope);
-        row[3 + range.satellite.constellation.index()] = 1.0;
-        normal += row * row.transpose();
-    }
-    for clock in 3..UNKNOWNS {
-        if normal[(clock, clock)] == 0.0 {
-            normal[(clock, clock)] = 1.0;
-        }
-    }
-    let inverse = normal.cholesky()?.inverse();
-    let pdop_squared = inverse.fixed_view::<3, 3>(0, 0).trace();
-    (pdop_squared < PDOP_MAX * PDOP_MAX).then_some(inverse)
-}
-
-/// Dilutions of precision, each pseudorange counting alike.
-fn dops(geometry: &Geometry, used: &[&Ranging]) -> Dops {
-    let constellations = used.iter().map(|range| range.satellite.constellation.index());
-    let clock = 3 + constellations.min().unwrap_or(0);
-    let horizontal = geometry[(0, 0)] + geometry[(1, 1)];
-    let (vertical, time) = (geometry[(2, 2)], geometry[(clock, clock)]);
-    Dops {
-        gdop: (horizontal + vertical + time).sqrt(),
-        pdop: (horizontal + vertical).sqrt(),
-        hdop: horizontal.sqrt(),
-        vdop: vertical.sqrt(),
-        tdop: time.sqrt(),
-    }
 }

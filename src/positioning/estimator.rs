@@ -5,8 +5,10 @@ use std::sync::Arc;
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Ecef, Epoch, Navigation, Solution};
 
+use super::base::BaseAiding;
 use super::ekf::KalmanFilter;
 use super::fgo::{SlidingWindow, WholeChain};
+use super::rtk::RtkWindow;
 use super::spp::SinglePoint;
 
 /// What an epoch needs beside its own observations.
@@ -14,6 +16,15 @@ use super::spp::SinglePoint;
 pub struct Aiding<'a> {
     /// Ephemerides and ionosphere coefficients.
     pub navigation: &'a Navigation,
+    /// The base, for modes relative to one.
+    pub base: Option<BaseAiding<'a>>,
+}
+
+impl<'a> Aiding<'a> {
+    /// Without a base.
+    pub const fn alone(navigation: &'a Navigation) -> Self {
+        Self { navigation, base: None }
+    }
 }
 
 /// Turns epochs into solutions, one at a time.
@@ -36,6 +47,7 @@ enum Engine {
     SinglePoint { start: Option<Ecef>, single_point: Box<SinglePoint> },
     KalmanFilter(Box<KalmanFilter>),
     FactorGraph(Box<SlidingWindow>),
+    Relative(Box<RtkWindow>),
 }
 
 impl Estimator {
@@ -57,6 +69,7 @@ impl Estimator {
             }
             Mode::Ekf => Engine::KalmanFilter(Box::new(KalmanFilter::new(&options))),
             Mode::Fgo => Engine::FactorGraph(Box::new(SlidingWindow::new(&options, revises))),
+            Mode::RtkFgo => Engine::Relative(Box::new(RtkWindow::new(&options))),
         };
         Self { options: Arc::new(options), engine }
     }
@@ -77,6 +90,9 @@ impl Estimator {
             }
             Engine::KalmanFilter(filter) => filter.advance(epoch, navigation, options),
             Engine::FactorGraph(window) => window.advance(epoch, navigation, options),
+            Engine::Relative(window) => {
+                window.advance(epoch, navigation, aiding.base.as_ref(), options)
+            }
         }
     }
 
@@ -84,7 +100,9 @@ impl Estimator {
     /// after them. None unless [`Self::revising`].
     pub fn take_revisions(&mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) => Vec::new(),
+            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => {
+                Vec::new()
+            }
             Engine::FactorGraph(window) => window.take_revisions(),
         }
     }
@@ -92,7 +110,9 @@ impl Estimator {
     /// The revisions not yet taken, and those of the epochs still in the window.
     pub fn finish(mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) => Vec::new(),
+            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => {
+                Vec::new()
+            }
             Engine::FactorGraph(window) => window.finish(),
         }
     }
@@ -107,6 +127,7 @@ impl Estimator {
             }
             Engine::KalmanFilter(filter) => **filter = KalmanFilter::new(&self.options),
             Engine::FactorGraph(window) => **window = SlidingWindow::new(&self.options, false),
+            Engine::Relative(window) => **window = RtkWindow::new(&self.options),
         }
     }
 }
@@ -121,6 +142,7 @@ impl Clone for Estimator {
             },
             Engine::KalmanFilter(filter) => Engine::KalmanFilter(filter.clone()),
             Engine::FactorGraph(window) => Engine::FactorGraph(window.clone()),
+            Engine::Relative(window) => Engine::Relative(window.clone()),
         };
         Self { options: Arc::clone(&self.options), engine }
     }
@@ -140,6 +162,7 @@ impl Clone for Estimator {
             (Engine::FactorGraph(window), Engine::FactorGraph(from)) => {
                 (**window).clone_from(from);
             }
+            (Engine::Relative(window), Engine::Relative(from)) => (**window).clone_from(from),
             _ => *self = source.clone(),
         }
     }

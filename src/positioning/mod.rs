@@ -4,23 +4,29 @@
 //! On the way, `measurements` corrects and weighs what was observed, `spp` finds position and
 //! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
 //! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
-//! the same factors with one state. Physics is in
-//! `models`, the choice of all of it in `config`.
+//! the same factors with one state. `differencing` sets a rover against a base, and `rtk` finds its
+//! position and the integers from that. Physics is in `models`, the choice of all of it in
+//! `config`.
 
 mod answer;
+mod base;
 mod chi_square;
 mod clock_jump;
+mod differencing;
 mod ekf;
 mod estimator;
 mod factors;
 mod fgo;
+mod geometry;
 mod measurements;
 mod phases;
 mod ranging;
+mod rtk;
 #[cfg(test)]
 mod scenario;
 mod spp;
 mod velocity;
 
+pub use base::BaseAiding;
 pub use estimator::{Aiding, Batch, Estimator};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};

@@ -128,7 +128,7 @@ fn solve(observations: Vec<Observation>, navigation: &Navigation) -> Solution {
         options.set(key, value).unwrap();
     }
     let epoch = Epoch { observations, ..Epoch::new(tag()) };
-    Estimator::new(options).advance(&epoch, &Aiding { navigation })
+    Estimator::new(options).advance(&epoch, &Aiding::alone(navigation))
 }
 
 fn error_m(solution: &Solution) -> f64 {

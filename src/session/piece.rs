@@ -94,7 +94,7 @@ impl Piece {
         navigation: &Navigation,
         Origin { version, configuration_hash }: &Origin,
     ) -> Plan {
-        let solution = self.state.estimator.advance(epoch, &Aiding { navigation });
+        let solution = self.state.estimator.advance(epoch, &Aiding::alone(navigation));
         self.rows.push(EncodedEpoch::new(*seq, epoch, &solution, version, configuration_hash));
         self.solutions.push(StoredSolution {
             seq: *seq,

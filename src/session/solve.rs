@@ -129,7 +129,7 @@ impl Sessions {
             }
             let position = |SequencedEpoch { seq, epoch }| Computed {
                 seq,
-                solution: estimator.advance(&epoch, &Aiding { navigation: &navigation }),
+                solution: estimator.advance(&epoch, &Aiding::alone(&navigation)),
                 version: version.clone(),
                 configuration_hash: configuration_hash.clone(),
             };

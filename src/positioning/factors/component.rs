@@ -1,8 +1,8 @@
 //! What is known of one number of a state before any measurement.
 
-use crate::graph::Row;
+use nalgebra::SVector;
 
-use super::State;
+use crate::graph::Row;
 
 /// Component factor on one state.
 ///
@@ -20,7 +20,10 @@ pub(in crate::positioning) struct ComponentFactor {
 impl ComponentFactor {
     /// Whitened residual and its Jacobian on xᵢ.
     #[inline]
-    pub(in crate::positioning) fn linearize(&self, state: &State) -> Row<1> {
+    pub(in crate::positioning) fn linearize<const S: usize>(
+        &self,
+        state: &SVector<f64, S>,
+    ) -> Row<1> {
         Row {
             residual: (state[self.column] - self.mean) * self.inverse_sigma,
             columns: [self.column],

@@ -1,9 +1,11 @@
 //! The motion factor: velocity moves the position and wanders.
 
+use nalgebra::SVector;
+
 use crate::config::GraphOptions;
 use crate::graph::Link;
 
-use super::{State, VELOCITY};
+use super::VELOCITY;
 
 /// Deviation of the trapezoid beside what acceleration explains (m/√s).
 const LINK_WALK_M: f64 = 0.02;
@@ -61,11 +63,11 @@ impl MotionFactor {
 
     /// r₁ of one axis and its Jacobian on that axis of [p; v] and [p₊; v₊].
     #[inline]
-    pub(in crate::positioning) fn place(
+    pub(in crate::positioning) fn place<const S: usize>(
         &self,
         axis: usize,
-        state: &State,
-        next: &State,
+        state: &SVector<f64, S>,
+        next: &SVector<f64, S>,
     ) -> Link<2, 2> {
         let (w, half) = (self.inverse_place[axis], 0.5 * self.interval_s);
         let rate = VELOCITY + axis;
@@ -81,11 +83,11 @@ impl MotionFactor {
 
     /// r₂ of one axis and its Jacobian on that axis of v and v₊.
     #[inline]
-    pub(in crate::positioning) fn pace(
+    pub(in crate::positioning) fn pace<const S: usize>(
         &self,
         axis: usize,
-        state: &State,
-        next: &State,
+        state: &SVector<f64, S>,
+        next: &SVector<f64, S>,
     ) -> Link<1, 1> {
         let (w, rate) = (self.inverse_pace[axis], VELOCITY + axis);
         Link {

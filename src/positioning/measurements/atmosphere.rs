@@ -16,7 +16,7 @@ use super::weights::{constellation_factor, receiver_weights};
 use super::{Measurement, SecondFrequency};
 
 /// Relative humidity of the standard atmosphere, 0 … 1; RTKLIB's `REL_HUMI`.
-const RELATIVE_HUMIDITY: f64 = 0.7;
+pub(in crate::positioning) const RELATIVE_HUMIDITY: f64 = 0.7;
 
 /// The atmosphere above one place at one time.
 pub(super) struct Atmosphere<'a> {

@@ -21,8 +21,12 @@ use crate::models::{
 
 use atmosphere::Atmosphere;
 
+pub(super) use atmosphere::RELATIVE_HUMIDITY;
+pub(super) use signals::preference;
+pub(super) use weights::{constellation_factor, receiver_weights};
+
 /// Pseudoranges outside are no measurements of an Earth receiver (m): a clock may be off by 0.2 s.
-const PSEUDORANGES_M: std::ops::Range<f64> = 1e6..1e8;
+pub(super) const PSEUDORANGES_M: std::ops::Range<f64> = 1e6..1e8;
 
 /// A pseudorange on a further frequency.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,0 +1,153 @@
+//! The base station of a recording, read in step with the rover.
+
+use std::io::BufRead;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use clap::Args;
+
+use crate::formats::rinex::{ObservationReader, Skipped};
+use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime};
+use crate::positioning::BaseAiding;
+
+use super::Failure;
+
+/// Base epochs tagged this much later than the rover's are still of its time (s): receivers' clocks
+/// are off by milliseconds.
+const LATER_S: f64 = 0.02;
+
+/// The arguments that name a base.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct BaseArguments {
+    /// Observations of the base, for modes relative to one.
+    #[arg(long, value_name = "FILE")]
+    base: Option<PathBuf>,
+    /// Position of the base's marker, ECEF (m); its header's antenna offset is added.
+    #[arg(
+        long,
+        value_name = "X,Y,Z|from-header",
+        default_value = "from-header",
+        allow_negative_numbers = true,
+        requires = "base"
+    )]
+    base_position: BasePosition,
+}
+
+/// Where a base's position comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum BasePosition {
+    FromHeader,
+    Marker(Ecef),
+}
+
+impl FromStr for BasePosition {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "from-header" {
+            return Ok(Self::FromHeader);
+        }
+        let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse()).collect();
+        match numbers.as_deref() {
+            Ok([x, y, z]) if [x, y, z].iter().all(|n| n.is_finite()) => {
+                Ok(Self::Marker(Ecef::new(*x, *y, *z)))
+            }
+            _ => Err("expected X,Y,Z in metres, or from-header".to_owned()),
+        }
+    }
+}
+
+impl BaseArguments {
+    /// The base's file, if one is named.
+    pub(crate) fn file(&self) -> Option<&Path> {
+        self.base.as_deref()
+    }
+}
+
+/// A base's observations that are being read.
+pub(crate) struct BaseRecording {
+    station: BaseStation,
+    reader: ObservationReader<Box<dyn BufRead>>,
+    /// Read, and later than the rover's epoch.
+    ahead: Option<Epoch>,
+    /// New since the rover's epoch before; the first `count` of them.
+    epochs: Vec<Epoch>,
+    count: usize,
+}
+
+impl BaseRecording {
+    /// A base whose header has been read.
+    pub(crate) fn new(
+        arguments: &BaseArguments,
+        reader: ObservationReader<Box<dyn BufRead>>,
+    ) -> Result<Self, Failure> {
+        let header = reader.header();
+        let marker = match arguments.base_position {
+            BasePosition::Marker(marker) => marker,
+            BasePosition::FromHeader => header.approximate_position.ok_or_else(|| {
+                let message = "the header of the base's observations has no position";
+                Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
+            })?,
+        };
+        let name = header.marker.clone();
+        let station = BaseStation::at_marker(name, marker, header.antenna_delta_hen_m);
+        Ok(Self { station, reader, ahead: None, epochs: Vec::new(), count: 0 })
+    }
+
+    /// Reads on to the rover's time; what is new stands ready afterwards.
+    pub(crate) fn follow(
+        &mut self,
+        rover: GpsTime,
+    ) -> Result<(), crate::formats::rinex::RinexError> {
+        self.count = 0;
+        loop {
+            let mut epoch = match self.ahead.take() {
+                Some(epoch) => epoch,
+                None => {
+                    let mut epoch = self.epochs.get_mut(self.count).map_or_else(
+                        || Epoch::new(rover),
+                        |spare| std::mem::replace(spare, Epoch::new(rover)),
+                    );
+                    if !self.reader.read_epoch(&mut epoch)? {
+                        return Ok(());
+                    }
+                    epoch
+                }
+            };
+            if LATER_S < epoch.time - rover {
+                self.ahead = Some(epoch);
+                return Ok(());
+            }
+            match self.epochs.get_mut(self.count) {
+                Some(spare) => std::mem::swap(spare, &mut epoch),
+                None => self.epochs.push(epoch),
+            }
+            self.count += 1;
+        }
+    }
+
+    /// What an estimator needs for the rover's epoch.
+    pub(crate) fn aiding(&self) -> BaseAiding<'_> {
+        BaseAiding { station: &self.station, epochs: &self.epochs[..self.count] }
+    }
+
+    /// What was left out of the file.
+    pub(crate) fn skipped(&self) -> Skipped {
+        self.reader.skipped().clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_position_is_three_numbers_or_the_headers() {
+        let marker = Ecef::new(4033460.75, 23538.0, -4924318.5);
+        assert_eq!("4033460.75, 23538,-4924318.5".parse(), Ok(BasePosition::Marker(marker)));
+        assert_eq!("from-header".parse(), Ok(BasePosition::FromHeader));
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "nan,1,2"] {
+            assert!(wrong.parse::<BasePosition>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The table of the options of positions relative to a base.
+
+use super::option_specification::{OptionSpecification, number, switch, switch_text};
+
+#[rustfmt::skip]
+pub(super) const RTK_TABLE: &[OptionSpecification] = &[
+    OptionSpecification {
+        name: "differencing.carrier_sigma_m", unit: "m",
+        meaning: "standard deviation of a carrier phase: this, and this over the sine of elevation",
+        allowed: "a number from 0.0001 to 1",
+        get: |o| o.rtk.carrier_sigma_m.to_string(),
+        set: |o, text| number(text, 0.0001, 1.0).map(|v| o.rtk.carrier_sigma_m = v),
+    },
+    OptionSpecification {
+        name: "differencing.carrier_cn0_sigma_m", unit: "m",
+        meaning: "standard deviation that a signal of 42 dB-Hz adds; tenfold for 20 dB less",
+        allowed: "a number from 0 to 1",
+        get: |o| o.rtk.carrier_cn0_sigma_m.to_string(),
+        set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.carrier_cn0_sigma_m = v),
+    },
+    OptionSpecification {
+        name: "differencing.ionosphere_mm_km", unit: "mm/km",
+        meaning: "vertical gradient of the ionosphere's delay on L1, by baseline",
+        allowed: "a number from 0 to 1000",
+        get: |o| ((o.rtk.ionosphere_gradient * 1e12).round() / 1e6).to_string(),
+        set: |o, text| number(text, 0.0, 1000.0).map(|v| o.rtk.ionosphere_gradient = v * 1e-6),
+    },
+    OptionSpecification {
+        name: "differencing.pseudorange_correlation_s", unit: "s",
+        meaning: "how long a pseudorange's error lasts; epochs closer share one epoch's weight",
+        allowed: "a number from 0.01 to 3600",
+        get: |o| o.rtk.pseudorange_correlation_s.to_string(),
+        set: |o, text| {
+            number(text, 0.01, 3600.0).map(|v| o.rtk.pseudorange_correlation_s = v)
+        },
+    },
+    OptionSpecification {
+        name: "differencing.carrier_correlation_s", unit: "s",
+        meaning: "how long a carrier phase's error lasts; epochs closer share one epoch's weight",
+        allowed: "a number from 0.01 to 3600",
+        get: |o| o.rtk.carrier_correlation_s.to_string(),
+        set: |o, text| number(text, 0.01, 3600.0).map(|v| o.rtk.carrier_correlation_s = v),
+    },
+    OptionSpecification {
+        name: "differencing.base_age_max_s", unit: "s",
+        meaning: "a base epoch older than this is not used",
+        allowed: "a number from 0.1 to 600",
+        get: |o| o.rtk.base_age_max_s.to_string(),
+        set: |o, text| number(text, 0.1, 600.0).map(|v| o.rtk.base_age_max_s = v),
+    },
+    OptionSpecification {
+        name: "differencing.baseline_max_km", unit: "km",
+        meaning: "a base further away is not used",
+        allowed: "a number from 0.1 to 1000",
+        get: |o| (o.rtk.baseline_max_m / 1e3).to_string(),
+        set: |o, text| number(text, 0.1, 1000.0).map(|v| o.rtk.baseline_max_m = v * 1e3),
+    },
+    OptionSpecification {
+        name: "ambiguity.gap_s", unit: "s",
+        meaning: "an ambiguity not seen for longer than this begins anew",
+        allowed: "a number from 0.01 to 3600",
+        get: |o| o.rtk.arc_gap_s.to_string(),
+        set: |o, text| number(text, 0.01, 3600.0).map(|v| o.rtk.arc_gap_s = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.window_epochs", unit: "",
+        meaning: "epochs in the window before their past becomes a prior",
+        allowed: "a whole number from 1 to 100",
+        get: |o| o.rtk.window_epochs.to_string(),
+        set: |o, text| whole(text, 1, 100).map(|v| o.rtk.window_epochs = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.single_epoch", unit: "",
+        meaning: "whether ambiguities are forgotten after each epoch",
+        allowed: "true, false",
+        get: |o| o.rtk.single_epoch.to_string(),
+        set: |o, text| text.parse().ok().map(|v| o.rtk.single_epoch = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.resolve", unit: "",
+        meaning: "whether integers are looked for",
+        allowed: "on, off",
+        get: |o| switch_text(o.rtk.resolve),
+        set: |o, text| switch(text).map(|v| o.rtk.resolve = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.ratio_min", unit: "",
+        meaning: "least ratio of second-best to best squared norm",
+        allowed: "a number from 1 to 1000",
+        get: |o| o.rtk.ratio_min.to_string(),
+        set: |o, text| number(text, 1.0, 1000.0).map(|v| o.rtk.ratio_min = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.success_rate_min", unit: "",
+        meaning: "least bootstrapped success rate of what is fixed",
+        allowed: "a number from 0 to 1",
+        get: |o| o.rtk.success_rate_min.to_string(),
+        set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.success_rate_min = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.fixed_min", unit: "",
+        meaning: "fewest double differences a fix holds",
+        allowed: "a whole number from 4 to 100",
+        get: |o| o.rtk.fixed_min.to_string(),
+        set: |o, text| whole(text, 4, 100).map(|v| o.rtk.fixed_min = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.elevation_mask_deg", unit: "deg",
+        meaning: "ambiguities of satellites lower than this stay real-valued",
+        allowed: "a number from 0 to 60",
+        get: |o| ((o.rtk.elevation_mask_rad.to_degrees() * 1e6).round() / 1e6).to_string(),
+        set: |o, text| {
+            number(text, 0.0, 60.0).map(|v| o.rtk.elevation_mask_rad = v.to_radians())
+        },
+    },
+];
+
+fn whole(text: &str, lowest: usize, highest: usize) -> Option<usize> {
+    text.parse().ok().filter(|value| (lowest..=highest).contains(value))
+}

@@ -1,0 +1,267 @@
+//! Rows that share an unknown offset, which is eliminated on the spot.
+//!
+//! rᵢ(x, o) = rᵢ(x) + cᵢ·o with one free scalar o for a whole group of rows on one state. The
+//! minimum over o is taken inside the group: with ρᵢ = rᵢ/cᵢ, aᵢ = ∂ρᵢ/∂x, vᵢ = wᵢcᵢ², V = Σ vᵢ
+//! and means weighted by vᵢ,
+//!
+//! H = Σ vᵢ·(aᵢ − ā)(aᵢ − ā)ᵀ = Σ vᵢ·aᵢaᵢᵀ − (Σ vᵢaᵢ)(Σ vᵢaᵢ)ᵀ/V, g = Σ vᵢ·aᵢ·(ρᵢ − ρ̄)
+//!
+//! which is what differences against any one row of the group give with their full covariance: both
+//! project the rows on what no offset can explain.
+//!
+//! Where rows agree on a column, nothing is left of it to be lost in rounding: columns of the state
+//! are centred before they are multiplied; each border variable stands in one row of the group.
+
+use crate::graph::kernel::{Kernel, Law};
+use crate::graph::system::{Row, System};
+
+/// Iterations for the offset under a robust kernel; it starts at the median.
+const OFFSET_ITERATIONS: usize = 4;
+
+/// A whitened row on one state, at most one border variable and the group's offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SharingRow<const N: usize> {
+    /// The row at offset zero; all rows of a group name the same columns.
+    pub row: Row<N>,
+    /// c = ∂r/∂o, above zero.
+    pub by_offset: f64,
+    /// A border variable that no other row of the group names, with ∂r/∂b.
+    pub border: Option<(usize, f64)>,
+    /// Share of information the row keeps, see [`Kernel::share`].
+    pub share: f64,
+}
+
+/// The offset o that minimises Σ ρ(rᵢ + cᵢ·o), from the median on; zero without rows.
+pub fn shared_offset<const N: usize>(
+    rows: &[SharingRow<N>],
+    kernel: &Kernel,
+    scratch: &mut Vec<f64>,
+) -> f64 {
+    if rows.is_empty() {
+        return 0.0;
+    }
+    let mut offset = 0.0;
+    let mut iterations = 1;
+    if kernel.law != Law::Quadratic {
+        scratch.clear();
+        scratch.extend(rows.iter().map(|row| -row.row.residual / row.by_offset));
+        let middle = scratch.len() / 2;
+        let (below, median, _) = scratch.select_nth_unstable_by(middle, f64::total_cmp);
+        offset = *median;
+        if rows.len().is_multiple_of(2) {
+            let other = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            offset = 0.5 * (offset + other);
+        }
+        iterations = OFFSET_ITERATIONS;
+    }
+    for _ in 0..iterations {
+        let (mut weight_sum, mut pull) = (0.0, 0.0);
+        for row in rows {
+            let weight = row.share * kernel.weight(row.row.residual + row.by_offset * offset);
+            weight_sum += weight * row.by_offset * row.by_offset;
+            pull += weight * row.by_offset * row.row.residual;
+        }
+        if weight_sum <= 0.0 {
+            break;
+        }
+        offset = -pull / weight_sum;
+    }
+    offset
+}
+
+impl<const S: usize> System<S> {
+    /// Adds a group of rows on state `k` whose common offset is free; returns that offset.
+    ///
+    /// A single row says nothing: its offset takes up all of it.
+    pub fn add_sharing_offset<const N: usize>(
+        &mut self,
+        k: usize,
+        rows: &[SharingRow<N>],
+        kernel: &Kernel,
+    ) -> f64 {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let offset = shared_offset(rows, kernel, &mut scratch);
+        scratch.clear();
+        let (mut total, mut mean) = (0.0, [0.0; N]);
+        let mut mean_residual = 0.0;
+        for row in rows {
+            let shifted = row.row.residual + row.by_offset * offset;
+            let (loss, weight) = kernel.tempered(row.share).loss_and_weight(shifted);
+            self.add_cost(loss);
+            let v = weight * row.by_offset * row.by_offset;
+            scratch.push(v);
+            total += v;
+            mean_residual += v * shifted / row.by_offset;
+            for (sum, entry) in mean.iter_mut().zip(row.row.jacobian) {
+                *sum += v * entry / row.by_offset;
+            }
+        }
+        if 0.0 < total {
+            mean.iter_mut().for_each(|sum| *sum /= total);
+            mean_residual /= total;
+            for (row, &v) in rows.iter().zip(&scratch) {
+                let shifted = (row.row.residual / row.by_offset + offset) - mean_residual;
+                let jacobian =
+                    std::array::from_fn(|i| row.row.jacobian[i] / row.by_offset - mean[i]);
+                let centred = Row { residual: shifted, columns: row.row.columns, jacobian };
+                self.add_weighted(k, &centred, v);
+            }
+            self.add_group_border(k, rows, &scratch, &mean, offset - mean_residual, total);
+        }
+        self.scratch = scratch;
+        offset
+    }
+
+    /// What a group says about its border variables; `v` are the weights of its rows.
+    fn add_group_border<const N: usize>(
+        &mut self,
+        k: usize,
+        rows: &[SharingRow<N>],
+        v: &[f64],
+        mean: &[f64; N],
+        offset: f64,
+        total: f64,
+    ) {
+        for (i, row) in rows.iter().enumerate() {
+            let Some((variable, derivative)) = row.border else { continue };
+            let place = self.touch(k, variable);
+            let slope = derivative / row.by_offset;
+            let scaled = v[i] * slope;
+            let touched = &mut self.touched[k];
+            touched.gradient[place] += scaled * (row.row.residual / row.by_offset + offset);
+            let column = &mut touched.columns[place];
+            for n in 0..N {
+                column[row.row.columns[n]] +=
+                    scaled * (row.row.jacobian[n] / row.by_offset - mean[n]);
+            }
+            *touched.matrix.get_mut(place, place) += scaled * slope * ((total - v[i]) / total);
+            touched.coupled |= 0 < i;
+            for (j, other) in rows[..i].iter().enumerate() {
+                let Some((variable, derivative)) = other.border else { continue };
+                let at = self.lives[variable].place();
+                let product = scaled * v[j] * derivative / other.by_offset / total;
+                *self.touched[k].matrix.get_mut(place, at) -= product;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::elimination::Elimination;
+    use crate::graph::estimate::Estimate;
+    use crate::graph::system::BorderLife;
+    use nalgebra::{DMatrix, DVector, Vector2};
+
+    fn rows() -> Vec<SharingRow<2>> {
+        let numbers = [
+            (0.3, [1.0, -0.4], 2.0, Some((0, 0.7))),
+            (-1.1, [0.2, 0.9], 1.0, Some((1, -0.2))),
+            (0.8, [-0.6, 0.1], 0.5, None),
+            (2.0, [0.5, 0.5], 4.0, Some((2, 1.5))),
+        ];
+        numbers
+            .map(|(residual, jacobian, by_offset, border)| SharingRow {
+                row: Row { residual, columns: [0, 1], jacobian },
+                by_offset,
+                border,
+                share: 1.0,
+            })
+            .to_vec()
+    }
+
+    /// Normal equations over (x, b₀ … b₂) of rows that carry o as one more unknown, o eliminated
+    /// densely: H − hhᵀ/V.
+    fn dense(rows: &[SharingRow<2>]) -> (DMatrix<f64>, DVector<f64>) {
+        let mut h = DMatrix::zeros(6, 6);
+        let mut g = DVector::zeros(6);
+        for row in rows {
+            let mut a = DVector::zeros(6);
+            (a[0], a[1], a[5]) = (row.row.jacobian[0], row.row.jacobian[1], row.by_offset);
+            if let Some((variable, derivative)) = row.border {
+                a[2 + variable] = derivative;
+            }
+            h += row.share * &a * a.transpose();
+            g += row.share * &a * row.row.residual;
+        }
+        let last = h.column(5).into_owned();
+        let reduced = &h - &last * last.transpose() / last[5];
+        let gradient = &g - &last * (g[5] / last[5]);
+        (reduced.view((0, 0), (5, 5)).into_owned(), gradient.rows(0, 5).into_owned())
+    }
+
+    /// A prior of unit information on every variable makes both systems solvable.
+    fn solve(add: impl FnOnce(&mut System<2>)) -> Estimate<2> {
+        let mut system = System::new(BorderLife::WholeChain);
+        system.reset(1, 3);
+        for column in 0..2 {
+            let unit = Row { residual: 0.0, columns: [column], jacobian: [1.0] };
+            system.add(0, &unit, &Kernel::QUADRATIC);
+        }
+        for variable in 0..3 {
+            let none = Row { residual: 0.0, columns: [], jacobian: [] };
+            system.add_with_border(0, &none, &[(variable, 1.0)], &Kernel::QUADRATIC);
+        }
+        add(&mut system);
+        let (mut elimination, mut delta) = (Elimination::new(), Estimate::new());
+        elimination.factor(&system, 0.0).unwrap();
+        elimination.solve(&mut delta);
+        delta
+    }
+
+    #[test]
+    fn an_eliminated_offset_is_an_unknown_of_the_dense_solve() {
+        let mut rows = rows();
+        rows[1].share = 0.3;
+        let (h, g) = dense(&rows);
+        let expected = (h + DMatrix::identity(5, 5)).cholesky().unwrap().solve(&-g);
+        let delta = solve(|system| {
+            system.add_sharing_offset(0, &rows, &Kernel::QUADRATIC);
+        });
+        let found = [delta.states[0].x, delta.states[0].y];
+        for (value, wanted) in found.iter().chain(&delta.border).zip(expected.iter()) {
+            assert!((value - wanted).abs() < 1e-12, "{value} {wanted}");
+        }
+    }
+
+    /// A constant on all rows, in units of the offset, changes nothing, however large.
+    #[test]
+    fn a_common_shift_changes_nothing() {
+        let shifted = |by: f64| {
+            let mut rows = rows();
+            rows.iter_mut().for_each(|row| row.row.residual += by * row.by_offset);
+            solve(|system| {
+                let offset = system.add_sharing_offset(0, &rows, &Kernel::huber(1.345));
+                assert!((offset + by).abs() < 2.0);
+            })
+        };
+        let (near, far) = (shifted(0.0), shifted(1e4));
+        assert!((near.states[0] - far.states[0]).norm() < 1e-10);
+    }
+
+    #[test]
+    fn a_single_row_says_nothing() {
+        let delta = solve(|system| {
+            system.add_sharing_offset(0, &rows()[..1], &Kernel::QUADRATIC);
+        });
+        assert_eq!(delta.states[0], Vector2::zeros());
+        assert_eq!(delta.border, [0.0; 3]);
+    }
+
+    /// Median 1, and a gross row that a redescending kernel leaves alone.
+    #[test]
+    fn the_offset_is_robust() {
+        let at = |residual: f64| SharingRow {
+            row: Row { residual, columns: [], jacobian: [] },
+            by_offset: 1.0,
+            border: None,
+            share: 1.0,
+        };
+        let rows = [-0.9, -1.0, -1.1, -50.0].map(at);
+        let offset = shared_offset(&rows, &Kernel::geman_mcclure(3.0), &mut Vec::new());
+        assert!((offset - 1.0).abs() < 1e-3, "{offset}");
+        let mean = shared_offset(&rows, &Kernel::QUADRATIC, &mut Vec::new());
+        assert!((mean - 13.25).abs() < 1e-12, "{mean}");
+    }
+}

@@ -1,0 +1,311 @@
+//! Single differences rover − base of modelled residuals.
+//!
+//! For each satellite and carrier that both receivers observe, with P or λφ for m,
+//!
+//! z = (m_r + c·δtˢ(t_r) − T_r) − (m_b + c·δtˢ(t_b) − ρ(s(t_b), p_b) − T_b)
+//!
+//! so that z = ρ(s(t_r), p_r) + o + λN: o, what the receivers' clocks and delays leave, is common
+//! to all satellites of one signal; N (cycles) is there for carrier phases only. Each receiver
+//! has its own time of reception, its own satellite state at transmission and its own troposphere;
+//! both use one ephemeris, so that its error cancels. What the ionosphere leaves is in the
+//! variance.
+//!
+//! Differences between satellites are not formed here: the graph eliminates o inside each group of
+//! rows, which is the same and prefers no satellite.
+
+mod pairing;
+mod variances;
+
+use crate::config::{PositioningOptions, TroposphereMapping, TroposphereModel};
+use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::{
+    Band, BaseStation, Constellation, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime, LocalFrame,
+    Meters, Navigation, Observation, ObservationCode, SatelliteId,
+};
+use crate::models::troposphere::{Mapping, Troposphere};
+use crate::models::{
+    LookAngles, SatelliteState, geometric_range, look_angles, select_ephemeris,
+    state_at_transmission,
+};
+
+use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
+use pairing::{Pair, pairs};
+use variances::{DifferenceVariances, PairQuality};
+
+/// States this close in time are carried over by velocity (s): a²t/2 is then 0.03 mm.
+const CARRIED_S: f64 = 0.01;
+
+/// A difference with its variance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Differenced {
+    /// z (m).
+    pub(super) range_m: f64,
+    /// (m²).
+    pub(super) variance_m2: f64,
+}
+
+/// A satellite that both receivers see.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CommonSatellite {
+    pub(super) satellite: SatelliteId,
+    /// At the transmission of what the rover received.
+    pub(super) position: Ecef,
+    /// From the rover.
+    pub(super) look: LookAngles,
+    pub(super) ephemeris: EphemerisIssue,
+    /// The rover's pseudorange free of satellite clock and troposphere (m): ρ + c·δt_r and the
+    /// ionosphere.
+    pub(super) rover_range_m: f64,
+}
+
+/// A carrier of one satellite that both receivers observe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SingleDifference {
+    /// Place in [`SingleDifferences::satellites`].
+    pub(super) common: usize,
+    pub(super) satellite: SatelliteId,
+    pub(super) band: Band,
+    /// Codes at rover and base.
+    pub(super) codes: [ObservationCode; 2],
+    pub(super) frequency_hz: f64,
+    pub(super) pseudorange: Option<Differenced>,
+    pub(super) carrier: Option<Differenced>,
+    /// A cycle slip was possible at the rover since its last epoch.
+    pub(super) rover_lost_lock: bool,
+    /// The phase of either receiver may be off by half a cycle.
+    pub(super) half_cycle: bool,
+}
+
+impl SingleDifference {
+    /// λ (m).
+    pub(super) fn wavelength_m(&self) -> f64 {
+        SPEED_OF_LIGHT / self.frequency_hz
+    }
+
+    /// What differences with a common offset share: constellation, carrier and both codes.
+    pub(super) fn group(&self) -> (Constellation, Band, [ObservationCode; 2]) {
+        (self.satellite.constellation, self.band, self.codes)
+    }
+}
+
+/// What a rover's epoch is differenced against.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BaseSide<'a> {
+    pub(super) station: &'a BaseStation,
+    pub(super) epoch: &'a Epoch,
+}
+
+/// The single differences of one epoch; the memory is used again for the next.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SingleDifferences {
+    /// In the order the rover observed them.
+    pub(super) satellites: Vec<CommonSatellite>,
+    /// By group, then by satellite.
+    pub(super) list: Vec<SingleDifference>,
+    /// Satellites both observe for which no valid healthy ephemeris is held, sorted.
+    pub(super) without_ephemeris: Vec<SatelliteId>,
+    /// Satellites of the base with where their observations begin and end, sorted.
+    base: Vec<(SatelliteId, usize, usize)>,
+}
+
+impl SingleDifferences {
+    /// Differences `rover`, whose antenna is about at `position`, against a base.
+    ///
+    /// `None` where no receiver of ours can be, far below the ground or out in space.
+    pub(super) fn gather(
+        &mut self,
+        rover: &Epoch,
+        position: Ecef,
+        base: &BaseSide<'_>,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+    ) -> Option<()> {
+        self.satellites.clear();
+        self.list.clear();
+        self.without_ephemeris.clear();
+        self.index(base.epoch);
+        let baseline_m = position.distance_m(base.station.antenna_reference_point);
+        let at = base.station.antenna_reference_point;
+        let scene = Scene {
+            rover: Receiver::at(position, rover.time, options)?,
+            base: Receiver::at(at, base.epoch.time, options)?,
+            variances: DifferenceVariances::new(options, baseline_m, rover.time - base.epoch.time),
+        };
+        let mut common = Vec::new();
+        for (satellite, observations) in rover.by_satellite() {
+            let wanted = options.systems.contains(satellite.constellation)
+                && options.excluded_satellites.binary_search(&satellite).is_err()
+                && self.satellites.iter().all(|known| known.satellite != satellite);
+            let place = self.base.binary_search_by_key(&satellite, |entry| entry.0);
+            let (Ok(place), true) = (place, wanted) else { continue };
+            let Some(ephemeris) = select_ephemeris(navigation, satellite, rover.time) else {
+                self.without_ephemeris.push(satellite);
+                continue;
+            };
+            let (_, begin, end) = self.base[place];
+            let others = &base.epoch.observations[begin..end];
+            pairs(observations, others, ephemeris.glonass_channel(), options, &mut common);
+            self.add(&scene, &common, ephemeris);
+        }
+        self.without_ephemeris.sort_unstable();
+        self.mask(options);
+        self.list.sort_unstable_by_key(|difference| (difference.group(), difference.satellite));
+        Some(())
+    }
+
+    fn index(&mut self, base: &Epoch) {
+        self.base.clear();
+        let mut begin = 0;
+        for (satellite, observations) in base.by_satellite() {
+            let end = begin + observations.len();
+            self.base.push((satellite, begin, end));
+            begin = end;
+        }
+        self.base.sort_unstable();
+        self.base.dedup_by_key(|entry| entry.0);
+    }
+
+    /// The differences of one satellite; none if either receiver has no pseudorange of it, which
+    /// tells when the signal was sent.
+    fn add(&mut self, scene: &Scene, common: &[Pair<'_>], ephemeris: &Ephemeris) {
+        let Some((rover_m, base_m)) = ranges_m(common) else { return };
+        let [state, base_state] = scene.states(ephemeris, rover_m, base_m);
+        let look = look_angles(&scene.rover.frame, state.position);
+        let base_look = look_angles(&scene.base.frame, base_state.position);
+        let rover_part_m = state.clock_m - scene.rover.slant_delay_m(look.elevation_rad);
+        let (base_range_m, _) = geometric_range(base_state.position, scene.base.frame.origin);
+        let base_part_m =
+            base_state.clock_m - scene.base.slant_delay_m(base_look.elevation_rad) - base_range_m;
+        let satellite = ephemeris.satellite();
+        for pair in common {
+            let quality = PairQuality {
+                constellation: satellite.constellation,
+                frequency_hz: pair.frequency_hz,
+                elevation_rad: look.elevation_rad,
+                cn0_db_hz: [pair.rover.cn0_db_hz, pair.base.cn0_db_hz],
+                shares_code: pair.shares_code(),
+            };
+            let difference = |(rover_m, base_m): (f64, f64), variance_m2: f64| Differenced {
+                range_m: (rover_m + rover_part_m) - (base_m + base_part_m),
+                variance_m2,
+            };
+            let pseudoranges = valid_m(pair.rover).zip(valid_m(pair.base));
+            let carriers = carrier_m(pair.rover, pair).zip(carrier_m(pair.base, pair));
+            let variances = &scene.variances;
+            self.list.push(SingleDifference {
+                common: self.satellites.len(),
+                satellite,
+                band: pair.band,
+                codes: [pair.rover.code, pair.base.code],
+                frequency_hz: pair.frequency_hz,
+                pseudorange: pseudoranges
+                    .map(|ranges| difference(ranges, variances.pseudorange_m2(&quality))),
+                carrier: carriers.map(|ranges| difference(ranges, variances.carrier_m2(&quality))),
+                rover_lost_lock: pair.rover.loss_of_lock,
+                half_cycle: pair.rover.half_cycle || pair.base.half_cycle,
+            });
+        }
+        self.satellites.push(CommonSatellite {
+            satellite,
+            position: state.position,
+            look,
+            ephemeris: EphemerisIssue { satellite, toe: ephemeris.toe(), issue: ephemeris.issue() },
+            rover_range_m: rover_m + rover_part_m,
+        });
+    }
+
+    /// Drops what stands below the elevation mask: the lower one while few stand above the upper.
+    fn mask(&mut self, options: &PositioningOptions) {
+        let satellites = &self.satellites;
+        let upper = options.elevation_mask_rad;
+        let high = satellites.iter().filter(|s| upper <= s.look.elevation_rad).count();
+        let mask_rad = match high < options.sparse_below {
+            true => upper.min(options.sparse_elevation_mask_rad),
+            false => upper,
+        };
+        self.list.retain(|d| mask_rad <= satellites[d.common].look.elevation_rad);
+    }
+
+    /// Satellites with a pseudorange, and how many of them a position and one offset for each
+    /// group need.
+    pub(super) fn used_and_needed(&self) -> (usize, usize) {
+        let mut seen = [0_u128; Constellation::COUNT];
+        for difference in self.list.iter().filter(|d| d.pseudorange.is_some()) {
+            let satellite = difference.satellite;
+            seen[satellite.constellation.index()] |= 1 << satellite.number;
+        }
+        let used: u32 = seen.iter().map(|bits| bits.count_ones()).sum();
+        (used as usize, 3 + seen.iter().filter(|bits| **bits != 0).count().max(1))
+    }
+}
+
+/// One receiver with the air above it.
+struct Receiver {
+    time: GpsTime,
+    frame: LocalFrame,
+    troposphere: Option<Troposphere>,
+}
+
+impl Receiver {
+    fn at(position: Ecef, time: GpsTime, options: &PositioningOptions) -> Option<Self> {
+        let mapping = match options.troposphere_mapping {
+            TroposphereMapping::Niell => Mapping::Niell,
+            TroposphereMapping::Cosecant => Mapping::Cosecant,
+        };
+        let geodetic = position.to_geodetic();
+        let modelled = Troposphere::saastamoinen(&geodetic, time, RELATIVE_HUMIDITY, mapping)?;
+        let troposphere =
+            (options.troposphere == TroposphereModel::Saastamoinen).then_some(modelled);
+        Some(Self { time, frame: LocalFrame::at(position), troposphere })
+    }
+
+    fn slant_delay_m(&self, elevation_rad: f64) -> f64 {
+        self.troposphere.as_ref().map_or(0.0, |model| model.slant_delay_m(elevation_rad))
+    }
+}
+
+/// What the differences of all satellites of an epoch share.
+struct Scene {
+    rover: Receiver,
+    base: Receiver,
+    variances: DifferenceVariances,
+}
+
+impl Scene {
+    /// The satellite when it sent what the rover received, and what the base received.
+    fn states(&self, ephemeris: &Ephemeris, rover_m: f64, base_m: f64) -> [SatelliteState; 2] {
+        let state = state_at_transmission(ephemeris, self.rover.time, rover_m);
+        let tags_s = self.base.time - self.rover.time;
+        let apart_s = tags_s - (base_m - rover_m) / SPEED_OF_LIGHT;
+        let other = match apart_s.abs() < CARRIED_S {
+            true => carried(&state, apart_s),
+            false => state_at_transmission(ephemeris, self.base.time, base_m),
+        };
+        [state, other]
+    }
+}
+
+/// The first pseudorange of each receiver (m): they only tell when the signal was sent.
+fn ranges_m(common: &[Pair<'_>]) -> Option<(f64, f64)> {
+    let rover = common.iter().find_map(|pair| valid_m(pair.rover))?;
+    Some((rover, common.iter().find_map(|pair| valid_m(pair.base))?))
+}
+
+fn valid_m(observation: &Observation) -> Option<f64> {
+    observation.pseudorange_m.filter(|range_m| PSEUDORANGES_M.contains(range_m))
+}
+
+fn carrier_m(observation: &Observation, pair: &Pair<'_>) -> Option<f64> {
+    let wavelength = Meters(SPEED_OF_LIGHT / pair.frequency_hz);
+    let phase = observation.carrier_phase.filter(|phase| phase.0.is_finite() && phase.0 != 0.0)?;
+    Some(phase.to_meters(wavelength).0)
+}
+
+/// The state a moment later, in a straight line.
+fn carried(state: &SatelliteState, seconds: f64) -> SatelliteState {
+    SatelliteState {
+        position: Ecef(state.position.0 + state.velocity_m_s * seconds),
+        clock_m: state.clock_m + state.clock_drift_m_s * seconds,
+        ..*state
+    }
+}

@@ -1,0 +1,129 @@
+//! How uncertain a single difference is.
+
+use crate::config::PositioningOptions;
+use crate::gnss::Constellation;
+use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
+use crate::positioning::measurements::{constellation_factor, receiver_weights};
+
+/// C/N0 to which the options refer (dB-Hz).
+const REFERENCE_DB_HZ: f64 = 42.0;
+/// What satellites delay two ranging codes of one carrier differently, beyond what all of them
+/// share (m): RTKLIB's `ERR_CBIAS`.
+const CODE_BIAS_M: f64 = 0.3;
+/// How far a satellite's clock wanders from its broadcast polynomial (m/s): 5·10⁻¹² of the speed of
+/// light, the default clock stability of RTKLIB's manual 2.4.2, section 3.5 (`stats-clkstab`).
+const CLOCK_WANDER_M_S: f64 = 1.5e-3;
+/// Base epochs closer than this are of the same instant (s).
+const SAME_INSTANT_S: f64 = 0.1;
+/// Carrier to which the ionosphere's gradient refers (Hz).
+const L1_HZ: f64 = 1_575.42e6;
+
+/// Variances of single differences between two receivers at one time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DifferenceVariances {
+    pseudorange: MeasurementWeights,
+    carrier: MeasurementWeights,
+    /// Of the satellite's clock (m²).
+    clock_m2: f64,
+    /// Of the ionosphere at the zenith on L1 (m).
+    ionosphere_m: f64,
+}
+
+/// What the variances of one pair of observations depend on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PairQuality {
+    pub(super) constellation: Constellation,
+    pub(super) frequency_hz: f64,
+    pub(super) elevation_rad: f64,
+    /// C/N0 at rover and base (dB-Hz).
+    pub(super) cn0_db_hz: [Option<f64>; 2],
+    pub(super) shares_code: bool,
+}
+
+impl DifferenceVariances {
+    /// For a baseline of that length (m) and a base epoch of that age (s).
+    ///
+    /// σ² = σ²_rover + σ²_base + (g·d/sin E·(f_L1/f)²)² + (1.5 mm/s · age)²
+    ///
+    /// g is the vertical gradient of the ionosphere: 1 to 4 mm/km on quiet days at mid latitudes
+    /// (Lee, Pullen, Datta-Barua & Enge 2007, *Assessment of ionosphere spatial decorrelation for
+    /// GPS-based aircraft landing systems*, J. Aircraft 44).
+    pub(super) fn new(options: &PositioningOptions, baseline_m: f64, age_s: f64) -> Self {
+        let differencing = &options.rtk;
+        let sigma_m = differencing.carrier_sigma_m;
+        let carrier = MeasurementWeights {
+            elevation: ElevationTerm::InverseSineSquared { a_m: sigma_m, b_m: sigma_m },
+            cn0: Cn0Term::SigmaEpsilon {
+                v_m2: 0.0,
+                c_m2_hz: differencing.carrier_cn0_sigma_m.powi(2)
+                    * 10_f64.powf(REFERENCE_DB_HZ / 10.0),
+            },
+            // Without C/N0 the second term is left out.
+            cn0_if_missing_db_hz: f64::INFINITY,
+        };
+        let old_s = if age_s.abs() < SAME_INSTANT_S { 0.0 } else { age_s };
+        Self {
+            pseudorange: receiver_weights(options),
+            carrier,
+            clock_m2: (CLOCK_WANDER_M_S * old_s).powi(2),
+            ionosphere_m: differencing.ionosphere_gradient * baseline_m,
+        }
+    }
+
+    /// Variance of a pseudorange difference (m²).
+    pub(super) fn pseudorange_m2(&self, pair: &PairQuality) -> f64 {
+        let bias_m = if pair.shares_code { 0.0 } else { CODE_BIAS_M };
+        let receivers = self.receivers_m2(&self.pseudorange, pair);
+        constellation_factor(pair.constellation) * receivers + bias_m * bias_m + self.path_m2(pair)
+    }
+
+    /// Variance of a carrier phase difference (m²).
+    pub(super) fn carrier_m2(&self, pair: &PairQuality) -> f64 {
+        self.receivers_m2(&self.carrier, pair) + self.path_m2(pair)
+    }
+
+    fn receivers_m2(&self, weights: &MeasurementWeights, pair: &PairQuality) -> f64 {
+        pair.cn0_db_hz.iter().map(|cn0| weights.variance_m2(pair.elevation_rad, *cn0)).sum()
+    }
+
+    fn path_m2(&self, pair: &PairQuality) -> f64 {
+        let scale = (L1_HZ / pair.frequency_hz).powi(2) / pair.elevation_rad.sin();
+        (self.ionosphere_m * scale).powi(2) + self.clock_m2
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Mode, Profile};
+
+    fn quality(elevation_deg: f64, shares_code: bool) -> PairQuality {
+        PairQuality {
+            constellation: Constellation::Gps,
+            frequency_hz: L1_HZ,
+            elevation_rad: f64::to_radians(elevation_deg),
+            cn0_db_hz: [None; 2],
+            shares_code,
+        }
+    }
+
+    /// 30°: two receivers of 3² + 3²/(1/4) mm² each, and 2 mm/km over 5 km by 1/sin E.
+    #[test]
+    fn carrier_worked_by_hand() {
+        let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        (options.rtk.carrier_sigma_m, options.rtk.ionosphere_gradient) = (3e-3, 2e-6);
+        let near = DifferenceVariances::new(&options, 0.0, 0.05).carrier_m2(&quality(30.0, true));
+        assert!((near - 2.0 * 45e-6).abs() < 1e-12, "{near}");
+        let far = DifferenceVariances::new(&options, 5e3, 10.0).carrier_m2(&quality(30.0, true));
+        assert!((far - near - 0.02_f64.powi(2) - 0.015_f64.powi(2)).abs() < 1e-12, "{far}");
+    }
+
+    #[test]
+    fn other_codes_add_their_bias() {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let variances = DifferenceVariances::new(&options, 0.0, 0.0);
+        let alike = variances.pseudorange_m2(&quality(60.0, true));
+        let unlike = variances.pseudorange_m2(&quality(60.0, false));
+        assert!((unlike - alike - 0.09).abs() < 1e-12);
+    }
+}

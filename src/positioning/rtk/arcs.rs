@@ -1,0 +1,120 @@
+//! Ambiguities and the arcs they live on.
+//!
+//! An arc is one carrier of one satellite, tracked by rover and base without a slip. It has one
+//! border variable of the graph for all its epochs, which is given away when nothing names it any
+//! more.
+
+use crate::gnss::{Band, Constellation, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::differencing::SingleDifference;
+
+/// An arc that has not ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Arc {
+    pub(super) satellite: SatelliteId,
+    pub(super) band: Band,
+    /// Codes at rover and base.
+    pub(super) codes: [ObservationCode; 2],
+    /// Border variable of its ambiguity.
+    pub(super) variable: usize,
+    pub(super) frequency_hz: f64,
+    /// Time of its newest phase.
+    pub(super) last: GpsTime,
+    /// Phases so far.
+    pub(super) epochs: u32,
+    /// Whether the newest phase may be off by half a cycle.
+    pub(super) half_cycle: bool,
+    /// Elevation at the newest phase (rad).
+    pub(super) elevation_rad: f64,
+}
+
+impl Arc {
+    /// What the ambiguities share whose differences are integers.
+    pub(super) fn group(&self) -> (Constellation, Band, [ObservationCode; 2]) {
+        (self.satellite.constellation, self.band, self.codes)
+    }
+
+    fn is_of(&self, difference: &SingleDifference) -> bool {
+        self.satellite == difference.satellite && self.codes == difference.codes
+    }
+}
+
+/// All arcs that have not ended, and which border variables are free.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Arcs {
+    /// In the order they began.
+    pub(super) list: Vec<Arc>,
+    /// Border variables in use, by arcs or by epochs still in the window.
+    in_use: Vec<bool>,
+}
+
+impl Arcs {
+    /// Ends all.
+    pub(super) fn clear(&mut self) {
+        self.list.clear();
+        self.in_use.clear();
+    }
+
+    /// Ends the arcs that `is_over` names; returns whose.
+    pub(super) fn end(&mut self, is_over: impl Fn(&Arc) -> bool, ended: &mut Vec<SatelliteId>) {
+        self.list.retain(|arc| {
+            let over = is_over(arc);
+            if over {
+                ended.push(arc.satellite);
+            }
+            !over
+        });
+    }
+
+    /// The arc that a difference goes on with.
+    pub(super) fn find(&mut self, difference: &SingleDifference) -> Option<&mut Arc> {
+        self.list.iter_mut().find(|arc| arc.is_of(difference))
+    }
+
+    /// Begins an arc; its variable is one that nothing else names.
+    pub(super) fn begin(
+        &mut self,
+        difference: &SingleDifference,
+        time: GpsTime,
+        elevation_rad: f64,
+    ) -> Arc {
+        let variable = self.take_variable();
+        let arc = Arc {
+            satellite: difference.satellite,
+            band: difference.band,
+            codes: difference.codes,
+            variable,
+            frequency_hz: difference.frequency_hz,
+            last: time,
+            epochs: 1,
+            half_cycle: difference.half_cycle,
+            elevation_rad,
+        };
+        self.list.push(arc);
+        arc
+    }
+
+    /// A border variable that nothing names.
+    pub(super) fn take_variable(&mut self) -> usize {
+        let free = self.in_use.iter().position(|used| !used);
+        let variable = free.unwrap_or(self.in_use.len());
+        if variable == self.in_use.len() {
+            self.in_use.push(true);
+        }
+        self.in_use[variable] = true;
+        variable
+    }
+
+    /// Whether an arc has the variable.
+    pub(super) fn has(&self, variable: usize) -> bool {
+        self.list.iter().any(|arc| arc.variable == variable)
+    }
+
+    /// Gives back the variables that no arc has and `is_named` does not name.
+    pub(super) fn release(&mut self, is_named: impl Fn(usize) -> bool) {
+        for variable in 0..self.in_use.len() {
+            if self.in_use[variable] && !self.has(variable) && !is_named(variable) {
+                self.in_use[variable] = false;
+            }
+        }
+    }
+}

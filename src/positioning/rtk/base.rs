@@ -1,0 +1,118 @@
+//! What is remembered of the base between epochs of the rover.
+
+use nalgebra::Vector3;
+
+use crate::config::PositioningOptions;
+use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, Navigation, ObservationCode, SatelliteId};
+use crate::positioning::spp::SinglePoint;
+
+/// Base epochs may be tagged this much later than the rover's and still count as of its time (s):
+/// receivers tag by clocks that are off by up to milliseconds.
+const LATER_S: f64 = 0.02;
+/// Base epochs whose single-point positions are averaged to check the stated one.
+const CHECKS_MAX: u32 = 10;
+
+/// How far the stated position of a base is from what the base observes.
+#[derive(Clone, Copy, Debug)]
+struct PositionCheck {
+    stated: Ecef,
+    sum_m: Vector3<f64>,
+    count: u32,
+}
+
+/// The newest base epoch, and where the base may have slipped since it was last used.
+#[derive(Debug)]
+pub(super) struct BaseMemory {
+    newest: Option<Epoch>,
+    /// Satellites and codes that lost lock.
+    pub(super) lost: Vec<(SatelliteId, ObservationCode)>,
+    /// The base lost power.
+    pub(super) power_failed: bool,
+    check: Option<PositionCheck>,
+}
+
+impl BaseMemory {
+    pub(super) const fn new() -> Self {
+        Self { newest: None, lost: Vec::new(), power_failed: false, check: None }
+    }
+
+    /// Takes the epochs that are new and not later than the rover's at `time`.
+    pub(super) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
+        for epoch in epochs {
+            let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
+            if !is_new || LATER_S < epoch.time - time {
+                continue;
+            }
+            self.power_failed |= epoch.power_failure;
+            let slipped = epoch.observations.iter().filter(|o| o.loss_of_lock);
+            self.lost.extend(slipped.map(|o| (o.satellite, o.code)));
+            match &mut self.newest {
+                Some(newest) => {
+                    newest.time = epoch.time;
+                    newest.power_failure = epoch.power_failure;
+                    newest.observations.clone_from(&epoch.observations);
+                }
+                None => self.newest = Some(epoch.clone()),
+            }
+        }
+    }
+
+    /// How far the stated position is from the mean of the base's own single-point positions (m),
+    /// ten epochs of which are taken; `None` while there is none.
+    pub(super) fn position_error_m(
+        &mut self,
+        station: &BaseStation,
+        single_point: &mut SinglePoint,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+    ) -> Option<f64> {
+        let stated = station.antenna_reference_point;
+        let fresh = PositionCheck { stated, sum_m: Vector3::zeros(), count: 0 };
+        let mut check = self.check.filter(|check| check.stated == stated).unwrap_or(fresh);
+        if check.count < CHECKS_MAX
+            && let Some(newest) = &self.newest
+        {
+            let alone = single_point.solve(newest, navigation, options, Some(stated));
+            if let Some(estimate) = alone.estimate {
+                check.sum_m += estimate.position.0 - stated.0;
+                check.count += 1;
+            }
+        }
+        self.check = Some(check);
+        (0 < check.count).then(|| check.sum_m.norm() / f64::from(check.count))
+    }
+
+    /// The newest epoch.
+    pub(super) fn newest(&self) -> Option<&Epoch> {
+        self.newest.as_ref()
+    }
+
+    /// Forgets the slips, which have been dealt with.
+    pub(super) fn settle(&mut self) {
+        self.lost.clear();
+        self.power_failed = false;
+    }
+}
+
+impl Clone for BaseMemory {
+    fn clone(&self) -> Self {
+        let lost = self.lost.clone();
+        let newest = self.newest.clone();
+        Self { newest, lost, power_failed: self.power_failed, check: self.check }
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        match (&mut self.newest, &source.newest) {
+            (Some(newest), Some(from)) => {
+                newest.time = from.time;
+                newest.power_failure = from.power_failure;
+                newest.observations.clone_from(&from.observations);
+            }
+            (newest, from) => newest.clone_from(from),
+        }
+        self.lost.clone_from(&source.lost);
+        self.power_failed = source.power_failed;
+        self.check = source.check;
+    }
+}
