@@ -131,8 +131,8 @@ fn simulated_signals_are_fixed_to_millimetres() {
     assert!(!errors_m(&solutions, at).iter().any(far));
 }
 
-/// Half an hour without a base: answered by the graph alone, with the reason; fixed again at once
-/// when it returns.
+/// Half an hour without a base: answered by the graph alone, with the reason; fixed again
+/// within a minute of its return.
 #[test]
 fn a_missing_base_is_said_and_survived() {
     let Some(mut pair) = hers_hert() else { return };
@@ -143,9 +143,12 @@ fn a_missing_base_is_said_and_survived() {
     let is_stale = |reason: &Reason| matches!(reason, Reason::BaseStale { .. });
     for (k, solution) in solutions.iter().enumerate() {
         // The base epoch before the gap is used until it is 30 s old.
-        let expected = if (101..160).contains(&k) { Status::Fgo } else { Status::Fixed };
-        assert_eq!(solution.status, expected, "epoch {k}: {:?}", solution.reasons);
-        assert_eq!(solution.reasons.iter().any(is_stale), expected == Status::Fgo, "epoch {k}");
+        let is_gone = (101..160).contains(&k);
+        let expected = if is_gone { Status::Fgo } else { Status::Fixed };
+        // All arcs begin anew with the base: two epochs may pass before they are fixed.
+        let is_new = (160..162).contains(&k) && solution.status == Status::Float;
+        assert!(solution.status == expected || is_new, "epoch {k}: {:?}", solution.reasons);
+        assert_eq!(solution.reasons.iter().any(is_stale), is_gone, "epoch {k}");
     }
 }
 
