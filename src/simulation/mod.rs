@@ -4,12 +4,13 @@
 //! Satellites move as their generated broadcast [`Navigation`] says, evaluated by
 //! [`models`](crate::models), so that the truth is exact: a measurement is
 //!
-//! P = ρ + c·δt_r − c·δtˢ + τ + T + I + reflection + multipath + noise,
-//! λφ = ρ + c·δt_r − c·δtˢ + T − I + λN + reflection + multipath + noise,
+//! P = ρ + c·δt_r − c·δtˢ + τ + T + I + ε + reflection + multipath + noise,
+//! λφ = ρ + c·δt_r − c·δtˢ + T − I + λN + ε + reflection + multipath + noise,
 //!
-//! each term of which [`Scenario`] can switch off. The same scenario and seed give the same bits.
-//! The navigation depends on the scenario alone: a fleet of many seeds shares one. Not modelled:
-//! errors of ephemerides, half-cycle ambiguities, antenna phase patterns, diffraction at edges.
+//! each term of which [`Scenario`] can switch off; ε is what orbit and clock broadcast err, one
+//! number for a satellite and seed. The same scenario and seed give the same bits. The navigation
+//! depends on the scenario alone: a fleet of many seeds shares one. Not modelled: half-cycle
+//! ambiguities, antenna phase patterns.
 
 mod city;
 mod constellation;
@@ -22,7 +23,7 @@ mod scenario;
 pub use city::CityPlan;
 pub use motion::Motion;
 pub use receiver::signals;
-pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
+pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m};
 
 use std::sync::Arc;
 
@@ -37,6 +38,7 @@ use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation};
 
 const ROVER_STREAM: u64 = 1;
 const BASE_STREAM: u64 = 2;
+const IONOSPHERE_STREAM: u64 = 21;
 
 /// One instant of a simulation.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +59,7 @@ pub struct SimulatedEpoch {
 #[derive(Clone, Debug)]
 pub struct Simulator {
     scenario: Scenario,
+    seed: u64,
     navigation: Arc<Navigation>,
     frame: LocalFrame,
     path: Path,
@@ -81,7 +84,12 @@ impl Simulator {
     }
 
     /// One of several simulations under the same sky: `navigation` is that of their scenario.
-    pub fn with_navigation(scenario: Scenario, seed: u64, navigation: Arc<Navigation>) -> Self {
+    pub fn with_navigation(mut scenario: Scenario, seed: u64, navigation: Arc<Navigation>) -> Self {
+        if let Some(atmosphere) = &mut scenario.atmosphere {
+            let drawn = Random::new(seed, IONOSPHERE_STREAM).normal();
+            let ratio = atmosphere.ionosphere_ratio + atmosphere.ionosphere_spread * drawn;
+            atmosphere.ionosphere_ratio = ratio.max(0.0);
+        }
         let frame = LocalFrame::at(scenario.origin.to_ecef());
         let city = scenario.city.map(|plan| City::new(plan, seed));
         let path = Path::new(scenario.motion, city.as_ref(), scenario.duration_s, seed);
@@ -91,7 +99,7 @@ impl Simulator {
         let base = scenario
             .base
             .map(|enu| (receiver(scenario.base_errors, BASE_STREAM), frame.to_ecef(enu)));
-        Self { scenario, navigation, frame, path, city, rover, base, next_index: 0 }
+        Self { scenario, seed, navigation, frame, path, city, rover, base, next_index: 0 }
     }
 
     /// What the satellites broadcast.
@@ -130,6 +138,7 @@ impl Iterator for Simulator {
             atmosphere: self.scenario.atmosphere.as_ref(),
             city: None,
             scenario: &self.scenario,
+            seed: self.seed,
         };
         let around = Surroundings { city: self.city.as_ref().map(|city| (city, local)), ..open };
         let rover = self.rover.observe(tag, position, velocity_m_s, &around);
@@ -262,6 +271,7 @@ mod tests {
     #[test]
     fn the_canyon_blocks_and_delays() {
         let quiet = |scenario: Scenario| Scenario {
+            broadcast_errors: false,
             atmosphere: None,
             rover_errors: None,
             duration_s: 300.0,

@@ -34,6 +34,12 @@ pub(super) fn of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     unit(split_mix(&mut state))
 }
 
+/// Standard normal, likewise.
+pub(super) fn normal_of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
+    let radius = (-2.0 * (1.0 - of_place(seed, x, y, what)).ln()).sqrt();
+    radius * (std::f64::consts::TAU * of_place(seed, x, y, !what)).cos()
+}
+
 impl Random {
     /// The stream number `stream` of a seed.
     pub(super) fn new(seed: u64, stream: u64) -> Self {

@@ -6,8 +6,10 @@ use nalgebra::Vector3;
 
 use super::city::{Arrival, City};
 use super::place::Place;
-use super::random::{GaussMarkov, Random};
-use super::scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
+use super::random::{GaussMarkov, Random, normal_of_place};
+use super::scenario::{
+    Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
+};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Constellation, Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation,
@@ -36,6 +38,8 @@ const PHASE_MULTIPATH_LIMIT: f64 = 0.25;
 /// Over less than this a satellite moves on a line and keeps its velocity, to 0.01 mm/s (s).
 const STRAIGHT_S: f64 = 1e-5;
 const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
+/// What is drawn of a satellite's number for its signal-in-space error.
+const SIGNAL_IN_SPACE: u64 = 32;
 
 /// Signals received of a constellation, in order of preference.
 pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
@@ -67,6 +71,21 @@ pub(super) struct Surroundings<'a> {
     /// The city, and the antenna in it.
     pub(super) city: Option<(&'a City, Place)>,
     pub(super) scenario: &'a Scenario,
+    /// Seed of what the satellites broadcast wrongly.
+    pub(super) seed: u64,
+}
+
+impl Surroundings<'_> {
+    /// What a satellite's broadcast orbit and clock put into every range to it (m).
+    fn signal_in_space_m(&self, satellite: SatelliteId) -> f64 {
+        if !self.scenario.broadcast_errors {
+            return 0.0;
+        }
+        let constellation = satellite.constellation;
+        let place = (constellation.index() as i64, i64::from(satellite.number));
+        signal_in_space_sigma_m(constellation)
+            * normal_of_place(self.seed, place.0, place.1, SIGNAL_IN_SPACE)
+    }
 }
 
 /// What is kept of a satellite between epochs.
@@ -198,7 +217,8 @@ impl Receiver {
                 city.arrival(&at, path.look.azimuth_rad, path.look.elevation_rad)
             });
         let errors = self.errors.as_ref();
-        let cn0 = track.advance(elapsed_s, &path.look, &arrival, errors, random);
+        let way_m = elapsed_s * sky.velocity_m_s.norm();
+        let cn0 = track.advance((elapsed_s, way_m), &path.look, &arrival, errors, random);
         let is_first = self.last.is_none();
         if !track.is_received(sky.time, cn0, &arrival, is_first, errors, random) {
             return;
@@ -288,7 +308,9 @@ impl Sky<'_> {
         });
         let wavelength_m = SPEED_OF_LIGHT / frequency_hz;
         let group_delay_m = group_delay_m(ephemeris, code).unwrap_or(0.0);
-        let common_m = path.range_m + clock_m - path.state.clock_m + path.troposphere_m;
+        let signal_in_space_m = self.surroundings.signal_in_space_m(satellite);
+        let common_m =
+            path.range_m + clock_m - path.state.clock_m + path.troposphere_m + signal_in_space_m;
         Measured {
             wavelength_m,
             pseudorange_m: common_m + ionosphere_m + group_delay_m,
@@ -316,7 +338,7 @@ impl Track {
     /// Moves the slow processes on; returns the C/N0 of the first signal (dB-Hz).
     fn advance(
         &mut self,
-        elapsed_s: f64,
+        (elapsed_s, way_m): (f64, f64),
         look: &LookAngles,
         arrival: &Arrival,
         errors: Option<&ReceiverErrors>,
@@ -325,14 +347,17 @@ impl Track {
         let lost_db = HORIZON_LOSS_DB * (1.0 - look.elevation_rad.sin()).powi(2);
         let reflection_db = match arrival {
             Arrival::Reflected(reflection) => reflection.loss_db,
-            _ => 0.0,
+            Arrival::Diffracted(bent) => bent.loss_db,
+            Arrival::Direct { .. } | Arrival::Blocked => 0.0,
         };
         let clear_db = ZENITH_CN0 - lost_db - reflection_db;
         let Some(errors) = errors else {
             return clear_db;
         };
+        // Reflectors pass by as the antenna moves.
+        let passed_s = way_m / errors.multipath_correlation_m * errors.multipath_correlation_s;
         for process in self.multipath.iter_mut().chain(&mut self.phase_multipath) {
-            process.advance(elapsed_s, errors.multipath_correlation_s, random);
+            process.advance(elapsed_s + passed_s, errors.multipath_correlation_s, random);
         }
         let fading = self.fading.advance(elapsed_s, errors.fading_correlation_s, random);
         clear_db + errors.fading_db * fading
@@ -401,7 +426,9 @@ impl Track {
     ) -> Measured {
         let (excess_m, excess_rate_m_s) = match arrival {
             Arrival::Reflected(reflection) => (reflection.excess_m, reflection.excess_rate_m_s),
-            _ => (0.0, 0.0),
+            // Centimetres, whose rate is within the noise.
+            Arrival::Diffracted(bent) => (bent.excess_m, 0.0),
+            Arrival::Direct { .. } | Arrival::Blocked => (0.0, 0.0),
         };
         let Measured { wavelength_m, pseudorange_m, phase_m, doppler_m_s } = ideal;
         let late = Measured {
@@ -414,7 +441,9 @@ impl Track {
             return late;
         };
         let share = match arrival {
-            Arrival::Direct { reflected: true } | Arrival::Reflected(_) => 1.0,
+            Arrival::Direct { reflected: true }
+            | Arrival::Reflected(_)
+            | Arrival::Diffracted(_) => 1.0,
             Arrival::Direct { reflected: false } | Arrival::Blocked => CALM_SHARE,
         };
         let low = share * look.elevation_rad.cos();

@@ -29,6 +29,8 @@ pub struct Scenario {
     pub frequencies: usize,
     /// Satellites below are not received (rad).
     pub elevation_mask_rad: f64,
+    /// Whether orbits and clocks broadcast err, by [`signal_in_space_sigma_m`].
+    pub broadcast_errors: bool,
     /// Atmosphere; `None` is vacuum.
     pub atmosphere: Option<Atmosphere>,
     /// Errors of the rover's receiver; `None` is a perfect one.
@@ -44,8 +46,10 @@ pub struct Scenario {
 pub struct Atmosphere {
     /// Broadcast coefficients.
     pub klobuchar: KlobucharCoefficients,
-    /// True ionosphere over broadcast ionosphere.
+    /// True ionosphere over broadcast ionosphere, mean of all seeds.
     pub ionosphere_ratio: f64,
+    /// Its standard deviation from seed to seed.
+    pub ionosphere_spread: f64,
     /// Relative humidity, 0 … 1.
     pub relative_humidity: f64,
 }
@@ -64,8 +68,10 @@ pub struct ReceiverErrors {
     pub code_multipath_m: f64,
     /// Multipath of carrier phases, likewise (m).
     pub phase_multipath_m: f64,
-    /// Correlation time of multipath (s).
+    /// Correlation time of multipath while the antenna stands (s): satellites move slowly.
     pub multipath_correlation_s: f64,
+    /// Way over which multipath changes as much (m).
+    pub multipath_correlation_m: f64,
     /// Standard deviation of slow fading of C/N0 (dB).
     pub fading_db: f64,
     /// Correlation time of fading (s).
@@ -95,6 +101,17 @@ pub struct ReceiverClock {
     pub millisecond_jumps: bool,
 }
 
+/// Standard deviation of what orbits and clocks broadcast put into a range (m): a choice, of the
+/// size the constellations' operators and monitors report.
+pub const fn signal_in_space_sigma_m(constellation: Constellation) -> f64 {
+    match constellation {
+        Constellation::Gps | Constellation::Qzss => 0.6,
+        Constellation::Galileo => 0.3,
+        Constellation::BeiDou => 1.0,
+        Constellation::Glonass => 1.8,
+    }
+}
+
 /// Height of an antenna on a car or a pole (m).
 const ANTENNA_HEIGHT_M: f64 = 1.6;
 
@@ -107,7 +124,8 @@ impl ReceiverErrors {
             doppler_m_s: 0.03,
             code_multipath_m: 0.6,
             phase_multipath_m: 0.004,
-            multipath_correlation_s: 40.0,
+            multipath_correlation_s: 100.0,
+            multipath_correlation_m: 100.0,
             fading_db: 0.7,
             fading_correlation_s: 20.0,
             slips_per_hour: 0.05,
@@ -125,7 +143,8 @@ impl ReceiverErrors {
             doppler_m_s: 0.05,
             code_multipath_m: 3.0,
             phase_multipath_m: 0.012,
-            multipath_correlation_s: 8.0,
+            multipath_correlation_s: 100.0,
+            multipath_correlation_m: 40.0,
             fading_db: 3.0,
             fading_correlation_s: 4.0,
             slips_per_hour: 2.0,
@@ -177,12 +196,14 @@ impl Scenario {
             ],
             frequencies: 2,
             elevation_mask_rad: 5_f64.to_radians(),
+            broadcast_errors: true,
             atmosphere: Some(Atmosphere {
                 klobuchar: KlobucharCoefficients {
                     alpha: [1.2e-8, 1.5e-8, -6.0e-8, -1.2e-7],
                     beta: [1.0e5, 1.0e5, -6.6e4, -3.9e5],
                 },
                 ionosphere_ratio: 1.15,
+                ionosphere_spread: 0.25,
                 relative_humidity: 0.6,
             }),
             rover_errors: Some(ReceiverErrors::open_sky()),
@@ -211,6 +232,12 @@ impl Scenario {
 
     /// The open sky with perfect receivers in a vacuum: what is left is geometry and clocks.
     pub fn clean() -> Self {
-        Self { atmosphere: None, rover_errors: None, base_errors: None, ..Self::open_sky() }
+        Self {
+            broadcast_errors: false,
+            atmosphere: None,
+            rover_errors: None,
+            base_errors: None,
+            ..Self::open_sky()
+        }
     }
 }
