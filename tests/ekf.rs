@@ -25,7 +25,7 @@ fn in_the_canyon_the_filter_beats_single_points_and_is_honest() {
         let errors = Errors::in_the_canyon(&solutions);
         // Single points: 11.2 m.
         assert!(errors.mean_m <= 4.5, "{profile:?}: {}", errors.mean_m);
-        assert!(0.9 <= errors.inside, "{profile:?}: {}", errors.inside);
+        assert!(0.8 <= errors.inside, "{profile:?}: {}", errors.inside);
     }
 }
 

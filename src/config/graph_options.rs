@@ -9,8 +9,9 @@ pub struct GraphOptions {
     pub window_s: f64,
     /// Most epochs a window holds, however close they are.
     pub window_epochs_max: usize,
-    /// Standard deviation of what lasts for hours in a pseudorange, for the covariance stated (m).
-    pub lasting_sigma_m: f64,
+    /// Standard deviation of what orbits and clocks broadcast put into a range, for the covariance
+    /// stated (m).
+    pub orbit_clock_sigma_m: f64,
     /// Kernel of pseudoranges.
     pub pseudorange_kernel: KernelLaw,
     /// Its width for signals that arrive early (standard deviations).
@@ -88,7 +89,7 @@ impl GraphOptions {
         Self {
             window_s: 10.0,
             window_epochs_max: 30,
-            lasting_sigma_m: 1.0,
+            orbit_clock_sigma_m: 1.0,
             pseudorange_kernel: KernelLaw::GemanMcclure,
             early_width: 4.0,
             late_width: 2.0,

@@ -23,11 +23,11 @@ pub(super) const GRAPH_TABLE: &[OptionSpecification] = &[
         },
     },
     OptionSpecification {
-        name: "lasting_sigma_m", unit: "m",
-        meaning: "standard deviation of what lasts for hours in a pseudorange, for the covariance",
+        name: "orbit_clock_sigma_m", unit: "m",
+        meaning: "standard deviation of what broadcast orbits and clocks err, for the covariance",
         allowed: "a number from 0 to 100",
-        get: |o| o.graph.lasting_sigma_m.to_string(),
-        set: |o, text| number(text, 0.0, 100.0).map(|v| o.graph.lasting_sigma_m = v),
+        get: |o| o.graph.orbit_clock_sigma_m.to_string(),
+        set: |o, text| number(text, 0.0, 100.0).map(|v| o.graph.orbit_clock_sigma_m = v),
     },
     OptionSpecification {
         name: "pseudorange_kernel", unit: "",

@@ -117,6 +117,19 @@ impl Kernel {
         self.loss_and_weight(s).1
     }
 
+    /// Slope ψ′(s) of the pull ψ(s) = w(s)·s; below zero where a kernel redescends.
+    pub fn pull_slope(&self, s: f64) -> f64 {
+        let width = if s < 0.0 { self.negative_width } else { self.positive_width };
+        let ratio = (s / width).powi(2);
+        self.share
+            * match self.law {
+                Law::Quadratic => 1.0,
+                Law::Huber => f64::from(u8::from(ratio <= 1.0)),
+                Law::Cauchy => (1.0 - ratio) / (1.0 + ratio).powi(2),
+                Law::GemanMcClure => (1.0 - 3.0 * ratio) / (1.0 + ratio).powi(3),
+            }
+    }
+
     /// Both at once: ρ(s) and w(s).
     #[inline]
     pub fn loss_and_weight(&self, s: f64) -> (f64, f64) {
@@ -144,6 +157,15 @@ mod tests {
                         let (kernel, h) = (Kernel::new($law, c), 1e-5);
                         let slope = (kernel.loss(s + h) - kernel.loss(s - h)) / (2.0 * h);
                         prop_assert!((slope / s - kernel.weight(s)).abs() < 1e-5);
+                    }
+
+                    #[test]
+                    fn the_pulls_slope_is_its_derivative(s in -50.0..50.0, c in 0.3..9.0) {
+                        prop_assume!(1e-3 < f64::abs(f64::abs(s) - c));
+                        let (kernel, h) = (Kernel::new($law, c), 1e-5);
+                        let pull = |s: f64| kernel.weight(s) * s;
+                        let slope = (pull(s + h) - pull(s - h)) / (2.0 * h);
+                        prop_assert!((slope - kernel.pull_slope(s)).abs() < 1e-5);
                     }
 
                     #[test]

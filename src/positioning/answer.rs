@@ -11,7 +11,10 @@ use crate::gnss::{
 use super::factors::{CLOCK, DRIFT, STATE, State, VELOCITY, position, velocity};
 use super::geometry::{Geometry, UNDETERMINED};
 use super::ranging::Ranging;
+use super::uncertainty::ErrorModel;
 
+/// Weight from which on a pseudorange counts as used: a Geman–McClure kernel's at its width.
+const USED_WEIGHT: f64 = 0.25;
 /// Standard deviation of a position that is none (m).
 const LOST_M: f64 = 1e3;
 
@@ -31,29 +34,25 @@ pub(super) struct Answer<'a> {
     pub(super) biases_m: &'a [f64],
     /// All pseudoranges of the epoch.
     pub(super) ranges: &'a [Ranging],
-    /// Those that determined the state.
-    pub(super) used: Vec<&'a Ranging>,
+    /// How much each of them counted, 0 … 1.
+    pub(super) weights: Vec<f64>,
     /// Whether the state's velocity means anything.
     pub(super) has_velocity: bool,
-    /// How many epochs in a row repeat one error.
-    pub(super) repetition: f64,
-    /// Variance of what pseudoranges share over hours: orbit, clock, atmosphere (m²).
-    pub(super) lasting_m2: f64,
+    /// What is known of the errors of pseudoranges.
+    pub(super) errors: ErrorModel,
     /// What the epoch lacked.
     pub(super) reasons: Vec<Reason>,
 }
 
 impl Answer<'_> {
-    /// The solution with its covariance.
-    ///
-    /// The estimators take errors of pseudoranges for independent from epoch to epoch. They are
-    /// not: reflections last for tens of seconds, orbit, clock and atmosphere for hours. The
-    /// covariance stated is n·C + σ²·(GᵀG)⁻¹, C the estimator's, n how many epochs repeat one
-    /// error, σ the deviation of what lasts and G the epoch's own geometry.
+    /// The solution with its covariance, which is not the estimator's: see `uncertainty`.
     pub(super) fn solution(mut self) -> Solution {
-        self.used.sort_unstable_by_key(|range| range.satellite);
-        quality_reasons(self.ranges, &self.used, &mut self.reasons);
-        let Self { frame, state, covariance, used, .. } = self;
+        let weighted = self.ranges.iter().zip(&self.weights);
+        let counted = weighted.filter(|(_, weight)| USED_WEIGHT <= **weight);
+        let mut used: Vec<_> = counted.map(|(range, _)| range).collect();
+        used.sort_unstable_by_key(|range| range.satellite);
+        quality_reasons(self.ranges, &used, &mut self.reasons);
+        let Self { frame, state, covariance, .. } = self;
         if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
             return Solution::none(self.time, self.reasons);
         }
@@ -62,10 +61,9 @@ impl Answer<'_> {
             used.iter()
                 .map(|range| (range.satellite.constellation, range.factor.sight.range(&at).1)),
         );
-        let mut place = covariance.fixed_view::<3, 3>(0, 0) * self.repetition;
-        if let Some(geometry) = &geometry {
-            place += geometry.position() * self.lasting_m2;
-        }
+        let formal = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let weighted = self.ranges.iter().zip(self.weights.iter().copied());
+        let place = self.errors.covariance(&formal, &at, weighted);
         let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
         let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
         let (clock_m, inter_system_biases_m) = clocks(self.ranges, self.biases_m, state[CLOCK]);

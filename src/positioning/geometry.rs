@@ -1,6 +1,6 @@
 //! What the satellites' directions alone say of position and clocks.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::gnss::{Constellation, Dops};
 
@@ -48,11 +48,6 @@ impl Geometry {
         let inverse = normal.cholesky().filter(|_| clock < UNKNOWNS)?.inverse();
         let pdop_squared = inverse.fixed_view::<3, 3>(0, 0).trace();
         (pdop_squared < PDOP_MAX * PDOP_MAX).then_some(Self { inverse, clock })
-    }
-
-    /// Of the position, local.
-    pub(super) fn position(&self) -> Matrix3<f64> {
-        self.inverse.fixed_view::<3, 3>(0, 0).into_owned()
     }
 
     /// Dilutions of precision.

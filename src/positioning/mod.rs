@@ -25,6 +25,7 @@ mod rtk;
 #[cfg(test)]
 mod scenario;
 mod spp;
+mod uncertainty;
 mod velocity;
 
 pub use base::BaseAiding;

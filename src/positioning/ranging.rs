@@ -13,6 +13,10 @@ pub(super) struct Ranging {
     pub(super) ephemeris: EphemerisIssue,
     /// Place of its inter-system bias among all; `None` for the reference constellation.
     pub(super) bias: Option<usize>,
+    /// Standard deviation of what the ionosphere's model puts into it (m).
+    pub(super) ionosphere_m: f64,
+    /// Standard deviation of what the troposphere's does (m).
+    pub(super) troposphere_m: f64,
 }
 
 impl Ranging {
@@ -23,8 +27,14 @@ impl Ranging {
             corrected_range_m: measurement.corrected_range_m,
             inverse_sigma: measurement.variance_m2.sqrt().recip(),
         };
-        let Measurement { satellite, ephemeris, .. } = *measurement;
-        Self { factor, satellite, ephemeris, bias }
+        Self {
+            factor,
+            satellite: measurement.satellite,
+            ephemeris: measurement.ephemeris,
+            bias,
+            ionosphere_m: measurement.ionosphere_share_m,
+            troposphere_m: measurement.troposphere_share_m,
+        }
     }
 
     /// The bias in force (m), of all of them.

@@ -18,6 +18,7 @@ use crate::positioning::factors::{
 use crate::positioning::phases::Phases;
 use crate::positioning::ranging::{Ranging, median};
 use crate::positioning::spp::SinglePoint;
+use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, VelocityEstimator, variance_m2_s2};
 
 use super::belief::{BIAS, Belief, Innovation};
@@ -360,7 +361,14 @@ impl KalmanFilter {
         }
         let mut reasons = Vec::new();
         self.measurements.aiding_reasons(&mut reasons);
-        let is_used = |range: &&Ranging| self.rows.used.binary_search(&range.satellite).is_ok();
+        let is_used = |range: &Ranging| self.rows.used.binary_search(&range.satellite).is_ok();
+        let (state, biases_m) = (memory.belief.state(), memory.belief.biases_m());
+        let kernelled = self.rows.ranges.iter().map(|range| {
+            let residual = range.factor.linearize(&state, range.bias_m(biases_m)).residual;
+            let weight = f64::from(u8::from(is_used(range)));
+            (range.satellite.constellation, weight * residual, weight)
+        });
+        let residuals = Residuals::of(kernelled);
         let spacing_s = interval_s.max(options.graph.independence_s);
         let answer = Answer {
             status: Status::Ekf,
@@ -370,10 +378,13 @@ impl KalmanFilter {
             covariance: &memory.belief.state_covariance(),
             biases_m: memory.belief.biases_m(),
             ranges: &self.rows.ranges,
-            used: self.rows.ranges.iter().filter(is_used).collect(),
+            weights: self.rows.ranges.iter().map(|r| f64::from(u8::from(is_used(r)))).collect(),
             has_velocity,
-            repetition: (options.graph.correlation_s / spacing_s).max(1.0),
-            lasting_m2: options.graph.lasting_sigma_m.powi(2),
+            errors: ErrorModel {
+                repetition: repetition(spacing_s, options.graph.correlation_s),
+                variance_factor: residuals.variance_factor(),
+                orbit_clock_m2: options.graph.orbit_clock_sigma_m.powi(2),
+            },
             reasons,
         };
         let solution = answer.solution();

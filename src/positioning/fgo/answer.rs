@@ -2,17 +2,19 @@
 
 use nalgebra::SMatrix;
 
-use crate::gnss::{Solution, Status};
+use crate::gnss::{Reason, Solution, Status};
 use crate::graph::Phase;
 use crate::positioning::answer::Answer;
 use crate::positioning::factors::STATE;
 use crate::positioning::ranging::Ranging;
+use crate::positioning::uncertainty::{ErrorModel, Residuals};
 
 use super::chain::Chain;
+use super::epoch::GraphEpoch;
 use super::settings::Settings;
 
-/// Weight from which on a pseudorange counts as used: a Geman–McClure kernel's at its width.
-const USED_WEIGHT: f64 = 0.25;
+/// Residuals of epochs this far away tell how large errors are now (s).
+const NEIGHBOURS_S: f64 = 15.0;
 
 /// The solution of state `k` with its covariance.
 pub(super) fn solution(
@@ -24,10 +26,9 @@ pub(super) fn solution(
     let (epoch, state) = (&chain.epochs[k], &chain.estimate.states[k]);
     let biases_m = &chain.estimate.border;
     let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
-    let is_used = |range: &&Ranging| {
-        let row = range.factor.linearize(state, range.bias_m(biases_m));
-        USED_WEIGHT <= kernel.weight(row.residual)
-    };
+    let residual = |range: &Ranging| range.factor.linearize(state, range.bias_m(biases_m)).residual;
+    let mut reasons = epoch.reasons.clone();
+    reasons.extend(chain.unproven_s(epoch.time).map(|age_s| Reason::StartUnproven { age_s }));
     let answer = Answer {
         status: Status::Fgo,
         time: epoch.time,
@@ -36,11 +37,25 @@ pub(super) fn solution(
         covariance,
         biases_m,
         ranges: &epoch.ranges,
-        used: epoch.ranges.iter().filter(is_used).collect(),
+        weights: epoch.ranges.iter().map(|range| kernel.weight(residual(range))).collect(),
         has_velocity: epoch.carries_velocity(),
-        repetition: epoch.repetition,
-        lasting_m2: settings.lasting_m2,
-        reasons: epoch.reasons.clone(),
+        errors: ErrorModel {
+            repetition: epoch.repetition,
+            variance_factor: residuals_around(chain, k).variance_factor(),
+            orbit_clock_m2: settings.orbit_clock_m2,
+        },
+        reasons,
     };
     answer.solution()
+}
+
+/// What the residuals of epoch `k` and its neighbours sum up to.
+fn residuals_around(chain: &Chain, k: usize) -> Residuals {
+    let time = chain.epochs[k].time;
+    let near = |epoch: &GraphEpoch| (epoch.time - time).abs() <= NEIGHBOURS_S;
+    let before = chain.epochs[..k].iter().rev().take_while(|epoch| near(epoch));
+    let after = chain.epochs[k..].iter().take_while(|epoch| near(epoch));
+    let mut sum = Residuals::default();
+    before.chain(after).for_each(|epoch| sum.add(&epoch.residuals));
+    sum
 }

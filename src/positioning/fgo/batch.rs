@@ -108,6 +108,7 @@ impl WholeChain {
         chain.estimate = estimate;
         match solved {
             Ok(_) => {
+                chain.weigh_residuals(settings);
                 let mut covariances = Vec::new();
                 Covariances::new().all_states(&workspace.elimination, &mut covariances);
                 for (k, covariance) in covariances.iter().enumerate() {

@@ -12,6 +12,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::phases::Phases;
 use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::uncertainty::repetition;
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::positioning::{Measurement, Measurements};
 
@@ -41,6 +42,10 @@ pub(super) struct Chain {
     /// Constellations whose constant bias has begun.
     begun: [bool; Constellation::COUNT],
     sequence: usize,
+    /// Time of its first epoch.
+    started: GpsTime,
+    /// Whether an epoch has been seen whose pseudoranges agree.
+    is_proven: bool,
     /// Epochs whose own biases may be alive at once; zero where biases are constant.
     ring: usize,
     scratch: Vec<f64>,
@@ -62,6 +67,8 @@ impl Clone for Chain {
         self.phases.clone_from(&source.phases);
         self.begun = source.begun;
         self.sequence = source.sequence;
+        self.started = source.started;
+        self.is_proven = source.is_proven;
         self.ring = source.ring;
     }
 }
@@ -79,6 +86,8 @@ impl Chain {
             spare: Vec::new(),
             begun: [false; Constellation::COUNT],
             sequence: 0,
+            started: GpsTime::EPOCH,
+            is_proven: false,
             ring,
             scratch: Vec::new(),
         }
@@ -104,6 +113,7 @@ impl Chain {
         self.phases.clear();
         self.begun = [false; Constellation::COUNT];
         self.sequence = 0;
+        self.is_proven = false;
     }
 
     /// Where the newest state will be at `time`, if nothing happens.
@@ -142,10 +152,13 @@ impl Chain {
             self.estimate.border.resize(needed, 0.0);
         }
         let interval_s = self.last_time().map(|last| time - last);
+        if interval_s.is_none() {
+            self.started = time;
+        }
         let independence_s = options.graph.independence_s;
         let spacing_s = interval_s.unwrap_or(independence_s);
         epoch.share = (spacing_s / independence_s).min(1.0);
-        epoch.repetition = (options.graph.correlation_s / spacing_s.max(independence_s)).max(1.0);
+        epoch.repetition = repetition(spacing_s.max(independence_s), options.graph.correlation_s);
         measurements.aiding_reasons(&mut epoch.reasons);
         self.range(&mut epoch, &measurements.list);
         let miss_m = self.settle_clock(&mut epoch, &mut guess);
@@ -294,6 +307,24 @@ impl Chain {
         if options.graph.vertical_velocity_m_s.is_finite() {
             add(VELOCITY + 2, 0.0, options.graph.vertical_velocity_m_s);
         }
+    }
+
+    /// Sums up the residuals of every epoch at the estimate.
+    pub(super) fn weigh_residuals(&mut self, settings: &Settings) {
+        let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
+        let Estimate { states, border } = &self.estimate;
+        for (epoch, state) in self.epochs.iter_mut().zip(states) {
+            epoch.weigh_residuals(state, border, &kernel);
+            self.is_proven |= epoch.residuals.agree();
+        }
+    }
+
+    /// Age of the chain at `time` while no epoch has proven its start (s).
+    ///
+    /// Where the first epochs see few satellites or mostly reflections, a redescending kernel may
+    /// settle on the wrong ones, and what follows agrees with the prior that they leave.
+    pub(super) fn unproven_s(&self, time: GpsTime) -> Option<f64> {
+        (!self.is_proven).then(|| time - self.started)
     }
 
     /// The rows of the whole chain.

@@ -6,9 +6,10 @@ use crate::gnss::{GpsTime, Reason};
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, MotionFactor,
-    PhaseDifferenceFactor, STATE,
+    PhaseDifferenceFactor, STATE, State,
 };
 use crate::positioning::ranging::Ranging;
+use crate::positioning::uncertainty::Residuals;
 
 use super::settings::Kernels;
 
@@ -27,8 +28,10 @@ pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
     /// Share of information its pseudoranges keep, because errors last.
     pub(super) share: f64,
-    /// How many epochs in a row repeat one error.
+    /// How many epochs repeat one error.
     pub(super) repetition: f64,
+    /// What its pseudoranges missed by in the last solve.
+    pub(super) residuals: Residuals,
     pub(super) ranges: Vec<Ranging>,
     pub(super) rates: Vec<DopplerFactor>,
     /// From the epoch before to this one.
@@ -51,6 +54,7 @@ impl GraphEpoch {
             time: GpsTime::EPOCH,
             share: 1.0,
             repetition: 1.0,
+            residuals: Residuals::default(),
             ranges: Vec::new(),
             rates: Vec::new(),
             phases: Vec::new(),
@@ -78,6 +82,15 @@ impl GraphEpoch {
     /// Whether its state's velocity means anything.
     pub(super) fn carries_velocity(&self) -> bool {
         !matches!(self.tie, Some(Tie::DopplerVelocity(_)))
+    }
+
+    /// Sums up what its pseudoranges miss by at `state`, under their kernel.
+    pub(super) fn weigh_residuals(&mut self, state: &State, biases_m: &[f64], kernel: &Kernel) {
+        self.residuals = Residuals::of(self.ranges.iter().map(|range| {
+            let residual = range.factor.linearize(state, range.bias_m(biases_m)).residual;
+            let pull = kernel.weight(residual) * residual;
+            (range.satellite.constellation, pull, kernel.pull_slope(residual))
+        }));
     }
 
     /// Adds what touches this epoch's state alone, and the border.
@@ -157,6 +170,7 @@ impl Clone for GraphEpoch {
         self.time = source.time;
         self.share = source.share;
         self.repetition = source.repetition;
+        self.residuals = source.residuals;
         self.ranges.clone_from(&source.ranges);
         self.rates.clone_from(&source.rates);
         self.phases.clone_from(&source.phases);

@@ -58,8 +58,8 @@ pub(super) struct Settings {
     pub(super) kernels: Kernels,
     pub(super) motion: MotionWalk,
     pub(super) clock: ClockWalk,
-    /// Variance of what pseudoranges share over hours: orbit, clock, atmosphere (m²).
-    pub(super) lasting_m2: f64,
+    /// Variance of what orbits and clocks broadcast put into a range (m²).
+    pub(super) orbit_clock_m2: f64,
     /// For an epoch more.
     pub(super) update: OptimizerOptions,
     /// For a whole chain whose start is coarse.
@@ -80,7 +80,7 @@ impl Settings {
             kernels,
             motion: MotionWalk::of(options),
             clock: ClockWalk::of(options),
-            lasting_m2: options.lasting_sigma_m.powi(2),
+            orbit_clock_m2: options.orbit_clock_sigma_m.powi(2),
             update: solve(update),
             whole: solve(whole),
         }

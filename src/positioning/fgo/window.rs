@@ -165,6 +165,10 @@ impl SlidingWindow {
         let epochs = &self.chain.epochs;
         let count = epochs.len() + 1;
         let over = count.saturating_sub(options.graph.window_epochs_max);
+        if self.chain.unproven_s(time).is_some() {
+            // What is marginalised cannot be doubted any more.
+            return over;
+        }
         let late = epochs.iter().filter(|epoch| options.graph.window_s < time - epoch.time).count();
         over.max(late.min(count.saturating_sub(EPOCHS_MIN)))
     }
@@ -193,6 +197,7 @@ impl SlidingWindow {
         let solved = optimize(&mut chain.rows(settings), &mut estimate, how, workspace);
         chain.estimate = estimate;
         solved.ok()?;
+        chain.weigh_residuals(settings);
         self.covariances.newest(&self.workspace.elimination);
         let newest = self.chain.epochs.len() - 1;
         Some(solution(&self.chain, newest, self.covariances.state(), &self.settings))

@@ -108,18 +108,21 @@ impl<'a> Atmosphere<'a> {
             }
             None => (0.0, 0.0),
         };
-        let (range_m, variance_m2) = match &measurement.second {
+        let (range_m, variance_m2, ionosphere_share_m) = match &measurement.second {
             Some(second) if options.ionosphere != IonosphereModel::None => {
                 dual_frequency_range(measurement, second, biases.of(measurement, second))
             }
             _ => (
                 measurement.pseudorange_m - measurement.ionosphere_m,
                 measurement.noise_m2 + measurement.ionosphere_m2,
+                measurement.ionosphere_m2.sqrt(),
             ),
         };
         measurement.troposphere_m = troposphere_m;
         measurement.corrected_range_m = range_m - troposphere_m;
         measurement.variance_m2 = variance_m2 + measurement.state.variance_m2 + troposphere_m2;
+        measurement.ionosphere_share_m = ionosphere_share_m;
+        measurement.troposphere_share_m = troposphere_m2.sqrt();
     }
 
     /// Receiver noise and multipath of the main signal (m²).
@@ -201,12 +204,13 @@ fn mask_rad(list: &[Measurement], options: &PositioningOptions) -> f64 {
 /// P₁ = g + I, P₂ − b = g + γI, and the model's I ± its standard deviation.
 ///
 /// With an infinite variance of the model this is the ionosphere-free combination; with infinite
-/// noise on P₂ it is the single-frequency correction. Returns g (m) and its variance (m²).
+/// noise on P₂ it is the single-frequency correction. Returns g (m), its variance (m²) and what the
+/// model's standard deviation puts into it (m).
 fn dual_frequency_range(
     measurement: &Measurement,
     second: &SecondFrequency,
     bias_m: f64,
-) -> (f64, f64) {
+) -> (f64, f64, f64) {
     let (first_weight, second_weight) = (measurement.noise_m2.recip(), second.noise_m2.recip());
     let prior = measurement.ionosphere_m2.recip();
     // Relative to P₁, so that no digits are lost.
@@ -217,7 +221,8 @@ fn dual_frequency_range(
     let g = second_weight * difference_m;
     let i = gamma * second_weight * difference_m + prior * measurement.ionosphere_m;
     let determinant = gg * ii - gi * gi;
-    (measurement.pseudorange_m + (ii * g - gi * i) / determinant, ii / determinant)
+    let share_m = gi * prior.sqrt() / determinant;
+    (measurement.pseudorange_m + (ii * g - gi * i) / determinant, ii / determinant, share_m)
 }
 
 /// What the receiver delays each second signal against the main one, by signal.

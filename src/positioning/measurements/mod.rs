@@ -91,6 +91,10 @@ pub struct Measurement {
     pub corrected_range_m: f64,
     /// Variance of `corrected_range_m` (m²).
     pub variance_m2: f64,
+    /// What the ionosphere model's standard deviation puts into `corrected_range_m` (m).
+    pub ionosphere_share_m: f64,
+    /// What the troposphere model's does (m).
+    pub troposphere_share_m: f64,
     /// Whether it is above the elevation mask.
     pub is_above_mask: bool,
     /// Whether it was left out because it contradicts the others.
@@ -219,6 +223,8 @@ fn measurement(
         troposphere_m: 0.0,
         corrected_range_m: 0.0,
         variance_m2: f64::INFINITY,
+        ionosphere_share_m: 0.0,
+        troposphere_share_m: 0.0,
         is_above_mask: false,
         is_excluded: false,
     })

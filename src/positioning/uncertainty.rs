@@ -1,0 +1,267 @@
+//! How uncertain a position is whose pseudoranges err alike for a while.
+//!
+//! The estimators take errors of pseudoranges for independent from epoch to epoch, of the variance
+//! stated for each. They are neither: reflections last for tens of seconds, orbit, clock and
+//! atmosphere for hours, and stated variances are bounds. With C the estimator's covariance of the
+//! position, Λ the information of the epoch's own pseudoranges on it (every clock free), g their
+//! slopes and w/σ² their weights, what is stated is
+//!
+//! Σ = s²·(Λ + C⁻¹/n)⁻¹ + K·Kᵀ·σ² + (K·i)(K·i)ᵀ + (K·t)(K·t)ᵀ,
+//! K = (Λ + C⁻¹/1000)⁻¹·[(g − ḡ)·w/σ²]
+//!
+//! - n = (1 + ρ)/(1 − ρ), ρ = e^(−Δt/τ): an average of a first-order Gauss–Markov process, sampled
+//!   every Δt and of correlation time τ, has n times the variance of one of white noise (Bartlett
+//!   1946). One epoch counts in full, all others for 1/n: right for an estimator with a long memory
+//!   and for one with none.
+//! - s² is the a-posteriori variance factor of an M-estimator with pull ψ, Huber (1981), *Robust
+//!   Statistics*, section 7.6: Σψ²/(m − p) over (Σψ′/m)². As residuals last like errors, many epochs
+//!   say no more than one; a prior of one redundant pseudorange of the stated variance is added.
+//! - σ is the standard deviation of orbit and clock as broadcast, satellites independent; i and t
+//!   are those of the ionosphere's and the troposphere's models, one error for all satellites: such
+//!   a model errs in its zenith delay, and what is common to all goes into clocks and height. K is
+//!   the gain of the epoch alone; the small part of C matters where that determines no position.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::gnss::Constellation;
+
+use super::ranging::Ranging;
+
+/// Redundant pseudoranges of the stated variance that stand before all residuals.
+const PRIOR_REDUNDANCY: f64 = 1.0;
+/// Redundant pseudoranges that agree by chance on a wrong position too rarely to matter.
+const AGREEING: f64 = 4.0;
+/// Share of rejected ones that leaves no room for another majority.
+const DISSENTING: f64 = 0.2;
+/// Share of the estimator's information in the gain of what lasts.
+const MEMORY_SHARE: f64 = 1e-3;
+/// Mean slope of the pull below which it says nothing: most pseudoranges are rejected.
+const SLOPE_MIN: f64 = 0.2;
+
+/// How many epochs every `spacing_s` repeat one error, n.
+pub(super) fn repetition(spacing_s: f64, correlation_s: f64) -> f64 {
+    // (1 + ρ)/(1 − ρ).
+    (0.5 * spacing_s / correlation_s).tanh().recip()
+}
+
+/// What pseudoranges of some epochs miss by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Residuals {
+    /// Σψ².
+    squares: f64,
+    /// Σψ′.
+    slopes: f64,
+    /// m.
+    count: f64,
+    /// m − p.
+    redundancy: f64,
+    /// How many are not rejected.
+    accepted: f64,
+    epochs: f64,
+}
+
+impl Residuals {
+    /// Of one epoch's pseudoranges: constellation, ψ and ψ′ of each.
+    pub(super) fn of(rows: impl Iterator<Item = (Constellation, f64, f64)>) -> Self {
+        let mut sum = Self { epochs: 1.0, ..Self::default() };
+        let mut present = [false; Constellation::COUNT];
+        for (constellation, pull, slope) in rows {
+            sum.squares += pull * pull;
+            sum.slopes += slope;
+            sum.count += 1.0;
+            sum.accepted += f64::from(u8::from(0.0 < slope));
+            present[constellation.index()] = true;
+        }
+        let clocks = present.iter().filter(|present| **present).count();
+        sum.redundancy = (sum.count - (3 + clocks) as f64).max(0.0);
+        sum
+    }
+
+    /// Takes in those of other epochs.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.squares += other.squares;
+        self.slopes += other.slopes;
+        self.count += other.count;
+        self.redundancy += other.redundancy;
+        self.accepted += other.accepted;
+        self.epochs += other.epochs;
+    }
+
+    /// Whether these of one epoch are so many and so much of one mind that hardly anything but the
+    /// right position explains them.
+    pub(super) fn agree(&self) -> bool {
+        let rejected = self.count - self.accepted;
+        AGREEING <= self.redundancy - rejected && rejected <= DISSENTING * self.count
+    }
+
+    /// s².
+    pub(super) fn variance_factor(&self) -> f64 {
+        let prior = PRIOR_REDUNDANCY * self.epochs;
+        if self.count == 0.0 {
+            return 1.0;
+        }
+        let slope = (self.slopes / self.count).max(SLOPE_MIN);
+        (self.squares + prior) / (self.redundancy + prior) / (slope * slope)
+    }
+}
+
+/// What is known of the errors of an epoch's pseudoranges.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ErrorModel {
+    /// n.
+    pub(super) repetition: f64,
+    /// s².
+    pub(super) variance_factor: f64,
+    /// σ² (m²).
+    pub(super) orbit_clock_m2: f64,
+}
+
+/// A constellation's pseudoranges, whose clock is free.
+#[derive(Clone, Copy, Default)]
+struct Group {
+    information: f64,
+    slope: Vector3<f64>,
+}
+
+impl ErrorModel {
+    /// Σ (m²) of a local position with covariance `formal`, from weighted pseudoranges.
+    pub(super) fn covariance<'a>(
+        &self,
+        formal: &Matrix3<f64>,
+        at: &Vector3<f64>,
+        weighted: impl Iterator<Item = (&'a Ranging, f64)> + Clone,
+    ) -> Matrix3<f64> {
+        let Some(window) = formal.try_inverse() else { return *formal };
+        let rows = weighted.map(|(range, weight)| {
+            let (_, slope) = range.factor.sight.range(at);
+            (range, slope, weight * range.factor.inverse_sigma.powi(2))
+        });
+        let mut groups = [Group::default(); Constellation::COUNT];
+        let mut epoch = Matrix3::zeros();
+        for (range, slope, information) in rows.clone() {
+            let group = &mut groups[range.satellite.constellation.index()];
+            group.information += information;
+            group.slope += slope * information;
+            epoch += slope * slope.transpose() * information;
+        }
+        for group in groups.iter().filter(|group| 0.0 < group.information) {
+            epoch -= group.slope * group.slope.transpose() / group.information;
+        }
+        let noise = (epoch + window / self.repetition).try_inverse().unwrap_or(*formal);
+        let gain = (epoch + window * MEMORY_SHARE).try_inverse().unwrap_or(*formal);
+        let mut stated = noise * self.variance_factor;
+        let (mut ionosphere, mut troposphere) = (Vector3::zeros(), Vector3::zeros());
+        for (range, slope, information) in rows {
+            let group = &groups[range.satellite.constellation.index()];
+            if group.information == 0.0 {
+                continue;
+            }
+            let pull = gain * (slope - group.slope / group.information) * information;
+            stated += pull * pull.transpose() * self.orbit_clock_m2;
+            ionosphere += pull * range.ionosphere_m;
+            troposphere += pull * range.troposphere_m;
+        }
+        stated + ionosphere * ionosphere.transpose() + troposphere * troposphere.transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::{Ecef, EphemerisIssue, GpsTime, LocalFrame};
+    use crate::positioning::factors::{PseudorangeFactor, Sight};
+
+    const RADIUS_M: f64 = 6_378_137.0;
+
+    /// Satellites in four directions at 45° and one overhead, one clock, σ = 2 m.
+    fn ranges() -> Vec<Ranging> {
+        let frame = LocalFrame::at(Ecef::new(RADIUS_M, 0.0, 0.0));
+        let far = 2e7 / 2_f64.sqrt();
+        let directions =
+            [(far, 0.0, far), (-far, 0.0, far), (0.0, far, far), (0.0, -far, far), (0.0, 0.0, 2e7)];
+        let range = |(east, north, up): (f64, f64, f64)| {
+            let satellite = "G01".parse().unwrap();
+            Ranging {
+                factor: PseudorangeFactor {
+                    sight: Sight::new(&frame, Ecef::new(RADIUS_M + up, east, north)),
+                    corrected_range_m: 0.0,
+                    inverse_sigma: 0.5,
+                },
+                satellite,
+                ephemeris: EphemerisIssue { satellite, toe: GpsTime::EPOCH, issue: 1 },
+                bias: None,
+                ionosphere_m: 3.0,
+                troposphere_m: 0.0,
+            }
+        };
+        directions.into_iter().map(range).collect()
+    }
+
+    fn stated(formal_m2: f64, errors: ErrorModel) -> Matrix3<f64> {
+        let ranges = ranges();
+        let weighted = ranges.iter().map(|range| (range, 1.0));
+        errors.covariance(&(Matrix3::identity() * formal_m2), &Vector3::zeros(), weighted)
+    }
+
+    const ERRORS: ErrorModel =
+        ErrorModel { repetition: 60.0, variance_factor: 1.0, orbit_clock_m2: 0.0 };
+
+    /// East: four slopes of ±1/√2 and 0, Λ = 2·0.5/4 = 0.25 1/m². A window of white noise with
+    /// C = 0.01 m² holds 100/60 1/m² more: 1/(0.25 + 1.667) m².
+    #[test]
+    fn a_windows_information_is_divided_by_its_repetition() {
+        let east_m2 = stated(0.01, ERRORS)[(0, 0)];
+        assert!((east_m2 - 1.0 / (0.25 + 100.0 / 60.0)).abs() < 1e-3, "{east_m2}");
+        // Whose memory is one epoch states that epoch's.
+        let alone_m2 = stated(4.0, ERRORS)[(0, 0)];
+        assert!((alone_m2 - 4.0).abs() < 0.1, "{alone_m2}");
+        let doubled = stated(4.0, ErrorModel { variance_factor: 2.0, ..ERRORS })[(0, 0)];
+        assert!((doubled / alone_m2 - 2.0).abs() < 1e-9, "{doubled}");
+    }
+
+    /// East K·Kᵀ = Σ(g/4)²/0.25² = 1: an orbit's metre is a metre. One ionosphere for all vanishes
+    /// in the clock.
+    #[test]
+    fn what_lasts_is_not_averaged() {
+        let with = stated(0.1, ErrorModel { orbit_clock_m2: 9.0, ..ERRORS })[(0, 0)];
+        let without = stated(0.1, ERRORS)[(0, 0)];
+        assert!((with - without - 9.0).abs() < 0.1, "{with} {without}");
+    }
+
+    /// τ = 30 s: 60 epochs of one second, 2.16 of 30 s, one of ten minutes.
+    #[test]
+    fn repetition_is_bartletts() {
+        assert!((repetition(1.0, 30.0) - 60.0).abs() < 0.01);
+        let rho = (-1_f64).exp();
+        assert!((repetition(30.0, 30.0) - (1.0 + rho) / (1.0 - rho)).abs() < 1e-12);
+        assert!((repetition(600.0, 30.0) - 1.0).abs() < 1e-6);
+    }
+
+    /// Nine of one constellation, five redundant: with one rejected four still agree; with two, not.
+    #[test]
+    fn agreement_needs_redundancy_and_few_rejected() {
+        let of = |rejected: usize| {
+            let slope = |i| if i < rejected { -0.1 } else { 1.0 };
+            Residuals::of((0..9).map(|i| (Constellation::Gps, 0.5, slope(i))))
+        };
+        assert!(of(0).agree() && of(1).agree() && !of(2).agree());
+    }
+
+    /// Seven pseudoranges of one constellation, three redundant, ψ = ±2: (28 + 1)/(3 + 1); where
+    /// half of the pulls have no slope, four times as much.
+    #[test]
+    fn the_variance_factor_is_hubers() {
+        let of = |slope: f64| {
+            let rows =
+                (0..7).map(|i| (Constellation::Gps, if i % 2 == 0 { 2.0 } else { -2.0 }, slope));
+            Residuals::of(rows)
+        };
+        assert!((of(1.0).variance_factor() - 29.0 / 4.0).abs() < 1e-12);
+        assert!((of(0.5).variance_factor() - 29.0).abs() < 1e-12);
+        // The same again says the same.
+        let mut twice = of(1.0);
+        twice.add(&of(1.0));
+        assert!((twice.variance_factor() - 29.0 / 4.0).abs() < 1e-12);
+        assert_eq!(Residuals::default().variance_factor(), 1.0);
+    }
+}
