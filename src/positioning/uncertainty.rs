@@ -13,9 +13,10 @@
 //!   every Δt and of correlation time τ, has n times the variance of one of white noise (Bartlett
 //!   1946). One epoch counts in full, all others for 1/n: right for an estimator with a long memory
 //!   and for one with none.
-//! - s² is the a-posteriori variance factor of an M-estimator with pull ψ, Huber (1981), *Robust
-//!   Statistics*, section 7.6: Σψ²/(m − p) over (Σψ′/m)². As residuals last like errors, many epochs
-//!   say no more than one; a prior of one redundant pseudorange of the stated variance is added.
+//! - s² is the a-posteriori variance factor of an M-estimator with pull ψ: Σψ²/(m − p) over
+//!   (Σψ′/m)², Huber (1981), *Robust Statistics*, section 7.6. As residuals last like errors, many
+//!   epochs say no more than one; a prior of one redundant pseudorange of the stated variance is
+//!   added.
 //! - σ is the standard deviation of orbit and clock as broadcast, satellites independent; i and t
 //!   are those of the ionosphere's and the troposphere's models, one error for all satellites: such
 //!   a model errs in its zenith delay, and what is common to all goes into clocks and height. K is

@@ -267,6 +267,73 @@ mod tests {
         assert!((sigma - 1.0).abs() < 0.05, "phase: {sigma}");
     }
 
+    /// A satellite's broadcast errs alike for rover and base and all the time; over satellites and
+    /// seeds by its constellation's deviation.
+    #[test]
+    fn broadcasts_err_by_satellite() {
+        let scenario = Scenario { broadcast_errors: true, duration_s: 10.0, ..Scenario::clean() };
+        let mut scaled = Vec::new();
+        for seed in 0..20 {
+            let mut simulator = Simulator::new(scenario.clone(), seed);
+            let navigation = simulator.navigation().clone();
+            let mut errors: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+            while let Some(epoch) = simulator.next() {
+                let tag = epoch.rover.time;
+                let (at, velocity, _) = simulator.rover_at(tag - epoch.clock_m / SPEED_OF_LIGHT);
+                for observation in &epoch.rover.observations {
+                    let (code, ..) = residuals(observation, &navigation, tag, (at, velocity));
+                    errors.entry(observation.satellite).or_default().push(code - epoch.clock_m);
+                }
+            }
+            for (satellite, of_one) in errors {
+                assert!(of_one.iter().all(|error| (error - of_one[0]).abs() < 1e-2));
+                scaled.push(of_one[0] / signal_in_space_sigma_m(satellite.constellation));
+            }
+        }
+        let variance = scaled.iter().map(|e| e * e).sum::<f64>() / scaled.len() as f64;
+        assert!((variance.sqrt() - 1.0).abs() < 0.15, "{variance} of {}", scaled.len());
+    }
+
+    /// What multipath does in ten seconds: little to a car that stands, nearly all to one at 10 m/s.
+    #[test]
+    fn multipath_stands_with_the_car() {
+        let correlation = |motion| {
+            let errors = ReceiverErrors {
+                code_m: 0.0,
+                multipath_correlation_m: 20.0,
+                fading_db: 0.0,
+                slips_per_hour: 0.0,
+                ..ReceiverErrors::urban()
+            };
+            let scenario = Scenario { rover_errors: Some(errors), motion, ..Scenario::clean() };
+            let mut simulator = Simulator::new(scenario, 2);
+            let navigation = simulator.navigation().clone();
+            let mut series: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+            while let Some(epoch) = simulator.next() {
+                let tag = epoch.rover.time;
+                let (at, velocity, _) = simulator.rover_at(tag - epoch.clock_m / SPEED_OF_LIGHT);
+                for observation in &epoch.rover.observations {
+                    let (code, ..) = residuals(observation, &navigation, tag, (at, velocity));
+                    let key = (observation.satellite, observation.code);
+                    series.entry(key).or_default().push(code - epoch.clock_m);
+                }
+            }
+            let product = |lag: usize| -> f64 {
+                series
+                    .values()
+                    .flat_map(|s| s.iter().zip(s.iter().skip(lag)))
+                    .map(|(a, b)| a * b)
+                    .sum()
+            };
+            product(10) / product(0)
+        };
+        let driving = Motion::Loop { half_length_m: 250.0, speed_m_s: 10.0 };
+        let (standing, driving) = (correlation(Motion::Static), correlation(driving));
+        // e^(−10/100) and e^(−10/100 − 100/20).
+        assert!((0.8..0.97).contains(&standing), "{standing}");
+        assert!(driving.abs() < 0.2, "{driving}");
+    }
+
     /// The canyon hides a good part of the sky; what it lets through late is late and never early.
     #[test]
     fn the_canyon_blocks_and_delays() {
