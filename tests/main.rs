@@ -20,6 +20,7 @@ mod rinex;
 mod rtk;
 mod sessions;
 mod simulation;
+mod slips;
 mod snapshot;
 mod spp;
 mod store;

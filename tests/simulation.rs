@@ -9,7 +9,7 @@ use graphfix::formats::rinex::{ObservationReader, read_navigation};
 use graphfix::formats::truth;
 use graphfix::gnss::{Epoch, GpsTime};
 use graphfix::models::{satellite_state, select_ephemeris};
-use graphfix::simulation::{Scenario, Simulator};
+use graphfix::simulation::{Atmosphere, Scenario, Simulator};
 
 fn simulate(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_graphfix"))
@@ -35,6 +35,7 @@ fn assert_read_back(folder: &Path, name: &str, expected: &[Epoch]) {
         for (a, b) in epoch.observations.iter().zip(&made.observations) {
             assert_eq!((a.satellite, a.code), (b.satellite, b.code));
             assert_eq!(a.loss_of_lock, b.loss_of_lock, "{name} {} {b:?}", made.time);
+            assert_eq!(a.half_cycle, b.half_cycle, "{name} {} {b:?}", made.time);
             let near = |a: Option<f64>, b: Option<f64>| (a.unwrap() - b.unwrap()).abs() < 5.1e-4;
             assert!(near(a.pseudorange_m, b.pseudorange_m), "{a:?} {b:?}");
             assert!(near(a.carrier_phase.map(|p| p.0), b.carrier_phase.map(|p| p.0)));
@@ -91,7 +92,7 @@ fn what_it_cannot_do_is_refused_in_one_line() {
     };
     let unknown = refusal(&["--scenario", "moon"]);
     assert!(unknown.starts_with("error[UNKNOWN_SCENARIO]"), "{unknown}");
-    assert!(unknown.contains("open-sky, urban-canyon, clean"), "{unknown}");
+    assert!(unknown.contains("open-sky, urban-canyon, rtk-open, rtk-canyon, clean"), "{unknown}");
     let clean = ["--scenario", "clean", "--duration", "2"];
     assert!(simulate(folder.path(), &clean).status.success());
     assert!(refusal(&clean).starts_with("error[FILE_EXISTS]"));
@@ -100,4 +101,43 @@ fn what_it_cannot_do_is_refused_in_one_line() {
     let backwards = ["--scenario", "clean", "--duration=-1"];
     assert!(refusal(&backwards).starts_with("error[INVALID_OPTION_VALUE]"));
     assert!(refusal(&["--scenario", "clean", "--rate", "0"]).contains("--rate 0"));
+    assert!(refusal(&["--scenario", "clean", "--baseline", "1e6"]).contains("--baseline"));
+}
+
+/// The base of `--baseline` is as far as asked, and the ionosphere's gradient lengthens its
+/// pseudoranges against those without one in proportion.
+#[test]
+fn baselines_and_gradients() {
+    let quiet = |baseline_m: f64, gradient: [f64; 2]| {
+        let scenario = Scenario::rtk_open().with_baseline(baseline_m);
+        let atmosphere = scenario
+            .atmosphere
+            .map(|atmosphere| Atmosphere { ionosphere_gradient: gradient, ..atmosphere });
+        let scenario = Scenario {
+            atmosphere,
+            duration_s: 10.0,
+            rover_errors: None,
+            base_errors: None,
+            ..scenario
+        };
+        let origin = scenario.origin.to_ecef();
+        let simulator = Simulator::new(scenario, 1);
+        let base = simulator.base_position().unwrap();
+        let epoch = simulator.last().unwrap().base.unwrap();
+        (origin.distance_m(base), epoch.observations)
+    };
+    for baseline_m in [1_000.0, 20_000.0] {
+        let (distance_m, plain) = quiet(baseline_m, [0.0; 2]);
+        assert!((distance_m - baseline_m).abs() < 0.01 * baseline_m, "{distance_m}");
+        let (_, sloped) = quiet(baseline_m, [3e-6, 4e-6]);
+        // 5 mm/km along the gradient: no less than the cosine of the baseline's direction to it.
+        let largest_m = 5e-6 * baseline_m * 3.5;
+        let mut seen_m = 0.0_f64;
+        for (a, b) in plain.iter().zip(&sloped).filter(|(a, _)| a.code.band_digit() == 1) {
+            let longer_m = b.pseudorange_m.unwrap() - a.pseudorange_m.unwrap();
+            seen_m = seen_m.max(longer_m.abs());
+            assert!(longer_m.abs() <= largest_m, "{longer_m}");
+        }
+        assert!(1e-7 * baseline_m < seen_m, "{seen_m}");
+    }
 }

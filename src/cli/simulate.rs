@@ -19,11 +19,13 @@ const FILES: [&str; 5] = ["rover.obs", "base.obs", "navigation.rnx", "truth.csv"
 /// Longest simulation and shortest interval: what one file shall hold.
 const LONGEST_S: f64 = 7.0 * 86_400.0;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
+/// Beyond it the base would be below the rover's horizon.
+const LONGEST_BASELINE_M: f64 = 1e5;
 
 /// Simulates a rover and its base and writes RINEX 3.05 files and the truth.
 #[derive(Debug, Args)]
 pub(crate) struct SimulateArguments {
-    /// What is simulated: open-sky, urban-canyon or clean.
+    /// What is simulated: open-sky, urban-canyon, rtk-open, rtk-canyon or clean.
     #[arg(long, value_name = "NAME")]
     scenario: String,
     /// The same seed gives the same files.
@@ -38,6 +40,9 @@ pub(crate) struct SimulateArguments {
     /// Epochs per second (Hz); the scenario's own where not given.
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
+    /// From the origin to the base (m); the scenario's own where not given.
+    #[arg(long, value_name = "M")]
+    baseline: Option<f64>,
     /// Receives one frequency only.
     #[arg(long)]
     single_frequency: bool,
@@ -89,6 +94,12 @@ impl SimulateArguments {
                 return Err(out_of_range("--rate", rate_hz, lowest, highest));
             }
             scenario.interval_s = 1.0 / rate_hz;
+        }
+        if let Some(baseline_m) = self.baseline {
+            if !(0.0..=LONGEST_BASELINE_M).contains(&baseline_m) {
+                return Err(out_of_range("--baseline", baseline_m, 0.0, LONGEST_BASELINE_M));
+            }
+            scenario = scenario.with_baseline(baseline_m);
         }
         if self.single_frequency {
             scenario.frequencies = 1;

@@ -5,8 +5,8 @@
 //! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
 //! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
 //! the same factors with one state. `differencing` sets a rover against a base, and `rtk` finds its
-//! position and the integers from that. Physics is in `models`, the choice of all of it in
-//! `config`.
+//! position and the integers from that; [`SlipTracker`] tells which carrier phases share an
+//! ambiguity. Physics is in `models`, the choice of all of it in `config`.
 
 mod answer;
 mod base;
@@ -24,6 +24,7 @@ mod ranging;
 mod rtk;
 #[cfg(test)]
 mod scenario;
+mod slips;
 mod spp;
 mod uncertainty;
 mod velocity;
@@ -31,3 +32,6 @@ mod velocity;
 pub use base::BaseAiding;
 pub use estimator::{Aiding, Batch, Estimator};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
+pub use slips::{
+    AntennaMotion, AntennaPosition, KnownSatellite, PhaseArc, SlipCause, SlipCauses, SlipTracker,
+};

@@ -9,8 +9,8 @@
 //!
 //! each term of which [`Scenario`] can switch off; ε is what orbit and clock broadcast err, one
 //! number for a satellite and seed. The same scenario and seed give the same bits. The navigation
-//! depends on the scenario alone: a fleet of many seeds shares one. Not modelled: half-cycle
-//! ambiguities, antenna phase patterns.
+//! depends on the scenario alone: a fleet of many seeds shares one. Not modelled: antenna phase
+//! patterns.
 
 mod city;
 mod constellation;
@@ -19,10 +19,11 @@ mod place;
 mod random;
 mod receiver;
 mod scenario;
+mod track;
 
 pub use city::CityPlan;
 pub use motion::Motion;
-pub use receiver::signals;
+pub use receiver::{PhaseTruth, signals};
 pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m};
 
 use std::sync::Arc;
@@ -47,6 +48,10 @@ pub struct SimulatedEpoch {
     pub rover: Epoch,
     /// What the base measured at the same tag; `None` without base.
     pub base: Option<Epoch>,
+    /// The truth of the phase of each of the rover's observations, in their order.
+    pub rover_phases: Vec<PhaseTruth>,
+    /// Likewise of the base's; empty without base.
+    pub base_phases: Vec<PhaseTruth>,
     /// Where the rover's antenna was when GPS time was the tag.
     pub position: Ecef,
     /// Its velocity then, ECEF (m/s).
@@ -141,14 +146,24 @@ impl Iterator for Simulator {
             seed: self.seed,
         };
         let around = Surroundings { city: self.city.as_ref().map(|city| (city, local)), ..open };
-        let rover = self.rover.observe(tag, position, velocity_m_s, &around);
+        let (rover, rover_phases) = self.rover.observe(tag, position, velocity_m_s, &around);
         let base = self.base.as_mut().map(|(receiver, position)| {
             receiver.advance_clock(tag);
             receiver.observe(tag, *position, Vector3::zeros(), &open)
         });
+        let (base, base_phases) = base.unzip();
+        let base_phases = base_phases.unwrap_or_default();
         let (position, velocity_m_s, _) = self.rover_at(tag);
         let clock_m = self.rover.clock_m();
-        Some(SimulatedEpoch { rover, base, position, velocity_m_s, clock_m })
+        Some(SimulatedEpoch {
+            rover,
+            base,
+            rover_phases,
+            base_phases,
+            position,
+            velocity_m_s,
+            clock_m,
+        })
     }
 }
 

@@ -6,10 +6,11 @@ use nalgebra::Vector3;
 
 use super::city::{Arrival, City};
 use super::place::Place;
-use super::random::{GaussMarkov, Random, normal_of_place};
+use super::random::{Random, normal_of_place};
 use super::scenario::{
     Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
 };
+use super::track::{Measured, Track};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Constellation, Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation,
@@ -21,25 +22,20 @@ use crate::models::{
     range_rate, satellite_state, select_ephemeris,
 };
 
-/// C/N0 at which standard deviations of errors are stated (dB-Hz).
-const REFERENCE_CN0: f64 = 45.0;
-/// C/N0 in the zenith, and what is lost towards the horizon (dB-Hz, dB).
-const ZENITH_CN0: f64 = 48.0;
-const HORIZON_LOSS_DB: f64 = 14.0;
 /// The second signal is received weaker (dB).
 const SECOND_SIGNAL_LOSS_DB: f64 = 2.0;
 /// A satellite this far below the mask is looked at again only after a while (rad, s).
 const FAR_BELOW_RAD: f64 = 0.07;
 const LOOK_AGAIN_S: f64 = 120.0;
-/// Share of the error of a direct signal's multipath when no wall reflects the satellite.
-const CALM_SHARE: f64 = 0.25;
-/// Carrier multipath cannot exceed a quarter of a wavelength.
-const PHASE_MULTIPATH_LIMIT: f64 = 0.25;
 /// Over less than this a satellite moves on a line and keeps its velocity, to 0.01 mm/s (s).
 const STRAIGHT_S: f64 = 1e-5;
 const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
 /// What is drawn of a satellite's number for its signal-in-space error.
 const SIGNAL_IN_SPACE: u64 = 32;
+/// The thin ionosphere above a mean Earth (m).
+const SHELL_HEIGHT_M: f64 = 350e3;
+const EARTH_RADIUS_M: f64 = 6_371e3;
+const L1_HZ: f64 = 1_575.42e6;
 
 /// Signals received of a constellation, in order of preference.
 pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
@@ -64,6 +60,18 @@ pub(super) struct Receiver {
     tracks: BTreeMap<SatelliteId, Track>,
 }
 
+/// What is true of a carrier phase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhaseTruth {
+    /// Its ambiguity N (cycles): an integer, or off by a half while the half cycle is unresolved.
+    /// It changes where the phase slips.
+    pub ambiguity_cycles: f64,
+    /// Elevation of the satellite (rad).
+    pub elevation_rad: f64,
+    /// The phase is that of a reflection, whose path changes as the rover moves.
+    pub is_reflected: bool,
+}
+
 /// What surrounds an antenna at an instant.
 pub(super) struct Surroundings<'a> {
     pub(super) navigation: &'a Navigation,
@@ -86,22 +94,16 @@ impl Surroundings<'_> {
         signal_in_space_sigma_m(constellation)
             * normal_of_place(self.seed, place.0, place.1, SIGNAL_IN_SPACE)
     }
-}
 
-/// What is kept of a satellite between epochs.
-#[derive(Clone, Debug)]
-struct Track {
-    /// Not looked at before.
-    asleep_until: GpsTime,
-    /// Since when it is received in the present manner; `None` while it is not.
-    since: Option<GpsTime>,
-    is_reflected: bool,
-    /// Integer ambiguity of each signal (cycles).
-    ambiguities: [f64; 2],
-    lost_lock: bool,
-    multipath: [GaussMarkov; 2],
-    phase_multipath: [GaussMarkov; 2],
-    fading: GaussMarkov,
+    /// What the ionosphere's gradient adds to the zenith delay at a place (m on L1).
+    fn gradient_m(&self, position: Ecef) -> f64 {
+        let gradient = self.atmosphere.map_or([0.0; 2], |a| a.ionosphere_gradient);
+        if gradient == [0.0; 2] {
+            return 0.0;
+        }
+        let enu = LocalFrame::at(self.scenario.origin.to_ecef()).to_enu(position).0;
+        gradient[0] * enu.x + gradient[1] * enu.y
+    }
 }
 
 /// The geometry and delays of one satellite's direct path.
@@ -118,6 +120,8 @@ struct Sky<'a> {
     receiver: Geodetic,
     frame: LocalFrame,
     troposphere: Option<Troposphere>,
+    /// What the ionosphere's gradient adds to the zenith delay on L1 (m).
+    gradient_m: f64,
     surroundings: &'a Surroundings<'a>,
     velocity_m_s: Vector3<f64>,
     /// True time of reception.
@@ -161,14 +165,15 @@ impl Receiver {
         self.drift_m_s
     }
 
-    /// What is measured at `tag`, the antenna being at `position` at the true time of reception.
+    /// What is measured at `tag`, the antenna being at `position` at the true time of reception,
+    /// and the truth of each observation's phase.
     pub(super) fn observe(
         &mut self,
         tag: GpsTime,
         position: Ecef,
         velocity_m_s: Vector3<f64>,
         surroundings: &Surroundings<'_>,
-    ) -> Epoch {
+    ) -> (Epoch, Vec<PhaseTruth>) {
         let time = tag - self.clock_m / SPEED_OF_LIGHT;
         let receiver = position.to_geodetic();
         let troposphere = surroundings.atmosphere.and_then(|atmosphere| {
@@ -176,14 +181,17 @@ impl Receiver {
             Troposphere::saastamoinen(&receiver, time, humidity, Mapping::Niell)
         });
         let frame = LocalFrame::at(position);
-        let sky = Sky { receiver, frame, troposphere, surroundings, velocity_m_s, time };
+        let gradient_m = surroundings.gradient_m(position);
+        let sky =
+            Sky { receiver, frame, troposphere, gradient_m, surroundings, velocity_m_s, time };
         let elapsed_s = self.last.map_or(0.0, |last| tag - last);
         let mut epoch = Epoch::new(tag);
+        let mut truth = Vec::new();
         for (satellite, _) in surroundings.navigation.satellites() {
-            self.observe_satellite(satellite, &sky, elapsed_s, &mut epoch);
+            self.observe_satellite(satellite, &sky, elapsed_s, &mut epoch, &mut truth);
         }
         self.last = Some(tag);
-        epoch
+        (epoch, truth)
     }
 
     fn observe_satellite(
@@ -192,6 +200,7 @@ impl Receiver {
         sky: &Sky<'_>,
         elapsed_s: f64,
         epoch: &mut Epoch,
+        truth: &mut Vec<PhaseTruth>,
     ) {
         let random = &mut self.random;
         let track = self.tracks.entry(satellite).or_insert_with(|| Track::new(random));
@@ -227,29 +236,30 @@ impl Receiver {
             signals(satellite.constellation).into_iter().take(scenario.frequencies).enumerate()
         {
             let clock = (self.clock_m, self.drift_m_s);
-            let ideal = sky.ideal(ephemeris, code, &path, clock, track.ambiguities[index]);
+            let half_cycle = sky.time < track.resolved_at[index];
+            let half_cycles = if half_cycle { track.half_cycles[index] } else { 0.0 };
+            let ambiguity_cycles = track.ambiguities[index] + half_cycles;
+            let ideal = sky.ideal(ephemeris, code, &path, clock, ambiguity_cycles);
             let cn0 = cn0 - SECOND_SIGNAL_LOSS_DB * index as f64;
             let measured = track.disturb(ideal, index, cn0, &path.look, &arrival, errors, random);
             let doppler_hz = Some(measured.doppler_m_s / measured.wavelength_m);
             epoch.observations.push(Observation {
-                loss_of_lock: track.lost_lock,
+                loss_of_lock: track.lost_lock[index],
+                half_cycle,
                 pseudorange_m: Some(measured.pseudorange_m),
                 carrier_phase: Some(Cycles(measured.phase_m / measured.wavelength_m)),
                 doppler_hz,
                 cn0_db_hz: Some(cn0),
                 ..Observation::empty(satellite, code)
             });
+            truth.push(PhaseTruth {
+                ambiguity_cycles,
+                elevation_rad: path.look.elevation_rad,
+                is_reflected: matches!(arrival, Arrival::Reflected(_)),
+            });
         }
-        track.lost_lock = false;
+        track.lost_lock = [false; 2];
     }
-}
-
-/// Measurements of one signal in metres; the Doppler with RINEX's sign, positive on approach.
-struct Measured {
-    wavelength_m: f64,
-    pseudorange_m: f64,
-    phase_m: f64,
-    doppler_m_s: f64,
 }
 
 impl Sky<'_> {
@@ -304,7 +314,8 @@ impl Sky<'_> {
                 &path.look,
                 self.time,
             );
-            atmosphere.ionosphere_ratio * delay
+            let gradient_m = self.gradient_m * thin_shell(path.look.elevation_rad);
+            atmosphere.ionosphere_ratio * delay + gradient_m * (L1_HZ / frequency_hz).powi(2)
         });
         let wavelength_m = SPEED_OF_LIGHT / frequency_hz;
         let group_delay_m = group_delay_m(ephemeris, code).unwrap_or(0.0);
@@ -320,146 +331,9 @@ impl Sky<'_> {
     }
 }
 
-impl Track {
-    fn new(random: &mut Random) -> Self {
-        let mut process = || GaussMarkov::new(random);
-        Self {
-            asleep_until: GpsTime::EPOCH,
-            since: None,
-            is_reflected: false,
-            ambiguities: [0.0; 2],
-            lost_lock: false,
-            multipath: [process(), process()],
-            phase_multipath: [process(), process()],
-            fading: process(),
-        }
-    }
-
-    /// Moves the slow processes on; returns the C/N0 of the first signal (dB-Hz).
-    fn advance(
-        &mut self,
-        (elapsed_s, way_m): (f64, f64),
-        look: &LookAngles,
-        arrival: &Arrival,
-        errors: Option<&ReceiverErrors>,
-        random: &mut Random,
-    ) -> f64 {
-        let lost_db = HORIZON_LOSS_DB * (1.0 - look.elevation_rad.sin()).powi(2);
-        let reflection_db = match arrival {
-            Arrival::Reflected(reflection) => reflection.loss_db,
-            Arrival::Diffracted(bent) => bent.loss_db,
-            Arrival::Direct { .. } | Arrival::Blocked => 0.0,
-        };
-        let clear_db = ZENITH_CN0 - lost_db - reflection_db;
-        let Some(errors) = errors else {
-            return clear_db;
-        };
-        // Reflectors pass by as the antenna moves.
-        let passed_s = way_m / errors.multipath_correlation_m * errors.multipath_correlation_s;
-        for process in self.multipath.iter_mut().chain(&mut self.phase_multipath) {
-            process.advance(elapsed_s + passed_s, errors.multipath_correlation_s, random);
-        }
-        let fading = self.fading.advance(elapsed_s, errors.fading_correlation_s, random);
-        clear_db + errors.fading_db * fading
-    }
-
-    /// Whether there are measurements; a new way of arrival begins new ambiguities.
-    fn is_received(
-        &mut self,
-        time: GpsTime,
-        cn0: f64,
-        arrival: &Arrival,
-        is_first: bool,
-        errors: Option<&ReceiverErrors>,
-        random: &mut Random,
-    ) -> bool {
-        let threshold = errors.map_or(f64::NEG_INFINITY, |e| e.tracking_threshold_db_hz);
-        if matches!(arrival, Arrival::Blocked) || cn0 < threshold {
-            self.since = None;
-            return false;
-        }
-        let is_reflected = matches!(arrival, Arrival::Reflected(_));
-        let continues = self.since.is_some() && self.is_reflected == is_reflected;
-        if !continues {
-            let was_tracked = self.since.is_some();
-            self.begin_arc(random);
-            // A signal that only changes its way stays in the loops; others are acquired anew.
-            // So does what the receiver tracked before the simulation began.
-            let stays = was_tracked || is_first;
-            self.since = Some(if stays { GpsTime::EPOCH } else { time });
-            self.is_reflected = is_reflected;
-        } else if let Some(errors) = errors {
-            self.slip(cn0, errors, random);
-        }
-        let wait_s = errors.map_or(0.0, |e| e.reacquisition_s);
-        self.since.is_some_and(|since| wait_s <= time - since)
-    }
-
-    fn begin_arc(&mut self, random: &mut Random) {
-        self.ambiguities = self.ambiguities.map(|_| random.uniform(-1e5, 1e5).round());
-        self.lost_lock = true;
-    }
-
-    /// Slips now and then by some cycles, more often when the signal is weak.
-    fn slip(&mut self, cn0: f64, errors: &ReceiverErrors, random: &mut Random) {
-        let per_second =
-            errors.slips_per_hour / 3_600.0 * 10_f64.powf((REFERENCE_CN0 - cn0) / 10.0);
-        if random.chance(per_second.min(0.5)) {
-            let cycles = random.uniform(1.0, 20.0).round();
-            let sign = if random.chance(0.5) { 1.0 } else { -1.0 };
-            self.ambiguities = self.ambiguities.map(|ambiguity| ambiguity + sign * cycles);
-            self.lost_lock |= random.chance(errors.slips_reported);
-        }
-    }
-
-    /// Adds reflection, multipath and noise.
-    #[expect(clippy::too_many_arguments, reason = "each is another cause of an error")]
-    fn disturb(
-        &self,
-        ideal: Measured,
-        index: usize,
-        cn0: f64,
-        look: &LookAngles,
-        arrival: &Arrival,
-        errors: Option<&ReceiverErrors>,
-        random: &mut Random,
-    ) -> Measured {
-        let (excess_m, excess_rate_m_s) = match arrival {
-            Arrival::Reflected(reflection) => (reflection.excess_m, reflection.excess_rate_m_s),
-            // Centimetres, whose rate is within the noise.
-            Arrival::Diffracted(bent) => (bent.excess_m, 0.0),
-            Arrival::Direct { .. } | Arrival::Blocked => (0.0, 0.0),
-        };
-        let Measured { wavelength_m, pseudorange_m, phase_m, doppler_m_s } = ideal;
-        let late = Measured {
-            wavelength_m,
-            pseudorange_m: pseudorange_m + excess_m,
-            phase_m: phase_m + excess_m,
-            doppler_m_s: doppler_m_s - excess_rate_m_s,
-        };
-        let Some(errors) = errors else {
-            return late;
-        };
-        let share = match arrival {
-            Arrival::Direct { reflected: true }
-            | Arrival::Reflected(_)
-            | Arrival::Diffracted(_) => 1.0,
-            Arrival::Direct { reflected: false } | Arrival::Blocked => CALM_SHARE,
-        };
-        let low = share * look.elevation_rad.cos();
-        let thermal = 10_f64.powf((REFERENCE_CN0 - cn0) / 20.0);
-        let limit_m = PHASE_MULTIPATH_LIMIT * wavelength_m;
-        let phase_multipath_m =
-            errors.phase_multipath_m * low * self.phase_multipath[index].value();
-        Measured {
-            wavelength_m,
-            pseudorange_m: late.pseudorange_m
-                + errors.code_multipath_m * low * self.multipath[index].value()
-                + errors.code_m * thermal * random.normal(),
-            phase_m: late.phase_m
-                + phase_multipath_m.clamp(-limit_m, limit_m)
-                + errors.phase_m * thermal * random.normal(),
-            doppler_m_s: late.doppler_m_s + errors.doppler_m_s * thermal * random.normal(),
-        }
-    }
+/// Slant over zenith delay of a thin shell 350 km high; Hofmann-Wellenhof et al. (2008), *GNSS*,
+/// 5.3.2.
+fn thin_shell(elevation_rad: f64) -> f64 {
+    let inside = EARTH_RADIUS_M / (EARTH_RADIUS_M + SHELL_HEIGHT_M) * elevation_rad.cos();
+    1.0 / (1.0 - inside * inside).sqrt()
 }

@@ -50,6 +50,9 @@ pub struct Atmosphere {
     pub ionosphere_ratio: f64,
     /// Its standard deviation from seed to seed.
     pub ionosphere_spread: f64,
+    /// Growth of the zenith delay on L1 towards east and north of the origin (m/m): 1 mm/km is
+    /// 1e-6. Base and rover differ by it in proportion to their distance.
+    pub ionosphere_gradient: [f64; 2],
     /// Relative humidity, 0 … 1.
     pub relative_humidity: f64,
 }
@@ -80,6 +83,13 @@ pub struct ReceiverErrors {
     pub slips_per_hour: f64,
     /// Share of slips that the receiver reports.
     pub slips_reported: f64,
+    /// Fewest and most cycles of a slip.
+    pub slip_cycles: (f64, f64),
+    /// Both signals of a satellite slip at once and by as many cycles; else each by itself.
+    pub slips_together: bool,
+    /// Mean time until a receiver that lost lock knows the half cycle, flagged until then (s); 0
+    /// is at once.
+    pub half_cycle_s: f64,
     /// Weaker signals are lost (dB-Hz).
     pub tracking_threshold_db_hz: f64,
     /// From a signal's return to its measurements (s).
@@ -130,6 +140,9 @@ impl ReceiverErrors {
             fading_correlation_s: 20.0,
             slips_per_hour: 0.05,
             slips_reported: 0.9,
+            slip_cycles: (1.0, 20.0),
+            slips_together: true,
+            half_cycle_s: 0.0,
             tracking_threshold_db_hz: 25.0,
             reacquisition_s: 1.0,
         }
@@ -149,6 +162,9 @@ impl ReceiverErrors {
             fading_correlation_s: 4.0,
             slips_per_hour: 2.0,
             slips_reported: 0.8,
+            slip_cycles: (1.0, 20.0),
+            slips_together: true,
+            half_cycle_s: 0.0,
             tracking_threshold_db_hz: 20.0,
             reacquisition_s: 1.0,
         }
@@ -157,11 +173,19 @@ impl ReceiverErrors {
 
 impl Scenario {
     /// Scenarios by name, with what each is.
-    pub const NAMES: [(&'static str, &'static str); 3] = [
+    pub const NAMES: [(&'static str, &'static str); 5] = [
         ("open-sky", "a car on a figure of eight under open sky, base 2.5 km away"),
         (
             "urban-canyon",
             "a car in streets of 22 m between buildings of 15 to 60 m, base 3 km away",
+        ),
+        (
+            "rtk-open",
+            "the figure of eight with slips, half cycles and a sloping ionosphere, base 8 km away",
+        ),
+        (
+            "rtk-canyon",
+            "the streets with slips, half cycles and a sloping ionosphere, base 3 km away",
         ),
         ("clean", "the figure of eight without noise and without atmosphere"),
     ];
@@ -171,6 +195,8 @@ impl Scenario {
         match name {
             "open-sky" => Some(Self::open_sky()),
             "urban-canyon" => Some(Self::urban_canyon()),
+            "rtk-open" => Some(Self::rtk_open()),
+            "rtk-canyon" => Some(Self::rtk_canyon()),
             "clean" => Some(Self::clean()),
             _ => None,
         }
@@ -204,6 +230,7 @@ impl Scenario {
                 },
                 ionosphere_ratio: 1.15,
                 ionosphere_spread: 0.25,
+                ionosphere_gradient: [0.0; 2],
                 relative_humidity: 0.6,
             }),
             rover_errors: Some(ReceiverErrors::open_sky()),
@@ -227,6 +254,51 @@ impl Scenario {
             base: Some(Enu(nalgebra::Vector3::new(-2_400.0, 1_800.0, 60.0))),
             rover_errors: Some(ReceiverErrors::urban()),
             ..Self::open_sky()
+        }
+    }
+
+    /// Ten minutes under open sky for relative positioning: base 8 km away, ionosphere with a
+    /// gradient of 2 mm/km, each signal slipping by itself.
+    pub fn rtk_open() -> Self {
+        Self { duration_s: 600.0, ..Self::open_sky().for_rtk() }.with_baseline(8_000.0)
+    }
+
+    /// The streets of [`urban_canyon`](Self::urban_canyon) for relative positioning, likewise.
+    pub fn rtk_canyon() -> Self {
+        Self::urban_canyon().for_rtk()
+    }
+
+    /// The same with the base this far from the origin (m), in the direction it has; due north
+    /// where there was none. It keeps its height.
+    pub fn with_baseline(self, baseline_m: f64) -> Self {
+        let Enu(before) = self.base.unwrap_or(Enu(nalgebra::Vector3::zeros()));
+        let horizontal_m = before.xy().norm();
+        let direction = match 0.0 < horizontal_m {
+            true => before.xy() / horizontal_m,
+            false => nalgebra::Vector2::new(0.0, 1.0),
+        };
+        let flat = direction * baseline_m;
+        Self { base: Some(Enu(nalgebra::Vector3::new(flat.x, flat.y, before.z))), ..self }
+    }
+
+    /// The same with what resolving ambiguities must cope with.
+    ///
+    /// The gradient is 2 mm/km, towards the north-east.
+    fn for_rtk(self) -> Self {
+        let slipping = |errors: ReceiverErrors| ReceiverErrors {
+            slip_cycles: (1.0, 5.0),
+            slips_together: false,
+            half_cycle_s: 3.0,
+            ..errors
+        };
+        let atmosphere = self
+            .atmosphere
+            .map(|atmosphere| Atmosphere { ionosphere_gradient: [1.2e-6, 1.6e-6], ..atmosphere });
+        Self {
+            atmosphere,
+            rover_errors: self.rover_errors.map(slipping),
+            base_errors: self.base_errors.map(slipping),
+            ..self
         }
     }
 
