@@ -1,5 +1,6 @@
 //! Bytes to vocabulary and back; takes readers and writers, opens nothing.
 
+pub mod antex;
 pub mod csv;
 mod decimal;
 pub mod geojson;

@@ -4,6 +4,7 @@
 //! Nothing here computes a model, reads a byte or waits. Inside the service everything is ECEF,
 //! metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
 
+mod antenna;
 pub mod constants;
 mod coordinates;
 mod ephemeris;
@@ -14,6 +15,9 @@ mod signal;
 mod solution;
 mod time;
 
+pub use antenna::{
+    AntennaCalibration, AntennaCatalogue, PhaseCentrePattern, SatelliteAntenna, split_antenna_name,
+};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,

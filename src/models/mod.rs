@@ -12,6 +12,7 @@
 //! T from [`troposphere`] and I from [`ionosphere`]. Which measurements to use and what to do with
 //! their residuals is not decided here.
 
+pub mod antenna;
 pub mod ionosphere;
 pub mod troposphere;
 pub mod weights;

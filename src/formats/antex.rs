@@ -1,0 +1,646 @@
+//! ANTEX 1.3 and 1.4: phase centres of antennas.
+//!
+//! Rothacher & Schmid (2010), *ANTEX: The Antenna Exchange Format, Version 1.4*. Offsets and
+//! variations are millimetres in the file. Sections of standard deviations are passed over, and so
+//! are frequencies of systems that Graphfix does not know. Calibrations relative to a reference
+//! antenna cannot be mixed with absolute ones and are refused.
+
+use std::io::{self, BufRead};
+
+use nalgebra::Vector3;
+
+use crate::gnss::{
+    AntennaCalibration, AntennaCatalogue, CivilTime, Constellation, GpsTime, LeapSeconds,
+    PhaseCentrePattern, SatelliteAntenna, SatelliteId, TimeScale, split_antenna_name,
+};
+
+const LABEL_COLUMN: usize = 60;
+const MILLIMETRE_M: f64 = 1e-3;
+/// Longest line (bytes): 181 variations of eight columns, with room.
+const LINE_LIMIT: usize = 4_096;
+const ANTENNAS_LIMIT: usize = 50_000;
+const FREQUENCIES_LIMIT: usize = 32;
+/// Grids no finer than half a degree.
+const ZENITHS_LIMIT: usize = 361;
+const AZIMUTHS_LIMIT: usize = 721;
+/// Nadir angles of satellites end below this (deg); zenith angles of receivers do not.
+const NADIR_LIMIT_DEG: f64 = 45.0;
+/// Largest offset of an antenna (m): satellites' are below 3 m.
+const OFFSET_LIMIT_M: f64 = 100.0;
+
+/// Why an ANTEX file is refused, with the line (from 1) where it showed.
+#[derive(Debug, thiserror::Error)]
+pub enum AntexError {
+    /// The reader failed.
+    #[error("line {line}: reading failed: {source}")]
+    Read {
+        /// Number of the last line read.
+        line: u64,
+        /// What the reader said.
+        source: io::Error,
+    },
+    /// The first line is not ANTEX's.
+    #[error("line 1: not an ANTEX file: {found:?} where ANTEX VERSION / SYST should be")]
+    NotAntex {
+        /// What stands there, shortened.
+        found: String,
+    },
+    /// A version that is not read.
+    #[error("line 1: ANTEX version {version:?} is not supported")]
+    UnsupportedVersion {
+        /// The version as written.
+        version: String,
+    },
+    /// Phase centres relative to those of another antenna.
+    #[error(
+        "line {line}: calibrations relative to an antenna are not supported, only absolute ones"
+    )]
+    Relative {
+        /// Line number.
+        line: u64,
+    },
+    /// A record whose contents are not what its label says.
+    #[error("line {line}: {label:?}: {reason}")]
+    Malformed {
+        /// Line number.
+        line: u64,
+        /// Label of the record, or of the section it belongs to.
+        label: &'static str,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// A record that has no place there.
+    #[error("line {line}: unexpected record {found:?}")]
+    Unexpected {
+        /// Line number.
+        line: u64,
+        /// Its label, shortened.
+        found: String,
+    },
+    /// The file ends inside an antenna or its header.
+    #[error("line {line}: the file ends inside {section}")]
+    Truncated {
+        /// Number of the last line.
+        line: u64,
+        /// What was not ended.
+        section: &'static str,
+    },
+}
+
+/// Reads a whole file.
+///
+/// # Errors
+/// Where any record of header or antennas is not understood: a calibration that is half read would
+/// move positions.
+pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
+    let mut lines = Lines { input, bytes: Vec::new(), line: String::new(), number: 0 };
+    read_header(&mut lines)?;
+    let mut catalogue = AntennaCatalogue::default();
+    while lines.next()? {
+        match lines.label() {
+            "START OF ANTENNA" => {
+                let count = catalogue.receivers.len() + catalogue.satellites.len();
+                if ANTENNAS_LIMIT <= count {
+                    return Err(lines.malformed("START OF ANTENNA", "too many antennas"));
+                }
+                match read_antenna(&mut lines)? {
+                    Some(Antenna::Receiver(antenna)) => catalogue.receivers.push(antenna),
+                    Some(Antenna::Satellite(antenna)) => catalogue.satellites.push(antenna),
+                    None => {}
+                }
+            }
+            "COMMENT" => {}
+            _ if lines.line.trim().is_empty() => {}
+            _ => return Err(lines.unexpected()),
+        }
+    }
+    Ok(catalogue)
+}
+
+/// The lines of a file, one at a time.
+struct Lines<R> {
+    input: R,
+    bytes: Vec<u8>,
+    /// The line, without its end; what is not UTF-8 is replaced.
+    line: String,
+    number: u64,
+}
+
+impl<R: BufRead> Lines<R> {
+    /// Goes to the next line; `false` at the end.
+    fn next(&mut self) -> Result<bool, AntexError> {
+        self.bytes.clear();
+        let mut limited = io::Read::take(&mut self.input, LINE_LIMIT as u64 + 1);
+        let read = limited.read_until(b'\n', &mut self.bytes);
+        read.map_err(|source| AntexError::Read { line: self.number, source })?;
+        if self.bytes.is_empty() {
+            return Ok(false);
+        }
+        self.number += 1;
+        if LINE_LIMIT < self.bytes.len() {
+            return Err(self.malformed("line", "it is longer than 4096 bytes"));
+        }
+        // Columns count bytes; a name with other letters keeps its columns as question marks.
+        let ascii = self.bytes.iter().map(|b| if b.is_ascii() { char::from(*b) } else { '?' });
+        self.line.clear();
+        self.line.extend(ascii);
+        let end = self.line.trim_end_matches(['\n', '\r']).len();
+        self.line.truncate(end);
+        Ok(true)
+    }
+
+    /// The next line inside a section.
+    fn next_of(&mut self, section: &'static str) -> Result<(), AntexError> {
+        match self.next()? {
+            true => Ok(()),
+            false => Err(AntexError::Truncated { line: self.number, section }),
+        }
+    }
+
+    fn label(&self) -> &str {
+        self.columns(LABEL_COLUMN, LABEL_COLUMN + 20)
+    }
+
+    /// Columns `from` … `to`, without blanks around.
+    fn columns(&self, from: usize, to: usize) -> &str {
+        self.line.get(from..to.min(self.line.len())).unwrap_or("").trim()
+    }
+
+    fn number_in(&self, from: usize, to: usize) -> Option<f64> {
+        self.columns(from, to).parse().ok().filter(|number: &f64| number.is_finite())
+    }
+
+    fn malformed(&self, label: &'static str, reason: &'static str) -> AntexError {
+        AntexError::Malformed { line: self.number, label, reason }
+    }
+
+    fn unexpected(&self) -> AntexError {
+        let found = match self.label() {
+            "" => self.line.trim(),
+            label => label,
+        };
+        AntexError::Unexpected { line: self.number, found: found.chars().take(40).collect() }
+    }
+}
+
+fn read_header<R: BufRead>(lines: &mut Lines<R>) -> Result<(), AntexError> {
+    if !lines.next()? || lines.label() != "ANTEX VERSION / SYST" {
+        let found = lines.line.trim().chars().take(40).collect();
+        return Err(AntexError::NotAntex { found });
+    }
+    if !matches!(lines.columns(0, 8), "1.3" | "1.4") {
+        return Err(AntexError::UnsupportedVersion { version: lines.columns(0, 8).to_owned() });
+    }
+    loop {
+        lines.next_of("its header")?;
+        match lines.label() {
+            "PCV TYPE / REFANT" => match lines.columns(0, 1) {
+                "A" => {}
+                "R" => return Err(AntexError::Relative { line: lines.number }),
+                _ => return Err(lines.malformed("PCV TYPE / REFANT", "neither A nor R")),
+            },
+            "COMMENT" => {}
+            "END OF HEADER" => return Ok(()),
+            _ => return Err(lines.unexpected()),
+        }
+    }
+}
+
+enum Antenna {
+    Receiver(AntennaCalibration),
+    Satellite(SatelliteAntenna),
+}
+
+/// What the records of an antenna say before and between its frequencies.
+#[derive(Default)]
+struct Description {
+    /// Type and radome, columns 1 to 20.
+    name: Option<String>,
+    /// Serial number, or the satellite.
+    serial: String,
+    azimuth_step_deg: Option<f64>,
+    zeniths_deg: Option<[f64; 3]>,
+    frequencies: Option<usize>,
+    valid: [Option<GpsTime>; 2],
+    patterns: Vec<PhaseCentrePattern>,
+    /// Frequencies read, those of unknown systems too.
+    read: usize,
+}
+
+/// Reads up to the end of the antenna; `None` for a satellite of an unknown system.
+fn read_antenna<R: BufRead>(lines: &mut Lines<R>) -> Result<Option<Antenna>, AntexError> {
+    let mut description = Description::default();
+    loop {
+        lines.next_of("an antenna")?;
+        match lines.label() {
+            "TYPE / SERIAL NO" => {
+                description.name = Some(lines.columns(0, 20).to_owned());
+                description.serial = lines.columns(20, 40).to_owned();
+            }
+            "DAZI" => description.azimuth_step_deg = Some(azimuth_step_deg(lines)?),
+            "ZEN1 / ZEN2 / DZEN" => description.zeniths_deg = Some(zeniths_deg(lines)?),
+            "# OF FREQUENCIES" => {
+                let count = lines.columns(0, 6).parse().ok();
+                let count = count.filter(|count| (1..=FREQUENCIES_LIMIT).contains(count));
+                let wrong = lines.malformed("# OF FREQUENCIES", "not a count from 1 to 32");
+                description.frequencies = Some(count.ok_or(wrong)?);
+            }
+            "VALID FROM" => description.valid[0] = Some(time(lines, "VALID FROM")?),
+            "VALID UNTIL" => description.valid[1] = Some(time(lines, "VALID UNTIL")?),
+            "START OF FREQUENCY" => read_frequency(lines, &mut description)?,
+            "START OF FREQ RMS" => pass_over(lines, "END OF FREQ RMS")?,
+            "METH / BY / # / DATE" | "SINEX CODE" | "COMMENT" => {}
+            "END OF ANTENNA" => return finish(lines, description),
+            _ => return Err(lines.unexpected()),
+        }
+    }
+}
+
+fn finish<R: BufRead>(
+    lines: &Lines<R>,
+    description: Description,
+) -> Result<Option<Antenna>, AntexError> {
+    const LABEL: &str = "END OF ANTENNA";
+    let name = description.name.ok_or(lines.malformed(LABEL, "TYPE / SERIAL NO is missing"))?;
+    let zeniths = description.zeniths_deg;
+    let zeniths = zeniths.ok_or(lines.malformed(LABEL, "ZEN1 / ZEN2 / DZEN is missing"))?;
+    if description.frequencies.is_some_and(|count| count != description.read) {
+        return Err(lines.malformed(LABEL, "it has not as many frequencies as it says"));
+    }
+    let patterns = description.patterns;
+    if zeniths[1] < NADIR_LIMIT_DEG {
+        let satellite = description.serial.parse::<SatelliteId>().ok();
+        let [valid_from, valid_until] = description.valid;
+        return Ok(satellite.map(|satellite| {
+            let antenna =
+                SatelliteAntenna { satellite, kind: name, valid_from, valid_until, patterns };
+            Antenna::Satellite(antenna)
+        }));
+    }
+    let (antenna, radome) = split_antenna_name(&name);
+    let calibration = AntennaCalibration {
+        antenna: antenna.to_owned(),
+        radome: radome.to_owned(),
+        serial: description.serial,
+        patterns,
+    };
+    Ok(Some(Antenna::Receiver(calibration)))
+}
+
+/// Step of the azimuth grid (deg); zero where there is none.
+fn azimuth_step_deg<R: BufRead>(lines: &Lines<R>) -> Result<f64, AntexError> {
+    let step = lines.number_in(2, 8).ok_or(lines.malformed("DAZI", "not a number"))?;
+    let steps = 360.0 / step;
+    let is_grid = step == 0.0
+        || (0.0 < step && steps < AZIMUTHS_LIMIT as f64 && (steps - steps.round()).abs() < 1e-6);
+    if is_grid { Ok(step) } else { Err(lines.malformed("DAZI", "it does not divide 360 degrees")) }
+}
+
+/// First and last zenith angle and the step between (deg).
+fn zeniths_deg<R: BufRead>(lines: &Lines<R>) -> Result<[f64; 3], AntexError> {
+    const LABEL: &str = "ZEN1 / ZEN2 / DZEN";
+    let number = |at: usize| {
+        lines.number_in(2 + 6 * at, 8 + 6 * at).ok_or(lines.malformed(LABEL, "not three numbers"))
+    };
+    let [first, last, step] = [number(0)?, number(1)?, number(2)?];
+    let steps = (last - first) / step;
+    let is_grid = 0.0 <= first
+        && first < last
+        && last <= 180.0
+        && 0.0 < step
+        && steps < ZENITHS_LIMIT as f64
+        && (steps - steps.round()).abs() < 1e-6;
+    let wrong = lines.malformed(LABEL, "not a grid from 0 to 180 degrees");
+    if is_grid { Ok([first, last, step]) } else { Err(wrong) }
+}
+
+fn time<R: BufRead>(lines: &Lines<R>, label: &'static str) -> Result<GpsTime, AntexError> {
+    let part = |at: usize| lines.columns(6 * at, 6 * at + 6).parse::<u16>().ok();
+    let seconds = lines.number_in(30, 43).filter(|seconds| (0.0..60.0).contains(seconds));
+    let read = || {
+        let seconds = seconds?;
+        let byte = |at: usize| u8::try_from(part(at)?).ok();
+        let civil = CivilTime {
+            year: i32::from(part(0)?),
+            month: byte(1)?,
+            day: byte(2)?,
+            hour: byte(3)?,
+            minute: byte(4)?,
+            second: seconds as u8,
+            nanosecond: (seconds.fract() * 1e9) as u32,
+        };
+        GpsTime::from_civil(&civil, TimeScale::Gps, &LeapSeconds::table())
+    };
+    read().ok_or(lines.malformed(label, "not a date and time"))
+}
+
+/// Passes over a section that is not wanted.
+fn pass_over<R: BufRead>(lines: &mut Lines<R>, end: &str) -> Result<(), AntexError> {
+    loop {
+        lines.next_of("a frequency")?;
+        match lines.label() {
+            label if label == end => return Ok(()),
+            "END OF ANTENNA" => return Err(lines.unexpected()),
+            _ => {}
+        }
+    }
+}
+
+fn read_frequency<R: BufRead>(
+    lines: &mut Lines<R>,
+    description: &mut Description,
+) -> Result<(), AntexError> {
+    const LABEL: &str = "START OF FREQUENCY";
+    let code = lines.columns(3, 6).to_owned();
+    let zeniths = description.zeniths_deg;
+    let zeniths = zeniths.ok_or(lines.malformed(LABEL, "ZEN1 / ZEN2 / DZEN must come before"))?;
+    description.read += 1;
+    if FREQUENCIES_LIMIT < description.read {
+        return Err(lines.malformed(LABEL, "more than 32 frequencies"));
+    }
+    let mut grid = Grid::new(zeniths, description.azimuth_step_deg.unwrap_or(0.0));
+    loop {
+        lines.next_of("a frequency")?;
+        match lines.label() {
+            "END OF FREQUENCY" if lines.columns(3, 6) == code => break,
+            "END OF FREQUENCY" => {
+                return Err(lines.malformed("END OF FREQUENCY", "of another than was begun"));
+            }
+            "NORTH / EAST / UP" => grid.offset_m = Some(offset_m(lines)?),
+            "COMMENT" => {}
+            _ => grid.read_row(lines)?,
+        }
+    }
+    let pattern = grid.finish(lines, &code)?;
+    if let Some(pattern) = pattern {
+        let same = |other: &PhaseCentrePattern| {
+            (other.constellation, other.band_digit) == (pattern.constellation, pattern.band_digit)
+        };
+        if description.patterns.iter().any(same) {
+            return Err(lines.malformed("END OF FREQUENCY", "the frequency is there twice"));
+        }
+        description.patterns.push(pattern);
+    }
+    Ok(())
+}
+
+fn offset_m<R: BufRead>(lines: &Lines<R>) -> Result<Vector3<f64>, AntexError> {
+    let number = |at: usize| lines.number_in(10 * at, 10 * at + 10);
+    let read = || Some(Vector3::new(number(0)?, number(1)?, number(2)?) * MILLIMETRE_M);
+    let offset_m = read().filter(|offset_m| offset_m.amax() <= OFFSET_LIMIT_M);
+    offset_m.ok_or(lines.malformed("NORTH / EAST / UP", "not three numbers of millimetres"))
+}
+
+/// The numbers of one frequency.
+struct Grid {
+    zeniths: usize,
+    first_zenith_rad: f64,
+    zenith_step_rad: f64,
+    azimuth_step_deg: f64,
+    offset_m: Option<Vector3<f64>>,
+    variations_m: Option<Vec<f64>>,
+    azimuth_variations_m: Vec<Vec<f64>>,
+}
+
+impl Grid {
+    const LABEL: &str = "START OF FREQUENCY";
+
+    fn new([first, last, step]: [f64; 3], azimuth_step_deg: f64) -> Self {
+        Self {
+            zeniths: ((last - first) / step).round() as usize + 1,
+            first_zenith_rad: first.to_radians(),
+            zenith_step_rad: step.to_radians(),
+            azimuth_step_deg,
+            offset_m: None,
+            variations_m: None,
+            azimuth_variations_m: Vec::new(),
+        }
+    }
+
+    /// Reads `NOAZI` or an azimuth, eight columns, and the variations behind it.
+    fn read_row<R: BufRead>(&mut self, lines: &Lines<R>) -> Result<(), AntexError> {
+        let head = lines.columns(0, 8);
+        if head == "NOAZI" {
+            let twice = lines.malformed(Self::LABEL, "NOAZI is there twice");
+            return match self.variations_m.replace(self.values(lines)?) {
+                None => Ok(()),
+                Some(_) => Err(twice),
+            };
+        }
+        let azimuth_deg = self.azimuth_step_deg * self.azimuth_variations_m.len() as f64;
+        let is_next = head.parse::<f64>().is_ok_and(|read| (read - azimuth_deg).abs() < 1e-6);
+        if self.azimuth_step_deg == 0.0 || !is_next || 360.0 + 1e-6 < azimuth_deg {
+            return Err(lines.malformed(Self::LABEL, "neither NOAZI nor the next azimuth"));
+        }
+        self.azimuth_variations_m.push(self.values(lines)?);
+        Ok(())
+    }
+
+    fn values<R: BufRead>(&self, lines: &Lines<R>) -> Result<Vec<f64>, AntexError> {
+        let value = |at: usize| lines.number_in(8 + 8 * at, 16 + 8 * at).map(|v| v * MILLIMETRE_M);
+        let values: Option<Vec<f64>> = (0..self.zeniths).map(value).collect();
+        let is_all = lines.columns(8 + 8 * self.zeniths, usize::MAX).is_empty();
+        let values = values.filter(|_| is_all);
+        values.ok_or(lines.malformed(Self::LABEL, "not one variation for each zenith angle"))
+    }
+
+    /// `None` for a frequency of an unknown system.
+    fn finish<R: BufRead>(
+        self,
+        lines: &Lines<R>,
+        code: &str,
+    ) -> Result<Option<PhaseCentrePattern>, AntexError> {
+        let missing = |reason| lines.malformed("END OF FREQUENCY", reason);
+        let offset_m = self.offset_m.ok_or(missing("NORTH / EAST / UP is missing"))?;
+        let variations_m = self.variations_m.ok_or(missing("NOAZI is missing"))?;
+        let rows = match self.azimuth_step_deg {
+            0.0 => 0,
+            step => (360.0 / step).round() as usize + 1,
+        };
+        if self.azimuth_variations_m.len() != rows {
+            return Err(missing("azimuths are missing"));
+        }
+        let mut letters = code.chars();
+        let letter = letters.next().unwrap_or(' ');
+        let band_digit = letters.as_str().trim().parse().ok().filter(|d| (1..=9).contains(d));
+        let band_digit = band_digit.ok_or(missing("its code is not a letter and a number"))?;
+        Ok(Constellation::from_letter(letter).map(|constellation| PhaseCentrePattern {
+            constellation,
+            band_digit,
+            offset_m,
+            first_zenith_rad: self.first_zenith_rad,
+            zenith_step_rad: self.zenith_step_rad,
+            variations_m,
+            azimuth_variations_m: self.azimuth_variations_m,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One labelled record.
+    fn record(contents: &str, label: &str) -> String {
+        format!("{contents:<60}{label}\n")
+    }
+
+    fn row(head: &str, values: &[f64]) -> String {
+        let numbers: String = values.iter().map(|value| format!("{value:8.2}")).collect();
+        format!("{head:>8}{numbers}\n")
+    }
+
+    /// Invented numbers in the layout of the format's description: a receiver antenna with azimuths
+    /// on two frequencies, one without, and a satellite.
+    fn sample() -> String {
+        let frequency = |code: &str, offset: &str, rows: &str| {
+            record(&format!("   {code}"), "START OF FREQUENCY")
+                + &record(offset, "NORTH / EAST / UP")
+                + rows
+                + &record(&format!("   {code}"), "END OF FREQUENCY")
+        };
+        let azimuths: String = [0.0, 120.0, 240.0, 360.0]
+            .map(|azimuth| row(&format!("{azimuth:.1}"), &[0.0, azimuth / 100.0, -2.5]))
+            .concat();
+        let with_azimuths = row("NOAZI", &[0.0, -0.5, -2.0]) + &azimuths;
+        let plain = row("NOAZI", &[0.0, 1.0, 2.0]);
+        let start = || record("", "START OF ANTENNA");
+        let end = || record("", "END OF ANTENNA");
+        [
+            record(&format!("{:>8}{:12}M", "1.4", ""), "ANTEX VERSION / SYST"),
+            record("A", "PCV TYPE / REFANT"),
+            record("", "END OF HEADER"),
+            start(),
+            record(&format!("{:<20}{:<20}{:<10}", "BLOCK X", "G07", "G048"), "TYPE / SERIAL NO"),
+            record("", "METH / BY / # / DATE"),
+            record("     0.0", "DAZI"),
+            record("     0.0  14.0   7.0", "ZEN1 / ZEN2 / DZEN"),
+            record("     1", "# OF FREQUENCIES"),
+            record("  2008     3    24     0     0    0.0000000", "VALID FROM"),
+            record("  2019     2     1    23    59   59.9999999", "VALID UNTIL"),
+            frequency("G01", "      0.00      0.00   1000.00", &plain),
+            end(),
+            start(),
+            record(&format!("{:<16}{:<4}", "MAKER123.00", "DOME"), "TYPE / SERIAL NO"),
+            record("   120.0", "DAZI"),
+            record("     0.0  90.0  45.0", "ZEN1 / ZEN2 / DZEN"),
+            record("     3", "# OF FREQUENCIES"),
+            frequency("G01", "      1.00     -2.00    100.00", &with_azimuths),
+            frequency("G02", "      0.50      0.25    110.00", &with_azimuths),
+            frequency("S01", "      0.50      0.25    110.00", &with_azimuths),
+            record("   G01", "START OF FREQ RMS"),
+            record("      0.10      0.10      0.10", "NORTH / EAST / UP"),
+            record("   G01", "END OF FREQ RMS"),
+            end(),
+            start(),
+            record(&format!("{:<20}{:<20}", "MAKER77", "4711"), "TYPE / SERIAL NO"),
+            record("     0.0", "DAZI"),
+            record("     0.0  90.0  45.0", "ZEN1 / ZEN2 / DZEN"),
+            record("     1", "# OF FREQUENCIES"),
+            frequency("R01", "      0.00      0.00     55.00", &plain),
+            end(),
+        ]
+        .concat()
+    }
+
+    #[test]
+    fn antennas_are_read() {
+        let catalogue = read(sample().as_bytes()).unwrap();
+        assert_eq!((catalogue.receivers.len(), catalogue.satellites.len()), (2, 1));
+        let dome = catalogue.receiver("MAKER123.00     DOME", "").unwrap();
+        let bands: Vec<_> = dome.patterns.iter().map(|pattern| pattern.band_digit).collect();
+        assert_eq!(bands, [1, 2]);
+        let first = &dome.patterns[0];
+        assert!((first.offset_m - Vector3::new(0.001, -0.002, 0.1)).norm() < 1e-12);
+        assert_eq!(first.variations_m, [0.0, -0.000_5, -0.002]);
+        assert_eq!(first.azimuth_variations_m.len(), 4);
+        assert_eq!(first.azimuth_variations_m[2], [0.0, 0.002_4, -0.002_5]);
+        assert_eq!(first.zenith_step_rad, 45_f64.to_radians());
+        assert_eq!(catalogue.receiver("MAKER77", "4711").unwrap().serial, "4711");
+        assert_eq!(catalogue.receiver("MAKER123.00     NONE", ""), None);
+        let satellite = "G07".parse().unwrap();
+        let at = |year| {
+            let text = (year, 6, 1);
+            let civil = CivilTime {
+                year: text.0,
+                month: text.1,
+                day: text.2,
+                hour: 0,
+                minute: 0,
+                second: 0,
+                nanosecond: 0,
+            };
+            GpsTime::from_civil(&civil, TimeScale::Gps, &LeapSeconds::table()).unwrap()
+        };
+        assert_eq!(catalogue.satellite(satellite, at(2010)).unwrap().kind, "BLOCK X");
+        assert_eq!(catalogue.satellite(satellite, at(2020)), None);
+    }
+
+    #[test]
+    fn wrong_files_are_refused_with_their_line() {
+        let text = sample();
+        let refused = |from: &str, to: &str| {
+            assert!(text.contains(from), "{from:?}");
+            read(text.replacen(from, to, 1).as_bytes()).unwrap_err().to_string()
+        };
+        assert!(refused("ANTEX VERSION / SYST", "RINEX VERSION / TYPE").starts_with("line 1: not"));
+        assert!(refused("     1.4", "     0.9").starts_with("line 1: ANTEX version \"0.9\""));
+        assert!(refused("A    ", "R    ").starts_with("line 2: calibrations relative"));
+        assert!(refused("   1000.00", "   1OOO.00").starts_with("line 13: \"NORTH / EAST / UP\""));
+        assert!(
+            refused("    1.00    2.00", "    1.00").starts_with("line 14: \"START OF FREQUENCY\"")
+        );
+        assert!(refused("   120.0", "    90.0").contains("neither NOAZI nor the next azimuth"));
+        assert!(refused("  14.0   7.0", "  14.0   4.0").contains("ZEN1"));
+        assert!(refused("     3     ", "     2     ").contains("not as many frequencies"));
+        assert!(refused("  2008     3    24", "  2008     2    31").contains("not a date"));
+        assert!(refused("SYST\n", "SYST\nwhat\n").contains("line 2: unexpected record \"what\""));
+        let cut = &text[..text.len() - record("", "END OF ANTENNA").len()];
+        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("the file ends inside"));
+        assert!(matches!(read(&b""[..]), Err(AntexError::NotAntex { .. })));
+    }
+
+    /// Bytes changed, lines cut, joined and repeated, thousands of times: an answer or an error
+    /// that names a line of the file, never a panic.
+    #[test]
+    fn mutations_never_panic() {
+        let original = sample().into_bytes();
+        let mut state = 0x2545_f491_4f6c_dd1d_u64;
+        let mut below = |limit: usize| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state % limit as u64) as usize
+        };
+        let (mut read_well, mut refused) = (0, 0);
+        for _ in 0..20_000 {
+            let mut bytes = original.clone();
+            for _ in 0..=below(3) {
+                let at = below(bytes.len());
+                match below(5) {
+                    0 => bytes[at] = below(256) as u8,
+                    1 => bytes[at] = b"0123456789.-+eE \nAGN"[below(20)],
+                    2 => bytes.truncate(at.max(1)),
+                    3 => drop(bytes.remove(at)),
+                    _ => {
+                        let end = (at + below(200)).min(bytes.len());
+                        let piece = bytes[at..end].to_vec();
+                        bytes.splice(at..at, piece);
+                    }
+                }
+            }
+            match read(bytes.as_slice()) {
+                Ok(_) => read_well += 1,
+                Err(error) => {
+                    refused += 1;
+                    let text = error.to_string();
+                    let line = text.strip_prefix("line ").and_then(|rest| rest.split(':').next());
+                    let line: usize = line.unwrap().parse().unwrap();
+                    let lines = bytes.split(|b| *b == b'\n').count();
+                    assert!((1..=lines).contains(&line), "{text}");
+                }
+            }
+        }
+        assert!(1_000 < read_well && 5_000 < refused, "{read_well} {refused}");
+    }
+}

@@ -1,0 +1,160 @@
+//! What an antenna adds to ranges from its reference point.
+//!
+//! A phase (in metres) is the range from the mean phase centre plus the variation of its direction
+//! (ANTEX 1.4, section 3): seen from the antenna reference point, with e the unit vector towards
+//! the satellite in north, east and up, o the offset and z = 90° − elevation,
+//!
+//! λφ − ρ_ARP = −eᵀo + v(azimuth, z).
+//!
+//! Broadcast ephemerides give satellites' phase centres; their antennas need no such correction.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::Vector3;
+
+use super::LookAngles;
+use crate::gnss::{AntennaCalibration, ObservationCode, PhaseCentrePattern, Signal};
+
+/// Where an antenna was not calibrated on a frequency, the nearest one serves if it is no further
+/// away (Hz): B1I takes that of GPS L1, G1 likewise, E5b that of L2, but L5 none.
+const NEAREST_HZ: f64 = 40e6;
+
+/// What the antenna adds to a range from its reference point (m).
+///
+/// Directions below the lowest of the grid take its last value.
+pub fn phase_centre_correction_m(pattern: &PhaseCentrePattern, look: &LookAngles) -> f64 {
+    let (sin_azimuth, cos_azimuth) = look.azimuth_rad.sin_cos();
+    let (sin, cos) = look.elevation_rad.sin_cos();
+    let direction = Vector3::new(cos * cos_azimuth, cos * sin_azimuth, sin);
+    variation_m(pattern, look.azimuth_rad, FRAC_PI_2 - look.elevation_rad)
+        - direction.dot(&pattern.offset_m)
+}
+
+/// Variation in a direction (m), between the grid's points linear in zenith angle and azimuth.
+fn variation_m(pattern: &PhaseCentrePattern, azimuth_rad: f64, zenith_rad: f64) -> f64 {
+    let along = |row: &[f64]| {
+        interpolated(row, (zenith_rad - pattern.first_zenith_rad) / pattern.zenith_step_rad)
+    };
+    let Some(steps) = pattern.azimuth_variations_m.len().checked_sub(1).filter(|n| 0 < *n) else {
+        return along(&pattern.variations_m);
+    };
+    let place = azimuth_rad.rem_euclid(TAU) / TAU * steps as f64;
+    let before = (place.floor() as usize).min(steps - 1);
+    let share = place - before as f64;
+    let rows = &pattern.azimuth_variations_m;
+    (1.0 - share) * along(&rows[before]) + share * along(&rows[before + 1])
+}
+
+/// The value of a row at a place between its points; at its ends beyond them.
+fn interpolated(row: &[f64], place: f64) -> f64 {
+    let Some(last) = row.len().checked_sub(1) else { return 0.0 };
+    let place = place.clamp(0.0, last as f64);
+    let before = (place.floor() as usize).min(last.saturating_sub(1));
+    let after = (before + 1).min(last);
+    let share = place - before as f64;
+    (1.0 - share) * row[before] + share * row[after]
+}
+
+/// The pattern for a signal of that frequency: its own, or the nearest within 40 MHz.
+pub fn pattern_of(
+    antenna: &AntennaCalibration,
+    signal: Signal,
+    frequency_hz: f64,
+) -> Option<&PhaseCentrePattern> {
+    let digit = signal.code.band_digit();
+    let own = antenna.patterns.iter().find(|pattern| {
+        pattern.constellation == signal.constellation && pattern.band_digit == digit
+    });
+    own.or_else(|| {
+        let distance = |pattern: &PhaseCentrePattern| {
+            Some((pattern_frequency_hz(pattern)? - frequency_hz).abs())
+        };
+        let near = antenna.patterns.iter().filter_map(|p| Some((distance(p)?, p)));
+        near.filter(|(distance_hz, _)| *distance_hz <= NEAREST_HZ)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, pattern)| pattern)
+    })
+}
+
+/// Carrier frequency of a pattern (Hz); GLONASS in the middle of its channels.
+fn pattern_frequency_hz(pattern: &PhaseCentrePattern) -> Option<f64> {
+    let code = ObservationCode::new(b'0' + pattern.band_digit, b'C')?;
+    Signal { constellation: pattern.constellation, code }.frequency_hz(Some(0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::Constellation;
+
+    /// Up 10 cm, north 1 cm; 1 mm per 10° from the zenith, turned by azimuth where asked.
+    fn pattern(with_azimuth: bool) -> PhaseCentrePattern {
+        let row = |scale: f64| (0..=9).map(|step| scale * f64::from(step) * 1e-3).collect();
+        let turned = (0..=4).map(|quarter| row(if quarter == 1 { 2.0 } else { 1.0 })).collect();
+        PhaseCentrePattern {
+            constellation: Constellation::Gps,
+            band_digit: 1,
+            offset_m: Vector3::new(0.01, 0.0, 0.1),
+            first_zenith_rad: 0.0,
+            zenith_step_rad: 10_f64.to_radians(),
+            variations_m: row(1.0),
+            azimuth_variations_m: if with_azimuth { turned } else { Vec::new() },
+        }
+    }
+
+    fn at(with_azimuth: bool, azimuth_deg: f64, elevation_deg: f64) -> f64 {
+        let (azimuth_rad, elevation_rad) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
+        phase_centre_correction_m(
+            &pattern(with_azimuth),
+            &LookAngles { azimuth_rad, elevation_rad },
+        )
+    }
+
+    /// In the zenith the phase centre is 10 cm nearer; at 30° in the north 0.5·10 + 0.866·1 cm, and
+    /// 6 mm of variation; in the south the centimetre counts the other way.
+    #[test]
+    fn offsets_shorten_and_variations_lengthen() {
+        assert!((at(false, 0.0, 90.0) + 0.1).abs() < 1e-12);
+        let half = 3_f64.sqrt() / 2.0;
+        assert!((at(false, 0.0, 30.0) - (0.006 - 0.05 - 0.01 * half)).abs() < 1e-12);
+        assert!((at(false, 180.0, 30.0) - (0.006 - 0.05 + 0.01 * half)).abs() < 1e-12);
+        // Halfway between grid points; below the horizon the last value.
+        assert!(
+            (at(false, 90.0, 55.0) - (0.003_5 - 0.1 * 55_f64.to_radians().sin())).abs() < 1e-12
+        );
+        let below = at(false, 90.0, -10.0) - 0.1 * 10_f64.to_radians().sin();
+        assert!((below - 0.009).abs() < 1e-12);
+    }
+
+    /// Twice the variation in the east (90°), one and a half times at 45° and 135°, once at 300°.
+    #[test]
+    fn azimuth_turns_the_variation() {
+        let variation =
+            |azimuth_deg: f64| at(true, azimuth_deg, 30.0) - at(false, azimuth_deg, 30.0);
+        for (azimuth_deg, extra_m) in [(90.0, 0.006), (45.0, 0.003), (135.0, 0.003), (300.0, 0.0)] {
+            assert!((variation(azimuth_deg) - extra_m).abs() < 1e-12, "{azimuth_deg}");
+        }
+        assert!((variation(360.0) - variation(0.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_nearest_calibrated_frequency_serves() {
+        let second = PhaseCentrePattern { band_digit: 2, ..pattern(false) };
+        let antenna = AntennaCalibration {
+            antenna: "A".to_owned(),
+            radome: "NONE".to_owned(),
+            serial: String::new(),
+            patterns: vec![pattern(false), second],
+        };
+        let digit = |constellation, code: &str, channel| {
+            let signal = Signal { constellation, code: ObservationCode::parse(code).unwrap() };
+            let frequency_hz = signal.frequency_hz(channel).unwrap();
+            pattern_of(&antenna, signal, frequency_hz).map(|pattern| pattern.band_digit)
+        };
+        assert_eq!(digit(Constellation::Gps, "2W", None), Some(2));
+        assert_eq!(digit(Constellation::BeiDou, "2I", None), Some(1));
+        assert_eq!(digit(Constellation::Glonass, "1C", Some(5)), Some(1));
+        assert_eq!(digit(Constellation::Galileo, "7Q", None), Some(2));
+        assert_eq!(digit(Constellation::Galileo, "5Q", None), None);
+    }
+}
