@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
+mod antennas;
 mod clients;
 mod compare;
 mod crash;

@@ -7,10 +7,11 @@ use std::str::FromStr;
 use clap::Args;
 
 use crate::formats::rinex::{ObservationReader, Skipped};
-use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime};
+use crate::gnss::{AntennaCatalogue, BaseStation, Ecef, Epoch, GpsTime, Navigation};
 use crate::positioning::BaseAiding;
 
 use super::Failure;
+use super::antennas::ReceiverAntenna;
 
 /// Base epochs tagged this much later than the rover's are still of its time (s): receivers' clocks
 /// are off by milliseconds.
@@ -67,6 +68,9 @@ impl BaseArguments {
 /// A base's observations that are being read.
 pub(crate) struct BaseRecording {
     station: BaseStation,
+    /// Where its marker is.
+    marker: Ecef,
+    antenna: Option<ReceiverAntenna>,
     reader: ObservationReader<Box<dyn BufRead>>,
     /// Read, and later than the rover's epoch.
     ahead: Option<Epoch>,
@@ -91,13 +95,22 @@ impl BaseRecording {
         };
         let name = header.marker.clone();
         let station = BaseStation::at_marker(name, marker, header.antenna_delta_hen_m);
-        Ok(Self { station, reader, ahead: None, epochs: Vec::new(), count: 0 })
+        Ok(Self {
+            station,
+            marker,
+            antenna: None,
+            reader,
+            ahead: None,
+            epochs: Vec::new(),
+            count: 0,
+        })
     }
 
     /// Reads on to the rover's time; what is new stands ready afterwards.
     pub(crate) fn follow(
         &mut self,
         rover: GpsTime,
+        navigation: &Navigation,
     ) -> Result<(), crate::formats::rinex::RinexError> {
         self.count = 0;
         loop {
@@ -110,6 +123,10 @@ impl BaseRecording {
                     );
                     if !self.reader.read_epoch(&mut epoch)? {
                         return Ok(());
+                    }
+                    if let Some(antenna) = &mut self.antenna {
+                        let place = self.station.antenna_reference_point;
+                        antenna.correct(&mut epoch, Some(place), navigation);
                     }
                     epoch
                 }
@@ -129,6 +146,25 @@ impl BaseRecording {
     /// What an estimator needs for the rover's epoch.
     pub(crate) fn aiding(&self) -> BaseAiding<'_> {
         BaseAiding { station: &self.station, epochs: &self.epochs[..self.count] }
+    }
+
+    /// Looks up the antenna that the header names.
+    pub(crate) fn find_antenna(&mut self, catalogue: &AntennaCatalogue) {
+        let antenna = ReceiverAntenna::new("base", &self.reader.header().antenna, catalogue);
+        self.antenna = Some(antenna);
+    }
+
+    /// Where the base was taken to be, and what was done about its antenna.
+    pub(crate) fn notes(&self) -> Vec<String> {
+        let (Ecef(marker), [height_m, east_m, north_m]) =
+            (self.marker, self.reader.header().antenna_delta_hen_m);
+        let mut notes = vec![format!(
+            "base: marker at {:.4},{:.4},{:.4} (ECEF, m), antenna reference point {height_m:.4} m \
+             above, {east_m:.4} m east, {north_m:.4} m north of it",
+            marker.x, marker.y, marker.z
+        )];
+        notes.extend(self.antenna.iter().flat_map(ReceiverAntenna::notes));
+        notes
     }
 
     /// What was left out of the file.

@@ -4,6 +4,7 @@
 //! error, `error[CODE]: what is wrong (what to do)`.
 
 mod answers;
+mod antennas;
 mod base;
 mod compare;
 mod config;

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::config::Mode;
-use crate::formats::decompress;
 use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
+use crate::formats::{antex, decompress};
 use crate::gnss::{Epoch, GpsTime, Navigation};
 use crate::positioning::Aiding;
 
 use super::Failure;
+use super::antennas::{AntennaArguments, ReceiverAntenna, Whereabouts};
 use super::base::{BaseArguments, BaseRecording};
 
 const READ_BUFFER_BYTES: usize = 1 << 16;
@@ -26,6 +27,8 @@ pub(crate) struct RecordingArguments {
     /// Navigation data; may be repeated.
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     nav: Vec<PathBuf>,
+    #[command(flatten)]
+    antennas: AntennaArguments,
     /// First epoch, GPS seconds of week.
     #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
     from: Option<f64>,
@@ -62,6 +65,8 @@ pub(crate) struct Recording<'a> {
     left_out: LeftOut<'a>,
     rover: ObservationReader<Box<dyn BufRead>>,
     base: Option<BaseRecording>,
+    /// The rover's antenna, and where it is.
+    antenna: Option<(ReceiverAntenna, Whereabouts)>,
 }
 
 impl<'a> Recording<'a> {
@@ -84,7 +89,9 @@ impl<'a> Recording<'a> {
             Some(path) => Some(BaseRecording::new(&arguments.base, observations(path)?)?),
             None => None,
         };
-        Ok(Self { arguments, navigation, left_out, rover, base })
+        let mut recording = Self { arguments, navigation, left_out, rover, base, antenna: None };
+        recording.find_antennas()?;
+        Ok(recording)
     }
 
     /// The broadcast navigation data.
@@ -109,6 +116,10 @@ impl<'a> Recording<'a> {
                 return Ok(false);
             }
             if !self.arguments.is_outside(epoch.time) {
+                if let Some((antenna, whereabouts)) = &mut self.antenna {
+                    let position = whereabouts.at(epoch, &self.navigation);
+                    antenna.correct(epoch, position, &self.navigation);
+                }
                 self.follow(epoch.time)?;
                 return Ok(true);
             }
@@ -120,8 +131,36 @@ impl<'a> Recording<'a> {
         let (Some(base), Some(path)) = (&mut self.base, self.arguments.base.file()) else {
             return Ok(());
         };
-        base.follow(time)
+        base.follow(time, &self.navigation)
             .map_err(|error| unreadable(path, &error, "repair or cut the file at that line"))
+    }
+
+    /// Looks up the antennas that the headers name.
+    fn find_antennas(&mut self) -> Result<(), Failure> {
+        let Some(path) = &self.arguments.antennas.antex else { return Ok(()) };
+        let catalogue = antex::read(open(path)?).map_err(|error| {
+            unreadable(path, &error, "name an ANTEX file of absolute calibrations")
+        })?;
+        let header = self.rover.header();
+        let antenna = ReceiverAntenna::new("rover", &header.antenna, &catalogue);
+        self.antenna = Some((antenna, Whereabouts::new(header.approximate_position)));
+        if let Some(base) = &mut self.base {
+            base.find_antenna(&catalogue);
+        }
+        Ok(())
+    }
+
+    /// What to know of the positions: what they are of, and what was done about antennas.
+    pub(crate) fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if let Some(base) = &self.base {
+            notes.push("positions are of the rover's antenna reference point".to_owned());
+            notes.extend(base.notes());
+        }
+        if let Some((antenna, _)) = &self.antenna {
+            notes.extend(antenna.notes());
+        }
+        notes
     }
 
     /// What was left out of the files, the rover's first.

@@ -76,7 +76,9 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     if tally.epochs == 0 {
         return Err(Recording::no_epochs(&arguments.recording));
     }
-    let summary = summary(&tally, &recording.into_left_out(), began.elapsed());
+    let notes = recording.notes();
+    let mut summary = summary(&tally, &recording.into_left_out(), began.elapsed());
+    notes.iter().for_each(|note| summary += &format!("  {note}\n"));
     // Err: nobody reads the summary.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())

@@ -6,9 +6,11 @@
 //! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
 //! the same factors with one state. `differencing` sets a rover against a base, and `rtk` finds its
 //! position and the integers from that; [`SlipTracker`] tells which carrier phases share an
-//! ambiguity. Physics is in `models`, the choice of all of it in `config`.
+//! ambiguity, and [`correct_for_antenna`] brings observations to the antenna reference point.
+//! Physics is in `models`, the choice of all of it in `config`.
 
 mod answer;
+mod antenna;
 mod base;
 mod chi_square;
 mod clock_jump;
@@ -29,6 +31,7 @@ mod spp;
 mod uncertainty;
 mod velocity;
 
+pub use antenna::correct_for_antenna;
 pub use base::BaseAiding;
 pub use estimator::{Aiding, Batch, Estimator};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
