@@ -14,7 +14,7 @@ use graphfix::gnss::{
     ObservationCode, Provenance, SatelliteId, Solution, SolutionEstimate, Status,
 };
 use graphfix::session::{NewSession, SequencedEpoch, SessionLimits, Sessions};
-use graphfix::store::{Batch, EncodedEpoch, SessionKey, SessionSettings, Store};
+use graphfix::store::{Batch, EncodedEpoch, SessionKey, SessionSettings, Store, StoredSolution};
 use nalgebra::Matrix3;
 
 const SESSIONS: usize = 8;
@@ -60,13 +60,23 @@ async fn store_alone(store: &Store, size: u64, epochs: u64) {
     for index in 0..SESSIONS {
         keys.push(session(store, &format!("bench-{size}-{index}")).await);
     }
-    let rows = |seq: u64| EncodedEpoch::new(seq, &epoch(seq), &solution(seq), "0.1.0", "c0ffee");
+    let rows = |seq: u64| {
+        let solution = StoredSolution {
+            seq,
+            revision: 0,
+            solution: solution(seq),
+            version: "0.1.0".into(),
+            configuration_hash: "c0ffee".into(),
+        };
+        EncodedEpoch::new(&epoch(seq), &solution, 0)
+    };
     measure("store", size, epochs, |index| {
         let (store, session) = (store.clone(), keys[index]);
         async move {
             for first in (0..epochs).step_by(size as usize) {
                 let epochs = (first..first + size).map(rows).collect();
-                store.commit(Batch { session, epochs }).await.expect("the commit succeeds");
+                let batch = Batch { epochs, ..Batch::new(session) };
+                store.commit(batch).await.expect("the commit succeeds");
             }
         }
     })

@@ -4,6 +4,7 @@
 
 pub mod config;
 pub mod gnss;
+pub mod snapshot;
 
 pub mod formats;
 pub mod graph;

@@ -170,3 +170,29 @@ fn a_wrong_base_position_is_refused_or_doubted() {
         }
     }
 }
+
+/// Stored and restored after every epoch, with the base away for a while: the same bits.
+#[test]
+fn a_restored_window_goes_on_with_the_same_bits() {
+    let Some(mut pair) = hers_hert() else { return };
+    pair.rover.truncate(90);
+    pair.base.drain(30..36);
+    let options = general();
+    let (mut whole, mut restored) =
+        (Estimator::revising(options.clone()), Estimator::revising(options.clone()));
+    let (mut given, mut states) = (0, Vec::new());
+    for (index, epoch) in pair.rover.iter().enumerate() {
+        let ahead = |base: &&Epoch| base.time - epoch.time <= 0.02;
+        let count = pair.base[given..].iter().take_while(ahead).count();
+        let epochs = &pair.base[given..given + count];
+        given += count;
+        let base = Some(BaseAiding { station: &pair.station, epochs });
+        let aiding = Aiding { navigation: &pair.navigation, base };
+        restored = Estimator::restore(options.clone(), &restored.snapshot()).unwrap();
+        let expected = whole.advance(epoch, &aiding);
+        let solution = restored.advance(epoch, &aiding);
+        assert_eq!(format!("{solution:?}"), format!("{expected:?}"), "epoch {index}");
+        states.push(solution.status);
+    }
+    assert!(states.contains(&Status::Fixed) && states.contains(&Status::Fgo), "{states:?}");
+}

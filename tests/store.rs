@@ -46,10 +46,16 @@ fn time(second: u64) -> GpsTime {
 /// Epochs numbered by their second, without observations, answered by no position.
 fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
     let row = |seq| {
-        let solution = Solution::none(time(seq), vec![]);
-        EncodedEpoch::new(seq, &Epoch::new(time(seq)), &solution, "0.1.0", "c0ffee")
+        let solution = StoredSolution {
+            seq,
+            revision: 0,
+            solution: Solution::none(time(seq), vec![]),
+            version: "0.1.0".into(),
+            configuration_hash: "c0ffee".into(),
+        };
+        EncodedEpoch::new(&Epoch::new(time(seq)), &solution, 0)
     };
-    Batch { session, epochs: seqs.into_iter().map(row).collect() }
+    Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session) }
 }
 
 fn query() -> SolutionQuery {
@@ -187,7 +193,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 1"
+        "the database has schema 9000, this Graphfix knows schemas up to 2"
     );
     assert_eq!(error.code(), "DATABASE_SCHEMA_NEWER");
 }
@@ -266,7 +272,7 @@ async fn navigation_survives_a_restart(database: Database) {
     pushed.klobuchar_qzss = Some(KlobucharCoefficients { alpha: [3e-8; 4], ..klobuchar });
     pushed.nequick = Some(NeQuickCoefficients { ai: [65.0, 0.1, 0.01] });
     pushed.leap_seconds = LeapSeconds::with_broadcast(19);
-    let before = broker.current();
+    let before = broker.current().navigation;
     let first = broker.push(pushed.clone(), "upload").await.unwrap();
     assert_eq!((first.received, first.new, first.dropped, first.held), (2, 2, 0, 2));
     assert!(before.is_empty(), "a snapshot does not change under its reader");
@@ -275,19 +281,19 @@ async fn navigation_survives_a_restart(database: Database) {
     let second = broker.push(more.clone(), "upload").await.unwrap();
     assert_eq!((second.received, second.new, second.held), (2, 1, 3));
     pushed.merge(more);
-    assert_eq!(*broker.current(), pushed);
+    assert_eq!(*broker.current().navigation, pushed);
     let replaced = navigation([ephemeris("G07", 0, 1)]);
     assert_eq!(broker.push(replaced.clone(), "upload").await.unwrap().held, 3);
     pushed.merge(replaced);
 
     let restarted = NavigationBroker::open(database.store().await, AidingLimits::service());
     let restarted = restarted.await.unwrap();
-    assert_eq!(*restarted.current(), pushed);
+    assert_eq!(*restarted.current().navigation, pushed);
     assert_eq!(restarted.status(), broker.status());
 }
 
 async fn old_ephemerides_make_room(database: Database) {
-    let limits = AidingLimits { ephemerides_per_satellite: 2 };
+    let limits = AidingLimits { ephemerides_per_satellite: 2, ..AidingLimits::service() };
     let broker = NavigationBroker::open(database.store().await, limits.clone()).await.unwrap();
     let push = async |toes: &[u64]| {
         let pushed = navigation(toes.iter().map(|toe| ephemeris("G05", *toe, 0)));
@@ -300,11 +306,11 @@ async fn old_ephemerides_make_room(database: Database) {
     let held = |navigation: &Navigation| -> Vec<GpsTime> {
         navigation.of("G05".parse().unwrap()).iter().map(Ephemeris::toe).collect()
     };
-    assert_eq!(held(&broker.current()), [time(0), time(14_400)]);
+    assert_eq!(held(&broker.current().navigation), [time(0), time(14_400)]);
     let error = push(&[0, 1, 2]).await.unwrap_err();
     assert_eq!(error.code(), "TOO_MANY_EPHEMERIDES");
     let restarted = NavigationBroker::open(database.store().await, limits).await.unwrap();
-    assert_eq!(held(&restarted.current()), [time(0), time(14_400)]);
+    assert_eq!(held(&restarted.current().navigation), [time(0), time(14_400)]);
 }
 
 async fn coverage_is_told(database: Database) {

@@ -11,16 +11,17 @@ use std::path::{Path, PathBuf};
 const MAY_NAME: &[(&str, &[&str])] = &[
     ("gnss", &[]),
     ("config", &["gnss"]),
-    ("graph", &[]),
+    ("snapshot", &[]),
+    ("graph", &["snapshot"]),
     ("lambda", &[]),
     ("models", &["gnss"]),
     ("formats", &["gnss"]),
     ("simulation", &["gnss", "models"]),
-    ("positioning", &["gnss", "config", "models", "graph", "lambda"]),
+    ("positioning", &["gnss", "config", "snapshot", "models", "graph", "lambda"]),
     ("store", &["gnss", "config"]),
     ("evaluation", &["gnss", "formats"]),
     ("aiding", &["gnss", "config", "models", "formats", "store"]),
-    ("session", &["gnss", "config", "models", "positioning", "store", "aiding"]),
+    ("session", &["gnss", "config", "snapshot", "models", "positioning", "store", "aiding"]),
     ("contract", &["gnss", "config", "formats", "positioning", "store", "aiding", "session"]),
     ("grpc", &["gnss", "config", "aiding", "session", "contract"]),
     ("http", &["gnss", "config", "aiding", "session", "contract", "grpc"]),
@@ -45,7 +46,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
 ];
 
 /// Modules that compute and nothing else, and what must not occur in them.
-const PURE: &[&str] = &["gnss", "models", "graph", "lambda", "formats", "positioning"];
+const PURE: &[&str] = &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning"];
 const IMPURE: &[&str] = &[
     "async ",
     ".await",

@@ -1,6 +1,6 @@
 //! Broadcast ephemerides, ionosphere coefficients and leap seconds, for every session.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -8,7 +8,7 @@ use tokio::sync::Mutex;
 
 use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
-use crate::store::Store;
+use crate::store::{NavigationChange, Store, StoreError};
 
 use super::AidingError;
 
@@ -18,12 +18,15 @@ pub struct AidingLimits {
     /// Ephemerides held of one satellite: further ones push out those of the oldest `toe`, but
     /// never one that came with them.
     pub ephemerides_per_satellite: usize,
+    /// Ephemerides no longer in force that are stored for replay: the oldest are forgotten first.
+    pub superseded_ephemerides: usize,
 }
 
 impl AidingLimits {
-    /// Limits of a service: ten days of half-hourly ephemerides of each satellite.
+    /// Limits of a service: ten days of half-hourly ephemerides of each satellite, and for replay
+    /// about another month of 120 satellites.
     pub fn service() -> Self {
-        Self { ephemerides_per_satellite: 480 }
+        Self { ephemerides_per_satellite: 480, superseded_ephemerides: 200_000 }
     }
 }
 
@@ -77,8 +80,21 @@ pub struct NavigationStatus {
 /// Who last brought an ephemeris of a satellite, and when (ms since 1970-01-01 UTC).
 type Sources = BTreeMap<SatelliteId, (String, i64)>;
 
+/// Navigation data that replay has asked for, by push.
+const PAST_KEPT: usize = 4;
+
+/// Navigation data as they were after one push; they do not change under their reader.
+#[derive(Clone, Debug, Default)]
+pub struct PushedNavigation {
+    /// Number of the push; zero before the first.
+    pub push: u64,
+    /// Everything in force.
+    pub navigation: Arc<Navigation>,
+}
+
 #[derive(Clone, Default)]
 struct Snapshot {
+    push: u64,
     navigation: Arc<Navigation>,
     sources: Arc<Sources>,
 }
@@ -91,6 +107,8 @@ pub struct NavigationBroker {
     snapshot: Arc<RwLock<Snapshot>>,
     /// Held while a push is built and committed: pushes follow one another.
     pushing: Arc<Mutex<()>>,
+    /// What replay last asked for, the newest last.
+    past: Arc<Mutex<VecDeque<PushedNavigation>>>,
 }
 
 impl NavigationBroker {
@@ -110,14 +128,39 @@ impl NavigationBroker {
             }
             navigation.insert(row.ephemeris);
         }
-        let snapshot = Snapshot { navigation: Arc::new(navigation), sources: Arc::new(sources) };
+        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
+        let snapshot = Snapshot { push: stored.push, navigation, sources };
         let snapshot = Arc::new(RwLock::new(snapshot));
-        Ok(Self { store, limits, snapshot, pushing: Arc::new(Mutex::new(())) })
+        Ok(Self { store, limits, snapshot, pushing: Arc::default(), past: Arc::default() })
     }
 
-    /// What is held at this moment; it does not change under its reader.
-    pub fn current(&self) -> Arc<Navigation> {
-        self.read().navigation
+    /// What is held at this moment.
+    pub fn current(&self) -> PushedNavigation {
+        let Snapshot { push, navigation, .. } = self.read();
+        PushedNavigation { push, navigation }
+    }
+
+    /// What was held after the push number `push`.
+    ///
+    /// # Errors
+    /// Some of it has been forgotten since, or the store fails.
+    pub async fn after(&self, push: u64) -> Result<PushedNavigation, StoreError> {
+        let current = self.current();
+        if current.push == push {
+            return Ok(current);
+        }
+        // Held while the store is read: many sessions restored at once ask for the same.
+        let mut past = self.past.lock().await;
+        if let Some(known) = past.iter().find(|known| known.push == push) {
+            return Ok(known.clone());
+        }
+        let navigation = Arc::new(self.store.navigation_after(push).await?);
+        let found = PushedNavigation { push, navigation };
+        if past.len() == PAST_KEPT {
+            past.pop_front();
+        }
+        past.push_back(found.clone());
+        Ok(found)
     }
 
     /// Takes over navigation data from `source`. What it returns is durable, and later
@@ -144,7 +187,22 @@ impl NavigationBroker {
 
         let now = unix_ms();
         let dropped: Vec<&Ephemeris> = surplus.iter().collect();
-        self.store.store_navigation(&new, &pushed, &dropped, source, now).await?;
+        let coefficients = new_coefficients(&before.navigation, &pushed);
+        let is_news = !new.is_empty() || coefficients != Navigation::default();
+        let push = match is_news {
+            false => before.push,
+            true => {
+                let change = NavigationChange {
+                    new: &new,
+                    dropped: &dropped,
+                    coefficients: &coefficients,
+                    source,
+                    stored_unix_ms: now,
+                    superseded_limit: self.limits.superseded_ephemerides,
+                };
+                self.store.push_navigation(&change).await?
+            }
+        };
 
         let mut sources = (*before.sources).clone();
         for ephemeris in &new {
@@ -156,14 +214,15 @@ impl NavigationBroker {
             dropped: surplus.len(),
             held: navigation.len(),
         };
-        let after = Snapshot { navigation: Arc::new(navigation), sources: Arc::new(sources) };
+        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
+        let after = Snapshot { push, navigation, sources };
         *self.snapshot.write().unwrap_or_else(PoisonError::into_inner) = after;
         Ok(counts)
     }
 
     /// Which satellites are covered, from when until when.
     pub fn status(&self) -> NavigationStatus {
-        let Snapshot { navigation, sources } = self.read();
+        let Snapshot { navigation, sources, .. } = self.read();
         let coverage = |(satellite, list): (SatelliteId, &[Ephemeris])| {
             let (source, stored_unix_ms) = sources.get(&satellite).cloned().unwrap_or_default();
             let ephemerides = list.len();
@@ -190,6 +249,22 @@ impl NavigationBroker {
 fn novelties<'a>(held: &Navigation, pushed: &'a Navigation) -> Vec<&'a Ephemeris> {
     let all = pushed.satellites().flat_map(|(_, list)| list);
     all.filter(|ephemeris| !held.of(ephemeris.satellite()).contains(ephemeris)).collect()
+}
+
+/// What of `pushed`'s coefficients is not held just so.
+fn new_coefficients(held: &Navigation, pushed: &Navigation) -> Navigation {
+    fn news<T: PartialEq>(held: Option<T>, pushed: Option<T>) -> Option<T> {
+        pushed.filter(|value| held.as_ref() != Some(value))
+    }
+    let mut new = Navigation::default();
+    new.klobuchar_gps = news(held.klobuchar_gps, pushed.klobuchar_gps);
+    new.klobuchar_beidou = news(held.klobuchar_beidou, pushed.klobuchar_beidou);
+    new.klobuchar_qzss = news(held.klobuchar_qzss, pushed.klobuchar_qzss);
+    new.nequick = news(held.nequick, pushed.nequick);
+    if held.leap_seconds != pushed.leap_seconds {
+        new.leap_seconds = pushed.leap_seconds;
+    }
+    new
 }
 
 /// Of each satellite the oldest ephemerides beyond `limit` that did not come with `pushed`.

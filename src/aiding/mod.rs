@@ -7,6 +7,7 @@ mod broker;
 mod error;
 
 pub use broker::{
-    AidingLimits, NavigationBroker, NavigationPush, NavigationStatus, SatelliteCoverage,
+    AidingLimits, NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation,
+    SatelliteCoverage,
 };
 pub use error::AidingError;

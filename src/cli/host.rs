@@ -28,7 +28,10 @@ impl Host {
     /// The database cannot be opened or read.
     pub(super) async fn open(database: &str, limits: &Limits) -> Result<Self, Failure> {
         let store = Store::open(database).await?;
-        let held = AidingLimits { ephemerides_per_satellite: limits.ephemerides_per_satellite };
+        let held = AidingLimits {
+            ephemerides_per_satellite: limits.ephemerides_per_satellite,
+            ..AidingLimits::service()
+        };
         let navigation = NavigationBroker::open(store.clone(), held).await?;
         let sessions = Sessions::open(store.clone(), navigation.clone(), session_limits(limits));
         Ok(Self { store, service: Service::new(sessions, navigation, limits.clone()) })

@@ -15,6 +15,7 @@ mod failure;
 mod host;
 mod option_arguments;
 mod recording;
+mod replay;
 mod serve;
 mod simulate;
 mod solve;
@@ -45,6 +46,7 @@ enum Command {
     Demo(demo::DemoArguments),
     Serve(Box<serve::ServeArguments>),
     Stream(Box<stream::StreamArguments>),
+    Replay(replay::ReplayArguments),
 }
 
 impl Command {
@@ -58,6 +60,7 @@ impl Command {
             Self::Demo(arguments) => demo::run(arguments),
             Self::Serve(arguments) => serve::run(*arguments),
             Self::Stream(arguments) => stream::run(*arguments),
+            Self::Replay(arguments) => replay::run(&arguments),
         }
     }
 }

@@ -25,15 +25,27 @@ impl OptionArguments {
     pub(crate) fn options(&self) -> Result<PositioningOptions, Failure> {
         let mut options =
             PositioningOptions::new(Mode::parse(&self.mode)?, Profile::parse(&self.profile)?);
-        for assignment in &self.set {
-            let (key, value) = assignment.split_once('=').ok_or_else(|| {
-                let message = format!("--set {assignment:?} has no \"=\"");
-                Failure::new("USAGE", message, "write --set KEY=VALUE")
-            })?;
-            options.set(key.trim(), value)?;
+        for (key, value) in assignments(&self.set)? {
+            options.set(key, value)?;
         }
         Ok(options)
     }
+}
+
+/// Option and value of each `--set`.
+///
+/// # Errors
+/// One that assigns nothing.
+pub(crate) fn assignments(set: &[String]) -> Result<Vec<(&str, &str)>, Failure> {
+    let mut all = Vec::with_capacity(set.len());
+    for assignment in set {
+        let (key, value) = assignment.split_once('=').ok_or_else(|| {
+            let message = format!("--set {assignment:?} has no \"=\"");
+            Failure::new("USAGE", message, "write --set KEY=VALUE")
+        })?;
+        all.push((key.trim(), value));
+    }
+    Ok(all)
 }
 
 #[cfg(test)]

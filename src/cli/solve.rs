@@ -108,20 +108,24 @@ impl SolveArguments {
     }
 }
 
-fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
+pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
     let message = format!("cannot write {}: {error}", path.display());
     Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
 }
 
 /// The solution file, in the format its name asks for.
-enum Output {
+pub(super) enum Output {
     Pos(pos::Writer<BufWriter<File>>),
     Csv(csv::Writer<BufWriter<File>>),
     Geojson(geojson::Writer<BufWriter<File>>),
 }
 
 impl Output {
-    fn create(path: &Path, comments: &[String], leap: LeapSeconds) -> Result<Self, Failure> {
+    pub(super) fn create(
+        path: &Path,
+        comments: &[String],
+        leap: LeapSeconds,
+    ) -> Result<Self, Failure> {
         let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
         if !["pos", "csv", "geojson"].contains(&ending) {
             let message = format!("{} does not name a format", path.display());
@@ -139,7 +143,7 @@ impl Output {
         .map_err(failed)
     }
 
-    fn write(&mut self, solution: &Solution) -> std::io::Result<()> {
+    pub(super) fn write(&mut self, solution: &Solution) -> std::io::Result<()> {
         match self {
             Self::Pos(writer) => writer.write(solution),
             Self::Csv(writer) => writer.write(solution),
@@ -147,7 +151,7 @@ impl Output {
         }
     }
 
-    fn finish(self) -> std::io::Result<()> {
+    pub(super) fn finish(self) -> std::io::Result<()> {
         match self {
             Self::Pos(writer) => writer.finish()?.flush(),
             Self::Csv(writer) => writer.finish()?.flush(),

@@ -145,30 +145,9 @@ impl Mode {
         }
     }
 
-    /// Whether the last solution is all that an estimator of this mode remembers, so that a
-    /// restarted one goes on with the same bits. Sessions serve these modes only.
-    pub const fn is_resumable(self) -> bool {
-        match self {
-            Self::Spp => true,
-            Self::Ekf | Self::Fgo | Self::RtkFgo => false,
-        }
-    }
-
     /// Whether the mode positions against a base.
     pub const fn is_relative(self) -> bool {
         matches!(self, Self::RtkFgo)
-    }
-
-    /// The mode itself, if sessions serve it.
-    ///
-    /// # Errors
-    /// [`ConfigError::UnknownMode`] names those they do.
-    pub fn resumable(self) -> Result<Self, ConfigError> {
-        let served = Self::ALL.iter().filter(|mode| mode.is_resumable());
-        self.is_resumable().then_some(self).ok_or_else(|| ConfigError::UnknownMode {
-            name: self.name().to_owned(),
-            allowed: served.map(|mode| mode.name()).collect::<Vec<_>>().join(", "),
-        })
     }
 
     /// The mode of a name.
@@ -275,13 +254,6 @@ mod tests {
         let error = Mode::parse("ppp").unwrap_err();
         let allowed = "spp, ekf, fgo, rtk-fgo";
         assert_eq!(error.to_string(), format!("mode \"ppp\" is not available; allowed: {allowed}"));
-    }
-
-    #[test]
-    fn sessions_take_what_they_can_resume() {
-        assert_eq!(Mode::Spp.resumable(), Ok(Mode::Spp));
-        let error = Mode::Fgo.resumable().unwrap_err();
-        assert_eq!(error.to_string(), "mode \"fgo\" is not available; allowed: spp");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::gnss::{
     RelativeEstimate, Solution, SolutionEstimate, Status,
 };
 
-use crate::store::StoredSolution;
+use crate::store::{Revisions, StoredSolution};
 
 use super::intake::{self, RawObservation};
 use super::{Code, Refusal, v1};
@@ -154,6 +154,19 @@ pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
         Ok(v1::Status::Float) => Ok(Some(Status::Float)),
         Ok(v1::Status::Fixed) => Ok(Some(Status::Fixed)),
         Err(_) => Err(intake::unknown_status(&number.to_string())),
+    }
+}
+
+/// The revisions a query asks for: the last unless it says otherwise.
+///
+/// # Errors
+/// A number that the schema does not name.
+pub fn revisions(number: i32) -> Result<Revisions, Refusal> {
+    match v1::Revisions::try_from(number) {
+        Ok(v1::Revisions::Unspecified | v1::Revisions::Last) => Ok(Revisions::Last),
+        Ok(v1::Revisions::First) => Ok(Revisions::First),
+        Ok(v1::Revisions::All) => Ok(Revisions::All),
+        Err(_) => Err(intake::unknown_revisions(&number.to_string())),
     }
 }
 

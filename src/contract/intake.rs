@@ -104,6 +104,12 @@ pub fn unknown_status(given: &str) -> Refusal {
     Refusal::new(Code::InvalidField, message).at("status")
 }
 
+/// The refusal of a choice of revisions that there is not.
+pub fn unknown_revisions(given: &str) -> Refusal {
+    let message = format!("{given:?} is no choice of revisions; there are last, first, all");
+    Refusal::new(Code::InvalidField, message).at("revisions")
+}
+
 /// An epoch from its parts: satellites brought together in the order of their first observation.
 ///
 /// # Errors

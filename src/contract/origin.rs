@@ -67,6 +67,7 @@ impl From<StoreError> for Refusal {
             StoreError::Url { .. }
             | StoreError::NewerSchema { .. }
             | StoreError::Migration { .. }
+            | StoreError::NavigationForgotten { .. } // Of replay, which is no call.
             | StoreError::Database { .. } => Self::new(Code::DatabaseFailed, error.to_string()),
         }
     }

@@ -5,12 +5,31 @@
 use nalgebra::SVector;
 
 use crate::graph::block::{BadPivot, Rank};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 /// Lower triangle of a symmetric matrix, or its Cholesky factor, packed by rows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Packed {
     size: usize,
     values: Vec<f64>,
+}
+
+impl Snapshot for Packed {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let Self { size, values } = self;
+        size.save(writer);
+        values.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        // No larger than the values that follow, so that its square does not overflow.
+        let size = reader.count()?;
+        let values: Vec<f64> = Vec::load(reader)?;
+        match values.len() == start(size) {
+            true => Ok(Self { size, values }),
+            false => Err(reader.invalid("packed matrix")),
+        }
+    }
 }
 
 /// Where row `row` begins.
@@ -96,7 +115,6 @@ impl Packed {
         Self { size: 0, values: Vec::new() }
     }
 
-    #[cfg(test)]
     pub(crate) fn size(&self) -> usize {
         self.size
     }

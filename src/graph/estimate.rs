@@ -2,6 +2,8 @@
 
 use nalgebra::SVector;
 
+use crate::snapshot::snapshot_fields;
+
 /// The estimate x: `states` along the chain and the `border`.
 #[derive(Debug, PartialEq)]
 pub struct Estimate<const S: usize> {
@@ -27,6 +29,8 @@ impl<const S: usize> Estimate<S> {
         }
     }
 }
+
+snapshot_fields!(generic [const S: usize] Estimate<S> { states, border } memory {});
 
 impl<const S: usize> Default for Estimate<S> {
     fn default() -> Self {

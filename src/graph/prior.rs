@@ -15,6 +15,8 @@ use crate::graph::border::Packed;
 use crate::graph::elimination::{Elimination, EliminationError};
 use crate::graph::estimate::Estimate;
 use crate::graph::system::System;
+use crate::snapshot::snapshot_fields;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 /// A border variable's part of the prior.
 #[derive(Clone, Copy, Debug)]
@@ -150,6 +152,36 @@ impl<const S: usize> Prior<S> {
             });
         }
         Ok(())
+    }
+}
+
+snapshot_fields!(
+    generic [const S: usize] Bordering<S> { variable, linearized_at, gradient, column } memory {}
+);
+
+impl<const S: usize> Snapshot for Prior<S> {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let Self { linearized_at, gradient, information, border, matrix, scratch: _ } = self;
+        linearized_at.save(writer);
+        gradient.save(writer);
+        information.save(writer);
+        border.save(writer);
+        matrix.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let prior = Self {
+            linearized_at: Snapshot::load(reader)?,
+            gradient: Snapshot::load(reader)?,
+            information: Snapshot::load(reader)?,
+            border: Snapshot::load(reader)?,
+            matrix: Snapshot::load(reader)?,
+            scratch: Vec::new(),
+        };
+        match prior.matrix.size() == prior.border.len() {
+            true => Ok(prior),
+            false => Err(reader.invalid("prior")),
+        }
     }
 }
 

@@ -28,7 +28,7 @@ pub(super) async fn push_epochs(
     Ok(Json(calls::positioning::push_epochs(&service, request).await?))
 }
 
-/// Solves the session's last epoch on request with any mode and options; nothing is stored.
+/// Solves the session's present window on request with any mode and options; nothing is stored.
 #[utoipa::path(post, path = "/v1/sessions/{session}:solve", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::SolveRequest,

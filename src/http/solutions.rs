@@ -21,13 +21,15 @@ pub(super) struct SolutionsQuery {
     to: Option<String>,
     /// Only this status, such as `SINGLE`.
     status: Option<String>,
+    /// Which answers to each epoch: `last` (if not given), `first` or `all`.
+    revisions: Option<String>,
     /// At most so many, 1 to 10000; 1000 if not given.
     page_size: u32,
     /// From the answer before.
     page_token: String,
 }
 
-/// Stored solutions of a session in order of seq.
+/// Stored solutions of a session in order of seq and revision.
 #[utoipa::path(get, path = "/v1/sessions/{session}/solutions", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SolutionsQuery),
     responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem)))]
@@ -41,6 +43,7 @@ pub(super) async fn list(
         from: query.from.map(|text| time("from", &text)).transpose()?,
         to: query.to.map(|text| time("to", &text)).transpose()?,
         status: query.status.map_or(Ok(0), |name| status(&name))?,
+        revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
         page_size: query.page_size,
         page_token: query.page_token,
     };
@@ -55,4 +58,12 @@ fn status(name: &str) -> Result<i32, Refusal> {
     v1::Status::from_str_name(&format!("STATUS_{name}"))
         .map(i32::from)
         .ok_or_else(|| intake::unknown_status(name))
+}
+
+fn revisions(name: &str) -> Result<i32, Refusal> {
+    v1::Revisions::from_str_name(&format!("REVISIONS_{}", name.to_uppercase()))
+        .filter(|_| name.chars().all(|c| c.is_ascii_lowercase()))
+        .filter(|revisions| *revisions != v1::Revisions::Unspecified)
+        .map(i32::from)
+        .ok_or_else(|| intake::unknown_revisions(name))
 }

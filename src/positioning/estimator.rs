@@ -3,13 +3,17 @@
 use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
-use crate::gnss::{Ecef, Epoch, Navigation, Solution};
+use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Solution};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::base::BaseAiding;
 use super::ekf::KalmanFilter;
 use super::fgo::{SlidingWindow, WholeChain};
 use super::rtk::RtkWindow;
 use super::spp::SinglePoint;
+
+/// Layout of the snapshots: raised whenever what is in them changes.
+const LAYOUT: u16 = 1;
 
 /// What an epoch needs beside its own observations.
 #[derive(Clone, Copy, Debug)]
@@ -31,11 +35,11 @@ impl<'a> Aiding<'a> {
 ///
 /// In mode `spp` an epoch is solved from its own observations alone. The previous position serves
 /// as the point to start from, which saves iterations and moves the answer by less than 0.1 mm.
-/// That position is all the state there is: [`Self::resume`] restores it bit by bit.
+/// That position is all the state there is. In mode `fgo` the state is a window of epochs.
 ///
-/// In mode `ekf` the state is a mean with its covariance and the last epoch's carrier phases, in
-/// mode `fgo` a window of epochs; no solution restores them: [`Mode::is_resumable`] tells them
-/// apart.
+/// In mode `ekf` the state is a mean with its covariance and the last epoch's carrier phases.
+///
+/// [`Self::snapshot`] and [`Self::restore`] carry the state over a restart, bit by bit.
 #[derive(Debug)]
 pub struct Estimator {
     options: Arc<PositioningOptions>,
@@ -117,17 +121,105 @@ impl Estimator {
         }
     }
 
-    /// Goes on as if `last` had been its own last answer.
+    /// Time of the oldest epoch that [`Self::take_revisions`] may still answer again.
+    pub fn oldest_unrevised(&self) -> Option<GpsTime> {
+        match &self.engine {
+            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => None,
+            Engine::FactorGraph(window) => window.oldest_time(),
+        }
+    }
+
+    /// The state as bytes: what the next answers depend on, options and navigation data apart.
+    /// Revisions not yet taken are no part of it: take them first.
+    pub fn snapshot(&self) -> Vec<u8> {
+        let mut writer = SnapshotWriter::new(LAYOUT);
+        self.engine.save(&mut writer);
+        writer.finish()
+    }
+
+    /// An estimator that goes on where [`Self::snapshot`] was taken, with the same bits. `options`
+    /// must be those of the estimator it was taken of.
     ///
-    /// Only where [`Mode::is_resumable`]: a window begins anew, which gives other answers.
-    pub fn resume(&mut self, last: &Solution) {
-        match &mut self.engine {
-            Engine::SinglePoint { start, .. } => {
-                *start = last.estimate.as_ref().map(|estimate| estimate.position);
+    /// # Errors
+    /// The bytes are not such a snapshot, or of another layout.
+    pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
+        let mut reader = SnapshotReader::open(snapshot, LAYOUT)?;
+        let engine = Engine::load(&options, &mut reader)?;
+        reader.finish()?;
+        Ok(Self { options: Arc::new(options), engine })
+    }
+
+    /// Swaps the memory that both work in, which no answer depends on. Between different modes
+    /// nothing happens.
+    ///
+    /// An estimator at rest so holds its state and nothing else, and those that work share the
+    /// memory of as many as work at the same time.
+    pub fn exchange_memory(&mut self, other: &mut Self) {
+        match (&mut self.engine, &mut other.engine) {
+            (
+                Engine::SinglePoint { single_point, .. },
+                Engine::SinglePoint { single_point: other, .. },
+            ) => single_point.exchange_memory(other),
+            (Engine::FactorGraph(window), Engine::FactorGraph(other)) => {
+                window.exchange_memory(other);
             }
-            Engine::KalmanFilter(filter) => **filter = KalmanFilter::new(&self.options),
-            Engine::FactorGraph(window) => **window = SlidingWindow::new(&self.options, false),
-            Engine::Relative(window) => **window = RtkWindow::new(&self.options),
+            (Engine::KalmanFilter(filter), Engine::KalmanFilter(other)) => {
+                filter.exchange_memory(other);
+            }
+            (Engine::Relative(window), Engine::Relative(other)) => window.exchange_memory(other),
+            _ => {}
+        }
+    }
+}
+
+impl Estimator {
+    /// Gives back the room that the state of an estimator at rest does not need.
+    pub fn release_surplus(&mut self) {
+        if let Engine::FactorGraph(window) = &mut self.engine {
+            window.release_surplus();
+        }
+    }
+}
+
+impl Engine {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        match self {
+            Self::SinglePoint { start, single_point: _ } => {
+                writer.u8(0);
+                start.save(writer);
+            }
+            Self::KalmanFilter(filter) => {
+                writer.u8(2);
+                filter.save(writer);
+            }
+            Self::FactorGraph(window) => {
+                writer.u8(1);
+                window.save(writer);
+            }
+            Self::Relative(window) => {
+                writer.u8(3);
+                window.save(writer);
+            }
+        }
+    }
+
+    fn load(
+        options: &PositioningOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        match (reader.u8()?, options.mode) {
+            (0, Mode::Spp) => Ok(Self::SinglePoint {
+                start: Snapshot::load(reader)?,
+                single_point: Box::new(SinglePoint::new(options)),
+            }),
+            (1, Mode::Fgo) => {
+                SlidingWindow::load(options, reader).map(Box::new).map(Self::FactorGraph)
+            }
+            (2, Mode::Ekf) => {
+                KalmanFilter::load(options, reader).map(Box::new).map(Self::KalmanFilter)
+            }
+            (3, Mode::RtkFgo) => RtkWindow::load(options, reader).map(Box::new).map(Self::Relative),
+            _ => Err(reader.invalid("mode")),
         }
     }
 }
@@ -147,14 +239,15 @@ impl Clone for Estimator {
         Self { options: Arc::clone(&self.options), engine }
     }
 
+    /// Copies into the storage already held, where both are of one mode.
     fn clone_from(&mut self, source: &Self) {
-        if !Arc::ptr_eq(&self.options, &source.options) {
-            *self = source.clone();
-            return;
-        }
         match (&mut self.engine, &source.engine) {
-            (Engine::SinglePoint { start, .. }, Engine::SinglePoint { start: from, .. }) => {
+            (
+                Engine::SinglePoint { start, single_point },
+                Engine::SinglePoint { start: from, single_point: other },
+            ) => {
                 *start = *from;
+                single_point.answer_like(other);
             }
             (Engine::KalmanFilter(filter), Engine::KalmanFilter(from)) => {
                 (**filter).clone_from(from);
@@ -163,8 +256,9 @@ impl Clone for Estimator {
                 (**window).clone_from(from);
             }
             (Engine::Relative(window), Engine::Relative(from)) => (**window).clone_from(from),
-            _ => *self = source.clone(),
+            (engine, _) => *engine = source.clone().engine,
         }
+        self.options = Arc::clone(&source.options);
     }
 }
 

@@ -27,6 +27,7 @@ mod rtk;
 #[cfg(test)]
 mod scenario;
 mod slips;
+mod snapshot;
 mod spp;
 mod uncertainty;
 mod velocity;

@@ -1,6 +1,7 @@
 //! Carrier phases of the last epoch, and their differences to the next.
 
 use crate::gnss::{LocalFrame, ObservationCode, SatelliteId};
+use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
 use super::clock_jump::whole_milliseconds_m;
@@ -31,6 +32,9 @@ pub(super) struct Phases {
     kept: Vec<Kept>,
     scratch: Vec<f64>,
 }
+
+snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle });
+snapshot_fields!(Phases { kept } memory { scratch: Vec::new() });
 
 impl Clone for Phases {
     fn clone(&self) -> Self {

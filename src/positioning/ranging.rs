@@ -2,6 +2,8 @@
 
 use crate::gnss::{EphemerisIssue, LocalFrame, SatelliteId};
 
+use crate::snapshot::snapshot_fields;
+
 use super::Measurement;
 use super::factors::{PseudorangeFactor, Sight, State};
 
@@ -48,6 +50,8 @@ impl Ranging {
         -row.residual / self.factor.inverse_sigma
     }
 }
+
+snapshot_fields!(Ranging { factor, satellite, ephemeris, bias, ionosphere_m, troposphere_m });
 
 /// The lower median; `None` of nothing. Reorders.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {

@@ -25,6 +25,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::gnss::Constellation;
+use crate::snapshot::snapshot_fields;
 
 use super::ranging::Ranging;
 
@@ -60,6 +61,8 @@ pub(super) struct Residuals {
     accepted: f64,
     epochs: f64,
 }
+
+snapshot_fields!(Residuals { squares, slopes, count, redundancy, accepted, epochs });
 
 impl Residuals {
     /// Of one epoch's pseudoranges: constellation, ψ and ψ′ of each.

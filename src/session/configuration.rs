@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
-use crate::store::SessionSettings;
+use crate::store::{SessionSettings, StoredConfiguration};
 
 /// The options of a mode and profile with overrides.
 ///
@@ -24,8 +24,7 @@ pub(super) fn options(
 /// The settings to store.
 ///
 /// # Errors
-/// A mode, profile, option or value that does not exist; a mode whose estimator cannot go on with
-/// the same bits after a restart.
+/// A mode, profile, option or value that does not exist, or a mode that sessions do not serve.
 pub(super) fn settings(
     label: String,
     mode: String,
@@ -33,11 +32,21 @@ pub(super) fn settings(
     overrides: BTreeMap<String, String>,
 ) -> Result<SessionSettings, ConfigError> {
     let options = options(&mode, &profile, &overrides)?;
-    options.mode.resumable()?;
+    served(options.mode)?;
     let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
     let configuration = in_force.collect();
     let configuration_hash = options.configuration_hash().into();
     Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash })
+}
+
+/// Sessions know no bases yet.
+fn served(mode: Mode) -> Result<(), ConfigError> {
+    if !mode.is_relative() {
+        return Ok(());
+    }
+    let served = Mode::ALL.iter().filter(|mode| !mode.is_relative()).map(|mode| mode.name());
+    let (name, allowed) = (mode.name().to_owned(), served.collect::<Vec<_>>().join(", "));
+    Err(ConfigError::UnknownMode { name, allowed })
 }
 
 /// The options that were in force when the settings were stored, though a profile's values may
@@ -49,4 +58,12 @@ pub(super) fn stored_options(
     settings: &SessionSettings,
 ) -> Result<PositioningOptions, ConfigError> {
     options(&settings.mode, &settings.profile, &settings.configuration)
+}
+
+/// The options that were in force under a configuration that is kept for replay.
+///
+/// # Errors
+/// An option that no longer exists.
+pub(super) fn kept_options(kept: &StoredConfiguration) -> Result<PositioningOptions, ConfigError> {
+    options(&kept.mode, &kept.profile, &kept.configuration)
 }

@@ -18,7 +18,7 @@ use crate::store::{
 
 use super::configuration::{settings, stored_options};
 use super::solvers::Solvers;
-use super::task::{Place, Submission, Task};
+use super::task::{Message, Place, Submission, Task};
 use super::{
     NewSession, Pending, SequencedEpoch, SessionError, SessionId, SessionInfo, SessionLimits,
     SessionUpdate, Submitted,
@@ -60,7 +60,7 @@ struct Tasks {
 }
 
 struct Handle {
-    mailbox: mpsc::Sender<Submission>,
+    mailbox: mpsc::Sender<Message>,
     waiting: Arc<AtomicUsize>,
     outdated: Arc<AtomicBool>,
     last_used: u64,
@@ -156,16 +156,34 @@ impl Sessions {
     }
 
     /// Closes a session: it takes no more epochs, what it stored stays readable. Epochs that wait
-    /// are still positioned and stored.
+    /// are still positioned and stored, and what the window holds is answered for the last time.
     ///
     /// # Errors
-    /// No such session, or the store fails.
+    /// No such session, the service is shutting down, or the store fails: it is then still open.
     pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        let (desk, of) = (self.clone(), id.clone());
+        // A task of its own: a caller that hangs up leaves no session half closed.
+        let closing = tokio::spawn(async move { desk.close_whole(&of).await });
+        closing.await.unwrap_or(Err(SessionError::Interrupted))?;
+        self.get(id).await
+    }
+
+    async fn close_whole(&self, id: &SessionId) -> Result<(), SessionError> {
         let _starting = self.starting(id).lock().await;
         let row = self.row(id).await?;
-        self.desk.store.close_session(row.key, unix_ms()).await?;
-        self.tasks().handles.remove(id);
-        self.get(id).await
+        if row.closed_unix_ms.is_some() {
+            return Ok(());
+        }
+        if !self.tasks().handles.contains_key(id) {
+            self.start(id, row.key)?;
+        }
+        // Taken out: nothing is posted behind the last message.
+        let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
+        let (reply, answer) = oneshot::channel();
+        let last = Message::Close { unix_ms: unix_ms(), reply };
+        handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
+        drop(handle);
+        answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
     /// Positions and commits a batch of epochs; returns when it is durable.
@@ -312,7 +330,8 @@ impl Sessions {
         }
         let place = Place::take(epochs.len(), &handle.waiting, of_all);
         let (reply, answer) = oneshot::channel();
-        match handle.mailbox.try_send(Submission { epochs: mem::take(epochs), place, reply }) {
+        let submission = Submission { epochs: mem::take(epochs), place, reply };
+        match handle.mailbox.try_send(Message::Submission(submission)) {
             Ok(()) => {
                 handle.last_used = posted;
                 Ok(Some(Pending(answer)))
@@ -321,8 +340,10 @@ impl Sessions {
                 let limit = limits.mailbox_epochs;
                 Err(SessionError::MailboxFull { waiting, limit, retry_after })
             }
-            Err(TrySendError::Closed(submission)) => {
-                *epochs = submission.epochs;
+            Err(TrySendError::Closed(message)) => {
+                if let Message::Submission(submission) = message {
+                    *epochs = submission.epochs;
+                }
                 tasks.handles.remove(id);
                 Ok(None)
             }

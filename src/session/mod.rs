@@ -13,6 +13,18 @@
 //! piece. Sessions overlap freely: while one waits for its commit, others estimate, and one
 //! transaction of the store commits them all.
 //!
+//! # State, and the same bits
+//! A session's state is what its estimator remembers. It is stored in the transaction of every
+//! 256th epoch or so, and when the session is parked; what came since is replayed onto it, each
+//! epoch with the configuration and the navigation data it was solved with. So the state after a
+//! crash, and every later solution, is the same bit by bit. An epoch whose configuration differs
+//! from that of the epoch before starts the estimator anew, in replay as it did then.
+//!
+//! # Revisions
+//! Revision 0 is the answer at once. An epoch that leaves the window is answered again, smoothed by
+//! what came after it: revision 1, committed together with the epoch that pushed it out. What the
+//! window holds when the session is closed, or when its configuration changes, is answered then.
+//!
 //! # What can fail
 //! A failed commit acknowledges nothing, and as its fate may be unknown (a connection lost during
 //! `COMMIT`), the task forgets its state and restores it from the store before the next piece.
@@ -24,8 +36,11 @@ mod error;
 mod info;
 mod limits;
 mod piece;
+mod recomputation;
+mod replay;
 mod solve;
 mod solvers;
+mod state;
 mod submission;
 mod task;
 
@@ -33,6 +48,7 @@ pub use desk::Sessions;
 pub use error::SessionError;
 pub use info::{NewSession, SessionId, SessionInfo, SessionUpdate};
 pub use limits::SessionLimits;
+pub use recomputation::{Check, Recomputation};
 pub use solve::{Burst, Computed, SolveRequest};
 pub use submission::{
     Acknowledged, EpochOutcome, EpochRefusal, Pending, SequencedEpoch, Submitted,

@@ -1,30 +1,14 @@
 //! The part of a session's work that computes: what runs on the solver pool.
 
-use std::sync::Arc;
+use crate::aiding::PushedNavigation;
+use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
-use crate::gnss::{GpsTime, Navigation};
-use crate::positioning::{Aiding, Estimator};
-use crate::store::{EncodedEpoch, StoredSolution};
-
+use super::state::{Advanced, Origin, State};
 use super::{EpochRefusal, SequencedEpoch};
 
-/// Version of this program, which each solution names.
-pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
-
-/// A session's estimator after its last epoch.
-#[derive(Clone)]
-pub(super) struct State {
-    pub(super) estimator: Estimator,
-    /// Number and time of the last epoch.
-    pub(super) last: Option<(u64, GpsTime)>,
-}
-
-/// What names the origin of a solution.
-#[derive(Clone)]
-pub(super) struct Origin {
-    pub(super) version: Arc<str>,
-    pub(super) configuration_hash: Arc<str>,
-}
+/// Epochs after which the state is stored again. A state takes as much room as some 30 epochs with
+/// their solutions (docs/accuracy.md), and replaying 256 epochs takes some 50 ms.
+const EPOCHS_PER_SNAPSHOT: usize = 256;
 
 /// What is to become of an epoch.
 pub(super) enum Plan {
@@ -44,7 +28,11 @@ pub(super) struct Piece {
     pub(super) plans: Vec<(u64, Plan)>,
     /// The new epochs with their solutions, for the store.
     pub(super) rows: Vec<EncodedEpoch>,
-    /// The solutions of the same places, for the answer.
+    /// Later answers that they brought to these and earlier epochs, for the store.
+    pub(super) revisions: Vec<EncodedSolution>,
+    /// The state for the store, where it is due.
+    pub(super) snapshot: Option<EncodedSnapshot>,
+    /// The solutions of the same places as `rows`, for the answer.
     pub(super) solutions: Vec<StoredSolution>,
 }
 
@@ -53,11 +41,18 @@ impl Piece {
     pub(super) fn position(
         state: State,
         epochs: impl IntoIterator<Item = SequencedEpoch>,
-        navigation: &Navigation,
+        navigation: &PushedNavigation,
         origin: &Origin,
         observations_per_epoch: usize,
     ) -> Self {
-        let mut piece = Self { state, plans: Vec::new(), rows: Vec::new(), solutions: Vec::new() };
+        let mut piece = Self {
+            state,
+            plans: Vec::new(),
+            rows: Vec::new(),
+            revisions: Vec::new(),
+            snapshot: None,
+            solutions: Vec::new(),
+        };
         for epoch in epochs {
             let seq = epoch.seq;
             let plan = match piece.refusal(&epoch, observations_per_epoch) {
@@ -66,6 +61,10 @@ impl Piece {
                 None => piece.resent(epoch),
             };
             piece.plans.push((seq, plan));
+        }
+        if EPOCHS_PER_SNAPSHOT <= piece.state.unsaved {
+            piece.snapshot = piece.state.encoded();
+            piece.state.unsaved = 0;
         }
         piece
     }
@@ -91,19 +90,13 @@ impl Piece {
     fn advance(
         &mut self,
         SequencedEpoch { seq, epoch }: &SequencedEpoch,
-        navigation: &Navigation,
-        Origin { version, configuration_hash }: &Origin,
+        PushedNavigation { push, navigation }: &PushedNavigation,
+        origin: &Origin,
     ) -> Plan {
-        let solution = self.state.estimator.advance(epoch, &Aiding::alone(navigation));
-        self.rows.push(EncodedEpoch::new(*seq, epoch, &solution, version, configuration_hash));
-        self.solutions.push(StoredSolution {
-            seq: *seq,
-            revision: 0,
-            solution,
-            version: version.clone(),
-            configuration_hash: configuration_hash.clone(),
-        });
-        self.state.last = Some((*seq, epoch.time));
+        let Advanced { solution, revisions } = self.state.advance(*seq, epoch, navigation, origin);
+        self.rows.push(EncodedEpoch::new(epoch, &solution, *push));
+        self.revisions.extend(revisions.iter().map(EncodedSolution::new));
+        self.solutions.push(solution);
         Plan::Positioned { place: self.rows.len() - 1, resent: false }
     }
 

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::config::PositioningOptions;
+use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, Estimator};
+use crate::store::{SessionSettings, StoredSolution};
 
 use super::desk::Sessions;
-use super::piece::VERSION;
+use super::state::VERSION;
 use super::{SequencedEpoch, SessionError, SessionId, configuration};
 
 /// How to solve a session's present window.
@@ -51,10 +52,49 @@ pub struct Computed {
     pub configuration_hash: Arc<str>,
 }
 
+impl SolveRequest {
+    /// The options it means for a session with `settings`.
+    ///
+    /// # Errors
+    /// A mode, profile, option or value that does not exist.
+    pub(super) fn options(
+        &self,
+        settings: &SessionSettings,
+    ) -> Result<PositioningOptions, SessionError> {
+        let mut options = if self.mode.is_none() && self.profile.is_none() {
+            configuration::stored_options(settings)?
+        } else {
+            let mode = self.mode.as_ref().unwrap_or(&settings.mode);
+            let profile = self.profile.as_ref().unwrap_or(&settings.profile);
+            configuration::options(mode, profile, &BTreeMap::new())?
+        };
+        for (name, value) in &self.overrides {
+            options.set(name, value)?;
+        }
+        Ok(options)
+    }
+}
+
+impl From<StoredSolution> for Computed {
+    fn from(stored: StoredSolution) -> Self {
+        let StoredSolution { seq, revision: _, solution, version, configuration_hash } = stored;
+        Self { seq, solution, version, configuration_hash }
+    }
+}
+
+/// Epochs that an estimator with these options rests on, as far as it forgets at all.
+fn window_epochs(options: &PositioningOptions) -> usize {
+    match options.mode {
+        Mode::Spp => 1,
+        _ => options.graph.window_epochs_max.max(1),
+    }
+}
+
 impl Sessions {
-    /// Solves the session's present window, as committed, with any mode and options. The session
-    /// goes on undisturbed and nothing is stored; with the session's own configuration and
-    /// unchanged navigation data the answer is the stored one bit by bit.
+    /// Solves the session's present window with any mode and options: its last committed epochs, as
+    /// many as the window of these options holds, are given to a fresh estimator with the
+    /// navigation data held now. The session goes on undisturbed and nothing is stored. With the
+    /// session's own configuration the answer is the stored one.
     ///
     /// # Errors
     /// No such session, no epoch in it, a configuration that does not exist.
@@ -64,24 +104,22 @@ impl Sessions {
         request: &SolveRequest,
     ) -> Result<Computed, SessionError> {
         let row = self.row(id).await?;
-        let mut options = if request.mode.is_none() && request.profile.is_none() {
-            configuration::stored_options(&row.settings)?
-        } else {
-            let mode = request.mode.as_ref().unwrap_or(&row.settings.mode);
-            let profile = request.profile.as_ref().unwrap_or(&row.settings.profile);
-            configuration::options(mode, profile, &BTreeMap::new())?
-        };
-        for (name, value) in &request.overrides {
-            options.set(name, value)?;
+        let options = request.options(&row.settings)?;
+        let is_own = options == configuration::stored_options(&row.settings)?;
+        let count = window_epochs(&options).min(self.limits().epochs_per_batch);
+        let mut stored = self.store().last_epochs(row.key, count).await?;
+        let last = stored.first().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
+        if is_own && last.solution.configuration_hash == row.settings.configuration_hash {
+            return Ok(stored.swap_remove(0).solution.into());
         }
-        // The window of a single-epoch estimator: the last epoch, from the state before it.
-        let mut window = self.store().last_epochs(row.key, 2).await?.into_iter();
-        let last = window.next().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
-        let before = window.next().map(|stored| stored.solution.solution);
-        let epochs = vec![SequencedEpoch { seq: last.solution.seq, epoch: last.epoch()? }];
-        let navigation = self.aiding().current();
-        let computed = self.compute(options, before, epochs, navigation).await?;
-        Ok(computed.into_iter().next_back().expect("one epoch gives one answer"))
+        let sequenced = stored
+            .iter()
+            .rev()
+            .map(|stored| Ok(SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch()? }));
+        let epochs = sequenced.collect::<Result<_, SessionError>>()?;
+        let navigation = self.aiding().current().navigation;
+        let computed = self.compute(options, epochs, navigation).await?;
+        Ok(computed.into_iter().next_back().expect("an epoch gives an answer"))
     }
 
     /// Positions a burst of epochs without a session; nothing is stored.
@@ -103,20 +141,19 @@ impl Sessions {
             return Err(SessionError::BurstOutOfOrder { index: before + 1 });
         }
         let navigation = match burst.navigation {
-            None => self.aiding().current(),
+            None => self.aiding().current().navigation,
             Some(own) => {
-                let mut navigation = (*self.aiding().current()).clone();
+                let mut navigation = (*self.aiding().current().navigation).clone();
                 navigation.merge(own);
                 Arc::new(navigation)
             }
         };
-        self.compute(options, None, burst.epochs, navigation).await
+        self.compute(options, burst.epochs, navigation).await
     }
 
     async fn compute(
         &self,
         options: PositioningOptions,
-        before: Option<Solution>,
         epochs: Vec<SequencedEpoch>,
         navigation: Arc<Navigation>,
     ) -> Result<Vec<Computed>, SessionError> {
@@ -124,9 +161,6 @@ impl Sessions {
         let configuration_hash: Arc<str> = options.configuration_hash().into();
         let work = move || {
             let mut estimator = Estimator::new(options);
-            if let Some(before) = &before {
-                estimator.resume(before);
-            }
             let position = |SequencedEpoch { seq, epoch }| Computed {
                 seq,
                 solution: estimator.advance(&epoch, &Aiding::alone(&navigation)),

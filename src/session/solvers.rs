@@ -1,22 +1,46 @@
 //! The solver pool: where estimation runs, so that the threads that serve the network never do.
 
 use std::num::NonZeroUsize;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::Semaphore;
 use tokio::task::{JoinError, spawn_blocking};
 
+use crate::positioning::Estimator;
+
 use super::SessionError;
+use super::state::State;
+
+/// States kept for the next piece to be computed in.
+const SPARE_STATES: usize = 64;
 
 /// A bounded number of threads that estimate. Who asks first is served first.
 #[derive(Clone)]
 pub(super) struct Solvers {
     permits: Arc<Semaphore>,
+    spares: Spares,
+}
+
+/// Memory that sessions share: a session at rest holds its state alone.
+#[derive(Clone, Default)]
+pub(super) struct Spares {
+    shared: Arc<Mutex<Shared>>,
+}
+
+#[derive(Default)]
+struct Shared {
+    states: Vec<State>,
+    /// Estimators whose memory is lent: no more than work at the same time.
+    lenders: Vec<Estimator>,
 }
 
 impl Solvers {
     pub(super) fn new(threads: NonZeroUsize) -> Self {
-        Self { permits: Arc::new(Semaphore::new(threads.get())) }
+        Self { permits: Arc::new(Semaphore::new(threads.get())), spares: Spares::default() }
+    }
+
+    pub(super) fn spares(&self) -> &Spares {
+        &self.spares
     }
 
     /// Runs `work` on a thread of the pool.
@@ -34,6 +58,60 @@ impl Solvers {
             work()
         });
         running.await.map_err(|error| SessionError::EstimatorFailed { message: said(error) })
+    }
+}
+
+impl Spares {
+    /// A copy of `state`, in storage that an earlier one left.
+    pub(super) fn copy_of(&self, state: &State) -> State {
+        let spare = self.shared().states.pop();
+        match spare {
+            None => state.clone(),
+            Some(mut spare) => {
+                spare.clone_from(state);
+                spare
+            }
+        }
+    }
+
+    /// Keeps the storage of a state that is no longer needed.
+    pub(super) fn keep(&self, state: State) {
+        let mut shared = self.shared();
+        if shared.states.len() < SPARE_STATES {
+            shared.states.push(state);
+        }
+    }
+
+    /// Runs `work` on `state` with lent memory, which is taken back afterwards.
+    pub(super) fn lend<T>(
+        &self,
+        mut state: State,
+        work: impl FnOnce(State) -> T,
+        state_of: impl FnOnce(&mut T) -> &mut State,
+    ) -> T {
+        let mode = state.estimator.options().mode;
+        let lender = {
+            let mut shared = self.shared();
+            let of_mode = shared.lenders.iter().position(|lender| lender.options().mode == mode);
+            of_mode.map(|place| shared.lenders.swap_remove(place))
+        };
+        let mut lender =
+            lender.unwrap_or_else(|| Estimator::new(state.estimator.options().clone()));
+        state.estimator.exchange_memory(&mut lender);
+        let mut done = work(state);
+        let estimator = &mut state_of(&mut done).estimator;
+        if estimator.options().mode == mode {
+            estimator.exchange_memory(&mut lender);
+        } else {
+            *estimator = estimator.clone(); // Another mode's memory, which it grew itself.
+        }
+        estimator.release_surplus();
+        self.shared().lenders.push(lender);
+        done
+    }
+
+    fn shared(&self) -> std::sync::MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

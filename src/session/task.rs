@@ -8,19 +8,28 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::NavigationBroker;
-use crate::gnss::Navigation;
-use crate::positioning::Estimator;
-use crate::store::{Batch, SessionKey, Store, StoreError, StoredEpoch};
+use crate::store::{Batch, EncodedSolution, SessionKey, Store, StoreError, StoredEpoch};
 
-use super::configuration::stored_options;
-use super::piece::{Origin, Piece, Plan, State, VERSION};
+use super::piece::{Piece, Plan};
+use super::replay::{By, Course, origin_in_force, restored};
 use super::solvers::Solvers;
+use super::state::{Origin, State};
 use super::{
     Acknowledged, EpochOutcome, EpochRefusal, SequencedEpoch, SessionError, SessionId, Submitted,
 };
 
 /// Epochs after which a piece takes no further batch.
 const EPOCHS_PER_PIECE: usize = 1_024;
+/// Epochs that are worth storing the state for when the task ends: fewer are replayed as quickly.
+const EPOCHS_WORTH_STORING: usize = 32;
+
+/// What waits in the mailbox.
+pub(super) enum Message {
+    /// Epochs to be positioned.
+    Submission(Submission),
+    /// The last message: closes the session at a time (ms since 1970-01-01 UTC).
+    Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
+}
 
 /// A batch in the mailbox.
 pub(super) struct Submission {
@@ -63,31 +72,70 @@ pub(super) struct Task {
     pub(super) aiding: NavigationBroker,
     pub(super) solvers: Solvers,
     pub(super) observations_per_epoch: usize,
-    /// The settings have changed: restore before the next piece.
+    /// The settings have changed: read them before the next piece.
     pub(super) outdated: Arc<AtomicBool>,
 }
 
-/// The estimator in memory, and a second one whose memory the next piece works in.
+/// The estimator in memory.
 struct Active {
     committed: State,
-    spare: State,
-    origin: Origin,
+    origin: Arc<Origin>,
 }
 
 impl Task {
-    /// Runs until the mailbox is closed and empty. Clients that hang up stop nothing: their epochs
-    /// are positioned and stored all the same.
-    pub(super) async fn run(self, mut inbox: mpsc::Receiver<Submission>) {
+    /// Runs until the mailbox is closed and empty, or the session is. Clients that hang up stop
+    /// nothing: their epochs are positioned and stored all the same.
+    pub(super) async fn run(self, mut inbox: mpsc::Receiver<Message>) {
         let mut active = None;
         while let Some(first) = inbox.recv().await {
-            let mut epochs = first.epochs.len();
-            let mut submissions = vec![first];
-            while epochs < EPOCHS_PER_PIECE {
-                let Ok(next) = inbox.try_recv() else { break };
-                epochs += next.epochs.len();
-                submissions.push(next);
+            let (mut next, mut epochs) = (Some(first), 0);
+            let (mut submissions, mut closing) = (Vec::new(), None);
+            while let Some(message) = next {
+                match message {
+                    Message::Submission(submission) => {
+                        epochs += submission.epochs.len();
+                        submissions.push(submission);
+                    }
+                    Message::Close { unix_ms, reply } => closing = Some((unix_ms, reply)),
+                }
+                let is_full = EPOCHS_PER_PIECE <= epochs || closing.is_some();
+                next = if is_full { None } else { inbox.try_recv().ok() };
             }
-            self.answer(&mut active, submissions).await;
+            if !submissions.is_empty() {
+                self.answer(&mut active, submissions).await;
+            }
+            if let Some((unix_ms, reply)) = closing {
+                // Err: who closes has gone; the session is closed all the same.
+                reply.send(self.close(active, unix_ms).await).ok();
+                return;
+            }
+        }
+        self.park(active).await;
+    }
+
+    /// Stores the last answers to what the window holds, and that the session is closed.
+    async fn close(&self, active: Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
+        let mut state = match active {
+            Some(active) => active.committed,
+            None => self.restored(&self.origin().await?).await?,
+        };
+        let revisions = self.solvers.run(move || state.finish()).await?;
+        let revisions = revisions.iter().map(EncodedSolution::new).collect();
+        let closed_unix_ms = Some(unix_ms);
+        self.store.commit(Batch { revisions, closed_unix_ms, ..Batch::new(self.key) }).await?;
+        Ok(())
+    }
+
+    /// Stores the state, so that the next task need not replay much.
+    async fn park(&self, active: Option<Active>) {
+        let Some(Active { committed, .. }) = active else { return };
+        if committed.unsaved < EPOCHS_WORTH_STORING {
+            return;
+        }
+        let Ok(snapshot) = self.solvers.run(move || committed.encoded()).await else { return };
+        if let Err(error) = self.store.commit(Batch { snapshot, ..Batch::new(self.key) }).await {
+            // Nothing is lost: it is replayed.
+            tracing::warn!(session = %self.id, %error, "a session's state was not stored");
         }
     }
 
@@ -117,19 +165,17 @@ impl Task {
         active: &mut Option<Active>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let outdated = self.outdated.swap(false, Ordering::AcqRel);
-        let Active { committed, spare, origin } = match active.take() {
-            Some(active) if !outdated => active,
-            _ => self.restore().await?,
-        };
-        let (piece, committed) = self.position(committed, spare, &origin, epochs).await?;
-        let Piece { state, plans, rows, solutions } = piece;
+        let Active { committed, origin } = self.activated(active.take()).await?;
+        let (piece, committed) = self.position(committed, &origin, epochs).await?;
+        let Piece { state, plans, rows, revisions, snapshot, solutions } = piece;
         let stored = self.lookup(&plans).await?;
-        if !rows.is_empty() {
-            self.store.commit(Batch { session: self.key, epochs: rows }).await?;
+        let batch = Batch { epochs: rows, revisions, snapshot, ..Batch::new(self.key) };
+        if !batch.is_empty() {
+            self.store.commit(batch).await?;
         }
         let durable_through = state.last.map(|(seq, _)| seq);
-        *active = Some(Active { committed: state, spare: committed, origin });
+        self.solvers.spares().keep(committed);
+        *active = Some(Active { committed: state, origin });
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
@@ -144,20 +190,36 @@ impl Task {
         Ok((outcomes?, durable_through))
     }
 
-    /// Runs a piece on the solver pool, in the memory of `spare`; returns it and `committed`.
+    /// The estimator in memory, or else restored, with the settings in force.
+    async fn activated(&self, active: Option<Active>) -> Result<Active, SessionError> {
+        let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
+        match active {
+            Some(active) if !is_outdated => Ok(active),
+            Some(Active { committed, .. }) => {
+                Ok(Active { committed, origin: Arc::new(self.origin().await?) })
+            }
+            None => {
+                let origin = self.origin().await?;
+                let committed = self.restored(&origin).await?;
+                Ok(Active { committed, origin: Arc::new(origin) })
+            }
+        }
+    }
+
+    /// Runs a piece on the solver pool from a copy of `committed`; returns it and `committed`.
     async fn position(
         &self,
         committed: State,
-        mut spare: State,
-        origin: &Origin,
+        origin: &Arc<Origin>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Piece, State), SessionError> {
-        let navigation: Arc<Navigation> = self.aiding.current();
+        let navigation = self.aiding.current();
         let (origin, limit) = (origin.clone(), self.observations_per_epoch);
+        let spares = self.solvers.spares().clone();
         let work = move || {
-            spare.estimator.clone_from(&committed.estimator);
-            spare.last = committed.last;
-            (Piece::position(spare, epochs, &navigation, &origin, limit), committed)
+            let state = spares.copy_of(&committed);
+            let position = |state| Piece::position(state, epochs, &navigation, &origin, limit);
+            (spares.lend(state, position, |piece| &mut piece.state), committed)
         };
         self.solvers.run(work).await
     }
@@ -172,20 +234,21 @@ impl Task {
         Ok(found.into_iter().map(|stored| (stored.solution.seq, stored)).collect())
     }
 
-    /// The state after the last committed epoch, by the settings in force.
-    async fn restore(&self) -> Result<Active, SessionError> {
-        let row = self.store.session(self.id.as_str()).await?;
-        let row = row.ok_or_else(|| SessionError::NotFound { id: self.id.to_string() })?;
-        let mut estimator = Estimator::new(stored_options(&row.settings)?);
-        let last = self.store.last_epochs(self.key, 1).await?.pop();
-        if let Some(last) = &last {
-            estimator.resume(&last.solution.solution);
-        }
-        let last = last.map(|last| (last.solution.seq, last.solution.solution.time));
-        let committed = State { estimator, last };
-        let origin =
-            Origin { version: VERSION.into(), configuration_hash: row.settings.configuration_hash };
-        Ok(Active { spare: committed.clone(), committed, origin })
+    async fn origin(&self) -> Result<Origin, SessionError> {
+        origin_in_force(&self.store, self.id.as_str()).await
+    }
+
+    /// The state after the last committed epoch.
+    async fn restored(&self, origin: &Origin) -> Result<State, SessionError> {
+        let course = Course {
+            store: self.store.clone(),
+            aiding: self.aiding.clone(),
+            solvers: self.solvers.clone(),
+            key: self.key,
+            by: By::Stored,
+            may_differ: true,
+        };
+        restored(&course, origin).await
     }
 }
 

@@ -55,6 +55,14 @@ pub enum StoreError {
         /// What is wrong with it.
         why: String,
     },
+    /// Navigation data of long ago is no longer kept.
+    #[error("navigation data of push {push} is kept no more; it is from push {complete_since} on")]
+    NavigationForgotten {
+        /// The push asked for.
+        push: u64,
+        /// The first push since which nothing has been forgotten.
+        complete_since: u64,
+    },
     /// A page token that no answer gave.
     #[error("{token:?} is not a page token of this list")]
     PageToken {
@@ -92,6 +100,7 @@ impl StoreError {
             Self::Database { .. } => "DATABASE_FAILED",
             Self::AlreadyStored => "WRITTEN_ELSEWHERE",
             Self::Corrupt { .. } | Self::CorruptText { .. } => "STORED_DATA_CORRUPT",
+            Self::NavigationForgotten { .. } => "NAVIGATION_FORGOTTEN",
             Self::PageToken { .. } => "PAGE_TOKEN_INVALID",
             Self::PageSize { .. } => "PAGE_SIZE_INVALID",
             Self::Closed => "DRAINING",
@@ -107,6 +116,9 @@ impl StoreError {
             Self::Database { .. } => "check the database and its disk; send the same request again",
             Self::AlreadyStored => "let one service write a session; send the same request again",
             Self::Corrupt { .. } | Self::CorruptText { .. } => "restore the database from a backup",
+            Self::NavigationForgotten { .. } => {
+                "compute from the observations anew, with navigation data of that time"
+            }
             Self::PageToken { .. } => "give the token of the page before, or none to start anew",
             Self::PageSize { .. } => "ask for a smaller page",
             Self::Closed => "send the same request again once the service is back",

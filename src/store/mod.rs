@@ -16,6 +16,7 @@ mod navigation;
 mod page;
 mod pool;
 mod sessions;
+mod snapshots;
 mod solutions;
 
 use std::fmt;
@@ -25,11 +26,12 @@ use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 
 pub use codec::CodecError;
-pub use committer::{Batch, EncodedEpoch};
+pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;
-pub use navigation::{StoredEphemeris, StoredNavigation};
+pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
 pub use page::Page;
-pub use sessions::{SessionKey, SessionRow, SessionSettings};
+pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
+pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};
 
 use committer::Committer;

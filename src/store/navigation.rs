@@ -21,99 +21,167 @@ pub struct StoredEphemeris {
     pub stored_unix_ms: i64,
 }
 
-/// Everything broadcast that is stored.
+/// Everything broadcast that is in force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredNavigation {
+    /// The number of the last push.
+    pub push: u64,
     /// Ephemerides.
     pub ephemerides: Vec<StoredEphemeris>,
     /// Ionosphere coefficients and leap seconds; no ephemerides.
     pub coefficients: Navigation,
 }
 
+/// What a push changes.
+#[derive(Clone, Debug)]
+pub struct NavigationChange<'a> {
+    /// Ephemerides that are new, or replace those that name the same.
+    pub new: &'a [&'a Ephemeris],
+    /// Ephemerides no longer in force.
+    pub dropped: &'a [&'a Ephemeris],
+    /// Coefficients and leap seconds that are new.
+    pub coefficients: &'a Navigation,
+    /// Who brings it.
+    pub source: &'a str,
+    /// When (ms since 1970-01-01 UTC).
+    pub stored_unix_ms: i64,
+    /// Ephemerides no longer in force that are kept for replay.
+    pub superseded_limit: usize,
+}
+
+const NEXT_PUSH: &str = "UPDATE navigation_pushes SET newest = newest + 1 RETURNING newest";
+const END_EPHEMERIS: &str = "UPDATE ephemerides SET until = $1
+    WHERE satellite = $2 AND toe_ns = $3 AND message = $4 AND toc_ns = $5 AND issue = $6
+    AND until IS NULL";
+const INSERT_EPHEMERIS: &str = "INSERT INTO ephemerides
+    (since, satellite, toe_ns, message, toc_ns, issue, source, stored_unix_ms, content)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)";
+const END_RECORD: &str =
+    "UPDATE navigation_records SET until = $1 WHERE kind = $2 AND until IS NULL";
+const INSERT_RECORD: &str = "INSERT INTO navigation_records
+    (since, kind, source, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
+/// When the newest ephemeris ended that is one too many to be kept.
+const SURPLUS: &str = "SELECT until FROM ephemerides WHERE until IS NOT NULL
+    ORDER BY until DESC LIMIT 1 OFFSET $1";
+/// Forgets what was in force before a push and is not since.
+const FORGET: [&str; 3] = [
+    "DELETE FROM ephemerides WHERE until <= $1",
+    "DELETE FROM navigation_records WHERE until <= $1",
+    "UPDATE navigation_pushes SET complete_since = $1",
+];
+
+/// Binds what names an ephemeris behind the number of the push.
+macro_rules! named {
+    ($query:expr, $push:expr, $ephemeris:expr) => {{
+        let [toe_ns, toc_ns, issue] = numbers($ephemeris);
+        $query
+            .bind($push)
+            .bind($ephemeris.satellite().to_string())
+            .bind(toe_ns)
+            .bind(message_name($ephemeris))
+            .bind(toc_ns)
+            .bind(issue)
+    }};
+}
+
 impl Store {
-    /// Stores ephemerides, and the coefficients and leap seconds that `coefficients` has, and
-    /// forgets `dropped`; all of it or nothing.
+    /// Stores a push of navigation data, all of it or nothing; returns its number, which rises by
+    /// one with each.
     ///
     /// # Errors
     /// The database fails; nothing may then be taken for stored.
-    pub async fn store_navigation(
-        &self,
-        ephemerides: &[&Ephemeris],
-        coefficients: &Navigation,
-        dropped: &[&Ephemeris],
-        source: &str,
-        stored_unix_ms: i64,
-    ) -> Result<(), StoreError> {
-        let failed = "storing navigation data";
+    pub async fn push_navigation(&self, change: &NavigationChange<'_>) -> Result<u64, StoreError> {
         writing!(&self.pool, pool => {
-            let mut transaction = pool.begin().await.map_err(StoreError::database(failed))?;
-            for ephemeris in ephemerides {
-                let [toe_ns, toc_ns, issue] = numbers(ephemeris);
-                sqlx::query(
-                    "INSERT INTO ephemerides (satellite, toe_ns, message, toc_ns, issue, source,
-                                              stored_unix_ms, content)
-                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8)
-                     ON CONFLICT (satellite, toe_ns, message, toc_ns, issue) DO UPDATE SET
-                         source = $6, stored_unix_ms = $7, content = $8",
-                )
-                .bind(ephemeris.satellite().to_string())
-                .bind(toe_ns)
-                .bind(message_name(ephemeris))
-                .bind(toc_ns)
-                .bind(issue)
-                .bind(source)
-                .bind(stored_unix_ms)
-                .bind(encode_ephemeris(ephemeris))
-                .execute(&mut *transaction)
-                .await
-                .map_err(StoreError::database(failed))?;
-            }
-            for (kind, record) in records(coefficients) {
-                sqlx::query(
-                    "INSERT INTO navigation_records (kind, source, stored_unix_ms, content)
-                     VALUES ($1, $2, $3, $4)
-                     ON CONFLICT (kind) DO UPDATE SET
-                         source = $2, stored_unix_ms = $3, content = $4",
-                )
-                .bind(kind)
-                .bind(source)
-                .bind(stored_unix_ms)
-                .bind(encode_record(&record))
-                .execute(&mut *transaction)
-                .await
-                .map_err(StoreError::database(failed))?;
-            }
-            for ephemeris in dropped {
-                let [toe_ns, toc_ns, issue] = numbers(ephemeris);
-                sqlx::query(
-                    "DELETE FROM ephemerides WHERE satellite = $1 AND toe_ns = $2 AND message = $3
-                     AND toc_ns = $4 AND issue = $5",
-                )
-                .bind(ephemeris.satellite().to_string())
-                .bind(toe_ns)
-                .bind(message_name(ephemeris))
-                .bind(toc_ns)
-                .bind(issue)
-                .execute(&mut *transaction)
-                .await
-                .map_err(StoreError::database(failed))?;
-            }
-            transaction.commit().await.map_err(StoreError::database(failed))
+            let pushed = async {
+                let mut transaction = pool.begin().await?;
+                let (push,): (i64,) =
+                    sqlx::query_as(NEXT_PUSH).fetch_one(&mut *transaction).await?;
+                for ephemeris in change.new.iter().chain(change.dropped) {
+                    let end = named!(sqlx::query(END_EPHEMERIS), push, ephemeris);
+                    end.execute(&mut *transaction).await?;
+                }
+                for ephemeris in change.new {
+                    named!(sqlx::query(INSERT_EPHEMERIS), push, ephemeris)
+                        .bind(change.source)
+                        .bind(change.stored_unix_ms)
+                        .bind(encode_ephemeris(ephemeris))
+                        .execute(&mut *transaction)
+                        .await?;
+                }
+                for (kind, record) in records(change.coefficients) {
+                    let end = sqlx::query(END_RECORD).bind(push).bind(kind);
+                    end.execute(&mut *transaction).await?;
+                    sqlx::query(INSERT_RECORD)
+                        .bind(push)
+                        .bind(kind)
+                        .bind(change.source)
+                        .bind(change.stored_unix_ms)
+                        .bind(encode_record(&record))
+                        .execute(&mut *transaction)
+                        .await?;
+                }
+                let surplus = sqlx::query_as(SURPLUS).bind(change.superseded_limit as i64);
+                let surplus: Option<(i64,)> = surplus.fetch_optional(&mut *transaction).await?;
+                if let Some((end,)) = surplus {
+                    for forget in FORGET {
+                        sqlx::query(forget).bind(end).execute(&mut *transaction).await?;
+                    }
+                }
+                transaction.commit().await?;
+                Ok::<u64, sqlx::Error>(push as u64)
+            };
+            pushed.await.map_err(StoreError::database("storing navigation data"))
         })
     }
 
-    /// Everything broadcast that is stored.
+    /// Everything broadcast that is in force.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
     pub async fn navigation(&self) -> Result<StoredNavigation, StoreError> {
+        let (push, _) = self.navigation_pushes().await?;
+        self.navigation_in_force(push).await
+    }
+
+    /// Everything broadcast that was in force after the push number `push`.
+    ///
+    /// # Errors
+    /// Some of it has been forgotten since, the database fails, or a row is corrupt.
+    pub async fn navigation_after(&self, push: u64) -> Result<Navigation, StoreError> {
+        let (_, complete_since) = self.navigation_pushes().await?;
+        if push < complete_since {
+            return Err(StoreError::NavigationForgotten { push, complete_since });
+        }
+        let StoredNavigation { ephemerides, mut coefficients, .. } =
+            self.navigation_in_force(push).await?;
+        for stored in ephemerides {
+            coefficients.insert(stored.ephemeris);
+        }
+        Ok(coefficients)
+    }
+
+    /// The last push, and the first since which nothing has been forgotten.
+    async fn navigation_pushes(&self) -> Result<(u64, u64), StoreError> {
+        let row: Result<(i64, i64), _> = reading!(&self.pool, pool => {
+            let sql = "SELECT newest, complete_since FROM navigation_pushes";
+            sqlx::query_as(sql).fetch_one(pool).await
+        });
+        let (newest, complete) = row.map_err(StoreError::database("reading navigation data"))?;
+        Ok((newest as u64, complete as u64))
+    }
+
+    async fn navigation_in_force(&self, push: u64) -> Result<StoredNavigation, StoreError> {
         let failed = "reading navigation data";
+        let at = push as i64;
         let ephemerides: Result<Vec<(String, i64, Vec<u8>)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT source, stored_unix_ms, content FROM ephemerides";
-            sqlx::query_as(sql).fetch_all(pool).await
+            let sql = "SELECT source, stored_unix_ms, content FROM ephemerides
+                       WHERE since <= $1 AND (until IS NULL OR $1 < until)";
+            sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
         let records: Result<Vec<(String, Vec<u8>)>, _> = reading!(&self.pool, pool => {
-            sqlx::query_as("SELECT kind, content FROM navigation_records").fetch_all(pool).await
+            let sql = "SELECT kind, content FROM navigation_records
+                       WHERE since <= $1 AND (until IS NULL OR $1 < until)";
+            sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
         let parse = |(source, stored_unix_ms, content): (String, i64, Vec<u8>)| {
             let ephemeris = decode_ephemeris(&content).map_err(StoreError::corrupt("ephemeris"))?;
@@ -127,7 +195,7 @@ impl Store {
                 decode_record(&content).map_err(StoreError::corrupt("navigation record"))?;
             take_over(&mut coefficients, &kind, record);
         }
-        Ok(StoredNavigation { ephemerides, coefficients })
+        Ok(StoredNavigation { push, ephemerides, coefficients })
     }
 }
 

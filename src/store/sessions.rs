@@ -30,6 +30,17 @@ pub struct SessionSettings {
     pub configuration_hash: Arc<str>,
 }
 
+/// A configuration that solved epochs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredConfiguration {
+    /// Estimator.
+    pub mode: String,
+    /// Profile.
+    pub profile: String,
+    /// Every option with its value in force.
+    pub configuration: BTreeMap<String, String>,
+}
+
 /// A stored session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
@@ -115,6 +126,7 @@ impl Store {
         settings: &SessionSettings,
         created_unix_ms: i64,
     ) -> Result<SessionRow, StoreError> {
+        self.store_configuration(settings).await?;
         let inserted = writing!(&self.pool, pool => sqlx::query_as(
             "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
                                    configuration_hash, created_unix_ms)
@@ -190,6 +202,7 @@ impl Store {
         key: SessionKey,
         settings: &SessionSettings,
     ) -> Result<(), StoreError> {
+        self.store_configuration(settings).await?;
         let updated = writing!(&self.pool, pool => sqlx::query(
             "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
                                  configuration = $6, configuration_hash = $7
@@ -208,26 +221,36 @@ impl Store {
         updated.map_err(StoreError::database("updating a session"))
     }
 
-    /// Closes a session; one that is closed stays so since then.
+    /// Keeps a configuration under its hash, for replay. Equal hashes mean equal configurations.
+    async fn store_configuration(&self, settings: &SessionSettings) -> Result<(), StoreError> {
+        let stored = writing!(&self.pool, pool => sqlx::query(
+            "INSERT INTO configurations (hash, mode, profile, configuration)
+             VALUES ($1, $2, $3, $4) ON CONFLICT (hash) DO NOTHING",
+        )
+        .bind(&*settings.configuration_hash)
+        .bind(&settings.mode)
+        .bind(&settings.profile)
+        .bind(options_text(&settings.configuration))
+        .execute(pool)
+        .await
+        .map(drop));
+        stored.map_err(StoreError::database("storing a configuration"))
+    }
+
+    /// The configuration of a hash.
     ///
     /// # Errors
-    /// The database fails.
-    pub async fn close_session(
-        &self,
-        key: SessionKey,
-        closed_unix_ms: i64,
-    ) -> Result<(), StoreError> {
-        let updated = writing!(&self.pool, pool => {
-            sqlx::query(
-                "UPDATE sessions SET closed_unix_ms = $2
-                 WHERE key = $1 AND closed_unix_ms IS NULL",
-            )
-            .bind(key.0)
-            .bind(closed_unix_ms)
-            .execute(pool)
-            .await
-            .map(drop)
+    /// There is none, or the database fails.
+    pub async fn configuration(&self, hash: &str) -> Result<StoredConfiguration, StoreError> {
+        let row: Result<Option<(String, String, String)>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT mode, profile, configuration FROM configurations WHERE hash = $1";
+            sqlx::query_as(sql).bind(hash).fetch_optional(pool).await
         });
-        updated.map_err(StoreError::database("closing a session"))
+        let row = row.map_err(StoreError::database("reading a configuration"))?;
+        let (mode, profile, configuration) = row.ok_or_else(|| StoreError::CorruptText {
+            what: "configuration",
+            why: format!("none has the hash {hash:?}"),
+        })?;
+        Ok(StoredConfiguration { mode, profile, configuration: options_from(&configuration)? })
     }
 }

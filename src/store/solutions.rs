@@ -60,6 +60,8 @@ pub struct StoredEpoch {
     content: Vec<u8>,
     /// The answer.
     pub solution: StoredSolution,
+    /// Number of the push of navigation data that was the last when it was solved.
+    pub navigation: u64,
 }
 
 impl StoredEpoch {
@@ -107,12 +109,14 @@ struct RawEpoch {
     seq: i64,
     epoch: Vec<u8>,
     content: Vec<u8>,
+    navigation: i64,
 }
 
 impl RawEpoch {
     fn parse(self) -> Result<StoredEpoch, StoreError> {
         let raw = RawSolution { seq: self.seq, revision: 0, content: self.content };
-        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()? })
+        let navigation = self.navigation as u64;
+        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()?, navigation })
     }
 }
 
@@ -127,7 +131,8 @@ impl Store {
         count: usize,
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content
+            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
+                    e.navigation AS navigation
              FROM epochs e
              JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
              WHERE e.session = $1 ORDER BY e.seq DESC LIMIT $2",
@@ -138,6 +143,52 @@ impl Store {
         .await);
         let rows = rows.map_err(StoreError::database("reading a session's last epochs"))?;
         rows.into_iter().map(RawEpoch::parse).collect()
+    }
+
+    /// The first `count` epochs of a session after number `after`, or from its first on, in their
+    /// order and with their real-time answers.
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub async fn epochs_after(
+        &self,
+        session: SessionKey,
+        after: Option<u64>,
+        count: usize,
+    ) -> Result<Vec<StoredEpoch>, StoreError> {
+        let after = after.map_or(-1, |seq| i64::try_from(seq).unwrap_or(i64::MAX));
+        let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
+            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
+                    e.navigation AS navigation
+             FROM epochs e
+             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
+             WHERE e.session = $1 AND e.seq > $2 ORDER BY e.seq LIMIT $3",
+        )
+        .bind(session.0)
+        .bind(after)
+        .bind(count as i64)
+        .fetch_all(pool)
+        .await);
+        let rows = rows.map_err(StoreError::database("reading a session's epochs"))?;
+        rows.into_iter().map(RawEpoch::parse).collect()
+    }
+
+    /// Number of the epoch that has `count` epochs of the session after it, if there are as many.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn number_before_last(
+        &self,
+        session: SessionKey,
+        count: usize,
+    ) -> Result<Option<u64>, StoreError> {
+        let row: Result<Option<(i64,)>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT seq FROM epochs WHERE session = $1
+                       ORDER BY seq DESC LIMIT 1 OFFSET $2";
+            sqlx::query_as(sql).bind(session.0).bind(count as i64).fetch_optional(pool).await
+        });
+        let row = row.map_err(StoreError::database("reading a session's epochs"))?;
+        Ok(row.map(|(seq,)| seq as u64))
     }
 
     /// Those of the epochs `seqs` that are stored, with their real-time answers.
@@ -153,8 +204,8 @@ impl Store {
         macro_rules! select {
             ($among:literal) => {
                 concat!(
-                    "SELECT e.seq AS seq, e.content AS epoch, s.content AS content ",
-                    "FROM epochs e JOIN solutions s ",
+                    "SELECT e.seq AS seq, e.content AS epoch, s.content AS content, ",
+                    "e.navigation AS navigation FROM epochs e JOIN solutions s ",
                     "ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
                     "WHERE e.session = $1 AND e.seq ",
                     $among

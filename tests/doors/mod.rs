@@ -26,7 +26,10 @@ impl Doors {
         let folder = tempfile::tempdir().unwrap();
         let url = format!("sqlite://{}", folder.path().join("test.db").display());
         let store = Store::open(&url).await.unwrap();
-        let held = AidingLimits { ephemerides_per_satellite: limits.ephemerides_per_satellite };
+        let held = AidingLimits {
+            ephemerides_per_satellite: limits.ephemerides_per_satellite,
+            ..AidingLimits::service()
+        };
         let navigation = NavigationBroker::open(store.clone(), held).await.unwrap();
         let session_limits = SessionLimits {
             epochs_per_batch: limits.epochs_per_push,

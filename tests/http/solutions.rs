@@ -1,9 +1,12 @@
 //! `/v1/sessions/{session}/solutions`.
 
 use axum::http::StatusCode;
+use graphfix::contract::convert;
+use graphfix::session::SequencedEpoch;
 use serde_json::{Value, json};
 
 use crate::doors::{Doors, epoch};
+use crate::drive::DRIVE;
 
 fn numbers(page: &Value) -> Vec<u64> {
     let solutions = page["solutions"].as_array().unwrap();
@@ -28,4 +31,36 @@ async fn solutions_are_listed_by_time_status_and_page() {
     assert_eq!(numbers(&within), [2, 3]);
     assert_eq!(numbers(&doors.get(&format!("{path}?status=NONE")).await.1).len(), 5);
     assert_eq!(numbers(&doors.get(&format!("{path}?status=SINGLE")).await.1), [0; 0]);
+}
+
+/// The last answer to each epoch unless the query says otherwise.
+#[tokio::test]
+async fn revisions_are_chosen() {
+    let doors = Doors::open().await;
+    let (status, _) = doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
+    assert_eq!(status, StatusCode::OK);
+    let (_, session) = doors.post("/v1/sessions", json!({"mode": "fgo"})).await;
+    let session = session["session"].as_str().unwrap();
+    let message = |e: &SequencedEpoch| convert::epoch_message(e.seq, &e.epoch);
+    let epochs: Vec<_> = DRIVE.epochs[..30].iter().map(message).collect();
+    let (status, answer) =
+        doors.post(&format!("/v1/sessions/{session}/epochs"), json!({"epochs": epochs})).await;
+    assert_eq!((status, &answer["durableThrough"]), (StatusCode::OK, &json!(30)));
+    let (status, closed) =
+        doors.send("DELETE", &format!("/v1/sessions/{session}"), json!({})).await;
+    assert_eq!((status, &closed["closed"]), (StatusCode::OK, &json!(true)));
+    let listed = async |query: &str| {
+        let path = format!("/v1/sessions/{session}/solutions{query}");
+        let (status, page) = doors.get(&path).await;
+        assert_eq!(status, StatusCode::OK, "{page}");
+        let revision = |solution: &Value| solution["revision"].as_u64().unwrap();
+        page["solutions"].as_array().unwrap().iter().map(revision).collect::<Vec<_>>()
+    };
+    assert_eq!(listed("").await, [1; 30]);
+    assert_eq!(listed("?revisions=last").await, [1; 30]);
+    assert_eq!(listed("?revisions=first").await, [0; 30]);
+    assert_eq!(listed("?revisions=all").await, [0, 1].repeat(30));
+    let (status, refused) =
+        doors.get(&format!("/v1/sessions/{session}/solutions?revisions=ALL")).await;
+    assert_eq!((status, &refused["field"]), (StatusCode::BAD_REQUEST, &json!("revisions")));
 }

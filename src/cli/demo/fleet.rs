@@ -51,15 +51,16 @@ pub(super) async fn drive(
     connection: Connection,
     reports: mpsc::Sender<Report>,
 ) -> Result<(), Failure> {
-    let (scenario, name) = match plan.sky {
-        Sky::Open => (Scenario::open_sky(), "open"),
-        Sky::Urban => (Scenario::urban_canyon(), "urban"),
+    let (scenario, name, mode, profile) = match plan.sky {
+        Sky::Open => (Scenario::open_sky(), "open", "spp", "general"),
+        Sky::Urban => (Scenario::urban_canyon(), "urban", "fgo", "urban-vehicle"),
     };
     let scenario = Scenario { duration_s: plan.duration_s, base: None, ..scenario };
     let interval = Duration::from_secs_f64(scenario.interval_s / plan.speed);
     let simulator = Simulator::with_navigation(scenario, plan.seed, navigation);
     let label = format!("demo {} {name}", plan.index + 1);
-    let new = v1::CreateSessionRequest { label, ..Default::default() };
+    let (mode, profile) = (mode.to_owned(), profile.to_owned());
+    let new = v1::CreateSessionRequest { label, mode, profile, ..Default::default() };
     let mut device = connection.open(None, new).await?;
     // Devices are not in step.
     let start = Instant::now() + interval.mul_f64(plan.index as f64 * 0.618 % 1.0);

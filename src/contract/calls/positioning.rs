@@ -22,7 +22,7 @@ pub async fn push_epochs(
     answer(service.sessions().submit(&id, epochs).await?)
 }
 
-/// Solves the session's last epoch on request.
+/// Solves the session's present window on request.
 ///
 /// # Errors
 /// No such session, no epoch in it, or a configuration that does not exist.

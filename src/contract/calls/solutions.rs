@@ -1,14 +1,14 @@
 //! Solutions: what was stored.
 
 use crate::contract::{Refusal, Service, convert, v1};
-use crate::store::{Revisions, SolutionQuery};
+use crate::store::SolutionQuery;
 
 use super::{page_size, page_token, session_id};
 
 /// Solutions on a page where no size is asked for.
 const PAGE: usize = 1000;
 
-/// Stored solutions of a session in order of seq.
+/// Stored solutions of a session in order of seq and revision.
 ///
 /// # Errors
 /// No such session, or a page token, size, time or status that is refused.
@@ -21,7 +21,7 @@ pub async fn list(
         from: convert::time(request.from, "from")?,
         to: convert::time(request.to, "to")?,
         status: convert::status_filter(request.status)?,
-        revisions: Revisions::All,
+        revisions: convert::revisions(request.revisions)?,
         page_size: page_size(request.page_size, PAGE),
         page_token: page_token(&request.page_token).map(ToOwned::to_owned),
     };

@@ -5,6 +5,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::gnss::Constellation;
 use crate::graph::{Link, Row};
 use crate::positioning::factors::{CLOCK, ClockWalk, DRIFT, MotionWalk, STATE, State, VELOCITY};
+use crate::snapshot::snapshot_fields;
 
 /// First inter-system bias, by index of the constellation.
 pub(super) const BIAS: usize = STATE;
@@ -66,6 +67,8 @@ pub(super) struct Belief {
     mean: Vector,
     covariance: Matrix,
 }
+
+snapshot_fields!(Belief { mean, covariance });
 
 impl Belief {
     /// Numbers known to be zero.

@@ -20,6 +20,8 @@ use crate::positioning::ranging::{Ranging, median};
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, VelocityEstimator, variance_m2_s2};
+use crate::snapshot::snapshot_fields;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::belief::{BIAS, Belief, Innovation};
 
@@ -419,6 +421,32 @@ impl KalmanFilter {
     }
 }
 
+snapshot_fields!(Memory { time, frame, belief, begun, phases, issues, failing_s });
+
+impl KalmanFilter {
+    /// Writes what the next answers depend on; the settings follow from the options.
+    pub(in crate::positioning) fn save(&self, writer: &mut SnapshotWriter) {
+        self.memory.save(writer);
+    }
+
+    /// The filter that was written, by the options it was made with.
+    pub(in crate::positioning) fn load(
+        options: &PositioningOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        Ok(Self { memory: Snapshot::load(reader)?, ..Self::new(options) })
+    }
+
+    /// Swaps the storage both work in.
+    pub(in crate::positioning) fn exchange_memory(&mut self, other: &mut Self) {
+        let Self { settings: _, memory: _, single_point, velocity, measurements, rows } = self;
+        single_point.exchange_memory(&mut other.single_point);
+        std::mem::swap(velocity, &mut other.velocity);
+        std::mem::swap(measurements, &mut other.measurements);
+        std::mem::swap(rows, &mut other.rows);
+    }
+}
+
 /// Copies what the next answers depend on; scratch memory stays where it is.
 impl Clone for KalmanFilter {
     fn clone(&self) -> Self {
@@ -435,5 +463,6 @@ impl Clone for KalmanFilter {
     fn clone_from(&mut self, source: &Self) {
         self.settings.clone_from(&source.settings);
         self.memory.clone_from(&source.memory);
+        self.single_point.answer_like(&source.single_point);
     }
 }

@@ -1,6 +1,7 @@
 //! What is known of an inter-system bias before any measurement.
 
 use crate::graph::Row;
+use crate::snapshot::snapshot_fields;
 
 /// Bias factor on one border variable.
 ///
@@ -23,6 +24,8 @@ impl BiasFactor {
         (Row { residual, columns: [], jacobian: [] }, self.inverse_sigma)
     }
 }
+
+snapshot_fields!(BiasFactor { variable, mean_m, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

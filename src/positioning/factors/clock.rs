@@ -2,6 +2,7 @@
 
 use crate::config::GraphOptions;
 use crate::graph::Link;
+use crate::snapshot::snapshot_fields;
 
 use super::{CLOCK, DRIFT, State};
 
@@ -93,6 +94,8 @@ impl ClockFactor {
         }
     }
 }
+
+snapshot_fields!(ClockFactor { interval_s, jump_m, inverse_clock, inverse_drift });
 
 #[cfg(test)]
 mod tests {

@@ -3,6 +3,7 @@
 use nalgebra::SVector;
 
 use crate::graph::Row;
+use crate::snapshot::snapshot_fields;
 
 /// Component factor on one state.
 ///
@@ -31,6 +32,8 @@ impl ComponentFactor {
         }
     }
 }
+
+snapshot_fields!(ComponentFactor { column, mean, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::gnss::{Ecef, LocalFrame};
 use crate::graph::Row;
 use crate::models::{SatelliteState, range_rate};
+use crate::snapshot::snapshot_fields;
 
 use super::{DRIFT, State, VELOCITY};
 
@@ -55,6 +56,8 @@ impl DopplerFactor {
         }
     }
 }
+
+snapshot_fields!(DopplerFactor { slope, rate_m_s, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::graph::Link;
+use crate::snapshot::snapshot_fields;
 
 use super::State;
 
@@ -44,6 +45,8 @@ impl DopplerVelocityFactor {
         }
     }
 }
+
+snapshot_fields!(DopplerVelocityFactor { velocity_m_s, interval_s, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

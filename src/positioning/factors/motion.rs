@@ -4,6 +4,7 @@ use nalgebra::SVector;
 
 use crate::config::GraphOptions;
 use crate::graph::Link;
+use crate::snapshot::snapshot_fields;
 
 use super::VELOCITY;
 
@@ -99,6 +100,8 @@ impl MotionFactor {
         }
     }
 }
+
+snapshot_fields!(MotionFactor { interval_s, inverse_place, inverse_pace });
 
 #[cfg(test)]
 mod tests {

@@ -1,6 +1,7 @@
 //! The time-differenced carrier phase of one satellite.
 
 use crate::graph::Link;
+use crate::snapshot::snapshot_fields;
 
 use super::{CLOCK, Sight, State, position};
 
@@ -43,6 +44,8 @@ impl PhaseDifferenceFactor {
         }
     }
 }
+
+snapshot_fields!(PhaseDifferenceFactor { before, after, change_m, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

@@ -1,6 +1,7 @@
 //! The pseudorange factor.
 
 use crate::graph::Row;
+use crate::snapshot::snapshot_fields;
 
 use super::{CLOCK, Sight, State, position};
 
@@ -34,6 +35,8 @@ impl PseudorangeFactor {
         }
     }
 }
+
+snapshot_fields!(PseudorangeFactor { sight, corrected_range_m, inverse_sigma });
 
 #[cfg(test)]
 mod tests {

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::gnss::{Ecef, LocalFrame};
 use crate::models::geometric_range;
+use crate::snapshot::snapshot_fields;
 
 /// A satellite as seen from anywhere near the origin of a local frame.
 ///
@@ -38,6 +39,8 @@ impl Sight {
         (range_m, self.sagnac_slope - line * distance_m.recip())
     }
 }
+
+snapshot_fields!(Sight { satellite_m, sagnac_m, sagnac_slope });
 
 #[cfg(test)]
 mod tests {

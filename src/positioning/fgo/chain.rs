@@ -15,6 +15,7 @@ use crate::positioning::ranging::{Ranging, median};
 use crate::positioning::uncertainty::repetition;
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::positioning::{Measurement, Measurements};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::epoch::{GraphEpoch, Rows, Tie};
 use super::settings::Settings;
@@ -73,6 +74,49 @@ impl Clone for Chain {
     }
 }
 
+impl Snapshot for Chain {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        #[rustfmt::skip]
+        let Self {
+            frame, epochs, estimate, prior, phases, spare: _, begun, sequence, started, is_proven,
+            ring, scratch: _,
+        } = self;
+        frame.save(writer);
+        epochs.save(writer);
+        estimate.save(writer);
+        prior.save(writer);
+        phases.save(writer);
+        begun.save(writer);
+        sequence.save(writer);
+        started.save(writer);
+        is_proven.save(writer);
+        ring.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let chain = Self {
+            frame: Snapshot::load(reader)?,
+            epochs: Snapshot::load(reader)?,
+            estimate: Snapshot::load(reader)?,
+            prior: Snapshot::load(reader)?,
+            phases: Snapshot::load(reader)?,
+            spare: Vec::new(),
+            begun: Snapshot::load(reader)?,
+            sequence: Snapshot::load(reader)?,
+            started: Snapshot::load(reader)?,
+            is_proven: Snapshot::load(reader)?,
+            ring: Snapshot::load(reader)?,
+            scratch: Vec::new(),
+        };
+        let border = chain.estimate.border.len();
+        let is_whole = chain.epochs.len() == chain.estimate.states.len()
+            && chain.epochs.len() <= chain.sequence
+            && chain.epochs.iter().all(|epoch| epoch.is_within(border))
+            && chain.prior.variables().all(|variable| variable < border);
+        if is_whole { Ok(chain) } else { Err(reader.invalid("chain")) }
+    }
+}
+
 impl Chain {
     /// An empty chain; `ring` is how many epochs may have biases of their own, zero for constant
     /// biases.
@@ -96,6 +140,23 @@ impl Chain {
     /// Time of the newest epoch.
     pub(super) fn last_time(&self) -> Option<GpsTime> {
         self.epochs.last().map(|epoch| epoch.time)
+    }
+
+    /// Epochs that may have biases of their own.
+    pub(super) fn ring(&self) -> usize {
+        self.ring
+    }
+
+    /// Swaps the memory both work in.
+    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.spare, &mut other.spare);
+        std::mem::swap(&mut self.scratch, &mut other.scratch);
+    }
+
+    /// Takes the newest epoch back.
+    pub(super) fn drop_newest(&mut self) {
+        self.spare.extend(self.epochs.pop());
+        self.estimate.states.pop();
     }
 
     /// Forgets everything and puts the origin at `start`.

@@ -10,6 +10,8 @@ use crate::positioning::factors::{
 };
 use crate::positioning::ranging::Ranging;
 use crate::positioning::uncertainty::Residuals;
+use crate::snapshot::snapshot_fields;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::settings::Kernels;
 
@@ -155,6 +157,70 @@ impl GraphEpoch {
                 system.add_link(k, &clock.drift(state, next), &Kernel::QUADRATIC);
             }
         }
+    }
+}
+
+snapshot_fields!(GraphEpoch {
+    time,
+    share,
+    repetition,
+    residuals,
+    ranges,
+    rates,
+    phases,
+    tie,
+    components,
+    biases,
+    doppler_velocity_m_s,
+    reasons,
+    slot,
+});
+
+impl Snapshot for Tie {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        match self {
+            Self::Motion(motion, clock) => {
+                writer.u8(0);
+                motion.save(writer);
+                clock.save(writer);
+            }
+            Self::DopplerVelocity(factor) => {
+                writer.u8(1);
+                factor.save(writer);
+            }
+        }
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        match reader.u8()? {
+            0 => Ok(Self::Motion(Snapshot::load(reader)?, Snapshot::load(reader)?)),
+            1 => Ok(Self::DopplerVelocity(Snapshot::load(reader)?)),
+            _ => Err(reader.invalid("tie")),
+        }
+    }
+}
+
+impl GraphEpoch {
+    /// Gives back the room that its lists, which grew by doubling, do not need.
+    pub(super) fn release_surplus(&mut self) {
+        fn fit<T>(list: &mut Vec<T>) {
+            if list.len() + list.len() / 8 < list.capacity() {
+                list.shrink_to_fit();
+            }
+        }
+        fit(&mut self.ranges);
+        fit(&mut self.rates);
+        fit(&mut self.phases);
+        fit(&mut self.components);
+        fit(&mut self.biases);
+        fit(&mut self.reasons);
+    }
+
+    /// Whether its factors name only variables below `border` and numbers of a state.
+    pub(super) fn is_within(&self, border: usize) -> bool {
+        self.ranges.iter().all(|range| range.bias.is_none_or(|variable| variable < border))
+            && self.biases.iter().all(|bias| bias.variable < border)
+            && self.components.iter().all(|component| component.column < STATE)
     }
 }
 

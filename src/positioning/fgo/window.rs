@@ -4,14 +4,18 @@ use nalgebra::SMatrix;
 
 use crate::config::{DopplerUse, PositioningOptions};
 use crate::gnss::{Enu, Epoch, GpsTime, Navigation, Reason, Solution};
-use crate::graph::{BorderLife, Covariances, Elimination, System, Workspace, optimize};
+use crate::graph::{
+    BorderLife, Covariances, Elimination, Phase, Problem, System, Workspace, optimize,
+};
 use crate::positioning::Measurements;
 use crate::positioning::factors::{DRIFT, STATE, State, VELOCITY, position};
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::velocity::VelocityEstimator;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::answer::solution;
 use super::chain::Chain;
+use super::epoch::GraphEpoch;
 use super::settings::Settings;
 
 /// Epochs a window holds at least, however far apart they are.
@@ -86,7 +90,10 @@ impl SlidingWindow {
         self.append(epoch.time, guess, options);
         match self.solve(leaving, options) {
             Some(solution) => solution,
-            None => self.restart(epoch, navigation, options),
+            None => {
+                self.chain.drop_newest();
+                self.restart(epoch, navigation, options)
+            }
         }
     }
 
@@ -174,12 +181,22 @@ impl SlidingWindow {
     }
 
     /// Answers the oldest `count` epochs again, from all that the window has seen.
+    ///
+    /// Linearised anew where the window stands, so that no factor of an earlier solve is state. A
+    /// window whose normal equations cannot be factored leaves its first answers as they are.
     fn revise(&mut self, count: usize) {
         let Some(revisions) = &mut self.revisions else { return };
         if count == 0 {
             return;
         }
-        self.covariances.all_states(&self.workspace.elimination, &mut self.smoothed);
+        let Workspace { system, elimination, .. } = &mut self.workspace;
+        let estimate = &self.chain.estimate;
+        system.reset(estimate.states.len(), estimate.border.len());
+        self.chain.rows(&self.settings).linearize(estimate, Phase::Graduated(1.0), system);
+        if elimination.factor(system, 0.0).is_err() {
+            return;
+        }
+        self.covariances.all_states(elimination, &mut self.smoothed);
         for (k, covariance) in self.smoothed.iter().enumerate().take(count) {
             revisions.push(solution(&self.chain, k, covariance, &self.settings));
         }
@@ -204,6 +221,56 @@ impl SlidingWindow {
     }
 }
 
+impl SlidingWindow {
+    /// Writes what the next answers depend on, all of which [`Clone`] copies; the settings follow
+    /// from the options, and revisions not yet taken are left out.
+    pub(in crate::positioning) fn save(&self, writer: &mut SnapshotWriter) {
+        self.revisions.is_some().save(writer);
+        self.chain.save(writer);
+    }
+
+    /// The window that was written, by the options it was made with.
+    pub(in crate::positioning) fn load(
+        options: &PositioningOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        let revises = bool::load(reader)?;
+        let fresh = Self::new(options, revises);
+        let chain = Chain::load(reader)?;
+        match chain.ring() == fresh.chain.ring() {
+            true => Ok(Self { chain, ..fresh }),
+            false => Err(reader.invalid("ring of biases")),
+        }
+    }
+
+    /// Swaps the memory both work in.
+    pub(in crate::positioning) fn exchange_memory(&mut self, other: &mut Self) {
+        #[rustfmt::skip]
+        let Self {
+            settings: _, chain, revisions: _, single_point, velocity, measurements, workspace,
+            covariances, smoothed, oldest,
+        } = self;
+        chain.exchange_memory(&mut other.chain);
+        single_point.exchange_memory(&mut other.single_point);
+        std::mem::swap(velocity, &mut other.velocity);
+        std::mem::swap(measurements, &mut other.measurements);
+        std::mem::swap(workspace, &mut other.workspace);
+        std::mem::swap(covariances, &mut other.covariances);
+        std::mem::swap(smoothed, &mut other.smoothed);
+        std::mem::swap(oldest, &mut other.oldest);
+    }
+
+    /// Gives back the room that the epochs do not need.
+    pub(in crate::positioning) fn release_surplus(&mut self) {
+        self.chain.epochs.iter_mut().for_each(GraphEpoch::release_surplus);
+    }
+
+    /// Time of the oldest epoch that has not left the window.
+    pub(in crate::positioning) fn oldest_time(&self) -> Option<GpsTime> {
+        self.chain.epochs.first().map(|epoch| epoch.time)
+    }
+}
+
 /// Copies what the next answers depend on; scratch memory stays where it is.
 impl Clone for SlidingWindow {
     fn clone(&self) -> Self {
@@ -214,7 +281,7 @@ impl Clone for SlidingWindow {
             single_point: self.single_point.with_fresh_memory(),
             velocity: VelocityEstimator::default(),
             measurements: Measurements::default(),
-            workspace: self.workspace.clone(),
+            workspace: Workspace::new(BorderLife::WholeChain),
             covariances: Covariances::new(),
             smoothed: Vec::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
@@ -224,10 +291,7 @@ impl Clone for SlidingWindow {
     fn clone_from(&mut self, source: &Self) {
         self.settings.clone_from(&source.settings);
         self.chain.clone_from(&source.chain);
+        self.single_point.answer_like(&source.single_point);
         self.revisions.clone_from(&source.revisions);
-        if self.revisions.is_some() {
-            // Revisions need the factor of the last solve.
-            self.workspace.clone_from(&source.workspace);
-        }
     }
 }

@@ -6,6 +6,7 @@
 
 use crate::gnss::{Band, Constellation, GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
+use crate::snapshot::snapshot_fields;
 
 /// An arc that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +48,25 @@ pub(super) struct Arcs {
     in_use: Vec<bool>,
 }
 
+snapshot_fields!(Arc {
+    satellite,
+    band,
+    codes,
+    variable,
+    frequency_hz,
+    last,
+    epochs,
+    half_cycle,
+    elevation_rad,
+});
+snapshot_fields!(Arcs { list, in_use });
+
 impl Arcs {
+    /// Whether no arc has a variable that is not among the first `border`.
+    pub(super) fn is_within(&self, border: usize) -> bool {
+        self.list.iter().all(|arc| arc.variable < border && arc.variable < self.in_use.len())
+    }
+
     /// Ends all.
     pub(super) fn clear(&mut self) {
         self.list.clear();

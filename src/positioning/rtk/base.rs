@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::config::PositioningOptions;
 use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, Navigation, ObservationCode, SatelliteId};
 use crate::positioning::spp::SinglePoint;
+use crate::snapshot::snapshot_fields;
 
 /// Base epochs may be tagged this much later than the rover's and still count as of its time (s):
 /// receivers tag by clocks that are off by up to milliseconds.
@@ -30,6 +31,9 @@ pub(super) struct BaseMemory {
     pub(super) power_failed: bool,
     check: Option<PositionCheck>,
 }
+
+snapshot_fields!(PositionCheck { stated, sum_m, count });
+snapshot_fields!(BaseMemory { newest, lost, power_failed, check });
 
 impl BaseMemory {
     pub(super) const fn new() -> Self {

@@ -10,6 +10,7 @@ use crate::graph::{
 };
 use crate::positioning::differencing::{SingleDifference, SingleDifferences};
 use crate::positioning::factors::{ComponentFactor, MotionFactor, Sight, VELOCITY};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::arcs::Arcs;
 use super::epoch::{
@@ -55,7 +56,42 @@ impl Clone for Chain {
     }
 }
 
+impl Snapshot for Chain {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let Self { frame, epochs, estimate, prior, arcs, spare: _, scratch: _ } = self;
+        frame.save(writer);
+        epochs.save(writer);
+        estimate.save(writer);
+        prior.save(writer);
+        arcs.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let chain = Self {
+            frame: Snapshot::load(reader)?,
+            epochs: Snapshot::load(reader)?,
+            estimate: Snapshot::load(reader)?,
+            prior: Snapshot::load(reader)?,
+            arcs: Snapshot::load(reader)?,
+            spare: Vec::new(),
+            scratch: Scratch::default(),
+        };
+        let border = chain.estimate.border.len();
+        let is_whole = chain.epochs.len() == chain.estimate.states.len()
+            && chain.epochs.iter().all(|epoch| epoch.is_within(border))
+            && chain.prior.variables().all(|variable| variable < border)
+            && chain.arcs.is_within(border);
+        if is_whole { Ok(chain) } else { Err(reader.invalid("chain")) }
+    }
+}
+
 impl Chain {
+    /// Swaps the memory both work in.
+    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.spare, &mut other.spare);
+        std::mem::swap(&mut self.scratch, &mut other.scratch);
+    }
+
     /// An empty chain.
     pub(super) fn new() -> Self {
         Self {

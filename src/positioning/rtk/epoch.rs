@@ -5,6 +5,7 @@ use nalgebra::{SVector, Vector3};
 use crate::gnss::GpsTime;
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, SharingRow, System};
 use crate::positioning::factors::{ComponentFactor, MotionFactor, Sight};
+use crate::snapshot::snapshot_fields;
 
 use super::settings::Kernels;
 
@@ -104,7 +105,26 @@ impl Scratch {
     }
 }
 
+snapshot_fields!(Ambiguity { variable, wavelength_m });
+snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity });
+snapshot_fields!(Group { begin, end, is_carrier });
+snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
+snapshot_fields!(RtkEpoch { time, sights, rows, groups, motion, components, starts });
+
 impl RtkEpoch {
+    /// Whether its factors name only satellites of its own, variables below `border` and numbers of
+    /// a state.
+    pub(super) fn is_within(&self, border: usize) -> bool {
+        let is_known = |row: &DifferenceFactor| {
+            row.sight < self.sights.len()
+                && row.ambiguity.is_none_or(|ambiguity| ambiguity.variable < border)
+        };
+        self.rows.iter().all(is_known)
+            && self.groups.iter().all(|g| g.begin <= g.end && g.end <= self.rows.len())
+            && self.components.iter().all(|component| component.column < STATE)
+            && self.starts.iter().all(|start| start.variable < border)
+    }
+
     pub(super) fn new() -> Self {
         Self {
             time: GpsTime::EPOCH,

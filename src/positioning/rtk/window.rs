@@ -7,6 +7,7 @@ use crate::positioning::base::BaseAiding;
 use crate::positioning::differencing::{BaseSide, SingleDifferences};
 use crate::positioning::fgo::SlidingWindow;
 use crate::positioning::spp::SinglePoint;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::answer::{Findings, solution};
 use super::base::BaseMemory;
@@ -280,6 +281,57 @@ impl RtkWindow {
     }
 }
 
+impl RtkWindow {
+    /// Writes what the next answers depend on, all of which [`Clone`] copies; the settings follow
+    /// from the options.
+    pub(in crate::positioning) fn save(&self, writer: &mut SnapshotWriter) {
+        self.chain.save(writer);
+        self.base.save(writer);
+        self.last.save(writer);
+        self.stand_in.is_some().save(writer);
+        if let Some(stand_in) = &self.stand_in {
+            stand_in.save(writer);
+        }
+    }
+
+    /// The window that was written, by the options it was made with.
+    pub(in crate::positioning) fn load(
+        options: &PositioningOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        Ok(Self {
+            chain: Snapshot::load(reader)?,
+            base: Snapshot::load(reader)?,
+            last: Snapshot::load(reader)?,
+            stand_in: match bool::load(reader)? {
+                true => Some(Box::new(SlidingWindow::load(options, reader)?)),
+                false => None,
+            },
+            ..Self::new(options)
+        })
+    }
+
+    /// Swaps the memory both work in.
+    pub(in crate::positioning) fn exchange_memory(&mut self, other: &mut Self) {
+        #[rustfmt::skip]
+        let Self {
+            settings: _, chain, base: _, last: _, stand_in, single_point, differences, integers,
+            slipped, workspace, covariances, oldest,
+        } = self;
+        chain.exchange_memory(&mut other.chain);
+        if let (Some(stand_in), Some(other)) = (stand_in, &mut other.stand_in) {
+            stand_in.exchange_memory(other);
+        }
+        single_point.exchange_memory(&mut other.single_point);
+        std::mem::swap(differences, &mut other.differences);
+        std::mem::swap(integers, &mut other.integers);
+        std::mem::swap(slipped, &mut other.slipped);
+        std::mem::swap(workspace, &mut other.workspace);
+        std::mem::swap(covariances, &mut other.covariances);
+        std::mem::swap(oldest, &mut other.oldest);
+    }
+}
+
 /// Copies what the next answers depend on; scratch memory stays where it is.
 impl Clone for RtkWindow {
     fn clone(&self) -> Self {
@@ -305,5 +357,6 @@ impl Clone for RtkWindow {
         self.base.clone_from(&source.base);
         self.last = source.last;
         self.stand_in.clone_from(&source.stand_in);
+        self.single_point.answer_like(&source.single_point);
     }
 }

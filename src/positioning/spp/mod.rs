@@ -86,6 +86,19 @@ impl SinglePoint {
         }
     }
 
+    /// Swaps the memory both work in.
+    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
+        let Self { limits: _, measurements, rows, velocity } = self;
+        std::mem::swap(measurements, &mut other.measurements);
+        std::mem::swap(rows, &mut other.rows);
+        std::mem::swap(velocity, &mut other.velocity);
+    }
+
+    /// Answers like `other` from now on, in its own memory.
+    pub(super) fn answer_like(&mut self, other: &Self) {
+        self.limits.clone_from(&other.limits);
+    }
+
     /// Solves one epoch, from `start` if it is given and else from the Earth's centre.
     pub(super) fn solve(
         &mut self,

@@ -1,4 +1,4 @@
-//! Group commit: epochs and solutions of many sessions in one transaction.
+//! Group commit: epochs, solutions and snapshots of many sessions in one transaction.
 //!
 //! One task writes. While a transaction runs, the batches that arrive wait in a bounded queue, and
 //! all of them form the next one: the busier the service, the larger its transactions, and a
@@ -13,54 +13,73 @@ use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
-use crate::gnss::{Epoch, Solution};
+use crate::gnss::Epoch;
 
 use super::codec::{encode_epoch, encode_solution, status_number};
 use super::pool::Pool;
-use super::{SessionKey, StoreError};
+use super::{SessionKey, StoreError, StoredSolution};
 
 /// Batches that may wait while a transaction runs; those who commit wait for a place.
 const QUEUE: usize = 1_024;
 /// Epochs after which a transaction takes no further batch.
 const EPOCHS_PER_TRANSACTION: usize = 4_096;
 
-/// Epochs of one session with their solutions, to be committed together.
+/// What happened in one session, to be committed together.
 #[derive(Clone, Debug)]
 pub struct Batch {
     /// The session.
     pub session: SessionKey,
-    /// The epochs.
+    /// Epochs with their real-time answers.
     pub epochs: Vec<EncodedEpoch>,
+    /// Later answers to these and earlier epochs. One that is stored already stays as it is.
+    pub revisions: Vec<EncodedSolution>,
+    /// The estimator's state after the last of the epochs.
+    pub snapshot: Option<EncodedSnapshot>,
+    /// Closes the session (ms since 1970-01-01 UTC), if it is open.
+    pub closed_unix_ms: Option<i64>,
 }
 
-/// An epoch with its solution, in the store's form.
+impl Batch {
+    /// Nothing of a session yet.
+    pub fn new(session: SessionKey) -> Self {
+        Self {
+            session,
+            epochs: Vec::new(),
+            revisions: Vec::new(),
+            snapshot: None,
+            closed_unix_ms: None,
+        }
+    }
+
+    /// Whether there is nothing to commit.
+    pub fn is_empty(&self) -> bool {
+        self.epochs.is_empty()
+            && self.revisions.is_empty()
+            && self.snapshot.is_none()
+            && self.closed_unix_ms.is_none()
+    }
+}
+
+/// An epoch with its real-time answer, in the store's form.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedEpoch {
     seq: i64,
     gps_time_ns: i64,
+    navigation: i64,
     content: Vec<u8>,
-    status: i16,
-    position_m: [Option<f64>; 3],
-    solution: Vec<u8>,
+    solution: EncodedSolution,
 }
 
 impl EncodedEpoch {
-    /// Encodes an epoch and its solution; `seq` is at most [`i64::MAX`].
-    pub fn new(
-        seq: u64,
-        epoch: &Epoch,
-        solution: &Solution,
-        version: &str,
-        configuration_hash: &str,
-    ) -> Self {
-        let axis_m = |axis: usize| solution.estimate.as_ref().map(|e| e.position.0[axis]);
+    /// Encodes an epoch that was answered by `solution` with the navigation data in force after the
+    /// push number `navigation`.
+    pub fn new(epoch: &Epoch, solution: &StoredSolution, navigation: u64) -> Self {
         Self {
-            seq: i64::try_from(seq).expect("the desk refuses numbers above i64::MAX"),
+            seq: number(solution.seq),
             gps_time_ns: epoch.time.as_ns(),
+            navigation: number(navigation),
             content: encode_epoch(epoch),
-            status: status_number(solution.status),
-            position_m: [axis_m(0), axis_m(1), axis_m(2)],
-            solution: encode_solution(solution, version, configuration_hash),
+            solution: EncodedSolution::new(solution),
         }
     }
 
@@ -68,6 +87,57 @@ impl EncodedEpoch {
     pub fn is(&self, epoch: &Epoch) -> bool {
         self.content == encode_epoch(epoch)
     }
+}
+
+/// A solution in the store's form: equal solutions have equal ones, bit by bit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedSolution {
+    seq: i64,
+    revision: i32,
+    gps_time_ns: i64,
+    status: i16,
+    position_m: [Option<f64>; 3],
+    content: Vec<u8>,
+}
+
+impl EncodedSolution {
+    /// The epoch's number.
+    pub fn seq(&self) -> u64 {
+        self.seq as u64
+    }
+
+    /// Encodes a solution.
+    pub fn new(stored: &StoredSolution) -> Self {
+        let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
+        let axis_m = |axis: usize| solution.estimate.as_ref().map(|e| e.position.0[axis]);
+        Self {
+            seq: number(*seq),
+            revision: i32::try_from(*revision).expect("revisions are few"),
+            gps_time_ns: solution.time.as_ns(),
+            status: status_number(solution.status),
+            position_m: [axis_m(0), axis_m(1), axis_m(2)],
+            content: encode_solution(solution, version, configuration_hash),
+        }
+    }
+}
+
+/// The estimator's state of a session after an epoch, in the session's own form.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedSnapshot {
+    pub(super) seq: i64,
+    pub(super) configuration_hash: Arc<str>,
+    pub(super) content: Vec<u8>,
+}
+
+impl EncodedSnapshot {
+    /// The state after the epoch `seq`, by the configuration of that hash.
+    pub fn new(seq: u64, configuration_hash: Arc<str>, content: Vec<u8>) -> Self {
+        Self { seq: number(seq), configuration_hash, content }
+    }
+}
+
+fn number(value: u64) -> i64 {
+    i64::try_from(value).expect("the desk refuses numbers above i64::MAX")
 }
 
 struct Request {
@@ -142,13 +212,9 @@ async fn commit_group(pool: &Pool, group: &mut Vec<Request>) {
 }
 
 async fn write(pool: &Pool, batches: &[&Batch]) -> Result<(), StoreError> {
-    let rows: Vec<(SessionKey, &EncodedEpoch)> = batches
-        .iter()
-        .flat_map(|batch| batch.epochs.iter().map(|epoch| (batch.session, epoch)))
-        .collect();
     let written = match pool {
-        Pool::Sqlite { writer, .. } => statements::write_sqlite(writer, &rows).await,
-        Pool::Postgres(pool) => statements::write_postgres(pool, &rows).await,
+        Pool::Sqlite { writer, .. } => statements::write_sqlite(writer, batches).await,
+        Pool::Postgres(pool) => statements::write_postgres(pool, batches).await,
     };
     written.map_err(|error| match error.as_database_error() {
         Some(refusal) if refusal.is_unique_violation() => StoreError::AlreadyStored,

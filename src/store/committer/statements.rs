@@ -2,106 +2,190 @@
 
 use std::sync::LazyLock;
 
-use sqlx::{PgPool, SqliteConnection, SqlitePool};
+use sqlx::{PgConnection, PgPool, SqliteConnection, SqlitePool};
 
-use super::{EncodedEpoch, SessionKey};
+use super::{Batch, EncodedEpoch, EncodedSolution, SessionKey};
 
 /// Rows per statement: few texts, each prepared once, and no more than 32 766 parameters.
 const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
-const EPOCH_COLUMNS: usize = 4;
+const EPOCH_COLUMNS: usize = 5;
 const SOLUTION_COLUMNS: usize = 9;
 
-const INSERT_EPOCHS: &str = "INSERT INTO epochs (session, seq, gps_time_ns, content) ";
+const INSERT_EPOCHS: &str = "INSERT INTO epochs (session, seq, gps_time_ns, navigation, content) ";
 const INSERT_SOLUTIONS: &str = "INSERT INTO solutions \
     (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content) ";
+/// A number stored twice is told by `epochs`; a revision stored before stays as it is.
+const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
+/// The newest state stays, whoever comes late.
+const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuration_hash, content) \
+    VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
+    configuration_hash = excluded.configuration_hash, content = excluded.content \
+    WHERE snapshots.seq < excluded.seq";
+const CLOSE: &str =
+    "UPDATE sessions SET closed_unix_ms = $2 WHERE key = $1 AND closed_unix_ms IS NULL";
 
 static EPOCH_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows))
+    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows, ""))
 });
 static SOLUTION_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_SOLUTIONS, SOLUTION_COLUMNS, rows))
+    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_SOLUTIONS, SOLUTION_COLUMNS, rows, ONCE))
 });
 
-fn with_values(insert: &str, columns: usize, rows: usize) -> String {
+fn with_values(insert: &str, columns: usize, rows: usize, conflict: &str) -> String {
     let row = format!("({})", vec!["?"; columns].join(","));
-    format!("{insert} VALUES {}", vec![row; rows].join(","))
+    format!("{insert} VALUES {}{conflict}", vec![row; rows].join(","))
 }
 
-type Row<'a> = (SessionKey, &'a EncodedEpoch);
+type EpochRow<'a> = (SessionKey, &'a EncodedEpoch);
+type SolutionRow<'a> = (SessionKey, &'a EncodedSolution);
 
-/// Inserts all rows in one transaction.
-pub(super) async fn write_sqlite(pool: &SqlitePool, rows: &[Row<'_>]) -> Result<(), sqlx::Error> {
+fn epoch_rows<'a>(batches: &[&'a Batch]) -> Vec<EpochRow<'a>> {
+    let rows = |batch: &&'a Batch| {
+        let batch: &'a Batch = batch;
+        batch.epochs.iter().map(|epoch| (batch.session, epoch))
+    };
+    batches.iter().flat_map(rows).collect()
+}
+
+fn solution_rows<'a>(batches: &[&'a Batch]) -> Vec<SolutionRow<'a>> {
+    let rows = |batch: &&'a Batch| {
+        let batch: &'a Batch = batch;
+        let first = batch.epochs.iter().map(|epoch| &epoch.solution);
+        first.chain(&batch.revisions).map(|solution| (batch.session, solution))
+    };
+    batches.iter().flat_map(rows).collect()
+}
+
+/// Writes the batches in one transaction.
+pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await?;
-    let mut rest = rows;
+    let mut rest = &epoch_rows(batches)[..];
     for (place, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_values(&mut transaction, place, chunk).await?;
+            insert_epochs(&mut transaction, place, chunk).await?;
             rest = after;
+        }
+    }
+    let mut rest = &solution_rows(batches)[..];
+    for (place, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
+        while let Some((chunk, after)) = rest.split_at_checked(size) {
+            insert_solutions(&mut transaction, place, chunk).await?;
+            rest = after;
+        }
+    }
+    for batch in batches {
+        if let Some(snapshot) = &batch.snapshot {
+            sqlx::query(UPSERT_SNAPSHOT)
+                .bind(batch.session.0)
+                .bind(snapshot.seq)
+                .bind(&*snapshot.configuration_hash)
+                .bind(&snapshot.content[..])
+                .execute(&mut *transaction)
+                .await?;
+        }
+        if let Some(unix_ms) = batch.closed_unix_ms {
+            let close = sqlx::query(CLOSE).bind(batch.session.0).bind(unix_ms);
+            close.execute(&mut *transaction).await?;
         }
     }
     transaction.commit().await
 }
 
-async fn insert_values(
+async fn insert_epochs(
     connection: &mut SqliteConnection,
     place: usize,
-    rows: &[Row<'_>],
+    rows: &[EpochRow<'_>],
 ) -> Result<(), sqlx::Error> {
     let mut epochs = sqlx::query(EPOCH_VALUES[place].as_str());
+    for (session, row) in rows {
+        epochs = epochs
+            .bind(session.0)
+            .bind(row.seq)
+            .bind(row.gps_time_ns)
+            .bind(row.navigation)
+            .bind(&row.content[..]);
+    }
+    epochs.execute(connection).await.map(drop)
+}
+
+async fn insert_solutions(
+    connection: &mut SqliteConnection,
+    place: usize,
+    rows: &[SolutionRow<'_>],
+) -> Result<(), sqlx::Error> {
     let mut solutions = sqlx::query(SOLUTION_VALUES[place].as_str());
     for (session, row) in rows {
         let [x_m, y_m, z_m] = row.position_m;
-        epochs = epochs.bind(session.0).bind(row.seq).bind(row.gps_time_ns).bind(&row.content[..]);
         solutions = solutions
             .bind(session.0)
             .bind(row.seq)
-            .bind(0_i32)
+            .bind(row.revision)
             .bind(row.gps_time_ns)
             .bind(row.status)
             .bind(x_m)
             .bind(y_m)
             .bind(z_m)
-            .bind(&row.solution[..]);
+            .bind(&row.content[..]);
     }
-    epochs.execute(&mut *connection).await?;
-    solutions.execute(connection).await?;
-    Ok(())
+    solutions.execute(connection).await.map(drop)
 }
 
-/// Inserts all rows in one transaction.
-pub(super) async fn write_postgres(pool: &PgPool, rows: &[Row<'_>]) -> Result<(), sqlx::Error> {
-    let sessions: Vec<i64> = rows.iter().map(|(session, _)| session.0).collect();
-    let seqs: Vec<i64> = rows.iter().map(|(_, row)| row.seq).collect();
-    let times: Vec<i64> = rows.iter().map(|(_, row)| row.gps_time_ns).collect();
-    let axis = |axis: usize| rows.iter().map(|(_, row)| row.position_m[axis]).collect::<Vec<_>>();
+/// Writes the batches in one transaction.
+pub(super) async fn write_postgres(pool: &PgPool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin().await?;
+    insert_arrays(&mut transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
+    for batch in batches {
+        if let Some(snapshot) = &batch.snapshot {
+            sqlx::query(UPSERT_SNAPSHOT)
+                .bind(batch.session.0)
+                .bind(snapshot.seq)
+                .bind(&*snapshot.configuration_hash)
+                .bind(&snapshot.content[..])
+                .execute(&mut *transaction)
+                .await?;
+        }
+        if let Some(unix_ms) = batch.closed_unix_ms {
+            let close = sqlx::query(CLOSE).bind(batch.session.0).bind(unix_ms);
+            close.execute(&mut *transaction).await?;
+        }
+    }
+    transaction.commit().await
+}
+
+async fn insert_arrays(
+    connection: &mut PgConnection,
+    epochs: &[EpochRow<'_>],
+    solutions: &[SolutionRow<'_>],
+) -> Result<(), sqlx::Error> {
     sqlx::query(
-        "INSERT INTO epochs (session, seq, gps_time_ns, content)
-         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::bytea[])",
+        "INSERT INTO epochs (session, seq, gps_time_ns, navigation, content)
+         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::bigint[], $5::bytea[])",
     )
-    .bind(&sessions)
-    .bind(&seqs)
-    .bind(&times)
-    .bind(rows.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
-    .execute(&mut *transaction)
+    .bind(epochs.iter().map(|(session, _)| session.0).collect::<Vec<_>>())
+    .bind(epochs.iter().map(|(_, row)| row.seq).collect::<Vec<_>>())
+    .bind(epochs.iter().map(|(_, row)| row.gps_time_ns).collect::<Vec<_>>())
+    .bind(epochs.iter().map(|(_, row)| row.navigation).collect::<Vec<_>>())
+    .bind(epochs.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
+    .execute(&mut *connection)
     .await?;
+    let axis = |axis: usize| solutions.iter().map(|(_, r)| r.position_m[axis]).collect::<Vec<_>>();
     sqlx::query(
         "INSERT INTO solutions (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content)
-         SELECT session, seq, 0, gps_time_ns, status, x_m, y_m, z_m, content
-         FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::smallint[],
-                     $5::double precision[], $6::double precision[], $7::double precision[],
-                     $8::bytea[])
-              AS rows (session, seq, gps_time_ns, status, x_m, y_m, z_m, content)",
+         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::integer[], $4::bigint[],
+                              $5::smallint[], $6::double precision[], $7::double precision[],
+                              $8::double precision[], $9::bytea[])
+         ON CONFLICT (session, seq, revision) DO NOTHING",
     )
-    .bind(&sessions)
-    .bind(&seqs)
-    .bind(&times)
-    .bind(rows.iter().map(|(_, row)| row.status).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(session, _)| session.0).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row)| row.seq).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row)| row.revision).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row)| row.gps_time_ns).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row)| row.status).collect::<Vec<_>>())
     .bind(axis(0))
     .bind(axis(1))
     .bind(axis(2))
-    .bind(rows.iter().map(|(_, row)| &row.solution[..]).collect::<Vec<_>>())
-    .execute(&mut *transaction)
-    .await?;
-    transaction.commit().await
+    .bind(solutions.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
+    .execute(connection)
+    .await
+    .map(drop)
 }

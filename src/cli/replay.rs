@@ -1,0 +1,141 @@
+//! `graphfix replay`: computes a stored session again.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+
+use crate::aiding::{AidingLimits, NavigationBroker};
+use crate::gnss::Status;
+use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
+use crate::store::Store;
+
+use super::Failure;
+use super::host;
+use super::option_arguments::assignments;
+use super::solve::{Output, unwritable};
+
+/// Computes a stored session again from its epochs and the navigation data of that time.
+///
+/// Without options of its own it checks that the same bits come out, and fails where they do not.
+/// With `--mode`, `--profile` or `--set` it tells what these would have given. The database is only
+/// read; a service may be using it.
+#[derive(Clone, Debug, Args)]
+pub(super) struct ReplayArguments {
+    /// The session's id.
+    session: String,
+    /// sqlite://FILE or postgres://….
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
+    database: String,
+    /// Another estimator.
+    #[arg(long, value_name = "MODE")]
+    mode: Option<String>,
+    /// Another set of defaults.
+    #[arg(long, value_name = "NAME")]
+    profile: Option<String>,
+    /// Overrides one option, as in ionosphere=none; may be repeated. See `graphfix config`.
+    #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
+    set: Vec<String>,
+    /// Write each epoch as it is once it leaves the window, smoothed by what followed.
+    #[arg(long, requires = "output")]
+    smoothed: bool,
+    /// Where to write what is computed; the name's ending chooses .pos, .csv or .geojson.
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// Runs the command; prints the outcome on standard output.
+///
+/// # Errors
+/// No such session or database, options that do not exist, or bits that are not those stored.
+pub(super) fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
+    host::block_on(replay(arguments))
+}
+
+async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
+    let change = arguments.change()?;
+    let id = SessionId::parse(&arguments.session)
+        .ok_or_else(|| SessionError::NotFound { id: arguments.session.clone() })?;
+    let store = Store::open(&arguments.database).await?;
+    let aiding = NavigationBroker::open(store.clone(), AidingLimits::service()).await?;
+    let again = Recomputation::open(store.clone(), aiding, &id, change.as_ref()).await?;
+    let report = match (&change, &arguments.output) {
+        (None, None) => verdict(&id, &again.check().await?),
+        _ => write(arguments, again).await,
+    };
+    store.close().await;
+    let text = report?;
+    // Err: nobody reads the outcome.
+    std::io::stdout().write_all(text.as_bytes()).ok();
+    Ok(())
+}
+
+impl ReplayArguments {
+    /// The options asked for, if any.
+    fn change(&self) -> Result<Option<SolveRequest>, Failure> {
+        let mut overrides = BTreeMap::new();
+        for (key, value) in assignments(&self.set)? {
+            overrides.insert(key.to_owned(), value.to_owned());
+        }
+        let (mode, profile) = (self.mode.clone(), self.profile.clone());
+        let is_given = mode.is_some() || profile.is_some() || !overrides.is_empty();
+        Ok(is_given.then_some(SolveRequest { mode, profile, overrides }))
+    }
+}
+
+fn verdict(id: &SessionId, check: &Check) -> Result<String, Failure> {
+    let Check { compared, different, not_stored, not_computed, first } = check;
+    let Some((seq, revision)) = first else {
+        return Ok(format!("{compared} solutions compared, 0 different\n"));
+    };
+    let message = format!(
+        "session {id}: {compared} solutions compared, {different} different, {not_stored} not \
+         stored, {not_computed} not computed again; first: epoch {seq}, revision {revision}"
+    );
+    let remedy = "replay with the version of Graphfix that the solutions name";
+    Err(Failure::new("REPLAY_DIFFERS", message, remedy))
+}
+
+/// Writes what is computed; returns the summary.
+async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<String, Failure> {
+    let began = Instant::now();
+    let revision = u32::from(arguments.smoothed);
+    let mut output = match &arguments.output {
+        Some(path) => {
+            let comments = [
+                format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
+                format!("session   : {}", arguments.session),
+                format!("options   : {}", again.configuration_hash()),
+            ];
+            Some((path, Output::create(path, &comments, again.leap_seconds())?))
+        }
+        None => None,
+    };
+    let mut counts = [0_usize; Status::ALL.len()];
+    while let Some(answers) = again.next().await? {
+        for answer in answers.iter().filter(|answer| answer.revision == revision) {
+            let place = Status::ALL.iter().position(|status| *status == answer.solution.status);
+            counts[place.expect("every status is in the list")] += 1;
+            if let Some((path, output)) = &mut output {
+                output.write(&answer.solution).map_err(|error| unwritable(path, &error))?;
+            }
+        }
+    }
+    if let Some((path, output)) = output {
+        output.finish().map_err(|error| unwritable(path, &error))?;
+    }
+    let epochs: usize = counts.iter().sum();
+    let mut text = format!("{epochs} epochs in {:.3} s", began.elapsed().as_secs_f64());
+    for (status, count) in Status::ALL.iter().zip(counts).filter(|(_, count)| *count != 0) {
+        text += &format!(", {count} {}", status.name());
+    }
+    Ok(text + "\n")
+}
+
+impl From<SessionError> for Failure {
+    fn from(error: SessionError) -> Self {
+        Self::new(error.code(), &error, error.remedy())
+    }
+}

@@ -1,0 +1,134 @@
+//! The vocabulary within an estimator's snapshot.
+//!
+//! # A new mode
+//! [`crate::positioning::Estimator::snapshot`] writes what the estimator's state is made of, each
+//! type next to its definition. To add a mode: give its engine's state `snapshot_fields!` (fields
+//! that clones copy are state, the rest is `memory`), an arm in `Engine::save` and `Engine::load`
+//! that makes the memory anew from the options, and check in `load` whatever later code indexes by.
+//! Where fields of a mode that exists change, raise `LAYOUT` in `estimator`.
+
+use crate::config::IonosphereModel;
+use crate::gnss::{
+    Band, Constellation, Cycles, Ecef, EphemerisIssue, Epoch, GpsTime, LocalFrame, Observation,
+    ObservationCode, Reason, SatelliteId,
+};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::{snapshot_fields, snapshot_variants};
+
+snapshot_fields!(LocalFrame { origin, rotation });
+snapshot_fields!(EphemerisIssue { satellite, toe, issue });
+snapshot_fields!(Epoch { time, power_failure, observations });
+snapshot_fields!(Observation {
+    satellite,
+    code,
+    pseudorange_m,
+    carrier_phase,
+    doppler_hz,
+    cn0_db_hz,
+    loss_of_lock,
+    half_cycle,
+});
+
+snapshot_variants!(Reason {
+    0 => EphemerisMissing { satellites },
+    1 => TooFewSatellites { used, needed },
+    2 => GeometryTooWeak { gdop },
+    3 => NoRedundancy {},
+    4 => ResidualsTooLarge { ratio },
+    5 => SatellitesExcluded { satellites },
+    6 => NotConverged {},
+    7 => IonosphereFallback { used },
+    8 => BaseMissing {},
+    9 => BaseStale { age_s },
+    10 => BasePositionDoubtful { distance_m },
+    11 => BaselineTooLong { length_m },
+    12 => TooFewCommonSatellites { used, needed },
+    13 => RatioBelowThreshold { ratio, threshold },
+    14 => SuccessRateTooLow { success_rate },
+    15 => FixRejected {},
+    16 => HalfCycleUnresolved { satellites },
+    17 => CycleSlips { satellites },
+    18 => StartUnproven { age_s },
+});
+
+/// The name of an ionosphere model, the only text in a reason.
+impl Snapshot for &'static str {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let place = IonosphereModel::ALL.iter().position(|model| model.name() == *self);
+        place.expect("reasons name a model").save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let model = IonosphereModel::ALL.get(usize::load(reader)?);
+        model.map(|model| model.name()).ok_or_else(|| reader.invalid("ionosphere model"))
+    }
+}
+
+impl Snapshot for GpsTime {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        self.as_ns().save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        i64::load(reader).map(Self::from_ns)
+    }
+}
+
+impl Snapshot for Ecef {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        self.0.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        Snapshot::load(reader).map(Self)
+    }
+}
+
+impl Snapshot for Cycles {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        writer.f64(self.0);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        reader.f64().map(Self)
+    }
+}
+
+impl Snapshot for Band {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let place = Self::ALL.iter().position(|band| band == self);
+        place.expect("every band is in the list").save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let band = Self::ALL.get(usize::load(reader)?).copied();
+        band.ok_or_else(|| reader.invalid("band"))
+    }
+}
+
+impl Snapshot for SatelliteId {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        self.constellation.index().save(writer);
+        self.number.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let constellation = Constellation::ALL.get(usize::load(reader)?).copied();
+        let number = u8::load(reader)?;
+        let satellite = constellation.and_then(|system| Self::new(system, number));
+        satellite.ok_or_else(|| reader.invalid("satellite"))
+    }
+}
+
+impl Snapshot for ObservationCode {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        writer.u8(self.band_digit());
+        writer.u8(self.attribute());
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let (band, attribute) = (reader.u8()?, reader.u8()?);
+        let code = Self::new(band.saturating_add(b'0'), attribute);
+        code.ok_or_else(|| reader.invalid("observation code"))
+    }
+}

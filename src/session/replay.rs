@@ -1,0 +1,172 @@
+//! Stored epochs computed again: to restore a session's state, and to check or vary what is stored.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::aiding::{NavigationBroker, PushedNavigation};
+use crate::config::PositioningOptions;
+use crate::gnss::Epoch;
+use crate::store::{SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
+
+use super::SessionError;
+use super::configuration::{kept_options, stored_options};
+use super::solvers::Solvers;
+use super::state::{Origin, State, VERSION};
+
+/// Epochs read and computed at once.
+const PAGE: usize = 256;
+/// Epochs replayed at most where a session has no state that can be read: more than a window of
+/// any mode holds.
+const REBUILT_EPOCHS: usize = 4_096;
+
+/// What epochs are computed with.
+#[derive(Clone, Debug)]
+pub(super) enum By {
+    /// What they were computed with before.
+    Stored,
+    /// These options, whatever the session had.
+    Options(Arc<Origin>),
+}
+
+/// The way through a session's stored epochs.
+pub(super) struct Course {
+    pub(super) store: Store,
+    pub(super) aiding: NavigationBroker,
+    pub(super) solvers: Solvers,
+    pub(super) key: SessionKey,
+    pub(super) by: By,
+    /// Whether navigation data that is kept no more may be replaced by today's.
+    pub(super) may_differ: bool,
+}
+
+/// A stored epoch with all that its solution rests on.
+struct Step {
+    seq: u64,
+    epoch: Epoch,
+    navigation: PushedNavigation,
+    origin: Arc<Origin>,
+}
+
+impl Course {
+    /// Computes the next epochs after those of `state`; returns their answers and the revisions
+    /// they brought, none once all are computed.
+    pub(super) async fn next(
+        &self,
+        mut state: State,
+        after: Option<u64>,
+    ) -> Result<(State, Vec<StoredSolution>), SessionError> {
+        let stored = self.store.epochs_after(self.key, after, PAGE).await?;
+        if stored.is_empty() {
+            return Ok((state, Vec::new()));
+        }
+        let steps = self.steps(stored).await?;
+        let work = move || {
+            let mut answers = Vec::with_capacity(2 * steps.len());
+            for Step { seq, epoch, navigation, origin } in &steps {
+                let advanced = state.advance(*seq, epoch, &navigation.navigation, origin);
+                answers.push(advanced.solution);
+                answers.extend(advanced.revisions);
+            }
+            (state, answers)
+        };
+        self.solvers.run(work).await
+    }
+
+    async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
+        let mut origins: BTreeMap<Arc<str>, Arc<Origin>> = BTreeMap::new();
+        let mut pushes: BTreeMap<u64, PushedNavigation> = BTreeMap::new();
+        let mut steps = Vec::with_capacity(stored.len());
+        for row in stored {
+            let hash = &row.solution.configuration_hash;
+            let origin = match origins.get(hash) {
+                Some(origin) => origin.clone(),
+                None => {
+                    let origin = self.origin(hash).await?;
+                    origins.insert(hash.clone(), origin.clone());
+                    origin
+                }
+            };
+            let navigation = match pushes.get(&row.navigation) {
+                Some(navigation) => navigation.clone(),
+                None => {
+                    let navigation = self.navigation(row.navigation).await?;
+                    pushes.insert(row.navigation, navigation.clone());
+                    navigation
+                }
+            };
+            steps.push(Step { seq: row.solution.seq, epoch: row.epoch()?, navigation, origin });
+        }
+        Ok(steps)
+    }
+
+    async fn origin(&self, hash: &Arc<str>) -> Result<Arc<Origin>, SessionError> {
+        match &self.by {
+            By::Options(origin) => Ok(origin.clone()),
+            By::Stored => origin_of(&self.store, hash).await.map(Arc::new),
+        }
+    }
+
+    async fn navigation(&self, push: u64) -> Result<PushedNavigation, SessionError> {
+        match self.aiding.after(push).await {
+            Err(error @ StoreError::NavigationForgotten { .. }) if self.may_differ => {
+                tracing::warn!(%error, "a session is restored with today's navigation data");
+                Ok(self.aiding.current())
+            }
+            found => Ok(found?),
+        }
+    }
+}
+
+/// What epochs under a stored configuration are computed with.
+pub(super) async fn origin_of(store: &Store, hash: &Arc<str>) -> Result<Origin, SessionError> {
+    let kept = store.configuration(hash).await?;
+    Ok(Origin {
+        version: VERSION.into(),
+        configuration_hash: hash.clone(),
+        options: kept_options(&kept)?,
+    })
+}
+
+/// What a session's next epochs are computed with.
+pub(super) async fn origin_in_force(store: &Store, id: &str) -> Result<Origin, SessionError> {
+    let row = store.session(id).await?;
+    let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
+    let options: PositioningOptions = stored_options(&row.settings)?;
+    let configuration_hash = row.settings.configuration_hash;
+    Ok(Origin { version: VERSION.into(), configuration_hash, options })
+}
+
+/// The state after a session's last stored epoch: its newest snapshot, and the epochs since.
+///
+/// A session that has no snapshot yet is replayed from its first epoch. Where there is one that
+/// this program cannot read, another version's, the last 4096 epochs stand for it: the state is
+/// then as good, but not the same bit by bit.
+pub(super) async fn restored(course: &Course, origin: &Origin) -> Result<State, SessionError> {
+    let (mut state, mut after) = match snapshot(course).await? {
+        Some(state) => (state.clone(), state.last.map(|(seq, _)| seq)),
+        None => {
+            let after = course.store.number_before_last(course.key, REBUILT_EPOCHS).await?;
+            (State::new(origin), after)
+        }
+    };
+    loop {
+        let (next, answers) = course.next(state, after).await?;
+        state = next;
+        if answers.is_empty() {
+            return Ok(state);
+        }
+        after = state.last.map(|(seq, _)| seq);
+    }
+}
+
+async fn snapshot(course: &Course) -> Result<Option<State>, SessionError> {
+    let Some(stored) = course.store.snapshot(course.key).await? else { return Ok(None) };
+    let origin = origin_of(&course.store, &stored.configuration_hash).await?;
+    match State::decode(stored.seq, &stored.content, &origin) {
+        Ok(state) => Ok(Some(state)),
+        Err(error) => {
+            tracing::warn!(%error, "a session's state is rebuilt from its last epochs");
+            Ok(None)
+        }
+    }
+}

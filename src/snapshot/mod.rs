@@ -1,0 +1,97 @@
+//! The state of a computation as bytes, and back with the same bits: what survives a restart.
+//!
+//! Knows nothing of what it stores. A type says with [`snapshot_fields!`] or
+//! [`snapshot_variants!`] which of its fields are state and which are memory to work in; both name
+//! every field, so that one which is added later and not named does not compile.
+//!
+//! # Form
+//! A snapshot is `layout` (16 bits, little-endian), the values one after the other without names,
+//! and the first eight bytes of the BLAKE3 hash of all that. `f64` are little-endian IEEE 754,
+//! integers LEB128, lists preceded by their length. Whoever changes what is stored raises the
+//! layout: older snapshots are then refused, never misread. Corrupt bytes give a
+//! [`SnapshotError`] that says where; reading allocates no more than a small multiple of their
+//! length.
+
+mod error;
+mod plain;
+mod reader;
+mod writer;
+
+pub use error::SnapshotError;
+pub use reader::SnapshotReader;
+pub use writer::SnapshotWriter;
+
+/// A value that can be stored and read back bit by bit.
+pub trait Snapshot: Sized {
+    /// Writes the value.
+    fn save(&self, writer: &mut SnapshotWriter);
+
+    /// Reads a value that [`Self::save`] wrote.
+    ///
+    /// # Errors
+    /// The bytes end early, or hold a value out of its range.
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError>;
+}
+
+/// Implements [`Snapshot`] for a struct: the fields that are state, in the order they are stored,
+/// and behind `memory` those that are made anew.
+macro_rules! snapshot_fields {
+    (
+        generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }
+        memory { $($memory:ident: $fresh:expr),* $(,)? }
+    ) => {
+        impl<$($generic)*> $crate::snapshot::Snapshot for $type {
+            fn save(&self, writer: &mut $crate::snapshot::SnapshotWriter) {
+                let Self { $($field,)* $($memory: _,)* } = self;
+                $($crate::snapshot::Snapshot::save($field, writer);)*
+            }
+
+            fn load(
+                reader: &mut $crate::snapshot::SnapshotReader<'_>,
+            ) -> Result<Self, $crate::snapshot::SnapshotError> {
+                Ok(Self {
+                    $($field: $crate::snapshot::Snapshot::load(reader)?,)*
+                    $($memory: $fresh,)*
+                })
+            }
+        }
+    };
+    ($type:ty { $($field:ident),* $(,)? }) => {
+        $crate::snapshot::snapshot_fields!(generic [] $type { $($field),* } memory {});
+    };
+    ($type:ty { $($field:ident),* $(,)? } memory { $($memory:ident: $fresh:expr),* $(,)? }) => {
+        $crate::snapshot::snapshot_fields!(
+            generic [] $type { $($field),* } memory { $($memory: $fresh),* }
+        );
+    };
+}
+
+/// Implements [`Snapshot`] for an enumeration: a number that never changes for each variant, and
+/// all its fields.
+macro_rules! snapshot_variants {
+    ($type:ty { $($number:literal => $variant:ident { $($field:ident),* }),* $(,)? }) => {
+        impl $crate::snapshot::Snapshot for $type {
+            fn save(&self, writer: &mut $crate::snapshot::SnapshotWriter) {
+                match self {
+                    $(Self::$variant { $($field),* } => {
+                        writer.u8($number);
+                        $($crate::snapshot::Snapshot::save($field, writer);)*
+                    })*
+                }
+            }
+
+            fn load(
+                reader: &mut $crate::snapshot::SnapshotReader<'_>,
+            ) -> Result<Self, $crate::snapshot::SnapshotError> {
+                match reader.u8()? {
+                    $($number => Ok(Self::$variant {
+                        $($field: $crate::snapshot::Snapshot::load(reader)?),*
+                    }),)*
+                    _ => Err(reader.invalid(stringify!($type))),
+                }
+            }
+        }
+    };
+}
+
+pub(crate) use {snapshot_fields, snapshot_variants};
