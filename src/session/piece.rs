@@ -6,7 +6,7 @@ use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolutio
 use super::state::{Advanced, Origin, State};
 use super::{EpochRefusal, SequencedEpoch};
 
-/// Epochs after which the state is stored again. A state takes as much room as some 30 epochs with
+/// Epochs after which the state is stored again. A state takes as much room as 20 to 40 epochs with
 /// their solutions (docs/accuracy.md), and replaying 256 epochs takes some 50 ms.
 const EPOCHS_PER_SNAPSHOT: usize = 256;
 
