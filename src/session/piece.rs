@@ -7,7 +7,7 @@ use super::state::{Advanced, Origin, State};
 use super::{EpochRefusal, SequencedEpoch};
 
 /// Epochs after which the state is stored again. A state takes as much room as 20 to 40 epochs with
-/// their solutions (docs/accuracy.md), and replaying 256 epochs takes some 50 ms.
+/// their solutions (docs/accuracy.md), and a crash costs the computation of this many epochs.
 const EPOCHS_PER_SNAPSHOT: usize = 256;
 
 /// What is to become of an epoch.

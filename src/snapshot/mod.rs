@@ -1,7 +1,7 @@
 //! The state of a computation as bytes, and back with the same bits: what survives a restart.
 //!
-//! Knows nothing of what it stores. A type says with [`snapshot_fields!`] or
-//! [`snapshot_variants!`] which of its fields are state and which are memory to work in; both name
+//! Knows nothing of what it stores. A type says with `snapshot_fields!` or
+//! `snapshot_variants!` which of its fields are state and which are memory to work in; both name
 //! every field, so that one which is added later and not named does not compile.
 //!
 //! # Form
