@@ -15,6 +15,9 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::settings::Kernels;
 
+/// Trust in the phase of a satellite whose pseudorange is rejected: epochs with no other stay tied.
+const TRUST_MIN: f64 = 0.1;
+
 /// What ties an epoch to the one before, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Tie {
@@ -127,6 +130,23 @@ impl GraphEpoch {
         }
     }
 
+    /// How far a phase is the direct signal's: as far as the same satellite's pseudorange is not
+    /// rejected. A reflection's phase is as steady as any and moves with the reflection; where
+    /// several are followed at once, they agree with one another and not with the car.
+    fn trust_in_phase(
+        &self,
+        phase: &PhaseDifferenceFactor,
+        next: &State,
+        biases_m: &[f64],
+        pseudorange: &Kernel,
+    ) -> f64 {
+        let of_satellite = |range: &&Ranging| range.factor.sight == phase.after;
+        self.ranges.iter().find(of_satellite).map_or(1.0, |range| {
+            let residual = range.factor.linearize(next, range.bias_m(biases_m)).residual;
+            pseudorange.weight(residual).max(TRUST_MIN)
+        })
+    }
+
     /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`.
     pub(super) fn add_tie_to(
         &self,
@@ -137,7 +157,9 @@ impl GraphEpoch {
     ) {
         let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
         for phase in &self.phases {
-            system.add_link(k, &phase.linearize(state, next), &kernels[2]);
+            let trust = self.trust_in_phase(phase, next, &estimate.border, &kernels[0]);
+            let kernel = kernels[2].tempered(trust);
+            system.add_link(k, &phase.linearize(state, next), &kernel);
         }
         match &self.tie {
             None => {}
