@@ -1,12 +1,18 @@
 //! Bytes to vocabulary and back; takes readers and writers, opens nothing.
 
 pub mod antex;
+mod binary;
+mod broadcast;
 pub mod csv;
 mod decimal;
 pub mod geojson;
+pub mod observations;
 pub mod pos;
+pub mod receiver;
 pub mod rinex;
+mod rtcm;
 pub mod truth;
+mod ubx;
 
 use std::io::{BufRead, BufReader, Chain, Cursor, Read, Result};
 

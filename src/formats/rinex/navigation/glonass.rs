@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::record::Record;
+use crate::formats::broadcast::GLONASS_ACCURACY_M;
 use crate::formats::rinex::RinexVersion;
 use crate::gnss::{Constellation, GlonassEphemeris, GpsTime, LeapSeconds, SatelliteId, TimeScale};
 
@@ -12,9 +13,6 @@ const RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
 const SECONDS_PER_DAY: f64 = 86_400.0;
 /// What stands for an unknown Δτ_n in RINEX 3.05.
 const UNKNOWN_DELTA_TAU: f64 = 0.999_999_999_999e9;
-/// F_T by its index (m), 15 being unused; GLONASS ICD 5.1, table 4.4.
-const ACCURACY_M: [f64; 15] =
-    [1.0, 2.0, 2.5, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
 
 /// The ephemeris of a record; RINEX 2.11 and 3.05.
 pub(super) fn ephemeris(
@@ -65,10 +63,11 @@ fn delta_tau_s(record: &Record) -> Option<Option<f64>> {
 
 fn accuracy_m(record: &Record) -> Option<Option<f64>> {
     let index = record.optional(4, 2)?.filter(|index| (0.0..15.0).contains(index));
-    Some(index.map(|index| ACCURACY_M[index as usize]))
+    Some(index.map(|index| GLONASS_ACCURACY_M[index as usize]))
 }
 
 /// The index of the least F_T that is no smaller.
 pub(in crate::formats::rinex) fn accuracy_index(metres: f64) -> f64 {
-    ACCURACY_M.iter().position(|step| metres <= *step).unwrap_or(ACCURACY_M.len()) as f64
+    GLONASS_ACCURACY_M.iter().position(|step| metres <= *step).unwrap_or(GLONASS_ACCURACY_M.len())
+        as f64
 }

@@ -5,6 +5,7 @@
 //! 4.01, tables of navigation records.
 
 use super::record::Record;
+use crate::formats::broadcast::ura_m;
 use crate::formats::rinex::fields::constellation;
 use crate::gnss::{
     Constellation, GpsTime, GroupDelays, KeplerianEphemeris, LeapSeconds, NavigationMessage,
@@ -135,7 +136,7 @@ fn read_lnav(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> 
 }
 
 fn read_cnav(record: &Record, ephemeris: &mut KeplerianEphemeris, last: usize) -> Option<()> {
-    ephemeris.accuracy_m = record.optional(6, 0)?.and_then(ura_of_index);
+    ephemeris.accuracy_m = record.optional(6, 0)?.and_then(ura_m);
     ephemeris.health = record.word(6, 1)?;
     let l1c = |column| if last == 9 { record.optional(8, column) } else { Some(None) };
     ephemeris.group_delays = GroupDelays::Gps {
@@ -235,13 +236,4 @@ fn transmission_time(
 /// Accuracy in metres as stated; zero, negative (no prediction) and index 15's are none.
 fn stated_accuracy(metres: Option<f64>) -> Option<f64> {
     metres.filter(|metres| 0.0 < *metres && *metres < NO_PREDICTION_M)
-}
-
-/// Nominal URA_ED (m) of its index; IS-GPS-200N, 30.3.3.1.1.4.
-fn ura_of_index(index: f64) -> Option<f64> {
-    match index {
-        -15.0..=6.0 => Some((1.0 + index / 2.0).exp2()),
-        6.0..15.0 => Some((index - 2.0).exp2()),
-        _ => None,
-    }
 }

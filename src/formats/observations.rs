@@ -1,0 +1,203 @@
+//! Files of observations and of navigation data, whatever their format: RINEX, CRINEX, or the raw
+//! bytes of receivers. Which it is the content tells, not the name.
+
+use std::fmt;
+use std::io::{BufRead, Chain, Cursor, Read};
+
+use crate::gnss::{Epoch, GpsTime, Navigation};
+
+use super::receiver::{
+    Event, ReceiverError, ReceiverReader, RefusalEntry, Station, Statistics, TimeReference,
+    is_receiver_data,
+};
+use super::rinex::{self, ObservationReader, RinexError, Skipped};
+
+/// How many of a file's first bytes tell its format.
+const HEAD_BYTES: u64 = 1 << 16;
+
+/// A file whose format is known, from its first byte.
+#[derive(Debug)]
+pub struct Recognised<R> {
+    input: Chain<Cursor<Vec<u8>>, R>,
+    is_receiver_data: bool,
+}
+
+impl<R: BufRead> Recognised<R> {
+    /// Looks at the first bytes: receiver data where they hold a whole frame, else RINEX.
+    pub fn new(mut input: R) -> Self {
+        let mut head = Vec::new();
+        // An error met here is met again, and reported, by whoever reads on.
+        let _ = input.by_ref().take(HEAD_BYTES).read_to_end(&mut head);
+        let is_receiver_data = is_receiver_data(&head);
+        Self { input: Cursor::new(head).chain(input), is_receiver_data }
+    }
+
+    /// Whether it holds the raw bytes of a receiver.
+    pub const fn is_receiver_data(&self) -> bool {
+        self.is_receiver_data
+    }
+}
+
+/// Why a file is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// As RINEX.
+    #[error(transparent)]
+    Rinex(#[from] RinexError),
+    /// As receiver data.
+    #[error(transparent)]
+    Receiver(#[from] ReceiverError),
+}
+
+/// Reads the observations of a file epoch by epoch.
+#[derive(Debug)]
+pub enum Observations<R> {
+    /// Of a RINEX or CRINEX file.
+    Rinex(Box<ObservationReader<Chain<Cursor<Vec<u8>>, R>>>),
+    /// Of receiver data.
+    Receiver(Box<ReceiverReader<Chain<Cursor<Vec<u8>>, R>>>),
+}
+
+impl<R: BufRead> Observations<R> {
+    /// Reads the header, where there is one. `reference` and the GLONASS channels of `navigation`
+    /// serve receiver data that do not tell them.
+    ///
+    /// # Errors
+    /// The header cannot be read.
+    pub fn new(
+        file: Recognised<R>,
+        reference: Option<TimeReference>,
+        navigation: &Navigation,
+    ) -> Result<Self, FileError> {
+        if !file.is_receiver_data {
+            return Ok(Self::Rinex(Box::new(ObservationReader::new(file.input)?)));
+        }
+        let mut reader = ReceiverReader::new(file.input, reference);
+        reader.learn_channels(navigation);
+        Ok(Self::Receiver(Box::new(reader)))
+    }
+
+    /// Reads the next epoch into `epoch`; false at the end.
+    ///
+    /// # Errors
+    /// The file cannot be read on.
+    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, FileError> {
+        Ok(match self {
+            Self::Rinex(reader) => reader.read_epoch(epoch)?,
+            Self::Receiver(reader) => reader.read_epoch(epoch)?,
+        })
+    }
+
+    /// What was left out so far.
+    pub fn left_out(&self) -> LeftOut {
+        match self {
+            Self::Rinex(reader) => LeftOut::Rinex(reader.skipped().clone()),
+            Self::Receiver(reader) => LeftOut::Receiver(reader.statistics().clone()),
+        }
+    }
+}
+
+/// Reads all navigation data of a file.
+///
+/// # Errors
+/// The file as a whole cannot be read; broken records and messages are left out and told.
+pub fn read_navigation<R: BufRead>(
+    file: Recognised<R>,
+    reference: Option<TimeReference>,
+) -> Result<(Navigation, LeftOut), FileError> {
+    if !file.is_receiver_data {
+        let (navigation, skipped) = rinex::read_navigation(file.input)?;
+        return Ok((navigation, LeftOut::Rinex(skipped)));
+    }
+    let mut navigation = Navigation::default();
+    let mut reader = ReceiverReader::new(file.input, reference);
+    while let Some(event) = reader.read_event()? {
+        event.apply_to(&mut navigation);
+    }
+    Ok((navigation, LeftOut::Receiver(reader.statistics().clone())))
+}
+
+/// The first time that receiver data tell in full; `None` where they tell none, and for RINEX.
+///
+/// # Errors
+/// The file cannot be read on.
+pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, FileError> {
+    if !file.is_receiver_data {
+        return Ok(None);
+    }
+    let mut reader = ReceiverReader::new(file.input, None);
+    while reader.decoder().time().is_none() && reader.read_event()?.is_some() {}
+    Ok(reader.decoder().time())
+}
+
+/// The station of receiver data, from the first message with its position on; `None` where no
+/// message tells it, and for RINEX.
+///
+/// # Errors
+/// The file cannot be read on.
+pub fn first_station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
+    if !file.is_receiver_data {
+        return Ok(None);
+    }
+    let mut reader = ReceiverReader::new(file.input, None);
+    while let Some(event) = reader.read_event()? {
+        match event {
+            Event::Station(station) if station.antenna_reference_point.is_some() => {
+                return Ok(Some(station));
+            }
+            _ => {}
+        }
+    }
+    Ok(None)
+}
+
+/// What of a file was left out.
+#[derive(Clone, Debug)]
+pub enum LeftOut {
+    /// Of a RINEX file, by line.
+    Rinex(Skipped),
+    /// Of receiver data, by byte.
+    Receiver(Statistics),
+}
+
+/// One line for each reason: how often, why, and where first.
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Rinex(skipped) => {
+                for entry in skipped.entries() {
+                    let places = Places { unit: "lines", first: &entry.lines, of: entry.count };
+                    writeln!(f, "left out {} times: {} ({places})", entry.count, entry.reason)?;
+                }
+            }
+            Self::Receiver(statistics) => {
+                for RefusalEntry { kind, reason, count, offsets } in statistics.refusals() {
+                    let places = Places { unit: "bytes", first: offsets, of: *count };
+                    let kind = kind.map_or_else(|| "frame".to_owned(), |kind| kind.to_string());
+                    writeln!(f, "left out {count} times: {kind}: {reason} ({places})")?;
+                }
+                if 0 < statistics.garbage_bytes() {
+                    let (count, first) = (statistics.garbage_bytes(), statistics.first_garbage());
+                    let places = Places { unit: "from bytes", first, of: first.len() as u64 };
+                    writeln!(f, "left out {count} bytes that belong to no frame ({places})")?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The first of many places.
+struct Places<'a> {
+    unit: &'static str,
+    first: &'a [u64],
+    of: u64,
+}
+
+impl fmt::Display for Places<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let first: Vec<String> = self.first.iter().map(u64::to_string).collect();
+        let more = if (self.first.len() as u64) < self.of { " …" } else { "" };
+        write!(f, "{} {}{more}", self.unit, first.join(", "))
+    }
+}

@@ -1,0 +1,106 @@
+//! Files of receivers' bytes, read epoch by epoch.
+
+use std::collections::VecDeque;
+use std::io::{self, BufRead};
+
+use crate::gnss::{Epoch, Navigation};
+
+use super::stream::{Decoder, Event};
+use super::{Station, Statistics, TimeReference};
+
+/// Why a file cannot be read on.
+#[derive(Debug, thiserror::Error)]
+pub enum ReceiverError {
+    /// The bytes could not be read or inflated.
+    #[error("byte {offset}: reading failed: {source}")]
+    ReadFailed {
+        /// Bytes read before.
+        offset: u64,
+        /// What the reader said.
+        source: io::Error,
+    },
+}
+
+/// Reads the events of a file one at a time.
+#[derive(Debug)]
+pub struct ReceiverReader<R> {
+    input: R,
+    decoder: Decoder,
+    events: VecDeque<Event>,
+    offset: u64,
+    is_at_end: bool,
+    station: Option<Station>,
+}
+
+impl<R: BufRead> ReceiverReader<R> {
+    /// A reader at the file's start; see [`Decoder::new`].
+    pub fn new(input: R, reference: Option<TimeReference>) -> Self {
+        let decoder = Decoder::new(reference);
+        let events = VecDeque::new();
+        Self { input, decoder, events, offset: 0, is_at_end: false, station: None }
+    }
+
+    /// Tells the FDMA channels of GLONASS satellites; see [`Decoder::learn_channels`].
+    pub fn learn_channels(&mut self, navigation: &Navigation) {
+        self.decoder.learn_channels(navigation);
+    }
+
+    /// The next event; `None` at the end.
+    ///
+    /// # Errors
+    /// The bytes cannot be read on; what they hold is no reason.
+    pub fn read_event(&mut self) -> Result<Option<Event>, ReceiverError> {
+        let mut found = Vec::new();
+        while self.events.is_empty() && !self.is_at_end {
+            let offset = self.offset;
+            let bytes = match self.input.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                bytes => bytes.map_err(|source| ReceiverError::ReadFailed { offset, source })?,
+            };
+            let length = bytes.len();
+            if length == 0 {
+                self.is_at_end = true;
+                self.decoder.finish(&mut found);
+            } else {
+                self.decoder.push(bytes, &mut found);
+                self.input.consume(length);
+                self.offset += length as u64;
+            }
+            self.events.extend(found.drain(..));
+        }
+        let event = self.events.pop_front();
+        if let Some(Event::Station(station)) = &event {
+            self.station = Some(station.clone());
+        }
+        Ok(event)
+    }
+
+    /// Reads the next epoch into `epoch`, passing over other events; false at the end.
+    ///
+    /// # Errors
+    /// As [`Self::read_event`].
+    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, ReceiverError> {
+        while let Some(event) = self.read_event()? {
+            if let Event::Epoch(read) = event {
+                *epoch = read;
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The station, as far as the events read have told.
+    pub const fn station(&self) -> Option<&Station> {
+        self.station.as_ref()
+    }
+
+    /// What the file held so far.
+    pub const fn statistics(&self) -> &Statistics {
+        self.decoder.statistics()
+    }
+
+    /// The decoder, with what it has learnt so far.
+    pub const fn decoder(&self) -> &Decoder {
+        &self.decoder
+    }
+}

@@ -1,0 +1,124 @@
+//! What messages tell of the station: 1005 to 1008, 1033, 1230, and the times of 1013 and 1029.
+
+use crate::formats::binary::{Bits, Clock, Refusal};
+use crate::gnss::{Ecef, GpsTime};
+
+const COORDINATE_UNIT_M: f64 = 1e-4;
+const BIAS_UNIT_M: f64 = 0.02;
+/// A GLONASS bias that is not given.
+const NO_BIAS: i64 = -(1 << 15);
+/// Longest descriptor (characters); DF029.
+const DESCRIPTOR_LIMIT: u64 = 31;
+/// Modified Julian day of 1980-01-06, where GPS time starts.
+const GPS_EPOCH_MJD: i64 = 44_244;
+const SECONDS_PER_DAY: i64 = 86_400;
+
+/// The station that sends, as far as its messages have told.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Station {
+    /// Its number.
+    pub id: u16,
+    /// Antenna reference point, ECEF (m).
+    pub antenna_reference_point: Option<Ecef>,
+    /// The point does not exist but stands for a network's data (DF141).
+    pub is_virtual: bool,
+    /// Antenna reference point above the marker (m), from 1006.
+    pub antenna_height_m: Option<f64>,
+    /// IGS name of antenna and radome, empty where not told.
+    pub antenna: String,
+    /// Serial number of the antenna, empty where not told.
+    pub antenna_serial: String,
+    /// Type of the receiver, empty where not told.
+    pub receiver: String,
+    /// Firmware of the receiver, empty where not told.
+    pub receiver_firmware: String,
+    /// Serial number of the receiver, empty where not told.
+    pub receiver_serial: String,
+    /// GLONASS code-phase biases of 1C, 1P, 2C and 2P (m), where 1230 tells them.
+    pub glonass_biases_m: [Option<f64>; 4],
+}
+
+impl Station {
+    /// Takes over a message; another station's number starts anew.
+    pub(super) fn update(&mut self, number: u16, mut bits: Bits<'_>) -> Result<(), Refusal> {
+        let id = bits.unsigned(12) as u16;
+        let mut updated = if id == self.id { self.clone() } else { Self::default() };
+        updated.id = id;
+        match number {
+            1005 | 1006 => updated.read_position(&mut bits, number == 1006),
+            1230 => updated.read_biases(&mut bits),
+            _ => updated.read_descriptors(&mut bits, number)?,
+        }
+        bits.require_sound()?;
+        *self = updated;
+        Ok(())
+    }
+
+    fn read_position(&mut self, bits: &mut Bits<'_>, has_height: bool) {
+        // Realisation year and the constellations served.
+        bits.skip(6 + 3);
+        self.is_virtual = bits.flag();
+        let x = bits.signed_scaled(38, COORDINATE_UNIT_M);
+        bits.skip(2);
+        let y = bits.signed_scaled(38, COORDINATE_UNIT_M);
+        bits.skip(2);
+        let z = bits.signed_scaled(38, COORDINATE_UNIT_M);
+        // A station that does not know its place sends the geocentre.
+        let is_known = [x, y, z] != [0.0; 3];
+        self.antenna_reference_point = is_known.then(|| Ecef::new(x, y, z));
+        if has_height {
+            self.antenna_height_m = Some(bits.scaled(16, COORDINATE_UNIT_M));
+        }
+    }
+
+    fn read_descriptors(&mut self, bits: &mut Bits<'_>, number: u16) -> Result<(), Refusal> {
+        self.antenna = text(bits)?;
+        // Setup.
+        bits.skip(8);
+        if number != 1007 {
+            self.antenna_serial = text(bits)?;
+        }
+        if number == 1033 {
+            self.receiver = text(bits)?;
+            self.receiver_firmware = text(bits)?;
+            self.receiver_serial = text(bits)?;
+        }
+        Ok(())
+    }
+
+    fn read_biases(&mut self, bits: &mut Bits<'_>) {
+        bits.skip(1 + 3);
+        let given = [bits.flag(), bits.flag(), bits.flag(), bits.flag()];
+        self.glonass_biases_m = given.map(|is_given| {
+            let value = is_given.then(|| bits.signed(16));
+            value.filter(|value| *value != NO_BIAS).map(|value| value as f64 * BIAS_UNIT_M)
+        });
+    }
+}
+
+/// A count and that many characters of ISO 8859-1, blanks around them dropped.
+fn text(bits: &mut Bits<'_>) -> Result<String, Refusal> {
+    let length = bits.unsigned(8);
+    if DESCRIPTOR_LIMIT < length {
+        return Err(Refusal::Truncated);
+    }
+    let text: String = (0..length).map(|_| char::from(bits.unsigned(8) as u8)).collect();
+    Ok(text.trim_matches(|c: char| c.is_whitespace() || c == '\0').to_owned())
+}
+
+/// Takes over the time of 1013 or 1029, which give it in full, where none is known yet: modified
+/// Julian day and second of day, UTC.
+pub(super) fn take_time(mut bits: Bits<'_>, clock: &mut Clock) -> Result<(), Refusal> {
+    bits.skip(12);
+    let (day, second) = (bits.unsigned(16) as i64, bits.unsigned(17) as i64);
+    bits.require_sound()?;
+    let label_s = (day - GPS_EPOCH_MJD) * SECONDS_PER_DAY + second;
+    if day < GPS_EPOCH_MJD || SECONDS_PER_DAY < second {
+        return Err(Refusal::InvalidTime);
+    }
+    if clock.time().is_none() {
+        let without_leap = GpsTime::from_ns(label_s * 1_000_000_000);
+        clock.set(without_leap + clock.leap_seconds().at(without_leap) as f64);
+    }
+    Ok(())
+}
