@@ -1,17 +1,17 @@
 //! The base station of a recording, read in step with the rover.
 
-use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
 
-use crate::formats::rinex::{ObservationReader, Skipped};
+use crate::formats::observations::{FileError, LeftOut};
 use crate::gnss::{AntennaCatalogue, BaseStation, Ecef, Epoch, GpsTime, Navigation};
 use crate::positioning::BaseAiding;
 
 use super::Failure;
 use super::antennas::ReceiverAntenna;
+use super::files::{ObservationFile, Site};
 
 /// Base epochs tagged this much later than the rover's are still of its time (s): receivers' clocks
 /// are off by milliseconds.
@@ -23,7 +23,8 @@ pub(crate) struct BaseArguments {
     /// Observations of the base, for modes relative to one.
     #[arg(long, value_name = "FILE")]
     base: Option<PathBuf>,
-    /// Position of the base's marker, ECEF (m); its header's antenna offset is added.
+    /// Position of the base's marker, ECEF (m); its header's antenna offset is added. Of UBX and
+    /// RTCM 3 data the position in messages 1005 and 1006 takes the header's place.
     #[arg(
         long,
         value_name = "X,Y,Z|from-header",
@@ -68,10 +69,11 @@ impl BaseArguments {
 /// A base's observations that are being read.
 pub(crate) struct BaseRecording {
     station: BaseStation,
+    site: Site,
     /// Where its marker is.
     marker: Ecef,
     antenna: Option<ReceiverAntenna>,
-    reader: ObservationReader<Box<dyn BufRead>>,
+    reader: ObservationFile,
     /// Read, and later than the rover's epoch.
     ahead: Option<Epoch>,
     /// New since the rover's epoch before; the first `count` of them.
@@ -80,23 +82,23 @@ pub(crate) struct BaseRecording {
 }
 
 impl BaseRecording {
-    /// A base whose header has been read.
+    /// A base whose file is open, and what that tells of its site.
     pub(crate) fn new(
         arguments: &BaseArguments,
-        reader: ObservationReader<Box<dyn BufRead>>,
+        reader: ObservationFile,
+        site: Site,
     ) -> Result<Self, Failure> {
-        let header = reader.header();
         let marker = match arguments.base_position {
             BasePosition::Marker(marker) => marker,
-            BasePosition::FromHeader => header.approximate_position.ok_or_else(|| {
-                let message = "the header of the base's observations has no position";
+            BasePosition::FromHeader => site.marker.ok_or_else(|| {
+                let message = "neither header nor messages 1005 and 1006 tell the base's position";
                 Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
             })?,
         };
-        let name = header.marker.clone();
-        let station = BaseStation::at_marker(name, marker, header.antenna_delta_hen_m);
+        let station = BaseStation::at_marker(site.name.clone(), marker, site.antenna_hen_m);
         Ok(Self {
             station,
+            site,
             marker,
             antenna: None,
             reader,
@@ -111,7 +113,7 @@ impl BaseRecording {
         &mut self,
         rover: GpsTime,
         navigation: &Navigation,
-    ) -> Result<(), crate::formats::rinex::RinexError> {
+    ) -> Result<(), FileError> {
         self.count = 0;
         loop {
             let mut epoch = match self.ahead.take() {
@@ -150,14 +152,13 @@ impl BaseRecording {
 
     /// Looks up the antenna that the header names.
     pub(crate) fn find_antenna(&mut self, catalogue: &AntennaCatalogue) {
-        let antenna = ReceiverAntenna::new("base", &self.reader.header().antenna, catalogue);
+        let antenna = ReceiverAntenna::new("base", &self.site.antenna, catalogue);
         self.antenna = Some(antenna);
     }
 
     /// Where the base was taken to be, and what was done about its antenna.
     pub(crate) fn notes(&self) -> Vec<String> {
-        let (Ecef(marker), [height_m, east_m, north_m]) =
-            (self.marker, self.reader.header().antenna_delta_hen_m);
+        let (Ecef(marker), [height_m, east_m, north_m]) = (self.marker, self.site.antenna_hen_m);
         let mut notes = vec![format!(
             "base: marker at {:.4},{:.4},{:.4} (ECEF, m), antenna reference point {height_m:.4} m \
              above, {east_m:.4} m east, {north_m:.4} m north of it",
@@ -168,8 +169,8 @@ impl BaseRecording {
     }
 
     /// What was left out of the file.
-    pub(crate) fn skipped(&self) -> Skipped {
-        self.reader.skipped().clone()
+    pub(crate) fn left_out(&self) -> LeftOut {
+        self.reader.left_out()
     }
 }
 

@@ -12,6 +12,7 @@ mod demo;
 mod device;
 mod evaluate;
 mod failure;
+mod files;
 mod host;
 mod option_arguments;
 mod recording;

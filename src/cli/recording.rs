@@ -1,30 +1,26 @@
 //! The files that a recording consists of, as `solve` and `compare` take and read them.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use crate::config::Mode;
-use crate::formats::rinex::{ObservationReader, Skipped, read_navigation};
-use crate::formats::{antex, decompress};
+use crate::formats::antex;
 use crate::gnss::{Epoch, GpsTime, Navigation};
 use crate::positioning::Aiding;
 
 use super::Failure;
 use super::antennas::{AntennaArguments, ReceiverAntenna, Whereabouts};
 use super::base::{BaseArguments, BaseRecording};
-
-const READ_BUFFER_BYTES: usize = 1 << 16;
+use super::files::{self, LeftOutOf, ObservationFile, TimeArguments};
 
 /// The arguments that name a recording.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RecordingArguments {
-    /// Observations of the rover.
+    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3, told apart by their content.
     #[arg(long, value_name = "FILE")]
     pub(crate) rover: PathBuf,
-    /// Navigation data; may be repeated.
+    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides; may be repeated.
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     nav: Vec<PathBuf>,
     #[command(flatten)]
@@ -35,6 +31,8 @@ pub(crate) struct RecordingArguments {
     /// Last epoch, GPS seconds of week.
     #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
     to: Option<f64>,
+    #[command(flatten)]
+    times: TimeArguments,
     #[command(flatten)]
     base: BaseArguments,
 }
@@ -55,15 +53,12 @@ impl RecordingArguments {
     }
 }
 
-/// What the files of a recording held that was left out, by file.
-pub(crate) type LeftOut<'a> = Vec<(&'a Path, Skipped)>;
-
 /// A recording that is being read, epoch by epoch.
 pub(crate) struct Recording<'a> {
     arguments: &'a RecordingArguments,
     navigation: Navigation,
-    left_out: LeftOut<'a>,
-    rover: ObservationReader<Box<dyn BufRead>>,
+    left_out: LeftOutOf<'a>,
+    rover: ObservationFile,
     base: Option<BaseRecording>,
     /// The rover's antenna, and where it is.
     antenna: Option<(ReceiverAntenna, Whereabouts)>,
@@ -72,21 +67,17 @@ pub(crate) struct Recording<'a> {
 impl<'a> Recording<'a> {
     /// Reads the navigation data and the header of the observations.
     pub(crate) fn open(arguments: &'a RecordingArguments) -> Result<Self, Failure> {
-        let mut navigation = Navigation::default();
-        let mut left_out = Vec::new();
-        for path in &arguments.nav {
-            let (read, skipped) = read_navigation(open(path)?)
-                .map_err(|error| unreadable(path, &error, "name a RINEX navigation file"))?;
-            navigation.merge(read);
-            left_out.push((path.as_path(), skipped));
-        }
-        let observations = |path: &Path| {
-            ObservationReader::new(open(path)?)
-                .map_err(|error| unreadable(path, &error, "name a RINEX observation file"))
-        };
-        let rover = observations(&arguments.rover)?;
-        let base = match arguments.base.file() {
-            Some(path) => Some(BaseRecording::new(&arguments.base, observations(path)?)?),
+        let (rover, base) = (arguments.rover.as_path(), arguments.base.file());
+        let files: Vec<&Path> = [Some(rover), base].into_iter().flatten().collect();
+        let (navigation, left_out, dating) =
+            files::navigation(&arguments.nav, &files, &arguments.times)?;
+        let rover = files::observations(rover, &dating, &navigation)?;
+        let base = match base {
+            Some(path) => {
+                let reader = files::observations(path, &dating, &navigation)?;
+                let site = files::site(path, &reader)?;
+                Some(BaseRecording::new(&arguments.base, reader, site)?)
+            }
             None => None,
         };
         let mut recording = Self { arguments, navigation, left_out, rover, base, antenna: None };
@@ -109,9 +100,8 @@ impl<'a> Recording<'a> {
     pub(crate) fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, Failure> {
         let rover = &self.arguments.rover;
         loop {
-            let is_read = self.rover.read_epoch(epoch).map_err(|error| {
-                unreadable(rover, &error, "repair or cut the file at that line")
-            })?;
+            let is_read =
+                self.rover.read_epoch(epoch).map_err(|error| files::broken(rover, &error))?;
             if !is_read {
                 return Ok(false);
             }
@@ -131,19 +121,18 @@ impl<'a> Recording<'a> {
         let (Some(base), Some(path)) = (&mut self.base, self.arguments.base.file()) else {
             return Ok(());
         };
-        base.follow(time, &self.navigation)
-            .map_err(|error| unreadable(path, &error, "repair or cut the file at that line"))
+        base.follow(time, &self.navigation).map_err(|error| files::broken(path, &error))
     }
 
     /// Looks up the antennas that the headers name.
     fn find_antennas(&mut self) -> Result<(), Failure> {
         let Some(path) = &self.arguments.antennas.antex else { return Ok(()) };
-        let catalogue = antex::read(open(path)?).map_err(|error| {
-            unreadable(path, &error, "name an ANTEX file of absolute calibrations")
+        let catalogue = antex::read(files::open_plain(path)?).map_err(|error| {
+            files::unreadable(path, &error, "name an ANTEX file of absolute calibrations")
         })?;
-        let header = self.rover.header();
-        let antenna = ReceiverAntenna::new("rover", &header.antenna, &catalogue);
-        self.antenna = Some((antenna, Whereabouts::new(header.approximate_position)));
+        let site = files::site(&self.arguments.rover, &self.rover)?;
+        let antenna = ReceiverAntenna::new("rover", &site.antenna, &catalogue);
+        self.antenna = Some((antenna, Whereabouts::new(site.marker)));
         if let Some(base) = &mut self.base {
             base.find_antenna(&catalogue);
         }
@@ -164,12 +153,13 @@ impl<'a> Recording<'a> {
     }
 
     /// What was left out of the files, the rover's first.
-    pub(crate) fn into_left_out(self) -> LeftOut<'a> {
+    pub(crate) fn into_left_out(self) -> LeftOutOf<'a> {
         let mut left_out = self.left_out;
+        left_out.retain(|(path, _)| *path != self.arguments.rover);
         if let (Some(base), Some(path)) = (&self.base, self.arguments.base.file()) {
-            left_out.insert(0, (path, base.skipped()));
+            left_out.insert(0, (path, base.left_out()));
         }
-        left_out.insert(0, (&self.arguments.rover, self.rover.skipped().clone()));
+        left_out.insert(0, (&self.arguments.rover, self.rover.left_out()));
         left_out
     }
 
@@ -178,16 +168,4 @@ impl<'a> Recording<'a> {
         let message = format!("{} has no epoch in the span", arguments.rover.display());
         Failure::new("NO_EPOCHS", message, "check --from and --to")
     }
-}
-
-fn open(path: &Path) -> Result<Box<dyn BufRead>, Failure> {
-    let file = File::open(path).map_err(|error| {
-        let message = format!("cannot open {}: {error}", path.display());
-        Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
-    })?;
-    Ok(Box::new(decompress(BufReader::with_capacity(READ_BUFFER_BYTES, file))))
-}
-
-fn unreadable(path: &Path, error: &dyn std::fmt::Display, remedy: &str) -> Failure {
-    Failure::new("FILE_NOT_UNDERSTOOD", format!("{}: {error}", path.display()), remedy)
 }

@@ -13,8 +13,9 @@ use crate::gnss::{Epoch, GpsTime, LeapSeconds, Reason, Solution, Status};
 
 use super::Failure;
 use super::answers::{AnswerKind, Solver};
+use super::files::LeftOutOf;
 use super::option_arguments::OptionArguments;
-use super::recording::{LeftOut, Recording, RecordingArguments};
+use super::recording::{Recording, RecordingArguments};
 
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
 /// The window that holds everything.
@@ -26,7 +27,8 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Positions a file of observations, without a server or a database.
 ///
-/// Reads RINEX 2 to 4 and CRINEX, gzip too. The solution's epochs are named by the receiver's tags.
+/// Reads RINEX 2 to 4, CRINEX, UBX and RTCM 3, gzip too. The solution's epochs are named by the
+/// receiver's tags.
 #[derive(Debug, Args)]
 pub(crate) struct SolveArguments {
     #[command(flatten)]
@@ -213,7 +215,7 @@ impl Progress {
 }
 
 /// The closing lines: epochs, answers, reasons, what the files held that was left out, speed.
-fn summary(tally: &Tally, left_out: &LeftOut<'_>, elapsed: Duration) -> String {
+fn summary(tally: &Tally, left_out: &LeftOutOf<'_>, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!(
         "{} epochs, {} answered, {} without position; {seconds:.3} s, {:.0} epochs/s\n",
@@ -225,12 +227,9 @@ fn summary(tally: &Tally, left_out: &LeftOut<'_>, elapsed: Duration) -> String {
     for (code, count) in &tally.reasons {
         text += &format!("  {code}: {count} epochs\n");
     }
-    for (path, skipped) in left_out {
-        for entry in skipped.entries() {
-            let lines = entry.lines.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
-            let (file, count) = (path.display(), entry.count);
-            text += &format!("  {file}: left out {count} times: {} (lines {lines}", entry.reason);
-            text += if (entry.lines.len() as u64) < entry.count { " …)\n" } else { ")\n" };
+    for (path, left_out) in left_out {
+        for line in left_out.to_string().lines() {
+            text += &format!("  {}: {line}\n", path.display());
         }
     }
     text

@@ -130,25 +130,19 @@ pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, Fi
     Ok(reader.decoder().time())
 }
 
-/// The station of receiver data, from the first message with its position on; `None` where no
-/// message tells it, and for RINEX.
+/// The station of receiver data: all that its messages tell until position and antenna are known,
+/// or to the end; `None` where they tell nothing, and for RINEX.
 ///
 /// # Errors
 /// The file cannot be read on.
-pub fn first_station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
+pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
     if !file.is_receiver_data {
         return Ok(None);
     }
     let mut reader = ReceiverReader::new(file.input, None);
-    while let Some(event) = reader.read_event()? {
-        match event {
-            Event::Station(station) if station.antenna_reference_point.is_some() => {
-                return Ok(Some(station));
-            }
-            _ => {}
-        }
-    }
-    Ok(None)
+    let is_known = |s: &Station| s.antenna_reference_point.is_some() && !s.antenna.is_empty();
+    while !reader.station().is_some_and(is_known) && reader.read_event()?.is_some() {}
+    Ok(reader.station().cloned())
 }
 
 /// What of a file was left out.
