@@ -7,7 +7,7 @@ use std::io::{BufRead, Chain, Cursor, Read};
 use crate::gnss::{Epoch, GpsTime, Navigation};
 
 use super::receiver::{
-    Event, ReceiverError, ReceiverReader, RefusalEntry, Station, Statistics, TimeReference,
+    ReceiverError, ReceiverReader, RefusalEntry, Station, Statistics, TimeReference,
     is_receiver_data,
 };
 use super::rinex::{self, ObservationReader, RinexError, Skipped};

@@ -14,6 +14,9 @@ const MS_PER_WEEK: u64 = 604_800_000;
 const MS_PER_GLONASS_DAY: u64 = 86_401_000;
 /// Days from 1980-01-06, where GPS time starts, to 1996-01-01, where GLONASS counts from.
 const GLONASS_FIRST_DAY: i64 = 5839;
+/// Weeks that a stream can be of, to the year 2171: whatever damaged messages say, times stay far
+/// from where their count ends.
+const WEEKS: std::ops::RangeInclusive<i32> = 0..=9999;
 /// GLONASS time is UTC + 3 h.
 const GLONASS_AHEAD_OF_UTC_NS: i64 = 3 * 3_600_000 * NS_PER_MS;
 
@@ -34,13 +37,19 @@ pub(in crate::formats) struct Clock {
 }
 
 impl Clock {
-    pub(in crate::formats) const fn new(reference: Option<TimeReference>) -> Self {
-        Self { newest: reference, leap_seconds: LeapSeconds::table() }
+    /// A clock that knows the reference, if any; one outside the weeks it counts is none.
+    pub(in crate::formats) fn new(reference: Option<TimeReference>) -> Self {
+        let newest = reference.filter(|reference| match reference {
+            TimeReference::Week(time) | TimeReference::Day(time) => WEEKS.contains(&time.week()),
+        });
+        Self { newest, leap_seconds: LeapSeconds::table() }
     }
 
-    /// Takes over a time decoded.
-    pub(in crate::formats) const fn set(&mut self, time: GpsTime) {
-        self.newest = Some(TimeReference::Day(time));
+    /// Takes over a time decoded, unless it is outside the weeks it counts.
+    pub(in crate::formats) fn set(&mut self, time: GpsTime) {
+        if WEEKS.contains(&time.week()) {
+            self.newest = Some(TimeReference::Day(time));
+        }
     }
 
     pub(in crate::formats) const fn set_leap_seconds(&mut self, leap_seconds: LeapSeconds) {
@@ -188,6 +197,13 @@ mod tests {
         let clock = Clock::new(Some(TimeReference::Day(after - 2.0)));
         assert_eq!(clock.of_glonass_day(3 * 3_600_000 - 1_000, None), Ok(after - 2.0));
         assert_eq!(clock.of_glonass_day(3 * 3_600_000 + 1_000, None), Ok(after + 1.0));
+    }
+
+    #[test]
+    fn absurd_times_are_not_taken_over() {
+        let mut clock = Clock::new(Some(TimeReference::Day(GpsTime::from_ns(i64::MAX))));
+        clock.set(GpsTime::from_ns(i64::MIN));
+        assert_eq!(clock.time(), None);
     }
 
     #[test]
