@@ -20,6 +20,7 @@ mod models;
 mod recording;
 mod restoring;
 mod rinex;
+mod rtcm;
 mod rtk;
 mod sessions;
 mod simulation;
@@ -27,6 +28,8 @@ mod slips;
 mod snapshot;
 mod spp;
 mod store;
+mod streams;
 mod windows;
 
 mod tidy;
+mod ubx;
