@@ -72,7 +72,7 @@ impl Subframes {
             }
             (Constellation::Glonass, ..) => {
                 let words = words.first_chunk::<4>().ok_or(Refusal::Truncated)?;
-                let channel = channel as i8 - 7;
+                let channel = i8::try_from(channel).map_err(|_| Refusal::ImplausibleEphemeris)? - 7;
                 self.glonass.entry(satellite).or_default().add(satellite, channel, words, clock)?
             }
             (_, 0, None) => return Err(Refusal::Truncated),
