@@ -102,6 +102,13 @@ fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Co
         (
             "POST",
             epochs.clone(),
+            push(|e| e["odometry"] = json!({"intervalS": 1.0, "frame": "ned"})),
+            Code::InvalidOdometry,
+            "epochs[0].odometry.frame",
+        ),
+        (
+            "POST",
+            epochs.clone(),
             json!({"epochs": vec![epoch(5); 4]}),
             Code::TooManyEpochs,
             "epochs",

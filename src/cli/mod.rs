@@ -14,6 +14,7 @@ mod evaluate;
 mod failure;
 mod files;
 mod host;
+mod odometry;
 mod option_arguments;
 mod recording;
 mod replay;

@@ -6,6 +6,7 @@ use clap::Args;
 
 use crate::config::Mode;
 use crate::formats::antex;
+use crate::formats::odometry;
 use crate::gnss::{Epoch, GpsTime, Navigation};
 use crate::positioning::Aiding;
 
@@ -13,6 +14,7 @@ use super::Failure;
 use super::antennas::{AntennaArguments, ReceiverAntenna, Whereabouts};
 use super::base::{BaseArguments, BaseRecording};
 use super::files::{self, LeftOutOf, ObservationFile, TimeArguments};
+use super::odometry::OdometryRows;
 
 /// The arguments that name a recording.
 #[derive(Clone, Debug, Args)]
@@ -25,6 +27,10 @@ pub(crate) struct RecordingArguments {
     nav: Vec<PathBuf>,
     #[command(flatten)]
     antennas: AntennaArguments,
+    /// Displacements of another sensor, CSV as simulate writes it; each goes to the epoch within
+    /// 0.05 s of its time.
+    #[arg(long, value_name = "FILE")]
+    odometry: Option<PathBuf>,
     /// First epoch, GPS seconds of week.
     #[arg(long, value_name = "TOW", allow_negative_numbers = true)]
     from: Option<f64>,
@@ -62,6 +68,7 @@ pub(crate) struct Recording<'a> {
     base: Option<BaseRecording>,
     /// The rover's antenna, and where it is.
     antenna: Option<(ReceiverAntenna, Whereabouts)>,
+    odometry: Option<OdometryRows>,
 }
 
 impl<'a> Recording<'a> {
@@ -80,7 +87,14 @@ impl<'a> Recording<'a> {
             }
             None => None,
         };
-        let mut recording = Self { arguments, navigation, left_out, rover, base, antenna: None };
+        let read_rows = |path: &PathBuf| {
+            odometry::read(files::open_plain(path)?)
+                .map(OdometryRows::new)
+                .map_err(|error| files::unreadable(path, &error, "correct the file at that line"))
+        };
+        let odometry = arguments.odometry.as_ref().map(read_rows).transpose()?;
+        let mut recording =
+            Self { arguments, navigation, left_out, rover, base, antenna: None, odometry };
         recording.find_antennas()?;
         Ok(recording)
     }
@@ -105,6 +119,8 @@ impl<'a> Recording<'a> {
             if !is_read {
                 return Ok(false);
             }
+            // Asked for every epoch, so that those outside take theirs.
+            epoch.odometry = self.odometry.as_mut().and_then(|rows| rows.at(epoch.time));
             if !self.arguments.is_outside(epoch.time) {
                 if let Some((antenna, whereabouts)) = &mut self.antenna {
                     let position = whereabouts.at(epoch, &self.navigation);
@@ -139,7 +155,8 @@ impl<'a> Recording<'a> {
         Ok(())
     }
 
-    /// What to know of the positions: what they are of, and what was done about antennas.
+    /// What to know of the positions: what they are of, what was done about antennas, and
+    /// which rows of odometry no epoch took.
     pub(crate) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some(base) = &self.base {
@@ -148,6 +165,9 @@ impl<'a> Recording<'a> {
         }
         if let Some((antenna, _)) = &self.antenna {
             notes.extend(antenna.notes());
+        }
+        if let Some(odometry) = &self.odometry {
+            notes.push(format!("odometry: {} rows without an epoch", odometry.unmatched()));
         }
         notes
     }

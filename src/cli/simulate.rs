@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Failure;
+use crate::formats::odometry::{self, OdometryRow};
 use crate::formats::rinex::{
     ObservationHeader, ObservationWriter, RinexVersion, RinexWriteError, write_navigation,
 };
@@ -15,7 +16,8 @@ use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
 use crate::simulation::{Scenario, Simulator, signals};
 
 /// The files written.
-const FILES: [&str; 5] = ["rover.obs", "base.obs", "navigation.rnx", "truth.csv", "README.txt"];
+const FILES: [&str; 6] =
+    ["rover.obs", "base.obs", "navigation.rnx", "odometry.csv", "truth.csv", "README.txt"];
 /// Longest simulation and shortest interval: what one file shall hold.
 const LONGEST_S: f64 = 7.0 * 86_400.0;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
@@ -108,7 +110,7 @@ impl SimulateArguments {
     }
 }
 
-/// Writes rover, base and truth; returns how many epochs there are.
+/// Writes rover, base, odometry and truth; returns how many epochs there are.
 fn write_epochs(
     folder: &Path,
     scenario: &Scenario,
@@ -126,18 +128,22 @@ fn write_epochs(
         Some(position) => Some(observations("base.obs", Some(position), &navigation)?),
         None => None,
     };
-    let mut rows = Vec::new();
+    let (mut rows, mut ways) = (Vec::new(), Vec::new());
     for epoch in simulator {
         rover.write_epoch(&epoch.rover).map_err(failed)?;
         if let (Some(writer), Some(observed)) = (&mut base, &epoch.base) {
             writer.write_epoch(observed).map_err(failed)?;
         }
+        let time = epoch.rover.time;
+        ways.extend(epoch.odometry.map(|odometry| OdometryRow { time, odometry }));
         rows.push(TruthRow { time: epoch.rover.time, position: epoch.position });
     }
     rover.finish().map_err(failed)?;
     base.map(ObservationWriter::finish).transpose().map_err(failed)?;
     let path = folder.join("truth.csv");
     truth::write(create(&path)?, &rows).map_err(|error| not_writable(&path, &error))?;
+    let path = folder.join("odometry.csv");
+    odometry::write(create(&path)?, &ways).map_err(|error| not_writable(&path, &error))?;
     Ok(rows.len())
 }
 
@@ -195,6 +201,7 @@ fn summary(
         );
     }
     text += "navigation.rnx  what the satellites broadcast (RINEX 3.05)\n\
+             odometry.csv    how far and whereto its wheels say it drove, for solve --odometry\n\
              truth.csv       where the rover's antenna was: gps_week,tow,x_m,y_m,z_m\n";
     text
 }

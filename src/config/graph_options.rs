@@ -40,6 +40,8 @@ pub struct GraphOptions {
     pub vertical_walk_m_s: f64,
     /// Standard deviation of the vertical velocity itself, infinite for none (m/s).
     pub vertical_velocity_m_s: f64,
+    /// Whether a standstill found in Doppler ties epochs at rest.
+    pub zero_velocity: bool,
     /// Whether velocity and clock tie epochs together; without, only Doppler velocity does.
     pub motion: bool,
     /// Random walk of the receiver clock (m/√s).
@@ -62,6 +64,7 @@ impl GraphOptions {
                 horizontal_walk_m_s: 1.0,
                 vertical_walk_m_s: 0.3,
                 vertical_velocity_m_s: 0.5,
+                zero_velocity: true,
                 ..general
             },
             Profile::Static => Self {
@@ -104,6 +107,7 @@ impl GraphOptions {
             horizontal_walk_m_s: 2.0,
             vertical_walk_m_s: 1.0,
             vertical_velocity_m_s: f64::INFINITY,
+            zero_velocity: false,
             motion: true,
             clock_walk_m: 0.3,
             drift_walk_m_s: 0.3,

@@ -131,6 +131,13 @@ pub(super) const GRAPH_TABLE: &[OptionSpecification] = &[
         },
     },
     OptionSpecification {
+        name: "zero_velocity", unit: "",
+        meaning: "whether a standstill found in Doppler ties epochs at rest",
+        allowed: "on, off",
+        get: |o| switch_text(o.graph.zero_velocity),
+        set: |o, text| switch(text).map(|v| o.graph.zero_velocity = v),
+    },
+    OptionSpecification {
         name: "motion", unit: "",
         meaning: "whether motion and clock models tie epochs together",
         allowed: "on, off",

@@ -6,13 +6,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::config::IntakeLimits;
 use crate::gnss::{
-    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Provenance, Reason, ReasonValue,
-    RelativeEstimate, Solution, SolutionEstimate, Status,
+    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame, Provenance, Reason,
+    ReasonValue, RelativeEstimate, Solution, SolutionEstimate, Status,
 };
 
 use crate::store::{Revisions, StoredSolution};
 
-use super::intake::{self, RawObservation};
+use super::intake::{self, RawObservation, RawOdometry};
 use super::{Code, Refusal, v1};
 
 /// A solution with what the store knows about it.
@@ -62,7 +62,19 @@ pub fn epoch(message: &v1::Epoch, limits: &IntakeLimits) -> Result<Epoch, Refusa
         loss_of_lock: o.loss_of_lock,
         half_cycle: o.half_cycle,
     });
-    intake::epoch(time, message.power_failure, observations, limits)
+    let epoch = intake::epoch(time, message.power_failure, observations, limits)?;
+    let odometry = message.odometry.as_ref().map(|odometry| {
+        intake::odometry(&RawOdometry {
+            interval_s: odometry.interval_s,
+            frame: &odometry.frame,
+            displacement_m: &odometry.displacement_m,
+            covariance_m2: &odometry.covariance_m2,
+            heading_deg: odometry.heading_deg,
+            heading_sigma_deg: odometry.heading_sigma_deg,
+        })
+        .map_err(|refusal| refusal.within("odometry"))
+    });
+    Ok(Epoch { odometry: odometry.transpose()?, ..epoch })
 }
 
 /// An epoch as a client sends it.
@@ -82,6 +94,25 @@ pub fn epoch_message(seq: u64, epoch: &Epoch) -> v1::Epoch {
         time: Some(epoch.time.into()),
         observations: epoch.observations.iter().map(observation).collect(),
         power_failure: epoch.power_failure,
+        odometry: epoch.odometry.as_ref().map(odometry_message),
+    }
+}
+
+fn odometry_message(odometry: &Odometry) -> v1::Odometry {
+    let heading_rad = match odometry.frame {
+        OdometryFrame::Body { heading_rad, heading_sigma_rad } => {
+            Some((heading_rad, heading_sigma_rad))
+        }
+        OdometryFrame::Ecef | OdometryFrame::Enu => None,
+    };
+    let places = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    v1::Odometry {
+        interval_s: odometry.interval_s,
+        frame: odometry.frame.name().to_owned(),
+        displacement_m: odometry.displacement_m.iter().copied().collect(),
+        covariance_m2: places.map(|place| odometry.covariance[place]).into(),
+        heading_deg: heading_rad.map(|(heading_rad, _)| heading_rad.to_degrees()),
+        heading_sigma_deg: heading_rad.map(|(_, sigma_rad)| sigma_rad.to_degrees()),
     }
 }
 

@@ -6,7 +6,8 @@ use std::collections::HashMap;
 
 use crate::config::IntakeLimits;
 use crate::gnss::{
-    Cycles, Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Signal, Status,
+    Cycles, Epoch, GpsTime, Observation, ObservationCode, Odometry, OdometryError, OdometryFrame,
+    SatelliteId, Signal, Status, symmetric_of,
 };
 
 use super::{Code, Refusal};
@@ -42,6 +43,23 @@ pub struct RawObservation<'a> {
     pub loss_of_lock: bool,
     /// Half-cycle ambiguity.
     pub half_cycle: bool,
+}
+
+/// A displacement as it came in.
+#[derive(Clone, Copy, Debug)]
+pub struct RawOdometry<'a> {
+    /// (s)
+    pub interval_s: f64,
+    /// `ecef`, `enu` or `body`.
+    pub frame: &'a str,
+    /// (m)
+    pub displacement_m: &'a [f64],
+    /// xx, yy, zz, xy, xz, yz (m²)
+    pub covariance_m2: &'a [f64],
+    /// (degrees)
+    pub heading_deg: Option<f64>,
+    /// (degrees)
+    pub heading_sigma_deg: Option<f64>,
 }
 
 /// A time from week and nanoseconds of week.
@@ -125,7 +143,7 @@ pub fn epoch<'a>(
         let message = format!("{} observations, at most {count_max} an epoch", observations.len());
         return Err(Refusal::new(Code::TooManyObservations, message).at("observations"));
     }
-    let mut epoch = Epoch { time, power_failure, observations: Vec::new() };
+    let mut epoch = Epoch { power_failure, ..Epoch::new(time) };
     epoch.observations.reserve(observations.len());
     for (index, raw) in observations.enumerate() {
         let at = |refusal: Refusal| refusal.within(&format!("observations[{index}]"));
@@ -134,6 +152,53 @@ pub fn epoch<'a>(
     bring_satellites_together(&mut epoch.observations);
     check_satellites(&epoch, limits)?;
     Ok(epoch)
+}
+
+/// A displacement from its parts.
+///
+/// # Errors
+/// [`Code::InvalidOdometry`], its field a path below the displacement.
+pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
+    let refused = |message: String, field: &str| {
+        Refusal::new(Code::InvalidOdometry, message).at(field.to_owned())
+    };
+    let heading_rad = raw.heading_deg.zip(raw.heading_sigma_deg);
+    let frame = match (raw.frame, heading_rad) {
+        ("ecef", _) => OdometryFrame::Ecef,
+        ("enu", _) => OdometryFrame::Enu,
+        ("body", Some((heading_deg, sigma_deg))) => OdometryFrame::Body {
+            heading_rad: heading_deg.to_radians(),
+            heading_sigma_rad: sigma_deg.to_radians(),
+        },
+        ("body", None) => return Err(refused(OdometryError::Heading.to_string(), "headingDeg")),
+        (other, _) => {
+            let message = format!("{other:?} is no frame; there are ecef, enu, body");
+            return Err(refused(message, "frame"));
+        }
+    };
+    let displacement: [f64; 3] = raw.displacement_m.try_into().map_err(|_| {
+        let message = format!("{} numbers are no displacement: 3 are", raw.displacement_m.len());
+        refused(message, "displacementM")
+    })?;
+    let covariance: [f64; 6] = raw.covariance_m2.try_into().map_err(|_| {
+        let message = format!("{} numbers are no covariance: 6 are", raw.covariance_m2.len());
+        refused(message, "covarianceM2")
+    })?;
+    let odometry = Odometry {
+        interval_s: raw.interval_s,
+        frame,
+        displacement_m: displacement.into(),
+        covariance: symmetric_of(covariance),
+    };
+    odometry.checked().map_err(|error| {
+        let field = match error {
+            OdometryError::Interval { .. } => "intervalS",
+            OdometryError::Displacement { .. } => "displacementM",
+            OdometryError::Covariance => "covarianceM2",
+            OdometryError::Heading => "headingSigmaDeg",
+        };
+        refused(error.to_string(), field)
+    })
 }
 
 fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
@@ -264,6 +329,36 @@ mod tests {
         );
         let twice = [raw("G05", "1C"), raw("E11", "1C"), raw("G05", "1C")];
         assert_eq!(refused(&twice).0, Code::DuplicateSignal);
+    }
+
+    #[test]
+    fn a_displacement_that_cannot_be_is_named() {
+        let good = RawOdometry {
+            interval_s: 1.0,
+            frame: "body",
+            displacement_m: &[8.0, 0.0, 0.0],
+            covariance_m2: &[0.04, 0.01, 0.01, 0.0, 0.0, 0.0],
+            heading_deg: Some(90.0),
+            heading_sigma_deg: Some(2.0),
+        };
+        assert!(odometry(&good).is_ok());
+        let wrong = [
+            (RawOdometry { interval_s: -1.0, ..good }, "intervalS"),
+            (RawOdometry { frame: "ned", ..good }, "frame"),
+            (RawOdometry { displacement_m: &[8.0], ..good }, "displacementM"),
+            (RawOdometry { displacement_m: &[8.0, f64::NAN, 0.0], ..good }, "displacementM"),
+            (RawOdometry { covariance_m2: &[0.04; 6], ..good }, "covarianceM2"),
+            (RawOdometry { covariance_m2: &[0.04; 5], ..good }, "covarianceM2"),
+            (RawOdometry { heading_deg: None, ..good }, "headingDeg"),
+            (RawOdometry { heading_sigma_deg: Some(-1.0), ..good }, "headingSigmaDeg"),
+        ];
+        for (raw, field) in wrong {
+            let refusal = odometry(&raw).unwrap_err();
+            assert_eq!(
+                (refusal.code, refusal.field.as_deref()),
+                (Code::InvalidOdometry, Some(field))
+            );
+        }
     }
 
     #[test]

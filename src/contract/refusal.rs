@@ -128,6 +128,9 @@ codes! {
     /// A measurement that is not a number or cannot be.
     InvalidMeasurement = "INVALID_MEASUREMENT", Malformed,
         "leave out what was not measured; units are m, cycles, Hz and dB-Hz";
+    /// A displacement that cannot be, along axes that are none, or with a covariance that is none.
+    InvalidOdometry = "INVALID_ODOMETRY", Malformed,
+        "give frame ecef, enu or body with heading, three metres, a positive definite covariance";
     /// No such session.
     SessionNotFound = "SESSION_NOT_FOUND", NotFound,
         "create a session, or check the id";

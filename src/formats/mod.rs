@@ -7,6 +7,7 @@ pub mod csv;
 mod decimal;
 pub mod geojson;
 pub mod observations;
+pub mod odometry;
 pub mod pos;
 pub mod receiver;
 pub mod rinex;

@@ -1,8 +1,8 @@
 //! The vocabulary: plain data that every other module speaks.
 //!
-//! Time, coordinates, satellites, signals, observations, ephemerides, base stations and solutions.
-//! Nothing here computes a model, reads a byte or waits. Inside the service everything is ECEF,
-//! metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
+//! Time, coordinates, satellites, signals, observations, odometry, ephemerides, base stations and
+//! solutions. Nothing here computes a model, reads a byte or waits. Inside the service everything
+//! is ECEF, metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
 
 mod antenna;
 pub mod constants;
@@ -10,6 +10,7 @@ mod coordinates;
 mod ephemeris;
 mod navigation;
 mod observation;
+mod odometry;
 mod satellite;
 mod signal;
 mod solution;
@@ -24,6 +25,7 @@ pub use ephemeris::{
 };
 pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
 pub use observation::{BaseStation, Cycles, Epoch, Meters, Observation};
+pub use odometry::{Odometry, OdometryError, OdometryFrame, symmetric_of};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{

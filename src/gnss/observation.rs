@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Ecef, Enu, GpsTime, LocalFrame, ObservationCode, SatelliteId, Signal};
+use super::{Ecef, Enu, GpsTime, LocalFrame, ObservationCode, Odometry, SatelliteId, Signal};
 
 /// A length (m), where metres and cycles could be swapped.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
@@ -80,12 +80,14 @@ pub struct Epoch {
     pub power_failure: bool,
     /// Observations; those of one satellite stand together. A signal appears at most once.
     pub observations: Vec<Observation>,
+    /// What another sensor says of the way since the epoch before.
+    pub odometry: Option<Odometry>,
 }
 
 impl Epoch {
     /// An epoch without observations.
     pub const fn new(time: GpsTime) -> Self {
-        Self { time, power_failure: false, observations: Vec::new() }
+        Self { time, power_failure: false, observations: Vec::new(), odometry: None }
     }
 
     /// Observations satellite by satellite.

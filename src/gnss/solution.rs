@@ -206,6 +206,11 @@ pub enum Reason {
         /// Since the window began (s).
         age_s: f64,
     },
+    /// The epoch's odometry does not lead from the epoch before to this one.
+    OdometryUnused {
+        /// How long its displacement took (s).
+        interval_s: f64,
+    },
 }
 
 impl Reason {
@@ -231,6 +236,7 @@ impl Reason {
             Self::HalfCycleUnresolved { .. } => "HALF_CYCLE_UNRESOLVED",
             Self::CycleSlips { .. } => "CYCLE_SLIPS",
             Self::StartUnproven { .. } => "START_UNPROVEN",
+            Self::OdometryUnused { .. } => "ODOMETRY_UNUSED",
         }
     }
 
@@ -266,6 +272,9 @@ impl Reason {
             Self::CycleSlips { .. } => "expect less precision until the new ambiguities settle",
             Self::StartUnproven { .. } => {
                 "do not rely on the position until the reason is gone: drive on, or see more sky"
+            }
+            Self::OdometryUnused { .. } => {
+                "send each displacement with the epoch where it ends, since the epoch before"
             }
         }
     }
@@ -305,6 +314,7 @@ impl Reason {
             Self::BaseStale { age_s } | Self::StartUnproven { age_s } => {
                 vec![("ageS", V::Number(*age_s))]
             }
+            Self::OdometryUnused { interval_s } => vec![("intervalS", V::Number(*interval_s))],
             Self::BasePositionDoubtful { distance_m } => {
                 vec![("distanceM", V::Number(*distance_m))]
             }
@@ -340,6 +350,7 @@ impl fmt::Display for Reason {
             Self::BaseStale { age_s } | Self::StartUnproven { age_s } => {
                 write!(f, "{{age {age_s:.1} s}}")
             }
+            Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
             Self::BasePositionDoubtful { distance_m } => {
                 write!(f, "{{distance {distance_m:.0} m}}")
             }

@@ -29,6 +29,7 @@ mod scenario;
 mod slips;
 mod snapshot;
 mod spp;
+mod standstill;
 mod uncertainty;
 mod velocity;
 

@@ -10,14 +10,20 @@
 use crate::config::IonosphereModel;
 use crate::gnss::{
     Band, Constellation, Cycles, Ecef, EphemerisIssue, Epoch, GpsTime, LocalFrame, Observation,
-    ObservationCode, Reason, SatelliteId,
+    ObservationCode, Odometry, OdometryFrame, Reason, SatelliteId,
 };
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::snapshot::{snapshot_fields, snapshot_variants};
 
 snapshot_fields!(LocalFrame { origin, rotation });
 snapshot_fields!(EphemerisIssue { satellite, toe, issue });
-snapshot_fields!(Epoch { time, power_failure, observations });
+snapshot_fields!(Epoch { time, power_failure, observations, odometry });
+snapshot_fields!(Odometry { interval_s, frame, displacement_m, covariance });
+snapshot_variants!(OdometryFrame {
+    0 => Ecef {},
+    1 => Enu {},
+    2 => Body { heading_rad, heading_sigma_rad },
+});
 snapshot_fields!(Observation {
     satellite,
     code,
@@ -49,6 +55,7 @@ snapshot_variants!(Reason {
     16 => HalfCycleUnresolved { satellites },
     17 => CycleSlips { satellites },
     18 => StartUnproven { age_s },
+    19 => OdometryUnused { interval_s },
 });
 
 /// The name of an ionosphere model, the only text in a reason.

@@ -15,6 +15,7 @@
 mod city;
 mod constellation;
 mod motion;
+mod odometry;
 mod place;
 mod random;
 mod receiver;
@@ -32,13 +33,15 @@ use nalgebra::Vector3;
 
 use self::city::City;
 use self::motion::Path;
+use self::odometry::Odometer;
 use self::place::Place;
 use self::random::Random;
 use self::receiver::{Receiver, Surroundings};
-use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation};
+use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation, Odometry};
 
 const ROVER_STREAM: u64 = 1;
 const BASE_STREAM: u64 = 2;
+const ODOMETRY_STREAM: u64 = 3;
 const IONOSPHERE_STREAM: u64 = 21;
 
 /// One instant of a simulation.
@@ -52,6 +55,8 @@ pub struct SimulatedEpoch {
     pub rover_phases: Vec<PhaseTruth>,
     /// Likewise of the base's; empty without base.
     pub base_phases: Vec<PhaseTruth>,
+    /// What its wheels and compass say of the way since the epoch before; `None` at the first.
+    pub odometry: Option<Odometry>,
     /// Where the rover's antenna was when GPS time was the tag.
     pub position: Ecef,
     /// Its velocity then, ECEF (m/s).
@@ -71,6 +76,7 @@ pub struct Simulator {
     city: Option<City>,
     rover: Receiver,
     base: Option<(Receiver, Ecef)>,
+    odometer: Odometer,
     next_index: u64,
 }
 
@@ -104,7 +110,8 @@ impl Simulator {
         let base = scenario
             .base
             .map(|enu| (receiver(scenario.base_errors, BASE_STREAM), frame.to_ecef(enu)));
-        Self { scenario, seed, navigation, frame, path, city, rover, base, next_index: 0 }
+        let odometer = Odometer::new(Random::new(seed, ODOMETRY_STREAM));
+        Self { scenario, seed, navigation, frame, path, city, rover, base, odometer, next_index: 0 }
     }
 
     /// What the satellites broadcast.
@@ -155,11 +162,13 @@ impl Iterator for Simulator {
         let base_phases = base_phases.unwrap_or_default();
         let (position, velocity_m_s, _) = self.rover_at(tag);
         let clock_m = self.rover.clock_m();
+        let odometry = self.odometer.measure(&self.path, elapsed_s);
         Some(SimulatedEpoch {
             rover,
             base,
             rover_phases,
             base_phases,
+            odometry,
             position,
             velocity_m_s,
             clock_m,

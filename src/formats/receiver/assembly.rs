@@ -134,7 +134,7 @@ impl Assembly {
         let before = observations.len();
         observations.dedup_by_key(|o| (o.satellite, o.code));
         *duplicates += before - observations.len();
-        Some(Epoch { time, power_failure: false, observations })
+        Some(Epoch { observations, ..Epoch::new(time) })
     }
 }
 

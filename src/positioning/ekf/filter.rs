@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::config::{DopplerUse, GraphOptions, PositioningOptions};
 use crate::gnss::{
-    Constellation, Ecef, Enu, EphemerisIssue, Epoch, GpsTime, LocalFrame, Navigation, SatelliteId,
+    Constellation, Ecef, Enu, EphemerisIssue, Epoch, GpsTime, LocalFrame, Navigation, Reason,
     Solution, Status,
 };
 use crate::positioning::Measurements;
@@ -12,18 +12,20 @@ use crate::positioning::answer::Answer;
 use crate::positioning::chi_square::ChiSquareLimits;
 use crate::positioning::clock_jump::{CRYSTAL_DRIFT_M_S, jump_m};
 use crate::positioning::factors::{
-    CLOCK, ClockWalk, ComponentFactor, DRIFT, DopplerFactor, MotionWalk, PhaseDifferenceFactor,
-    VELOCITY, position,
+    CLOCK, ClockWalk, DRIFT, DopplerFactor, MotionWalk, OdometryFactor, VELOCITY,
+    ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::Phases;
 use crate::positioning::ranging::{Ranging, median};
 use crate::positioning::spp::SinglePoint;
+use crate::positioning::standstill::{Standstill, StandstillTest};
 use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, VelocityEstimator, variance_m2_s2};
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-use super::belief::{BIAS, Belief, Innovation};
+use super::belief::{BIAS, Belief};
+use super::rows::Rows;
 
 /// Deviation of the first position about its start (m): says nearly nothing.
 const START_M: f64 = 1e4;
@@ -51,6 +53,7 @@ struct Memory {
     phases: Phases,
     /// Ephemerides of those phases.
     issues: Vec<EphemerisIssue>,
+    standstill: Standstill,
     /// For how long most pseudoranges have failed the test (s).
     failing_s: f64,
 }
@@ -60,18 +63,10 @@ struct Memory {
 struct Settings {
     motion: MotionWalk,
     clock: ClockWalk,
+    /// The test for standstill, where it is made.
+    standstill: Option<StandstillTest>,
     /// Limit of the innovation test, infinite without.
     limit: f64,
-}
-
-/// One epoch's rows, in the order in which they enter; the memory is used again.
-#[derive(Debug, Default)]
-struct Rows {
-    ranges: Vec<Ranging>,
-    used: Vec<SatelliteId>,
-    rates: Vec<DopplerFactor>,
-    phases: Vec<PhaseDifferenceFactor>,
-    misses_m: Vec<f64>,
 }
 
 /// What an epoch is solved from.
@@ -103,6 +98,7 @@ impl KalmanFilter {
             settings: Settings {
                 motion: MotionWalk::of(&options.graph),
                 clock: ClockWalk::of(&options.graph),
+                standstill: options.graph.zero_velocity.then(StandstillTest::new),
                 limit,
             },
             memory: None,
@@ -174,8 +170,9 @@ impl KalmanFilter {
             let (past, next) = (memory.belief.past(), memory.belief.state());
             memory.phases.follow_clock(phases, &past, &next);
         }
+        self.other_sensors(&mut memory, place, interval_s);
         let share = (interval_s / graph.independence_s).min(1.0);
-        self.update(&mut memory, share, graph);
+        self.rows.enter(&mut memory.belief, self.settings.limit, share, graph);
         let is_failing = self.rows.used.len() * 2 < self.rows.ranges.len();
         memory.failing_s = if is_failing { memory.failing_s + interval_s } else { 0.0 };
         if LOST_S < memory.failing_s && self.can_begin(scene) {
@@ -192,6 +189,17 @@ impl KalmanFilter {
             if let Some(phase) = measurement.phase.as_mut().filter(|_| is_new) {
                 phase.loss_of_lock = true;
             }
+        }
+    }
+
+    /// What odometry says of the way, and whether there was any.
+    fn other_sensors(&mut self, memory: &mut Memory, place: Ecef, interval_s: f64) {
+        let rows = &mut self.rows;
+        let over = |odometry| OdometryFactor::over(interval_s, &memory.frame, place, odometry);
+        rows.odometry = self.measurements.odometry.as_ref().and_then(over);
+        if let Some(test) = &self.settings.standstill {
+            let stands = memory.standstill.observe(test, &rows.rates, Some(interval_s));
+            rows.standstill = stands.then(|| ZeroVelocityFactor::new(interval_s));
         }
     }
 
@@ -213,6 +221,7 @@ impl KalmanFilter {
             begun: [false; Constellation::COUNT],
             phases: Phases::default(),
             issues: Vec::new(),
+            standstill: Standstill::default(),
             failing_s: 0.0,
         };
         if self.observe(scene, &memory.frame, estimate.position).is_none() {
@@ -243,7 +252,7 @@ impl KalmanFilter {
         let is_used =
             |range: &&Ranging| estimate.satellites_used.binary_search(&range.satellite).is_ok();
         self.rows.ranges.extend(all.iter().filter(is_used));
-        self.update(&mut memory, 1.0, &options.graph);
+        self.rows.enter(&mut memory.belief, self.settings.limit, 1.0, &options.graph);
         self.rows.ranges = all;
         // As wide as single-point positioning says, which knows how well its residuals fit.
         let own = memory.belief.state_covariance().fixed_view::<3, 3>(0, 0).trace();
@@ -255,10 +264,7 @@ impl KalmanFilter {
     fn observe(&mut self, scene: &Scene<'_>, frame: &LocalFrame, place: Ecef) -> Option<()> {
         let Scene { epoch, navigation, options } = *scene;
         let Self { measurements, rows, .. } = self;
-        rows.ranges.clear();
-        rows.used.clear();
-        rows.rates.clear();
-        rows.phases.clear();
+        rows.clear();
         measurements.gather(epoch, navigation, options);
         measurements.place(place, epoch.time, navigation, options)?;
         // The least suspect first; the satellite decides among equals.
@@ -325,33 +331,6 @@ impl KalmanFilter {
         }
     }
 
-    /// Takes the rows in, kind by kind, the sharpest kinds first.
-    fn update(&mut self, memory: &mut Memory, share: f64, graph: &GraphOptions) {
-        let limit = self.settings.limit;
-        let belief = &mut memory.belief;
-        if graph.vertical_velocity_m_s.is_finite() && graph.motion {
-            let inverse_sigma = graph.vertical_velocity_m_s.recip();
-            let level = ComponentFactor { column: VELOCITY + 2, mean: 0.0, inverse_sigma };
-            let row = Innovation::row(&level.linearize(&belief.state()), None);
-            belief.update(&row, f64::INFINITY);
-        }
-        for phase in &self.rows.phases {
-            let link = phase.linearize(&belief.past(), &belief.state());
-            belief.update(&Innovation::link(&link), limit);
-        }
-        for rate in &self.rows.rates {
-            belief.update(&Innovation::row(&rate.linearize(&belief.state()), None), limit);
-        }
-        for range in &self.rows.ranges {
-            let row = range.factor.linearize(&belief.state(), range.bias_m(belief.biases_m()));
-            let bias = range.bias.map(|place| (place, range.factor.inverse_sigma));
-            if belief.update(&Innovation::row(&row, bias).tempered(share), limit) {
-                self.rows.used.push(range.satellite);
-            }
-        }
-        self.rows.used.sort_unstable();
-    }
-
     /// Keeps what the next epoch needs and answers this one.
     fn finish(&mut self, scene: &Scene<'_>, mut memory: Memory, interval_s: f64) -> Solution {
         let options = scene.options;
@@ -363,6 +342,8 @@ impl KalmanFilter {
         }
         let mut reasons = Vec::new();
         self.measurements.aiding_reasons(&mut reasons);
+        let odometry = self.measurements.odometry.filter(|_| self.rows.odometry.is_none());
+        reasons.extend(odometry.map(|o| Reason::OdometryUnused { interval_s: o.interval_s }));
         let is_used = |range: &Ranging| self.rows.used.binary_search(&range.satellite).is_ok();
         let (state, biases_m) = (memory.belief.state(), memory.belief.biases_m());
         let kernelled = self.rows.ranges.iter().map(|range| {
@@ -421,7 +402,7 @@ impl KalmanFilter {
     }
 }
 
-snapshot_fields!(Memory { time, frame, belief, begun, phases, issues, failing_s });
+snapshot_fields!(Memory { time, frame, belief, begun, phases, issues, standstill, failing_s });
 
 impl KalmanFilter {
     /// Writes what the next answers depend on; the settings follow from the options.

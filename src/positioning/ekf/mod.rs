@@ -23,5 +23,6 @@
 
 mod belief;
 mod filter;
+mod rows;
 
 pub(super) use filter::KalmanFilter;

@@ -13,6 +13,8 @@
 //! | [`PhaseDifferenceFactor`] | p, b, p₊, b₊ | van Graas & Soloviev (2004) |
 //! | [`MotionFactor`] | p, v, p₊, v₊ | constant acceleration noise |
 //! | [`ClockFactor`] | b, d, b₊, d₊ | two-state clock |
+//! | [`OdometryFactor`] | p, p₊ | another sensor's displacement |
+//! | [`ZeroVelocityFactor`] | p, p₊, v₊ | a standstill |
 //! | [`BiasFactor`] | β | |
 //! | [`ComponentFactor`] | one number of a state | |
 //!
@@ -24,9 +26,11 @@ mod component;
 mod doppler;
 mod doppler_velocity;
 mod motion;
+mod odometry;
 mod phase_difference;
 mod pseudorange;
 mod sight;
+mod zero_velocity;
 
 pub(super) use bias::BiasFactor;
 pub(super) use clock::{ClockFactor, ClockWalk};
@@ -34,9 +38,11 @@ pub(super) use component::ComponentFactor;
 pub(super) use doppler::DopplerFactor;
 pub(super) use doppler_velocity::DopplerVelocityFactor;
 pub(super) use motion::{MotionFactor, MotionWalk};
+pub(super) use odometry::OdometryFactor;
 pub(super) use phase_difference::PhaseDifferenceFactor;
 pub(super) use pseudorange::PseudorangeFactor;
 pub(super) use sight::Sight;
+pub(super) use zero_velocity::ZeroVelocityFactor;
 
 /// Numbers in a state.
 pub(super) const STATE: usize = 8;

@@ -3,15 +3,16 @@
 use nalgebra::Vector3;
 
 use crate::config::{DopplerUse, PositioningOptions};
-use crate::gnss::{Constellation, Ecef, GpsTime, LocalFrame};
+use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry, Reason};
 use crate::graph::{Elimination, EliminationError, Estimate, Phase, Prior, System};
 use crate::positioning::clock_jump::{CRYSTAL_DRIFT_M_S, jump_m};
 use crate::positioning::factors::{
     BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerFactor, DopplerVelocityFactor,
-    MotionFactor, STATE, State, VELOCITY, position,
+    MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::Phases;
 use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::standstill::Standstill;
 use crate::positioning::uncertainty::repetition;
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::positioning::{Measurement, Measurements};
@@ -39,6 +40,7 @@ pub(super) struct Chain {
     pub(super) estimate: Estimate<STATE>,
     pub(super) prior: Prior<STATE>,
     phases: Phases,
+    standstill: Standstill,
     spare: Vec<GraphEpoch>,
     /// Constellations whose constant bias has begun.
     begun: [bool; Constellation::COUNT],
@@ -66,6 +68,7 @@ impl Clone for Chain {
         self.estimate.clone_from(&source.estimate);
         self.prior.clone_from(&source.prior);
         self.phases.clone_from(&source.phases);
+        self.standstill = source.standstill;
         self.begun = source.begun;
         self.sequence = source.sequence;
         self.started = source.started;
@@ -78,14 +81,15 @@ impl Snapshot for Chain {
     fn save(&self, writer: &mut SnapshotWriter) {
         #[rustfmt::skip]
         let Self {
-            frame, epochs, estimate, prior, phases, spare: _, begun, sequence, started, is_proven,
-            ring, scratch: _,
+            frame, epochs, estimate, prior, phases, standstill, spare: _, begun, sequence, started,
+            is_proven, ring, scratch: _,
         } = self;
         frame.save(writer);
         epochs.save(writer);
         estimate.save(writer);
         prior.save(writer);
         phases.save(writer);
+        standstill.save(writer);
         begun.save(writer);
         sequence.save(writer);
         started.save(writer);
@@ -100,6 +104,7 @@ impl Snapshot for Chain {
             estimate: Snapshot::load(reader)?,
             prior: Snapshot::load(reader)?,
             phases: Snapshot::load(reader)?,
+            standstill: Snapshot::load(reader)?,
             spare: Vec::new(),
             begun: Snapshot::load(reader)?,
             sequence: Snapshot::load(reader)?,
@@ -127,6 +132,7 @@ impl Chain {
             estimate: Estimate::new(),
             prior: Prior::none(),
             phases: Phases::default(),
+            standstill: Standstill::default(),
             spare: Vec::new(),
             begun: [false; Constellation::COUNT],
             sequence: 0,
@@ -172,6 +178,7 @@ impl Chain {
         self.estimate.border.clear();
         self.prior = Prior::none();
         self.phases.clear();
+        self.standstill = Standstill::default();
         self.begun = [false; Constellation::COUNT];
         self.sequence = 0;
         self.is_proven = false;
@@ -232,6 +239,11 @@ impl Chain {
                 self.phases.differences(&self.frame, list, sigma_m, &mut epoch.phases);
                 self.phases.follow_clock(&mut epoch.phases, before, &guess);
             }
+        }
+        self.carry_on(&mut epoch, interval_s, &guess, measurements.odometry.as_ref());
+        if let Some(test) = &settings.standstill {
+            let stands = self.standstill.observe(test, &epoch.rates, interval_s);
+            epoch.standstill = interval_s.filter(|_| stands).map(ZeroVelocityFactor::new);
         }
         self.regularize(&mut epoch, interval_s.is_none(), &guess, options);
         if options.graph.phase {
@@ -311,7 +323,7 @@ impl Chain {
         if options.graph.doppler != DopplerUse::Satellites {
             return;
         }
-        let receiver = self.frame.to_ecef(crate::gnss::Enu(position(guess)));
+        let receiver = self.frame.to_ecef(Enu(position(guess)));
         for measurement in list.iter().filter(|m| m.is_above_mask && !m.is_excluded) {
             let Some(rate_m_s) = measurement.range_rate_m_s else { continue };
             let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
@@ -344,6 +356,23 @@ impl Chain {
             interval_s,
             inverse_sigma: sigma_m_s.recip(),
         })
+    }
+
+    /// The tie by another sensor, where the epoch carries one.
+    fn carry_on(
+        &self,
+        epoch: &mut GraphEpoch,
+        interval_s: Option<f64>,
+        guess: &State,
+        odometry: Option<&Odometry>,
+    ) {
+        let Some(odometry) = odometry else { return };
+        let place = self.frame.to_ecef(Enu(position(guess)));
+        let over = |interval_s| OdometryFactor::over(interval_s, &self.frame, place, odometry);
+        epoch.odometry = interval_s.and_then(over);
+        if epoch.odometry.is_none() {
+            epoch.reasons.push(Reason::OdometryUnused { interval_s: odometry.interval_s });
+        }
     }
 
     /// What is known of single numbers of the state.

@@ -6,7 +6,7 @@ use crate::gnss::{GpsTime, Reason};
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, MotionFactor,
-    PhaseDifferenceFactor, STATE, State,
+    OdometryFactor, PhaseDifferenceFactor, STATE, State, ZeroVelocityFactor,
 };
 use crate::positioning::ranging::Ranging;
 use crate::positioning::uncertainty::Residuals;
@@ -17,6 +17,8 @@ use super::settings::Kernels;
 
 /// Trust in the phase of a satellite whose pseudorange is rejected: epochs with no other stay tied.
 const TRUST_MIN: f64 = 0.1;
+/// Wheels slip: Huber's kernel, 95 % efficient under normal errors, bounds what that does.
+const ODOMETRY_KERNEL: Kernel = Kernel::huber(1.345);
 
 /// What ties an epoch to the one before, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +45,10 @@ pub(super) struct GraphEpoch {
     pub(super) phases: Vec<PhaseDifferenceFactor>,
     /// From the epoch before to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
+    /// From the epoch before to this one.
+    pub(super) odometry: Option<OdometryFactor>,
+    /// Where the receiver stood still since the epoch before.
+    pub(super) standstill: Option<ZeroVelocityFactor>,
     pub(super) components: Vec<ComponentFactor>,
     pub(super) biases: Vec<BiasFactor>,
     /// Local velocity from this epoch's Doppler alone, where the tie needs it (m/s).
@@ -64,6 +70,8 @@ impl GraphEpoch {
             rates: Vec::new(),
             phases: Vec::new(),
             tie: None,
+            odometry: None,
+            standstill: None,
             components: Vec::new(),
             biases: Vec::new(),
             doppler_velocity_m_s: None,
@@ -81,6 +89,8 @@ impl GraphEpoch {
         self.biases.clear();
         self.reasons.clear();
         self.tie = None;
+        self.odometry = None;
+        self.standstill = None;
         self.doppler_velocity_m_s = None;
     }
 
@@ -161,6 +171,17 @@ impl GraphEpoch {
             let kernel = kernels[2].tempered(trust);
             system.add_link(k, &phase.linearize(state, next), &kernel);
         }
+        if let Some(odometry) = &self.odometry {
+            for row in 0..3 {
+                system.add_link(k, &odometry.linearize(row, state, next), &ODOMETRY_KERNEL);
+            }
+        }
+        if let Some(standstill) = &self.standstill {
+            for axis in 0..3 {
+                system.add_link(k, &standstill.place(axis, state, next), &Kernel::QUADRATIC);
+                system.add(k + 1, &standstill.pace(axis, next), &Kernel::QUADRATIC);
+            }
+        }
         match &self.tie {
             None => {}
             Some(Tie::DopplerVelocity(factor)) => {
@@ -191,6 +212,8 @@ snapshot_fields!(GraphEpoch {
     rates,
     phases,
     tie,
+    odometry,
+    standstill,
     components,
     biases,
     doppler_velocity_m_s,
@@ -263,6 +286,8 @@ impl Clone for GraphEpoch {
         self.rates.clone_from(&source.rates);
         self.phases.clone_from(&source.phases);
         self.tie = source.tie;
+        self.odometry = source.odometry;
+        self.standstill = source.standstill;
         self.components.clone_from(&source.components);
         self.biases.clone_from(&source.biases);
         self.doppler_velocity_m_s = source.doppler_velocity_m_s;

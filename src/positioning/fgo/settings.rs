@@ -4,6 +4,7 @@ use crate::config::{GraphOptions, KernelLaw};
 use crate::graph::{AnnealedKernel, Kernel, Law, OptimizerOptions, Phase, Schedule};
 
 use crate::positioning::factors::{ClockWalk, MotionWalk};
+use crate::positioning::standstill::StandstillTest;
 
 /// Huber's constant: 95 % efficiency under normal errors.
 const HUBER: f64 = 1.345;
@@ -60,6 +61,8 @@ pub(super) struct Settings {
     pub(super) clock: ClockWalk,
     /// Variance of what orbits and clocks broadcast put into a range (m²).
     pub(super) orbit_clock_m2: f64,
+    /// The test for standstill, where it is made.
+    pub(super) standstill: Option<StandstillTest>,
     /// For an epoch more.
     pub(super) update: OptimizerOptions,
     /// For a whole chain whose start is coarse.
@@ -81,6 +84,7 @@ impl Settings {
             motion: MotionWalk::of(options),
             clock: ClockWalk::of(options),
             orbit_clock_m2: options.orbit_clock_sigma_m.powi(2),
+            standstill: options.zero_velocity.then(StandstillTest::new),
             update: solve(update),
             whole: solve(whole),
         }

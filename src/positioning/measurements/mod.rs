@@ -13,7 +13,7 @@ use crate::config::{IonosphereModel, PositioningOptions};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Band, Constellation, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime, Meters, Navigation,
-    Observation, ObservationCode, Reason, SatelliteId, Signal,
+    Observation, ObservationCode, Odometry, Reason, SatelliteId, Signal,
 };
 use crate::models::{
     LookAngles, SatelliteState, group_delay_m, select_ephemeris, state_at_transmission,
@@ -110,6 +110,8 @@ pub struct Measurements {
     pub without_ephemeris: Vec<SatelliteId>,
     /// Coefficients for the ionosphere model asked for are missing; named is what is used instead.
     pub ionosphere_fallback: Option<&'static str>,
+    /// What another sensor says of the way since the epoch before.
+    pub odometry: Option<Odometry>,
     biases: atmosphere::InterFrequencyBiases,
 }
 
@@ -120,6 +122,7 @@ impl Measurements {
     pub fn gather(&mut self, epoch: &Epoch, navigation: &Navigation, options: &PositioningOptions) {
         self.list.clear();
         self.without_ephemeris.clear();
+        self.odometry = epoch.odometry;
         let mut seen = [0_u128; Constellation::COUNT];
         for (satellite, observations) in epoch.by_satellite() {
             let bits = &mut seen[satellite.constellation.index()];

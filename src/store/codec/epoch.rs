@@ -1,27 +1,50 @@
 //! Epochs as bytes.
 //!
 //! Header: version, time, power failure, number of observations. Each observation: satellite, code,
-//! one byte of flags, one byte of four 2-bit tags, then the values present.
+//! one byte of flags, one byte of four 2-bit tags, then the values present. Last, in version 2
+//! only, the odometry: frame, interval, displacement, covariance, and a body's heading.
 
-use crate::gnss::{Cycles, Epoch, Observation, ObservationCode};
+use crate::gnss::{Cycles, Epoch, Observation, ObservationCode, Odometry, OdometryFrame};
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder};
 
-const VERSION: u8 = 1;
+/// Of an epoch without odometry, so that its bytes are those it always had.
+const PLAIN: u8 = 1;
+/// Of one with odometry at the end.
+const WITH_ODOMETRY: u8 = 2;
 const LOSS_OF_LOCK: u8 = 1;
 const HALF_CYCLE: u8 = 2;
 
 /// The bytes of an epoch.
 pub(in crate::store) fn encode_epoch(epoch: &Epoch) -> Vec<u8> {
-    let mut out = Encoder::new(VERSION, 16 + 26 * epoch.observations.len());
+    let version = if epoch.odometry.is_some() { WITH_ODOMETRY } else { PLAIN };
+    let mut out = Encoder::new(version, 16 + 26 * epoch.observations.len());
     out.time(epoch.time);
     out.u8(u8::from(epoch.power_failure));
     out.count(epoch.observations.len());
     for observation in &epoch.observations {
         encode_observation(&mut out, observation);
     }
+    if let Some(odometry) = &epoch.odometry {
+        encode_odometry(&mut out, odometry);
+    }
     out.finish()
+}
+
+fn encode_odometry(out: &mut Encoder, odometry: &Odometry) {
+    out.u8(match odometry.frame {
+        OdometryFrame::Ecef => 1,
+        OdometryFrame::Enu => 2,
+        OdometryFrame::Body { .. } => 3,
+    });
+    out.f64(odometry.interval_s);
+    out.vector(&odometry.displacement_m);
+    out.covariance(&odometry.covariance);
+    if let OdometryFrame::Body { heading_rad, heading_sigma_rad } = odometry.frame {
+        out.f64(heading_rad);
+        out.f64(heading_sigma_rad);
+    }
 }
 
 fn encode_observation(out: &mut Encoder, observation: &Observation) {
@@ -47,14 +70,30 @@ fn encode_observation(out: &mut Encoder, observation: &Observation) {
 
 /// The epoch of its bytes.
 pub(in crate::store) fn decode_epoch(bytes: &[u8]) -> Result<Epoch, CodecError> {
-    let mut input = Decoder::new(bytes, VERSION)?;
+    let (mut input, layout) = Decoder::of_versions(bytes, WITH_ODOMETRY)?;
     let mut epoch = Epoch::new(input.time()?);
     epoch.power_failure = input.flag("power failure")?;
     let count = input.count("number of observations")?;
     epoch.observations =
         (0..count).map(|_| decode_observation(&mut input)).collect::<Result<_, _>>()?;
+    if layout == WITH_ODOMETRY {
+        epoch.odometry = Some(decode_odometry(&mut input)?);
+    }
     input.finish()?;
     Ok(epoch)
+}
+
+fn decode_odometry(input: &mut Decoder<'_>) -> Result<Odometry, CodecError> {
+    let kind = input.u8()?;
+    let (interval_s, displacement_m) = (input.f64()?, input.vector()?);
+    let covariance = input.covariance()?;
+    let frame = match kind {
+        1 => OdometryFrame::Ecef,
+        2 => OdometryFrame::Enu,
+        3 => OdometryFrame::Body { heading_rad: input.f64()?, heading_sigma_rad: input.f64()? },
+        _ => return Err(input.invalid("odometry")),
+    };
+    Ok(Odometry { interval_s, frame, displacement_m, covariance })
 }
 
 fn decode_observation(input: &mut Decoder<'_>) -> Result<Observation, CodecError> {

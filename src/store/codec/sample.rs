@@ -8,8 +8,9 @@ use proptest::prelude::*;
 use crate::config::IonosphereModel;
 use crate::gnss::{
     Constellation, Cycles, Dops, Ecef, Ephemeris, EphemerisIssue, Epoch, GlonassEphemeris, GpsTime,
-    GroupDelays, KeplerianEphemeris, NavigationMessage, Observation, ObservationCode, Provenance,
-    Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
+    GroupDelays, KeplerianEphemeris, NavigationMessage, Observation, ObservationCode, Odometry,
+    OdometryFrame, Provenance, Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate,
+    Status, Velocity,
 };
 
 use super::ephemeris::MESSAGES;
@@ -64,8 +65,29 @@ fn observation() -> impl Strategy<Value = Observation> {
 }
 
 pub(super) fn epoch() -> impl Strategy<Value = Epoch> {
-    (time(), any::<bool>(), vec(observation(), 0..50))
-        .prop_map(|(time, power_failure, list)| Epoch { time, power_failure, observations: list })
+    (time(), any::<bool>(), vec(observation(), 0..50), option::of(odometry())).prop_map(
+        |(time, power_failure, observations, odometry)| Epoch {
+            time,
+            power_failure,
+            observations,
+            odometry,
+        },
+    )
+}
+
+fn odometry() -> impl Strategy<Value = Odometry> {
+    let body = (number(), number()).prop_map(|(heading_rad, heading_sigma_rad)| {
+        OdometryFrame::Body { heading_rad, heading_sigma_rad }
+    });
+    let frame = prop_oneof![Just(OdometryFrame::Ecef), Just(OdometryFrame::Enu), body];
+    (number(), frame, vector(), covariance()).prop_map(
+        |(interval_s, frame, displacement_m, covariance)| Odometry {
+            interval_s,
+            frame,
+            displacement_m,
+            covariance,
+        },
+    )
 }
 
 fn reason() -> impl Strategy<Value = Reason> {
@@ -101,6 +123,7 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         satellites().prop_map(|satellites| Reason::HalfCycleUnresolved { satellites }),
         satellites().prop_map(|satellites| Reason::CycleSlips { satellites }),
         number().prop_map(|age_s| Reason::StartUnproven { age_s }),
+        number().prop_map(|interval_s| Reason::OdometryUnused { interval_s }),
     ]
 }
 

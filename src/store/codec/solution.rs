@@ -159,6 +159,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
             out.satellites(satellites);
         }
         Reason::StartUnproven { age_s } => numbers(18, &[*age_s]),
+        Reason::OdometryUnused { interval_s } => numbers(19, &[*interval_s]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -283,6 +284,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         16 => Reason::HalfCycleUnresolved { satellites: input.satellites()? },
         17 => Reason::CycleSlips { satellites: input.satellites()? },
         18 => Reason::StartUnproven { age_s: input.f64()? },
+        19 => Reason::OdometryUnused { interval_s: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }

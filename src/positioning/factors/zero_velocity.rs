@@ -1,0 +1,82 @@
+//! The zero-velocity factor: a receiver that stands still.
+
+use crate::graph::{Link, Row};
+use crate::snapshot::snapshot_fields;
+
+use super::{State, VELOCITY};
+
+/// Deviation of a standing receiver's velocity, per axis (m/s): engine, wind, passengers.
+const STANDING_M_S: f64 = 0.02;
+
+/// Zero-velocity factor on two states between which the receiver stood, two rows an axis.
+///
+/// r₁ = (p₊ − p) / (σ·Δt), r₂ = v₊ / σ
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::positioning) struct ZeroVelocityFactor {
+    inverse_place: f64,
+    inverse_pace: f64,
+}
+
+impl ZeroVelocityFactor {
+    /// Over an interval (s).
+    pub(in crate::positioning) fn new(interval_s: f64) -> Self {
+        let inverse_pace = STANDING_M_S.recip();
+        Self { inverse_place: inverse_pace / interval_s, inverse_pace }
+    }
+
+    /// r₁ of one axis and its Jacobian on that axis of p and p₊.
+    #[inline]
+    pub(in crate::positioning) fn place(
+        &self,
+        axis: usize,
+        state: &State,
+        next: &State,
+    ) -> Link<1, 1> {
+        let w = self.inverse_place;
+        Link {
+            residual: (next[axis] - state[axis]) * w,
+            columns: [axis],
+            jacobian: [-w],
+            next_columns: [axis],
+            next_jacobian: [w],
+        }
+    }
+
+    /// r₂ of one axis and its Jacobian on that axis of v₊.
+    #[inline]
+    pub(in crate::positioning) fn pace(&self, axis: usize, next: &State) -> Row<1> {
+        let rate = VELOCITY + axis;
+        Row {
+            residual: next[rate] * self.inverse_pace,
+            columns: [rate],
+            jacobian: [self.inverse_pace],
+        }
+    }
+}
+
+snapshot_fields!(ZeroVelocityFactor { inverse_place, inverse_pace });
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::positioning::factors::sample::{check_link, check_row, next_state, state};
+
+    /// North −3 m in 2 s over 0.02 m/s: −75; north −2.5 m/s over 0.02 m/s: −125.
+    #[test]
+    fn residuals_worked_by_hand() {
+        let factor = ZeroVelocityFactor::new(2.0);
+        let place = factor.place(1, &state(), &next_state()).residual;
+        assert!((place + 75.0).abs() < 1e-9, "{place}");
+        let pace = factor.pace(1, &next_state()).residual;
+        assert!((pace + 125.0).abs() < 1e-9, "{pace}");
+    }
+
+    #[test]
+    fn the_jacobians_are_the_derivatives() {
+        let factor = ZeroVelocityFactor::new(2.0);
+        for axis in 0..3 {
+            check_link(|a, b| factor.place(axis, a, b));
+            check_row(&next_state(), |next| factor.pace(axis, next));
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! Whether the receiver stands still, by a test on Doppler.
+//!
+//! A receiver at rest sees every satellite at the range rate ρ̇₀ + d with one drift d, reflected
+//! signals nearly so too: what reflects them stands as well. With d the weighted mean of the rates
+//! z less ρ̇₀, Σ (z − ρ̇₀ − d)²/σ² is chi-square of n − 1 degrees of freedom. Where it exceeds its
+//! limit of 5 %, the receiver moves. That it does not proves a standstill only if a slow motion
+//! would show: the statistic must grow by 25, five standard deviations, at 0.3 m/s whatever the
+//! horizontal direction, Σ (eᵀ(g − ḡ))²·v²/σ² for g = ∂ρ̇/∂v.
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::snapshot::snapshot_fields;
+
+use super::chi_square::ChiSquareLimits;
+use super::factors::{DopplerFactor, State};
+
+/// Probability that an epoch at rest fails the test.
+const FALSE_ALARM: f64 = 0.05;
+/// The speed that must show (m/s), and by how much.
+const SHOWING_M_S: f64 = 0.3;
+const SHOWN_BY: f64 = 25.0;
+/// For how long every epoch must pass (s); epochs farther apart prove nothing of what is between.
+const STILL_S: f64 = 2.0;
+
+/// Limits of the test.
+#[derive(Clone, Debug)]
+pub(super) struct StandstillTest(ChiSquareLimits);
+
+/// How long the epochs have passed the test; plain data.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Standstill {
+    /// Since the first that passed (s).
+    still_s: Option<f64>,
+}
+
+snapshot_fields!(Standstill { still_s });
+
+impl StandstillTest {
+    pub(super) fn new() -> Self {
+        Self(ChiSquareLimits::new(FALSE_ALARM))
+    }
+
+    /// Whether the rates of one epoch are those of a receiver at rest, and would show if not.
+    fn passes(&self, rates: &[DopplerFactor]) -> bool {
+        let rows = || rates.iter().map(|rate| rate.linearize(&State::zeros()));
+        let (mut weight, mut along, mut mean) = (0.0, 0.0, Vector2::zeros());
+        for row in rows() {
+            let [east, north, _, w] = row.jacobian;
+            weight += w * w;
+            along -= w * row.residual;
+            mean += Vector2::new(east, north) * w;
+        }
+        if rates.len() < 2 {
+            return false;
+        }
+        let (drift_m_s, mean) = (along / weight, mean / weight);
+        let (mut squares, mut shows) = (0.0, Matrix2::zeros());
+        for row in rows() {
+            let [east, north, _, w] = row.jacobian;
+            squares += (row.residual + w * drift_m_s).powi(2);
+            let slope = Vector2::new(east, north) - mean * w;
+            shows += slope * slope.transpose();
+        }
+        let (half_trace, determinant) = (0.5 * shows.trace(), shows.determinant());
+        let least = half_trace - (half_trace * half_trace - determinant).max(0.0).sqrt();
+        squares <= self.0.at(rates.len() - 1) && SHOWN_BY <= least * SHOWING_M_S * SHOWING_M_S
+    }
+}
+
+impl Standstill {
+    /// Takes the rates of an epoch, `interval_s` after the one before if there is one; whether the
+    /// receiver has stood for long enough to say so, since before this epoch.
+    pub(super) fn observe(
+        &mut self,
+        test: &StandstillTest,
+        rates: &[DopplerFactor],
+        interval_s: Option<f64>,
+    ) -> bool {
+        let before_s = self.still_s.filter(|_| interval_s.is_some_and(|s| s <= STILL_S));
+        let longer = |still_s: f64| still_s + interval_s.unwrap_or(0.0);
+        self.still_s = test.passes(rates).then(|| before_s.map_or(0.0, longer));
+        self.still_s.is_some_and(|still_s| STILL_S <= still_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::gnss::{Ecef, Enu, LocalFrame};
+    use crate::models::{SatelliteState, range_rate};
+
+    const DRIFT_M_S: f64 = 40.0;
+
+    /// Eight satellites around, seen by a receiver of that local velocity; alternately ± `off`.
+    fn rates(velocity: Vector3<f64>, sigma_m_s: f64, off_m_s: f64) -> Vec<DopplerFactor> {
+        let frame = LocalFrame::at(Ecef::new(-2_414_266.9, 5_386_768.9, 2_407_460.0));
+        let rate = |index: u8| {
+            let azimuth = f64::from(index) * std::f64::consts::FRAC_PI_4;
+            let way = Vector3::new(azimuth.sin(), azimuth.cos(), 0.8) * 1.6e7;
+            let satellite = SatelliteState {
+                position: frame.to_ecef(Enu(way)),
+                velocity_m_s: Vector3::new(1_500.0, -1_200.0, 2_400.0),
+                clock_m: 0.0,
+                clock_drift_m_s: 0.0,
+                variance_m2: 0.0,
+            };
+            let moving = frame.rotation.transpose() * velocity;
+            let (place, speed) = (satellite.position, &satellite.velocity_m_s);
+            let seen = range_rate(place, speed, frame.origin, &moving).rate_m_s + DRIFT_M_S;
+            let seen = seen + if index.is_multiple_of(2) { off_m_s } else { -off_m_s };
+            DopplerFactor::new(&frame, frame.origin, &satellite, seen, sigma_m_s)
+        };
+        (0..8).map(rate).collect()
+    }
+
+    fn at_rest(velocity: Vector3<f64>, sigma_m_s: f64, off_m_s: f64) -> bool {
+        StandstillTest::new().passes(&rates(velocity, sigma_m_s, off_m_s))
+    }
+
+    #[test]
+    fn rest_passes_and_a_crawl_does_not() {
+        assert!(at_rest(Vector3::zeros(), 0.05, 0.0));
+        // Eight squares of one standard deviation: 8 of the 14.07 that seven degrees allow.
+        assert!(at_rest(Vector3::zeros(), 0.05, 0.05));
+        assert!(!at_rest(Vector3::zeros(), 0.05, 0.1));
+        assert!(!at_rest(Vector3::new(0.2, 0.0, 0.0), 0.05, 0.0));
+        assert!(!at_rest(Vector3::new(0.0, -0.2, 0.0), 0.05, 0.0));
+    }
+
+    /// Rates too coarse to show a crawl prove nothing.
+    #[test]
+    fn coarse_rates_prove_no_rest() {
+        assert!(!at_rest(Vector3::zeros(), 0.5, 0.0));
+        assert!(!StandstillTest::new().passes(&[]));
+    }
+
+    #[test]
+    fn two_seconds_of_rest_are_a_standstill() {
+        let (test, mut standstill) = (StandstillTest::new(), Standstill::default());
+        let (rest, moving) = (rates(Vector3::zeros(), 0.05, 0.0), Vector3::new(9.0, 0.0, 0.0));
+        let told: Vec<_> = [None, Some(1.0), Some(1.0), Some(1.0)]
+            .map(|interval_s| standstill.observe(&test, &rest, interval_s))
+            .into();
+        assert_eq!(told, [false, false, true, true]);
+        assert!(!standstill.observe(&test, &rates(moving, 0.05, 0.0), Some(1.0)));
+        assert!(!standstill.observe(&test, &rest, Some(1.0)));
+        // 30 s apart, the receiver may have gone and come back.
+        assert!(!standstill.observe(&test, &rest, Some(30.0)));
+        assert!(!standstill.observe(&test, &rest, Some(30.0)));
+    }
+}
