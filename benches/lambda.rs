@@ -38,6 +38,8 @@ fn resolve(bencher: Bencher<'_, '_>, covariance: &DMatrix<f64>) {
     let options = Options {
         success_rate_min: 0.0,
         ratio_test: RatioTest::FixedFailureRate(FailureRate::PerMille),
+        probability_min: 0.0,
+        scale_freedom: f64::INFINITY,
         fixed_min: 4,
         candidates: 2,
         nodes_max: 20_000,

@@ -105,6 +105,25 @@ fn a_day_of_two_reference_stations_is_fixed_throughout() {
     assert!(rms_m < 0.004, "{rms_m}");
 }
 
+/// One frequency: the first minutes are float, and nothing is wrong (10 cm). With ambiguities
+/// forgotten after each epoch few are fixed, and those are right too.
+#[test]
+fn one_frequency_is_fixed_and_never_wrong() {
+    let Some(pair) = hers_hert() else { return };
+    for (single_epoch, least) in [("false", 2_874), ("true", 400)] {
+        let mut options = general();
+        options.set("frequencies", "L1").unwrap();
+        options.set("ambiguity.single_epoch", single_epoch).unwrap();
+        let solutions = pair.causal(&options);
+        let errors = errors_m(&solutions, |_| HERS);
+        let is_fixed = |solution: &Solution| solution.status == Status::Fixed;
+        let wrong =
+            solutions.iter().zip(&errors).filter(|(s, e)| is_fixed(s) && 0.1 < e[0].hypot(e[1]));
+        assert_eq!(wrong.count(), 0);
+        assert!(least <= fixed(&solutions), "{} fixed", fixed(&solutions));
+    }
+}
+
 /// A hardware simulator's signals, 2 km: 2 mm are the rounding of phases and the troposphere.
 #[test]
 fn simulated_signals_are_fixed_to_millimetres() {

@@ -5,6 +5,10 @@ use super::Profile;
 /// What the modes that difference against a base are told beside the options of every mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RtkOptions {
+    /// Standard deviation of a strong signal's pseudorange at zenith (m); scaled by what is seen.
+    pub pseudorange_sigma_m: f64,
+    /// Standard deviation that C/N0 adds to a pseudorange at 42 dB-Hz (m).
+    pub pseudorange_cn0_sigma_m: f64,
     /// Standard deviation of a carrier phase at the zenith, and of what grows to the horizon (m).
     pub carrier_sigma_m: f64,
     /// Standard deviation that C/N0 adds to a carrier phase at 42 dB-Hz (m).
@@ -29,8 +33,12 @@ pub struct RtkOptions {
     pub resolve: bool,
     /// Least ratio of second-best to best squared norm, whatever the model's strength.
     pub ratio_min: f64,
+    /// Least posterior probability that what is fixed is right.
+    pub probability_min: f64,
     /// Least bootstrapped success rate of what is fixed.
     pub success_rate_min: f64,
+    /// Epochs in a row that must find the same integers before they are kept.
+    pub hold_epochs: u32,
     /// Fewest double differences a fix holds.
     pub fixed_min: usize,
     /// Ambiguities of satellites lower than this stay real-valued (rad).
@@ -41,7 +49,9 @@ impl RtkOptions {
     /// The defaults of `profile`.
     pub(super) fn new(_profile: Profile) -> Self {
         Self {
-            carrier_sigma_m: 0.003,
+            pseudorange_sigma_m: 0.3,
+            pseudorange_cn0_sigma_m: 1.0,
+            carrier_sigma_m: 0.002,
             carrier_cn0_sigma_m: 0.002,
             ionosphere_gradient: 2e-6,
             pseudorange_correlation_s: 30.0,
@@ -53,7 +63,9 @@ impl RtkOptions {
             single_epoch: false,
             resolve: true,
             ratio_min: 2.0,
-            success_rate_min: 0.99,
+            probability_min: 0.99,
+            success_rate_min: 0.05,
+            hold_epochs: 10,
             fixed_min: 4,
             elevation_mask_rad: 15_f64.to_radians(),
         }

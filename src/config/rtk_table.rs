@@ -5,6 +5,20 @@ use super::option_specification::{OptionSpecification, number, switch, switch_te
 #[rustfmt::skip]
 pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     OptionSpecification {
+        name: "differencing.pseudorange_sigma_m", unit: "m",
+        meaning: "standard deviation of a strong signal's pseudorange at zenith, to begin with",
+        allowed: "a number from 0.01 to 100",
+        get: |o| o.rtk.pseudorange_sigma_m.to_string(),
+        set: |o, text| number(text, 0.01, 100.0).map(|v| o.rtk.pseudorange_sigma_m = v),
+    },
+    OptionSpecification {
+        name: "differencing.pseudorange_cn0_sigma_m", unit: "m",
+        meaning: "standard deviation that a signal of 42 dB-Hz adds; tenfold for 20 dB less",
+        allowed: "a number from 0 to 100",
+        get: |o| o.rtk.pseudorange_cn0_sigma_m.to_string(),
+        set: |o, text| number(text, 0.0, 100.0).map(|v| o.rtk.pseudorange_cn0_sigma_m = v),
+    },
+    OptionSpecification {
         name: "differencing.carrier_sigma_m", unit: "m",
         meaning: "standard deviation of a carrier phase: this, and this over the sine of elevation",
         allowed: "a number from 0.0001 to 1",
@@ -91,11 +105,28 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
         set: |o, text| number(text, 1.0, 1000.0).map(|v| o.rtk.ratio_min = v),
     },
     OptionSpecification {
+        name: "ambiguity.probability_min", unit: "",
+        meaning: "least posterior probability that what is fixed is right",
+        allowed: "a number from 0 to 1",
+        get: |o| o.rtk.probability_min.to_string(),
+        set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.probability_min = v),
+    },
+    OptionSpecification {
         name: "ambiguity.success_rate_min", unit: "",
         meaning: "least bootstrapped success rate of what is fixed",
         allowed: "a number from 0 to 1",
         get: |o| o.rtk.success_rate_min.to_string(),
         set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.success_rate_min = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.hold_epochs", unit: "",
+        meaning: "epochs in a row that must find the same integers before these are kept",
+        allowed: "a whole number from 1 to 1000000",
+        get: |o| o.rtk.hold_epochs.to_string(),
+        set: |o, text| {
+            let epochs = text.parse().ok().filter(|v| (1..=1_000_000).contains(v));
+            epochs.map(|v| o.rtk.hold_epochs = v)
+        },
     },
     OptionSpecification {
         name: "ambiguity.fixed_min", unit: "",

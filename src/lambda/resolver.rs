@@ -15,6 +15,7 @@ use crate::lambda::success::log_rounding_success;
 use crate::lambda::validation::RatioTest;
 use crate::lambda::validation::posterior_probability;
 use crate::lambda::validation::ratio;
+use crate::lambda::validation::scaled_posterior_probability;
 
 /// What must hold for integers to be accepted, and how much may be spent on them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +24,12 @@ pub struct Options {
     pub success_rate_min: f64,
     /// Acceptance test of the best against the second best.
     pub ratio_test: RatioTest,
+    /// Least posterior probability of the best; 0 asks nothing. If the covariance is right, no test
+    /// accepts more at the same rate of accepted wrong integers.
+    pub probability_min: f64,
+    /// Degrees of freedom of what is known of the covariance's scale, for that probability;
+    /// infinite where the covariance is certain.
+    pub scale_freedom: f64,
     /// Fewest entries (or combinations) a fix must hold.
     pub fixed_min: usize,
     /// Candidates kept for the posterior, at least 2.
@@ -55,6 +62,8 @@ pub enum Rejection {
     SuccessRate,
     /// The second best is too close to the best.
     Ratio,
+    /// The posterior probability of the best is below the least.
+    Probability,
     /// The search met its limit of nodes.
     SearchLimit,
     /// The integers are too large to be exact.
@@ -222,9 +231,15 @@ impl Resolver {
         outcome.ratio = ratio(norms);
         outcome.squared_norm = norms.first().copied();
         let variances = &self.reduction.variances()[start..];
-        outcome.probability = Some(posterior_probability(norms, variances));
-        let passed = outcome.ratio.is_some_and(|ratio| outcome.ratio_threshold <= ratio);
-        (!passed).then_some(Rejection::Ratio)
+        outcome.probability = Some(match options.scale_freedom.is_finite() {
+            true => scaled_posterior_probability(norms, variances, options.scale_freedom),
+            false => posterior_probability(norms, variances),
+        });
+        if outcome.ratio.is_none_or(|ratio| ratio < outcome.ratio_threshold) {
+            return Some(Rejection::Ratio);
+        }
+        let is_likely = outcome.probability.is_some_and(|p| options.probability_min <= p);
+        (!is_likely).then_some(Rejection::Probability)
     }
 
     /// Whether another subset may be tried.

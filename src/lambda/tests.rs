@@ -61,6 +61,8 @@ fn options() -> Options {
     Options {
         success_rate_min: 0.0,
         ratio_test: RatioTest::Constant(1.0),
+        probability_min: 0.0,
+        scale_freedom: f64::INFINITY,
         fixed_min: 1,
         candidates: 2,
         nodes_max: 200_000,

@@ -8,6 +8,9 @@ use crate::lambda::success::log_determinant;
 use crate::lambda::success::scaled_erfc;
 use crate::lambda::thresholds::FailureRate;
 
+/// Intervals of Simpson's rule for a tail, even.
+const TAIL_STEPS: i32 = 64;
+
 /// Acceptance by R = ‖â − a₂‖² / ‖â − a₁‖² ≥ threshold, second best over best.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RatioTest {
@@ -18,9 +21,6 @@ pub enum RatioTest {
     /// Source: Verhagen & Teunissen (2013); the thresholds are our own simulation, see
     /// `thresholds`.
     FixedFailureRate(FailureRate),
-    /// That threshold, but no less than a constant: a guard against models that state too little
-    /// error, in which the failure rate is too small.
-    FixedFailureRateAtLeast(FailureRate, f64),
 }
 
 impl RatioTest {
@@ -31,9 +31,6 @@ impl RatioTest {
             Self::FixedFailureRate(rate) => {
                 let failure_rate = bootstrapped_failure_rate(conditional_variances);
                 rate.threshold(conditional_variances.len(), failure_rate)
-            }
-            Self::FixedFailureRateAtLeast(rate, least) => {
-                Self::FixedFailureRate(rate).threshold(conditional_variances).max(least)
             }
         }
     }
@@ -63,6 +60,48 @@ pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f6
     let log_density = 0.5 * (n as f64 * TAU.ln() + log_determinant(conditional_variances));
     let tail = (log_density + 0.5 * best + log_chi_squared_survival(n, *last)).exp();
     1.0 / (found + tail)
+}
+
+/// The same where the covariance is right but for a factor σ², of which as much is known as
+/// `freedom` residuals would tell.
+///
+/// P = (ν + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (ν + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the inverse
+/// chi-square density of ν degrees of freedom about one. A poor best (q₁ ≫ n) then speaks for a
+/// large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean density:
+/// with u = q/(ν + q), π^(n/2)/Γ(n/2) |Q|^½ ν^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from u_m to one.
+///
+/// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
+pub fn scaled_posterior_probability(
+    norms: &[f64],
+    conditional_variances: &[f64],
+    freedom: f64,
+) -> f64 {
+    let (Some(best), Some(last)) = (norms.first(), norms.last()) else { return 0.0 };
+    let half = 0.5 * conditional_variances.len() as f64;
+    let power = 0.5 * freedom + half;
+    let found: f64 =
+        norms.iter().map(|q| (power * ((freedom + best) / (freedom + q)).ln()).exp()).sum();
+    let begin = last / (freedom + last);
+    let density = |u: f64| u.powf(half - 1.0) * (1.0 - u).max(0.0).powf(0.5 * freedom - 1.0);
+    let step = (1.0 - begin) / f64::from(TAIL_STEPS);
+    let at = |k: i32| density(begin + f64::from(k) * step);
+    let inner: f64 = (1..TAIL_STEPS).map(|k| at(k) * if k % 2 == 1 { 4.0 } else { 2.0 }).sum();
+    let integral = (at(0) + inner + at(TAIL_STEPS)) * step / 3.0;
+    let log_factor = half * PI.ln() - log_gamma_of_half(conditional_variances.len())
+        + 0.5 * log_determinant(conditional_variances)
+        - 0.5 * freedom * freedom.ln()
+        + power * (freedom + best).ln();
+    1.0 / (found + log_factor.exp() * integral)
+}
+
+/// ln Γ(n/2), n at least one, by Γ(a + 1) = a·Γ(a).
+fn log_gamma_of_half(n: usize) -> f64 {
+    let (mut a, mut log) = if n % 2 == 1 { (0.5, 0.5 * PI.ln()) } else { (1.0, 0.0) };
+    while a + 0.5 < 0.5 * n as f64 {
+        log += f64::ln(a);
+        a += 1.0;
+    }
+    log
 }
 
 /// ln P(χ²_n > q), by Γ(a+1, x)/Γ(a+1) = Γ(a, x)/Γ(a) + xᵃe⁻ˣ/Γ(a+1) with a = n/2, x = q/2.
@@ -95,14 +134,29 @@ mod tests {
         }
     }
 
+    /// One entry of unit variance: Student's density over all integers, summed here one by one. With
+    /// many degrees of freedom it is the normal posterior.
+    #[test]
+    fn scaled_posterior_is_the_sum_over_all_integers() {
+        let (float, freedom): (f64, f64) = (0.2, 6.0);
+        let weight = |z: i32| (freedom + (float - f64::from(z)).powi(2)).powf(-3.5);
+        let sum: f64 = (-2000..=2000).map(weight).sum();
+        let mut norms: Vec<f64> = (-4..=4).map(|z: i32| (float - f64::from(z)).powi(2)).collect();
+        norms.sort_by(f64::total_cmp);
+        let found = scaled_posterior_probability(&norms, &[1.0], freedom);
+        // The tail is an integral over what is a sum.
+        assert!((found - weight(0) / sum).abs() < 2e-3, "{found} {}", weight(0) / sum);
+        let normal = posterior_probability(&norms, &[1.0]);
+        assert!((scaled_posterior_probability(&norms, &[1.0], 1e4) - normal).abs() < 1e-3);
+        // The same difference of norms, a poorer best.
+        let near = scaled_posterior_probability(&[1.0, 15.0], &[1e-3; 4], 10.0);
+        let poor = scaled_posterior_probability(&[20.0, 34.0], &[1e-3; 4], 10.0);
+        assert!(0.99 < near && poor < 0.97, "{near} {poor}");
+    }
+
     #[test]
     fn constant_ratio_is_the_threshold_of_any_model() {
         assert_eq!(RatioTest::Constant(3.0).threshold(&[0.1, 0.2]), 3.0);
-        let strong = RatioTest::FixedFailureRateAtLeast(FailureRate::PerMille, 2.0);
-        assert_eq!(strong.threshold(&[1e-4, 1e-4]), 2.0);
-        let weak = [0.05, 0.05];
-        let rate = RatioTest::FixedFailureRate(FailureRate::PerMille).threshold(&weak);
-        assert!(2.0 < rate && strong.threshold(&weak) == rate);
         assert_eq!(ratio(&[0.5, 2.0]), Some(4.0));
         assert_eq!(ratio(&[0.0, 2.0]), Some(f64::INFINITY));
         assert_eq!(ratio(&[0.0, 0.0]), None);

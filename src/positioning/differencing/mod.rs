@@ -58,6 +58,27 @@ pub(super) struct CommonSatellite {
     pub(super) rover_range_m: f64,
 }
 
+/// What differences with a common offset share.
+///
+/// Geostationary BeiDou satellites are a group of their own: their messages are coded another way,
+/// and receivers of different makers put their phases half a cycle apart from the others'
+/// (Nadarajah, Teunissen & Raziq 2013, *BeiDou inter-satellite-type bias evaluation and calibration
+/// for mixed receiver attitude determination*, Sensors 13).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct DifferenceGroup {
+    pub(super) constellation: Constellation,
+    is_geostationary: bool,
+    band: Band,
+    codes: [ObservationCode; 2],
+}
+
+impl DifferenceGroup {
+    pub(super) fn of(satellite: SatelliteId, band: Band, codes: [ObservationCode; 2]) -> Self {
+        let constellation = satellite.constellation;
+        Self { constellation, is_geostationary: satellite.is_beidou_geo(), band, codes }
+    }
+}
+
 /// A carrier of one satellite that both receivers observe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SingleDifference {
@@ -82,9 +103,9 @@ impl SingleDifference {
         SPEED_OF_LIGHT / self.frequency_hz
     }
 
-    /// What differences with a common offset share: constellation, carrier and both codes.
-    pub(super) fn group(&self) -> (Constellation, Band, [ObservationCode; 2]) {
-        (self.satellite.constellation, self.band, self.codes)
+    /// What differences with a common offset share.
+    pub(super) fn group(&self) -> DifferenceGroup {
+        DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
 }
 

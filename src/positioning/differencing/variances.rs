@@ -3,7 +3,7 @@
 use crate::config::PositioningOptions;
 use crate::gnss::Constellation;
 use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
-use crate::positioning::measurements::{constellation_factor, receiver_weights};
+use crate::positioning::measurements::constellation_factor;
 
 /// C/N0 to which the options refer (dB-Hz).
 const REFERENCE_DB_HZ: f64 = 42.0;
@@ -49,24 +49,14 @@ impl DifferenceVariances {
     /// (Lee, Pullen, Datta-Barua & Enge 2007, *Assessment of ionosphere spatial decorrelation for
     /// GPS-based aircraft landing systems*, J. Aircraft 44).
     pub(super) fn new(options: &PositioningOptions, baseline_m: f64, age_s: f64) -> Self {
-        let differencing = &options.rtk;
-        let sigma_m = differencing.carrier_sigma_m;
-        let carrier = MeasurementWeights {
-            elevation: ElevationTerm::InverseSineSquared { a_m: sigma_m, b_m: sigma_m },
-            cn0: Cn0Term::SigmaEpsilon {
-                v_m2: 0.0,
-                c_m2_hz: differencing.carrier_cn0_sigma_m.powi(2)
-                    * 10_f64.powf(REFERENCE_DB_HZ / 10.0),
-            },
-            // Without C/N0 the second term is left out.
-            cn0_if_missing_db_hz: f64::INFINITY,
-        };
+        let (pseudorange_m, carrier_m) =
+            (options.rtk.pseudorange_sigma_m, options.rtk.carrier_sigma_m);
         let old_s = if age_s.abs() < SAME_INSTANT_S { 0.0 } else { age_s };
         Self {
-            pseudorange: receiver_weights(options),
-            carrier,
+            pseudorange: weights(0.0, pseudorange_m, options.rtk.pseudorange_cn0_sigma_m),
+            carrier: weights(carrier_m, carrier_m, options.rtk.carrier_cn0_sigma_m),
             clock_m2: (CLOCK_WANDER_M_S * old_s).powi(2),
-            ionosphere_m: differencing.ionosphere_gradient * baseline_m,
+            ionosphere_m: options.rtk.ionosphere_gradient * baseline_m,
         }
     }
 
@@ -89,6 +79,18 @@ impl DifferenceVariances {
     fn path_m2(&self, pair: &PairQuality) -> f64 {
         let scale = (L1_HZ / pair.frequency_hz).powi(2) / pair.elevation_rad.sin();
         (self.ionosphere_m * scale).powi(2) + self.clock_m2
+    }
+}
+
+/// a² + b²/sin²E + u²·10^(−(S−42)/10); without C/N0 the last term is left out.
+fn weights(a_m: f64, b_m: f64, cn0_sigma_m: f64) -> MeasurementWeights {
+    MeasurementWeights {
+        elevation: ElevationTerm::InverseSineSquared { a_m, b_m },
+        cn0: Cn0Term::SigmaEpsilon {
+            v_m2: 0.0,
+            c_m2_hz: cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_DB_HZ / 10.0),
+        },
+        cn0_if_missing_db_hz: f64::INFINITY,
     }
 }
 

@@ -4,8 +4,9 @@
 //! border variable of the graph for all its epochs, which is given away when nothing names it any
 //! more.
 
-use crate::gnss::{Band, Constellation, GpsTime, ObservationCode, SatelliteId};
-use crate::positioning::differencing::SingleDifference;
+use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+use crate::graph::SharingRow;
+use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
 use crate::snapshot::snapshot_fields;
 
 /// An arc that has not ended.
@@ -26,12 +27,14 @@ pub(super) struct Arc {
     pub(super) half_cycle: bool,
     /// Elevation at the newest phase (rad).
     pub(super) elevation_rad: f64,
+    /// Its integer less one that all labelled arcs of its group share, once found.
+    pub(super) label: Option<i64>,
 }
 
 impl Arc {
     /// What the ambiguities share whose differences are integers.
-    pub(super) fn group(&self) -> (Constellation, Band, [ObservationCode; 2]) {
-        (self.satellite.constellation, self.band, self.codes)
+    pub(super) fn group(&self) -> DifferenceGroup {
+        DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
 
     fn is_of(&self, difference: &SingleDifference) -> bool {
@@ -58,6 +61,7 @@ snapshot_fields!(Arc {
     epochs,
     half_cycle,
     elevation_rad,
+    label,
 });
 snapshot_fields!(Arcs { list, in_use });
 
@@ -107,6 +111,7 @@ impl Arcs {
             epochs: 1,
             half_cycle: difference.half_cycle,
             elevation_rad,
+            label: None,
         };
         self.list.push(arc);
         arc
@@ -126,6 +131,18 @@ impl Arcs {
     /// Whether an arc has the variable.
     pub(super) fn has(&self, variable: usize) -> bool {
         self.list.iter().any(|arc| arc.variable == variable)
+    }
+
+    /// Puts the labels in the place of the ambiguities in rows of one group, and drops the rows of
+    /// arcs without one.
+    pub(super) fn put_labels(&self, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
+        rows.retain_mut(|row| {
+            let Some((variable, slope)) = row.border else { return false };
+            let arc = self.list.iter().find(|arc| arc.variable == variable);
+            let Some(label) = arc.and_then(|arc| arc.label) else { return false };
+            row.row.residual += (label as f64 - border[variable]) * slope;
+            true
+        });
     }
 
     /// Gives back the variables that no arc has and `is_named` does not name.

@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
-    Elimination, EliminationError, Estimate, Kernel, Phase, Prior, System, Workspace, optimize,
-    shared_offset,
+    Elimination, EliminationError, Estimate, Kernel, Phase, Prior, SharingRow, System, Workspace,
+    optimize, shared_offset,
 };
 use crate::positioning::differencing::{SingleDifference, SingleDifferences};
 use crate::positioning::factors::{ComponentFactor, MotionFactor, Sight, VELOCITY};
@@ -16,6 +16,7 @@ use super::arcs::Arcs;
 use super::epoch::{
     Ambiguity, AmbiguityStart, DifferenceFactor, Group, Rows, RtkEpoch, STATE, Scratch, State,
 };
+use super::integers::Trust;
 use super::settings::Settings;
 
 /// Deviation of the first position about its start (m): says nearly nothing.
@@ -24,6 +25,14 @@ const START_M: f64 = 1e4;
 const START_M_S: f64 = 100.0;
 /// Deviation of an ambiguity about its start (cycles): 200 m.
 const START_CYCLES: f64 = 1e3;
+/// Epochs that the noise learnt is a mean of.
+const NOISE_EPOCHS: f64 = 20.0;
+/// Epochs that the stated noise counts for.
+const NOISE_PRIOR_EPOCHS: f64 = 2.0;
+/// Factors on the stated noise, lest few satellites or a street say nonsense.
+const NOISE_SCALES: std::ops::RangeInclusive<f64> = 0.25..=4.0;
+/// A normal variable's standard deviation over its median magnitude.
+const NORMAL_OVER_MEDIAN: f64 = 1.482_6;
 /// A phase that contradicts the others by more has slipped (standard deviations).
 const SLIP_SIGMAS: f64 = 5.0;
 
@@ -35,8 +44,17 @@ pub(super) struct Chain {
     pub(super) estimate: Estimate<STATE>,
     pub(super) prior: Prior<STATE>,
     pub(super) arcs: Arcs,
+    /// Standard deviation of the pseudoranges seen over that stated.
+    noise_scale: f64,
+    /// The same of carrier phases.
+    carrier_scale: f64,
+    /// Epochs that the scales were learnt from.
+    learnt: [f64; 2],
+    /// How far the arcs' integers are trusted.
+    pub(super) trust: Trust,
     spare: Vec<RtkEpoch>,
     scratch: Scratch,
+    misses: Vec<f64>,
 }
 
 impl Clone for Chain {
@@ -53,17 +71,27 @@ impl Clone for Chain {
         self.estimate.clone_from(&source.estimate);
         self.prior.clone_from(&source.prior);
         self.arcs.clone_from(&source.arcs);
+        self.noise_scale = source.noise_scale;
+        self.carrier_scale = source.carrier_scale;
+        self.learnt = source.learnt;
+        self.trust = source.trust;
     }
 }
 
 impl Snapshot for Chain {
     fn save(&self, writer: &mut SnapshotWriter) {
-        let Self { frame, epochs, estimate, prior, arcs, spare: _, scratch: _ } = self;
+        let Self { frame, epochs, estimate, prior, arcs, .. } = self;
+        let Self {
+            noise_scale, carrier_scale, learnt, trust, spare: _, scratch: _, misses: _, ..
+        } = self;
         frame.save(writer);
         epochs.save(writer);
         estimate.save(writer);
         prior.save(writer);
         arcs.save(writer);
+        (*noise_scale, *carrier_scale).save(writer);
+        learnt.save(writer);
+        trust.save(writer);
     }
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
@@ -73,8 +101,13 @@ impl Snapshot for Chain {
             estimate: Snapshot::load(reader)?,
             prior: Snapshot::load(reader)?,
             arcs: Snapshot::load(reader)?,
+            noise_scale: Snapshot::load(reader)?,
+            carrier_scale: Snapshot::load(reader)?,
+            learnt: Snapshot::load(reader)?,
+            trust: Snapshot::load(reader)?,
             spare: Vec::new(),
             scratch: Scratch::default(),
+            misses: Vec::new(),
         };
         let border = chain.estimate.border.len();
         let is_whole = chain.epochs.len() == chain.estimate.states.len()
@@ -100,8 +133,13 @@ impl Chain {
             estimate: Estimate::new(),
             prior: Prior::none(),
             arcs: Arcs::default(),
+            noise_scale: 1.0,
+            carrier_scale: 1.0,
+            learnt: [0.0; 2],
+            trust: Trust::default(),
             spare: Vec::new(),
             scratch: Scratch::default(),
+            misses: Vec::new(),
         }
     }
 
@@ -123,6 +161,7 @@ impl Chain {
         self.estimate.border.clear();
         self.prior = Prior::none();
         self.arcs.clear();
+        self.trust = Trust::default();
     }
 
     /// Where the newest state will be at `time`, if nothing happens.
@@ -196,7 +235,7 @@ impl Chain {
             epoch.rows.push(DifferenceFactor {
                 sight: difference.common,
                 range_m: pseudorange.range_m,
-                inverse_sigma: pseudorange.variance_m2.sqrt().recip(),
+                inverse_sigma: (self.noise_scale * pseudorange.variance_m2.sqrt()).recip(),
                 share,
                 ambiguity: None,
             });
@@ -234,7 +273,8 @@ impl Chain {
             arc.epochs += 1;
             arc.elevation_rad = differences.satellites[difference.common].look.elevation_rad;
             let variable = arc.variable;
-            push_carrier(epoch, difference, carrier.range_m, carrier.variance_m2, share, variable);
+            let variance_m2 = carrier.variance_m2 * self.carrier_scale.powi(2);
+            push_carrier(epoch, difference, carrier.range_m, variance_m2, share, variable);
         }
         let known = Group { begin, end: epoch.rows.len(), is_carrier: true };
         epoch.linearize_group(&known, &self.estimate.border, &mut self.scratch);
@@ -253,7 +293,8 @@ impl Chain {
             let range_m = self.scratch.range_m(difference.common);
             let mean = (carrier.range_m - range_m - offset_m) / difference.wavelength_m();
             self.start(epoch, arc.variable, mean);
-            let (variable, variance_m2) = (arc.variable, carrier.variance_m2);
+            let variance_m2 = carrier.variance_m2 * self.carrier_scale.powi(2);
+            let variable = arc.variable;
             push_carrier(epoch, difference, carrier.range_m, variance_m2, 1.0, variable);
         }
         if begin < epoch.rows.len() {
@@ -288,6 +329,56 @@ impl Chain {
         let solved = optimize(&mut rows, &mut estimate, how, workspace);
         self.estimate = estimate;
         solved.map(|_| ())
+    }
+
+    /// Learns from the newest epoch how noisy pseudoranges are.
+    ///
+    /// Receivers differ by a factor of five for the same C/N0. m = 1.4826·median∣s∣, s the whitened
+    /// residuals of all groups, widened for the numbers they have determined; the scale's square is
+    /// a running mean of m² that begins with one.
+    pub(super) fn learn_noise(&mut self) {
+        let Some(state) = self.estimate.states.last().copied() else { return };
+        let groups = self.misses(&state, false);
+        let [learnt, _] = &mut self.learnt;
+        learn(&mut self.misses, 3 + groups, &mut self.noise_scale, learnt);
+    }
+
+    /// Learns from a position with integers held how noisy carrier phases are; returns the rms of
+    /// the phases' whitened residuals there.
+    pub(super) fn learn_carrier_noise(&mut self, position: &Vector3<f64>) -> f64 {
+        let mut state = State::zeros();
+        state.fixed_rows_mut::<3>(0).copy_from(position);
+        let groups = self.misses(&state, true);
+        let square: f64 = self.misses.iter().map(|miss| miss * miss).sum();
+        let rms = (square / self.misses.len().max(1) as f64).sqrt();
+        let [_, learnt] = &mut self.learnt;
+        learn(&mut self.misses, 3 + groups, &mut self.carrier_scale, learnt);
+        rms
+    }
+
+    /// Magnitudes of the newest epoch's whitened residuals at a position, of pseudoranges or of the
+    /// carrier phases with integers; returns the number of their groups.
+    fn misses(&mut self, state: &State, is_carrier: bool) -> usize {
+        let Self { epochs, misses, scratch, estimate, arcs, .. } = self;
+        misses.clear();
+        let Some(epoch) = epochs.last() else { return 0 };
+        epoch.see(state, scratch);
+        let mut groups = 0;
+        for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {
+            epoch.linearize_group(group, &estimate.border, scratch);
+            let Scratch { rows, numbers, .. } = &mut *scratch;
+            if is_carrier {
+                arcs.put_labels(&estimate.border, rows);
+            }
+            if rows.len() < 2 {
+                continue;
+            }
+            let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
+            let miss = |row: &SharingRow<3>| row.row.residual + row.by_offset * offset_m;
+            misses.extend(rows.iter().map(|row| miss(row).abs()));
+            groups += 1;
+        }
+        groups
     }
 
     /// Begins the arcs anew whose newest phase contradicts the others; returns whether any did.
@@ -327,7 +418,7 @@ impl Chain {
             any = true;
             let variable = self.arcs.take_variable();
             let arc = &mut self.arcs.list[index];
-            (arc.variable, arc.epochs) = (variable, 1);
+            (arc.variable, arc.epochs, arc.label) = (variable, 1, None);
             slipped.push(arc.satellite);
             let mean = self.estimate.border[old] - miss_m / ambiguity.wavelength_m;
             self.start(&mut epoch, variable, mean);
@@ -373,6 +464,21 @@ impl Chain {
         let position = state.fixed_rows::<3>(0).into_owned();
         epoch.sights.iter().map(|sight| sight.range(&position).1).collect()
     }
+}
+
+/// Takes the residuals of one epoch, which have determined so many numbers, into a noise scale.
+fn learn(misses: &mut [f64], determined: usize, scale: &mut f64, learnt: &mut f64) {
+    let n = misses.len();
+    if n < 2 * determined {
+        return;
+    }
+    let (_, median, _) = misses.select_nth_unstable_by(n / 2, f64::total_cmp);
+    let freedom = n as f64 / (n - determined) as f64;
+    let stated = scale.powi(2);
+    let seen = (*median * NORMAL_OVER_MEDIAN).powi(2) * stated * freedom;
+    *learnt = (*learnt + 1.0).min(NOISE_EPOCHS);
+    let mean = stated + (seen - stated) / (*learnt + NOISE_PRIOR_EPOCHS);
+    *scale = mean.sqrt().clamp(*NOISE_SCALES.start(), *NOISE_SCALES.end());
 }
 
 fn push_carrier(

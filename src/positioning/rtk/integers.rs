@@ -1,13 +1,19 @@
 //! From float ambiguities to integers, and back to the position.
+//!
+//! Integers once found are kept with their arcs: as labels, of which only differences within a
+//! group mean anything. They are no part of the graph: at each epoch the float solution is
+//! conditioned on them anew, after a test of whether it still agrees, and they are dropped when it
+//! does not. What is not labelled is then looked for in what that leaves.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
 use crate::graph::{Covariances, Estimate};
 use crate::lambda::{
-    Conditioning, FailureRate, Options, Partial, RatioTest, RealParameters, Rejection, Resolver,
+    Conditioning, Options, Outcome, Partial, RatioTest, RealParameters, Rejection, Resolver,
 };
+use crate::snapshot::snapshot_fields;
 
 use super::arcs::Arc;
 use super::epoch::STATE;
@@ -20,6 +26,10 @@ const CANDIDATES: usize = 4;
 const NODES_MAX: usize = 20_000;
 /// Subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
+/// Residuals that would tell as much of the noise as is known of it.
+const SCALE_FREEDOM: f64 = 10.0;
+/// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
+const DISAGREEMENT: f64 = 4.0;
 
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
@@ -49,6 +59,38 @@ pub(super) struct Resolution {
 struct DoubleDifference {
     arc: usize,
     reference: usize,
+    /// Its integer, where both arcs have labels.
+    known: Option<i64>,
+}
+
+/// How the labels came about, to be kept with the arcs.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Trust {
+    /// Epochs in a row that found the same integers, up to what is asked for.
+    pub(super) agreed: u32,
+    probability: f64,
+    ratio: Option<f64>,
+    success_rate: Option<f64>,
+}
+
+snapshot_fields!(Trust { agreed, probability, ratio, success_rate });
+
+/// Position and ambiguities with their joint covariance, position first.
+struct Joint {
+    estimate: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl Joint {
+    /// Position and some of the ambiguities.
+    fn of(&self, wanted: &[usize]) -> Self {
+        let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();
+        let m = kept.len();
+        Self {
+            estimate: DVector::from_fn(m, |i, _| self.estimate[kept[i]]),
+            covariance: DMatrix::from_fn(m, m, |i, j| self.covariance[(kept[i], kept[j])]),
+        }
+    }
 }
 
 /// Resolves integers; its memory is used again.
@@ -59,7 +101,6 @@ pub(super) struct Integers {
     pairs: Vec<DoubleDifference>,
     /// Place of each arc among the covariances.
     places: Vec<Option<usize>>,
-    float: Vec<f64>,
     order: Vec<usize>,
 }
 
@@ -70,15 +111,15 @@ impl Integers {
             conditioning: Conditioning::with_capacity(CAPACITY, 3),
             pairs: Vec::new(),
             places: Vec::new(),
-            float: Vec::new(),
             order: Vec::new(),
         }
     }
 
-    /// Looks for the integers of the arcs that are `present`.
+    /// Looks for the integers of the arcs that are `present`, and labels them.
     pub(super) fn resolve(
         &mut self,
-        arcs: &[Arc],
+        arcs: &mut [Arc],
+        trust: &mut Trust,
         is_present: impl Fn(&Arc) -> bool,
         estimate: &Estimate<STATE>,
         covariances: &Covariances<STATE>,
@@ -91,59 +132,196 @@ impl Integers {
                 && options.elevation_mask_rad <= arc.elevation_rad
         };
         self.difference(arcs, is_eligible, covariances);
-        let n = self.pairs.len();
+        if self.pairs.len() < options.fixed_min {
+            let (used, needed) = (self.pairs.len(), options.fixed_min);
+            return self.refused(Reason::TooFewCommonSatellites { used, needed });
+        }
+        let joint = self.joint(arcs, estimate, covariances);
+        if options.hold_epochs <= trust.agreed {
+            if let Some(resolution) = self.resolve_held(arcs, trust, &joint, options) {
+                return resolution;
+            }
+            drop_labels(arcs, trust);
+            self.pairs.iter_mut().for_each(|pair| pair.known = None);
+        }
+        self.resolve_anew(arcs, trust, &joint, options)
+    }
+
+    fn refused(&self, reason: Reason) -> Resolution {
+        let ambiguities = self.pairs.len();
+        Resolution { ambiguities, ratio: None, success_rate: None, outcome: Err(reason) }
+    }
+
+    /// Conditions on the labels, then looks for the integers of the others. `None` where too few
+    /// have labels, or these no longer agree with the float solution.
+    fn resolve_held(
+        &mut self,
+        arcs: &mut [Arc],
+        trust: &mut Trust,
+        joint: &Joint,
+        options: &RtkOptions,
+    ) -> Option<Resolution> {
+        let known = self.indices(|pair| pair.known.is_some());
+        let others = self.indices(|pair| pair.known.is_none());
+        if known.len() < options.fixed_min {
+            return None;
+        }
+        let values: Vec<f64> =
+            known.iter().map(|&i| self.pairs[i].known.unwrap_or(0) as f64).collect();
+        let (mut rest, squared_norm) = condition(joint, &known, &values, &others)?;
+        if DISAGREEMENT * (known.len() as f64) < squared_norm {
+            return None;
+        }
+        let mut held = known.len();
+        if !others.is_empty() {
+            let lambda = Options { fixed_min: 1, ..lambda_options(options) };
+            if let Some((outcome, position)) = self.search(arcs, &rest, &others, &lambda)
+                && outcome.rejection.is_none()
+            {
+                held += self.label(arcs, &others);
+                rest = position;
+            }
+        }
+        Some(Resolution {
+            ambiguities: self.pairs.len(),
+            ratio: trust.ratio,
+            success_rate: trust.success_rate,
+            outcome: Ok(fixed_position(&rest, held, trust.probability)),
+        })
+    }
+
+    /// Looks for all integers; labels must be found again until they are trusted.
+    fn resolve_anew(
+        &mut self,
+        arcs: &mut [Arc],
+        trust: &mut Trust,
+        joint: &Joint,
+        options: &RtkOptions,
+    ) -> Resolution {
+        let mut wanted = self.indices(|_| true);
+        let lambda = lambda_options(options);
+        let Some((mut outcome, mut position)) = self.search(arcs, joint, &wanted, &lambda) else {
+            return self.refused(Reason::FixRejected);
+        };
+        if outcome.rejection == Some(Rejection::Ratio)
+            && let Some(found) = self.search_without_a_group(arcs, joint, &lambda)
+        {
+            (wanted, outcome, position) = found;
+        }
         let mut resolution = Resolution {
-            ambiguities: n,
-            ratio: None,
-            success_rate: None,
+            ambiguities: self.pairs.len(),
+            ratio: outcome.ratio,
+            success_rate: Some(outcome.success_rate),
             outcome: Err(Reason::FixRejected),
         };
-        if n < options.fixed_min {
-            let (used, needed) = (n, options.fixed_min);
-            resolution.outcome = Err(Reason::TooFewCommonSatellites { used, needed });
+        if let Some(reason) = refusal(&outcome) {
+            resolution.outcome = Err(reason);
             return resolution;
         }
-        let value = |arc: usize| estimate.border[arcs[arc].variable];
-        self.float.clear();
-        self.float.extend(self.pairs.iter().map(|p| value(p.arc) - value(p.reference)));
-        let covariance = self.covariance(covariances);
-        self.order.clear();
-        self.order.extend(0..n);
-        let elevation = |place: &usize| arcs[self.pairs[*place].arc].elevation_rad;
-        self.order.sort_by(|a, b| elevation(a).total_cmp(&elevation(b)));
-        let failure = FailureRate::PerMille;
-        let lambda = Options {
-            success_rate_min: options.success_rate_min,
-            ratio_test: RatioTest::FixedFailureRateAtLeast(failure, options.ratio_min),
-            fixed_min: options.fixed_min,
-            candidates: CANDIDATES,
-            nodes_max: NODES_MAX,
-            attempts_max: ATTEMPTS_MAX,
+        let entries = self.resolver.fix().entries();
+        let contradicts = |(&i, entry): (&usize, &Option<i64>)| {
+            self.pairs[i].known.zip(*entry).is_some_and(|(known, found)| known != found)
         };
-        let order = Partial::Ordered(&self.order);
-        let Ok(outcome) = self.resolver.resolve(&self.float, &covariance, order, &lambda) else {
+        if wanted.iter().zip(entries).any(contradicts) {
+            drop_labels(arcs, trust);
             return resolution;
-        };
-        resolution.ratio = outcome.ratio;
-        resolution.success_rate = Some(outcome.success_rate);
-        resolution.outcome = match outcome.rejection {
-            Some(Rejection::Ratio) => Err(Reason::RatioBelowThreshold {
-                ratio: outcome.ratio.unwrap_or(1.0),
-                threshold: outcome.ratio_threshold,
-            }),
-            Some(Rejection::SuccessRate | Rejection::SearchLimit) => {
-                Err(Reason::SuccessRateTooLow { success_rate: outcome.success_rate })
-            }
-            Some(Rejection::TooFew | Rejection::Magnitude) => Err(Reason::FixRejected),
-            None => {
-                let probability = outcome.probability.unwrap_or(0.0);
-                self.condition(estimate, covariances, &covariance, probability)
-            }
-        };
+        }
+        let probability = outcome.probability.unwrap_or(0.0);
+        let held = self.label(arcs, &wanted);
+        trust.agreed += 1;
+        trust.probability = probability;
+        (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
+        resolution.outcome = Ok(fixed_position(&position, held, probability));
         resolution
     }
 
-    /// Double differences of the eligible arcs, each against the highest of its group.
+    /// Leaves out each group in turn, where all together contradict one another: receivers of
+    /// different makers may not agree on the phase of one signal. The largest ratio counts; the
+    /// resolver holds its fix.
+    fn search_without_a_group(
+        &mut self,
+        arcs: &[Arc],
+        joint: &Joint,
+        options: &Options,
+    ) -> Option<(Vec<usize>, Outcome, Joint)> {
+        let mut groups: Vec<_> = self.pairs.iter().map(|pair| arcs[pair.arc].group()).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let mut best: Option<(f64, Vec<usize>)> = None;
+        for group in groups {
+            let wanted = self.indices(|pair| arcs[pair.arc].group() != group);
+            if wanted.len() < options.fixed_min {
+                continue;
+            }
+            let tried = self.search(arcs, &joint.of(&wanted), &wanted, options);
+            let Some((outcome, _)) = tried else { continue };
+            let ratio = outcome.ratio.unwrap_or(0.0);
+            let is_better = best.as_ref().is_none_or(|(known, _)| *known < ratio);
+            if outcome.rejection.is_none() && is_better {
+                best = Some((ratio, wanted));
+            }
+        }
+        let (_, wanted) = best?;
+        let (outcome, position) = self.search(arcs, &joint.of(&wanted), &wanted, options)?;
+        Some((wanted, outcome, position))
+    }
+
+    fn indices(&self, is_wanted: impl Fn(&DoubleDifference) -> bool) -> Vec<usize> {
+        (0..self.pairs.len()).filter(|&i| is_wanted(&self.pairs[i])).collect()
+    }
+
+    /// Looks for the integers of some pairs, of which `joint` holds estimate and covariance in
+    /// their order; returns the position conditioned on what was accepted.
+    fn search(
+        &mut self,
+        arcs: &[Arc],
+        joint: &Joint,
+        wanted: &[usize],
+        options: &Options,
+    ) -> Option<(Outcome, Joint)> {
+        let n = wanted.len();
+        let float: Vec<f64> = joint.estimate.iter().skip(3).copied().collect();
+        let covariance = joint.covariance.view((3, 3), (n, n)).into_owned();
+        let strength = |&i: &usize| {
+            let arc = &arcs[self.pairs[wanted[i]].arc];
+            (arc.epochs.min(2), arc.elevation_rad)
+        };
+        self.order.clear();
+        self.order.extend(0..n);
+        self.order.sort_by(|a, b| {
+            let ((a_epochs, a), (b_epochs, b)) = (strength(a), strength(b));
+            a_epochs.cmp(&b_epochs).then(a.total_cmp(&b))
+        });
+        let partial = Partial::Ordered(&self.order);
+        let outcome = self.resolver.resolve(&float, &covariance, partial, options).ok()?;
+        let mut real = RealParameters {
+            estimate: joint.estimate.rows(0, 3).into_owned(),
+            covariance: joint.covariance.view((0, 0), (3, 3)).into_owned(),
+            cross: joint.covariance.view((0, 3), (3, n)).into_owned(),
+        };
+        if outcome.rejection.is_none() {
+            let fix = self.resolver.fix();
+            self.conditioning.apply(fix, &float, &covariance, &mut real).ok()?;
+        }
+        Some((outcome, Joint { estimate: real.estimate, covariance: real.covariance }))
+    }
+
+    /// Labels the arcs of the pairs whose integers the last search found; returns how many.
+    fn label(&self, arcs: &mut [Arc], wanted: &[usize]) -> usize {
+        let entries = self.resolver.fix().entries();
+        let mut count = 0;
+        for (&i, entry) in wanted.iter().zip(entries) {
+            let Some(integer) = *entry else { continue };
+            let DoubleDifference { arc, reference, .. } = self.pairs[i];
+            let zero = *arcs[reference].label.get_or_insert(0);
+            arcs[arc].label = Some(zero + integer);
+            count += 1;
+        }
+        count
+    }
+
+    /// Double differences of the eligible arcs, each against one of its group: the highest of those
+    /// with a label, if there are any.
     fn difference(
         &mut self,
         arcs: &[Arc],
@@ -161,70 +339,160 @@ impl Integers {
             if self.places[arc].is_none() {
                 continue;
             }
+            let rank = |arc: &Arc| (arc.label.is_some(), arc.elevation_rad);
             let mut reference = arc;
             for (other, candidate) in arcs.iter().enumerate() {
-                let is_higher = arcs[reference].elevation_rad < candidate.elevation_rad;
-                if is_higher && self.places[other].is_some() && candidate.group() == own.group() {
+                let is_better = rank(&arcs[reference]) < rank(candidate);
+                if is_better && self.places[other].is_some() && candidate.group() == own.group() {
                     reference = other;
                 }
             }
             if reference != arc {
-                self.pairs.push(DoubleDifference { arc, reference });
+                let known = own.label.zip(arcs[reference].label).map(|(own, zero)| own - zero);
+                self.pairs.push(DoubleDifference { arc, reference, known });
             }
         }
     }
 
-    fn place(&self, arc: usize) -> usize {
-        self.places[arc].expect("arcs of double differences are eligible")
-    }
-
-    fn covariance(&self, covariances: &Covariances<STATE>) -> DMatrix<f64> {
+    /// Position and double differences with their covariance.
+    fn joint(
+        &self,
+        arcs: &[Arc],
+        estimate: &Estimate<STATE>,
+        covariances: &Covariances<STATE>,
+    ) -> Joint {
         let n = self.pairs.len();
+        let place = |arc: usize| self.places[arc].expect("arcs of double differences have places");
         let places: Vec<_> =
-            self.pairs.iter().map(|p| (self.place(p.arc), self.place(p.reference))).collect();
-        let mut matrix = DMatrix::zeros(n, n);
-        for (j, &(b, s)) in places.iter().enumerate() {
+            self.pairs.iter().map(|pair| (place(pair.arc), place(pair.reference))).collect();
+        let newest = estimate.states.last().expect("a window that was solved has a state");
+        let value = |arc: usize| estimate.border[arcs[arc].variable];
+        let mut joint =
+            Joint { estimate: DVector::zeros(3 + n), covariance: DMatrix::zeros(3 + n, 3 + n) };
+        for axis in 0..3 {
+            joint.estimate[axis] = newest[axis];
+            for other in 0..3 {
+                joint.covariance[(axis, other)] = covariances.state()[(axis, other)];
+            }
+        }
+        for (j, (&(b, s), pair)) in places.iter().zip(&self.pairs).enumerate() {
+            joint.estimate[3 + j] = value(pair.arc) - value(pair.reference);
+            let cross = covariances.cross_at(b) - covariances.cross_at(s);
+            for axis in 0..3 {
+                joint.covariance[(axis, 3 + j)] = cross[axis];
+                joint.covariance[(3 + j, axis)] = cross[axis];
+            }
             for (i, &(a, r)) in places[..=j].iter().enumerate() {
                 let own = covariances.border_at(a, b) - covariances.border_at(a, s);
                 let references = covariances.border_at(r, b) - covariances.border_at(r, s);
-                matrix[(i, j)] = own - references;
-                matrix[(j, i)] = own - references;
+                joint.covariance[(3 + i, 3 + j)] = own - references;
+                joint.covariance[(3 + j, 3 + i)] = own - references;
             }
         }
-        matrix
+        joint
     }
+}
 
-    /// The position conditioned on the integers held.
-    fn condition(
-        &mut self,
-        estimate: &Estimate<STATE>,
-        covariances: &Covariances<STATE>,
-        covariance: &DMatrix<f64>,
-        probability: f64,
-    ) -> Result<FixedPosition, Reason> {
-        let newest = estimate.states.last().expect("a window that was solved has a state");
-        let mut cross = DMatrix::zeros(3, self.pairs.len());
-        for (j, pair) in self.pairs.iter().enumerate() {
-            let own = covariances.cross_at(self.place(pair.arc));
-            let reference = covariances.cross_at(self.place(pair.reference));
-            for axis in 0..3 {
-                cross[(axis, j)] = own[axis] - reference[axis];
-            }
+/// Forgets the integers kept.
+pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust) {
+    arcs.iter_mut().for_each(|arc| arc.label = None);
+    *trust = Trust::default();
+}
+
+fn lambda_options(options: &RtkOptions) -> Options {
+    Options {
+        success_rate_min: options.success_rate_min,
+        ratio_test: RatioTest::Constant(options.ratio_min),
+        probability_min: options.probability_min,
+        scale_freedom: SCALE_FREEDOM,
+        fixed_min: options.fixed_min,
+        candidates: CANDIDATES,
+        nodes_max: NODES_MAX,
+        attempts_max: ATTEMPTS_MAX,
+    }
+}
+
+/// Why integers were not accepted, if they were not.
+fn refusal(outcome: &Outcome) -> Option<Reason> {
+    Some(match outcome.rejection? {
+        Rejection::Ratio => Reason::RatioBelowThreshold {
+            ratio: outcome.ratio.unwrap_or(1.0),
+            threshold: outcome.ratio_threshold,
+        },
+        Rejection::Probability | Rejection::SuccessRate | Rejection::SearchLimit => {
+            Reason::SuccessRateTooLow { success_rate: outcome.success_rate }
         }
-        let place = covariances.state().fixed_view::<3, 3>(0, 0);
-        let mut real = RealParameters {
-            estimate: nalgebra::DVector::from_fn(3, |axis, _| newest[axis]),
-            covariance: DMatrix::from_fn(3, 3, |i, j| place[(i, j)]),
-            cross,
-        };
-        let fix = self.resolver.fix();
-        let conditioned = self.conditioning.apply(fix, &self.float, covariance, &mut real);
-        conditioned.map_err(|_| Reason::FixRejected)?;
-        Ok(FixedPosition {
-            position: Vector3::new(real.estimate[0], real.estimate[1], real.estimate[2]),
-            covariance: Matrix3::from_fn(|i, j| real.covariance[(i, j)]),
-            held: fix.len(),
-            probability,
-        })
+        Rejection::TooFew | Rejection::Magnitude => Reason::FixRejected,
+    })
+}
+
+fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
+    FixedPosition {
+        position: joint.estimate.fixed_rows::<3>(0).into_owned(),
+        covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+        held,
+        probability,
+    }
+}
+
+/// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and
+/// ‖â − z‖² of the latter. `None` where their covariance is not positive definite.
+///
+/// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
+fn condition(
+    joint: &Joint,
+    known: &[usize],
+    values: &[f64],
+    others: &[usize],
+) -> Option<(Joint, f64)> {
+    let kept: Vec<usize> = (0..3).chain(others.iter().map(|i| 3 + i)).collect();
+    let m = known.len();
+    let held = DMatrix::from_fn(m, m, |i, j| joint.covariance[(3 + known[i], 3 + known[j])]);
+    let lower = held.cholesky()?.unpack();
+    let mut y = DVector::from_fn(m, |i, _| values[i] - joint.estimate[3 + known[i]]);
+    let mut w = DMatrix::from_fn(m, kept.len(), |i, j| joint.covariance[(3 + known[i], kept[j])]);
+    let solved =
+        lower.solve_lower_triangular_mut(&mut y) && lower.solve_lower_triangular_mut(&mut w);
+    if !solved {
+        return None;
+    }
+    let gain = w.tr_mul(&y);
+    let less = w.tr_mul(&w);
+    let estimate = DVector::from_fn(kept.len(), |i, _| joint.estimate[kept[i]] + gain[i]);
+    let covariance = DMatrix::from_fn(kept.len(), kept.len(), |i, j| {
+        joint.covariance[(kept[i], kept[j])] - less[(i, j)]
+    });
+    Some((Joint { estimate, covariance }, y.norm_squared()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One position coordinate tied to two ambiguities, x = 0.2·a₁ + 0.1·a₂ exactly; holding a₁ at 1
+    /// and then a₂ at −2 puts x at 0, whichever order.
+    #[test]
+    fn conditioning_worked_by_hand() {
+        let slope = [0.2, 0.1];
+        let q = [[0.04, 0.01], [0.01, 0.09]];
+        let mut joint = Joint { estimate: DVector::zeros(5), covariance: DMatrix::identity(5, 5) };
+        let float = [0.9, -1.8];
+        joint.estimate[0] = slope[0] * float[0] + slope[1] * float[1];
+        for i in 0..2 {
+            joint.estimate[3 + i] = float[i];
+            let cross = slope[0] * q[0][i] + slope[1] * q[1][i];
+            (joint.covariance[(0, 3 + i)], joint.covariance[(3 + i, 0)]) = (cross, cross);
+            (0..2).for_each(|j| joint.covariance[(3 + i, 3 + j)] = q[i][j]);
+        }
+        let both: f64 =
+            slope.iter().enumerate().map(|(i, s)| s * joint.covariance[(0, 3 + i)]).sum();
+        joint.covariance[(0, 0)] = both + 1e-6;
+        let (first, norm) = condition(&joint, &[0], &[1.0], &[1]).unwrap();
+        assert!((norm - 0.01 / 0.04).abs() < 1e-12);
+        assert!((first.estimate[3] - (-1.8 + 0.01 / 0.04 * 0.1)).abs() < 1e-12);
+        let (second, _) = condition(&first, &[0], &[-2.0], &[]).unwrap();
+        let (at_once, _) = condition(&joint, &[0, 1], &[1.0, -2.0], &[]).unwrap();
+        assert!((second.estimate[0] - at_once.estimate[0]).abs() < 1e-12);
+        assert!(at_once.estimate[0].abs() < 1e-9 && at_once.covariance[(0, 0)] < 2e-6);
     }
 }

@@ -1,7 +1,7 @@
 //! The sliding window on differences against a base: each epoch answered as it comes.
 
 use crate::config::PositioningOptions;
-use crate::gnss::{Epoch, GpsTime, Navigation, Reason, SatelliteId, Solution};
+use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Reason, SatelliteId, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, System, Workspace};
 use crate::positioning::base::BaseAiding;
 use crate::positioning::differencing::{BaseSide, SingleDifferences};
@@ -10,10 +10,11 @@ use crate::positioning::spp::SinglePoint;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::answer::{Findings, solution};
+use super::arcs::Arc;
 use super::base::BaseMemory;
 use super::chain::Chain;
 use super::epoch::{STATE, State};
-use super::integers::Integers;
+use super::integers::{Integers, drop_labels};
 use super::settings::Settings;
 
 /// Distance from the frame's origin at which the graph starts anew (m): up has turned by 1°.
@@ -24,6 +25,8 @@ const TAG_SLACK_S: f64 = 1e-3;
 const DOUBTED_M: f64 = 10.0;
 /// A base whose stated position is off by more is refused (m).
 const REFUSED_M: f64 = 100.0;
+/// A fixed position whose phases miss by more (rms, in standard deviations) is none.
+const MISFIT_SIGMAS: f64 = 4.0;
 /// Times that slips are looked for in one epoch.
 const SLIP_ROUNDS: usize = 3;
 
@@ -213,7 +216,7 @@ impl RtkWindow {
                     && d.half_cycle != half_cycle
             })
         };
-        let is_over = |arc: &super::arcs::Arc| flipped(arc.satellite, arc.codes, arc.half_cycle);
+        let is_over = |arc: &Arc| flipped(arc.satellite, arc.codes, arc.half_cycle);
         self.chain.arcs.end(is_over, &mut self.slipped);
     }
 
@@ -229,24 +232,34 @@ impl RtkWindow {
                 break;
             }
         }
+        chain.learn_noise();
         Some(())
     }
 
     fn answer(
         &mut self,
         time: GpsTime,
-        base: crate::gnss::Ecef,
+        base: Ecef,
         age_s: f64,
         options: &PositioningOptions,
     ) -> Solution {
-        let chain = &self.chain;
-        let resolution = self.integers.resolve(
-            &chain.arcs.list,
+        let Chain { arcs, trust, estimate, .. } = &mut self.chain;
+        let mut resolution = self.integers.resolve(
+            &mut arcs.list,
+            trust,
             |arc| arc.last == time,
-            &chain.estimate,
+            estimate,
             &self.covariances,
             &options.rtk,
         );
+        if let Ok(fixed) = &resolution.outcome
+            && MISFIT_SIGMAS < self.chain.learn_carrier_noise(&fixed.position)
+        {
+            let Chain { arcs, trust, .. } = &mut self.chain;
+            drop_labels(&mut arcs.list, trust);
+            resolution.outcome = Err(Reason::FixRejected);
+        }
+        let chain = &self.chain;
         let mut reasons = Vec::new();
         if !self.differences.without_ephemeris.is_empty() {
             let satellites = self.differences.without_ephemeris.clone();

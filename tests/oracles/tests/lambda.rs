@@ -27,6 +27,8 @@ fn two_independent_implementations_agree() {
     let options = Options {
         success_rate_min: 0.0,
         ratio_test: RatioTest::Constant(1.0),
+        probability_min: 0.0,
+        scale_freedom: f64::INFINITY,
         fixed_min: 1,
         candidates: 2,
         nodes_max: 10_000_000,
