@@ -63,7 +63,7 @@ impl RtkOptions {
             single_epoch: false,
             resolve: true,
             ratio_min: 2.0,
-            probability_min: 0.99,
+            probability_min: 0.999,
             success_rate_min: 0.05,
             hold_epochs: 10,
             fixed_min: 4,
