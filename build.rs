@@ -4,15 +4,16 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const SERVICES: [&str; 4] = [
+const SERVICES: [&str; 5] = [
     "proto/graphfix/v1/sessions.proto",
     "proto/graphfix/v1/positioning.proto",
     "proto/graphfix/v1/solutions.proto",
     "proto/graphfix/v1/navigation.proto",
+    "proto/graphfix/v1/bases.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
-/// Travels as a bare body over HTTP.
-const WITHOUT_JSON: &str = "PushNavigationRequest";
+/// Travel as bare bodies over HTTP.
+const WITHOUT_JSON: [&str; 2] = ["PushNavigationRequest", "UploadBaseRequest"];
 const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
     #[serde(rename_all = \"camelCase\", default, deny_unknown_fields)]";
 
@@ -30,10 +31,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .build_server(false)
         .out_dir(messages)
         .bytes(".graphfix.v1.PushNavigationRequest.content")
+        .bytes(".graphfix.v1.UploadBaseRequest.content")
         .btree_map(".");
     let in_package = descriptors.file.iter().filter(|file| file.package() == PACKAGE);
     for message in in_package.flat_map(|file| &file.message_type) {
-        if message.name() != WITHOUT_JSON {
+        if !WITHOUT_JSON.contains(&message.name()) {
             build = build.message_attribute(format!(".{PACKAGE}.{}", message.name()), JSON);
         }
     }

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::Instant;
 
-use graphfix::aiding::{AidingLimits, NavigationBroker};
+use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::gnss::{
     Constellation, Cycles, Dops, Ecef, EphemerisIssue, Epoch, GpsTime, Observation,
     ObservationCode, Provenance, SatelliteId, Solution, SolutionEstimate, Status,
@@ -68,7 +68,7 @@ async fn store_alone(store: &Store, size: u64, epochs: u64) {
             version: "0.1.0".into(),
             configuration_hash: "c0ffee".into(),
         };
-        EncodedEpoch::new(&epoch(seq), &solution, 0)
+        EncodedEpoch::new(&epoch(seq), &solution, 0, None)
     };
     measure("store", size, epochs, |index| {
         let (store, session) = (store.clone(), keys[index]);
@@ -84,7 +84,7 @@ async fn store_alone(store: &Store, size: u64, epochs: u64) {
 }
 
 async fn whole_desk(store: &Store, size: u64, epochs: u64) {
-    let aiding = NavigationBroker::open(store.clone(), AidingLimits::service())
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service())
         .await
         .expect("navigation data are read");
     let sessions = Sessions::open(store.clone(), aiding, SessionLimits::service());
@@ -96,6 +96,7 @@ async fn whole_desk(store: &Store, size: u64, epochs: u64) {
                 mode: "spp".to_owned(),
                 profile: "general".to_owned(),
                 overrides: BTreeMap::new(),
+                base: None,
             };
             let id = sessions.create(new).await.expect("the session is created").id;
             for first in (0..epochs).step_by(size as usize) {
@@ -119,6 +120,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         overrides: BTreeMap::new(),
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
+        base: None,
     };
     store.create_session(&unique, &settings, 0).await.expect("the session is stored").key
 }
@@ -164,6 +166,6 @@ fn solution(seq: u64) -> Solution {
             relative: None,
         }),
         reasons: Vec::new(),
-        provenance: Provenance { ephemerides: satellites().map(issue).collect() },
+        provenance: Provenance { ephemerides: satellites().map(issue).collect(), base: None },
     }
 }

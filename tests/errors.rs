@@ -14,7 +14,7 @@ use crate::http::navigation::navigation;
 
 /// Codes that only a failing database, a load, a fault or an observation file brings about: the
 /// tests of their origin hold them.
-const NOT_BY_REQUEST: [Code; 11] = [
+const NOT_BY_REQUEST: [Code; 12] = [
     Code::DatabaseFailed,
     Code::WrittenElsewhere,
     Code::StoredDataCorrupt,
@@ -24,6 +24,7 @@ const NOT_BY_REQUEST: [Code; 11] = [
     Code::EstimatorFailed,
     Code::Interrupted,
     Code::RinexHeaderInvalid,
+    Code::BasePositionRefused,
     Code::RinexTruncated,
     Code::Internal,
 ];
@@ -184,6 +185,37 @@ fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Co
     ]
 }
 
+/// Requests about bases: one that stands somewhere, holds an epoch and is in use, and one that
+/// nobody knows the place of. There may be no third, nor a third epoch.
+fn base_requests(
+    used: &str,
+    placeless: &str,
+) -> Vec<(&'static str, String, Value, Code, &'static str)> {
+    let bases = "/v1/bases".to_owned();
+    let epochs = format!("/v1/bases/{used}/epochs");
+    let other = push(|e| {
+        *e = epoch(10);
+        e["observations"][0]["pseudorangeM"] = json!(2.3e7);
+    });
+    let many = json!({"epochs": [epoch(20), epoch(21), epoch(22)]});
+    vec![
+        ("POST", bases.clone(), json!({}), Code::TooManyBases, ""),
+        ("GET", format!("{bases}/bas_1"), json!({}), Code::BaseNotFound, "base"),
+        ("POST", "/v1/sessions".into(), json!({"mode": "rtk-fgo"}), Code::BaseRequired, "base"),
+        ("DELETE", format!("{bases}/{used}"), json!({}), Code::BaseInUse, "base"),
+        (
+            "POST",
+            format!("{bases}/{placeless}/epochs"),
+            push(|_| ()),
+            Code::BasePositionMissing,
+            "base",
+        ),
+        ("POST", epochs.clone(), other, Code::BaseEpochConflict, "epochs[0].time"),
+        ("POST", epochs.clone(), push(|_| ()), Code::BaseOutOfOrder, "epochs[0].time"),
+        ("POST", epochs, many, Code::BaseTooLarge, ""),
+    ]
+}
+
 /// Bodies that are no JSON requests: path, content type, body, code.
 fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     let rinex = |line: &str| format!("{line}\n").into_bytes();
@@ -222,6 +254,8 @@ fn limits() -> graphfix::config::Limits {
         satellites_per_epoch: 4,
         observations_per_epoch: 5,
         ephemerides_per_satellite: 2,
+        bases: 2,
+        epochs_per_base: 2,
         ..graphfix::config::Limits::standard()
     }
 }
@@ -234,6 +268,16 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
     let first = json!({"epochs": [epoch(10)]});
     doors.post(&format!("/v1/sessions/{session}/epochs"), first).await;
 
+    let marker = json!({"xM": 4_033_460.75, "yM": 23_538.02, "zM": 4_924_318.39});
+    let mut bases = Vec::new();
+    for base in [json!({"marker": marker}), json!({})] {
+        let (_, base) = doors.post("/v1/bases", base).await;
+        bases.push(base["base"].as_str().unwrap().to_owned());
+    }
+    let first = json!({"epochs": [epoch(10)]});
+    doors.post(&format!("/v1/bases/{}/epochs", bases[0]), first).await;
+    doors.post("/v1/sessions", json!({"mode": "rtk-fgo", "base": bases[0]})).await;
+
     let mut seen = BTreeSet::new();
     let mut wrong = Vec::new();
     let mut check = |what: String, expected: Code, field: &str, status: u16, answer: &Value| {
@@ -244,7 +288,10 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
             wrong.push(format!("{what}: {right:?} expected, {answer}"));
         }
     };
-    for (method, path, body, expected, field) in requests(&session, &closed) {
+    let of_bases = base_requests(&bases[0], &bases[1]);
+    for (method, path, body, expected, field) in
+        requests(&session, &closed).into_iter().chain(of_bases)
+    {
         let (status, answer) = doors.send(method, &path, body).await;
         check(format!("{method} {path}"), expected, field, status.as_u16(), &answer);
     }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
 mod antennas;
+mod bases;
 mod clients;
 mod compare;
 mod crash;
@@ -18,6 +19,7 @@ mod grpc;
 mod http;
 mod models;
 mod odometry;
+mod pair;
 mod recording;
 mod restoring;
 mod rinex;

@@ -6,7 +6,7 @@ use std::io::BufReader;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
-use graphfix::aiding::{AidingLimits, NavigationBroker};
+use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::formats::decompress;
 use graphfix::formats::rinex::{ObservationReader, read_navigation};
 use graphfix::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Status};
@@ -62,7 +62,7 @@ async fn desk(store: &Store) -> Sessions {
 }
 
 async fn desk_with(store: &Store, limits: SessionLimits) -> Sessions {
-    let aiding = NavigationBroker::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     Sessions::open(store.clone(), aiding, limits)
 }
 
@@ -72,6 +72,7 @@ fn new_session() -> NewSession {
         mode: "spp".to_owned(),
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
+        base: None,
     }
 }
 
@@ -474,7 +475,8 @@ async fn requests_are_solved_without_a_trace(database: Database) {
     assert_ne!(solved.configuration_hash, last.configuration_hash);
 
     let NewSession { mode, profile, overrides, .. } = new_session();
-    let burst = Burst { mode, profile, overrides, epochs: batch(1..=3), navigation: None };
+    let burst =
+        Burst { mode, profile, overrides, epochs: batch(1..=3), navigation: None, base: None };
     let answers = sessions.solve_once(burst.clone()).await.unwrap();
     assert_eq!(answers.iter().map(|a| a.seq).collect::<Vec<_>>(), [1, 2, 3]);
     assert!(answers.iter().all(|answer| answer.solution.status == Status::None));
@@ -497,10 +499,10 @@ async fn real_epochs_give_the_same_bits_after_restarts() {
     }
     let database = Database::sqlite();
     let store = database.store().await;
-    let aiding = NavigationBroker::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     for name in ["hksc1180.19n", "hksc1180.19b"] {
         let (navigation, _) = read_navigation(open(name)).unwrap();
-        aiding.push(navigation, name).await.unwrap();
+        aiding.navigation.push(navigation, name).await.unwrap();
     }
     let limits = SessionLimits {
         observations_per_epoch: 256,

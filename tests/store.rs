@@ -35,6 +35,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         overrides: BTreeMap::new(),
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
+        base: None,
     };
     store.create_session(id, &settings, 0).await.unwrap().key
 }
@@ -53,7 +54,7 @@ fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
             version: "0.1.0".into(),
             configuration_hash: "c0ffee".into(),
         };
-        EncodedEpoch::new(&Epoch::new(time(seq)), &solution, 0)
+        EncodedEpoch::new(&Epoch::new(time(seq)), &solution, 0, None)
     };
     Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session) }
 }
@@ -193,7 +194,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 2"
+        "the database has schema 9000, this Graphfix knows schemas up to 3"
     );
     assert_eq!(error.code(), "DATABASE_SCHEMA_NEWER");
 }

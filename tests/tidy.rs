@@ -20,7 +20,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("positioning", &["gnss", "config", "snapshot", "models", "graph", "lambda"]),
     ("store", &["gnss", "config"]),
     ("evaluation", &["gnss", "formats"]),
-    ("aiding", &["gnss", "config", "models", "formats", "store"]),
+    ("aiding", &["gnss", "config", "models", "formats", "positioning", "store"]),
     ("session", &["gnss", "config", "snapshot", "models", "positioning", "store", "aiding"]),
     ("contract", &["gnss", "config", "formats", "positioning", "store", "aiding", "session"]),
     ("grpc", &["gnss", "config", "aiding", "session", "contract"]),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use graphfix::aiding::{AidingLimits, NavigationBroker};
+use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Mode;
 use graphfix::gnss::Status;
 use graphfix::session::{
@@ -27,8 +27,8 @@ fn limits() -> SessionLimits {
     SessionLimits { active_sessions: 1, ..SessionLimits::service() }
 }
 
-async fn broker(store: &Store) -> NavigationBroker {
-    NavigationBroker::open(store.clone(), AidingLimits::service()).await.unwrap()
+async fn broker(store: &Store) -> AidingDesk {
+    AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap()
 }
 
 /// A desk as a service opens it at its start.
@@ -43,6 +43,7 @@ async fn created(sessions: &Sessions, mode: &str) -> SessionId {
         mode: mode.to_owned(),
         profile: "urban-vehicle".to_owned(),
         overrides: BTreeMap::new(),
+        base: None,
     };
     sessions.create(new).await.unwrap().id
 }
@@ -85,8 +86,10 @@ async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
         let [whole, parked, restarted] = &ids[..] else { unreachable!() };
         for part in [before, after] {
             match part.len() == before.len() {
-                true => aiding.push(DRIVE.navigation_without_galileo(), "a").await.unwrap(),
-                false => aiding.push(DRIVE.navigation.clone(), "b").await.unwrap(),
+                true => {
+                    aiding.navigation.push(DRIVE.navigation_without_galileo(), "a").await.unwrap()
+                }
+                false => aiding.navigation.push(DRIVE.navigation.clone(), "b").await.unwrap(),
             };
             for batch in part.chunks(100) {
                 submit(&sessions, whole, batch).await;
@@ -122,7 +125,7 @@ async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
 async fn each_epoch_is_revised_once(database: Database) {
     let sessions = desk(&database).await;
     let store = database.store().await;
-    broker(&store).await.push(DRIVE.navigation.clone(), "all").await.unwrap();
+    broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
     let sessions_of = desk(&database).await;
     let id = created(&sessions, "fgo").await;
     let epochs = &DRIVE.epochs[..60];
@@ -163,7 +166,7 @@ async fn each_epoch_is_revised_once(database: Database) {
 /// revised. Restarts on the way change nothing.
 async fn another_configuration_begins_anew(database: Database) {
     let store = database.store().await;
-    broker(&store).await.push(DRIVE.navigation.clone(), "all").await.unwrap();
+    broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
     let sessions = desk(&database).await;
     let (steady, restarted) = (created(&sessions, "fgo").await, created(&sessions, "fgo").await);
     let changes = [("fgo", "urban-vehicle"), ("spp", "general"), ("fgo", "general")];
@@ -201,7 +204,7 @@ async fn another_configuration_begins_anew(database: Database) {
 
 async fn a_window_is_solved_on_request(database: Database) {
     let store = database.store().await;
-    broker(&store).await.push(DRIVE.navigation.clone(), "all").await.unwrap();
+    broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
     let sessions = desk(&database).await;
     let (points, window) = (created(&sessions, "spp").await, created(&sessions, "fgo").await);
     for id in [&points, &window] {
@@ -226,7 +229,7 @@ async fn a_window_is_solved_on_request(database: Database) {
 
 async fn a_state_that_cannot_be_read_is_rebuilt(database: Database) {
     let store = database.store().await;
-    broker(&store).await.push(DRIVE.navigation.clone(), "all").await.unwrap();
+    broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
     let sessions = desk(&database).await;
     let id = created(&sessions, "fgo").await;
     submit(&sessions, &id, &DRIVE.epochs[..300]).await;
@@ -245,9 +248,13 @@ async fn sessions_key(store: &Store, id: &SessionId) -> graphfix::store::Session
 /// state was stored since goes on.
 async fn forgotten_navigation_data_is_said(database: Database) {
     let store = database.store().await;
-    let few = AidingLimits { ephemerides_per_satellite: 1, superseded_ephemerides: 3 };
-    let aiding = NavigationBroker::open(store.clone(), few).await.unwrap();
-    aiding.push(DRIVE.navigation_without_galileo(), "a").await.unwrap_err();
+    let few = AidingLimits {
+        ephemerides_per_satellite: 1,
+        superseded_ephemerides: 3,
+        ..AidingLimits::service()
+    };
+    let aiding = AidingDesk::open(store.clone(), few).await.unwrap();
+    aiding.navigation.push(DRIVE.navigation_without_galileo(), "a").await.unwrap_err();
     let sessions = desk(&database).await;
     let id = created(&sessions, "spp").await;
     submit(&sessions, &id, &DRIVE.epochs[..5]).await;
@@ -261,9 +268,9 @@ async fn forgotten_navigation_data_is_said(database: Database) {
         });
         navigation
     };
-    aiding.push(kept(0), "first").await.unwrap();
+    aiding.navigation.push(kept(0), "first").await.unwrap();
     assert!(checked(&database, &id).await.is_same(), "nothing was in force, and is known to be");
-    let pushed = aiding.push(kept(1), "second").await.unwrap();
+    let pushed = aiding.navigation.push(kept(1), "second").await.unwrap();
     assert!(3 < pushed.dropped, "{pushed:?}");
     let again = Recomputation::open(store.clone(), broker(&store).await, &id, None).await.unwrap();
     assert_eq!(again.check().await.unwrap_err().code(), "NAVIGATION_FORGOTTEN");

@@ -10,25 +10,7 @@ use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
 use crate::store::{NavigationChange, Store, StoreError};
 
-use super::AidingError;
-
-/// Limits of the broker; with the number of satellites they bound its memory.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct AidingLimits {
-    /// Ephemerides held of one satellite: further ones push out those of the oldest `toe`, but
-    /// never one that came with them.
-    pub ephemerides_per_satellite: usize,
-    /// Ephemerides no longer in force that are stored for replay: the oldest are forgotten first.
-    pub superseded_ephemerides: usize,
-}
-
-impl AidingLimits {
-    /// Limits of a service: ten days of half-hourly ephemerides of each satellite, and for replay
-    /// about another month of 120 satellites.
-    pub fn service() -> Self {
-        Self { ephemerides_per_satellite: 480, superseded_ephemerides: 200_000 }
-    }
-}
+use super::{AidingError, AidingLimits};
 
 /// What a push changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -286,7 +268,7 @@ fn usable_span(list: &[Ephemeris]) -> Option<(GpsTime, GpsTime)> {
     spans.reduce(|(from, until), (start, end)| (from.min(start), until.max(end)))
 }
 
-fn unix_ms() -> i64 {
+pub(super) fn unix_ms() -> i64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("the clock is past 1970");
     i64::try_from(since.as_millis()).expect("the clock is not millions of years ahead")
 }

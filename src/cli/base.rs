@@ -6,16 +6,14 @@ use std::str::FromStr;
 use clap::Args;
 
 use crate::formats::observations::{FileError, LeftOut};
-use crate::gnss::{AntennaCatalogue, BaseStation, Ecef, Epoch, GpsTime, Navigation};
-use crate::positioning::BaseAiding;
+use crate::gnss::{
+    AntennaCatalogue, BaseSite, BaseStation, Ecef, Epoch, GpsTime, Navigation, PositionSource,
+};
+use crate::positioning::{BASE_LATER_S, BaseAiding};
 
 use super::Failure;
 use super::antennas::ReceiverAntenna;
 use super::files::{ObservationFile, Site};
-
-/// Base epochs tagged this much later than the rover's are still of its time (s): receivers' clocks
-/// are off by milliseconds.
-const LATER_S: f64 = 0.02;
 
 /// The arguments that name a base.
 #[derive(Clone, Debug, Args)]
@@ -64,14 +62,29 @@ impl BaseArguments {
     pub(crate) fn file(&self) -> Option<&Path> {
         self.base.as_deref()
     }
+
+    /// Where the base stands: as stated, else as its file tells.
+    fn site(&self, told: Site) -> Result<BaseSite, Failure> {
+        let (marker, source) = match self.base_position {
+            BasePosition::Marker(marker) => (marker, PositionSource::Given),
+            BasePosition::FromHeader => {
+                let marker = told.marker.ok_or_else(|| {
+                    let message =
+                        "neither header nor messages 1005 and 1006 tell the base's position";
+                    Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
+                })?;
+                (marker, PositionSource::Header)
+            }
+        };
+        let (antenna_delta_hen_m, antenna) = (told.antenna_hen_m, told.antenna);
+        Ok(BaseSite { marker, antenna_delta_hen_m, antenna, source })
+    }
 }
 
 /// A base's observations that are being read.
 pub(crate) struct BaseRecording {
     station: BaseStation,
-    site: Site,
-    /// Where its marker is.
-    marker: Ecef,
+    site: BaseSite,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
     /// Read, and later than the rover's epoch.
@@ -88,18 +101,11 @@ impl BaseRecording {
         reader: ObservationFile,
         site: Site,
     ) -> Result<Self, Failure> {
-        let marker = match arguments.base_position {
-            BasePosition::Marker(marker) => marker,
-            BasePosition::FromHeader => site.marker.ok_or_else(|| {
-                let message = "neither header nor messages 1005 and 1006 tell the base's position";
-                Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
-            })?,
-        };
-        let station = BaseStation::at_marker(site.name.clone(), marker, site.antenna_hen_m);
+        let name = site.name.clone();
+        let site = arguments.site(site)?;
         Ok(Self {
-            station,
+            station: site.station(name),
             site,
-            marker,
             antenna: None,
             reader,
             ahead: None,
@@ -133,7 +139,7 @@ impl BaseRecording {
                     epoch
                 }
             };
-            if LATER_S < epoch.time - rover {
+            if BASE_LATER_S < epoch.time - rover {
                 self.ahead = Some(epoch);
                 return Ok(());
             }
@@ -158,7 +164,8 @@ impl BaseRecording {
 
     /// Where the base was taken to be, and what was done about its antenna.
     pub(crate) fn notes(&self) -> Vec<String> {
-        let (Ecef(marker), [height_m, east_m, north_m]) = (self.marker, self.site.antenna_hen_m);
+        let Ecef(marker) = self.site.marker;
+        let [height_m, east_m, north_m] = self.site.antenna_delta_hen_m;
         let mut notes = vec![format!(
             "base: marker at {:.4},{:.4},{:.4} (ECEF, m), antenna reference point {height_m:.4} m \
              above, {east_m:.4} m east, {north_m:.4} m north of it",

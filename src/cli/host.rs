@@ -6,7 +6,7 @@ use std::thread::available_parallelism;
 
 use tokio::net::TcpListener;
 
-use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
+use crate::aiding::{AidingDesk, AidingError, AidingLimits};
 use crate::config::{Limits, ServiceConfiguration, ServiceConfigurationError};
 use crate::contract::Service;
 use crate::http::{self, ServerError};
@@ -28,13 +28,9 @@ impl Host {
     /// The database cannot be opened or read.
     pub(super) async fn open(database: &str, limits: &Limits) -> Result<Self, Failure> {
         let store = Store::open(database).await?;
-        let held = AidingLimits {
-            ephemerides_per_satellite: limits.ephemerides_per_satellite,
-            ..AidingLimits::service()
-        };
-        let navigation = NavigationBroker::open(store.clone(), held).await?;
-        let sessions = Sessions::open(store.clone(), navigation.clone(), session_limits(limits));
-        Ok(Self { store, service: Service::new(sessions, navigation, limits.clone()) })
+        let aiding = AidingDesk::open(store.clone(), aiding_limits(limits)).await?;
+        let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
+        Ok(Self { store, service: Service::new(sessions, aiding, limits.clone()) })
     }
 
     /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes the
@@ -51,6 +47,17 @@ impl Host {
         self.service.sessions().drain().await;
         self.store.close().await;
         Ok(served?)
+    }
+}
+
+fn aiding_limits(limits: &Limits) -> AidingLimits {
+    AidingLimits {
+        ephemerides_per_satellite: limits.ephemerides_per_satellite,
+        bases: limits.bases,
+        epochs_per_base: limits.epochs_per_base,
+        bytes_per_base: limits.bytes_per_base,
+        observations_per_epoch: limits.observations_per_epoch,
+        ..AidingLimits::service()
     }
 }
 

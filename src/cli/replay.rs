@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use clap::Args;
 
-use crate::aiding::{AidingLimits, NavigationBroker};
+use crate::aiding::{AidingDesk, AidingLimits};
 use crate::gnss::Status;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
 use crate::store::Store;
@@ -59,7 +59,7 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
     let id = SessionId::parse(&arguments.session)
         .ok_or_else(|| SessionError::NotFound { id: arguments.session.clone() })?;
     let store = Store::open(&arguments.database).await?;
-    let aiding = NavigationBroker::open(store.clone(), AidingLimits::service()).await?;
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await?;
     let again = Recomputation::open(store.clone(), aiding, &id, change.as_ref()).await?;
     let report = match (&change, &arguments.output) {
         (None, None) => verdict(&id, &again.check().await?),
@@ -81,7 +81,7 @@ impl ReplayArguments {
         }
         let (mode, profile) = (self.mode.clone(), self.profile.clone());
         let is_given = mode.is_some() || profile.is_some() || !overrides.is_empty();
-        Ok(is_given.then_some(SolveRequest { mode, profile, overrides }))
+        Ok(is_given.then_some(SolveRequest { mode, profile, overrides, base: None }))
     }
 }
 

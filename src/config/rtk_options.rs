@@ -46,6 +46,12 @@ pub struct RtkOptions {
 }
 
 impl RtkOptions {
+    /// How far back the epochs of a base matter (s): older ones are neither differenced against,
+    /// nor can a slip in them end an ambiguity that still lives.
+    pub const fn base_span_s(&self) -> f64 {
+        self.base_age_max_s.max(self.arc_gap_s)
+    }
+
     /// The defaults of `profile`.
     pub(super) fn new(_profile: Profile) -> Self {
         Self {

@@ -53,6 +53,12 @@ pub struct Limits {
     pub waiting_epochs: usize,
     /// Ephemerides held of one satellite.
     pub ephemerides_per_satellite: usize,
+    /// Base stations.
+    pub bases: usize,
+    /// Epochs held of one base; further ones push out the oldest.
+    pub epochs_per_base: usize,
+    /// Bytes held of one base, about 26 a signal and epoch; further epochs push out the oldest.
+    pub bytes_per_base: usize,
     /// Seconds for which a stopping service still serves while `/readyz` says no, so that a
     /// balancer looks elsewhere.
     pub drain_notice_s: u64,
@@ -159,6 +165,9 @@ impl ServiceConfiguration {
             ("mailbox_epochs", limits.mailbox_epochs),
             ("waiting_epochs", limits.waiting_epochs),
             ("ephemerides_per_satellite", limits.ephemerides_per_satellite),
+            ("bases", limits.bases),
+            ("epochs_per_base", limits.epochs_per_base),
+            ("bytes_per_base", limits.bytes_per_base),
         ];
         match must_be_positive.into_iter().find(|(_, value)| *value == 0) {
             Some((name, _)) => Err(ServiceConfigurationError::ZeroLimit(name)),
@@ -180,6 +189,9 @@ impl Limits {
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,
             ephemerides_per_satellite: 480,
+            bases: 64,
+            epochs_per_base: 100_000,
+            bytes_per_base: 32 << 20,
             drain_notice_s: 0,
             drain_s: 20,
         }

@@ -257,7 +257,8 @@ const fn covariance(matrix: &Matrix3<f64>) -> v1::Covariance {
     }
 }
 
-fn reason(reason: &Reason) -> v1::Reason {
+/// A reason as the wire has it.
+pub fn reason(reason: &Reason) -> v1::Reason {
     use prost_types::value::Kind;
     let text = |text: String| prost_types::Value { kind: Some(Kind::StringValue(text)) };
     let value = |value| match value {
@@ -289,6 +290,10 @@ fn provenance(provenance: &Provenance, stored: Stored<'_>) -> v1::Provenance {
         ephemerides: provenance.ephemerides.iter().map(issue).collect(),
         configuration_hash: stored.configuration_hash.to_owned(),
         version: stored.version.to_owned(),
+        base: provenance
+            .base
+            .as_ref()
+            .map(|used| v1::BaseEpoch { base: used.base.clone(), time: Some(used.time.into()) }),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Errors of the desks and tools as refusals: one `match` for each.
 
 use crate::aiding::AidingError;
+use crate::aiding::bases::BaseEpochRefusal;
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
 use crate::formats::rinex::RinexError;
 use crate::session::{EpochRefusal, SessionError};
@@ -68,6 +69,7 @@ impl From<StoreError> for Refusal {
             | StoreError::NewerSchema { .. }
             | StoreError::Migration { .. }
             | StoreError::NavigationForgotten { .. } // Of replay, which is no call.
+            | StoreError::BaseForgotten { .. }
             | StoreError::Database { .. } => Self::new(Code::DatabaseFailed, error.to_string()),
         }
     }
@@ -75,12 +77,32 @@ impl From<StoreError> for Refusal {
 
 impl From<AidingError> for Refusal {
     fn from(error: AidingError) -> Self {
-        match error {
-            AidingError::TooManyEphemerides { .. } => {
-                Self::new(Code::TooManyEphemerides, error.to_string())
+        let (code, field) = match error {
+            AidingError::Store(error) => return error.into(),
+            AidingError::TooManyEphemerides { .. } => (Code::TooManyEphemerides, None),
+            AidingError::BaseNotFound { .. } => (Code::BaseNotFound, Some("base")),
+            AidingError::TooManyBases { .. } => (Code::TooManyBases, None),
+            AidingError::LabelTooLong { .. } => (Code::LabelTooLong, Some("label")),
+            AidingError::BaseInUse { .. } => (Code::BaseInUse, Some("base")),
+            AidingError::BasePositionMissing { .. } => (Code::BasePositionMissing, Some("base")),
+            AidingError::BasePositionRefused { .. } => (Code::BasePositionRefused, Some("base")),
+            AidingError::BaseTooLarge { .. } => (Code::BaseTooLarge, None),
+        };
+        let refusal = Self::new(code, error.to_string());
+        Self { field: field.map(ToOwned::to_owned), ..refusal }
+    }
+}
+
+impl From<BaseEpochRefusal> for Refusal {
+    fn from(refusal: BaseEpochRefusal) -> Self {
+        let (code, field) = match refusal {
+            BaseEpochRefusal::Conflict { .. } => (Code::BaseEpochConflict, "time"),
+            BaseEpochRefusal::OutOfOrder { .. } => (Code::BaseOutOfOrder, "time"),
+            BaseEpochRefusal::TooManyObservations { .. } => {
+                (Code::TooManyObservations, "observations")
             }
-            AidingError::Store(error) => error.into(),
-        }
+        };
+        Self::new(code, refusal.to_string()).at(field)
     }
 }
 
@@ -89,6 +111,8 @@ impl From<SessionError> for Refusal {
         let (code, field) = match error {
             SessionError::Configuration(error) => return error.into(),
             SessionError::Store(error) => return error.into(),
+            SessionError::Base(error) => return error.into(),
+            SessionError::BaseRequired { .. } => (Code::BaseRequired, Some("base")),
             SessionError::NotFound { .. } => (Code::SessionNotFound, Some("session")),
             SessionError::Closed { .. } => (Code::SessionClosed, Some("session")),
             SessionError::LabelTooLong { .. } => (Code::LabelTooLong, Some("label")),

@@ -172,11 +172,38 @@ codes! {
     /// More ephemerides of a satellite in one push than are held.
     TooManyEphemerides = "TOO_MANY_EPHEMERIDES", TooLarge,
         "push a shorter span, or let the operator raise limits.ephemerides_per_satellite";
+    /// No such base.
+    BaseNotFound = "BASE_NOT_FOUND", NotFound, "create a base, or check the id";
+    /// The mode is relative to a base, and none is named.
+    BaseRequired = "BASE_REQUIRED", Malformed,
+        "create a base, push its epochs, and name it as base";
+    /// An open session names the base.
+    BaseInUse = "BASE_IN_USE", Precondition,
+        "close the sessions that name it, or let them use another base";
+    /// As many bases as the service holds.
+    TooManyBases = "TOO_MANY_BASES", Exhausted,
+        "delete a base that is no longer used, or let the operator raise limits.bases";
+    /// Nobody has told where the base stands: neither its creator nor the file's header.
+    BasePositionMissing = "BASE_POSITION_MISSING", Precondition,
+        "create the base with the position of its marker";
+    /// The base's position is more than 100 m from what the base observes.
+    BasePositionRefused = "BASE_POSITION_REFUSED", Precondition,
+        "create the base anew with its right position";
+    /// Other content is held of the base's epoch of this time.
+    BaseEpochConflict = "BASE_EPOCH_CONFLICT", Conflict,
+        "send each epoch once, or unchanged; create another base for other observations";
+    /// An epoch of a base that is not after its newest, and not held.
+    BaseOutOfOrder = "BASE_OUT_OF_ORDER", Precondition,
+        "send a base's epochs in order of time; create another base for older data";
+    /// One push brings more than a base holds.
+    BaseTooLarge = "BASE_TOO_LARGE", TooLarge,
+        "push a shorter span, or let the operator raise limits.epochs_per_base and bytes_per_base";
     /// The upload is not RINEX.
-    RinexNotRinex = "RINEX_NOT_RINEX", Malformed, "send a RINEX navigation file, plain or gzip";
+    RinexNotRinex = "RINEX_NOT_RINEX", Malformed,
+        "send a RINEX file of the kind that the call takes, plain or gzip";
     /// The upload is RINEX of another kind.
     RinexWrongKind = "RINEX_WRONG_KIND", Malformed,
-        "send a navigation file here; observations go to a session as epochs";
+        "send navigation data to navigation, and observations of a base to a base";
     /// RINEX of a version that is not read.
     RinexUnsupportedVersion = "RINEX_UNSUPPORTED_VERSION", Malformed,
         "convert the file to RINEX 3 or 4";

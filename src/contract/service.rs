@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
-use crate::aiding::NavigationBroker;
+use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
 use crate::config::Limits;
 use crate::session::Sessions;
 
@@ -12,17 +12,17 @@ use crate::session::Sessions;
 #[derive(Clone)]
 pub struct Service {
     sessions: Sessions,
-    navigation: NavigationBroker,
+    aiding: AidingDesk,
     limits: Arc<Limits>,
     draining: Arc<watch::Sender<bool>>,
 }
 
 impl Service {
     /// The service over its desks.
-    pub fn new(sessions: Sessions, navigation: NavigationBroker, limits: Limits) -> Self {
+    pub fn new(sessions: Sessions, aiding: AidingDesk, limits: Limits) -> Self {
         Self {
             sessions,
-            navigation,
+            aiding,
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
         }
@@ -35,7 +35,12 @@ impl Service {
 
     /// The desk for ephemerides.
     pub const fn navigation(&self) -> &NavigationBroker {
-        &self.navigation
+        &self.aiding.navigation
+    }
+
+    /// The desk for base stations.
+    pub const fn bases(&self) -> &BaseBroker {
+        &self.aiding.bases
     }
 
     /// How much the service takes.

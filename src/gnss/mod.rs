@@ -5,6 +5,7 @@
 //! is ECEF, metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
 
 mod antenna;
+mod base;
 pub mod constants;
 mod coordinates;
 mod ephemeris;
@@ -19,17 +20,18 @@ mod time;
 pub use antenna::{
     AntennaCalibration, AntennaCatalogue, PhaseCentrePattern, SatelliteAntenna, split_antenna_name,
 };
+pub use base::{BaseSite, BaseStation, PositionSource};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
 };
 pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
-pub use observation::{BaseStation, Cycles, Epoch, Meters, Observation};
+pub use observation::{Cycles, Epoch, Meters, Observation};
 pub use odometry::{Odometry, OdometryError, OdometryFrame, symmetric_of};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{
-    Dops, EphemerisIssue, Provenance, Reason, ReasonValue, RelativeEstimate, Solution,
-    SolutionEstimate, Status, Velocity,
+    BaseEpochIssue, Dops, EphemerisIssue, Provenance, Reason, ReasonValue, RelativeEstimate,
+    Solution, SolutionEstimate, Status, Velocity,
 };
 pub use time::{CivilTime, GpsTime, LeapSeconds, TimeScale, wrap_half_week};

@@ -1,8 +1,6 @@
 //! What a receiver measured.
 
-use nalgebra::Vector3;
-
-use super::{Ecef, Enu, GpsTime, LocalFrame, ObservationCode, Odometry, SatelliteId, Signal};
+use super::{GpsTime, ObservationCode, Odometry, SatelliteId, Signal};
 
 /// A length (m), where metres and cycles could be swapped.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
@@ -93,38 +91,5 @@ impl Epoch {
     /// Observations satellite by satellite.
     pub fn by_satellite(&self) -> impl Iterator<Item = (SatelliteId, &[Observation])> {
         self.observations.chunk_by(|a, b| a.satellite == b.satellite).map(|c| (c[0].satellite, c))
-    }
-}
-
-/// A receiver at a known place, against which others are positioned.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BaseStation {
-    /// Its name, for messages.
-    pub name: String,
-    /// Its antenna reference point, ECEF (m); a marker's position with the antenna's offset added.
-    pub antenna_reference_point: Ecef,
-}
-
-impl BaseStation {
-    /// A station whose marker is at `marker`, with its antenna reference point above, east and
-    /// north of it (m), as RINEX's `ANTENNA: DELTA H/E/N`.
-    pub fn at_marker(name: String, marker: Ecef, delta_hen_m: [f64; 3]) -> Self {
-        let [height, east, north] = delta_hen_m;
-        let offset = Enu(Vector3::new(east, north, height));
-        Self { name, antenna_reference_point: LocalFrame::at(marker).to_ecef(offset) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// On the equator at longitude zero, up, east and north are x, y and z.
-    #[test]
-    fn the_antenna_stands_above_its_marker() {
-        let marker = Ecef::new(6_378_137.0, 0.0, 0.0);
-        let base = BaseStation::at_marker("HERT".to_owned(), marker, [1.5, 0.2, -0.3]);
-        let expected = Ecef::new(6_378_138.5, 0.2, -0.3);
-        assert!(base.antenna_reference_point.distance_m(expected) < 1e-9);
     }
 }

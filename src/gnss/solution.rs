@@ -379,11 +379,22 @@ pub struct EphemerisIssue {
     pub issue: u32,
 }
 
+/// The epoch of a base that a solution was differenced against.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BaseEpochIssue {
+    /// The base's name.
+    pub base: String,
+    /// The base's tag of the epoch.
+    pub time: GpsTime,
+}
+
 /// Where a solution came from: enough to compute it again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Provenance {
     /// Ephemerides used, one for each satellite used.
     pub ephemerides: Vec<EphemerisIssue>,
+    /// The base epoch used, of a position relative to one.
+    pub base: Option<BaseEpochIssue>,
 }
 
 /// The answer to one epoch.

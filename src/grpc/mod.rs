@@ -1,5 +1,6 @@
 //! Door: gRPC. One file per service; what it carries is in `contract`.
 
+mod bases;
 mod codec;
 mod frame;
 mod navigation;

@@ -9,6 +9,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 use crate::contract::Service;
 
+use super::v1::bases_server::BasesServer;
 use super::v1::navigation_server::NavigationServer;
 use super::v1::positioning_server::PositioningServer;
 use super::v1::sessions_server::SessionsServer;
@@ -43,6 +44,7 @@ pub fn routes(service: &Service) -> Router {
         .add_service(limited!(PositioningServer))
         .add_service(limited!(SolutionsServer))
         .add_service(limited!(NavigationServer))
+        .add_service(limited!(BasesServer))
         .into_axum_router()
         .reset_fallback()
         .layer(middleware::map_response(frame::explain))
@@ -61,12 +63,13 @@ fn reflection() -> tonic_reflection::server::Builder<'static> {
 
 /// Serving until the service drains; for each service by name, and for the whole.
 async fn report_health(drained: impl Future<Output = ()>, health: HealthReporter) {
-    const NAMES: [&str; 5] = [
+    const NAMES: [&str; 6] = [
         "",
         "graphfix.v1.Sessions",
         "graphfix.v1.Positioning",
         "graphfix.v1.Solutions",
         "graphfix.v1.Navigation",
+        "graphfix.v1.Bases",
     ];
     for name in NAMES {
         health.set_service_status(name, ServingStatus::Serving).await;

@@ -1,5 +1,6 @@
 //! Door: REST, and the one port that both doors share. The router is on this page.
 
+mod bases;
 mod body;
 mod navigation;
 mod openapi;
@@ -41,6 +42,10 @@ pub fn router(service: &Service) -> Router {
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
         .route("/v1/solve", post(positioning::solve_once))
         .route("/v1/navigation", get(navigation::status).post(navigation::push))
+        .route("/v1/bases", get(bases::list).post(bases::create))
+        .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
+        .route("/v1/bases/{base}/epochs", post(bases::push_epochs))
+        .route("/v1/bases/{base}/observations", post(bases::upload))
         .route("/healthz", get(pages::live))
         .route("/readyz", get(pages::ready))
         .route("/openapi.json", get(pages::schema))

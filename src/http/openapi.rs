@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi;
 
-use super::{navigation, positioning, sessions, solutions};
+use super::{bases, navigation, positioning, sessions, solutions};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -19,6 +19,7 @@ use super::{navigation, positioning, sessions, solutions};
         (name = "Positioning", description = "Epochs in, solutions out"),
         (name = "Solutions", description = "What was stored"),
         (name = "Navigation", description = "Broadcast ephemerides, which every session uses"),
+        (name = "Bases", description = "Base stations, which sessions relative to one name"),
     ),
     paths(
         sessions::create,
@@ -32,6 +33,12 @@ use super::{navigation, positioning, sessions, solutions};
         solutions::list,
         navigation::push,
         navigation::status,
+        bases::create,
+        bases::list,
+        bases::get,
+        bases::delete,
+        bases::push_epochs,
+        bases::upload,
     )
 )]
 struct Rest;

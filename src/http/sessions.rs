@@ -17,9 +17,9 @@ use super::problem::{Problem, Refused};
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
     /// At most so many, 1 to 1000; 100 if not given.
-    page_size: u32,
+    pub(super) page_size: u32,
     /// From the answer before.
-    page_token: String,
+    pub(super) page_token: String,
 }
 
 /// The session of a path; a body that names one must name the same.

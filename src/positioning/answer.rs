@@ -88,7 +88,7 @@ impl Answer<'_> {
             status: self.status,
             estimate: Some(estimate),
             reasons: self.reasons,
-            provenance: Provenance { ephemerides },
+            provenance: Provenance { ephemerides, base: None },
         }
     }
 }

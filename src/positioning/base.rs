@@ -2,6 +2,10 @@
 
 use crate::gnss::{BaseStation, Epoch};
 
+/// Base epochs may be tagged this much later than the rover's and still count as of its time (s):
+/// receivers tag by clocks that are off by up to milliseconds.
+pub const BASE_LATER_S: f64 = 0.02;
+
 /// A base station and what it observed of late.
 #[derive(Clone, Copy, Debug)]
 pub struct BaseAiding<'a> {

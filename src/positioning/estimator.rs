@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
-use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Solution};
+use crate::gnss::{BaseEpochIssue, Ecef, Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::base::BaseAiding;
@@ -13,7 +13,7 @@ use super::rtk::RtkWindow;
 use super::spp::SinglePoint;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
-const LAYOUT: u16 = 2;
+const LAYOUT: u16 = 3;
 
 /// What an epoch needs beside its own observations.
 #[derive(Clone, Copy, Debug)]
@@ -86,7 +86,7 @@ impl Estimator {
     /// Solves one epoch. No position is an answer too, with its reasons.
     pub fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Solution {
         let (options, navigation) = (&*self.options, aiding.navigation);
-        match &mut self.engine {
+        let mut solution = match &mut self.engine {
             Engine::SinglePoint { start, single_point } => {
                 let solution = single_point.solve(epoch, navigation, options, *start);
                 *start = solution.estimate.as_ref().map(|estimate| estimate.position);
@@ -97,7 +97,13 @@ impl Estimator {
             Engine::Relative(window) => {
                 window.advance(epoch, navigation, aiding.base.as_ref(), options)
             }
+        };
+        let relative = solution.estimate.as_ref().and_then(|estimate| estimate.relative.as_ref());
+        if let (Some(relative), Some(base)) = (relative, &aiding.base) {
+            let (base, time) = (base.station.name.clone(), epoch.time - relative.age_s);
+            solution.provenance.base = Some(BaseEpochIssue { base, time });
         }
+        solution
     }
 
     /// Answers of the epochs that have left the window since the last call, smoothed by what came

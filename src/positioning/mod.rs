@@ -34,7 +34,7 @@ mod uncertainty;
 mod velocity;
 
 pub use antenna::correct_for_antenna;
-pub use base::BaseAiding;
+pub use base::{BASE_LATER_S, BaseAiding};
 pub use estimator::{Aiding, Batch, Estimator};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
 pub use slips::{

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
-use crate::store::{SessionSettings, StoredConfiguration};
+use crate::store::{BaseName, SessionSettings, StoredConfiguration};
+
+use super::SessionError;
 
 /// The options of a mode and profile with overrides.
 ///
@@ -24,29 +26,35 @@ pub(super) fn options(
 /// The settings to store.
 ///
 /// # Errors
-/// A mode, profile, option or value that does not exist, or a mode that sessions do not serve.
+/// A mode, profile, option or value that does not exist, or a mode that needs a base without one.
 pub(super) fn settings(
     label: String,
     mode: String,
     profile: String,
     overrides: BTreeMap<String, String>,
-) -> Result<SessionSettings, ConfigError> {
+    base: Option<BaseName>,
+) -> Result<SessionSettings, SessionError> {
     let options = options(&mode, &profile, &overrides)?;
-    served(options.mode)?;
+    base_of(options.mode, base.as_ref())?;
     let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
     let configuration = in_force.collect();
     let configuration_hash = options.configuration_hash().into();
-    Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash })
+    Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash, base })
 }
 
-/// Sessions know no bases yet.
-fn served(mode: Mode) -> Result<(), ConfigError> {
-    if !mode.is_relative() {
-        return Ok(());
+/// The base that a mode works with: none where it is not relative to one.
+///
+/// # Errors
+/// It is, and there is none.
+pub(super) fn base_of(
+    mode: Mode,
+    base: Option<&BaseName>,
+) -> Result<Option<BaseName>, SessionError> {
+    match (mode.is_relative(), base) {
+        (false, _) => Ok(None),
+        (true, Some(base)) => Ok(Some(base.clone())),
+        (true, None) => Err(SessionError::BaseRequired { mode: mode.name() }),
     }
-    let served = Mode::ALL.iter().filter(|mode| !mode.is_relative()).map(|mode| mode.name());
-    let (name, allowed) = (mode.name().to_owned(), served.collect::<Vec<_>>().join(", "));
-    Err(ConfigError::UnknownMode { name, allowed })
 }
 
 /// The options that were in force when the settings were stored, though a profile's values may

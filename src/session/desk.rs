@@ -11,9 +11,10 @@ use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 
-use crate::aiding::NavigationBroker;
+use crate::aiding::AidingDesk;
+use crate::aiding::bases::BaseId;
 use crate::store::{
-    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
+    BaseName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
 use super::configuration::{settings, stored_options};
@@ -39,7 +40,7 @@ pub struct Sessions {
 
 struct Desk {
     store: Store,
-    aiding: NavigationBroker,
+    aiding: AidingDesk,
     limits: SessionLimits,
     solvers: Solvers,
     /// Epochs waiting in all mailboxes.
@@ -68,7 +69,7 @@ struct Handle {
 
 impl Sessions {
     /// Opens the desk.
-    pub fn open(store: Store, aiding: NavigationBroker, mut limits: SessionLimits) -> Self {
+    pub fn open(store: Store, aiding: AidingDesk, mut limits: SessionLimits) -> Self {
         limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_batch);
         limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_batch);
         let tasks =
@@ -88,10 +89,11 @@ impl Sessions {
     /// Creates a session and stores it.
     ///
     /// # Errors
-    /// A configuration that does not exist, a label too long, or the store fails.
+    /// A configuration or a base that does not exist, a label too long, or the store fails.
     pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
         self.check_label(&new.label)?;
-        let settings = settings(new.label, new.mode, new.profile, new.overrides)?;
+        let base = self.base_name(new.base.as_ref())?;
+        let settings = settings(new.label, new.mode, new.profile, new.overrides, base)?;
         let id = SessionId::random();
         let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
         info(id, row)
@@ -128,7 +130,7 @@ impl Sessions {
     /// the new configuration; those that wait may be, too.
     ///
     /// # Errors
-    /// No such session, one that is closed, a configuration that does not exist.
+    /// No such session, one that is closed, a configuration or a base that does not exist.
     pub async fn update(
         &self,
         id: &SessionId,
@@ -142,11 +144,16 @@ impl Sessions {
         let mut overrides = row.settings.overrides;
         overrides.retain(|name, _| !update.clear_overrides.contains(name));
         overrides.extend(update.overrides);
+        let base = match &update.base {
+            None => row.settings.base,
+            Some(base) => self.base_name(base.as_ref())?,
+        };
         row.settings = settings(
             update.label.unwrap_or(row.settings.label),
             update.mode.unwrap_or(row.settings.mode),
             update.profile.unwrap_or(row.settings.profile),
             overrides,
+            base,
         )?;
         self.desk.store.update_session(row.key, &row.settings).await?;
         if let Some(handle) = self.tasks().handles.get(id) {
@@ -251,11 +258,15 @@ impl Sessions {
         self.tasks().draining
     }
 
+    pub(super) fn base_name(&self, id: Option<&BaseId>) -> Result<Option<BaseName>, SessionError> {
+        Ok(id.map(|id| self.desk.aiding.bases.name(id)).transpose()?)
+    }
+
     pub(super) fn store(&self) -> &Store {
         &self.desk.store
     }
 
-    pub(super) fn aiding(&self) -> &NavigationBroker {
+    pub(super) fn aiding(&self) -> &AidingDesk {
         &self.desk.aiding
     }
 
@@ -403,6 +414,7 @@ fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
         created_unix_ms: row.created_unix_ms,
         closed_unix_ms: row.closed_unix_ms,
         durable_through: row.last_seq,
+        base: row.settings.base.map(|base| base.id),
     })
 }
 

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::aiding::AidingError;
 use crate::config::ConfigError;
 use crate::store::StoreError;
 
@@ -23,6 +24,15 @@ pub enum SessionError {
     /// The configuration asked for does not exist.
     #[error(transparent)]
     Configuration(#[from] ConfigError),
+    /// The mode needs a base, and none is named.
+    #[error("mode {mode} needs a base")]
+    BaseRequired {
+        /// The mode.
+        mode: &'static str,
+    },
+    /// The base is refused.
+    #[error(transparent)]
+    Base(#[from] AidingError),
     /// The label is too long.
     #[error("the label has {length} characters, allowed are {limit}")]
     LabelTooLong {
@@ -116,6 +126,8 @@ impl SessionError {
             Self::NotFound { .. } => "SESSION_NOT_FOUND",
             Self::Closed { .. } => "SESSION_CLOSED",
             Self::Configuration(error) => error.code(),
+            Self::BaseRequired { .. } => "BASE_REQUIRED",
+            Self::Base(error) => error.code(),
             Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
             Self::NoEpochs => "NO_EPOCHS",
             Self::TooManyEpochs { .. } => "TOO_MANY_EPOCHS",
@@ -138,6 +150,8 @@ impl SessionError {
             Self::NotFound { .. } => "create the session first, or check its id",
             Self::Closed { .. } => "create a new session; what this one stored stays readable",
             Self::Configuration(_) => "list the options and their values with `graphfix config`",
+            Self::BaseRequired { .. } => "create a base, push its epochs, and name it",
+            Self::Base(error) => error.remedy(),
             Self::LabelTooLong { .. } => "shorten the label",
             Self::NoEpochs => "send at least one epoch",
             Self::TooManyEpochs { .. } => "send the epochs in several batches",

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use uuid::Uuid;
 
+use crate::aiding::bases::BaseId;
 use crate::config::OptionEntry;
 
 /// The name of a session: `ses_` and 122 random bits, so that nobody guesses another's.
@@ -56,6 +57,8 @@ pub struct NewSession {
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
+    /// The base of modes relative to one.
+    pub base: Option<BaseId>,
 }
 
 /// What to change of a session; what is `None` or empty stays.
@@ -71,6 +74,8 @@ pub struct SessionUpdate {
     pub overrides: BTreeMap<String, String>,
     /// Overrides to drop, so that the profile's value holds again.
     pub clear_overrides: Vec<String>,
+    /// Another base, or none.
+    pub base: Option<Option<BaseId>>,
 }
 
 /// A session as it is stored.
@@ -96,6 +101,8 @@ pub struct SessionInfo {
     pub closed_unix_ms: Option<i64>,
     /// The last committed epoch: all acknowledged ones up to it are durable.
     pub durable_through: Option<u64>,
+    /// Id of the base of modes relative to one.
+    pub base: Option<Arc<str>>,
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The part of a session's work that computes: what runs on the solver pool.
 
 use crate::aiding::PushedNavigation;
+use crate::aiding::bases::BaseView;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
 use super::state::{Advanced, Origin, State};
@@ -18,6 +19,13 @@ pub(super) enum Plan {
     Lookup(SequencedEpoch),
     /// Not taken.
     Refused(EpochRefusal),
+}
+
+/// What the epochs of a piece are positioned with.
+pub(super) struct PieceAiding {
+    pub(super) navigation: PushedNavigation,
+    /// The base of the session, where its mode is relative to one.
+    pub(super) base: Option<BaseView>,
 }
 
 /// A piece of work done, not committed.
@@ -41,7 +49,7 @@ impl Piece {
     pub(super) fn position(
         state: State,
         epochs: impl IntoIterator<Item = SequencedEpoch>,
-        navigation: &PushedNavigation,
+        aiding: &PieceAiding,
         origin: &Origin,
         observations_per_epoch: usize,
     ) -> Self {
@@ -57,7 +65,7 @@ impl Piece {
             let seq = epoch.seq;
             let plan = match piece.refusal(&epoch, observations_per_epoch) {
                 Some(refusal) => Plan::Refused(refusal),
-                None if piece.is_after_last(seq) => piece.advance(&epoch, navigation, origin),
+                None if piece.is_after_last(seq) => piece.advance(&epoch, aiding, origin),
                 None => piece.resent(epoch),
             };
             piece.plans.push((seq, plan));
@@ -90,11 +98,14 @@ impl Piece {
     fn advance(
         &mut self,
         SequencedEpoch { seq, epoch }: &SequencedEpoch,
-        PushedNavigation { push, navigation }: &PushedNavigation,
+        PieceAiding { navigation: PushedNavigation { push, navigation }, base }: &PieceAiding,
         origin: &Origin,
     ) -> Plan {
-        let Advanced { solution, revisions } = self.state.advance(*seq, epoch, navigation, origin);
-        self.rows.push(EncodedEpoch::new(epoch, &solution, *push));
+        let base = base.as_ref().map(|view| self.state.new_of(view, epoch.time, origin));
+        let advanced = self.state.advance(*seq, epoch, navigation, base.as_ref(), origin);
+        let Advanced { solution, revisions } = advanced;
+        let used = base.map(|given| given.used);
+        self.rows.push(EncodedEpoch::new(epoch, &solution, *push, used));
         self.revisions.extend(revisions.iter().map(EncodedSolution::new));
         self.solutions.push(solution);
         Plan::Positioned { place: self.rows.len() - 1, resent: false }

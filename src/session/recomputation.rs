@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::NavigationBroker;
+use crate::aiding::AidingDesk;
 use crate::gnss::LeapSeconds;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
+use super::configuration::base_of;
 use super::replay::{By, Course, origin_in_force};
 use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
@@ -55,7 +56,7 @@ impl Recomputation {
     /// No such session, a configuration that does not exist, or the store fails.
     pub async fn open(
         store: Store,
-        aiding: NavigationBroker,
+        aiding: AidingDesk,
         id: &SessionId,
         change: Option<&SolveRequest>,
     ) -> Result<Self, SessionError> {
@@ -65,8 +66,11 @@ impl Recomputation {
             None => origin_in_force(&store, id.as_str()).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
+                let asked = request.base.as_ref().map(|id| aiding.bases.name(id)).transpose()?;
+                let base = asked.as_ref().or(row.settings.base.as_ref());
+                let base = base_of(options.mode, base)?;
                 let configuration_hash = options.configuration_hash().into();
-                Origin { version: VERSION.into(), configuration_hash, options }
+                Origin { version: VERSION.into(), configuration_hash, options, base }
             }
         };
         let configuration_hash = origin.configuration_hash.clone();
@@ -90,7 +94,7 @@ impl Recomputation {
 
     /// Leap seconds as far as they are known today.
     pub fn leap_seconds(&self) -> LeapSeconds {
-        self.course.aiding.current().navigation.leap_seconds
+        self.course.aiding.navigation.current().navigation.leap_seconds
     }
 
     /// The next answers, revisions among them; `None` once all are computed.

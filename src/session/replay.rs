@@ -3,13 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::{NavigationBroker, PushedNavigation};
+use crate::aiding::bases::{BaseGiven, BaseView};
+use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
 use crate::gnss::Epoch;
-use crate::store::{SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
+use crate::store::{
+    BaseKey, BaseName, BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution,
+};
 
 use super::SessionError;
-use super::configuration::{kept_options, stored_options};
+use super::configuration::{base_of, kept_options, stored_options};
 use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
 
@@ -31,11 +34,12 @@ pub(super) enum By {
 /// The way through a session's stored epochs.
 pub(super) struct Course {
     pub(super) store: Store,
-    pub(super) aiding: NavigationBroker,
+    pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
     pub(super) by: By,
-    /// Whether navigation data that is kept no more may be replaced by today's.
+    /// Whether navigation data that is kept no more may be replaced by today's, and base epochs by
+    /// none.
     pub(super) may_differ: bool,
 }
 
@@ -45,6 +49,16 @@ struct Step {
     epoch: Epoch,
     navigation: PushedNavigation,
     origin: Arc<Origin>,
+    base: StepBase,
+}
+
+/// What an epoch is given of a base.
+enum StepBase {
+    None,
+    /// What it was given before.
+    Again(BaseGiven),
+    /// What is new then of all that is held.
+    Held(Arc<BaseView>),
 }
 
 impl Course {
@@ -62,8 +76,14 @@ impl Course {
         let steps = self.steps(stored).await?;
         let work = move || {
             let mut answers = Vec::with_capacity(2 * steps.len());
-            for Step { seq, epoch, navigation, origin } in &steps {
-                let advanced = state.advance(*seq, epoch, &navigation.navigation, origin);
+            for Step { seq, epoch, navigation, origin, base } in steps {
+                let base = match base {
+                    StepBase::None => None,
+                    StepBase::Again(given) => Some(given),
+                    StepBase::Held(view) => Some(state.new_of(&view, epoch.time, &origin)),
+                };
+                let navigation = &navigation.navigation;
+                let advanced = state.advance(seq, &epoch, navigation, base.as_ref(), &origin);
                 answers.push(advanced.solution);
                 answers.extend(advanced.revisions);
             }
@@ -73,16 +93,19 @@ impl Course {
     }
 
     async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
-        let mut origins: BTreeMap<Arc<str>, Arc<Origin>> = BTreeMap::new();
+        let mut origins: BTreeMap<(Arc<str>, Option<BaseKey>), Arc<Origin>> = BTreeMap::new();
         let mut pushes: BTreeMap<u64, PushedNavigation> = BTreeMap::new();
         let mut steps = Vec::with_capacity(stored.len());
+        let bases = self.bases(&stored)?;
         for row in stored {
-            let hash = &row.solution.configuration_hash;
-            let origin = match origins.get(hash) {
+            let used = row.base.map(|used| used.base);
+            let key = (row.solution.configuration_hash.clone(), used);
+            let origin = match origins.get(&key) {
                 Some(origin) => origin.clone(),
                 None => {
-                    let origin = self.origin(hash).await?;
-                    origins.insert(hash.clone(), origin.clone());
+                    let base = used.and_then(|used| bases.name_of(used));
+                    let origin = self.origin(&key.0, base).await?;
+                    origins.insert(key, origin.clone());
                     origin
                 }
             };
@@ -94,36 +117,94 @@ impl Course {
                     navigation
                 }
             };
-            steps.push(Step { seq: row.solution.seq, epoch: row.epoch()?, navigation, origin });
+            let (seq, base) = (row.solution.seq, bases.of(row.base, self.may_differ)?);
+            steps.push(Step { seq, epoch: row.epoch()?, navigation, origin, base });
         }
         Ok(steps)
     }
 
-    async fn origin(&self, hash: &Arc<str>) -> Result<Arc<Origin>, SessionError> {
+    /// The bases that epochs are computed with.
+    fn bases(&self, stored: &[StoredEpoch]) -> Result<Bases, SessionError> {
+        let By::Options(origin) = &self.by else {
+            let uses: Vec<BaseUse> = stored.iter().filter_map(|row| row.base).collect();
+            return Ok(Bases::Used(self.aiding.bases.used(&uses)));
+        };
+        let (Some(name), Some(first), Some(last)) = (&origin.base, stored.first(), stored.last())
+        else {
+            return Ok(Bases::Used(Vec::new()));
+        };
+        let (from, until) = (first.epoch()?.time, last.epoch()?.time);
+        let span_s = origin.options.rtk.base_span_s();
+        Ok(Bases::Held(Arc::new(self.aiding.bases.view(name, from, until, span_s))))
+    }
+
+    async fn origin(
+        &self,
+        hash: &Arc<str>,
+        base: Option<BaseName>,
+    ) -> Result<Arc<Origin>, SessionError> {
         match &self.by {
             By::Options(origin) => Ok(origin.clone()),
-            By::Stored => origin_of(&self.store, hash).await.map(Arc::new),
+            By::Stored => origin_of(&self.store, hash, base).await.map(Arc::new),
         }
     }
 
     async fn navigation(&self, push: u64) -> Result<PushedNavigation, SessionError> {
-        match self.aiding.after(push).await {
+        match self.aiding.navigation.after(push).await {
             Err(error @ StoreError::NavigationForgotten { .. }) if self.may_differ => {
                 tracing::warn!(%error, "a session is restored with today's navigation data");
-                Ok(self.aiding.current())
+                Ok(self.aiding.navigation.current())
             }
             found => Ok(found?),
         }
     }
 }
 
+/// The bases of a run of epochs.
+enum Bases {
+    /// Each with the epochs that were given then.
+    Used(Vec<BaseView>),
+    /// One, with all that is held.
+    Held(Arc<BaseView>),
+}
+
+impl Bases {
+    fn name_of(&self, key: BaseKey) -> Option<BaseName> {
+        let Self::Used(views) = self else { return None };
+        views.iter().map(BaseView::name).find(|name| name.key == key).cloned()
+    }
+
+    fn of(&self, used: Option<BaseUse>, may_differ: bool) -> Result<StepBase, StoreError> {
+        let views = match self {
+            Self::Used(views) => views,
+            Self::Held(view) => return Ok(StepBase::Held(view.clone())),
+        };
+        let Some(used) = used else { return Ok(StepBase::None) };
+        let view = views.iter().find(|view| view.name().key == used.base);
+        let view = view.expect("the views are those of these epochs");
+        match view.again(used) {
+            Some(given) => Ok(StepBase::Again(given)),
+            None if may_differ => {
+                tracing::warn!(base = %view.name().id, "a session is restored without base epochs");
+                Ok(StepBase::Again(view.rest(used)))
+            }
+            None => Err(StoreError::BaseForgotten { base: used.base.number() }),
+        }
+    }
+}
+
 /// What epochs under a stored configuration are computed with.
-pub(super) async fn origin_of(store: &Store, hash: &Arc<str>) -> Result<Origin, SessionError> {
+async fn origin_of(
+    store: &Store,
+    hash: &Arc<str>,
+    base: Option<BaseName>,
+) -> Result<Origin, SessionError> {
     let kept = store.configuration(hash).await?;
     Ok(Origin {
         version: VERSION.into(),
         configuration_hash: hash.clone(),
         options: kept_options(&kept)?,
+        base,
     })
 }
 
@@ -132,8 +213,9 @@ pub(super) async fn origin_in_force(store: &Store, id: &str) -> Result<Origin, S
     let row = store.session(id).await?;
     let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
     let options: PositioningOptions = stored_options(&row.settings)?;
+    let base = base_of(options.mode, row.settings.base.as_ref())?;
     let configuration_hash = row.settings.configuration_hash;
-    Ok(Origin { version: VERSION.into(), configuration_hash, options })
+    Ok(Origin { version: VERSION.into(), configuration_hash, options, base })
 }
 
 /// The state after a session's last stored epoch: its newest snapshot, and the epochs since.
@@ -161,7 +243,7 @@ pub(super) async fn restored(course: &Course, origin: &Origin) -> Result<State, 
 
 async fn snapshot(course: &Course) -> Result<Option<State>, SessionError> {
     let Some(stored) = course.store.snapshot(course.key).await? else { return Ok(None) };
-    let origin = origin_of(&course.store, &stored.configuration_hash).await?;
+    let origin = origin_of(&course.store, &stored.configuration_hash, None).await?;
     match State::decode(stored.seq, &stored.content, &origin) {
         Ok(state) => Ok(Some(state)),
         Err(error) => {

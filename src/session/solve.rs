@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use crate::aiding::bases::{BaseGiven, BaseId};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, Estimator};
-use crate::store::{SessionSettings, StoredSolution};
+use crate::store::{BaseName, SessionSettings, StoredSolution};
 
 use super::desk::Sessions;
 use super::state::VERSION;
@@ -22,6 +23,8 @@ pub struct SolveRequest {
     /// Options that differ. Where neither mode nor profile is given they come on top of the
     /// session's configuration, otherwise on top of the profile.
     pub overrides: BTreeMap<String, String>,
+    /// The base of modes relative to one; `None`: the session's.
+    pub base: Option<BaseId>,
 }
 
 /// A short run of epochs without a session.
@@ -37,6 +40,8 @@ pub struct Burst {
     pub epochs: Vec<SequencedEpoch>,
     /// Navigation data of its own, used together with what the service holds.
     pub navigation: Option<Navigation>,
+    /// The base of modes relative to one: its epochs that are held serve.
+    pub base: Option<BaseId>,
 }
 
 /// A solution that is not stored.
@@ -93,11 +98,11 @@ fn window_epochs(options: &PositioningOptions) -> usize {
 impl Sessions {
     /// Solves the session's present window with any mode and options: its last committed epochs, as
     /// many as the window of these options holds, are given to a fresh estimator with the
-    /// navigation data held now. The session goes on undisturbed and nothing is stored. With the
-    /// session's own configuration the answer is the stored one.
+    /// navigation data and the base epochs held now. The session goes on undisturbed and nothing
+    /// is stored. With the session's own configuration and base the answer is the stored one.
     ///
     /// # Errors
-    /// No such session, no epoch in it, a configuration that does not exist.
+    /// No such session, no epoch in it, a configuration or a base that does not exist.
     pub async fn solve(
         &self,
         id: &SessionId,
@@ -105,11 +110,16 @@ impl Sessions {
     ) -> Result<Computed, SessionError> {
         let row = self.row(id).await?;
         let options = request.options(&row.settings)?;
+        let asked = self.base_name(request.base.as_ref())?;
+        let base =
+            configuration::base_of(options.mode, asked.as_ref().or(row.settings.base.as_ref()))?;
         let is_own = options == configuration::stored_options(&row.settings)?;
         let count = window_epochs(&options).min(self.limits().epochs_per_batch);
         let mut stored = self.store().last_epochs(row.key, count).await?;
         let last = stored.first().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
-        if is_own && last.solution.configuration_hash == row.settings.configuration_hash {
+        let is_same_base = last.base.map(|used| used.base) == base.as_ref().map(|base| base.key);
+        let is_same = last.solution.configuration_hash == row.settings.configuration_hash;
+        if is_own && is_same && is_same_base {
             return Ok(stored.swap_remove(0).solution.into());
         }
         let sequenced = stored
@@ -117,8 +127,8 @@ impl Sessions {
             .rev()
             .map(|stored| Ok(SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch()? }));
         let epochs = sequenced.collect::<Result<_, SessionError>>()?;
-        let navigation = self.aiding().current().navigation;
-        let computed = self.compute(options, epochs, navigation).await?;
+        let navigation = self.aiding().navigation.current().navigation;
+        let computed = self.compute(options, epochs, navigation, base).await?;
         Ok(computed.into_iter().next_back().expect("an epoch gives an answer"))
     }
 
@@ -141,14 +151,16 @@ impl Sessions {
             return Err(SessionError::BurstOutOfOrder { index: before + 1 });
         }
         let navigation = match burst.navigation {
-            None => self.aiding().current().navigation,
+            None => self.aiding().navigation.current().navigation,
             Some(own) => {
-                let mut navigation = (*self.aiding().current().navigation).clone();
+                let mut navigation = (*self.aiding().navigation.current().navigation).clone();
                 navigation.merge(own);
                 Arc::new(navigation)
             }
         };
-        self.compute(options, burst.epochs, navigation).await
+        let base = self.base_name(burst.base.as_ref())?;
+        let base = configuration::base_of(options.mode, base.as_ref())?;
+        self.compute(options, burst.epochs, navigation, base).await
     }
 
     async fn compute(
@@ -156,16 +168,28 @@ impl Sessions {
         options: PositioningOptions,
         epochs: Vec<SequencedEpoch>,
         navigation: Arc<Navigation>,
+        base: Option<BaseName>,
     ) -> Result<Vec<Computed>, SessionError> {
+        let span_s = options.rtk.base_span_s();
+        let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
+        let span = base.as_ref().zip(times().next()).zip(times().next_back());
+        let view =
+            span.map(|((name, from), until)| self.aiding().bases.view(name, from, until, span_s));
         let version: Arc<str> = VERSION.into();
         let configuration_hash: Arc<str> = options.configuration_hash().into();
         let work = move || {
             let mut estimator = Estimator::new(options);
-            let position = |SequencedEpoch { seq, epoch }| Computed {
-                seq,
-                solution: estimator.advance(&epoch, &Aiding::alone(&navigation)),
-                version: version.clone(),
-                configuration_hash: configuration_hash.clone(),
+            let mut given = 0;
+            let position = |SequencedEpoch { seq, epoch }| {
+                let base = view.as_ref().map(|view| view.new_at(epoch.time, given, span_s));
+                given = base.as_ref().map_or(given, |base| base.used.through);
+                let base = base.as_ref().and_then(BaseGiven::aiding);
+                Computed {
+                    seq,
+                    solution: estimator.advance(&epoch, &Aiding { navigation: &navigation, base }),
+                    version: version.clone(),
+                    configuration_hash: configuration_hash.clone(),
+                }
             };
             epochs.into_iter().map(position).collect()
         };

@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use tokio::sync::{mpsc, oneshot};
 
-use crate::aiding::NavigationBroker;
+use crate::aiding::AidingDesk;
 use crate::store::{Batch, EncodedSolution, SessionKey, Store, StoreError, StoredEpoch};
 
-use super::piece::{Piece, Plan};
+use super::piece::{Piece, PieceAiding, Plan};
 use super::replay::{By, Course, origin_in_force, restored};
 use super::solvers::Solvers;
 use super::state::{Origin, State};
@@ -69,7 +69,7 @@ pub(super) struct Task {
     pub(super) id: SessionId,
     pub(super) key: SessionKey,
     pub(super) store: Store,
-    pub(super) aiding: NavigationBroker,
+    pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) observations_per_epoch: usize,
     /// The settings have changed: read them before the next piece.
@@ -213,15 +213,25 @@ impl Task {
         origin: &Arc<Origin>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Piece, State), SessionError> {
-        let navigation = self.aiding.current();
+        let aiding = self.aiding_for(origin, &epochs);
         let (origin, limit) = (origin.clone(), self.observations_per_epoch);
         let spares = self.solvers.spares().clone();
         let work = move || {
             let state = spares.copy_of(&committed);
-            let position = |state| Piece::position(state, epochs, &navigation, &origin, limit);
+            let position = |state| Piece::position(state, epochs, &aiding, &origin, limit);
             (spares.lend(state, position, |piece| &mut piece.state), committed)
         };
         self.solvers.run(work).await
+    }
+
+    /// What the epochs are positioned with: all that is held now and may serve them.
+    fn aiding_for(&self, origin: &Origin, epochs: &[SequencedEpoch]) -> PieceAiding {
+        let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
+        let span = origin.base.as_ref().zip(times().min()).zip(times().max());
+        let base = span.map(|((name, from), until)| {
+            self.aiding.bases.view(name, from, until, origin.options.rtk.base_span_s())
+        });
+        PieceAiding { navigation: self.aiding.navigation.current(), base }
     }
 
     async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<HashMap<u64, StoredEpoch>, StoreError> {

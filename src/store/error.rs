@@ -63,6 +63,12 @@ pub enum StoreError {
         /// The first push since which nothing has been forgotten.
         complete_since: u64,
     },
+    /// Epochs of a base, or the base itself, are no longer kept.
+    #[error("epochs of base {base} that a solution rests on are kept no more")]
+    BaseForgotten {
+        /// The store's short name of it.
+        base: i64,
+    },
     /// A page token that no answer gave.
     #[error("{token:?} is not a page token of this list")]
     PageToken {
@@ -101,6 +107,7 @@ impl StoreError {
             Self::AlreadyStored => "WRITTEN_ELSEWHERE",
             Self::Corrupt { .. } | Self::CorruptText { .. } => "STORED_DATA_CORRUPT",
             Self::NavigationForgotten { .. } => "NAVIGATION_FORGOTTEN",
+            Self::BaseForgotten { .. } => "BASE_FORGOTTEN",
             Self::PageToken { .. } => "PAGE_TOKEN_INVALID",
             Self::PageSize { .. } => "PAGE_SIZE_INVALID",
             Self::Closed => "DRAINING",
@@ -118,6 +125,9 @@ impl StoreError {
             Self::Corrupt { .. } | Self::CorruptText { .. } => "restore the database from a backup",
             Self::NavigationForgotten { .. } => {
                 "compute from the observations anew, with navigation data of that time"
+            }
+            Self::BaseForgotten { .. } => {
+                "compute from the observations anew, with the base's file"
             }
             Self::PageToken { .. } => "give the token of the page before, or none to start anew",
             Self::PageSize { .. } => "ask for a smaller page",

@@ -1,4 +1,5 @@
-//! SQL, and nothing else has any: sessions, epochs, solutions and navigation on SQLite or Postgres.
+//! SQL, and nothing else has any: sessions, bases, epochs, solutions and navigation on
+//! SQLite or Postgres.
 //!
 //! [`Store`] holds either pool; one text of SQL with `$1` serves both wherever it can, and both
 //! give the same answers. The schema lives in `migrations/`, is embedded, and is brought up to date
@@ -9,6 +10,7 @@
 //! [`Store::commit`] hands epochs and solutions to the committer, which writes those of many
 //! sessions in one transaction and tells each session when that one is committed.
 
+mod bases;
 mod codec;
 mod committer;
 mod error;
@@ -25,6 +27,7 @@ use std::sync::Arc;
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 
+pub use bases::{BaseChange, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
 pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{Page, Store, StoreError};
+use super::{BaseKey, BaseName, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 
@@ -28,6 +28,8 @@ pub struct SessionSettings {
     pub configuration: BTreeMap<String, String>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
+    /// The base of modes relative to one.
+    pub base: Option<BaseName>,
 }
 
 /// A configuration that solved epochs.
@@ -71,10 +73,13 @@ struct RawSession {
     created_unix_ms: i64,
     closed_unix_ms: Option<i64>,
     last_seq: Option<i64>,
+    base: Option<i64>,
+    base_id: Option<String>,
 }
 
 impl RawSession {
     fn parse(self) -> Result<SessionRow, StoreError> {
+        let base = self.base.zip(self.base_id);
         Ok(SessionRow {
             key: SessionKey(self.key),
             id: self.id,
@@ -85,6 +90,7 @@ impl RawSession {
                 overrides: options_from(&self.overrides)?,
                 configuration: options_from(&self.configuration)?,
                 configuration_hash: self.configuration_hash.into(),
+                base: base.map(|(key, id)| BaseName { key: BaseKey(key), id: id.into() }),
             },
             created_unix_ms: self.created_unix_ms,
             closed_unix_ms: self.closed_unix_ms,
@@ -108,7 +114,8 @@ macro_rules! select_sessions {
         concat!(
             "SELECT key, id, label, mode, profile, overrides, configuration, configuration_hash, ",
             "created_unix_ms, closed_unix_ms, ",
-            "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq ",
+            "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq, ",
+            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id ",
             "FROM sessions ",
             $condition
         )
@@ -129,8 +136,8 @@ impl Store {
         self.store_configuration(settings).await?;
         let inserted = writing!(&self.pool, pool => sqlx::query_as(
             "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
-                                   configuration_hash, created_unix_ms)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8) RETURNING key",
+                                   configuration_hash, created_unix_ms, base)
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9) RETURNING key",
         )
         .bind(id)
         .bind(&settings.label)
@@ -140,6 +147,7 @@ impl Store {
         .bind(options_text(&settings.configuration))
         .bind(&*settings.configuration_hash)
         .bind(created_unix_ms)
+        .bind(settings.base.as_ref().map(|base| base.key.0))
         .fetch_one(pool)
         .await);
         let (key,): (i64,) = inserted.map_err(StoreError::database("storing a session"))?;
@@ -205,7 +213,7 @@ impl Store {
         self.store_configuration(settings).await?;
         let updated = writing!(&self.pool, pool => sqlx::query(
             "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
-                                 configuration = $6, configuration_hash = $7
+                                 configuration = $6, configuration_hash = $7, base = $8
              WHERE key = $1",
         )
         .bind(key.0)
@@ -215,6 +223,7 @@ impl Store {
         .bind(options_text(&settings.overrides))
         .bind(options_text(&settings.configuration))
         .bind(&*settings.configuration_hash)
+        .bind(settings.base.as_ref().map(|base| base.key.0))
         .execute(pool)
         .await
         .map(drop));

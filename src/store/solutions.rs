@@ -7,7 +7,7 @@ use crate::gnss::{Epoch, GpsTime, Solution, Status};
 use super::codec::{decode_epoch, decode_solution, encode_epoch, status_number};
 use super::page::rows_asked;
 use super::pool::{Pool, reading};
-use super::{Page, SessionKey, Store, StoreError};
+use super::{BaseKey, BaseUse, Page, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
 
@@ -62,6 +62,8 @@ pub struct StoredEpoch {
     pub solution: StoredSolution,
     /// Number of the push of navigation data that was the last when it was solved.
     pub navigation: u64,
+    /// The base it was solved with.
+    pub base: Option<BaseUse>,
 }
 
 impl StoredEpoch {
@@ -110,13 +112,21 @@ struct RawEpoch {
     epoch: Vec<u8>,
     content: Vec<u8>,
     navigation: i64,
+    base: Option<i64>,
+    base_after: Option<i64>,
+    base_through: Option<i64>,
 }
 
 impl RawEpoch {
     fn parse(self) -> Result<StoredEpoch, StoreError> {
         let raw = RawSolution { seq: self.seq, revision: 0, content: self.content };
         let navigation = self.navigation as u64;
-        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()?, navigation })
+        let base = self.base.map(|key| BaseUse {
+            base: BaseKey(key),
+            after: self.base_after.unwrap_or(0) as u64,
+            through: self.base_through.unwrap_or(0) as u64,
+        });
+        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()?, navigation, base })
     }
 }
 
@@ -132,7 +142,8 @@ impl Store {
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
             "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
-                    e.navigation AS navigation
+                    e.navigation AS navigation, e.base AS base, e.base_after AS base_after,
+                    e.base_through AS base_through
              FROM epochs e
              JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
              WHERE e.session = $1 ORDER BY e.seq DESC LIMIT $2",
@@ -159,7 +170,8 @@ impl Store {
         let after = after.map_or(-1, |seq| i64::try_from(seq).unwrap_or(i64::MAX));
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
             "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
-                    e.navigation AS navigation
+                    e.navigation AS navigation, e.base AS base, e.base_after AS base_after,
+                    e.base_through AS base_through
              FROM epochs e
              JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
              WHERE e.session = $1 AND e.seq > $2 ORDER BY e.seq LIMIT $3",
@@ -205,7 +217,8 @@ impl Store {
             ($among:literal) => {
                 concat!(
                     "SELECT e.seq AS seq, e.content AS epoch, s.content AS content, ",
-                    "e.navigation AS navigation FROM epochs e JOIN solutions s ",
+                    "e.navigation AS navigation, e.base AS base, e.base_after AS base_after, ",
+                    "e.base_through AS base_through FROM epochs e JOIN solutions s ",
                     "ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
                     "WHERE e.session = $1 AND e.seq ",
                     $among

@@ -3,7 +3,7 @@
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
-use graphfix::aiding::{AidingLimits, NavigationBroker};
+use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Limits;
 use graphfix::contract::Service;
 use graphfix::session::{SessionLimits, Sessions};
@@ -28,16 +28,20 @@ impl Doors {
         let store = Store::open(&url).await.unwrap();
         let held = AidingLimits {
             ephemerides_per_satellite: limits.ephemerides_per_satellite,
+            bases: limits.bases,
+            epochs_per_base: limits.epochs_per_base,
+            bytes_per_base: limits.bytes_per_base,
+            observations_per_epoch: limits.observations_per_epoch,
             ..AidingLimits::service()
         };
-        let navigation = NavigationBroker::open(store.clone(), held).await.unwrap();
+        let aiding = AidingDesk::open(store.clone(), held).await.unwrap();
         let session_limits = SessionLimits {
             epochs_per_batch: limits.epochs_per_push,
             observations_per_epoch: limits.observations_per_epoch,
             ..SessionLimits::service()
         };
-        let sessions = Sessions::open(store, navigation.clone(), session_limits);
-        let service = Service::new(sessions, navigation, limits);
+        let sessions = Sessions::open(store, aiding.clone(), session_limits);
+        let service = Service::new(sessions, aiding, limits);
         Self { router: graphfix::http::router(&service), service, _folder: folder }
     }
 

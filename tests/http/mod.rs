@@ -1,5 +1,6 @@
 //! The REST door, one file per resource.
 
+mod bases;
 pub(crate) mod navigation;
 mod pages;
 mod positioning;

@@ -1,11 +1,15 @@
 //! The calls, one file per service, one function per call: a request in, an answer or a refusal
 //! out.
 
+pub mod bases;
 pub mod navigation;
 pub mod positioning;
 pub mod sessions;
 pub mod solutions;
+mod upload;
 
+use crate::aiding::bases::BaseId;
+use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::session::SessionId;
 
 use super::{Code, Refusal};
@@ -21,6 +25,17 @@ fn session_id(text: &str) -> Result<SessionId, Refusal> {
     })
 }
 
+fn base_id(text: &str) -> Result<BaseId, Refusal> {
+    BaseId::parse(text).ok_or_else(|| {
+        Refusal::new(Code::BaseNotFound, format!("there is no base {text:?}")).at("base")
+    })
+}
+
+/// The base of an id, none of an empty one.
+fn base_of(text: &str) -> Result<Option<BaseId>, Refusal> {
+    if text.is_empty() { Ok(None) } else { base_id(text).map(Some) }
+}
+
 /// `text`, or what an empty one stands for.
 fn or_standard(text: String, standard: &str) -> String {
     if text.is_empty() { standard.to_owned() } else { text }
@@ -33,4 +48,30 @@ fn page_token(token: &str) -> Option<&str> {
 /// Zero stands for the call's standard size.
 const fn page_size(asked: u32, standard: usize) -> usize {
     if asked == 0 { standard } else { asked as usize }
+}
+
+/// RFC 3339 of milliseconds since 1970-01-01 UTC, which know no leap seconds.
+fn utc(unix_ms: i64) -> String {
+    const EPOCH: CivilTime =
+        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
+    let leap = LeapSeconds::table();
+    // A scale without leap seconds counts as the system clock does.
+    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &leap).expect("the date exists");
+    let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
+        .to_civil(TimeScale::Gps, &leap);
+    let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
+    let ms = nanosecond / 1_000_000;
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn system_time_is_written_as_it_is() {
+        assert_eq!(utc(0), "1970-01-01T00:00:00.000Z");
+        // date -u -d @1556456281 gives 2019-04-28 12:58:01.
+        assert_eq!(utc(1_556_456_281_250), "2019-04-28T12:58:01.250Z");
+    }
 }

@@ -1,12 +1,11 @@
 //! Navigation: uploads, and what is held.
 
-use std::io::Read;
-
 use crate::aiding::{NavigationStatus, SatelliteCoverage};
-use crate::contract::{Code, Refusal, Service, v1};
-use crate::formats::decompress;
+use crate::contract::{Refusal, Service, v1};
 use crate::formats::rinex::{self, Skipped};
 use crate::gnss::Navigation;
+
+use super::upload::{in_background, skipped_entry, unpacked};
 
 /// Who brought what came through this call.
 const SOURCE: &str = "upload";
@@ -20,8 +19,7 @@ pub async fn push(
     request: v1::PushNavigationRequest,
 ) -> Result<v1::PushNavigationResponse, Refusal> {
     let bytes_max = service.limits().decompressed_bytes;
-    let reading = tokio::task::spawn_blocking(move || read(&request.content, bytes_max));
-    let read = reading.await.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))?;
+    let read = in_background(move || read(&request.content, bytes_max)).await?;
     let (navigation, skipped) = read?;
     let counts = service.navigation().push(navigation, SOURCE).await?;
     Ok(v1::PushNavigationResponse {
@@ -41,24 +39,8 @@ pub fn status(service: &Service) -> v1::NavigationStatusResponse {
     }
 }
 
-/// Unpacks within the limit and reads.
 fn read(content: &[u8], bytes_max: u64) -> Result<(Navigation, Skipped), Refusal> {
-    let mut text = Vec::new();
-    let unpacked = decompress(content).take(bytes_max + 1).read_to_end(&mut text);
-    unpacked.map_err(|error| Refusal::new(Code::RinexReadFailed, error.to_string()))?;
-    if bytes_max < text.len() as u64 {
-        let message = format!("unpacked, the file exceeds {bytes_max} bytes");
-        return Err(Refusal::new(Code::DecompressedTooLarge, message));
-    }
-    Ok(rinex::read_navigation(text.as_slice())?)
-}
-
-fn skipped_entry(entry: &rinex::SkippedEntry) -> v1::Skipped {
-    v1::Skipped {
-        what: entry.reason.to_string(),
-        count: entry.count,
-        first_line: entry.lines.first().copied().unwrap_or_default(),
-    }
+    Ok(rinex::read_navigation(unpacked(content, bytes_max)?.as_slice())?)
 }
 
 fn coverage(coverage: &SatelliteCoverage) -> v1::SatelliteCoverage {

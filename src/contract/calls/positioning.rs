@@ -5,7 +5,7 @@ use crate::contract::convert::{self, Stored};
 use crate::contract::{Refusal, Service, intake, v1};
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
-use super::{MODE, PROFILE, or_standard, session_id};
+use super::{MODE, PROFILE, base_of, or_standard, session_id};
 
 /// Positions a batch of epochs; returns when they are committed.
 ///
@@ -36,6 +36,7 @@ pub async fn solve(
         mode: given(request.mode),
         profile: given(request.profile),
         overrides: request.overrides,
+        base: base_of(&request.base)?,
     };
     let computed = service.sessions().solve(&id, &request).await?;
     Ok(v1::SolveResponse { solution: Some(message(&computed)) })
@@ -55,6 +56,7 @@ pub async fn solve_once(
         overrides: request.overrides,
         epochs: epochs(&request.epochs, &service.limits().intake(), Numbered::No)?,
         navigation: None,
+        base: base_of(&request.base)?,
     };
     let computed = service.sessions().solve_once(burst).await?;
     Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
@@ -62,12 +64,12 @@ pub async fn solve_once(
 
 /// Whether epochs must carry a number.
 #[derive(Clone, Copy, PartialEq)]
-enum Numbered {
+pub(super) enum Numbered {
     Yes,
     No,
 }
 
-fn epochs(
+pub(super) fn epochs(
     messages: &[v1::Epoch],
     limits: &IntakeLimits,
     numbered: Numbered,

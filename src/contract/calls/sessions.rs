@@ -1,10 +1,9 @@
 //! Sessions.
 
 use crate::contract::{Refusal, Service, v1};
-use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::session::{NewSession, SessionInfo, SessionUpdate};
 
-use super::{MODE, PROFILE, or_standard, page_size, page_token, session_id};
+use super::{MODE, PROFILE, base_of, or_standard, page_size, page_token, session_id, utc};
 
 /// Sessions on a page where no size is asked for.
 const PAGE: usize = 100;
@@ -22,6 +21,7 @@ pub async fn create(
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
+        base: base_of(&request.base)?,
     };
     Ok(message(service.sessions().create(new).await?))
 }
@@ -69,6 +69,7 @@ pub async fn update(
         profile: request.profile,
         overrides: request.overrides,
         clear_overrides: request.clear_overrides,
+        base: request.base.as_deref().map(base_of).transpose()?,
     };
     Ok(message(service.sessions().update(&id, update).await?))
 }
@@ -105,31 +106,6 @@ fn message(info: SessionInfo) -> v1::Session {
         created_utc: utc(info.created_unix_ms),
         closed: info.closed_unix_ms.is_some(),
         durable_through: info.durable_through,
-    }
-}
-
-/// RFC 3339 of milliseconds since 1970-01-01 UTC, which know no leap seconds.
-fn utc(unix_ms: i64) -> String {
-    const EPOCH: CivilTime =
-        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
-    let leap = LeapSeconds::table();
-    // A scale without leap seconds counts as the system clock does.
-    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &leap).expect("the date exists");
-    let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
-        .to_civil(TimeScale::Gps, &leap);
-    let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
-    let ms = nanosecond / 1_000_000;
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn system_time_is_written_as_it_is() {
-        assert_eq!(utc(0), "1970-01-01T00:00:00.000Z");
-        // date -u -d @1556456281 gives 2019-04-28 12:58:01.
-        assert_eq!(utc(1_556_456_281_250), "2019-04-28T12:58:01.250Z");
+        base: info.base.map(|id| id.to_string()).unwrap_or_default(),
     }
 }

@@ -62,6 +62,11 @@ impl MotionFactor {
         }
     }
 
+    /// The interval (s).
+    pub(in crate::positioning) const fn interval_s(&self) -> f64 {
+        self.interval_s
+    }
+
     /// r₁ of one axis and its Jacobian on that axis of [p; v] and [p₊; v₊].
     #[inline]
     pub(in crate::positioning) fn place<const S: usize>(

@@ -1,36 +1,39 @@
-//! From the newest state of the window to a solution.
+//! From a state with its ambiguities to a solution.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Ecef, Enu, Provenance, Reason, RelativeEstimate, Solution, SolutionEstimate, Status, Velocity,
+    Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution, SolutionEstimate, Status,
+    Velocity,
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::geometry::{Geometry, UNDETERMINED};
 
-use super::chain::Chain;
-use super::epoch::STATE;
+use super::epoch::{RtkEpoch, STATE, State};
+use super::front::UsableBase;
 use super::integers::Resolution;
 
-/// What the answer is made of beside the chain.
+/// What the answer of an epoch is made of.
 pub(super) struct Findings<'a> {
-    pub(super) differences: &'a SingleDifferences,
-    /// Of the newest state.
+    /// Frame of the state.
+    pub(super) frame: &'a LocalFrame,
+    pub(super) epoch: &'a RtkEpoch,
+    pub(super) state: &'a State,
+    /// Of the state.
     pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
+    pub(super) differences: &'a SingleDifferences,
     pub(super) resolution: Resolution,
-    pub(super) base: Ecef,
-    pub(super) age_s: f64,
+    pub(super) base: UsableBase<'a>,
     pub(super) reasons: Vec<Reason>,
 }
 
-/// The solution of the newest state.
-pub(super) fn solution(chain: &Chain, findings: Findings<'_>) -> Solution {
-    let epoch = chain.epochs.last().expect("a window that was solved has an epoch");
-    let state = chain.estimate.states.last().expect("one state for each epoch");
-    let Findings { differences, covariance, resolution, base, age_s, mut reasons } = findings;
-    let rotation = &chain.frame.rotation;
+/// The solution of an epoch.
+pub(super) fn solution(findings: Findings<'_>) -> Solution {
+    let Findings { frame, epoch, state, covariance, differences, .. } = findings;
+    let (resolution, base, mut reasons) = (findings.resolution, findings.base, findings.reasons);
+    let rotation = &frame.rotation;
     let to_ecef = |c: &Matrix3<f64>| rotation.transpose() * c * rotation;
     let (status, place, uncertainty, held, probability) = match resolution.outcome {
         Ok(fixed) => {
@@ -44,16 +47,18 @@ pub(super) fn solution(chain: &Chain, findings: Findings<'_>) -> Solution {
             (Status::Float, place, uncertainty, 0, None)
         }
     };
-    let position = chain.frame.to_ecef(Enu(place));
+    reasons.extend(base.doubt);
+    let position = frame.to_ecef(Enu(place));
     let mut used: Vec<_> = differences.list.iter().map(|d| d.common).collect();
     used.sort_unstable_by_key(|&common| differences.satellites[common].satellite);
     used.dedup();
     let of = |common: &usize| &differences.satellites[*common];
     let velocity = state.fixed_rows::<3>(VELOCITY).into_owned();
     let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
-    let slopes = chain.slopes();
-    let geometry = Geometry::of(used.iter().map(|c| (of(c).satellite.constellation, slopes[*c])));
-    let clock_m = clock_m(chain, differences, &used, &place);
+    let at = state.fixed_rows::<3>(0).into_owned();
+    let slope = |common: usize| epoch.sights[common].range(&at).1;
+    let geometry = Geometry::of(used.iter().map(|c| (of(c).satellite.constellation, slope(*c))));
+    let clock_m = clock_m(epoch, differences, &used, &place);
     let estimate = SolutionEstimate {
         position,
         covariance: to_ecef(&uncertainty),
@@ -68,8 +73,8 @@ pub(super) fn solution(chain: &Chain, findings: Findings<'_>) -> Solution {
         dops: geometry.map_or(UNDETERMINED, |geometry| geometry.dops()),
         satellites_used: used.iter().map(|common| of(common).satellite).collect(),
         relative: Some(RelativeEstimate {
-            baseline_m: position.0 - base.0,
-            age_s,
+            baseline_m: position.0 - base.station.antenna_reference_point.0,
+            age_s: base.age_s,
             ambiguities: resolution.ambiguities,
             fixed_ambiguities: held,
             ratio: resolution.ratio,
@@ -77,19 +82,19 @@ pub(super) fn solution(chain: &Chain, findings: Findings<'_>) -> Solution {
             fix_probability: probability,
         }),
     };
-    let provenance = Provenance { ephemerides: used.iter().map(|c| of(c).ephemeris).collect() };
+    let ephemerides = used.iter().map(|c| of(c).ephemeris).collect();
+    let provenance = Provenance { ephemerides, base: None };
     Solution { time: epoch.time, status, estimate: Some(estimate), reasons, provenance }
 }
 
 /// The rover's clock (m), from the mean of the first constellation's pseudoranges: the ionosphere,
 /// which differences cancel, is in it.
 fn clock_m(
-    chain: &Chain,
+    epoch: &RtkEpoch,
     differences: &SingleDifferences,
     used: &[usize],
     place: &Vector3<f64>,
 ) -> f64 {
-    let epoch = chain.epochs.last().expect("a window that was solved has an epoch");
     let constellation = |c: &&usize| differences.satellites[**c].satellite.constellation;
     let Some(first) = used.iter().map(|c| constellation(&c)).min() else { return 0.0 };
     let mut count = 0;

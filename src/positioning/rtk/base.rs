@@ -4,12 +4,10 @@ use nalgebra::Vector3;
 
 use crate::config::PositioningOptions;
 use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, Navigation, ObservationCode, SatelliteId};
+use crate::positioning::base::BASE_LATER_S;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::snapshot_fields;
 
-/// Base epochs may be tagged this much later than the rover's and still count as of its time (s):
-/// receivers tag by clocks that are off by up to milliseconds.
-const LATER_S: f64 = 0.02;
 /// Base epochs whose single-point positions are averaged to check the stated one.
 const CHECKS_MAX: u32 = 10;
 
@@ -44,7 +42,7 @@ impl BaseMemory {
     pub(super) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
         for epoch in epochs {
             let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
-            if !is_new || LATER_S < epoch.time - time {
+            if !is_new || BASE_LATER_S < epoch.time - time {
                 continue;
             }
             self.power_failed |= epoch.power_failure;

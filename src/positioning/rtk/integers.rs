@@ -9,14 +9,13 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
-use crate::graph::{Covariances, Estimate};
 use crate::lambda::{
     Conditioning, Options, Outcome, Partial, RatioTest, RealParameters, Rejection, Resolver,
 };
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::Arc;
-use super::epoch::STATE;
+use super::float::FloatSolution;
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
@@ -71,9 +70,13 @@ pub(super) struct Trust {
     probability: f64,
     ratio: Option<f64>,
     success_rate: Option<f64>,
+    /// Times that labels were dropped: those of one era are comparable.
+    pub(super) era: u32,
+    /// The last era whose labels were found to be wrong.
+    pub(super) refuted: Option<u32>,
 }
 
-snapshot_fields!(Trust { agreed, probability, ratio, success_rate });
+snapshot_fields!(Trust { agreed, probability, ratio, success_rate, era, refuted });
 
 /// Position and ambiguities with their joint covariance, position first.
 struct Joint {
@@ -121,8 +124,7 @@ impl Integers {
         arcs: &mut [Arc],
         trust: &mut Trust,
         is_present: impl Fn(&Arc) -> bool,
-        estimate: &Estimate<STATE>,
-        covariances: &Covariances<STATE>,
+        float: &FloatSolution,
         options: &RtkOptions,
     ) -> Resolution {
         let is_eligible = |arc: &Arc| {
@@ -131,17 +133,18 @@ impl Integers {
                 && arc.satellite.constellation != Constellation::Glonass
                 && options.elevation_mask_rad <= arc.elevation_rad
         };
-        self.difference(arcs, is_eligible, covariances);
+        self.difference(arcs, is_eligible, float);
         if self.pairs.len() < options.fixed_min {
             let (used, needed) = (self.pairs.len(), options.fixed_min);
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
-        let joint = self.joint(arcs, estimate, covariances);
+        let joint = self.joint(float);
         if options.hold_epochs <= trust.agreed {
             if let Some(resolution) = self.resolve_held(arcs, trust, &joint, options) {
                 return resolution;
             }
-            drop_labels(arcs, trust);
+            let known = self.indices(|pair| pair.known.is_some()).len();
+            drop_labels(arcs, trust, options.fixed_min <= known);
             self.pairs.iter_mut().for_each(|pair| pair.known = None);
         }
         self.resolve_anew(arcs, trust, &joint, options)
@@ -223,7 +226,7 @@ impl Integers {
             self.pairs[i].known.zip(*entry).is_some_and(|(known, found)| known != found)
         };
         if wanted.iter().zip(entries).any(contradicts) {
-            drop_labels(arcs, trust);
+            drop_labels(arcs, trust, true);
             return resolution;
         }
         let probability = outcome.probability.unwrap_or(0.0);
@@ -326,14 +329,11 @@ impl Integers {
         &mut self,
         arcs: &[Arc],
         is_eligible: impl Fn(&Arc) -> bool,
-        covariances: &Covariances<STATE>,
+        float: &FloatSolution,
     ) {
-        let variables = covariances.variables();
         self.places.clear();
-        self.places.extend(arcs.iter().map(|arc| {
-            let place = variables.iter().position(|variable| *variable == arc.variable);
-            place.filter(|_| is_eligible(arc))
-        }));
+        self.places
+            .extend(arcs.iter().map(|arc| float.place(arc.variable).filter(|_| is_eligible(arc))));
         self.pairs.clear();
         for (arc, own) in arcs.iter().enumerate() {
             if self.places[arc].is_none() {
@@ -355,36 +355,29 @@ impl Integers {
     }
 
     /// Position and double differences with their covariance.
-    fn joint(
-        &self,
-        arcs: &[Arc],
-        estimate: &Estimate<STATE>,
-        covariances: &Covariances<STATE>,
-    ) -> Joint {
+    fn joint(&self, float: &FloatSolution) -> Joint {
         let n = self.pairs.len();
         let place = |arc: usize| self.places[arc].expect("arcs of double differences have places");
         let places: Vec<_> =
             self.pairs.iter().map(|pair| (place(pair.arc), place(pair.reference))).collect();
-        let newest = estimate.states.last().expect("a window that was solved has a state");
-        let value = |arc: usize| estimate.border[arcs[arc].variable];
         let mut joint =
             Joint { estimate: DVector::zeros(3 + n), covariance: DMatrix::zeros(3 + n, 3 + n) };
         for axis in 0..3 {
-            joint.estimate[axis] = newest[axis];
+            joint.estimate[axis] = float.position[axis];
             for other in 0..3 {
-                joint.covariance[(axis, other)] = covariances.state()[(axis, other)];
+                joint.covariance[(axis, other)] = float.covariance[(axis, other)];
             }
         }
-        for (j, (&(b, s), pair)) in places.iter().zip(&self.pairs).enumerate() {
-            joint.estimate[3 + j] = value(pair.arc) - value(pair.reference);
-            let cross = covariances.cross_at(b) - covariances.cross_at(s);
+        for (j, &(b, s)) in places.iter().enumerate() {
+            joint.estimate[3 + j] = float.ambiguities[b] - float.ambiguities[s];
             for axis in 0..3 {
-                joint.covariance[(axis, 3 + j)] = cross[axis];
-                joint.covariance[(3 + j, axis)] = cross[axis];
+                let cross = float.covariance[(axis, 3 + b)] - float.covariance[(axis, 3 + s)];
+                joint.covariance[(axis, 3 + j)] = cross;
+                joint.covariance[(3 + j, axis)] = cross;
             }
             for (i, &(a, r)) in places[..=j].iter().enumerate() {
-                let own = covariances.border_at(a, b) - covariances.border_at(a, s);
-                let references = covariances.border_at(r, b) - covariances.border_at(r, s);
+                let own = float.between(a, b) - float.between(a, s);
+                let references = float.between(r, b) - float.between(r, s);
                 joint.covariance[(3 + i, 3 + j)] = own - references;
                 joint.covariance[(3 + j, 3 + i)] = own - references;
             }
@@ -393,10 +386,11 @@ impl Integers {
     }
 }
 
-/// Forgets the integers kept.
-pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust) {
+/// Forgets the integers kept, because they are wrong or because too few are left.
+pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust, are_wrong: bool) {
     arcs.iter_mut().for_each(|arc| arc.label = None);
-    *trust = Trust::default();
+    let refuted = if are_wrong { Some(trust.era) } else { trust.refuted };
+    *trust = Trust { era: trust.era + 1, refuted, ..Trust::default() };
 }
 
 fn lambda_options(options: &RtkOptions) -> Options {

@@ -10,8 +10,12 @@ mod arcs;
 mod base;
 mod chain;
 mod epoch;
+mod float;
+mod front;
 mod integers;
+mod noise;
 mod settings;
+mod tracking;
 mod window;
 
 pub(super) use window::RtkWindow;

@@ -57,7 +57,7 @@ impl SinglePoint {
         let mut ephemerides: Vec<_> =
             used.map(|row| self.measurements.list[row.index].ephemeris).collect();
         ephemerides.sort_unstable_by_key(|issue| issue.satellite);
-        Provenance { ephemerides }
+        Provenance { ephemerides, base: None }
     }
 
     /// Dilutions of precision of the rows that took part, each counting alike.

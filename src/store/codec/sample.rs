@@ -7,10 +7,10 @@ use proptest::prelude::*;
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    Constellation, Cycles, Dops, Ecef, Ephemeris, EphemerisIssue, Epoch, GlonassEphemeris, GpsTime,
-    GroupDelays, KeplerianEphemeris, NavigationMessage, Observation, ObservationCode, Odometry,
-    OdometryFrame, Provenance, Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate,
-    Status, Velocity,
+    BaseEpochIssue, Constellation, Cycles, Dops, Ecef, Ephemeris, EphemerisIssue, Epoch,
+    GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, Observation,
+    ObservationCode, Odometry, OdometryFrame, Provenance, Reason, RelativeEstimate, SatelliteId,
+    Solution, SolutionEstimate, Status, Velocity,
 };
 
 use super::ephemeris::MESSAGES;
@@ -176,13 +176,14 @@ fn estimate() -> impl Strategy<Value = SolutionEstimate> {
 pub(super) fn solution() -> impl Strategy<Value = Solution> {
     let issue = (satellite(), time(), any::<u32>())
         .prop_map(|(satellite, toe, issue)| EphemerisIssue { satellite, toe, issue });
-    let made = (option::of(estimate()), vec(reason(), 0..4), vec(issue, 0..40));
-    (time(), made).prop_map(|(time, (estimate, reasons, ephemerides))| Solution {
+    let base = (".{0,8}", time()).prop_map(|(base, time)| BaseEpochIssue { base, time });
+    let made = (option::of(estimate()), vec(reason(), 0..4), vec(issue, 0..40), option::of(base));
+    (time(), made).prop_map(|(time, (estimate, reasons, ephemerides, base))| Solution {
         time,
         status: if estimate.is_some() { Status::Single } else { Status::None },
         estimate,
         reasons,
-        provenance: Provenance { ephemerides },
+        provenance: Provenance { ephemerides, base },
     })
 }
 

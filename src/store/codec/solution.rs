@@ -2,15 +2,15 @@
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    Dops, Ecef, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution, SolutionEstimate,
-    Status, Velocity,
+    BaseEpochIssue, Dops, Ecef, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution,
+    SolutionEstimate, Status, Velocity,
 };
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
 
-/// 1 had no relative estimate.
-const VERSION: u8 = 2;
+/// 1 had no relative estimate, 2 no base epoch.
+const VERSION: u8 = 3;
 
 /// A solution with what made it.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +57,11 @@ pub(in crate::store) fn encode_solution(
         out.satellite(used.satellite);
         out.time(used.toe);
         out.unsigned(used.issue.into());
+    }
+    out.u8(u8::from(solution.provenance.base.is_some()));
+    if let Some(used) = &solution.provenance.base {
+        out.text(&used.base);
+        out.time(used.time);
     }
     out.text(version);
     out.text(configuration_hash);
@@ -186,9 +191,13 @@ pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution,
     let reasons = (0..count).map(|_| decode_reason(&mut input)).collect::<Result<_, _>>()?;
     let count = input.count("number of ephemerides")?;
     let ephemerides = (0..count).map(|_| decode_issue(&mut input)).collect::<Result<_, _>>()?;
+    let base = match 3 <= layout && input.flag("base epoch")? {
+        true => Some(BaseEpochIssue { base: input.text()?.to_owned(), time: input.time()? }),
+        false => None,
+    };
     let (version, configuration_hash) = (input.text()?.to_owned(), input.text()?.to_owned());
     input.finish()?;
-    let provenance = Provenance { ephemerides };
+    let provenance = Provenance { ephemerides, base };
     let solution = Solution { time, status, estimate, reasons, provenance };
     Ok(DecodedSolution { solution, version, configuration_hash })
 }

@@ -17,7 +17,7 @@ use crate::gnss::Epoch;
 
 use super::codec::{encode_epoch, encode_solution, status_number};
 use super::pool::Pool;
-use super::{SessionKey, StoreError, StoredSolution};
+use super::{BaseUse, SessionKey, StoreError, StoredSolution};
 
 /// Batches that may wait while a transaction runs; those who commit wait for a place.
 const QUEUE: usize = 1_024;
@@ -66,21 +66,34 @@ pub struct EncodedEpoch {
     seq: i64,
     gps_time_ns: i64,
     navigation: i64,
+    base: Option<BaseUse>,
     content: Vec<u8>,
     solution: EncodedSolution,
 }
 
 impl EncodedEpoch {
     /// Encodes an epoch that was answered by `solution` with the navigation data in force after the
-    /// push number `navigation`.
-    pub fn new(epoch: &Epoch, solution: &StoredSolution, navigation: u64) -> Self {
+    /// push number `navigation`, and with `base`.
+    pub fn new(
+        epoch: &Epoch,
+        solution: &StoredSolution,
+        navigation: u64,
+        base: Option<BaseUse>,
+    ) -> Self {
         Self {
             seq: number(solution.seq),
             gps_time_ns: epoch.time.as_ns(),
             navigation: number(navigation),
+            base,
             content: encode_epoch(epoch),
             solution: EncodedSolution::new(solution),
         }
+    }
+
+    /// Key of the base and the numbers of [`BaseUse`], as columns.
+    fn base_columns(&self) -> [Option<i64>; 3] {
+        let column = |of: fn(&BaseUse) -> i64| self.base.as_ref().map(of);
+        [column(|b| b.base.0), column(|b| number(b.after)), column(|b| number(b.through))]
     }
 
     /// Whether `epoch` is this one, bit by bit.

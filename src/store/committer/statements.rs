@@ -8,10 +8,11 @@ use super::{Batch, EncodedEpoch, EncodedSolution, SessionKey};
 
 /// Rows per statement: few texts, each prepared once, and no more than 32 766 parameters.
 const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
-const EPOCH_COLUMNS: usize = 5;
+const EPOCH_COLUMNS: usize = 8;
 const SOLUTION_COLUMNS: usize = 9;
 
-const INSERT_EPOCHS: &str = "INSERT INTO epochs (session, seq, gps_time_ns, navigation, content) ";
+const INSERT_EPOCHS: &str = "INSERT INTO epochs \
+    (session, seq, gps_time_ns, navigation, base, base_after, base_through, content) ";
 const INSERT_SOLUTIONS: &str = "INSERT INTO solutions \
     (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content) ";
 /// A number stored twice is told by `epochs`; a revision stored before stays as it is.
@@ -98,11 +99,15 @@ async fn insert_epochs(
 ) -> Result<(), sqlx::Error> {
     let mut epochs = sqlx::query(EPOCH_VALUES[place].as_str());
     for (session, row) in rows {
+        let [base, base_after, base_through] = row.base_columns();
         epochs = epochs
             .bind(session.0)
             .bind(row.seq)
             .bind(row.gps_time_ns)
             .bind(row.navigation)
+            .bind(base)
+            .bind(base_after)
+            .bind(base_through)
             .bind(&row.content[..]);
     }
     epochs.execute(connection).await.map(drop)
@@ -157,14 +162,22 @@ async fn insert_arrays(
     epochs: &[EpochRow<'_>],
     solutions: &[SolutionRow<'_>],
 ) -> Result<(), sqlx::Error> {
+    let base = |column: usize| {
+        epochs.iter().map(|(_, row)| row.base_columns()[column]).collect::<Vec<_>>()
+    };
     sqlx::query(
-        "INSERT INTO epochs (session, seq, gps_time_ns, navigation, content)
-         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::bigint[], $5::bytea[])",
+        "INSERT INTO epochs
+             (session, seq, gps_time_ns, navigation, base, base_after, base_through, content)
+         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::bigint[],
+                              $5::bigint[], $6::bigint[], $7::bigint[], $8::bytea[])",
     )
     .bind(epochs.iter().map(|(session, _)| session.0).collect::<Vec<_>>())
     .bind(epochs.iter().map(|(_, row)| row.seq).collect::<Vec<_>>())
     .bind(epochs.iter().map(|(_, row)| row.gps_time_ns).collect::<Vec<_>>())
     .bind(epochs.iter().map(|(_, row)| row.navigation).collect::<Vec<_>>())
+    .bind(base(0))
+    .bind(base(1))
+    .bind(base(2))
     .bind(epochs.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
     .execute(&mut *connection)
     .await?;

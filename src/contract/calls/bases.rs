@@ -1,0 +1,262 @@
+//! Base stations.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::aiding::bases::{
+    BaseEpochRefusal, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
+};
+use crate::contract::{Code, Refusal, Service, convert, v1};
+use crate::formats::rinex::{ObservationReader, Skipped};
+use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
+
+use super::positioning::{Numbered, epochs};
+use super::upload::{in_background, skipped_entry, unpacked};
+use super::{base_id, page_size, page_token, utc};
+
+/// Bases on a page where no size is asked for.
+const PAGE: usize = 100;
+/// Bases on a page at most.
+const PAGE_LIMIT: usize = 1000;
+/// Distances from the centre of the Earth at which a base can stand (m): the poles' lowest ground,
+/// the highest mountain.
+const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
+/// An antenna is no further from its marker along each axis (m).
+const DELTA_MAX_M: f64 = 1000.0;
+
+/// Creates a base.
+///
+/// # Errors
+/// A position that is none, as many bases as there may be, or the store's failure.
+pub async fn create(
+    service: &Service,
+    request: v1::CreateBaseRequest,
+) -> Result<v1::Base, Refusal> {
+    let new = NewBase { site: site(&request)?, label: request.label };
+    Ok(message(&service.bases().create(new).await?))
+}
+
+/// One base.
+///
+/// # Errors
+/// No such base.
+pub async fn get(service: &Service, request: v1::GetBaseRequest) -> Result<v1::Base, Refusal> {
+    let id = base_id(&request.base)?;
+    Ok(message(&service.bases().get(&id).await?))
+}
+
+/// Bases, by id.
+///
+/// # Errors
+/// A page token or size that is refused.
+pub async fn list(
+    service: &Service,
+    request: v1::ListBasesRequest,
+) -> Result<v1::ListBasesResponse, Refusal> {
+    let size = page_size(request.page_size, PAGE);
+    if PAGE_LIMIT < size {
+        let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
+        return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
+    }
+    let after = page_token(&request.page_token);
+    if let Some(token) = after.filter(|token| base_id(token).is_err()) {
+        let message = format!("{token:?} is not a page token of this list");
+        return Err(Refusal::new(Code::PageTokenInvalid, message).at("pageToken"));
+    }
+    let mut bases = service.bases().list().await;
+    bases.retain(|base| after.is_none_or(|after| after < &*base.name.id));
+    let more = size < bases.len();
+    bases.truncate(size);
+    let last = bases.last().filter(|_| more);
+    Ok(v1::ListBasesResponse {
+        next_page_token: last.map(|base| base.name.id.to_string()).unwrap_or_default(),
+        bases: bases.iter().map(message).collect(),
+    })
+}
+
+/// Deletes a base with its epochs.
+///
+/// # Errors
+/// No such base, or one that an open session names.
+pub async fn delete(
+    service: &Service,
+    request: v1::DeleteBaseRequest,
+) -> Result<v1::DeleteBaseResponse, Refusal> {
+    let id = base_id(&request.base)?;
+    service.bases().delete(&id).await?;
+    Ok(v1::DeleteBaseResponse {})
+}
+
+/// Takes epochs of a base; returns when they are committed.
+///
+/// # Errors
+/// A malformed epoch, a position that is not known or wrong, or the store's failure; and where
+/// every epoch is refused, the refusal of the first.
+pub async fn push_epochs(
+    service: &Service,
+    request: v1::PushBaseEpochsRequest,
+) -> Result<v1::PushBaseEpochsResponse, Refusal> {
+    let id = base_id(&request.base)?;
+    let epochs = epochs(&request.epochs, &service.limits().intake(), Numbered::No)?;
+    drop(request.epochs);
+    let epochs: Vec<Epoch> = epochs.into_iter().map(|sequenced| sequenced.epoch).collect();
+    let times: Vec<GpsTime> = epochs.iter().map(|epoch| epoch.time).collect();
+    let BasePush { outcomes, check } = service.bases().push(&id, epochs).await?;
+    if let (true, Some(Err(first))) = (outcomes.iter().all(Result::is_err), outcomes.first()) {
+        return Err(Refusal::from(first.clone()).within("epochs[0]"));
+    }
+    let results = times.into_iter().zip(outcomes).enumerate();
+    Ok(v1::PushBaseEpochsResponse {
+        results: results.map(|(index, (time, outcome))| result(index, time, outcome)).collect(),
+        warnings: warnings(&check),
+    })
+}
+
+/// Takes a RINEX observation file of a base; returns when its epochs are committed.
+///
+/// # Errors
+/// A file that cannot be read or exceeds a limit, a position that is not known or wrong, or the
+/// store's failure.
+pub async fn upload(
+    service: &Service,
+    request: v1::UploadBaseRequest,
+) -> Result<v1::UploadBaseResponse, Refusal> {
+    let id = base_id(&request.base)?;
+    let limits = service.limits();
+    let (bytes_max, epochs_max) = (limits.decompressed_bytes, limits.epochs_per_base);
+    let content = request.content;
+    let read = in_background(move || read(&content, bytes_max, epochs_max)).await?;
+    let File { epochs, site, skipped } = read?;
+    if epochs.is_empty() {
+        return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));
+    }
+    let push = service.bases().upload(&id, epochs, site.as_ref()).await?;
+    let refused = push.outcomes.iter().filter_map(|outcome| outcome.as_ref().err());
+    let is_new = |outcome: &&Result<HeldEpoch, BaseEpochRefusal>| {
+        outcome.as_ref().is_ok_and(|held| !held.resent)
+    };
+    Ok(v1::UploadBaseResponse {
+        epochs: push.outcomes.len() as u64,
+        new_epochs: push.outcomes.iter().filter(is_new).count() as u64,
+        refused_epochs: refused.clone().count() as u64,
+        first_refusal: refused.map(|r| convert::refusal(&r.clone().into())).next(),
+        skipped: skipped.entries().iter().map(skipped_entry).collect(),
+        warnings: warnings(&push.check),
+    })
+}
+
+/// Where a new base stands, checked; `None` where its files will tell.
+fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
+    let refused =
+        |field: &str, message: String| Refusal::new(Code::InvalidField, message).at(field);
+    let delta: &[f64] = &request.antenna_delta_hen_m;
+    let Some(marker) = &request.marker else {
+        if !delta.is_empty() {
+            let message = "an antenna is above, east and north of a marker: give that too";
+            return Err(refused("antennaDeltaHenM", message.to_owned()));
+        }
+        return Ok(None);
+    };
+    let marker = Ecef::new(marker.x_m, marker.y_m, marker.z_m);
+    let radius_m = marker.0.norm();
+    if !RADII_M.contains(&radius_m) {
+        let message = format!("it is {radius_m:.0} m from the centre of the Earth");
+        return Err(refused("marker", message));
+    }
+    let is_near = delta.iter().all(|axis| axis.abs() <= DELTA_MAX_M);
+    let antenna_delta_hen_m = match delta {
+        [] => [0.0; 3],
+        [height, east, north] if is_near => [*height, *east, *north],
+        _ => {
+            let message = format!("{delta:?} is not height, east, north within {DELTA_MAX_M} m");
+            return Err(refused("antennaDeltaHenM", message));
+        }
+    };
+    let antenna = request.antenna.clone();
+    Ok(Some(BaseSite { marker, antenna_delta_hen_m, antenna, source: PositionSource::Given }))
+}
+
+/// What a file of a base holds.
+struct File {
+    epochs: Vec<Epoch>,
+    site: Option<BaseSite>,
+    skipped: Skipped,
+}
+
+fn read(content: &[u8], bytes_max: u64, epochs_max: usize) -> Result<File, Refusal> {
+    let text = unpacked(content, bytes_max)?;
+    let mut reader = ObservationReader::new(text.as_slice())?;
+    let header = reader.header();
+    let site = header.approximate_position.map(|marker| BaseSite {
+        marker,
+        antenna_delta_hen_m: header.antenna_delta_hen_m,
+        antenna: header.antenna.clone(),
+        source: PositionSource::Header,
+    });
+    let mut epochs = Vec::new();
+    let mut epoch = Epoch::new(GpsTime::EPOCH);
+    while reader.read_epoch(&mut epoch)? {
+        if epochs.len() == epochs_max {
+            let message = format!("the file holds more than {epochs_max} epochs");
+            return Err(Refusal::new(Code::BaseTooLarge, message));
+        }
+        epochs.push(epoch.clone());
+    }
+    let skipped = reader.skipped().clone();
+    Ok(File { epochs, site, skipped })
+}
+
+fn result(
+    index: usize,
+    time: GpsTime,
+    outcome: Result<HeldEpoch, BaseEpochRefusal>,
+) -> v1::BaseEpochResult {
+    let mut message = v1::BaseEpochResult { time: Some(time.into()), ..Default::default() };
+    match outcome {
+        Ok(held) => (message.number, message.resent) = (Some(held.number), held.resent),
+        Err(refusal) => {
+            let refusal = Refusal::from(refusal).within(&format!("epochs[{index}]"));
+            message.refusal = Some(convert::refusal(&refusal));
+        }
+    }
+    message
+}
+
+fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
+    let doubt = check.doubt_m().map(|distance_m| Reason::BasePositionDoubtful { distance_m });
+    doubt.iter().map(convert::reason).collect()
+}
+
+fn message(info: &BaseInfo) -> v1::Base {
+    let age_s = info.stored_unix_ms.map(|stored_ms| {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        now.as_secs_f64() - stored_ms as f64 / 1e3
+    });
+    v1::Base {
+        base: info.name.id.to_string(),
+        label: info.label.clone(),
+        created_utc: utc(info.created_unix_ms),
+        site: info.site.as_ref().map(site_message),
+        epochs: info.epochs as u64,
+        first_time: info.span.map(|(first, _)| first.into()),
+        last_time: info.span.map(|(_, last)| last.into()),
+        last_stored_utc: info.stored_unix_ms.map(utc).unwrap_or_default(),
+        age_s: age_s.map(|age_s| age_s.max(0.0)),
+        satellites: info.satellites as u32,
+        position_check: Some(v1::PositionCheck {
+            epochs: info.check.epochs,
+            distance_m: info.check.distance_m(),
+            verdict: info.check.verdict().to_owned(),
+        }),
+    }
+}
+
+fn site_message(site: &BaseSite) -> v1::BaseSite {
+    let ecef = |Ecef(p): Ecef| v1::Ecef { x_m: p.x, y_m: p.y, z_m: p.z };
+    v1::BaseSite {
+        marker: Some(ecef(site.marker)),
+        antenna_delta_hen_m: site.antenna_delta_hen_m.to_vec(),
+        antenna_reference_point: Some(ecef(site.antenna_reference_point())),
+        antenna: site.antenna.clone(),
+        source: site.source.name().to_owned(),
+    }
+}

@@ -1,0 +1,93 @@
+//! `/v1/bases`.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+
+use crate::contract::{Code, Refusal, Service, calls, v1};
+
+use super::body::{JsonBody, RawBody, StrictQuery};
+use super::problem::{Problem, Refused};
+use super::sessions::PageQuery;
+
+/// Creates a base.
+#[utoipa::path(post, path = "/v1/bases", tag = "Bases",
+    request_body = v1::CreateBaseRequest,
+    responses((status = 201, body = v1::Base), (status = "4XX", body = Problem)))]
+pub(super) async fn create(
+    State(service): State<Service>,
+    JsonBody(request): JsonBody<v1::CreateBaseRequest>,
+) -> Result<(StatusCode, Json<v1::Base>), Refused> {
+    Ok((StatusCode::CREATED, Json(calls::bases::create(&service, request).await?)))
+}
+
+/// A base with its health.
+#[utoipa::path(get, path = "/v1/bases/{base}", tag = "Bases",
+    params(("base" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Base), (status = "4XX", body = Problem)))]
+pub(super) async fn get(
+    State(service): State<Service>,
+    Path(base): Path<String>,
+) -> Result<Json<v1::Base>, Refused> {
+    Ok(Json(calls::bases::get(&service, v1::GetBaseRequest { base }).await?))
+}
+
+/// Bases with their health, by id.
+#[utoipa::path(get, path = "/v1/bases", tag = "Bases", params(PageQuery),
+    responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn list(
+    State(service): State<Service>,
+    StrictQuery(page): StrictQuery<PageQuery>,
+) -> Result<Json<v1::ListBasesResponse>, Refused> {
+    let PageQuery { page_size, page_token } = page;
+    let request = v1::ListBasesRequest { page_size, page_token };
+    Ok(Json(calls::bases::list(&service, request).await?))
+}
+
+/// Deletes a base with its epochs; refused while an open session names it.
+#[utoipa::path(delete, path = "/v1/bases/{base}", tag = "Bases",
+    params(("base" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn delete(
+    State(service): State<Service>,
+    Path(base): Path<String>,
+) -> Result<Json<v1::DeleteBaseResponse>, Refused> {
+    Ok(Json(calls::bases::delete(&service, v1::DeleteBaseRequest { base }).await?))
+}
+
+/// Takes epochs of a base, in order of time; what is acknowledged is committed.
+///
+/// One epoch's refusal stops no other; one that is held just so is acknowledged again. Where every
+/// epoch is refused, the call is refused as its first.
+#[utoipa::path(post, path = "/v1/bases/{base}/epochs", tag = "Bases",
+    params(("base" = String, Path, description = "Its id")),
+    request_body = v1::PushBaseEpochsRequest,
+    responses((status = 200, body = v1::PushBaseEpochsResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn push_epochs(
+    State(service): State<Service>,
+    Path(base): Path<String>,
+    JsonBody(request): JsonBody<v1::PushBaseEpochsRequest>,
+) -> Result<Json<v1::PushBaseEpochsResponse>, Refused> {
+    if !request.base.is_empty() && request.base != base {
+        let message = format!("the path names {base:?}, the body {:?}", request.base);
+        return Err(Refusal::new(Code::InvalidField, message).at("base").into());
+    }
+    let request = v1::PushBaseEpochsRequest { base, ..request };
+    Ok(Json(calls::bases::push_epochs(&service, request).await?))
+}
+
+/// Takes a RINEX observation file of a base; where the base's position is not known, it is that of
+/// the header.
+#[utoipa::path(post, path = "/v1/bases/{base}/observations", tag = "Bases",
+    params(("base" = String, Path, description = "Its id")),
+    request_body(content = String, content_type = "application/octet-stream",
+        description = "RINEX 2.10 to 4.0x observations or CRINEX, plain or gzip"),
+    responses((status = 200, body = v1::UploadBaseResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn upload(
+    State(service): State<Service>,
+    Path(base): Path<String>,
+    RawBody(content): RawBody,
+) -> Result<Json<v1::UploadBaseResponse>, Refused> {
+    let request = v1::UploadBaseRequest { base, content };
+    Ok(Json(calls::bases::upload(&service, request).await?))
+}

@@ -1,0 +1,65 @@
+//! Position and ambiguities before any is known to be an integer.
+
+use nalgebra::{DMatrix, Vector3};
+
+use crate::graph::Covariances;
+
+use super::epoch::{STATE, State};
+
+/// Position and ambiguities of one epoch with their joint covariance, whichever estimator they are
+/// of.
+#[derive(Clone, Debug)]
+pub(super) struct FloatSolution {
+    /// Local (m).
+    pub(super) position: Vector3<f64>,
+    /// Border variables of the ambiguities.
+    pub(super) variables: Vec<usize>,
+    /// The ambiguities (cycles), in that order.
+    pub(super) ambiguities: Vec<f64>,
+    /// (3 + n)×(3 + n), the position first.
+    pub(super) covariance: DMatrix<f64>,
+}
+
+impl FloatSolution {
+    /// Of a state of the graph, which the covariances have reached.
+    pub(super) fn of_graph(
+        state: &State,
+        border: &[f64],
+        covariances: &Covariances<STATE>,
+    ) -> Self {
+        let variables = covariances.variables().to_vec();
+        let n = variables.len();
+        let mut covariance = DMatrix::zeros(3 + n, 3 + n);
+        covariance
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&covariances.state().fixed_view::<3, 3>(0, 0));
+        for b in 0..n {
+            let cross = covariances.cross_at(b);
+            for axis in 0..3 {
+                covariance[(axis, 3 + b)] = cross[axis];
+                covariance[(3 + b, axis)] = cross[axis];
+            }
+            for a in 0..=b {
+                let value = covariances.border_at(a, b);
+                covariance[(3 + a, 3 + b)] = value;
+                covariance[(3 + b, 3 + a)] = value;
+            }
+        }
+        Self {
+            position: state.fixed_rows::<3>(0).into_owned(),
+            ambiguities: variables.iter().map(|&variable| border[variable]).collect(),
+            variables,
+            covariance,
+        }
+    }
+
+    /// Place of a border variable among the ambiguities.
+    pub(super) fn place(&self, variable: usize) -> Option<usize> {
+        self.variables.iter().position(|&known| known == variable)
+    }
+
+    /// Covariance of two ambiguities, by their places.
+    pub(super) fn between(&self, a: usize, b: usize) -> f64 {
+        self.covariance[(3 + a, 3 + b)]
+    }
+}

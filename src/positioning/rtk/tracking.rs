@@ -1,0 +1,340 @@
+//! The carriers that are followed: their arcs, their integers, and how noisy they are.
+//!
+//! Shared by the graph and the filter: what turns the differences of an epoch into rows, and what
+//! the residuals of an epoch that was solved say of noise and slips.
+
+use nalgebra::Vector3;
+
+use crate::config::PositioningOptions;
+use crate::gnss::{LocalFrame, Reason, SatelliteId};
+use crate::graph::{Kernel, SharingRow, shared_offset};
+use crate::positioning::differencing::{SingleDifference, SingleDifferences};
+use crate::positioning::factors::Sight;
+use crate::snapshot::snapshot_fields;
+
+use super::arcs::{Arc, Arcs};
+use super::epoch::{Ambiguity, AmbiguityStart, DifferenceFactor, Group, RtkEpoch, Scratch, State};
+use super::float::FloatSolution;
+use super::integers::{Integers, Resolution, Trust, drop_labels};
+use super::noise::NoiseScale;
+
+/// Deviation of an ambiguity about its start (cycles): 200 m.
+const START_CYCLES: f64 = 1e3;
+/// A phase that contradicts the others by more has slipped (standard deviations).
+const SLIP_SIGMAS: f64 = 5.0;
+/// A fixed position whose phases miss by more (rms, in standard deviations) is none.
+const MISFIT_SIGMAS: f64 = 4.0;
+
+/// Arcs, integers and noise of the carriers that rover and base both follow.
+#[derive(Debug)]
+pub(super) struct Tracking {
+    pub(super) arcs: Arcs,
+    /// How far the arcs' integers are trusted.
+    pub(super) trust: Trust,
+    pseudorange_noise: NoiseScale,
+    carrier_noise: NoiseScale,
+    pub(super) scratch: Scratch,
+    misses: Vec<f64>,
+}
+
+snapshot_fields!(Tracking { arcs, trust, pseudorange_noise, carrier_noise } memory {
+    scratch: Scratch::default(),
+    misses: Vec::new(),
+});
+
+impl Clone for Tracking {
+    fn clone(&self) -> Self {
+        let mut clone = Self::new();
+        clone.clone_from(self);
+        clone
+    }
+
+    /// Copies into the storage already held.
+    fn clone_from(&mut self, source: &Self) {
+        self.arcs.clone_from(&source.arcs);
+        self.trust = source.trust;
+        self.pseudorange_noise = source.pseudorange_noise;
+        self.carrier_noise = source.carrier_noise;
+    }
+}
+
+impl Tracking {
+    /// No arcs, noise as stated.
+    pub(super) fn new() -> Self {
+        Self {
+            arcs: Arcs::default(),
+            trust: Trust::default(),
+            pseudorange_noise: NoiseScale::stated(),
+            carrier_noise: NoiseScale::stated(),
+            scratch: Scratch::default(),
+            misses: Vec::new(),
+        }
+    }
+
+    /// Ends all arcs; what is known of the receivers' noise stays.
+    pub(super) fn clear(&mut self) {
+        self.arcs.clear();
+        self.trust = Trust::default();
+    }
+
+    /// Swaps the memory both work in.
+    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
+        std::mem::swap(&mut self.scratch, &mut other.scratch);
+        std::mem::swap(&mut self.misses, &mut other.misses);
+    }
+
+    /// Rows of an epoch whose state is about `guess`; arcs go on or begin. `border` holds the
+    /// ambiguities and grows by those that begin.
+    pub(super) fn fill(
+        &mut self,
+        epoch: &mut RtkEpoch,
+        frame: &LocalFrame,
+        guess: &State,
+        differences: &SingleDifferences,
+        border: &mut Vec<f64>,
+        options: &PositioningOptions,
+    ) {
+        let satellites = differences.satellites.iter();
+        epoch.sights.extend(satellites.map(|common| Sight::new(frame, common.position)));
+        epoch.see(guess, &mut self.scratch);
+        for group in differences.list.chunk_by(|a, b| a.group() == b.group()) {
+            let offset_m = self.add_pseudoranges(epoch, group, options);
+            self.add_carriers(epoch, group, differences, offset_m, border, options);
+        }
+    }
+
+    /// Rows of the pseudoranges of one group; returns their offset (m), if there are any.
+    fn add_pseudoranges(
+        &mut self,
+        epoch: &mut RtkEpoch,
+        group: &[SingleDifference],
+        options: &PositioningOptions,
+    ) -> Option<f64> {
+        let begin = epoch.rows.len();
+        let correlation_s = options.rtk.pseudorange_correlation_s;
+        for difference in group {
+            let Some(pseudorange) = difference.pseudorange else { continue };
+            let continues = self.arcs.find(difference).is_some();
+            let share = match &epoch.motion {
+                Some(motion) if continues => (motion.interval_s() / correlation_s).min(1.0),
+                _ => 1.0,
+            };
+            let sigma_m = self.pseudorange_noise.value * pseudorange.variance_m2.sqrt();
+            epoch.rows.push(DifferenceFactor {
+                sight: difference.common,
+                range_m: pseudorange.range_m,
+                inverse_sigma: sigma_m.recip(),
+                share,
+                ambiguity: None,
+            });
+        }
+        let rows = Group { begin, end: epoch.rows.len(), is_carrier: false };
+        if rows.begin == rows.end {
+            return None;
+        }
+        epoch.groups.push(rows);
+        epoch.linearize_group(&rows, &[], &mut self.scratch);
+        let Scratch { rows, numbers, .. } = &mut self.scratch;
+        Some(shared_offset(rows, &Kernel::huber(1.345), numbers))
+    }
+
+    /// Rows of the carriers of one group; arcs go on or begin.
+    ///
+    /// A new ambiguity starts where the offset of the group's known ones puts it, else that of its
+    /// pseudoranges: all of a group then differ by little, as they will for good.
+    fn add_carriers(
+        &mut self,
+        epoch: &mut RtkEpoch,
+        group: &[SingleDifference],
+        differences: &SingleDifferences,
+        offset_m: Option<f64>,
+        border: &mut Vec<f64>,
+        options: &PositioningOptions,
+    ) {
+        let (begin, time) = (epoch.rows.len(), epoch.time);
+        let scale = self.carrier_noise.value.powi(2);
+        for difference in group {
+            let Some(carrier) = difference.carrier else { continue };
+            let Some(arc) = self.arcs.find(difference) else { continue };
+            let correlation_s = options.rtk.carrier_correlation_s;
+            let share = ((time - arc.last) / correlation_s).min(1.0);
+            arc.last = time;
+            arc.epochs += 1;
+            arc.elevation_rad = differences.satellites[difference.common].look.elevation_rad;
+            let variance_m2 = carrier.variance_m2 * scale;
+            let variable = arc.variable;
+            push_carrier(epoch, difference, carrier.range_m, variance_m2, share, variable);
+        }
+        let known = Group { begin, end: epoch.rows.len(), is_carrier: true };
+        epoch.linearize_group(&known, border, &mut self.scratch);
+        let Scratch { rows, numbers, .. } = &mut self.scratch;
+        let offset_m = match rows.is_empty() {
+            true => offset_m.unwrap_or(0.0),
+            false => shared_offset(rows, &Kernel::geman_mcclure(4.0), numbers),
+        };
+        for difference in group {
+            let Some(carrier) = difference.carrier else { continue };
+            if self.arcs.find(difference).is_some_and(|arc| arc.last == time) {
+                continue;
+            }
+            let elevation_rad = differences.satellites[difference.common].look.elevation_rad;
+            let variable = self.arcs.begin(difference, time, elevation_rad).variable;
+            let range_m = self.scratch.range_m(difference.common);
+            let mean = (carrier.range_m - range_m - offset_m) / difference.wavelength_m();
+            start(epoch, border, variable, mean);
+            let variance_m2 = carrier.variance_m2 * scale;
+            push_carrier(epoch, difference, carrier.range_m, variance_m2, 1.0, variable);
+        }
+        if begin < epoch.rows.len() {
+            epoch.groups.push(Group { begin, end: epoch.rows.len(), is_carrier: true });
+        }
+    }
+
+    /// Learns from an epoch how noisy pseudoranges are.
+    pub(super) fn learn_noise(&mut self, epoch: &RtkEpoch, state: &State, border: &[f64]) {
+        let groups = self.gather_misses(epoch, state, border, false);
+        self.pseudorange_noise.learn(&mut self.misses, 3 + groups);
+    }
+
+    /// Learns from a position with integers held how noisy carrier phases are; returns the rms of
+    /// the phases' whitened residuals there.
+    fn learn_carrier_noise(
+        &mut self,
+        epoch: &RtkEpoch,
+        position: &Vector3<f64>,
+        border: &[f64],
+    ) -> f64 {
+        let mut state = State::zeros();
+        state.fixed_rows_mut::<3>(0).copy_from(position);
+        let groups = self.gather_misses(epoch, &state, border, true);
+        let square: f64 = self.misses.iter().map(|miss| miss * miss).sum();
+        let rms = (square / self.misses.len().max(1) as f64).sqrt();
+        self.carrier_noise.learn(&mut self.misses, 3 + groups);
+        rms
+    }
+
+    /// Magnitudes of an epoch's whitened residuals at a position, of pseudoranges or of the carrier
+    /// phases with integers; returns the number of their groups.
+    fn gather_misses(
+        &mut self,
+        epoch: &RtkEpoch,
+        state: &State,
+        border: &[f64],
+        is_carrier: bool,
+    ) -> usize {
+        let Self { misses, scratch, arcs, .. } = self;
+        misses.clear();
+        epoch.see(state, scratch);
+        let mut groups = 0;
+        for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {
+            epoch.linearize_group(group, border, scratch);
+            let Scratch { rows, numbers, .. } = &mut *scratch;
+            if is_carrier {
+                arcs.put_labels(border, rows);
+            }
+            if rows.len() < 2 {
+                continue;
+            }
+            let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
+            let miss = |row: &SharingRow<3>| row.row.residual + row.by_offset * offset_m;
+            misses.extend(rows.iter().map(|row| miss(row).abs()));
+            groups += 1;
+        }
+        groups
+    }
+
+    /// Looks for the integers of an epoch that was solved. A position whose phases contradict its
+    /// integers is none.
+    pub(super) fn resolve(
+        &mut self,
+        integers: &mut Integers,
+        epoch: &RtkEpoch,
+        border: &[f64],
+        float: &FloatSolution,
+        options: &PositioningOptions,
+    ) -> Resolution {
+        let (list, trust) = (&mut self.arcs.list, &mut self.trust);
+        let is_present = |arc: &Arc| arc.last == epoch.time;
+        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk);
+        if let Ok(fixed) = &resolution.outcome
+            && MISFIT_SIGMAS < self.learn_carrier_noise(epoch, &fixed.position, border)
+        {
+            drop_labels(&mut self.arcs.list, &mut self.trust, true);
+            resolution.outcome = Err(Reason::FixRejected);
+        }
+        resolution
+    }
+
+    /// Begins the arcs anew whose phase in the newest epoch contradicts the others; returns whether
+    /// any did.
+    pub(super) fn cut_slips(
+        &mut self,
+        epoch: &mut RtkEpoch,
+        state: &State,
+        border: &mut Vec<f64>,
+        kernel: &Kernel,
+        slipped: &mut Vec<SatelliteId>,
+    ) -> bool {
+        let mut cut = Vec::new();
+        epoch.see(state, &mut self.scratch);
+        for group in epoch.groups.iter().filter(|group| group.is_carrier) {
+            epoch.linearize_group(group, border, &mut self.scratch);
+            let Scratch { rows, numbers, .. } = &mut self.scratch;
+            let offset_m = shared_offset(rows, kernel, numbers);
+            for (place, row) in (group.begin..group.end).zip(rows.iter()) {
+                let miss = row.row.residual + row.by_offset * offset_m;
+                if SLIP_SIGMAS < miss.abs() {
+                    cut.push((place, miss / row.by_offset));
+                }
+            }
+        }
+        let mut any = false;
+        for (place, miss_m) in cut {
+            let Some(ambiguity) = epoch.rows[place].ambiguity else { continue };
+            let old = ambiguity.variable;
+            let Some(index) = self.arcs.list.iter().position(|arc| arc.variable == old) else {
+                continue;
+            };
+            if self.arcs.list[index].epochs == 1 {
+                continue;
+            }
+            any = true;
+            let variable = self.arcs.take_variable();
+            let arc = &mut self.arcs.list[index];
+            (arc.variable, arc.epochs, arc.label) = (variable, 1, None);
+            slipped.push(arc.satellite);
+            let mean = border[old] - miss_m / ambiguity.wavelength_m;
+            start(epoch, border, variable, mean);
+            epoch.rows[place].ambiguity = Some(Ambiguity { variable, ..ambiguity });
+            epoch.rows[place].share = 1.0;
+        }
+        any
+    }
+}
+
+fn start(epoch: &mut RtkEpoch, border: &mut Vec<f64>, variable: usize, mean: f64) {
+    if border.len() <= variable {
+        border.resize(variable + 1, 0.0);
+    }
+    border[variable] = mean;
+    let inverse_sigma = START_CYCLES.recip();
+    epoch.starts.push(AmbiguityStart { variable, mean, inverse_sigma });
+}
+
+fn push_carrier(
+    epoch: &mut RtkEpoch,
+    difference: &SingleDifference,
+    range_m: f64,
+    variance_m2: f64,
+    share: f64,
+    variable: usize,
+) {
+    let wavelength_m = difference.wavelength_m();
+    epoch.rows.push(DifferenceFactor {
+        sight: difference.common,
+        range_m,
+        inverse_sigma: variance_m2.sqrt().recip(),
+        share,
+        ambiguity: Some(Ambiguity { variable, wavelength_m }),
+    });
+}

@@ -1,0 +1,311 @@
+//! Base stations, where they stand, and what they observed.
+
+use std::sync::Arc;
+
+use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource};
+
+use super::codec::{decode_epoch, encode_epoch};
+use super::pool::{reading, writing};
+use super::{Store, StoreError};
+
+/// The store's short name of a base.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BaseKey(pub(super) i64);
+
+impl BaseKey {
+    /// The key as a number, for a state that is stored.
+    pub const fn number(self) -> i64 {
+        self.0
+    }
+
+    /// The key of [`Self::number`].
+    pub const fn of_number(number: i64) -> Self {
+        Self(number)
+    }
+}
+
+/// A base as a session names it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BaseName {
+    /// The store's short name of it.
+    pub key: BaseKey,
+    /// Its id.
+    pub id: Arc<str>,
+}
+
+/// The base an epoch was solved with, and which of its epochs were new then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BaseUse {
+    /// The base.
+    pub base: BaseKey,
+    /// Base epochs numbered above this were given …
+    pub after: u64,
+    /// … up to this one: none where both are equal. Zero: none was given ever.
+    pub through: u64,
+}
+
+/// A stored base.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseRow {
+    /// The store's short name of it.
+    pub key: BaseKey,
+    /// Its id.
+    pub id: String,
+    /// A name for people.
+    pub label: String,
+    /// When it was created (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// Where it stands, each from the base's epoch of that number on.
+    pub sites: Vec<(u64, BaseSite)>,
+}
+
+/// An epoch of a base, in the store's form.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StoredBaseEpoch {
+    /// Its number: the base's epochs are numbered from 1 in their order of time.
+    pub number: u64,
+    /// Its tag.
+    pub time: GpsTime,
+    content: Arc<[u8]>,
+}
+
+impl StoredBaseEpoch {
+    /// Encodes an epoch.
+    pub fn new(number: u64, epoch: &Epoch) -> Self {
+        Self { number, time: epoch.time, content: encode_epoch(epoch).into() }
+    }
+
+    /// The epoch.
+    ///
+    /// # Errors
+    /// The stored bytes are corrupt.
+    pub fn epoch(&self) -> Result<Epoch, StoreError> {
+        decode_epoch(&self.content).map_err(StoreError::corrupt("base epoch"))
+    }
+
+    /// Whether `epoch` is this one, bit by bit.
+    pub fn is(&self, epoch: &Epoch) -> bool {
+        *self.content == *encode_epoch(epoch)
+    }
+
+    /// Bytes that it takes.
+    pub fn size(&self) -> usize {
+        self.content.len()
+    }
+}
+
+/// What a push to a base changes.
+#[derive(Clone, Debug)]
+pub struct BaseChange<'a> {
+    /// Where it stands from an epoch on, if that is new.
+    pub site: Option<(u64, &'a BaseSite)>,
+    /// Its new epochs.
+    pub epochs: &'a [StoredBaseEpoch],
+    /// Epochs numbered below this are forgotten.
+    pub first_kept: u64,
+    /// When (ms since 1970-01-01 UTC).
+    pub stored_unix_ms: i64,
+}
+
+#[derive(sqlx::FromRow)]
+struct RawSite {
+    base: i64,
+    since: i64,
+    x_m: f64,
+    y_m: f64,
+    z_m: f64,
+    height_m: f64,
+    east_m: f64,
+    north_m: f64,
+    antenna: String,
+    source: String,
+}
+
+impl RawSite {
+    fn parse(self) -> Result<(u64, BaseSite), StoreError> {
+        let source = PositionSource::from_name(&self.source).ok_or_else(|| {
+            let why = format!("{:?} is no source of a position", self.source);
+            StoreError::CorruptText { what: "base", why }
+        })?;
+        let site = BaseSite {
+            marker: Ecef::new(self.x_m, self.y_m, self.z_m),
+            antenna_delta_hen_m: [self.height_m, self.east_m, self.north_m],
+            antenna: self.antenna,
+            source,
+        };
+        Ok((self.since as u64, site))
+    }
+}
+
+/// Replaced where nothing was observed from the site before.
+const UPSERT_SITE: &str = "INSERT INTO base_sites
+    (base, since, x_m, y_m, z_m, height_m, east_m, north_m, antenna, source)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)
+    ON CONFLICT (base, since) DO UPDATE SET x_m = excluded.x_m, y_m = excluded.y_m,
+    z_m = excluded.z_m, height_m = excluded.height_m, east_m = excluded.east_m,
+    north_m = excluded.north_m, antenna = excluded.antenna, source = excluded.source";
+const INSERT_EPOCH: &str = "INSERT INTO base_epochs
+    (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
+const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
+/// Not where an open session names it.
+const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2 WHERE key = $1 AND NOT EXISTS
+    (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)";
+
+/// Binds a site behind its base.
+macro_rules! site {
+    ($base:expr, $since:expr, $site:expr) => {{
+        let BaseSite { marker: Ecef(marker), antenna_delta_hen_m: delta, antenna, source } = $site;
+        sqlx::query(UPSERT_SITE)
+            .bind($base.0)
+            .bind($since as i64)
+            .bind(marker.x)
+            .bind(marker.y)
+            .bind(marker.z)
+            .bind(delta[0])
+            .bind(delta[1])
+            .bind(delta[2])
+            .bind(antenna)
+            .bind(source.name())
+    }};
+}
+
+/// A kept epoch's number, GPS time (ns), when it was stored (ms) and its content.
+type BaseEpochRow = (i64, i64, i64, Vec<u8>);
+
+impl Store {
+    /// Stores a new base.
+    ///
+    /// # Errors
+    /// The database fails; an id that exists is such a failure.
+    pub async fn create_base(
+        &self,
+        id: &str,
+        label: &str,
+        site: Option<&BaseSite>,
+        created_unix_ms: i64,
+    ) -> Result<BaseKey, StoreError> {
+        writing!(&self.pool, pool => {
+            let created = async {
+                let mut transaction = pool.begin().await?;
+                let sql = "INSERT INTO bases (id, label, created_unix_ms) VALUES ($1, $2, $3)
+                           RETURNING key";
+                let insert = sqlx::query_as(sql).bind(id).bind(label).bind(created_unix_ms);
+                let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
+                let key = BaseKey(key);
+                if let Some(site) = site {
+                    site!(key, 1_u64, site).execute(&mut *transaction).await?;
+                }
+                transaction.commit().await?;
+                Ok::<BaseKey, sqlx::Error>(key)
+            };
+            created.await.map_err(StoreError::database("storing a base"))
+        })
+    }
+
+    /// Every base that was not deleted, by key.
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
+        let failed = "reading bases";
+        let rows: Result<Vec<(i64, String, String, i64)>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT key, id, label, created_unix_ms FROM bases
+                       WHERE deleted_unix_ms IS NULL ORDER BY key";
+            sqlx::query_as(sql).fetch_all(pool).await
+        });
+        let sites: Result<Vec<RawSite>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT * FROM base_sites ORDER BY base, since";
+            sqlx::query_as(sql).fetch_all(pool).await
+        });
+        let base = |(key, id, label, created_unix_ms)| {
+            let (key, sites) = (BaseKey(key), Vec::new());
+            BaseRow { key, id, label, created_unix_ms, sites }
+        };
+        let rows = rows.map_err(StoreError::database(failed))?;
+        let mut bases: Vec<BaseRow> = rows.into_iter().map(base).collect();
+        for site in sites.map_err(StoreError::database(failed))? {
+            if let Ok(place) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
+                bases[place].sites.push(site.parse()?);
+            }
+        }
+        Ok(bases)
+    }
+
+    /// The epochs that are kept of a base, in order, and when the last was stored
+    /// (ms since 1970-01-01 UTC).
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub async fn base_epochs(
+        &self,
+        base: BaseKey,
+    ) -> Result<(Vec<StoredBaseEpoch>, Option<i64>), StoreError> {
+        let rows: Result<Vec<BaseEpochRow>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT number, gps_time_ns, stored_unix_ms, content FROM base_epochs
+                       WHERE base = $1 ORDER BY number";
+            sqlx::query_as(sql).bind(base.0).fetch_all(pool).await
+        });
+        let rows = rows.map_err(StoreError::database("reading a base's epochs"))?;
+        let stored_unix_ms = rows.last().map(|(_, _, stored_unix_ms, _)| *stored_unix_ms);
+        let read = |(number, ns, _, content): BaseEpochRow| {
+            let (number, time) = (number as u64, GpsTime::from_ns(ns));
+            let stored = StoredBaseEpoch { number, time, content: content.into() };
+            stored.epoch().map(|_| stored)
+        };
+        Ok((rows.into_iter().map(read).collect::<Result<_, _>>()?, stored_unix_ms))
+    }
+
+    /// Stores a push to a base, all of it or nothing.
+    ///
+    /// # Errors
+    /// The database fails; nothing may then be taken for stored.
+    pub async fn push_base(
+        &self,
+        base: BaseKey,
+        change: &BaseChange<'_>,
+    ) -> Result<(), StoreError> {
+        writing!(&self.pool, pool => {
+            let pushed = async {
+                let mut transaction = pool.begin().await?;
+                if let Some((since, site)) = change.site {
+                    site!(base, since, site).execute(&mut *transaction).await?;
+                }
+                for epoch in change.epochs {
+                    sqlx::query(INSERT_EPOCH)
+                        .bind(base.0)
+                        .bind(epoch.number as i64)
+                        .bind(epoch.time.as_ns())
+                        .bind(change.stored_unix_ms)
+                        .bind(&epoch.content[..])
+                        .execute(&mut *transaction)
+                        .await?;
+                }
+                let forget = sqlx::query(FORGET).bind(base.0).bind(change.first_kept as i64);
+                forget.execute(&mut *transaction).await?;
+                transaction.commit().await
+            };
+            pushed.await.map_err(StoreError::database("storing a base's epochs"))
+        })
+    }
+
+    /// Deletes a base and its epochs, unless an open session names it; whether it did.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn delete_base(&self, base: BaseKey, unix_ms: i64) -> Result<bool, StoreError> {
+        writing!(&self.pool, pool => {
+            let deleted = async {
+                let mut transaction = pool.begin().await?;
+                let delete = sqlx::query(DELETE).bind(base.0).bind(unix_ms);
+                let rows = delete.execute(&mut *transaction).await?.rows_affected();
+                if rows == 1 {
+                    let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
+                    forget.execute(&mut *transaction).await?;
+                }
+                transaction.commit().await?;
+                Ok::<bool, sqlx::Error>(rows == 1)
+            };
+            deleted.await.map_err(StoreError::database("deleting a base"))
+        })
+    }
+}

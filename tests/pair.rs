@@ -1,0 +1,103 @@
+//! A simulated rover with its base, which needs no data.
+
+use std::sync::LazyLock;
+
+use graphfix::aiding::bases::{BaseId, NewBase};
+use graphfix::config::{Mode, PositioningOptions, Profile};
+use graphfix::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
+use graphfix::gnss::{
+    BaseSite, BaseStation, Constellation, Ecef, Ephemeris, Epoch, Navigation, PositionSource,
+    Solution,
+};
+use graphfix::positioning::{Aiding, BaseAiding, Estimator};
+use graphfix::session::SequencedEpoch;
+use graphfix::simulation::{Scenario, Simulator, signals};
+
+pub(crate) struct Pair {
+    /// Numbered from 1.
+    pub(crate) rover: Vec<SequencedEpoch>,
+    /// Of the same times.
+    pub(crate) base: Vec<Epoch>,
+    pub(crate) navigation: Navigation,
+    /// Where the base's antenna is.
+    pub(crate) position: Ecef,
+    scenario: Scenario,
+}
+
+/// Two and a half minutes under open sky, an epoch a second, the base 8 km away.
+pub(crate) static PAIR: LazyLock<Pair> = LazyLock::new(|| {
+    let open = Scenario::by_name("rtk-open").unwrap();
+    let scenario = Scenario { duration_s: 149.0, ..open };
+    let simulator = Simulator::new(scenario.clone(), 1);
+    let navigation = Navigation::clone(simulator.navigation());
+    let position = simulator.base_position().unwrap();
+    let (rover, base): (Vec<Epoch>, Vec<Epoch>) =
+        simulator.map(|epoch| (epoch.rover, epoch.base.unwrap())).unzip();
+    let number = |(index, epoch)| SequencedEpoch { seq: index as u64 + 1, epoch };
+    let rover = rover.into_iter().enumerate().map(number).collect();
+    Pair { rover, base, navigation, position, scenario }
+});
+
+impl Pair {
+    /// The base, standing `off_m` east and as much north of where it is.
+    pub(crate) fn new_base(&self, off_m: f64) -> NewBase {
+        let frame = graphfix::gnss::LocalFrame::at(self.position);
+        let there = graphfix::gnss::Enu(nalgebra::Vector3::new(off_m, off_m, 0.0));
+        let marker = if off_m == 0.0 { self.position } else { frame.to_ecef(there) };
+        let site = BaseSite {
+            marker,
+            antenna_delta_hen_m: [0.0; 3],
+            antenna: String::new(),
+            source: PositionSource::Given,
+        };
+        NewBase { label: "base".to_owned(), site: Some(site) }
+    }
+
+    /// What an estimator alone answers, given all of the base.
+    pub(crate) fn solved(&self, mode: Mode, base: &BaseId) -> Vec<Solution> {
+        let options = PositioningOptions::new(mode, Profile::General);
+        let mut estimator = Estimator::new(options);
+        let station =
+            BaseStation { name: base.to_string(), antenna_reference_point: self.position };
+        let mut given = 0;
+        let answer = |rover: &SequencedEpoch| {
+            let ahead = |base: &&Epoch| base.time - rover.epoch.time <= 0.02;
+            let count = self.base[given..].iter().take_while(ahead).count();
+            let epochs = &self.base[given..given + count];
+            given += count;
+            let base = Some(BaseAiding { station: &station, epochs });
+            estimator.advance(&rover.epoch, &Aiding { navigation: &self.navigation, base })
+        };
+        self.rover.iter().map(answer).collect()
+    }
+
+    /// The base's observations as a file whose header has a position.
+    pub(crate) fn base_file(&self, position: Option<Ecef>) -> Vec<u8> {
+        let mut codes = [const { Vec::new() }; Constellation::COUNT];
+        for constellation in &self.scenario.constellations {
+            codes[constellation.index()] =
+                signals(*constellation).into_iter().take(self.scenario.frequencies).collect();
+        }
+        let channel = |list: &[Ephemeris]| {
+            let first = list.first()?;
+            Some((first.satellite().number, first.glonass_channel()?))
+        };
+        let header = ObservationHeader {
+            approximate_position: position,
+            antenna_delta_hen_m: [1.5, 0.0, 0.0],
+            antenna: "IDEAL".to_owned(),
+            glonass_channels: self
+                .navigation
+                .satellites()
+                .filter_map(|(_, l)| channel(l))
+                .collect(),
+            codes,
+            ..ObservationHeader::new(RinexVersion::new(3, 5))
+        };
+        let mut file = Vec::new();
+        let mut writer = ObservationWriter::new(&mut file, &header).unwrap();
+        self.base.iter().for_each(|epoch| writer.write_epoch(epoch).unwrap());
+        writer.finish().unwrap();
+        file
+    }
+}
