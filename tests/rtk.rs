@@ -68,6 +68,10 @@ fn general() -> PositioningOptions {
     PositioningOptions::new(Mode::RtkFgo, Profile::General)
 }
 
+fn filter() -> PositioningOptions {
+    PositioningOptions::new(Mode::RtkEkf, Profile::General)
+}
+
 fn hers_hert() -> Option<Pair> {
     let folder = data::set("hers-hert")?;
     let at = Ecef::new(4_033_460.753_1, 23_538.016_2, 4_924_318.388_1);
@@ -91,13 +95,18 @@ fn fixed(solutions: &[Solution]) -> usize {
 }
 
 /// A day at 30 s, 136 m: all epochs are fixed, none wrong, 4 mm rms against IGS coordinates. The
-/// height is 6 cm off because antenna models are not applied.
+/// height is 6 cm off because antenna models are not applied. The filter does the same.
 #[test]
 fn a_day_of_two_reference_stations_is_fixed_throughout() {
     let Some(pair) = hers_hert() else { return };
-    let solutions = pair.causal(&general());
-    let errors = errors_m(&solutions, |_| HERS);
-    assert_eq!((solutions.len(), fixed(&solutions)), (2880, 2880));
+    for options in [general(), filter()] {
+        is_fixed_throughout(&pair.causal(&options));
+    }
+}
+
+fn is_fixed_throughout(solutions: &[Solution]) {
+    let errors = errors_m(solutions, |_| HERS);
+    assert_eq!((solutions.len(), fixed(solutions)), (2880, 2880));
     let horizontal_m = |e: &[f64; 3]| e[0].hypot(e[1]);
     assert!(errors.iter().all(|e| horizontal_m(e) < 0.03));
     let square: f64 = errors.iter().map(|e| horizontal_m(e).powi(2)).sum();
@@ -124,22 +133,40 @@ fn one_frequency_is_fixed_and_never_wrong() {
     }
 }
 
+/// The filter on one frequency: as the graph, and nothing is wrong.
+#[test]
+fn the_filter_is_never_wrong_on_one_frequency() {
+    let Some(pair) = hers_hert() else { return };
+    let mut options = filter();
+    options.set("frequencies", "L1").unwrap();
+    let solutions = pair.causal(&options);
+    let errors = errors_m(&solutions, |_| HERS);
+    let is_wrong =
+        |(s, e): &(&Solution, &[f64; 3])| s.status == Status::Fixed && 0.1 < e[0].hypot(e[1]);
+    assert_eq!(solutions.iter().zip(&errors).filter(is_wrong).count(), 0);
+    assert!(2_870 <= fixed(&solutions), "{} fixed", fixed(&solutions));
+}
+
 /// A hardware simulator's signals, 2 km: 2 mm are the rounding of phases and the troposphere.
 #[test]
 fn simulated_signals_are_fixed_to_millimetres() {
+    [general(), filter()].iter().for_each(spirent_is_fixed_to_millimetres);
+}
+
+fn spirent_is_fixed_to_millimetres(options: &PositioningOptions) {
     let Some(folder) = data::set("spirent-rtk") else { return };
     let at = Ecef::new(4_157_177.065_801_87, 671_230.476_590_636, 4_774_767.031_055_44);
     let navigation = ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"];
     let base = "Base-static_MO_Spirent.obs";
     let still = "Rover-static-2km-east_MO_Spirent.obs";
-    let solutions = Pair::read(&folder, still, base, &navigation, at).causal(&general());
+    let solutions = Pair::read(&folder, still, base, &navigation, at).causal(options);
     let truth = Ecef::new(4_156_857.119_592_9, 673_209.028_774_142, 4_774_767.031_055_44);
     assert_eq!((solutions.len(), fixed(&solutions)), (601, 601));
     let far = |e: &[f64; 3]| 0.0025 < e.iter().map(|m| m * m).sum::<f64>().sqrt();
     assert!(!errors_m(&solutions, |_| truth).iter().any(far));
 
     let moving = "Rover-dynamic_MO_Spirent.obs";
-    let solutions = Pair::read(&folder, moving, base, &navigation, at).causal(&general());
+    let solutions = Pair::read(&folder, moving, base, &navigation, at).causal(options);
     let week = solutions[0].time.week();
     let track = truth::read(open(&folder.join("truth-dynamic.csv")), week).unwrap();
     let at = |time: GpsTime| {
@@ -150,20 +177,26 @@ fn simulated_signals_are_fixed_to_millimetres() {
     assert!(!errors_m(&solutions, at).iter().any(far));
 }
 
-/// Half an hour without a base: answered by the graph alone, with the reason; fixed again
-/// within a minute of its return.
+/// Half an hour without a base: answered by the graph alone, or the filter alone, with the reason;
+/// fixed again within a minute of its return.
 #[test]
 fn a_missing_base_is_said_and_survived() {
+    for (options, alone) in [(general(), Status::Fgo), (filter(), Status::Ekf)] {
+        is_survived(&options, alone);
+    }
+}
+
+fn is_survived(options: &PositioningOptions, alone: Status) {
     let Some(mut pair) = hers_hert() else { return };
     pair.rover.truncate(300);
     let begin = pair.rover[100].time;
     pair.base.retain(|epoch| !(0.0..1_800.0).contains(&(epoch.time - begin)));
-    let solutions = pair.causal(&general());
+    let solutions = pair.causal(options);
     let is_stale = |reason: &Reason| matches!(reason, Reason::BaseStale { .. });
     for (k, solution) in solutions.iter().enumerate() {
         // The base epoch before the gap is used until it is 30 s old.
         let is_gone = (101..160).contains(&k);
-        let expected = if is_gone { Status::Fgo } else { Status::Fixed };
+        let expected = if is_gone { alone } else { Status::Fixed };
         // All arcs begin anew with the base: two epochs may pass before they are fixed.
         let is_new = (160..162).contains(&k) && solution.status == Status::Float;
         assert!(solution.status == expected || is_new, "epoch {k}: {:?}", solution.reasons);
@@ -192,11 +225,16 @@ fn a_wrong_base_position_is_refused_or_doubted() {
 
 /// Stored and restored after every epoch, with the base away for a while: the same bits.
 #[test]
-fn a_restored_window_goes_on_with_the_same_bits() {
+fn a_restored_estimator_goes_on_with_the_same_bits() {
+    for (options, alone) in [(general(), Status::Fgo), (filter(), Status::Ekf)] {
+        goes_on_with_the_same_bits(options, alone);
+    }
+}
+
+fn goes_on_with_the_same_bits(options: PositioningOptions, alone: Status) {
     let Some(mut pair) = hers_hert() else { return };
     pair.rover.truncate(90);
     pair.base.drain(30..36);
-    let options = general();
     let (mut whole, mut restored) =
         (Estimator::revising(options.clone()), Estimator::revising(options.clone()));
     let (mut given, mut states) = (0, Vec::new());
@@ -213,5 +251,5 @@ fn a_restored_window_goes_on_with_the_same_bits() {
         assert_eq!(format!("{solution:?}"), format!("{expected:?}"), "epoch {index}");
         states.push(solution.status);
     }
-    assert!(states.contains(&Status::Fixed) && states.contains(&Status::Fgo), "{states:?}");
+    assert!(states.contains(&Status::Fixed) && states.contains(&alone), "{states:?}");
 }

@@ -43,6 +43,8 @@ named_choice! {
         Ekf = "ekf",
         /// Factor graph over a sliding window: pseudoranges, Doppler, phase in time, motion.
         Fgo = "fgo",
+        /// Extended Kalman filter on differences against a base, the comparator of `rtk-fgo`.
+        RtkEkf = "rtk-ekf",
         /// Factor graph on differences against a base, with integer ambiguities.
         RtkFgo = "rtk-fgo",
     }
@@ -140,14 +142,14 @@ impl Mode {
     /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
     pub const fn has_window(self) -> bool {
         match self {
-            Self::Spp | Self::Ekf | Self::RtkFgo => false,
+            Self::Spp | Self::Ekf | Self::RtkEkf | Self::RtkFgo => false,
             Self::Fgo => true,
         }
     }
 
     /// Whether the mode positions against a base.
     pub const fn is_relative(self) -> bool {
-        matches!(self, Self::RtkFgo)
+        matches!(self, Self::RtkEkf | Self::RtkFgo)
     }
 
     /// The mode of a name.
@@ -252,7 +254,7 @@ mod tests {
     fn modes_to_come_are_refused_by_name() {
         assert_eq!(Mode::parse("spp"), Ok(Mode::Spp));
         let error = Mode::parse("ppp").unwrap_err();
-        let allowed = "spp, ekf, fgo, rtk-fgo";
+        let allowed = "spp, ekf, fgo, rtk-ekf, rtk-fgo";
         assert_eq!(error.to_string(), format!("mode \"ppp\" is not available; allowed: {allowed}"));
     }
 

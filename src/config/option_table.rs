@@ -208,7 +208,7 @@ impl PositioningOptions {
         let (graph, rtk): (&[OptionSpecification], &[OptionSpecification]) = match self.mode {
             Mode::Spp => (&[], &[]),
             Mode::Ekf | Mode::Fgo => (GRAPH_TABLE, &[]),
-            Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
+            Mode::RtkEkf | Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
         };
         TABLE.iter().chain(graph).chain(rtk).map(entry).collect()
     }

@@ -9,7 +9,7 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use super::base::BaseAiding;
 use super::ekf::KalmanFilter;
 use super::fgo::{SlidingWindow, WholeChain};
-use super::rtk::RtkWindow;
+use super::rtk::{RtkFilter, RtkWindow};
 use super::spp::SinglePoint;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
@@ -37,7 +37,8 @@ impl<'a> Aiding<'a> {
 /// as the point to start from, which saves iterations and moves the answer by less than 0.1 mm.
 /// That position is all the state there is. In mode `fgo` the state is a window of epochs.
 ///
-/// In mode `ekf` the state is a mean with its covariance and the last epoch's carrier phases.
+/// In mode `ekf` the state is a mean with its covariance and the last epoch's carrier phases; in
+/// mode `rtk-ekf` the ambiguities against the base are in it.
 ///
 /// [`Self::snapshot`] and [`Self::restore`] carry the state over a restart, bit by bit.
 #[derive(Debug)]
@@ -52,6 +53,7 @@ enum Engine {
     KalmanFilter(Box<KalmanFilter>),
     FactorGraph(Box<SlidingWindow>),
     Relative(Box<RtkWindow>),
+    RelativeFilter(Box<RtkFilter>),
 }
 
 impl Estimator {
@@ -73,6 +75,7 @@ impl Estimator {
             }
             Mode::Ekf => Engine::KalmanFilter(Box::new(KalmanFilter::new(&options))),
             Mode::Fgo => Engine::FactorGraph(Box::new(SlidingWindow::new(&options, revises))),
+            Mode::RtkEkf => Engine::RelativeFilter(Box::new(RtkFilter::new(&options))),
             Mode::RtkFgo => Engine::Relative(Box::new(RtkWindow::new(&options))),
         };
         Self { options: Arc::new(options), engine }
@@ -97,6 +100,9 @@ impl Estimator {
             Engine::Relative(window) => {
                 window.advance(epoch, navigation, aiding.base.as_ref(), options)
             }
+            Engine::RelativeFilter(filter) => {
+                filter.advance(epoch, navigation, aiding.base.as_ref(), options)
+            }
         };
         let relative = solution.estimate.as_ref().and_then(|estimate| estimate.relative.as_ref());
         if let (Some(relative), Some(base)) = (relative, &aiding.base) {
@@ -110,28 +116,24 @@ impl Estimator {
     /// after them. None unless [`Self::revising`].
     pub fn take_revisions(&mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => {
-                Vec::new()
-            }
             Engine::FactorGraph(window) => window.take_revisions(),
+            _ => Vec::new(),
         }
     }
 
     /// The revisions not yet taken, and those of the epochs still in the window.
     pub fn finish(mut self) -> Vec<Solution> {
         match &mut self.engine {
-            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => {
-                Vec::new()
-            }
             Engine::FactorGraph(window) => window.finish(),
+            _ => Vec::new(),
         }
     }
 
     /// Time of the oldest epoch that [`Self::take_revisions`] may still answer again.
     pub fn oldest_unrevised(&self) -> Option<GpsTime> {
         match &self.engine {
-            Engine::SinglePoint { .. } | Engine::KalmanFilter(_) | Engine::Relative(_) => None,
             Engine::FactorGraph(window) => window.oldest_time(),
+            _ => None,
         }
     }
 
@@ -173,6 +175,9 @@ impl Estimator {
                 filter.exchange_memory(other);
             }
             (Engine::Relative(window), Engine::Relative(other)) => window.exchange_memory(other),
+            (Engine::RelativeFilter(filter), Engine::RelativeFilter(other)) => {
+                filter.exchange_memory(other);
+            }
             _ => {}
         }
     }
@@ -206,6 +211,10 @@ impl Engine {
                 writer.u8(3);
                 window.save(writer);
             }
+            Self::RelativeFilter(filter) => {
+                writer.u8(4);
+                filter.save(writer);
+            }
         }
     }
 
@@ -225,6 +234,9 @@ impl Engine {
                 KalmanFilter::load(options, reader).map(Box::new).map(Self::KalmanFilter)
             }
             (3, Mode::RtkFgo) => RtkWindow::load(options, reader).map(Box::new).map(Self::Relative),
+            (4, Mode::RtkEkf) => {
+                RtkFilter::load(options, reader).map(Box::new).map(Self::RelativeFilter)
+            }
             _ => Err(reader.invalid("mode")),
         }
     }
@@ -241,6 +253,7 @@ impl Clone for Estimator {
             Engine::KalmanFilter(filter) => Engine::KalmanFilter(filter.clone()),
             Engine::FactorGraph(window) => Engine::FactorGraph(window.clone()),
             Engine::Relative(window) => Engine::Relative(window.clone()),
+            Engine::RelativeFilter(filter) => Engine::RelativeFilter(filter.clone()),
         };
         Self { options: Arc::clone(&self.options), engine }
     }
@@ -262,6 +275,9 @@ impl Clone for Estimator {
                 (**window).clone_from(from);
             }
             (Engine::Relative(window), Engine::Relative(from)) => (**window).clone_from(from),
+            (Engine::RelativeFilter(filter), Engine::RelativeFilter(from)) => {
+                (**filter).clone_from(from);
+            }
             (engine, _) => *engine = source.clone().engine,
         }
         self.options = Arc::clone(&source.options);

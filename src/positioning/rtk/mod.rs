@@ -2,14 +2,17 @@
 //!
 //! `base` remembers the base's newest epoch, `arcs` which ambiguities live, `epoch` holds the
 //! factors of one epoch, `chain` builds and forgets them, `integers` resolves the ambiguities, and
-//! [`RtkWindow`] answers each epoch as it comes. `docs/estimation.md` tells why things are as they
-//! are.
+//! [`RtkWindow`] answers each epoch as it comes. [`RtkFilter`] is its comparator: the same rows in
+//! an extended Kalman filter, whose state `belief` holds. `docs/estimation.md` tells why things are
+//! as they are.
 
 mod answer;
 mod arcs;
 mod base;
+mod belief;
 mod chain;
 mod epoch;
+mod filter;
 mod float;
 mod front;
 mod integers;
@@ -18,4 +21,5 @@ mod settings;
 mod tracking;
 mod window;
 
+pub(super) use filter::RtkFilter;
 pub(super) use window::RtkWindow;
