@@ -13,7 +13,7 @@ const SERVICES: [&str; 5] = [
 ];
 const PACKAGE: &str = "graphfix.v1";
 /// Travel as bare bodies over HTTP.
-const WITHOUT_JSON: [&str; 2] = ["PushNavigationRequest", "UploadBaseRequest"];
+const WITHOUT_JSON: [&str; 3] = ["PushNavigationRequest", "UploadBaseRequest", "PushRawRequest"];
 const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
     #[serde(rename_all = \"camelCase\", default, deny_unknown_fields)]";
 
@@ -32,6 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .out_dir(messages)
         .bytes(".graphfix.v1.PushNavigationRequest.content")
         .bytes(".graphfix.v1.UploadBaseRequest.content")
+        .bytes(".graphfix.v1.PushRawRequest.content")
         .btree_map(".");
     let in_package = descriptors.file.iter().filter(|file| file.package() == PACKAGE);
     for message in in_package.flat_map(|file| &file.message_type) {

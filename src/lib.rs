@@ -14,6 +14,7 @@ pub mod simulation;
 
 pub mod evaluation;
 pub mod positioning;
+pub mod reception;
 pub mod store;
 
 pub mod aiding;

@@ -246,11 +246,24 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     ]
 }
 
+/// Pieces of raw bytes: query, body, code, field. What is stored is one byte.
+fn pieces() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
+    vec![
+        ("", vec![0; 50_001], Code::PieceTooLarge, "content"),
+        ("?offset=1", vec![0; 40_000], Code::RawFormatUnknown, "content"),
+        ("?offset=5", vec![0], Code::RawGap, "offset"),
+        ("?offset=99999999999999999", vec![0], Code::InvalidField, "offset"),
+        ("?near=yesterday", vec![0], Code::InvalidTime, "near"),
+        ("?offset=0", vec![0xb5], Code::RawConflict, "content"),
+    ]
+}
+
 fn limits() -> graphfix::config::Limits {
     graphfix::config::Limits {
         body_bytes: 100_000,
         decompressed_bytes: 100_000,
         epochs_per_push: 3,
+        raw_piece_bytes: 50_000,
         satellites_per_epoch: 4,
         observations_per_epoch: 5,
         ephemerides_per_satellite: 2,
@@ -299,6 +312,12 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
         let request = Request::post(path).header("content-type", kind);
         let (status, answer) = doors.ask(request.body(Body::from(body)).unwrap()).await;
         check(format!("{path} {expected}"), expected, "", status.as_u16(), &answer);
+    }
+    let path = format!("/v1/sessions/{}/raw", doors.session().await);
+    doors.upload(&path, vec![b'$']).await;
+    for (query, body, expected, field) in pieces() {
+        let (status, answer) = doors.upload(&format!("{path}{query}"), body).await;
+        check(format!("{path}{query}"), expected, field, status.as_u16(), &answer);
     }
     doors.service.sessions().drain().await;
     let path = format!("/v1/sessions/{session}/epochs");

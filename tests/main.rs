@@ -20,6 +20,7 @@ mod http;
 mod models;
 mod odometry;
 mod pair;
+mod raw;
 mod recording;
 mod restoring;
 mod rinex;

@@ -49,6 +49,7 @@ fn limits() -> SessionLimits {
         mailbox_epochs: 64,
         waiting_epochs: 4_096,
         epochs_per_batch: 32,
+        raw_piece_bytes: 256 << 10,
         observations_per_epoch: 8,
         active_sessions: 64,
         label_characters: 20,

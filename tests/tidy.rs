@@ -19,10 +19,17 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("simulation", &["gnss", "models"]),
     ("positioning", &["gnss", "config", "snapshot", "models", "graph", "lambda"]),
     ("store", &["gnss", "config"]),
+    ("reception", &["gnss", "formats"]),
     ("evaluation", &["gnss", "formats"]),
     ("aiding", &["gnss", "config", "models", "formats", "positioning", "store"]),
-    ("session", &["gnss", "config", "snapshot", "models", "positioning", "store", "aiding"]),
-    ("contract", &["gnss", "config", "formats", "positioning", "store", "aiding", "session"]),
+    (
+        "session",
+        &["gnss", "config", "snapshot", "models", "positioning", "store", "reception", "aiding"],
+    ),
+    (
+        "contract",
+        &["gnss", "config", "formats", "positioning", "store", "reception", "aiding", "session"],
+    ),
     ("grpc", &["gnss", "config", "aiding", "session", "contract"]),
     ("http", &["gnss", "config", "aiding", "session", "contract", "grpc"]),
     (
@@ -46,7 +53,8 @@ const MAY_NAME: &[(&str, &[&str])] = &[
 ];
 
 /// Modules that compute and nothing else, and what must not occur in them.
-const PURE: &[&str] = &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning"];
+const PURE: &[&str] =
+    &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning", "reception"];
 const IMPURE: &[&str] = &[
     "async ",
     ".await",

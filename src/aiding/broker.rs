@@ -162,6 +162,11 @@ impl NavigationBroker {
             return Err(AidingError::TooManyEphemerides { satellite, count: list.len(), limit });
         }
         let new = novelties(&before.navigation, &pushed);
+        let coefficients = new_coefficients(&before.navigation, &pushed);
+        if new.is_empty() && coefficients == Navigation::default() {
+            let (received, held) = (pushed.len(), before.navigation.len());
+            return Ok(NavigationPush { received, new: 0, dropped: 0, held });
+        }
         let mut navigation = (*before.navigation).clone();
         navigation.merge(pushed.clone());
         let surplus = surplus(&navigation, &pushed, limit);
@@ -169,22 +174,15 @@ impl NavigationBroker {
 
         let now = unix_ms();
         let dropped: Vec<&Ephemeris> = surplus.iter().collect();
-        let coefficients = new_coefficients(&before.navigation, &pushed);
-        let is_news = !new.is_empty() || coefficients != Navigation::default();
-        let push = match is_news {
-            false => before.push,
-            true => {
-                let change = NavigationChange {
-                    new: &new,
-                    dropped: &dropped,
-                    coefficients: &coefficients,
-                    source,
-                    stored_unix_ms: now,
-                    superseded_limit: self.limits.superseded_ephemerides,
-                };
-                self.store.push_navigation(&change).await?
-            }
+        let change = NavigationChange {
+            new: &new,
+            dropped: &dropped,
+            coefficients: &coefficients,
+            source,
+            stored_unix_ms: now,
+            superseded_limit: self.limits.superseded_ephemerides,
         };
+        let push = self.store.push_navigation(&change).await?;
 
         let mut sources = (*before.sources).clone();
         for ephemeris in &new {

@@ -41,6 +41,8 @@ pub struct Limits {
     pub decompressed_bytes: u64,
     /// Epochs in one push.
     pub epochs_per_push: usize,
+    /// Bytes in one piece of a receiver's stream.
+    pub raw_piece_bytes: usize,
     /// Satellites in one epoch.
     pub satellites_per_epoch: usize,
     /// Observations in one epoch.
@@ -159,6 +161,7 @@ impl ServiceConfiguration {
                 usize::try_from(limits.decompressed_bytes).unwrap_or(usize::MAX),
             ),
             ("epochs_per_push", limits.epochs_per_push),
+            ("raw_piece_bytes", limits.raw_piece_bytes),
             ("satellites_per_epoch", limits.satellites_per_epoch),
             ("observations_per_epoch", limits.observations_per_epoch),
             ("active_sessions", limits.active_sessions),
@@ -183,6 +186,7 @@ impl Limits {
             body_bytes: 16 << 20,
             decompressed_bytes: 128 << 20,
             epochs_per_push: 1024,
+            raw_piece_bytes: 256 << 10,
             satellites_per_epoch: 128,
             observations_per_epoch: 512,
             active_sessions: 4096,

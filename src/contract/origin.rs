@@ -4,6 +4,7 @@ use crate::aiding::AidingError;
 use crate::aiding::bases::BaseEpochRefusal;
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
 use crate::formats::rinex::RinexError;
+use crate::reception::ReceptionError;
 use crate::session::{EpochRefusal, SessionError};
 use crate::store::StoreError;
 
@@ -37,7 +38,26 @@ fn option_names() -> String {
 
 impl From<RinexError> for Refusal {
     fn from(error: RinexError) -> Self {
-        let code = match &error {
+        Self::from(&error)
+    }
+}
+
+impl From<ReceptionError> for Refusal {
+    fn from(error: ReceptionError) -> Self {
+        match &error {
+            ReceptionError::Rinex(error) => Self::from(&**error),
+            ReceptionError::Unrecognised { .. }
+            | ReceptionError::Unsupported { .. }
+            | ReceptionError::EpochTooLong { .. } => {
+                Self::new(Code::RawFormatUnknown, error.to_string()).at("content")
+            }
+        }
+    }
+}
+
+impl From<&RinexError> for Refusal {
+    fn from(error: &RinexError) -> Self {
+        let code = match error {
             RinexError::NotRinex { .. } => Code::RinexNotRinex,
             RinexError::WrongKind { .. } => Code::RinexWrongKind,
             RinexError::UnsupportedVersion { .. } => Code::RinexUnsupportedVersion,
@@ -111,7 +131,11 @@ impl From<SessionError> for Refusal {
         let (code, field) = match error {
             SessionError::Configuration(error) => return error.into(),
             SessionError::Store(error) => return error.into(),
-            SessionError::Base(error) => return error.into(),
+            SessionError::Aiding(error) => return error.into(),
+            SessionError::Raw(error) => return error.into(),
+            SessionError::PieceTooLarge { .. } => (Code::PieceTooLarge, Some("content")),
+            SessionError::RawGap { .. } => (Code::RawGap, Some("offset")),
+            SessionError::RawConflict { .. } => (Code::RawConflict, Some("content")),
             SessionError::BaseRequired { .. } => (Code::BaseRequired, Some("base")),
             SessionError::NotFound { .. } => (Code::SessionNotFound, Some("session")),
             SessionError::Closed { .. } => (Code::SessionClosed, Some("session")),

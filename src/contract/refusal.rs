@@ -147,6 +147,17 @@ codes! {
     /// An epoch whose time is not after the last one's.
     OutOfOrder = "OUT_OF_ORDER", Precondition,
         "send epochs in order of time; open a new session for older data";
+    /// A piece of raw bytes larger than allowed.
+    PieceTooLarge = "PIECE_TOO_LARGE", TooLarge,
+        "send smaller pieces, or let the operator raise limits.raw_piece_bytes";
+    /// Bytes are missing before a piece of raw bytes.
+    RawGap = "RAW_GAP", Precondition, "go on at rawThrough of the session";
+    /// Other raw bytes are stored at the place of a piece.
+    RawConflict = "RAW_CONFLICT", Conflict,
+        "count offsets from the first byte ever sent to the session";
+    /// Raw bytes that are neither RTCM 3, UBX nor RINEX observations.
+    RawFormatUnknown = "RAW_FORMAT_UNKNOWN", Malformed,
+        "send RTCM 3, UBX or RINEX observations, not packed, from the stream's beginning";
     /// The session has as many epochs waiting as it may.
     MailboxFull = "MAILBOX_FULL", Exhausted,
         "wait as long as the answer says and send the same epochs again";

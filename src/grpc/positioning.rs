@@ -16,6 +16,13 @@ impl Positioning for Door {
         carry(calls::positioning::push_epochs(&self.0, request.into_inner()).await)
     }
 
+    async fn push_raw(
+        &self,
+        request: Request<v1::PushRawRequest>,
+    ) -> Result<Response<v1::PushRawResponse>, Status> {
+        carry(calls::raw::push(&self.0, request.into_inner()).await)
+    }
+
     async fn solve(
         &self,
         request: Request<v1::SolveRequest>,

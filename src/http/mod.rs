@@ -7,6 +7,7 @@ mod openapi;
 mod pages;
 mod positioning;
 mod problem;
+mod raw;
 mod server;
 mod sessions;
 mod solutions;
@@ -39,6 +40,7 @@ pub fn router(service: &Service) -> Router {
                 .post(positioning::solve),
         )
         .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))
+        .route("/v1/sessions/{session}/raw", post(raw::push))
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
         .route("/v1/solve", post(positioning::solve_once))
         .route("/v1/navigation", get(navigation::status).post(navigation::push))

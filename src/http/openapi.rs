@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi;
 
-use super::{bases, navigation, positioning, sessions, solutions};
+use super::{bases, navigation, positioning, raw, sessions, solutions};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -28,6 +28,7 @@ use super::{bases, navigation, positioning, sessions, solutions};
         sessions::update,
         sessions::close,
         positioning::push_epochs,
+        raw::push,
         positioning::solve,
         positioning::solve_once,
         solutions::list,

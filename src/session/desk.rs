@@ -5,7 +5,6 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, oneshot};
@@ -17,16 +16,19 @@ use crate::store::{
     BaseName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
+use super::clock::unix_ms;
 use super::configuration::{settings, stored_options};
 use super::solvers::Solvers;
-use super::task::{Message, Place, Submission, Task};
+use super::task::{Message, Place, RawSubmission, Submission, Task};
 use super::{
-    NewSession, Pending, SequencedEpoch, SessionError, SessionId, SessionInfo, SessionLimits,
-    SessionUpdate, Submitted,
+    NewSession, Pending, RawPiece, RawReceived, SequencedEpoch, SessionError, SessionId,
+    SessionInfo, SessionLimits, SessionUpdate, Submitted,
 };
 
 /// Locks that starting and closing a session share, by its id.
 const STARTING_LOCKS: usize = 64;
+/// What raw bytes take of the room for epochs: no receiver says less of an epoch.
+const BYTES_PER_EPOCH: usize = 256;
 
 /// The desk for sessions. Clones share it.
 ///
@@ -216,17 +218,53 @@ impl Sessions {
         epochs: Vec<SequencedEpoch>,
     ) -> Result<Pending, SessionError> {
         self.check_batch(&epochs)?;
-        let mut epochs = epochs;
-        if let Some(pending) = self.post(id, &mut epochs)? {
-            return Ok(pending);
+        let count = epochs.len();
+        let (reply, answer) = oneshot::channel();
+        let submission = Submission { epochs, place: None, reply };
+        self.send(id, Message::Submission(submission), count).await?;
+        Ok(Pending(answer))
+    }
+
+    /// Takes a piece of a receiver's stream; returns when its bytes, and the epochs that they
+    /// complete, are durable. Pieces of calls that follow one another are taken in that order.
+    ///
+    /// # Errors
+    /// The piece was refused, or could not be committed: nothing of it is acknowledged.
+    pub async fn receive(
+        &self,
+        id: &SessionId,
+        piece: RawPiece,
+    ) -> Result<RawReceived, SessionError> {
+        let (bytes, limit) = (piece.content.len(), self.desk.limits.raw_piece_bytes);
+        if limit < bytes {
+            return Err(SessionError::PieceTooLarge { bytes, limit });
+        }
+        // How many epochs it holds is not known yet: it takes room by its length.
+        let room = (bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_batch);
+        let (reply, answer) = oneshot::channel();
+        let submission = Box::new(RawSubmission { piece, place: None, reply });
+        self.send(id, Message::Raw(submission), room).await?;
+        answer.await.unwrap_or(Err(SessionError::Interrupted))
+    }
+
+    /// Puts a message into the session's mailbox, whose task is started if none runs.
+    async fn send(
+        &self,
+        id: &SessionId,
+        message: Message,
+        room: usize,
+    ) -> Result<(), SessionError> {
+        let mut message = Some(message);
+        if self.post(id, &mut message, room)? {
+            return Ok(());
         }
         let _starting = self.starting(id).lock().await;
-        if let Some(pending) = self.post(id, &mut epochs)? {
-            return Ok(pending); // Another call has started it meanwhile.
+        if self.post(id, &mut message, room)? {
+            return Ok(()); // Another call has started it meanwhile.
         }
         let row = self.open_row(id).await?;
         self.start(id, row.key)?;
-        self.post(id, &mut epochs)?.ok_or(SessionError::Interrupted)
+        if self.post(id, &mut message, room)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
     /// Stored solutions of a session, open or closed, in order of number and revision.
@@ -316,12 +354,13 @@ impl Sessions {
         &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
     }
 
-    /// Puts the epochs into the mailbox of a running task; `None` leaves them, for none runs.
+    /// Puts a message into the mailbox of a running task; `false` leaves it, for none runs.
     fn post(
         &self,
         id: &SessionId,
-        epochs: &mut Vec<SequencedEpoch>,
-    ) -> Result<Option<Pending>, SessionError> {
+        message: &mut Option<Message>,
+        room: usize,
+    ) -> Result<bool, SessionError> {
         let Desk { limits, waiting: of_all, .. } = &*self.desk;
         let retry_after = limits.retry_after;
         let mut tasks = self.tasks();
@@ -330,33 +369,30 @@ impl Sessions {
         }
         tasks.posted += 1;
         let posted = tasks.posted;
-        let Some(handle) = tasks.handles.get_mut(id) else { return Ok(None) };
+        let Some(handle) = tasks.handles.get_mut(id) else { return Ok(false) };
         let (waiting, limit) = (handle.waiting.load(Ordering::Acquire), limits.mailbox_epochs);
-        if limit < waiting + epochs.len() {
+        if limit < waiting + room {
             return Err(SessionError::MailboxFull { waiting, limit, retry_after });
         }
         let (all, limit) = (of_all.load(Ordering::Acquire), limits.waiting_epochs);
-        if limit < all + epochs.len() {
+        if limit < all + room {
             return Err(SessionError::Overloaded { waiting: all, limit, retry_after });
         }
-        let place = Place::take(epochs.len(), &handle.waiting, of_all);
-        let (reply, answer) = oneshot::channel();
-        let submission = Submission { epochs: mem::take(epochs), place, reply };
-        match handle.mailbox.try_send(Message::Submission(submission)) {
+        let Some(mut posting) = message.take() else { return Ok(true) };
+        posting.put(Place::take(room, &handle.waiting, of_all));
+        match handle.mailbox.try_send(posting) {
             Ok(()) => {
                 handle.last_used = posted;
-                Ok(Some(Pending(answer)))
+                Ok(true)
             }
             Err(TrySendError::Full(_)) => {
                 let limit = limits.mailbox_epochs;
                 Err(SessionError::MailboxFull { waiting, limit, retry_after })
             }
-            Err(TrySendError::Closed(message)) => {
-                if let Message::Submission(submission) = message {
-                    *epochs = submission.epochs;
-                }
+            Err(TrySendError::Closed(posting)) => {
+                *message = Some(posting);
                 tasks.handles.remove(id);
-                Ok(None)
+                Ok(false)
             }
         }
     }
@@ -380,6 +416,7 @@ impl Sessions {
             store: store.clone(),
             aiding: aiding.clone(),
             solvers: solvers.clone(),
+            epochs_per_batch: limits.epochs_per_batch,
             observations_per_epoch: limits.observations_per_epoch,
             outdated: outdated.clone(),
         };
@@ -414,11 +451,7 @@ fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
         created_unix_ms: row.created_unix_ms,
         closed_unix_ms: row.closed_unix_ms,
         durable_through: row.last_seq,
+        raw_through: row.raw_through,
         base: row.settings.base.map(|base| base.id),
     })
-}
-
-fn unix_ms() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("the clock is past 1970");
-    i64::try_from(since.as_millis()).expect("the clock is not millions of years ahead")
 }

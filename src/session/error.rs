@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::aiding::AidingError;
 use crate::config::ConfigError;
+use crate::reception::ReceptionError;
 use crate::store::StoreError;
 
 /// Why the desk refuses a call. Refusals of single epochs are [`super::EpochRefusal`].
@@ -30,9 +31,9 @@ pub enum SessionError {
         /// The mode.
         mode: &'static str,
     },
-    /// The base is refused.
+    /// Base or navigation data are refused.
     #[error(transparent)]
-    Base(#[from] AidingError),
+    Aiding(#[from] AidingError),
     /// The label is too long.
     #[error("the label has {length} characters, allowed are {limit}")]
     LabelTooLong {
@@ -111,6 +112,33 @@ pub enum SessionError {
         /// What it said.
         message: String,
     },
+    /// A piece of raw bytes is larger than allowed.
+    #[error("a piece of {bytes} bytes, allowed are {limit}")]
+    PieceTooLarge {
+        /// Its length.
+        bytes: usize,
+        /// The length allowed.
+        limit: usize,
+    },
+    /// Bytes are missing before a piece.
+    #[error("the piece begins at byte {offset}, stored are {through} bytes")]
+    RawGap {
+        /// Where it begins.
+        offset: u64,
+        /// Where the stream goes on.
+        through: u64,
+    },
+    /// Other bytes are stored at the place of a piece.
+    #[error("other bytes are stored at the place of bytes {offset} to {end}")]
+    RawConflict {
+        /// Where the piece begins.
+        offset: u64,
+        /// Where it ends.
+        end: u64,
+    },
+    /// Raw bytes that cannot be decoded.
+    #[error(transparent)]
+    Raw(ReceptionError),
     /// The session's task ended before it answered; nothing of the batch is acknowledged.
     #[error("the session was interrupted before the batch was committed")]
     Interrupted,
@@ -121,13 +149,13 @@ pub enum SessionError {
 
 impl SessionError {
     /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    pub fn code(&self) -> &'static str {
         match self {
             Self::NotFound { .. } => "SESSION_NOT_FOUND",
             Self::Closed { .. } => "SESSION_CLOSED",
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => "BASE_REQUIRED",
-            Self::Base(error) => error.code(),
+            Self::Aiding(error) => error.code(),
             Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
             Self::NoEpochs => "NO_EPOCHS",
             Self::TooManyEpochs { .. } => "TOO_MANY_EPOCHS",
@@ -139,19 +167,23 @@ impl SessionError {
             Self::Empty { .. } => "SESSION_EMPTY",
             Self::Draining => "DRAINING",
             Self::EstimatorFailed { .. } => "ESTIMATOR_FAILED",
+            Self::PieceTooLarge { .. } => "PIECE_TOO_LARGE",
+            Self::RawGap { .. } => "RAW_GAP",
+            Self::RawConflict { .. } => "RAW_CONFLICT",
+            Self::Raw(error) => error.code(),
             Self::Interrupted => "INTERRUPTED",
             Self::Store(error) => error.code(),
         }
     }
 
     /// What the caller can do about it.
-    pub const fn remedy(&self) -> &'static str {
+    pub fn remedy(&self) -> &'static str {
         match self {
             Self::NotFound { .. } => "create the session first, or check its id",
             Self::Closed { .. } => "create a new session; what this one stored stays readable",
             Self::Configuration(_) => "list the options and their values with `graphfix config`",
             Self::BaseRequired { .. } => "create a base, push its epochs, and name it",
-            Self::Base(error) => error.remedy(),
+            Self::Aiding(error) => error.remedy(),
             Self::LabelTooLong { .. } => "shorten the label",
             Self::NoEpochs => "send at least one epoch",
             Self::TooManyEpochs { .. } => "send the epochs in several batches",
@@ -163,6 +195,10 @@ impl SessionError {
             Self::Empty { .. } => "push an epoch first",
             Self::Draining => "send the same batch again once the service is back",
             Self::EstimatorFailed { .. } => "report this with the batch; resend the epochs singly",
+            Self::PieceTooLarge { .. } => "send the bytes in smaller pieces",
+            Self::RawGap { .. } => "go on at rawThrough of the session",
+            Self::RawConflict { .. } => "count offsets from the first byte ever sent",
+            Self::Raw(error) => error.remedy(),
             Self::Interrupted => "send the same batch again; what is stored is answered from there",
             Self::Store(error) => error.remedy(),
         }

@@ -101,6 +101,8 @@ pub struct SessionInfo {
     pub closed_unix_ms: Option<i64>,
     /// The last committed epoch: all acknowledged ones up to it are durable.
     pub durable_through: Option<u64>,
+    /// Raw bytes of the receiver that are stored: at this offset its device goes on.
+    pub raw_through: Option<u64>,
     /// Id of the base of modes relative to one.
     pub base: Option<Arc<str>>,
 }

@@ -13,6 +13,8 @@ pub struct SessionLimits {
     pub waiting_epochs: usize,
     /// Epochs of one batch.
     pub epochs_per_batch: usize,
+    /// Bytes of one piece of a receiver's stream.
+    pub raw_piece_bytes: usize,
     /// Observations of one epoch.
     pub observations_per_epoch: usize,
     /// Sessions that hold an estimator in memory; the least recently used idle one is parked.
@@ -32,6 +34,7 @@ impl SessionLimits {
             mailbox_epochs: 2_048,
             waiting_epochs: 32_768,
             epochs_per_batch: 1_024,
+            raw_piece_bytes: 256 << 10,
             observations_per_epoch: 512,
             active_sessions: 4_096,
             label_characters: 200,

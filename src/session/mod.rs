@@ -30,12 +30,14 @@
 //! `COMMIT`), the task forgets its state and restores it from the store before the next piece.
 //! Clients resend; what had been stored after all is answered from the store.
 
+mod clock;
 mod configuration;
 mod desk;
 mod error;
 mod info;
 mod limits;
 mod piece;
+mod raw;
 mod recomputation;
 mod replay;
 mod solve;
@@ -48,6 +50,7 @@ pub use desk::Sessions;
 pub use error::SessionError;
 pub use info::{NewSession, SessionId, SessionInfo, SessionUpdate};
 pub use limits::SessionLimits;
+pub use raw::{RawPiece, RawReceived};
 pub use recomputation::{Check, Recomputation};
 pub use solve::{Burst, Computed, SolveRequest};
 pub use submission::{

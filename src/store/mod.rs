@@ -1,4 +1,4 @@
-//! SQL, and nothing else has any: sessions, bases, epochs, solutions and navigation on
+//! SQL, and nothing else has any: sessions, bases, epochs, raw bytes, solutions and navigation on
 //! SQLite or Postgres.
 //!
 //! [`Store`] holds either pool; one text of SQL with `$1` serves both wherever it can, and both
@@ -17,6 +17,7 @@ mod error;
 mod navigation;
 mod page;
 mod pool;
+mod raw;
 mod sessions;
 mod snapshots;
 mod solutions;
@@ -33,6 +34,7 @@ pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;
 pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
 pub use page::Page;
+pub use raw::{RawChange, RawPiecePlace, RawPosition};
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};

@@ -58,6 +58,8 @@ pub struct SessionRow {
     pub closed_unix_ms: Option<i64>,
     /// Its last epoch.
     pub last_seq: Option<u64>,
+    /// How many raw bytes of its receiver are stored.
+    pub raw_through: Option<u64>,
 }
 
 #[derive(sqlx::FromRow)]
@@ -73,6 +75,7 @@ struct RawSession {
     created_unix_ms: i64,
     closed_unix_ms: Option<i64>,
     last_seq: Option<i64>,
+    raw_through: Option<i64>,
     base: Option<i64>,
     base_id: Option<String>,
 }
@@ -95,6 +98,7 @@ impl RawSession {
             created_unix_ms: self.created_unix_ms,
             closed_unix_ms: self.closed_unix_ms,
             last_seq: self.last_seq.map(|seq| seq as u64),
+            raw_through: self.raw_through.map(|through| through as u64),
         })
     }
 }
@@ -115,6 +119,8 @@ macro_rules! select_sessions {
             "SELECT key, id, label, mode, profile, overrides, configuration, configuration_hash, ",
             "created_unix_ms, closed_unix_ms, ",
             "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq, ",
+            "(SELECT through FROM raw_streams WHERE raw_streams.session = sessions.key) ",
+            "AS raw_through, ",
             "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id ",
             "FROM sessions ",
             $condition
@@ -158,6 +164,7 @@ impl Store {
             created_unix_ms,
             closed_unix_ms: None,
             last_seq: None,
+            raw_through: None,
         })
     }
 

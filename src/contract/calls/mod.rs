@@ -4,6 +4,7 @@
 pub mod bases;
 pub mod navigation;
 pub mod positioning;
+pub mod raw;
 pub mod sessions;
 pub mod solutions;
 mod upload;

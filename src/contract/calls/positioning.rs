@@ -87,26 +87,9 @@ pub(super) fn epochs(
 }
 
 fn answer(submitted: Submitted) -> Result<v1::PushEpochsResponse, Refusal> {
-    let mut refused = None;
-    let mut taken = false;
-    let mut results = Vec::with_capacity(submitted.outcomes.len());
-    for (index, EpochOutcome { seq, result }) in submitted.outcomes.into_iter().enumerate() {
-        let mut message = v1::EpochResult { seq, solution: None, refusal: None };
-        match result {
-            Ok(acknowledged) => {
-                taken = true;
-                message.solution = Some(convert::stored(&acknowledged.solution));
-            }
-            Err(refusal) => {
-                let refusal = Refusal::from(refusal).within(&format!("epochs[{index}]"));
-                message.refusal = Some(convert::refusal(&refusal));
-                refused.get_or_insert(refusal);
-            }
-        }
-        results.push(message);
-    }
+    let (results, refused) = results(submitted.outcomes);
     match refused {
-        Some(first) if !taken => Err(first),
+        Some(first) if results.iter().all(|result| result.solution.is_none()) => Err(first),
         _ => Ok(v1::PushEpochsResponse { results, durable_through: submitted.durable_through }),
     }
 }
@@ -119,4 +102,23 @@ fn message(computed: &Computed) -> v1::Solution {
         version: &computed.version,
     };
     convert::solution(&computed.solution, stored)
+}
+
+/// Each epoch's answer, and the first refusal.
+pub(super) fn results(outcomes: Vec<EpochOutcome>) -> (Vec<v1::EpochResult>, Option<Refusal>) {
+    let mut refused = None;
+    let mut results = Vec::with_capacity(outcomes.len());
+    for (index, EpochOutcome { seq, result }) in outcomes.into_iter().enumerate() {
+        let mut message = v1::EpochResult { seq, solution: None, refusal: None };
+        match result {
+            Ok(acknowledged) => message.solution = Some(convert::stored(&acknowledged.solution)),
+            Err(refusal) => {
+                let refusal = Refusal::from(refusal).within(&format!("epochs[{index}]"));
+                message.refusal = Some(convert::refusal(&refusal));
+                refused.get_or_insert(refusal);
+            }
+        }
+        results.push(message);
+    }
+    (results, refused)
 }

@@ -106,6 +106,7 @@ fn message(info: SessionInfo) -> v1::Session {
         created_utc: utc(info.created_unix_ms),
         closed: info.closed_unix_ms.is_some(),
         durable_through: info.durable_through,
+        raw_through: info.raw_through,
         base: info.base.map(|id| id.to_string()).unwrap_or_default(),
     }
 }

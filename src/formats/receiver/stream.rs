@@ -101,6 +101,16 @@ impl Decoder {
         &self.statistics
     }
 
+    /// What the stream held since this was last asked for.
+    pub fn take_statistics(&mut self) -> Statistics {
+        std::mem::take(&mut self.statistics)
+    }
+
+    /// Tells a time within half a day of what comes, as after a gap that the stream does not tell.
+    pub fn date(&mut self, time: GpsTime) {
+        self.clock.set(time);
+    }
+
     /// The newest time known: the reference's, or one the stream told.
     pub const fn time(&self) -> Option<GpsTime> {
         self.clock.time()

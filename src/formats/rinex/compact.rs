@@ -25,7 +25,7 @@ const SATELLITES_COLUMN_3: usize = 41;
 const NUMBERS: usize = 100;
 
 /// What the differences refer to.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct CompactState {
     /// The epoch line in full, empty where the next must be given in full.
     epoch_line: Vec<u8>,

@@ -257,6 +257,19 @@ impl HeaderState {
         !self.stated.is_empty()
     }
 
+    /// What the meaning of columns rests on.
+    pub(super) fn layout(&self) -> impl PartialEq + use<'_> {
+        let Self { header, types2, types3, scales, half_cycles, half_cycles_of, .. } = self;
+        (header.time_scale, types2, types3, scales, half_cycles, half_cycles_of)
+    }
+
+    /// The refusal of a layout that changes inside the file.
+    pub(super) fn changed_inside(&self, line: u64) -> RinexError {
+        let reason = "it changes inside the stream: end the stream, begin another with this header";
+        let rinex2 = self.header.version.major == 2;
+        self.invalid(line, if rinex2 { TYPES_LABEL_2 } else { TYPES_LABEL_3 }, reason)
+    }
+
     fn first_observation(&mut self, line: &[u8]) -> Option<()> {
         let scale = match columns(line, 48, 51).trim_ascii() {
             b"" => self.header.time_scale,

@@ -9,7 +9,7 @@ pub(super) const LINE_LIMIT: usize = 1 << 15;
 const BUFFER_BYTES: usize = 1 << 16;
 
 /// Splits what `input` gives into lines at `\n` or `\r\n`.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Lines<R> {
     input: R,
     buffer: Vec<u8>,
@@ -32,6 +32,21 @@ impl<R: Read> Lines<R> {
     /// Number (from 1) of the line last given, 0 before the first.
     pub(super) const fn number(&self) -> u64 {
         self.number
+    }
+
+    /// What gives the bytes.
+    pub(super) const fn input(&self) -> &R {
+        &self.input
+    }
+
+    /// The same, to give it more.
+    pub(super) const fn input_mut(&mut self) -> &mut R {
+        &mut self.input
+    }
+
+    /// Bytes that `input` gave and no line has taken.
+    pub(super) const fn untaken(&self) -> usize {
+        self.end - self.next
     }
 
     /// The next line without its end, or `None` after the last.

@@ -37,6 +37,7 @@ mod navigation_writer;
 
 mod observation;
 mod observation_writer;
+mod pieces;
 #[cfg(test)]
 mod round_trip;
 mod skipped;
@@ -49,4 +50,5 @@ pub use navigation::read_navigation;
 pub use navigation_writer::write_navigation;
 pub use observation::ObservationReader;
 pub use observation_writer::ObservationWriter;
+pub use pieces::PieceReader;
 pub use skipped::{SkipReason, Skipped, SkippedEntry};

@@ -14,7 +14,7 @@ use crate::gnss::{CivilTime, Constellation, Epoch, GpsTime, LeapSeconds, Satelli
 pub(super) const SATELLITES_LIMIT: usize = 300;
 
 /// Reads epochs of observations one at a time.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct ObservationReader<R> {
     pub(super) lines: Lines<R>,
     pub(super) state: HeaderState,

@@ -17,7 +17,7 @@ use crate::gnss::Epoch;
 
 use super::codec::{encode_epoch, encode_solution, status_number};
 use super::pool::Pool;
-use super::{BaseUse, SessionKey, StoreError, StoredSolution};
+use super::{BaseUse, RawChange, SessionKey, StoreError, StoredSolution};
 
 /// Batches that may wait while a transaction runs; those who commit wait for a place.
 const QUEUE: usize = 1_024;
@@ -35,6 +35,8 @@ pub struct Batch {
     pub revisions: Vec<EncodedSolution>,
     /// The estimator's state after the last of the epochs.
     pub snapshot: Option<EncodedSnapshot>,
+    /// A piece of raw bytes, from which the epochs were decoded.
+    pub raw: Option<Box<RawChange>>,
     /// Closes the session (ms since 1970-01-01 UTC), if it is open.
     pub closed_unix_ms: Option<i64>,
 }
@@ -47,6 +49,7 @@ impl Batch {
             epochs: Vec::new(),
             revisions: Vec::new(),
             snapshot: None,
+            raw: None,
             closed_unix_ms: None,
         }
     }
@@ -56,6 +59,7 @@ impl Batch {
         self.epochs.is_empty()
             && self.revisions.is_empty()
             && self.snapshot.is_none()
+            && self.raw.is_none()
             && self.closed_unix_ms.is_none()
     }
 }

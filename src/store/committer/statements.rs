@@ -4,6 +4,8 @@ use std::sync::LazyLock;
 
 use sqlx::{PgConnection, PgPool, SqliteConnection, SqlitePool};
 
+use crate::store::RawPosition;
+
 use super::{Batch, EncodedEpoch, EncodedSolution, SessionKey};
 
 /// Rows per statement: few texts, each prepared once, and no more than 32 766 parameters.
@@ -24,6 +26,20 @@ const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuratio
     WHERE snapshots.seq < excluded.seq";
 const CLOSE: &str =
     "UPDATE sessions SET closed_unix_ms = $2 WHERE key = $1 AND closed_unix_ms IS NULL";
+const INSERT_RAW: &str =
+    "INSERT INTO raw_pieces (session, start, through, content) VALUES ($1, $2, $3, $4)";
+const UPSERT_RAW: &str = "INSERT INTO raw_streams \
+    (session, stream, header_end, tail, through, gps_time_ns, received_unix_ms, piece, piece_ends, \
+     first_seq, last_seq) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11) \
+    ON CONFLICT (session) DO UPDATE SET stream = excluded.stream, \
+    header_end = excluded.header_end, tail = excluded.tail, through = excluded.through, \
+    gps_time_ns = excluded.gps_time_ns, received_unix_ms = excluded.received_unix_ms, \
+    piece = excluded.piece, piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
+    last_seq = excluded.last_seq";
+/// What neither restores the stream nor is of the last piece.
+const FORGET_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
+    AND (through <= $3 OR $4 <= start)";
+const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
 
 static EPOCH_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
     ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows, ""))
@@ -57,6 +73,69 @@ fn solution_rows<'a>(batches: &[&'a Batch]) -> Vec<SolutionRow<'a>> {
     batches.iter().flat_map(rows).collect()
 }
 
+/// Writes what a batch has one of.
+macro_rules! write_changes {
+    ($transaction:ident, $batches:expr) => {
+        for batch in $batches {
+            let session = batch.session.0;
+            if let Some(snapshot) = &batch.snapshot {
+                sqlx::query(UPSERT_SNAPSHOT)
+                    .bind(session)
+                    .bind(snapshot.seq)
+                    .bind(&*snapshot.configuration_hash)
+                    .bind(&snapshot.content[..])
+                    .execute(&mut *$transaction)
+                    .await?;
+            }
+            if let Some(raw) = &batch.raw {
+                write_raw!($transaction, session, raw);
+            }
+            if let Some(unix_ms) = batch.closed_unix_ms {
+                let close = sqlx::query(CLOSE).bind(session).bind(unix_ms);
+                close.execute(&mut *$transaction).await?;
+                sqlx::query(FORGET_ALL_RAW).bind(session).execute(&mut *$transaction).await?;
+            }
+        }
+    };
+}
+/// Writes a piece of raw bytes and how far it brings the stream, and forgets what is not needed.
+macro_rules! write_raw {
+    ($transaction:ident, $session:expr, $raw:expr) => {{
+        let RawPosition { stream, header_end, tail, through, time, received_unix_ms, piece } =
+            &$raw.position;
+        if !$raw.content.is_empty() {
+            sqlx::query(INSERT_RAW)
+                .bind($session)
+                .bind($raw.start() as i64)
+                .bind(*through as i64)
+                .bind(&$raw.content[..])
+                .execute(&mut *$transaction)
+                .await?;
+        }
+        sqlx::query(UPSERT_RAW)
+            .bind($session)
+            .bind(*stream as i64)
+            .bind(*header_end as i64)
+            .bind(*tail as i64)
+            .bind(*through as i64)
+            .bind(time.as_ns())
+            .bind(*received_unix_ms)
+            .bind(piece.start as i64)
+            .bind(i64::from(piece.is_end))
+            .bind(piece.first_seq as i64)
+            .bind(piece.last_seq as i64)
+            .execute(&mut *$transaction)
+            .await?;
+        sqlx::query(FORGET_RAW)
+            .bind($session)
+            .bind((*tail).min(piece.start) as i64)
+            .bind(*stream as i64)
+            .bind(*header_end as i64)
+            .execute(&mut *$transaction)
+            .await?;
+    }};
+}
+
 /// Writes the batches in one transaction.
 pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await?;
@@ -74,21 +153,7 @@ pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Resul
             rest = after;
         }
     }
-    for batch in batches {
-        if let Some(snapshot) = &batch.snapshot {
-            sqlx::query(UPSERT_SNAPSHOT)
-                .bind(batch.session.0)
-                .bind(snapshot.seq)
-                .bind(&*snapshot.configuration_hash)
-                .bind(&snapshot.content[..])
-                .execute(&mut *transaction)
-                .await?;
-        }
-        if let Some(unix_ms) = batch.closed_unix_ms {
-            let close = sqlx::query(CLOSE).bind(batch.session.0).bind(unix_ms);
-            close.execute(&mut *transaction).await?;
-        }
-    }
+    write_changes!(transaction, batches);
     transaction.commit().await
 }
 
@@ -139,21 +204,7 @@ async fn insert_solutions(
 pub(super) async fn write_postgres(pool: &PgPool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin().await?;
     insert_arrays(&mut transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
-    for batch in batches {
-        if let Some(snapshot) = &batch.snapshot {
-            sqlx::query(UPSERT_SNAPSHOT)
-                .bind(batch.session.0)
-                .bind(snapshot.seq)
-                .bind(&*snapshot.configuration_hash)
-                .bind(&snapshot.content[..])
-                .execute(&mut *transaction)
-                .await?;
-        }
-        if let Some(unix_ms) = batch.closed_unix_ms {
-            let close = sqlx::query(CLOSE).bind(batch.session.0).bind(unix_ms);
-            close.execute(&mut *transaction).await?;
-        }
-    }
+    write_changes!(transaction, batches);
     transaction.commit().await
 }
 

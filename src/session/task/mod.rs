@@ -1,5 +1,7 @@
 //! One session's task: sole owner of its estimator, in order of arrival.
 
+mod receive;
+
 use std::collections::HashMap;
 use std::mem;
 use std::sync::Arc;
@@ -8,14 +10,16 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
-use crate::store::{Batch, EncodedSolution, SessionKey, Store, StoreError, StoredEpoch};
+use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
 use super::piece::{Piece, PieceAiding, Plan};
+use super::raw::Reception;
 use super::replay::{By, Course, origin_in_force, restored};
 use super::solvers::Solvers;
 use super::state::{Origin, State};
 use super::{
-    Acknowledged, EpochOutcome, EpochRefusal, SequencedEpoch, SessionError, SessionId, Submitted,
+    Acknowledged, EpochOutcome, EpochRefusal, RawPiece, RawReceived, SequencedEpoch, SessionError,
+    SessionId, Submitted,
 };
 
 /// Epochs after which a piece takes no further batch.
@@ -27,6 +31,8 @@ const EPOCHS_WORTH_STORING: usize = 32;
 pub(super) enum Message {
     /// Epochs to be positioned.
     Submission(Submission),
+    /// A piece of raw bytes.
+    Raw(Box<RawSubmission>),
     /// The last message: closes the session at a time (ms since 1970-01-01 UTC).
     Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
 }
@@ -34,8 +40,28 @@ pub(super) enum Message {
 /// A batch in the mailbox.
 pub(super) struct Submission {
     pub(super) epochs: Vec<SequencedEpoch>,
-    pub(super) place: Place,
+    /// Taken when it is posted.
+    pub(super) place: Option<Place>,
     pub(super) reply: oneshot::Sender<Result<Submitted, SessionError>>,
+}
+
+/// A piece in the mailbox.
+pub(super) struct RawSubmission {
+    pub(super) piece: RawPiece,
+    /// Taken when it is posted.
+    pub(super) place: Option<Place>,
+    pub(super) reply: oneshot::Sender<Result<RawReceived, SessionError>>,
+}
+
+impl Message {
+    /// Gives it the room that it takes while it waits.
+    pub(super) fn put(&mut self, taken: Place) {
+        match self {
+            Self::Submission(submission) => submission.place = Some(taken),
+            Self::Raw(submission) => submission.place = Some(taken),
+            Self::Close { .. } => {}
+        }
+    }
 }
 
 /// The room that epochs take while they wait; dropping it gives the room back.
@@ -71,15 +97,25 @@ pub(super) struct Task {
     pub(super) store: Store,
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
+    pub(super) epochs_per_batch: usize,
     pub(super) observations_per_epoch: usize,
     /// The settings have changed: read them before the next piece.
     pub(super) outdated: Arc<AtomicBool>,
 }
 
-/// The estimator in memory.
+/// What of the session is in memory.
 struct Active {
     committed: State,
     origin: Arc<Origin>,
+    /// The stream of its receiver, once raw bytes have come.
+    raw: Option<Box<Reception>>,
+}
+
+impl Active {
+    /// Number of the last epoch.
+    fn last_seq(&self) -> Option<u64> {
+        self.committed.last.map(|(seq, _)| seq)
+    }
 }
 
 impl Task {
@@ -89,25 +125,35 @@ impl Task {
         let mut active = None;
         while let Some(first) = inbox.recv().await {
             let (mut next, mut epochs) = (Some(first), 0);
-            let (mut submissions, mut closing) = (Vec::new(), None);
+            let (mut submissions, mut other) = (Vec::new(), None);
             while let Some(message) = next {
                 match message {
                     Message::Submission(submission) => {
                         epochs += submission.epochs.len();
                         submissions.push(submission);
                     }
-                    Message::Close { unix_ms, reply } => closing = Some((unix_ms, reply)),
+                    message => other = Some(message),
                 }
-                let is_full = EPOCHS_PER_PIECE <= epochs || closing.is_some();
+                let is_full = EPOCHS_PER_PIECE <= epochs || other.is_some();
                 next = if is_full { None } else { inbox.try_recv().ok() };
             }
             if !submissions.is_empty() {
                 self.answer(&mut active, submissions).await;
             }
-            if let Some((unix_ms, reply)) = closing {
-                // Err: who closes has gone; the session is closed all the same.
-                reply.send(self.close(active, unix_ms).await).ok();
-                return;
+            match other {
+                Some(Message::Raw(submission)) => {
+                    let RawSubmission { piece, place, reply } = *submission;
+                    // Boxed: a task at rest is as large as the largest of its waits.
+                    let answer = Box::pin(self.receive(&mut active, piece)).await;
+                    drop(place);
+                    reply.send(answer).ok(); // Err: the client hung up.
+                }
+                Some(Message::Close { unix_ms, reply }) => {
+                    // Err: who closes has gone; the session is closed all the same.
+                    reply.send(self.close(active, unix_ms).await).ok();
+                    return;
+                }
+                Some(Message::Submission(_)) | None => {}
             }
         }
         self.park(active).await;
@@ -143,7 +189,7 @@ impl Task {
     async fn answer(&self, active: &mut Option<Active>, mut submissions: Vec<Submission>) {
         let batches: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
         let lengths: Vec<usize> = batches.iter().map(Vec::len).collect();
-        let answers = self.process(active, batches.into_iter().flatten().collect()).await;
+        let answers = self.advance(active, batches.into_iter().flatten().collect()).await;
         let mut answers = answers.map(|(outcomes, through)| (outcomes.into_iter(), through));
         for (Submission { place, reply, .. }, length) in submissions.into_iter().zip(lengths) {
             let answer = match &mut answers {
@@ -158,24 +204,35 @@ impl Task {
         }
     }
 
-    /// Positions and commits epochs. Only then is the new state kept; after a failure none is, and
-    /// the next piece starts from what the store holds.
-    async fn process(
+    async fn advance(
         &self,
         active: &mut Option<Active>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let Active { committed, origin } = self.activated(active.take()).await?;
+        let held = self.activated(active.take()).await?;
+        self.process(active, held, epochs, None).await
+    }
+
+    /// Positions and commits epochs, and the piece of raw bytes that they are from. Only then is
+    /// the new state kept; after a failure none is, and the next piece starts from what the store
+    /// holds.
+    async fn process(
+        &self,
+        active: &mut Option<Active>,
+        Active { committed, origin, raw: reception }: Active,
+        epochs: Vec<SequencedEpoch>,
+        raw: Option<Box<RawChange>>,
+    ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
         let (piece, committed) = self.position(committed, &origin, epochs).await?;
         let Piece { state, plans, rows, revisions, snapshot, solutions } = piece;
         let stored = self.lookup(&plans).await?;
-        let batch = Batch { epochs: rows, revisions, snapshot, ..Batch::new(self.key) };
+        let batch = Batch { epochs: rows, revisions, snapshot, raw, ..Batch::new(self.key) };
         if !batch.is_empty() {
             self.store.commit(batch).await?;
         }
         let durable_through = state.last.map(|(seq, _)| seq);
         self.solvers.spares().keep(committed);
-        *active = Some(Active { committed: state, origin });
+        *active = Some(Active { committed: state, origin, raw: reception });
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
@@ -195,13 +252,11 @@ impl Task {
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         match active {
             Some(active) if !is_outdated => Ok(active),
-            Some(Active { committed, .. }) => {
-                Ok(Active { committed, origin: Arc::new(self.origin().await?) })
-            }
+            Some(active) => Ok(Active { origin: Arc::new(self.origin().await?), ..active }),
             None => {
                 let origin = self.origin().await?;
                 let committed = self.restored(&origin).await?;
-                Ok(Active { committed, origin: Arc::new(origin) })
+                Ok(Active { committed, origin: Arc::new(origin), raw: None })
             }
         }
     }

@@ -1,0 +1,68 @@
+//! Raw bytes of a receiver in, solutions out.
+
+use crate::contract::{Refusal, Service, intake, v1};
+use crate::reception::{LeftOut, MessageTotal};
+use crate::session::{RawPiece, RawReceived};
+
+use super::positioning::results;
+use super::session_id;
+
+/// Takes a piece of a receiver's stream; returns when its bytes and the epochs that they complete
+/// are committed.
+///
+/// # Errors
+/// A piece that is too large, does not join what is stored or is of no known format, or the
+/// session's refusal. An epoch's refusal is told in its place.
+pub async fn push(
+    service: &Service,
+    request: v1::PushRawRequest,
+) -> Result<v1::PushRawResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    let at_near = |refusal: Refusal| refusal.at("near");
+    let near = request.near.map(|near| intake::time(near.week, near.ns_of_week).map_err(at_near));
+    let piece = RawPiece {
+        offset: offset(request.offset, request.content.len())?,
+        content: request.content,
+        is_end: request.end,
+        near: near.transpose()?,
+    };
+    Ok(answer(service.sessions().receive(&id, piece).await?))
+}
+
+/// An offset that every JSON reader keeps exactly, with what follows it.
+fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
+    if offset <= intake::SEQUENCE_MAX - length as u64 {
+        return Ok(offset);
+    }
+    let message = format!("{offset} is above {}", intake::SEQUENCE_MAX);
+    Err(Refusal::new(crate::contract::Code::InvalidField, message).at("offset"))
+}
+
+fn answer(received: RawReceived) -> v1::PushRawResponse {
+    let RawReceived { outcomes, durable_through, raw_through, received, resent } = received;
+    v1::PushRawResponse {
+        results: results(outcomes).0,
+        durable_through,
+        raw_through,
+        resent,
+        format: received.format.map(|format| format.name().to_owned()).unwrap_or_default(),
+        messages: received.messages.iter().map(total).collect(),
+        left_out: received.left_out.into_iter().map(left_out).collect(),
+        garbage_bytes: received.garbage_bytes,
+        ephemerides: received.navigation.len() as u64,
+    }
+}
+
+fn total(MessageTotal { kind, count }: &MessageTotal) -> v1::MessageTotal {
+    v1::MessageTotal {
+        kind: kind.to_string(),
+        decoded: count.decoded,
+        passed_over: count.passed_over,
+        refused: count.refused,
+    }
+}
+
+fn left_out(LeftOut { kind, why, count, first }: LeftOut) -> v1::LeftOut {
+    let kind = kind.map(|kind| kind.to_string()).unwrap_or_default();
+    v1::LeftOut { kind, why, count, first }
+}

@@ -1,0 +1,48 @@
+//! `/v1/sessions/{session}/raw`.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Refusal, Service, calls, intake, v1};
+
+use super::body::{RawBody, StrictQuery};
+use super::problem::{Problem, Refused};
+
+/// Where a piece of a stream stands.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct RawQuery {
+    /// Bytes that were sent to the session before these, ever since its first; 0 if not given.
+    offset: u64,
+    /// The stream ends with these bytes; what follows begins another.
+    end: bool,
+    /// Within half a day of the stream's first message, for streams that tell no week: GPS week and
+    /// seconds of week, such as `2051:46701.5`. The service's clock if not given.
+    near: Option<String>,
+}
+
+/// Takes the bytes of a receiver as they come, split anywhere.
+///
+/// Frames of RTCM 3 and UBX, or RINEX observations. Every byte before `rawThrough` of the answer is
+/// stored, and the epochs that they complete are committed; there the device goes on. Bytes sent
+/// again change nothing.
+#[utoipa::path(post, path = "/v1/sessions/{session}/raw", tag = "Positioning",
+    params(("session" = String, Path, description = "Its id"), RawQuery),
+    request_body(content = String, content_type = "application/octet-stream",
+        description = "Bytes of the stream"),
+    responses((status = 200, body = v1::PushRawResponse), (status = "4XX", body = Problem)))]
+pub(super) async fn push(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<RawQuery>,
+    RawBody(content): RawBody,
+) -> Result<Json<v1::PushRawResponse>, Refused> {
+    let RawQuery { offset, end, near } = query;
+    let at_near = |refusal: Refusal| refusal.at("near");
+    let near = near.map(|text| intake::time_text(&text).map(Into::into).map_err(at_near));
+    let request = v1::PushRawRequest { session, offset, content, end, near: near.transpose()? };
+    Ok(Json(calls::raw::push(&service, request).await?))
+}
