@@ -1,4 +1,10 @@
 //! Carrier phases of the last epoch, and their differences to the next.
+//!
+//! The ionosphere advances a phase φ₁ by I and one on a second frequency, φ₂, by γI: the change of
+//! I between two epochs is seen as Δ(φ₁ − φ₂)/(γ − 1), with three times the noise of a phase, and
+//! predicted by the model, whose error changes slowly. Both are weighted by their variances, so
+//! that the model counts from second to second and the second phase from minute to minute, when
+//! what the model leaves would pass for a drift of the position.
 
 use crate::gnss::{LocalFrame, ObservationCode, SatelliteId};
 use crate::snapshot::snapshot_fields;
@@ -12,6 +18,13 @@ use super::ranging::median;
 const REFERENCE_DB_HZ: f64 = 42.0;
 /// What thermal noise adds to a phase difference at that C/N0 (m).
 const THERMAL_M: f64 = 0.004;
+/// Phase multipath and noise on the frequencies whose difference shows the ionosphere (m).
+const PHASE_M: f64 = 0.003;
+/// How long the ionosphere model's error takes to become another (s): satellites cross the sky in
+/// hours, and the ionosphere follows the sun.
+const MODEL_LASTS_S: f64 = 1_800.0;
+/// A change of the ionosphere this many standard deviations off what is modelled is a slip.
+const IONOSPHERE_SIGMAS: f64 = 5.0;
 /// Differences that miss whole milliseconds by more than this have another clock (m): 0.1 ms.
 const CLOCK_DIFFERS_M: f64 = 3e4;
 
@@ -24,6 +37,70 @@ struct Kept {
     /// Free of satellite clock, troposphere and ionosphere (m).
     corrected_m: f64,
     half_cycle: bool,
+    /// The model's delay that it was freed of (m).
+    ionosphere_m: f64,
+    second: Option<SecondPhase>,
+}
+
+/// What a phase on a second frequency adds.
+#[derive(Clone, Copy, Debug)]
+struct SecondPhase {
+    code: ObservationCode,
+    /// φ₁ − φ₂ (m): (γ − 1)·I and ambiguities.
+    difference_m: f64,
+    half_cycle: bool,
+}
+
+impl Kept {
+    fn of(frame: &LocalFrame, measurement: &Measurement) -> Option<Self> {
+        let phase = measurement.phase.filter(|_| measurement.is_above_mask)?;
+        let second = measurement.second.as_ref().and_then(|second| {
+            second.phase.map(|other| SecondPhase {
+                code: second.code,
+                difference_m: phase.range_m - other.range_m,
+                half_cycle: other.half_cycle,
+            })
+        });
+        Some(Self {
+            satellite: measurement.satellite,
+            code: measurement.code,
+            sight: Sight::new(frame, measurement.state.position),
+            corrected_m: phase.range_m - measurement.troposphere_m + measurement.ionosphere_m,
+            half_cycle: phase.half_cycle,
+            ionosphere_m: measurement.ionosphere_m,
+            second,
+        })
+    }
+
+    /// By how much the ionosphere changed beyond its model since `before` (m), as far as the second
+    /// frequency of `measurement`, which this is, tells.
+    fn unmodelled_m(&self, before: &Self, measurement: &Measurement, interval_s: f64) -> f64 {
+        let (Some(old), Some(new)) = (&before.second, &self.second) else { return 0.0 };
+        let Some(second) = measurement.second.as_ref() else { return 0.0 };
+        let lost = second.phase.is_none_or(|phase| phase.loss_of_lock);
+        if lost || old.code != new.code || old.half_cycle != new.half_cycle {
+            return 0.0;
+        }
+        let amplified = (second.gamma - 1.0).recip();
+        let noise_m2 = 2.0 * amplified * amplified * {
+            let thermal = |cn0| thermal_m(cn0).powi(2);
+            2.0 * PHASE_M * PHASE_M + thermal(measurement.cn0_db_hz) + thermal(second.cn0_db_hz)
+        };
+        let model_m2 = measurement.ionosphere_m2 * (interval_s / MODEL_LASTS_S).powi(2);
+        let seen_m = (new.difference_m - old.difference_m) * amplified;
+        let missed_m = seen_m - (self.ionosphere_m - before.ionosphere_m);
+        if IONOSPHERE_SIGMAS.powi(2) * (model_m2 + noise_m2) < missed_m * missed_m {
+            return 0.0;
+        }
+        // As for an infinite variance: no model.
+        missed_m / (1.0 + noise_m2 / model_m2)
+    }
+}
+
+/// What thermal noise adds to the difference of two phases (m).
+fn thermal_m(cn0_db_hz: Option<f64>) -> f64 {
+    let decades = (REFERENCE_DB_HZ - cn0_db_hz.unwrap_or(REFERENCE_DB_HZ)) / 20.0;
+    THERMAL_M * (std::f64::consts::LN_10 * decades).exp()
 }
 
 /// The phases of the last epoch; the memory is used again.
@@ -33,7 +110,8 @@ pub(super) struct Phases {
     scratch: Vec<f64>,
 }
 
-snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle });
+snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle, ionosphere_m, second });
+snapshot_fields!(SecondPhase { code, difference_m, half_cycle });
 snapshot_fields!(Phases { kept } memory { scratch: Vec::new() });
 
 impl Clone for Phases {
@@ -55,10 +133,10 @@ impl Phases {
     /// Keeps the phases of `list` for the next epoch.
     pub(super) fn keep(&mut self, frame: &LocalFrame, list: &[Measurement]) {
         self.kept.clear();
-        self.kept.extend(list.iter().filter_map(|measurement| kept(frame, measurement)));
+        self.kept.extend(list.iter().filter_map(|measurement| Kept::of(frame, measurement)));
     }
 
-    /// Differences from the phases kept to those of `list`.
+    /// Differences from the phases kept to those of `list`, `interval_s` later.
     ///
     /// A satellite is left out after a loss of lock, and where only one end may be off by half a
     /// cycle; where both may, the half cycle is most likely the same and the kernel judges.
@@ -67,11 +145,12 @@ impl Phases {
         frame: &LocalFrame,
         list: &[Measurement],
         sigma_m: f64,
+        interval_s: f64,
         factors: &mut Vec<PhaseDifferenceFactor>,
     ) {
         factors.clear();
         for measurement in list {
-            let Some(after) = kept(frame, measurement) else { continue };
+            let Some(after) = Kept::of(frame, measurement) else { continue };
             let lost = measurement.phase.is_none_or(|phase| phase.loss_of_lock);
             let before = self.kept.iter().find(|before| {
                 before.satellite == after.satellite
@@ -79,14 +158,12 @@ impl Phases {
                     && before.half_cycle == after.half_cycle
             });
             let (Some(before), false) = (before, lost) else { continue };
-            let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(REFERENCE_DB_HZ);
-            let decades = (REFERENCE_DB_HZ - cn0_db_hz) / 20.0;
-            let thermal_m = THERMAL_M * (std::f64::consts::LN_10 * decades).exp();
+            let unmodelled_m = after.unmodelled_m(before, measurement, interval_s);
             factors.push(PhaseDifferenceFactor {
                 before: before.sight,
                 after: after.sight,
-                change_m: after.corrected_m - before.corrected_m,
-                inverse_sigma: sigma_m.hypot(thermal_m).recip(),
+                change_m: after.corrected_m - before.corrected_m + unmodelled_m,
+                inverse_sigma: sigma_m.hypot(thermal_m(measurement.cn0_db_hz)).recip(),
             });
         }
     }
@@ -112,13 +189,102 @@ impl Phases {
     }
 }
 
-fn kept(frame: &LocalFrame, measurement: &Measurement) -> Option<Kept> {
-    let phase = measurement.phase.filter(|_| measurement.is_above_mask)?;
-    Some(Kept {
-        satellite: measurement.satellite,
-        code: measurement.code,
-        sight: Sight::new(frame, measurement.state.position),
-        corrected_m: phase.range_m - measurement.troposphere_m + measurement.ionosphere_m,
-        half_cycle: phase.half_cycle,
-    })
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::{Ecef, EphemerisIssue, GpsTime};
+    use crate::models::{LookAngles, SatelliteState};
+    use crate::positioning::measurements::{CarrierPhase, SecondFrequency};
+
+    /// (f₁/f₂)² of L1 and L2 of GPS: (154/120)².
+    const GAMMA: f64 = 1.646_944_444_444_444_4;
+    /// What the ionosphere changed (m), of which the model knew nothing.
+    const CHANGE_M: f64 = 0.04;
+
+    fn frame() -> LocalFrame {
+        LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0))
+    }
+
+    /// A satellite overhead, its phases advanced by the ionosphere and cycles slipped on the second.
+    fn measurement(ionosphere_m: f64, model_m2: f64, slipped_m: f64) -> Measurement {
+        let satellite = "G01".parse().unwrap();
+        let code = |text| ObservationCode::parse(text).unwrap();
+        let phase = |range_m| CarrierPhase { range_m, loss_of_lock: false, half_cycle: false };
+        Measurement {
+            satellite,
+            code: code("1C"),
+            frequency_hz: 1_575.42e6,
+            ephemeris: EphemerisIssue { satellite, toe: GpsTime::EPOCH, issue: 1 },
+            state: SatelliteState {
+                position: Ecef::new(26_378_137.0, 0.0, 0.0),
+                velocity_m_s: nalgebra::Vector3::zeros(),
+                clock_m: 0.0,
+                clock_drift_m_s: 0.0,
+                variance_m2: 0.0,
+            },
+            pseudorange_m: 2e7,
+            second: Some(SecondFrequency {
+                code: code("2W"),
+                pseudorange_m: 2e7,
+                gamma: GAMMA,
+                cn0_db_hz: None,
+                noise_m2: 1.0,
+                phase: Some(phase(2e7 - GAMMA * ionosphere_m + slipped_m)),
+            }),
+            range_rate_m_s: None,
+            phase: Some(phase(2e7 - ionosphere_m)),
+            cn0_db_hz: None,
+            look: LookAngles { azimuth_rad: 0.0, elevation_rad: 1.0 },
+            noise_m2: 1.0,
+            ionosphere_m: 0.0,
+            ionosphere_m2: model_m2,
+            troposphere_m: 0.0,
+            corrected_range_m: 2e7,
+            variance_m2: 1.0,
+            ionosphere_share_m: 0.0,
+            troposphere_share_m: 0.0,
+            is_above_mask: true,
+            is_excluded: false,
+        }
+    }
+
+    fn factors(model_m2: f64, interval_s: f64, slipped_m: f64) -> Vec<PhaseDifferenceFactor> {
+        let mut phases = Phases::default();
+        phases.keep(&frame(), &[measurement(0.0, model_m2, 0.0)]);
+        let (mut factors, later) = (Vec::new(), measurement(CHANGE_M, model_m2, slipped_m));
+        phases.differences(&frame(), &[later], 0.01, interval_s, &mut factors);
+        factors
+    }
+
+    fn change_m(model_m2: f64, interval_s: f64, slipped_m: f64) -> f64 {
+        factors(model_m2, interval_s, slipped_m)[0].change_m
+    }
+
+    /// Nothing moved. With a model of 5 m that lasts 1800 s, 30 s leave (5·30/1800)² = 0.083² m²;
+    /// two phases twice have 2·(2·3² + 2·4²) mm² /0.647² = (15.5 mm)²: 96.7 % of the change is
+    /// taken off. After 1 s, (2.8 mm)² to (15.5 mm)²: 3 %. Without a model, all of it.
+    #[test]
+    fn a_second_phase_tells_what_the_ionosphere_did() {
+        assert!((change_m(25.0, 30.0, 0.0) + 0.033 * CHANGE_M).abs() < 1e-4);
+        assert!((change_m(25.0, 1.0, 0.0) + 0.969 * CHANGE_M).abs() < 1e-4);
+        assert!(change_m(f64::INFINITY, 1.0, 0.0).abs() < 1e-8);
+        // A model that is exact is left alone.
+        assert!((change_m(0.0, 30.0, 0.0) + CHANGE_M).abs() < 1e-8);
+    }
+
+    /// One cycle of L2 looks like 0.244/0.647 = 0.38 m of ionosphere, three like 1.13 m: beyond what
+    /// 1 s (5·16 mm) and 30 s (5·85 mm) allow.
+    #[test]
+    fn a_slip_of_the_second_phase_is_not_the_ionosphere() {
+        let slipped_m = change_m(25.0, 30.0, -3.0 * 0.244);
+        assert!((slipped_m + CHANGE_M).abs() < 1e-8, "{slipped_m}");
+        assert!((change_m(25.0, 1.0, -0.244) + CHANGE_M).abs() < 1e-8);
+    }
+
+    /// 10 mm of multipath and 4 mm of noise at 42 dB-Hz.
+    #[test]
+    fn the_deviation_is_multipath_and_noise() {
+        let sigma_m = factors(25.0, 1.0, 0.0)[0].inverse_sigma.recip();
+        assert!((sigma_m - 0.01_f64.hypot(0.004)).abs() < 1e-12, "{sigma_m}");
+    }
 }

@@ -234,9 +234,9 @@ impl Chain {
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
             epoch.tie = Some(self.tie(interval_s, miss_m, options, settings));
             if options.graph.phase {
-                let sigma_m = options.graph.phase_sigma_m;
-                let list = &measurements.list;
-                self.phases.differences(&self.frame, list, sigma_m, &mut epoch.phases);
+                let (list, sigma_m) = (&measurements.list, options.graph.phase_sigma_m);
+                let factors = &mut epoch.phases;
+                self.phases.differences(&self.frame, list, sigma_m, interval_s, factors);
                 self.phases.follow_clock(&mut epoch.phases, before, &guess);
             }
         }

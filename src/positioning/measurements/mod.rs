@@ -41,6 +41,8 @@ pub struct SecondFrequency {
     pub cn0_db_hz: Option<f64>,
     /// Variance of receiver noise and multipath (m²).
     pub noise_m2: f64,
+    /// Carrier phase, where it was measured.
+    pub phase: Option<CarrierPhase>,
 }
 
 /// A carrier phase as a length.
@@ -206,18 +208,13 @@ fn measurement(
             gamma: (main.frequency_hz / second.frequency_hz).powi(2),
             cn0_db_hz: second.observation.cn0_db_hz,
             noise_m2: f64::INFINITY,
+            phase: carrier_phase(second.observation, second.frequency_hz, &state),
         }),
         range_rate_m_s: observation
             .doppler_hz
             .filter(|doppler_hz| doppler_hz.is_finite())
             .map(|doppler_hz| -wavelength_m * doppler_hz + state.clock_drift_m_s),
-        phase: observation.carrier_phase.filter(|phase| phase.0.is_finite()).map(|phase| {
-            CarrierPhase {
-                range_m: phase.to_meters(Meters(wavelength_m)).0 + state.clock_m,
-                loss_of_lock: observation.loss_of_lock,
-                half_cycle: observation.half_cycle,
-            }
-        }),
+        phase: carrier_phase(observation, main.frequency_hz, &state),
         cn0_db_hz: observation.cn0_db_hz,
         look: LookAngles { azimuth_rad: 0.0, elevation_rad: 0.0 },
         noise_m2: f64::INFINITY,
@@ -230,6 +227,20 @@ fn measurement(
         troposphere_share_m: 0.0,
         is_above_mask: false,
         is_excluded: false,
+    })
+}
+
+/// The carrier phase of one signal as a length.
+fn carrier_phase(
+    observation: &Observation,
+    frequency_hz: f64,
+    satellite: &SatelliteState,
+) -> Option<CarrierPhase> {
+    let phase = observation.carrier_phase.filter(|phase| phase.0.is_finite())?;
+    Some(CarrierPhase {
+        range_m: phase.to_meters(Meters(SPEED_OF_LIGHT / frequency_hz)).0 + satellite.clock_m,
+        loss_of_lock: observation.loss_of_lock,
+        half_cycle: observation.half_cycle,
     })
 }
 
