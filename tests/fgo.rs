@@ -43,17 +43,37 @@ fn a_car_in_the_canyon_smoothed() {
     assert!(0.8 <= errors.inside, "{}", errors.inside);
 }
 
-/// No Doppler, an epoch every 30 s. Single points have 0.78 m.
+/// No Doppler, an epoch every 30 s. Single points have 0.79 m.
 #[test]
 fn a_day_of_a_reference_station_smoothed() {
     let Some(folder) = data::set("hers-hert") else { return };
     let recording = Recording::read(&folder, "hers0010.18O", &["brdc0010.18n"]);
-    let solutions = recording.batch(Profile::General);
-    assert_eq!(solutions.len(), 2_880);
     let truth = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
-    let errors = Errors::of(&solutions, |_| truth);
-    assert!(errors.mean_m <= 0.6, "{}", errors.mean_m);
-    assert!(0.9 <= errors.inside, "{}", errors.inside);
+    let profile = Profile::General;
+    for (solutions, mean_m) in
+        [(recording.smoothed(profile), 0.6), (recording.batch(profile), 0.45)]
+    {
+        assert_eq!(solutions.len(), 2_880);
+        let errors = Errors::of(&solutions, |_| truth);
+        assert!(errors.mean_m <= mean_m, "{}", errors.mean_m);
+        assert!(0.9 <= errors.inside, "{}", errors.inside);
+    }
+}
+
+/// Exact observations but for the troposphere's mapping: the graph adds nothing to what one epoch
+/// has.
+#[test]
+fn a_simulated_receiver_is_placed_better_than_by_single_points() {
+    let Some(folder) = data::set("spirent-rtk") else { return };
+    let files = ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"];
+    let recording = Recording::read(&folder, "Rover-dynamic_MO_Spirent.obs", &files);
+    let single = recording.causal(Mode::Spp, Profile::General);
+    let smoothed = recording.smoothed(Profile::General);
+    let errors = |solutions: &[Solution]| Errors::on_the_simulator(&folder, solutions);
+    let (single, smoothed) = (errors(&single), errors(&smoothed));
+    assert!(smoothed.mean_m < single.mean_m, "{} {}", smoothed.mean_m, single.mean_m);
+    assert!(smoothed.greatest_m < single.greatest_m, "{}", smoothed.greatest_m);
+    assert!(smoothed.greatest_m < 0.02, "{}", smoothed.greatest_m);
 }
 
 /// Revisions are one for each epoch, in order, and the same whatever cuts the stream into calls.

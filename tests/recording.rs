@@ -46,6 +46,18 @@ impl Recording {
         self.epochs.iter().map(|epoch| estimator.advance(epoch, &self.aiding())).collect()
     }
 
+    /// Each epoch's answer when it has left the window.
+    pub(crate) fn smoothed(&self, profile: Profile) -> Vec<Solution> {
+        let mut estimator = Estimator::revising(PositioningOptions::new(Mode::Fgo, profile));
+        let mut revisions = Vec::new();
+        for epoch in &self.epochs {
+            estimator.advance(epoch, &self.aiding());
+            revisions.extend(estimator.take_revisions());
+        }
+        revisions.extend(estimator.finish());
+        revisions
+    }
+
     pub(crate) fn batch(&self, profile: Profile) -> Vec<Solution> {
         let mut batch = Batch::new(PositioningOptions::new(Mode::Fgo, profile));
         self.epochs.iter().for_each(|epoch| batch.push(epoch, &self.aiding()));
@@ -105,6 +117,16 @@ impl Errors {
         Self::of(solutions, |time| {
             let row = rows.iter().find(|row| (row.time - time).abs() < 0.02);
             row.expect("truth is given on whole seconds").position
+        })
+    }
+
+    /// Of the moving receiver of `spirent-rtk`.
+    pub(crate) fn on_the_simulator(folder: &Path, solutions: &[Solution]) -> Self {
+        let rows = truth::read(open(&folder.join("truth-dynamic.csv")), 2244).unwrap();
+        assert_eq!(solutions.len(), 601);
+        Self::of(solutions, |time| {
+            let row = rows.iter().find(|row| (row.time - time).abs() < 1e-3);
+            row.expect("truth at every epoch").position
         })
     }
 }

@@ -94,7 +94,7 @@ pub(super) const GRAPH_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "phase_sigma_m", unit: "m",
-        meaning: "standard deviation of a strong signal's phase difference",
+        meaning: "standard deviation of a strong signal's phase difference: multipath",
         allowed: "a number from 0.001 to 10",
         get: |o| o.graph.phase_sigma_m.to_string(),
         set: |o, text| number(text, 0.001, 10.0).map(|v| o.graph.phase_sigma_m = v),
