@@ -191,6 +191,11 @@ pub enum Reason {
     },
     /// Integers were found and contradict the measurements.
     FixRejected,
+    /// Integers are held, but too few to place the rover within centimetres.
+    FixImprecise {
+        /// Greatest horizontal standard deviation of the position they give (m).
+        sigma_m: f64,
+    },
     /// Phases that may be off by half a cycle were left out of the integers.
     HalfCycleUnresolved {
         /// Of which satellites.
@@ -233,6 +238,7 @@ impl Reason {
             Self::RatioBelowThreshold { .. } => "RATIO_BELOW_THRESHOLD",
             Self::SuccessRateTooLow { .. } => "SUCCESS_RATE_TOO_LOW",
             Self::FixRejected => "FIX_REJECTED",
+            Self::FixImprecise { .. } => "FIX_IMPRECISE",
             Self::HalfCycleUnresolved { .. } => "HALF_CYCLE_UNRESOLVED",
             Self::CycleSlips { .. } => "CYCLE_SLIPS",
             Self::StartUnproven { .. } => "START_UNPROVEN",
@@ -264,7 +270,9 @@ impl Reason {
             Self::TooFewCommonSatellites { .. } => {
                 "choose a base that receives the rover's constellations and bands"
             }
-            Self::RatioBelowThreshold { .. } | Self::SuccessRateTooLow { .. } => {
+            Self::RatioBelowThreshold { .. }
+            | Self::SuccessRateTooLow { .. }
+            | Self::FixImprecise { .. } => {
                 "wait for more epochs, a clearer sky, or receive a second frequency"
             }
             Self::FixRejected => "none needed: it is tried again at the next epoch",
@@ -315,6 +323,7 @@ impl Reason {
                 vec![("ageS", V::Number(*age_s))]
             }
             Self::OdometryUnused { interval_s } => vec![("intervalS", V::Number(*interval_s))],
+            Self::FixImprecise { sigma_m } => vec![("sigmaM", V::Number(*sigma_m))],
             Self::BasePositionDoubtful { distance_m } => {
                 vec![("distanceM", V::Number(*distance_m))]
             }
@@ -351,6 +360,7 @@ impl fmt::Display for Reason {
                 write!(f, "{{age {age_s:.1} s}}")
             }
             Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
+            Self::FixImprecise { sigma_m } => write!(f, "{{sigma {sigma_m:.2} m}}"),
             Self::BasePositionDoubtful { distance_m } => {
                 write!(f, "{{distance {distance_m:.0} m}}")
             }

@@ -56,6 +56,7 @@ snapshot_variants!(Reason {
     17 => CycleSlips { satellites },
     18 => StartUnproven { age_s },
     19 => OdometryUnused { interval_s },
+    20 => FixImprecise { sigma_m },
 });
 
 /// The name of an ionosphere model, the only text in a reason.

@@ -16,6 +16,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::arcs::Arc;
 use super::float::FloatSolution;
+use super::joint::{Joint, chosen_of, condition, doubted};
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
@@ -26,10 +27,13 @@ const NODES_MAX: usize = 20_000;
 /// Subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
 /// Residuals that would tell as much of the noise as is known of it.
-const SCALE_FREEDOM: f64 = 10.0;
+const SCALE_FREEDOM: f64 = 8.0;
 /// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
 const DISAGREEMENT: f64 = 4.0;
 
+/// A position is within centimetres whose horizontal standard deviation is at most this in every
+/// direction (m): 95 % of its errors are within 12 cm.
+const FIXED_SIGMA_M: f64 = 0.05;
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FixedPosition {
@@ -51,6 +55,18 @@ pub(super) struct Resolution {
     pub(super) ratio: Option<f64>,
     pub(super) success_rate: Option<f64>,
     pub(super) outcome: Result<FixedPosition, Reason>,
+}
+
+impl Resolution {
+    /// The same, but for a position that the integers held leave uncertain: that is none.
+    fn if_precise(self) -> Self {
+        let precise = |fixed: FixedPosition| {
+            let horizontal = fixed.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+            let sigma_m = horizontal.symmetric_eigenvalues().max().sqrt();
+            if sigma_m <= FIXED_SIGMA_M { Ok(fixed) } else { Err(Reason::FixImprecise { sigma_m }) }
+        };
+        Self { outcome: self.outcome.and_then(precise), ..self }
+    }
 }
 
 /// A double difference against the reference of its group, as places in the list of arcs.
@@ -77,24 +93,6 @@ pub(super) struct Trust {
 }
 
 snapshot_fields!(Trust { agreed, probability, ratio, success_rate, era, refuted });
-
-/// Position and ambiguities with their joint covariance, position first.
-struct Joint {
-    estimate: DVector<f64>,
-    covariance: DMatrix<f64>,
-}
-
-impl Joint {
-    /// Position and some of the ambiguities.
-    fn of(&self, wanted: &[usize]) -> Self {
-        let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();
-        let m = kept.len();
-        Self {
-            estimate: DVector::from_fn(m, |i, _| self.estimate[kept[i]]),
-            covariance: DMatrix::from_fn(m, m, |i, j| self.covariance[(kept[i], kept[j])]),
-        }
-    }
-}
 
 /// Resolves integers; its memory is used again.
 #[derive(Clone, Debug)]
@@ -141,13 +139,13 @@ impl Integers {
         let joint = self.joint(float);
         if options.hold_epochs <= trust.agreed {
             if let Some(resolution) = self.resolve_held(arcs, trust, &joint, options) {
-                return resolution;
+                return resolution.if_precise();
             }
             let known = self.indices(|pair| pair.known.is_some()).len();
             drop_labels(arcs, trust, options.fixed_min <= known);
             self.pairs.iter_mut().for_each(|pair| pair.known = None);
         }
-        self.resolve_anew(arcs, trust, &joint, options)
+        self.resolve_anew(arcs, trust, &joint, options).if_precise()
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -175,6 +173,10 @@ impl Integers {
         if DISAGREEMENT * (known.len() as f64) < squared_norm {
             return None;
         }
+        let probability = doubted(trust.probability, &rest);
+        if probability < options.probability_min {
+            return None;
+        }
         let mut held = known.len();
         if !others.is_empty() {
             let lambda = Options { fixed_min: 1, ..lambda_options(options) };
@@ -189,7 +191,7 @@ impl Integers {
             ambiguities: self.pairs.len(),
             ratio: trust.ratio,
             success_rate: trust.success_rate,
-            outcome: Ok(fixed_position(&rest, held, trust.probability)),
+            outcome: Ok(fixed_position(&rest, held, probability)),
         })
     }
 
@@ -206,10 +208,12 @@ impl Integers {
         let Some((mut outcome, mut position)) = self.search(arcs, joint, &wanted, &lambda) else {
             return self.refused(Reason::FixRejected);
         };
+        let mut tried = outcome.attempts;
         if outcome.rejection == Some(Rejection::Ratio)
             && let Some(found) = self.search_without_a_group(arcs, joint, &lambda)
         {
             (wanted, outcome, position) = found;
+            tried += outcome.attempts;
         }
         let mut resolution = Resolution {
             ambiguities: self.pairs.len(),
@@ -229,13 +233,31 @@ impl Integers {
             drop_labels(arcs, trust, true);
             return resolution;
         }
-        let probability = outcome.probability.unwrap_or(0.0);
+        let stated = chosen_of(tried, outcome.probability.unwrap_or(0.0));
+        let Some(probability) = self.doubted(joint, &wanted, stated) else { return resolution };
+        if probability < options.probability_min {
+            return resolution;
+        }
         let held = self.label(arcs, &wanted);
         trust.agreed += 1;
         trust.probability = probability;
         (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
         resolution.outcome = Ok(fixed_position(&position, held, probability));
         resolution
+    }
+
+    /// The probability of the integers the last search found among the pairs `wanted`, given what
+    /// all others make of them; `None` where that cannot be told.
+    fn doubted(&self, joint: &Joint, wanted: &[usize], probability: f64) -> Option<f64> {
+        let entries = self.resolver.fix().entries();
+        let found = wanted.iter().zip(entries);
+        let held: Vec<(usize, f64)> =
+            found.filter_map(|(&i, entry)| Some((i, (*entry)? as f64))).collect();
+        let (known, values): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+        let others = self.indices(|_| true).into_iter().filter(|i| !known.contains(i));
+        let others: Vec<_> = others.collect();
+        let (rest, _) = condition(joint, &known, &values, &others)?;
+        Some(doubted(probability, &rest))
     }
 
     /// Leaves out each group in turn, where all together contradict one another: receivers of
@@ -426,67 +448,5 @@ fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition
         covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
         held,
         probability,
-    }
-}
-
-/// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and
-/// ‖â − z‖² of the latter. `None` where their covariance is not positive definite.
-///
-/// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
-fn condition(
-    joint: &Joint,
-    known: &[usize],
-    values: &[f64],
-    others: &[usize],
-) -> Option<(Joint, f64)> {
-    let kept: Vec<usize> = (0..3).chain(others.iter().map(|i| 3 + i)).collect();
-    let m = known.len();
-    let held = DMatrix::from_fn(m, m, |i, j| joint.covariance[(3 + known[i], 3 + known[j])]);
-    let lower = held.cholesky()?.unpack();
-    let mut y = DVector::from_fn(m, |i, _| values[i] - joint.estimate[3 + known[i]]);
-    let mut w = DMatrix::from_fn(m, kept.len(), |i, j| joint.covariance[(3 + known[i], kept[j])]);
-    let solved =
-        lower.solve_lower_triangular_mut(&mut y) && lower.solve_lower_triangular_mut(&mut w);
-    if !solved {
-        return None;
-    }
-    let gain = w.tr_mul(&y);
-    let less = w.tr_mul(&w);
-    let estimate = DVector::from_fn(kept.len(), |i, _| joint.estimate[kept[i]] + gain[i]);
-    let covariance = DMatrix::from_fn(kept.len(), kept.len(), |i, j| {
-        joint.covariance[(kept[i], kept[j])] - less[(i, j)]
-    });
-    Some((Joint { estimate, covariance }, y.norm_squared()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// One position coordinate tied to two ambiguities, x = 0.2·a₁ + 0.1·a₂ exactly; holding a₁ at 1
-    /// and then a₂ at −2 puts x at 0, whichever order.
-    #[test]
-    fn conditioning_worked_by_hand() {
-        let slope = [0.2, 0.1];
-        let q = [[0.04, 0.01], [0.01, 0.09]];
-        let mut joint = Joint { estimate: DVector::zeros(5), covariance: DMatrix::identity(5, 5) };
-        let float = [0.9, -1.8];
-        joint.estimate[0] = slope[0] * float[0] + slope[1] * float[1];
-        for i in 0..2 {
-            joint.estimate[3 + i] = float[i];
-            let cross = slope[0] * q[0][i] + slope[1] * q[1][i];
-            (joint.covariance[(0, 3 + i)], joint.covariance[(3 + i, 0)]) = (cross, cross);
-            (0..2).for_each(|j| joint.covariance[(3 + i, 3 + j)] = q[i][j]);
-        }
-        let both: f64 =
-            slope.iter().enumerate().map(|(i, s)| s * joint.covariance[(0, 3 + i)]).sum();
-        joint.covariance[(0, 0)] = both + 1e-6;
-        let (first, norm) = condition(&joint, &[0], &[1.0], &[1]).unwrap();
-        assert!((norm - 0.01 / 0.04).abs() < 1e-12);
-        assert!((first.estimate[3] - (-1.8 + 0.01 / 0.04 * 0.1)).abs() < 1e-12);
-        let (second, _) = condition(&first, &[0], &[-2.0], &[]).unwrap();
-        let (at_once, _) = condition(&joint, &[0, 1], &[1.0, -2.0], &[]).unwrap();
-        assert!((second.estimate[0] - at_once.estimate[0]).abs() < 1e-12);
-        assert!(at_once.estimate[0].abs() < 1e-9 && at_once.covariance[(0, 0)] < 2e-6);
     }
 }

@@ -16,6 +16,7 @@ mod filter;
 mod float;
 mod front;
 mod integers;
+mod joint;
 mod noise;
 mod settings;
 mod tracking;

@@ -124,6 +124,7 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         satellites().prop_map(|satellites| Reason::CycleSlips { satellites }),
         number().prop_map(|age_s| Reason::StartUnproven { age_s }),
         number().prop_map(|interval_s| Reason::OdometryUnused { interval_s }),
+        number().prop_map(|sigma_m| Reason::FixImprecise { sigma_m }),
     ]
 }
 

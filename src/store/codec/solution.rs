@@ -165,6 +165,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         }
         Reason::StartUnproven { age_s } => numbers(18, &[*age_s]),
         Reason::OdometryUnused { interval_s } => numbers(19, &[*interval_s]),
+        Reason::FixImprecise { sigma_m } => numbers(20, &[*sigma_m]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -294,6 +295,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         17 => Reason::CycleSlips { satellites: input.satellites()? },
         18 => Reason::StartUnproven { age_s: input.f64()? },
         19 => Reason::OdometryUnused { interval_s: input.f64()? },
+        20 => Reason::FixImprecise { sigma_m: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }

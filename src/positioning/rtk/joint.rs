@@ -1,0 +1,138 @@
+//! Position and double differences together: what holding integers does to the rest, and what the
+//! rest says of the integers.
+
+use nalgebra::{DMatrix, DVector};
+
+/// Share of the carriers that follow no direct signal or hide a slip, before any is looked at.
+const ASTRAY: f64 = 0.1;
+/// Least deviation of a carrier from what others say of it (cycles): what multipath leaves to it.
+const UNCERTAIN_CYCLES: f64 = 0.05;
+
+/// Position and ambiguities with their joint covariance, position first.
+pub(super) struct Joint {
+    pub(super) estimate: DVector<f64>,
+    pub(super) covariance: DMatrix<f64>,
+}
+
+impl Joint {
+    /// Position and some of the ambiguities.
+    pub(super) fn of(&self, wanted: &[usize]) -> Self {
+        let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();
+        let m = kept.len();
+        Self {
+            estimate: DVector::from_fn(m, |i, _| self.estimate[kept[i]]),
+            covariance: DMatrix::from_fn(m, m, |i, j| self.covariance[(kept[i], kept[j])]),
+        }
+    }
+}
+
+/// The probability of integers that were the first of `tried` subsets to pass: each had its chance
+/// to pass by chance (Bonferroni's bound on the odds).
+pub(super) fn chosen_of(tried: usize, probability: f64) -> f64 {
+    probability / (probability + tried.max(1) as f64 * (1.0 - probability))
+}
+
+/// The probability of integers given what the ambiguities left real-valued make of them.
+///
+/// Were they wrong, the others' parts beyond integers d would be anything, with density one. Are
+/// they right, a carrier goes astray with probability ε, else its d is normal, wrapped to a cycle,
+/// with density f: the odds change by (1 − ε)·f(d) + ε, where that speaks against them. What speaks
+/// for them is not independent of what found them and does not count.
+pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
+    let against = |i: usize| {
+        let variance = rest.covariance[(i, i)].max(UNCERTAIN_CYCLES.powi(2));
+        let beyond = rest.estimate[i] - rest.estimate[i].round();
+        let normal = |k: f64| (-0.5 * (beyond + k).powi(2) / variance).exp();
+        let density = [-2.0, -1.0, 0.0, 1.0, 2.0].map(normal).iter().sum::<f64>()
+            / (std::f64::consts::TAU * variance).sqrt();
+        ((1.0 - ASTRAY) * density + ASTRAY).min(1.0)
+    };
+    let factor: f64 = (3..rest.estimate.len()).map(against).product();
+    probability * factor / (probability * factor + 1.0 - probability)
+}
+
+/// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and
+/// ‖â − z‖² of the latter. `None` where their covariance is not positive definite.
+///
+/// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
+pub(super) fn condition(
+    joint: &Joint,
+    known: &[usize],
+    values: &[f64],
+    others: &[usize],
+) -> Option<(Joint, f64)> {
+    let kept: Vec<usize> = (0..3).chain(others.iter().map(|i| 3 + i)).collect();
+    let m = known.len();
+    let held = DMatrix::from_fn(m, m, |i, j| joint.covariance[(3 + known[i], 3 + known[j])]);
+    let lower = held.cholesky()?.unpack();
+    let mut y = DVector::from_fn(m, |i, _| values[i] - joint.estimate[3 + known[i]]);
+    let mut w = DMatrix::from_fn(m, kept.len(), |i, j| joint.covariance[(3 + known[i], kept[j])]);
+    let solved =
+        lower.solve_lower_triangular_mut(&mut y) && lower.solve_lower_triangular_mut(&mut w);
+    if !solved {
+        return None;
+    }
+    let gain = w.tr_mul(&y);
+    let less = w.tr_mul(&w);
+    let estimate = DVector::from_fn(kept.len(), |i, _| joint.estimate[kept[i]] + gain[i]);
+    let covariance = DMatrix::from_fn(kept.len(), kept.len(), |i, j| {
+        joint.covariance[(kept[i], kept[j])] - less[(i, j)]
+    });
+    Some((Joint { estimate, covariance }, y.norm_squared()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One position coordinate tied to two ambiguities, x = 0.2·a₁ + 0.1·a₂ exactly; holding a₁ at 1
+    /// and then a₂ at −2 puts x at 0, whichever order.
+    #[test]
+    fn conditioning_worked_by_hand() {
+        let slope = [0.2, 0.1];
+        let q = [[0.04, 0.01], [0.01, 0.09]];
+        let mut joint = Joint { estimate: DVector::zeros(5), covariance: DMatrix::identity(5, 5) };
+        let float = [0.9, -1.8];
+        joint.estimate[0] = slope[0] * float[0] + slope[1] * float[1];
+        for i in 0..2 {
+            joint.estimate[3 + i] = float[i];
+            let cross = slope[0] * q[0][i] + slope[1] * q[1][i];
+            (joint.covariance[(0, 3 + i)], joint.covariance[(3 + i, 0)]) = (cross, cross);
+            (0..2).for_each(|j| joint.covariance[(3 + i, 3 + j)] = q[i][j]);
+        }
+        let both: f64 =
+            slope.iter().enumerate().map(|(i, s)| s * joint.covariance[(0, 3 + i)]).sum();
+        joint.covariance[(0, 0)] = both + 1e-6;
+        let (first, norm) = condition(&joint, &[0], &[1.0], &[1]).unwrap();
+        assert!((norm - 0.01 / 0.04).abs() < 1e-12);
+        assert!((first.estimate[3] - (-1.8 + 0.01 / 0.04 * 0.1)).abs() < 1e-12);
+        let (second, _) = condition(&first, &[0], &[-2.0], &[]).unwrap();
+        let (at_once, _) = condition(&joint, &[0, 1], &[1.0, -2.0], &[]).unwrap();
+        assert!((second.estimate[0] - at_once.estimate[0]).abs() < 1e-12);
+        assert!(at_once.estimate[0].abs() < 1e-9 && at_once.covariance[(0, 0)] < 2e-6);
+    }
+
+    /// Of two carriers left real-valued, each known to 0.1 cycles, one agrees and one is half a cycle
+    /// off: the odds 99 become 99·(0.9·f(½) + 0.1), f(½) = 2·e^(−12.5)/(0.1·√2π).
+    #[test]
+    fn doubt_worked_by_hand() {
+        let mut rest = Joint { estimate: DVector::zeros(5), covariance: DMatrix::zeros(5, 5) };
+        (3..5).for_each(|i| rest.covariance[(i, i)] = 0.01);
+        rest.estimate[3] = 7.02;
+        assert!((doubted(0.99, &rest) - 0.99).abs() < 1e-12, "agreement adds nothing");
+        rest.estimate[4] = -2.5;
+        let density = 2.0 * (-12.5_f64).exp() / (0.1 * std::f64::consts::TAU.sqrt());
+        let odds = 99.0 * (0.9 * density + 0.1);
+        assert!((doubted(0.99, &rest) - odds / (1.0 + odds)).abs() < 1e-6);
+        // What is known to a cycle says nothing.
+        rest.covariance[(4, 4)] = 1.0;
+        assert!((doubted(0.99, &rest) - 0.99).abs() < 1e-6);
+    }
+
+    #[test]
+    fn more_tries_are_more_chances_to_be_wrong() {
+        assert_eq!(chosen_of(1, 0.9), 0.9);
+        assert!((chosen_of(9, 0.9) - 0.5).abs() < 1e-12);
+        assert_eq!(chosen_of(5, 1.0), 1.0);
+    }
+}
