@@ -5,6 +5,8 @@ use nalgebra::{DMatrix, DVector};
 
 /// Share of the carriers that follow no direct signal or hide a slip, before any is looked at.
 const ASTRAY: f64 = 0.1;
+/// Wrapped to a cycle, a normal density of this deviation (cycles) is one to 1.4 %.
+const SILENT_CYCLES: f64 = 0.5;
 /// Least deviation of a carrier from what others say of it (cycles): what multipath leaves to it.
 const UNCERTAIN_CYCLES: f64 = 0.05;
 
@@ -41,6 +43,9 @@ pub(super) fn chosen_of(tried: usize, probability: f64) -> f64 {
 pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
     let against = |i: usize| {
         let variance = rest.covariance[(i, i)].max(UNCERTAIN_CYCLES.powi(2));
+        if SILENT_CYCLES.powi(2) < variance {
+            return 1.0;
+        }
         let beyond = rest.estimate[i] - rest.estimate[i].round();
         let normal = |k: f64| (-0.5 * (beyond + k).powi(2) / variance).exp();
         let density = [-2.0, -1.0, 0.0, 1.0, 2.0].map(normal).iter().sum::<f64>()
