@@ -18,6 +18,7 @@ pub mod reception;
 pub mod store;
 
 pub mod aiding;
+pub mod feeds;
 pub mod session;
 
 pub mod contract;

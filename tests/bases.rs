@@ -270,7 +270,7 @@ async fn what_a_base_holds_is_bounded(database: Database) {
     rich.observations.extend(PAIR.base[41].observations.clone());
     let push = desk.aiding.bases.push(&base, vec![rich]).await.unwrap();
     assert_eq!(push.outcomes[0].as_ref().unwrap_err().code(), "TOO_MANY_OBSERVATIONS");
-    let long = NewBase { label: "a base".to_owned(), site: None };
+    let long = NewBase { label: "a base".to_owned(), ..NewBase::default() };
     assert_eq!(desk.aiding.bases.create(long).await.unwrap_err().code(), "LABEL_TOO_LONG");
     desk.base().await;
     let error = desk.aiding.bases.create(PAIR.new_base(0.0)).await.unwrap_err();

@@ -200,6 +200,34 @@ fn base_requests(
     let many = json!({"epochs": [epoch(20), epoch(21), epoch(22)]});
     vec![
         ("POST", bases.clone(), json!({}), Code::TooManyBases, ""),
+        (
+            "POST",
+            bases.clone(),
+            json!({"ntrip": {"caster": "caster.example.org", "mountpoint": "M"}}),
+            Code::CasterAddressInvalid,
+            "ntrip.caster",
+        ),
+        (
+            "POST",
+            bases.clone(),
+            json!({"ntrip": {"caster": "ntrip://127.0.0.1:1", "mountpoint": "../M"}}),
+            Code::MountpointInvalid,
+            "ntrip.mountpoint",
+        ),
+        (
+            "POST",
+            bases.clone(),
+            json!({"ntrip": {"caster": "ntrip://caster.example.org", "mountpoint": "M"}}),
+            Code::HostNotAllowed,
+            "ntrip.caster",
+        ),
+        (
+            "POST",
+            bases.clone(),
+            json!({"ntrip": {"caster": "ntrip://127.0.0.1:1", "mountpoint": "M", "user": "a:b"}}),
+            Code::InvalidField,
+            "ntrip.user",
+        ),
         ("GET", format!("{bases}/bas_1"), json!({}), Code::BaseNotFound, "base"),
         ("POST", "/v1/sessions".into(), json!({"mode": "rtk-fgo"}), Code::BaseRequired, "base"),
         ("DELETE", format!("{bases}/{used}"), json!({}), Code::BaseInUse, "base"),

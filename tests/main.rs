@@ -4,6 +4,7 @@
 
 mod antennas;
 mod bases;
+mod casters;
 mod clients;
 mod compare;
 mod crash;
@@ -14,6 +15,7 @@ mod drive;
 mod ekf;
 mod errors;
 mod evaluation;
+mod feeds;
 mod fgo;
 mod grpc;
 mod http;

@@ -50,7 +50,7 @@ impl Pair {
             antenna: String::new(),
             source: PositionSource::Given,
         };
-        NewBase { label: "base".to_owned(), site: Some(site) }
+        NewBase { label: "base".to_owned(), site: Some(site), feed: None }
     }
 
     /// What an estimator alone answers, given all of the base.

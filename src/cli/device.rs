@@ -164,6 +164,29 @@ impl Device {
         Ok(pushed)
     }
 
+    /// Pushes bytes of a receiver and waits until they are stored. Bytes sent again after a
+    /// connection was lost change nothing.
+    ///
+    /// # Errors
+    /// A refusal, or a service that does not come back.
+    pub(super) async fn push_raw(&mut self, piece: v1::PushRawRequest) -> Result<Pushed, Failure> {
+        let mut pushed = Pushed::default();
+        let mut retry = Retry::new(self.connection.patience);
+        loop {
+            match self.positioning.push_raw(piece.clone()).await {
+                Ok(answer) => {
+                    let v1::PushRawResponse { results, durable_through, .. } = answer.into_inner();
+                    pushed.take(v1::PushEpochsResponse { results, durable_through });
+                    return Ok(pushed);
+                }
+                Err(status) => {
+                    retry.wait(&status).await?;
+                    pushed.retries += 1;
+                }
+            }
+        }
+    }
+
     /// How far the session is committed, once the service answers again.
     async fn durable_through(&self, retry: &mut Retry) -> Result<Option<u64>, Failure> {
         let mut client = SessionsClient::new(self.connection.channel.clone());

@@ -44,7 +44,7 @@ fn weeks() -> clap::builder::RangedI64ValueParser {
 
 /// A calendar date and time of day, GPS time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct StartTime(GpsTime);
+pub(crate) struct StartTime(pub(crate) GpsTime);
 
 impl FromStr for StartTime {
     type Err = String;
@@ -92,6 +92,11 @@ pub(crate) fn open_plain(path: &Path) -> Result<Box<dyn BufRead>, Failure> {
 
 fn open(path: &Path) -> Result<Recognised<Box<dyn BufRead>>, Failure> {
     open_plain(path).map(Recognised::new)
+}
+
+/// Whether a file holds the bytes of a receiver.
+pub(crate) fn is_receiver_data(path: &Path) -> Result<bool, Failure> {
+    Ok(open(path)?.is_receiver_data())
 }
 
 /// What dates the receiver data of a recording, whose files are of one time.

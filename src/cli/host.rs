@@ -7,8 +7,9 @@ use std::thread::available_parallelism;
 use tokio::net::TcpListener;
 
 use crate::aiding::{AidingDesk, AidingError, AidingLimits};
-use crate::config::{Limits, ServiceConfiguration, ServiceConfigurationError};
+use crate::config::{FetchConfiguration, Limits, ServiceConfiguration, ServiceConfigurationError};
 use crate::contract::Service;
+use crate::feeds::{Connector, FeedOptions, Feeds, FetchError, FetchPolicy, Patience};
 use crate::http::{self, ServerError};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
@@ -25,12 +26,19 @@ impl Host {
     /// Opens the database and the desks.
     ///
     /// # Errors
-    /// The database cannot be opened or read.
-    pub(super) async fn open(database: &str, limits: &Limits) -> Result<Self, Failure> {
+    /// The database cannot be opened or read, or a host that may be asked is none.
+    pub(super) async fn open(
+        database: &str,
+        limits: &Limits,
+        fetch: &FetchConfiguration,
+    ) -> Result<Self, Failure> {
+        let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
+        let connector = Connector::new(policy, Patience::standard(), fetch.ca_file.as_deref())?;
         let store = Store::open(database).await?;
         let aiding = AidingDesk::open(store.clone(), aiding_limits(limits)).await?;
         let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
-        Ok(Self { store, service: Service::new(sessions, aiding, limits.clone()) })
+        let feeds = Feeds::open(connector, aiding.clone(), FeedOptions::standard());
+        Ok(Self { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
     }
 
     /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes the
@@ -45,6 +53,7 @@ impl Host {
     ) -> Result<(), Failure> {
         let served = http::serve(listener, &self.service, stop).await;
         self.service.sessions().drain().await;
+        self.service.feeds().close().await;
         self.store.close().await;
         Ok(served?)
     }
@@ -122,6 +131,12 @@ impl From<StoreError> for Failure {
 
 impl From<AidingError> for Failure {
     fn from(error: AidingError) -> Self {
+        Self::new(error.code(), &error, error.remedy())
+    }
+}
+
+impl From<FetchError> for Failure {
+    fn from(error: FetchError) -> Self {
         Self::new(error.code(), &error, error.remedy())
     }
 }

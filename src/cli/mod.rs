@@ -16,12 +16,14 @@ mod files;
 mod host;
 mod odometry;
 mod option_arguments;
+mod progress;
 mod recording;
 mod replay;
 mod serve;
 mod simulate;
 mod solve;
 mod stream;
+mod stream_raw;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

@@ -24,6 +24,13 @@ pub(super) struct ServeArguments {
     /// sqlite://FILE (created if absent) or postgres://…; standard: sqlite://graphfix.db.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
     database: Option<String>,
+    /// Host that clients may have the service ask for data, such as a caster: HOST, HOST:PORT or
+    /// *.DOMAIN; may be repeated. Standard: none.
+    #[arg(long, value_name = "HOST", env = "GRAPHFIX_FETCH_HOSTS", value_delimiter = ',')]
+    fetch_host: Vec<String>,
+    /// Let these hosts be at addresses of private networks.
+    #[arg(long, env = "GRAPHFIX_FETCH_PRIVATE")]
+    fetch_private: bool,
     /// What is logged, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
@@ -47,6 +54,8 @@ impl ServeArguments {
         };
         configuration.listen = self.listen.unwrap_or(configuration.listen);
         configuration.database = self.database.unwrap_or(configuration.database);
+        configuration.fetch.hosts.extend(self.fetch_host);
+        configuration.fetch.private_addresses |= self.fetch_private;
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         configuration.check()?;
@@ -69,7 +78,8 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
         let message = format!("{}: {error}", configuration.listen);
         Failure::new("ADDRESS_UNAVAILABLE", message, "choose another with --listen")
     })?;
-    let host = Host::open(&configuration.database, &configuration.limits).await?;
+    let host = Host::open(&configuration.database, &configuration.limits, &configuration.fetch);
+    let host = host.await?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
     host.serve(listener, host::interrupted()).await?;

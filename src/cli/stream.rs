@@ -1,9 +1,9 @@
 //! `graphfix stream`: plays a file to a service as a device would.
 
 use std::fs::File;
-use std::io::{BufReader, IsTerminal};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
 
@@ -14,15 +14,19 @@ use crate::gnss::{Epoch, GpsTime};
 
 use super::Failure;
 use super::device::{Connection, Device};
+use super::files::{self, StartTime};
 use super::host;
+use super::progress::{Progress, Speed, parse_speed};
+use super::stream_raw::Bytestream;
 
 /// Epochs of one push at full speed.
 const BATCH: usize = 256;
 
-/// Plays a RINEX observation file to a service as a device would, and survives its restarts.
+/// Plays observations to a service as a device would, and survives its restarts.
 #[derive(Clone, Debug, Args)]
 pub(super) struct StreamArguments {
-    /// RINEX or CRINEX observations, plain or gzip. Epochs are numbered from 1 in their order.
+    /// Observations, plain or gzip: RINEX or CRINEX, whose epochs are numbered from 1 in their
+    /// order, or the bytes of a receiver (UBX, RTCM 3), which are sent as they are.
     #[arg(long, value_name = "FILE")]
     rover: PathBuf,
     /// The service.
@@ -43,23 +47,13 @@ pub(super) struct StreamArguments {
     /// Profile of a new session.
     #[arg(long, value_name = "NAME", default_value = "general")]
     profile: String,
+    /// About when RTCM 3 bytes begin, GPS time, within half a day: 2019-03-24T12:00:00. Standard:
+    /// the service's clock.
+    #[arg(long, value_name = "TIME")]
+    start_time: Option<StartTime>,
     /// Seconds for which a service that does not answer is tried again.
     #[arg(long, value_name = "SECONDS", default_value_t = 60)]
     patience: u64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Speed {
-    Factor(f64),
-    Max,
-}
-
-fn parse_speed(text: &str) -> Result<Speed, String> {
-    match text.parse::<f64>() {
-        _ if text == "max" => Ok(Speed::Max),
-        Ok(factor) if factor.is_finite() && 0.0 < factor => Ok(Speed::Factor(factor)),
-        _ => Err("not a positive number or max".to_owned()),
-    }
 }
 
 /// Streams a file.
@@ -71,7 +65,8 @@ pub(super) fn run(arguments: StreamArguments) -> Result<(), Failure> {
 }
 
 async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
-    let mut rover = Rover::open(&arguments.rover)?;
+    let is_raw = files::is_receiver_data(&arguments.rover)?;
+    let mut rover = if is_raw { None } else { Some(Rover::open(&arguments.rover)?) };
     let patience = Duration::from_secs(arguments.patience);
     let connection = Connection::to(&arguments.server, patience)?;
     for path in &arguments.nav {
@@ -88,10 +83,18 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     let mut device = connection.open(arguments.session.as_deref(), new).await?;
     println!("session {}", device.session().session);
     let mut progress = Progress::start();
+    let Some(rover) = &mut rover else {
+        let stored = device.session().raw_through.unwrap_or(0);
+        let near = arguments.start_time.map(|StartTime(time)| time);
+        let bytes = Bytestream::open(&arguments.rover, stored, near)?;
+        bytes.play(&mut device, arguments.speed, &mut progress).await?;
+        progress.close();
+        return Ok(());
+    };
     rover.skip_through(device.session().durable_through.unwrap_or(0), &mut progress)?;
     match arguments.speed {
-        Speed::Max => at_full_speed(&mut rover, &mut device, &mut progress).await?,
-        Speed::Factor(factor) => paced(&mut rover, &mut device, factor, &mut progress).await?,
+        Speed::Max => at_full_speed(rover, &mut device, &mut progress).await?,
+        Speed::Factor(factor) => paced(rover, &mut device, factor, &mut progress).await?,
     }
     progress.close();
     Ok(())
@@ -191,92 +194,4 @@ impl Rover {
 
 fn unreadable(path: &Path, error: &crate::formats::rinex::RinexError) -> Failure {
     Failure::new(error.code(), format!("{}: {error}", path.display()), error.remedy())
-}
-
-/// Counts, shown each second on a terminal and at the end.
-struct Progress {
-    start: Instant,
-    shown: Instant,
-    terminal: bool,
-    skipped: u64,
-    acknowledged: u64,
-    positioned: u64,
-    recovered: u64,
-    retries: usize,
-    refused: u64,
-}
-
-impl Progress {
-    fn start() -> Self {
-        let now = Instant::now();
-        let terminal = std::io::stderr().is_terminal();
-        Self {
-            start: now,
-            shown: now,
-            terminal,
-            skipped: 0,
-            acknowledged: 0,
-            positioned: 0,
-            recovered: 0,
-            retries: 0,
-            refused: 0,
-        }
-    }
-
-    fn count(&mut self, pushed: &super::device::Pushed) {
-        let with_position = |solution: &&v1::Solution| solution.position.is_some();
-        self.acknowledged += pushed.solutions.len() as u64;
-        self.positioned += pushed.solutions.iter().filter(with_position).count() as u64;
-        self.recovered += pushed.recovered as u64;
-        self.retries += pushed.retries;
-        for (seq, words) in &pushed.refusals {
-            if self.refused < 10 {
-                eprintln!("epoch {seq} refused: {words}");
-            }
-            self.refused += 1;
-        }
-        if self.terminal && Duration::from_secs(1) < self.shown.elapsed() {
-            self.shown = Instant::now();
-            eprint!("\r{}", self.line());
-        }
-    }
-
-    fn rate(&self) -> f64 {
-        self.acknowledged as f64 / self.start.elapsed().as_secs_f64().max(1e-9)
-    }
-
-    fn line(&self) -> String {
-        format!("{} epochs acknowledged, {:.0} a second", self.acknowledged, self.rate())
-    }
-
-    fn close(&self) {
-        if self.terminal {
-            eprintln!();
-        }
-        println!(
-            "{}, {:.1} s; {} with a position, {} skipped as stored, {} found stored after a break, \
-             {} refused, {} retries",
-            self.line(),
-            self.start.elapsed().as_secs_f64(),
-            self.positioned,
-            self.skipped,
-            self.recovered,
-            self.refused,
-            self.retries
-        );
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn speeds() {
-        assert_eq!(parse_speed("max"), Ok(Speed::Max));
-        assert_eq!(parse_speed("10"), Ok(Speed::Factor(10.0)));
-        for wrong in ["0", "-1", "fast", "inf", "nan"] {
-            assert!(parse_speed(wrong).is_err(), "{wrong}");
-        }
-    }
 }

@@ -24,5 +24,6 @@ pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub use rtk_options::RtkOptions;
 pub use service::{
-    IntakeLimits, Limits, LogConfiguration, ServiceConfiguration, ServiceConfigurationError,
+    FetchConfiguration, IntakeLimits, Limits, LogConfiguration, ServiceConfiguration,
+    ServiceConfigurationError,
 };

@@ -4,6 +4,7 @@
 //! in this order. The command line reads them; a file's unknown key is refused by name.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 
 use serde::Deserialize;
 
@@ -17,8 +18,22 @@ pub struct ServiceConfiguration {
     pub database: String,
     /// How the log is written.
     pub log: LogConfiguration,
+    /// Whom the service may ask for data.
+    pub fetch: FetchConfiguration,
     /// How much the service takes.
     pub limits: Limits,
+}
+
+/// Whom the service may ask for data by a client's wish, such as casters.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FetchConfiguration {
+    /// Hosts that may be asked: `host`, `host:port`, or `*.domain` for all below a domain.
+    pub hosts: Vec<String>,
+    /// Whether they may be at addresses of private networks.
+    pub private_addresses: bool,
+    /// PEM file of certificate authorities that are trusted beside the usual ones.
+    pub ca_file: Option<PathBuf>,
 }
 
 /// How the log is written.
@@ -133,6 +148,11 @@ impl ServiceConfiguration {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
             database: "sqlite://graphfix.db".to_owned(),
             log: LogConfiguration { json: false, filter: "info".to_owned() },
+            fetch: FetchConfiguration {
+                hosts: Vec::new(),
+                private_addresses: false,
+                ca_file: None,
+            },
             limits: Limits::standard(),
         }
     }
@@ -212,6 +232,12 @@ impl Default for ServiceConfiguration {
 impl Default for LogConfiguration {
     fn default() -> Self {
         ServiceConfiguration::standard().log
+    }
+}
+
+impl Default for FetchConfiguration {
+    fn default() -> Self {
+        ServiceConfiguration::standard().fetch
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::aiding::AidingError;
 use crate::aiding::bases::BaseEpochRefusal;
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
+use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
 use crate::reception::ReceptionError;
 use crate::session::{EpochRefusal, SessionError};
@@ -110,6 +111,26 @@ impl From<AidingError> for Refusal {
         };
         let refusal = Self::new(code, error.to_string());
         Self { field: field.map(ToOwned::to_owned), ..refusal }
+    }
+}
+
+impl From<FetchError> for Refusal {
+    fn from(error: FetchError) -> Self {
+        let (code, field) = match &error {
+            FetchError::AddressInvalid { .. } => (Code::CasterAddressInvalid, "ntrip.caster"),
+            FetchError::MountpointInvalid { .. } => (Code::MountpointInvalid, "ntrip.mountpoint"),
+            FetchError::HostNotAllowed { .. } => (Code::HostNotAllowed, "ntrip.caster"),
+            // Of the connection, which no call waits for.
+            FetchError::PatternInvalid { .. }
+            | FetchError::Unresolved { .. }
+            | FetchError::AddressRefused { .. }
+            | FetchError::Unreachable { .. }
+            | FetchError::Tls { .. }
+            | FetchError::CertificatesInvalid { .. } => {
+                return Self::new(Code::Internal, error.to_string());
+            }
+        };
+        Self::new(code, error.to_string()).at(field)
     }
 }
 

@@ -209,6 +209,15 @@ codes! {
     /// One push brings more than a base holds.
     BaseTooLarge = "BASE_TOO_LARGE", TooLarge,
         "push a shorter span, or let the operator raise limits.epochs_per_base and bytes_per_base";
+    /// A caster's address that is none.
+    CasterAddressInvalid = "CASTER_ADDRESS_INVALID", Malformed,
+        "write ntrip://HOST:PORT, or ntrips:// for TLS";
+    /// A mountpoint's name that is none.
+    MountpointInvalid = "MOUNTPOINT_INVALID", Malformed,
+        "choose a mountpoint of the caster's sourcetable";
+    /// A host that the operator does not list.
+    HostNotAllowed = "HOST_NOT_ALLOWED", Precondition,
+        "let the operator list the host in fetch.hosts";
     /// The upload is not RINEX.
     RinexNotRinex = "RINEX_NOT_RINEX", Malformed,
         "send a RINEX file of the kind that the call takes, plain or gzip";

@@ -6,6 +6,7 @@ use tokio::sync::watch;
 
 use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
 use crate::config::Limits;
+use crate::feeds::Feeds;
 use crate::session::Sessions;
 
 /// The desks behind the doors. Clones share them.
@@ -13,16 +14,18 @@ use crate::session::Sessions;
 pub struct Service {
     sessions: Sessions,
     aiding: AidingDesk,
+    feeds: Feeds,
     limits: Arc<Limits>,
     draining: Arc<watch::Sender<bool>>,
 }
 
 impl Service {
     /// The service over its desks.
-    pub fn new(sessions: Sessions, aiding: AidingDesk, limits: Limits) -> Self {
+    pub fn new(sessions: Sessions, aiding: AidingDesk, feeds: Feeds, limits: Limits) -> Self {
         Self {
             sessions,
             aiding,
+            feeds,
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
         }
@@ -41,6 +44,11 @@ impl Service {
     /// The desk for base stations.
     pub const fn bases(&self) -> &BaseBroker {
         &self.aiding.bases
+    }
+
+    /// The desk for streams of casters.
+    pub const fn feeds(&self) -> &Feeds {
+        &self.feeds
     }
 
     /// How much the service takes.

@@ -85,6 +85,13 @@ impl GpsTime {
         })
     }
 
+    /// The instant of a system clock's time (ms since 1970-01-01 UTC, leap seconds not counted).
+    pub fn from_unix_ms(unix_ms: i64, leap: &LeapSeconds) -> Self {
+        let since_epoch_ms = unix_ms.saturating_sub(GPS_EPOCH_UNIX_DAYS * SECONDS_PER_DAY * 1000);
+        let without_leap = Self(since_epoch_ms.saturating_mul(NS_PER_SECOND / 1000));
+        without_leap + leap.at(without_leap) as f64
+    }
+
     /// GPS week, without roll-over.
     pub const fn week(self) -> i32 {
         self.0.div_euclid(NS_PER_WEEK) as i32
@@ -385,6 +392,15 @@ mod tests {
 
     fn civil(year: i32, month: u8, day: u8, hour: u8, minute: u8, second: u8) -> CivilTime {
         CivilTime { year, month, day, hour, minute, second, nanosecond: 0 }
+    }
+
+    #[test]
+    fn a_system_clock_tells_gps_time() {
+        // 2018-10-04T12:37:00Z: Thursday of week 2021, 18 leap seconds.
+        let expected = GpsTime::from_week_seconds(2021, 4.0 * 86_400.0 + 45_420.0 + 18.0);
+        let leap = LeapSeconds::table();
+        assert_eq!(GpsTime::from_unix_ms(1_538_656_620_000, &leap), expected);
+        assert!(GpsTime::from_unix_ms(i64::MAX, &leap) > expected);
     }
 
     #[test]

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource};
 
 use super::codec::{decode_epoch, encode_epoch};
+use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
-use super::{Store, StoreError};
+use super::{BaseFeed, Store, StoreError};
 
 /// The store's short name of a base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -57,6 +58,8 @@ pub struct BaseRow {
     pub created_unix_ms: i64,
     /// Where it stands, each from the base's epoch of that number on.
     pub sites: Vec<(u64, BaseSite)>,
+    /// The stream that fills it.
+    pub feed: Option<BaseFeed>,
 }
 
 /// An epoch of a base, in the store's form.
@@ -151,6 +154,8 @@ const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
 const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2 WHERE key = $1 AND NOT EXISTS
     (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)";
 
+const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
+
 /// Binds a site behind its base.
 macro_rules! site {
     ($base:expr, $since:expr, $site:expr) => {{
@@ -182,6 +187,7 @@ impl Store {
         id: &str,
         label: &str,
         site: Option<&BaseSite>,
+        feed: Option<&BaseFeed>,
         created_unix_ms: i64,
     ) -> Result<BaseKey, StoreError> {
         writing!(&self.pool, pool => {
@@ -194,6 +200,9 @@ impl Store {
                 let key = BaseKey(key);
                 if let Some(site) = site {
                     site!(key, 1_u64, site).execute(&mut *transaction).await?;
+                }
+                if let Some(feed) = feed {
+                    feed!(key, feed).execute(&mut *transaction).await?;
                 }
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
@@ -219,13 +228,21 @@ impl Store {
         });
         let base = |(key, id, label, created_unix_ms)| {
             let (key, sites) = (BaseKey(key), Vec::new());
-            BaseRow { key, id, label, created_unix_ms, sites }
+            BaseRow { key, id, label, created_unix_ms, sites, feed: None }
         };
+        let feeds: Result<Vec<RawFeed>, _> = reading!(&self.pool, pool => {
+            sqlx::query_as("SELECT * FROM base_feeds").fetch_all(pool).await
+        });
         let rows = rows.map_err(StoreError::database(failed))?;
         let mut bases: Vec<BaseRow> = rows.into_iter().map(base).collect();
         for site in sites.map_err(StoreError::database(failed))? {
             if let Ok(place) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
                 bases[place].sites.push(site.parse()?);
+            }
+        }
+        for feed in feeds.map_err(StoreError::database(failed))? {
+            if let Ok(place) = bases.binary_search_by_key(&feed.base, |base| base.key.0) {
+                bases[place].feed = Some(feed.parse()?);
             }
         }
         Ok(bases)
@@ -299,6 +316,7 @@ impl Store {
                 let delete = sqlx::query(DELETE).bind(base.0).bind(unix_ms);
                 let rows = delete.execute(&mut *transaction).await?.rows_affected();
                 if rows == 1 {
+                    sqlx::query(DELETE_FEED).bind(base.0).execute(&mut *transaction).await?;
                     let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
                     forget.execute(&mut *transaction).await?;
                 }

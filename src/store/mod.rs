@@ -14,6 +14,7 @@ mod bases;
 mod codec;
 mod committer;
 mod error;
+mod feeds;
 mod navigation;
 mod page;
 mod pool;
@@ -32,6 +33,7 @@ pub use bases::{BaseChange, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch
 pub use codec::CodecError;
 pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;
+pub use feeds::BaseFeed;
 pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
 pub use page::Page;
 pub use raw::{RawChange, RawPiecePlace, RawPosition};

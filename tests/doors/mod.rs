@@ -6,10 +6,13 @@ use axum::http::{Request, StatusCode};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Limits;
 use graphfix::contract::Service;
+use graphfix::feeds::Feeds;
 use graphfix::session::{SessionLimits, Sessions};
 use graphfix::store::Store;
 use serde_json::{Value, json};
 use tower::ServiceExt;
+
+use crate::casters::{BRISK, connector};
 
 pub(crate) struct Doors {
     pub(crate) router: Router,
@@ -42,7 +45,8 @@ impl Doors {
             ..SessionLimits::service()
         };
         let sessions = Sessions::open(store, aiding.clone(), session_limits);
-        let service = Service::new(sessions, aiding, limits);
+        let feeds = Feeds::open(connector(None), aiding.clone(), BRISK);
+        let service = Service::new(sessions, aiding, feeds, limits);
         Self { router: graphfix::http::router(&service), service, _folder: folder }
     }
 

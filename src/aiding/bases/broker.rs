@@ -7,7 +7,9 @@ use crate::aiding::broker::unix_ms;
 use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
 use crate::gnss::{BaseSite, Epoch, GpsTime, Navigation};
 use crate::positioning::BASE_LATER_S;
-use crate::store::{BaseChange, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch};
+use crate::store::{
+    BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
+};
 
 use super::check::{PositionCheck, REFUSED_M};
 use super::held::Held;
@@ -31,6 +33,7 @@ struct Base {
     name: BaseName,
     label: String,
     created_unix_ms: i64,
+    feed: Option<BaseFeed>,
     /// Held while a push is built and committed: pushes follow one another.
     pushing: tokio::sync::Mutex<()>,
     held: Mutex<Held>,
@@ -63,6 +66,7 @@ impl BaseBroker {
                 name: BaseName { key: row.key, id: row.id.into() },
                 label: row.label,
                 created_unix_ms: row.created_unix_ms,
+                feed: row.feed,
                 pushing: tokio::sync::Mutex::new(()),
                 held: Mutex::new(Held::new(row.sites, epochs, stored_unix_ms)),
             };
@@ -87,12 +91,15 @@ impl BaseBroker {
             return Err(AidingError::TooManyBases { limit });
         }
         let (id, now) = (BaseId::random(), unix_ms());
-        let key = self.store.create_base(id.as_str(), &new.label, new.site.as_ref(), now).await?;
+        let NewBase { label, site, feed } = &new;
+        let stored = self.store.create_base(id.as_str(), label, site.as_ref(), feed.as_ref(), now);
+        let key = stored.await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
         let base = Arc::new(Base {
             name: BaseName { key, id: id.as_str().into() },
             label: new.label,
             created_unix_ms: now,
+            feed: new.feed,
             pushing: tokio::sync::Mutex::new(()),
             held: Mutex::new(Held::new(sites, Vec::new(), None)),
         });
@@ -127,6 +134,21 @@ impl BaseBroker {
     /// There is none of this id.
     pub fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
         Ok(self.base(id)?.name.clone())
+    }
+
+    /// Every base that a stream of a caster fills.
+    pub fn feeds(&self) -> Vec<(BaseId, BaseFeed)> {
+        let bases = self.read();
+        let fed = bases.iter().filter_map(|(id, base)| Some((id.clone(), base.feed.clone()?)));
+        fed.collect()
+    }
+
+    /// Where a base stands now, as far as known.
+    ///
+    /// # Errors
+    /// There is none of this id.
+    pub fn site(&self, id: &BaseId) -> Result<Option<BaseSite>, AidingError> {
+        Ok(self.base(id)?.held().site().cloned())
     }
 
     /// Deletes a base with its epochs.
@@ -357,6 +379,7 @@ fn info(base: &Base) -> BaseInfo {
         name: base.name.clone(),
         label: base.label.clone(),
         created_unix_ms: base.created_unix_ms,
+        feed: base.feed.clone(),
         site: held.site().cloned(),
         epochs: held.epochs.len(),
         span: span.map(|(oldest, newest)| (oldest.time, newest.time)),

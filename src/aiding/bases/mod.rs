@@ -39,6 +39,8 @@ pub use broker::BaseBroker;
 pub use check::PositionCheck;
 pub use view::{BaseGiven, BaseView};
 
+pub use crate::store::BaseFeed;
+
 /// The name of a base: `bas_` and 122 random bits.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BaseId(Arc<str>);
@@ -82,6 +84,8 @@ pub struct NewBase {
     pub label: String,
     /// Where it stands; `None` where its files or messages will tell.
     pub site: Option<BaseSite>,
+    /// The stream of a caster that fills it.
+    pub feed: Option<BaseFeed>,
 }
 
 /// A base with its health.
@@ -93,6 +97,8 @@ pub struct BaseInfo {
     pub label: String,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
+    /// The stream of a caster that fills it.
+    pub feed: Option<BaseFeed>,
     /// Where it stands, as far as known.
     pub site: Option<BaseSite>,
     /// Epochs held.

@@ -11,7 +11,7 @@ use clap::{Args, value_parser};
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 
-use crate::config::Limits;
+use crate::config::{Limits, ServiceConfiguration};
 use crate::formats::rinex::write_navigation;
 use crate::simulation::{self, Scenario};
 
@@ -61,7 +61,8 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let database = format!("sqlite://{}", folder.0.join("demo.db").display());
     let listener = listener().await?;
     let address = listener.local_addr().map_err(|error| no_port(&error))?;
-    let host = Host::open(&database, &Limits::standard()).await?;
+    let fetch = ServiceConfiguration::standard().fetch;
+    let host = Host::open(&database, &Limits::standard(), &fetch).await?;
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped its end, which stops the service too.
     let serving = tokio::spawn(host.serve(listener, async { drop(stopped.await) }));

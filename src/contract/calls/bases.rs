@@ -3,12 +3,13 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::aiding::bases::{
-    BaseEpochRefusal, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
+    BaseEpochRefusal, BaseId, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
 };
 use crate::contract::{Code, Refusal, Service, convert, v1};
 use crate::formats::rinex::{ObservationReader, Skipped};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 
+use super::feeds;
 use super::positioning::{Numbered, epochs};
 use super::upload::{in_background, skipped_entry, unpacked};
 use super::{base_id, page_size, page_token, utc};
@@ -26,13 +27,18 @@ const DELTA_MAX_M: f64 = 1000.0;
 /// Creates a base.
 ///
 /// # Errors
-/// A position that is none, as many bases as there may be, or the store's failure.
+/// A position or a stream that is none, as many bases as there may be, or the store's failure.
 pub async fn create(
     service: &Service,
     request: v1::CreateBaseRequest,
 ) -> Result<v1::Base, Refusal> {
-    let new = NewBase { site: site(&request)?, label: request.label };
-    Ok(message(&service.bases().create(new).await?))
+    let site = site(&request)?;
+    let feed = request.ntrip.map(|source| feeds::source(service, source)).transpose()?;
+    let created = service.bases().create(NewBase { label: request.label, site, feed }).await?;
+    if let (Some(feed), Some(id)) = (&created.feed, BaseId::parse(&created.name.id)) {
+        service.feeds().start(&id, feed)?;
+    }
+    Ok(message(service, &created))
 }
 
 /// One base.
@@ -41,7 +47,7 @@ pub async fn create(
 /// No such base.
 pub async fn get(service: &Service, request: v1::GetBaseRequest) -> Result<v1::Base, Refusal> {
     let id = base_id(&request.base)?;
-    Ok(message(&service.bases().get(&id).await?))
+    Ok(message(service, &service.bases().get(&id).await?))
 }
 
 /// Bases, by id.
@@ -69,7 +75,7 @@ pub async fn list(
     let last = bases.last().filter(|_| more);
     Ok(v1::ListBasesResponse {
         next_page_token: last.map(|base| base.name.id.to_string()).unwrap_or_default(),
-        bases: bases.iter().map(message).collect(),
+        bases: bases.iter().map(|base| message(service, base)).collect(),
     })
 }
 
@@ -83,6 +89,7 @@ pub async fn delete(
 ) -> Result<v1::DeleteBaseResponse, Refusal> {
     let id = base_id(&request.base)?;
     service.bases().delete(&id).await?;
+    service.feeds().stop(&id);
     Ok(v1::DeleteBaseResponse {})
 }
 
@@ -226,12 +233,13 @@ fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
     doubt.iter().map(convert::reason).collect()
 }
 
-fn message(info: &BaseInfo) -> v1::Base {
+fn message(service: &Service, info: &BaseInfo) -> v1::Base {
     let age_s = info.stored_unix_ms.map(|stored_ms| {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         now.as_secs_f64() - stored_ms as f64 / 1e3
     });
     v1::Base {
+        feed: info.feed.as_ref().map(|feed| feeds::message(service, &info.name.id, feed)),
         base: info.name.id.to_string(),
         label: info.label.clone(),
         created_utc: utc(info.created_unix_ms),

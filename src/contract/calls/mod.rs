@@ -2,6 +2,7 @@
 //! out.
 
 pub mod bases;
+mod feeds;
 pub mod navigation;
 pub mod positioning;
 pub mod raw;

@@ -1,6 +1,7 @@
 //! Raw bytes of a receiver in, solutions out.
 
 use crate::contract::{Refusal, Service, intake, v1};
+use crate::formats::receiver::{RefusalEntry, Statistics};
 use crate::reception::{LeftOut, MessageTotal};
 use crate::session::{RawPiece, RawReceived};
 
@@ -65,4 +66,16 @@ fn total(MessageTotal { kind, count }: &MessageTotal) -> v1::MessageTotal {
 fn left_out(LeftOut { kind, why, count, first }: LeftOut) -> v1::LeftOut {
     let kind = kind.map(|kind| kind.to_string()).unwrap_or_default();
     v1::LeftOut { kind, why, count, first }
+}
+
+/// What a decoder counted.
+pub(super) fn statistics(counted: &Statistics) -> (Vec<v1::MessageTotal>, Vec<v1::LeftOut>) {
+    let messages = counted.messages().map(|(kind, count)| total(&MessageTotal { kind, count }));
+    let entry = |entry: &RefusalEntry| v1::LeftOut {
+        kind: entry.kind.map(|kind| kind.to_string()).unwrap_or_default(),
+        why: entry.reason.to_string(),
+        count: entry.count,
+        first: entry.offsets.first().copied().unwrap_or_default(),
+    };
+    (messages.collect(), counted.refusals().iter().map(entry).collect())
 }

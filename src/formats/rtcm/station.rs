@@ -1,7 +1,9 @@
 //! What messages tell of the station: 1005 to 1008, 1033, 1230, and the times of 1013 and 1029.
 
 use crate::formats::binary::{Bits, Clock, Refusal};
-use crate::gnss::{Ecef, GpsTime};
+use nalgebra::Vector3;
+
+use crate::gnss::{BaseSite, Ecef, Enu, GpsTime, LocalFrame, PositionSource};
 
 const COORDINATE_UNIT_M: f64 = 1e-4;
 const BIAS_UNIT_M: f64 = 0.02;
@@ -39,6 +41,19 @@ pub struct Station {
 }
 
 impl Station {
+    /// Where it stands, once a message has told.
+    pub fn site(&self) -> Option<BaseSite> {
+        let point = self.antenna_reference_point?;
+        let height_m = self.antenna_height_m.unwrap_or(0.0);
+        let below = Enu(Vector3::new(0.0, 0.0, -height_m));
+        Some(BaseSite {
+            marker: LocalFrame::at(point).to_ecef(below),
+            antenna_delta_hen_m: [height_m, 0.0, 0.0],
+            antenna: self.antenna.clone(),
+            source: PositionSource::Message,
+        })
+    }
+
     /// Takes over a message; another station's number starts anew.
     pub(super) fn update(&mut self, number: u16, mut bits: Bits<'_>) -> Result<(), Refusal> {
         let id = bits.unsigned(12) as u16;

@@ -1,0 +1,99 @@
+//! The streams that fill bases.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::aiding::bases::{BaseFeed, BaseId};
+use crate::contract::{Code, Refusal, Service, intake, v1};
+use crate::feeds::{FeedHealth, FeedProblem};
+use crate::gnss::Geodetic;
+
+use super::raw::statistics;
+use super::utc;
+
+/// Characters of a user's name or password at a caster.
+const CREDENTIAL_LIMIT: usize = 200;
+/// Heights at which rovers are (m).
+const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e5;
+
+/// The stream that a request names, checked.
+pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseFeed, Refusal> {
+    let refused = |field: &str, message: String| {
+        Err(Refusal::new(Code::InvalidField, message).at(format!("ntrip.{field}")))
+    };
+    let v1::NtripSource { caster, mountpoint, user, password, version, position, near } = source;
+    let version = match version {
+        0 | 2 => 2,
+        1 => 1,
+        other => return refused("version", format!("{other} is no version of NTRIP: 1 or 2 is")),
+    };
+    let is_text =
+        |text: &str| text.len() <= CREDENTIAL_LIMIT && text.chars().all(|c| !c.is_control());
+    if !is_text(&user) || user.contains(':') {
+        let message = format!("a user is up to {CREDENTIAL_LIMIT} characters without a colon");
+        return refused("user", message);
+    }
+    if !is_text(&password) {
+        let message = format!("a password is up to {CREDENTIAL_LIMIT} printable characters");
+        return refused("password", message);
+    }
+    let place = |v1::Geodetic { latitude_deg, longitude_deg, height_m }: v1::Geodetic| {
+        let is_place = latitude_deg.abs() <= 90.0
+            && longitude_deg.abs() <= 360.0
+            && HEIGHTS_M.contains(&height_m);
+        let (latitude_rad, longitude_rad) = (latitude_deg.to_radians(), longitude_deg.to_radians());
+        is_place.then(|| Geodetic { latitude_rad, longitude_rad, height_m }.to_ecef())
+    };
+    let position = match position.map(place) {
+        Some(None) => return refused("position", "it is no place on Earth".to_owned()),
+        position => position.flatten(),
+    };
+    let at_near = |refusal: Refusal| refusal.at("ntrip.near");
+    let near = near.map(|near| intake::time(near.week, near.ns_of_week).map_err(at_near));
+    let near = near.transpose()?;
+    let feed = BaseFeed { caster, mountpoint, name: user, password, version, near, position };
+    service.feeds().check(&feed)?;
+    Ok(feed)
+}
+
+/// A stream with its health.
+pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Feed {
+    let named = v1::Feed {
+        caster: feed.caster.clone(),
+        mountpoint: feed.mountpoint.clone(),
+        user: feed.name.clone(),
+        ..Default::default()
+    };
+    let health = BaseId::parse(base).and_then(|id| service.feeds().health(&id));
+    let Some(health) = health else { return named };
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+    let seconds = |unix_ms: i64| unix_ms as f64 / 1e3;
+    let FeedHealth { state, problem, refusal, statistics: counted, .. } = &health;
+    let (messages, left_out) = statistics(counted);
+    v1::Feed {
+        state: state.name().to_owned(),
+        since_utc: utc(health.since_unix_ms),
+        retry_in_s: health.retry_unix_ms.map(|retry| (seconds(retry) - now).max(0.0)),
+        problem: problem.as_ref().map(told),
+        refusal: refusal.as_ref().map(told),
+        attempts: health.attempts,
+        connections: health.connections,
+        bytes: health.bytes,
+        silent_s: health.heard_unix_ms.map(|heard| (now - seconds(heard)).max(0.0)),
+        epochs: health.epochs,
+        last_time: health.last_epoch.map(Into::into),
+        messages,
+        left_out,
+        garbage_bytes: counted.garbage_bytes(),
+        station_off_m: health.station_off_m,
+        ..named
+    }
+}
+
+fn told(problem: &FeedProblem) -> v1::Refusal {
+    v1::Refusal {
+        code: problem.code.to_owned(),
+        message: problem.message.clone(),
+        remedy: problem.remedy.to_owned(),
+        field: String::new(),
+    }
+}

@@ -1,0 +1,59 @@
+//! When to try again.
+
+use std::time::Duration;
+
+use uuid::Uuid;
+
+/// Delays between attempts: each twice the one before up to a ceiling, and each drawn from half of
+/// it to all of it, so that those who lost the same caster at once do not come back at once.
+#[derive(Clone, Debug)]
+pub struct Backoff {
+    first: Duration,
+    ceiling: Duration,
+    next: Duration,
+}
+
+impl Backoff {
+    /// Delays from `first` to `ceiling`.
+    pub const fn new(first: Duration, ceiling: Duration) -> Self {
+        Self { first, ceiling, next: first }
+    }
+
+    /// The next delay, at least `asked`.
+    pub fn next(&mut self, asked: Option<Duration>) -> Duration {
+        // Random bits that are there anyway; nobody gains by guessing them.
+        let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
+        let delay = self.next.mul_f64(0.5 + 0.5 * fraction);
+        self.next = (self.next * 2).min(self.ceiling);
+        asked.map_or(delay, |asked| asked + delay.min(asked))
+    }
+
+    /// Begins anew, after a success that lasted.
+    pub const fn reset(&mut self) {
+        self.next = self.first;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delays_double_to_a_ceiling_and_differ() {
+        let (first, ceiling) = (Duration::from_secs(1), Duration::from_secs(60));
+        let mut backoff = Backoff::new(first, ceiling);
+        let mut most = first;
+        let mut seen = std::collections::BTreeSet::new();
+        for _ in 0..40 {
+            let delay = backoff.next(None);
+            assert!(most / 2 <= delay && delay <= most, "{delay:?} of {most:?}");
+            most = (most * 2).min(ceiling);
+            seen.insert(delay);
+        }
+        assert!(30 < seen.len(), "no jitter");
+        let asked = Duration::from_secs(7);
+        assert!(asked <= backoff.next(Some(asked)));
+        backoff.reset();
+        assert!(backoff.next(None) <= first);
+    }
+}

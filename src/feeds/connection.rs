@@ -1,0 +1,189 @@
+//! A connection to a host that may be asked, plain or encrypted.
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::pki_types::pem::PemObject;
+use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+
+use super::{FetchError, FetchPolicy};
+
+/// How long a host may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// To accept at one address, and to agree on TLS.
+    pub connecting: Duration,
+    /// To give the head of its answer, however slowly the bytes come.
+    pub answering: Duration,
+    /// To give a whole list or file.
+    pub listing: Duration,
+}
+
+impl Patience {
+    /// What hosts of the internet need at their worst.
+    pub const fn standard() -> Self {
+        Self {
+            connecting: Duration::from_secs(10),
+            answering: Duration::from_secs(15),
+            listing: Duration::from_secs(60),
+        }
+    }
+}
+
+/// Connects to hosts that may be asked. Clones share it.
+#[derive(Clone)]
+pub struct Connector {
+    policy: Arc<FetchPolicy>,
+    tls: TlsConnector,
+    patience: Patience,
+}
+
+impl Connector {
+    /// A connector under a policy. It trusts Mozilla's certificate authorities, and those of the
+    /// PEM file `authorities`.
+    ///
+    /// # Errors
+    /// Certificates that cannot be read.
+    pub fn new(
+        policy: FetchPolicy,
+        patience: Patience,
+        authorities: Option<&Path>,
+    ) -> Result<Self, FetchError> {
+        let mut roots = RootCertStore { roots: webpki_roots::TLS_SERVER_ROOTS.to_vec() };
+        if let Some(path) = authorities {
+            let refused = |why: String| FetchError::CertificatesInvalid {
+                file: path.display().to_string(),
+                why,
+            };
+            let all = CertificateDer::pem_file_iter(path).map_err(|e| refused(e.to_string()))?;
+            for certificate in all {
+                let certificate = certificate.map_err(|error| refused(error.to_string()))?;
+                roots.add(certificate).map_err(|error| refused(error.to_string()))?;
+            }
+        }
+        let configuration = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+            .with_safe_default_protocol_versions()
+            .expect("ring's provider has every version")
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+        Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), patience })
+    }
+
+    /// The policy.
+    pub fn policy(&self) -> &FetchPolicy {
+        &self.policy
+    }
+
+    /// How long a host may take.
+    pub const fn patience(&self) -> &Patience {
+        &self.patience
+    }
+
+    /// Connects to a host at an address that was checked.
+    ///
+    /// # Errors
+    /// The policy refuses it, or it does not answer.
+    pub async fn connect(
+        &self,
+        host: &str,
+        port: u16,
+        is_tls: bool,
+    ) -> Result<Connection, FetchError> {
+        let addresses = self.policy.resolve(host, port).await?;
+        let connecting = self.patience.connecting;
+        let stream = plain(host, &addresses, connecting).await?;
+        // Err: small pieces may wait for one another, no more.
+        stream.set_nodelay(true).ok();
+        if !is_tls {
+            return Ok(Connection::Plain(stream));
+        }
+        let failed = |why: String| FetchError::Tls { host: host.to_owned(), why };
+        let bare = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+        let name = ServerName::try_from(bare).map_err(|error| failed(error.to_string()))?;
+        let agreed = tokio::time::timeout(connecting, self.tls.connect(name, stream)).await;
+        let agreed = agreed.map_err(|_| failed("no answer".to_owned()))?;
+        Ok(Connection::Tls(Box::new(agreed.map_err(|error| failed(error.to_string()))?)))
+    }
+}
+
+impl fmt::Debug for Connector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Connector").field("policy", &self.policy).finish_non_exhaustive()
+    }
+}
+
+async fn plain(
+    host: &str,
+    addresses: &[SocketAddr],
+    connecting: Duration,
+) -> Result<TcpStream, FetchError> {
+    let mut why = String::new();
+    for address in addresses {
+        match tokio::time::timeout(connecting, TcpStream::connect(address)).await {
+            Ok(Ok(stream)) => return Ok(stream),
+            Ok(Err(error)) => why = format!("{address}: {error}"),
+            Err(_) => why = format!("{address}: no answer"),
+        }
+    }
+    Err(FetchError::Unreachable { host: host.to_owned(), why })
+}
+
+/// A connection.
+#[derive(Debug)]
+pub enum Connection {
+    /// As it is.
+    Plain(TcpStream),
+    /// Encrypted.
+    Tls(Box<TlsStream<TcpStream>>),
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        match self.get_mut() {
+            Self::Plain(stream) => Pin::new(stream).poll_read(context, buffer),
+            Self::Tls(stream) => Pin::new(stream.as_mut()).poll_read(context, buffer),
+        }
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        match self.get_mut() {
+            Self::Plain(stream) => Pin::new(stream).poll_write(context, bytes),
+            Self::Tls(stream) => Pin::new(stream.as_mut()).poll_write(context, bytes),
+        }
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        match self.get_mut() {
+            Self::Plain(stream) => Pin::new(stream).poll_flush(context),
+            Self::Tls(stream) => Pin::new(stream.as_mut()).poll_flush(context),
+        }
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        match self.get_mut() {
+            Self::Plain(stream) => Pin::new(stream).poll_shutdown(context),
+            Self::Tls(stream) => Pin::new(stream.as_mut()).poll_shutdown(context),
+        }
+    }
+}

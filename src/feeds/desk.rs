@@ -1,0 +1,149 @@
+//! The desk itself: which streams there are, and which bases they fill.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use crate::aiding::AidingDesk;
+use crate::aiding::bases::{BaseFeed, BaseId};
+use crate::gnss::{Ecef, GpsTime};
+
+use super::ntrip::{Credentials, NtripVersion, StreamRequest};
+use super::stream::{Shared, Stream};
+use super::{Connector, FeedHealth, FeedOptions, FetchError};
+
+/// What tells streams apart: those that are alike are one.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    request: StreamRequest,
+    near: Option<GpsTime>,
+    /// Bits of the position, which is compared and no more.
+    position: Option<[u64; 3]>,
+}
+
+struct Running {
+    shared: Arc<Shared>,
+    stop: watch::Sender<bool>,
+    task: JoinHandle<()>,
+}
+
+/// The desk for streams of casters. Clones share it.
+#[derive(Clone)]
+pub struct Feeds {
+    desk: Arc<Desk>,
+}
+
+struct Desk {
+    connector: Connector,
+    aiding: AidingDesk,
+    options: FeedOptions,
+    streams: Mutex<BTreeMap<Key, Running>>,
+}
+
+impl Feeds {
+    /// Opens the desk; streams that fill bases are asked for at once.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
+        let streams = Mutex::default();
+        let fed = aiding.bases.feeds();
+        let feeds = Self { desk: Arc::new(Desk { connector, aiding, options, streams }) };
+        for (base, feed) in fed {
+            if let Err(error) = feeds.start(&base, &feed) {
+                tracing::error!(code = error.code(), %base, %error, "a base is not fed");
+            }
+        }
+        feeds
+    }
+
+    /// Whether a stream may be asked for.
+    ///
+    /// # Errors
+    /// A caster or mountpoint that is none, or a host that the operator does not list.
+    pub fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
+        let request = request_of(feed)?;
+        self.desk.connector.policy().check(&request.caster.host, request.caster.port)
+    }
+
+    /// Fills a base from a stream from now on.
+    ///
+    /// # Errors
+    /// A caster or mountpoint that is none.
+    pub fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
+        let bits = |Ecef(p): Ecef| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
+        let key =
+            Key { request: request_of(feed)?, near: feed.near, position: feed.position.map(bits) };
+        let mut streams = self.streams();
+        if let Some(running) = streams.get(&key) {
+            running.shared.add(base.clone());
+            return Ok(());
+        }
+        let (stop, stopped) = watch::channel(false);
+        let shared = Arc::new(Shared::new(base.clone()));
+        let stream = Stream {
+            request: key.request.clone(),
+            near: feed.near,
+            position: feed.position,
+            site: None,
+            early: VecDeque::new(),
+            shared: shared.clone(),
+            connector: self.desk.connector.clone(),
+            aiding: self.desk.aiding.clone(),
+            options: self.desk.options,
+            stopped,
+        };
+        let task = tokio::spawn(stream.run());
+        streams.insert(key, Running { shared, stop, task });
+        Ok(())
+    }
+
+    /// Fills a base no more; a stream that fills none is given up.
+    pub fn stop(&self, base: &BaseId) {
+        self.streams().retain(|_, running| {
+            let is_used = running.shared.remove(base);
+            if !is_used {
+                // Err: it has ended by itself.
+                running.stop.send(true).ok();
+            }
+            is_used
+        });
+    }
+
+    /// How the stream is doing that fills a base.
+    pub fn health(&self, base: &BaseId) -> Option<FeedHealth> {
+        let streams = self.streams();
+        streams.values().find(|running| running.shared.fills(base)).map(|r| r.shared.health())
+    }
+
+    /// Gives up all streams; returns when what they brought is stored.
+    pub async fn close(&self) {
+        let running = std::mem::take(&mut *self.streams());
+        for (_, Running { stop, task, .. }) in running {
+            // Err: it has ended by itself, or it panicked.
+            stop.send(true).ok();
+            task.await.ok();
+        }
+    }
+
+    fn streams(&self) -> MutexGuard<'_, BTreeMap<Key, Running>> {
+        self.desk.streams.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn request_of(feed: &BaseFeed) -> Result<StreamRequest, FetchError> {
+    let BaseFeed { caster, mountpoint, name, password, version, .. } = feed;
+    let credentials = Credentials { name: name.clone(), password: password.clone() };
+    let request = StreamRequest {
+        caster: caster.parse()?,
+        mountpoint: mountpoint.clone(),
+        credentials: (!name.is_empty()).then_some(credentials),
+        version: if *version == 1 { NtripVersion::One } else { NtripVersion::Two },
+    };
+    if mountpoint.is_empty() || !request.is_sound() {
+        return Err(FetchError::MountpointInvalid { text: mountpoint.clone() });
+    }
+    Ok(request)
+}

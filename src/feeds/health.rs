@@ -1,0 +1,112 @@
+//! How a stream is doing.
+
+use crate::aiding::AidingError;
+use crate::formats::receiver::Statistics;
+use crate::gnss::GpsTime;
+
+use super::ntrip::NtripError;
+
+/// What a stream is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FeedState {
+    /// It is being asked for.
+    Connecting,
+    /// It comes.
+    Streaming,
+    /// It ended or was refused, and is asked for again after a delay.
+    Waiting,
+}
+
+impl FeedState {
+    /// The name as the API writes it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Connecting => "CONNECTING",
+            Self::Streaming => "STREAMING",
+            Self::Waiting => "WAITING",
+        }
+    }
+}
+
+/// What went wrong last.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FeedProblem {
+    /// Stable code, upper snake case.
+    pub code: &'static str,
+    /// What is wrong.
+    pub message: String,
+    /// What can be done about it.
+    pub remedy: &'static str,
+}
+
+impl From<&NtripError> for FeedProblem {
+    fn from(error: &NtripError) -> Self {
+        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+    }
+}
+
+impl From<&AidingError> for FeedProblem {
+    fn from(error: &AidingError) -> Self {
+        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+    }
+}
+
+/// How a stream is doing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeedHealth {
+    /// What it is at.
+    pub state: FeedState,
+    /// Since when (ms since 1970-01-01 UTC).
+    pub since_unix_ms: i64,
+    /// Why it was lost last, even if it has come back.
+    pub problem: Option<FeedProblem>,
+    /// Why its epochs are not taken.
+    pub refusal: Option<FeedProblem>,
+    /// When it is asked for again (ms since 1970-01-01 UTC), while it waits.
+    pub retry_unix_ms: Option<i64>,
+    /// How often it was granted.
+    pub connections: u64,
+    /// How often it was asked for.
+    pub attempts: u64,
+    /// Bytes that came.
+    pub bytes: u64,
+    /// When the last of them came (ms since 1970-01-01 UTC).
+    pub heard_unix_ms: Option<i64>,
+    /// Epochs that came.
+    pub epochs: u64,
+    /// Time of the last of them.
+    pub last_epoch: Option<GpsTime>,
+    /// What the present connection brought, by type of message, or else the last.
+    pub statistics: Statistics,
+    /// From where the base is stated to stand to where the stream says (m).
+    pub station_off_m: Option<f64>,
+}
+
+impl FeedHealth {
+    pub(super) fn new(now_unix_ms: i64) -> Self {
+        Self {
+            state: FeedState::Connecting,
+            since_unix_ms: now_unix_ms,
+            problem: None,
+            refusal: None,
+            retry_unix_ms: None,
+            connections: 0,
+            attempts: 0,
+            bytes: 0,
+            heard_unix_ms: None,
+            epochs: 0,
+            last_epoch: None,
+            statistics: Statistics::default(),
+            station_off_m: None,
+        }
+    }
+
+    pub(super) fn enter(&mut self, state: FeedState, now_unix_ms: i64) {
+        (self.state, self.since_unix_ms, self.retry_unix_ms) = (state, now_unix_ms, None);
+        match state {
+            FeedState::Connecting => self.attempts += 1,
+            FeedState::Streaming => self.connections += 1,
+            FeedState::Waiting => {}
+        }
+    }
+}

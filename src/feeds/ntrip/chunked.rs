@@ -1,0 +1,122 @@
+//! The body of HTTP/1.1 in chunks, as it comes.
+
+use super::NtripError;
+
+/// Longest line that tells a chunk's size, extensions included (bytes).
+const SIZE_LINE_LIMIT: usize = 256;
+/// Hexadecimal digits of a size; more would not be a size of this world.
+const SIZE_DIGITS: usize = 8;
+
+/// Where in the body the next byte stands.
+#[derive(Debug)]
+enum Place {
+    /// In the line of a size, of which so much has come.
+    Size(Vec<u8>),
+    /// In a chunk, of which so much is missing.
+    Content(u32),
+    /// Behind a chunk, where its line end stands.
+    Behind,
+    /// Behind the last chunk.
+    End,
+}
+
+/// Takes the frame of chunks off a body.
+#[derive(Debug)]
+pub(super) struct Unchunker {
+    place: Place,
+}
+
+impl Unchunker {
+    pub(super) const fn new() -> Self {
+        Self { place: Place::Size(Vec::new()) }
+    }
+
+    /// Whether the last chunk has come.
+    pub(super) const fn is_at_end(&self) -> bool {
+        matches!(self.place, Place::End)
+    }
+
+    /// Adds to `content` what `bytes` hold of it.
+    ///
+    /// # Errors
+    /// A body that is not chunked.
+    pub(super) fn push(&mut self, bytes: &[u8], content: &mut Vec<u8>) -> Result<(), NtripError> {
+        let mut rest = bytes;
+        while let [first, after @ ..] = rest {
+            match &mut self.place {
+                Place::Size(line) => {
+                    rest = after;
+                    if *first == b'\n' {
+                        let size = size_of(line)?;
+                        self.place = if size == 0 { Place::End } else { Place::Content(size) };
+                    } else if line.len() == SIZE_LINE_LIMIT {
+                        return Err(refused("the line of a chunk's size is too long"));
+                    } else {
+                        line.push(*first);
+                    }
+                }
+                Place::Content(missing) => {
+                    let length = rest.len().min(*missing as usize);
+                    content.extend_from_slice(&rest[..length]);
+                    rest = &rest[length..];
+                    *missing -= length as u32;
+                    if *missing == 0 {
+                        self.place = Place::Behind;
+                    }
+                }
+                Place::Behind => {
+                    rest = after;
+                    match first {
+                        b'\r' => {}
+                        b'\n' => self.place = Place::Size(Vec::new()),
+                        _ => return Err(refused("a chunk is longer than it says")),
+                    }
+                }
+                // Trailers say nothing that is used.
+                Place::End => return Ok(()),
+            }
+        }
+        Ok(())
+    }
+}
+
+fn size_of(line: &[u8]) -> Result<u32, NtripError> {
+    let digits = line.split(|byte| *byte == b';').next().unwrap_or_default().trim_ascii();
+    let text = std::str::from_utf8(digits).ok().filter(|text| text.len() <= SIZE_DIGITS);
+    let size = text.and_then(|text| u32::from_str_radix(text, 16).ok());
+    size.ok_or_else(|| refused("a chunk has no size"))
+}
+
+fn refused(why: &str) -> NtripError {
+    NtripError::Protocol { why: why.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unchunked(body: &[u8], piece: usize) -> Result<(Vec<u8>, bool), NtripError> {
+        let (mut unchunker, mut content) = (Unchunker::new(), Vec::new());
+        for bytes in body.chunks(piece) {
+            unchunker.push(bytes, &mut content)?;
+        }
+        Ok((content, unchunker.is_at_end()))
+    }
+
+    #[test]
+    fn chunks_are_joined_wherever_they_are_split() {
+        let body = b"5\r\nhello\r\nA;name=value\r\n0123456789\r\n1\r\n\n\r\n0\r\n\r\n";
+        for piece in 1..body.len() {
+            let (content, is_at_end) = unchunked(body, piece).unwrap();
+            assert_eq!((content.as_slice(), is_at_end), (&b"hello0123456789\n"[..], true));
+        }
+    }
+
+    #[test]
+    fn what_is_not_chunked_is_refused() {
+        let long = [b"5;".as_slice(), &[b'x'; 400]].concat();
+        for body in [&b"\r\n"[..], b"xyz\r\n", b"fffffffff\r\n", b"-1\r\n", b"2\r\nabc", &long] {
+            assert!(unchunked(body, 7).is_err(), "{:?}", String::from_utf8_lossy(body));
+        }
+    }
+}

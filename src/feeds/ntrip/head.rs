@@ -1,0 +1,197 @@
+//! The head of a caster's answer: what it says, and where the stream begins.
+
+use std::time::Duration;
+
+use super::NtripError;
+
+/// Longest head that is read (bytes).
+pub(super) const HEAD_LIMIT: usize = 8 << 10;
+/// Longest answer that is repeated to users (characters).
+const ANSWER_LIMIT: usize = 120;
+/// Longest delay that a caster may ask for.
+const RETRY_AFTER_LIMIT: Duration = Duration::from_secs(3600);
+/// What answers begin with.
+const STARTS: [&[u8]; 4] = [b"ICY ", b"HTTP/1.", b"SOURCETABLE ", b"ERROR"];
+
+/// What follows a head that grants the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Granted {
+    /// Bytes of the head.
+    pub(super) length: usize,
+    /// The stream comes in chunks.
+    pub(super) is_chunked: bool,
+    /// It is the caster's list of mountpoints.
+    pub(super) is_sourcetable: bool,
+}
+
+/// Reads a head; `None` where more of it must come.
+///
+/// # Errors
+/// The caster refuses, or is none.
+pub(super) fn read(bytes: &[u8]) -> Result<Option<Granted>, NtripError> {
+    let could_be = |start: &[u8]| {
+        let length = start.len().min(bytes.len());
+        bytes[..length].eq_ignore_ascii_case(&start[..length])
+    };
+    if !STARTS.into_iter().any(could_be) {
+        return Err(NtripError::Protocol { why: format!("it begins {:?}", shown(bytes)) });
+    }
+    let Some(line_end) = bytes.iter().take(HEAD_LIMIT).position(|byte| *byte == b'\n') else {
+        return if bytes.len() < HEAD_LIMIT { Ok(None) } else { Err(endless()) };
+    };
+    let line = shown(&bytes[..line_end]);
+    if line.starts_with("ICY ") {
+        // The stream may follow at once; an empty line before it is garbage to its decoder.
+        let granted = Granted { length: line_end + 1, is_chunked: false, is_sourcetable: false };
+        return status(&line, None).map(|()| Some(granted));
+    }
+    if line.starts_with("ERROR") {
+        return Err(error(&line));
+    }
+    let Some(length) = end_of(bytes) else {
+        return if bytes.len() < HEAD_LIMIT { Ok(None) } else { Err(endless()) };
+    };
+    let fields = Fields(&bytes[line_end + 1..length]);
+    status(&line, fields.retry_after())?;
+    let is_table = |kind: String| kind.to_ascii_lowercase().contains("sourcetable");
+    let is_sourcetable =
+        line.starts_with("SOURCETABLE") || fields.value("content-type").is_some_and(is_table);
+    let is_chunks = |coding: String| coding.to_ascii_lowercase().contains("chunked");
+    let is_chunked = fields.value("transfer-encoding").is_some_and(is_chunks);
+    Ok(Some(Granted { length, is_chunked, is_sourcetable }))
+}
+
+/// What the first line of a head refuses, where nothing more of it came.
+pub(super) fn refusal(bytes: &[u8]) -> Option<NtripError> {
+    let line_end = bytes.iter().position(|byte| *byte == b'\n')?;
+    status(&shown(&bytes[..line_end]), None).err()
+}
+
+/// Where the empty line that ends a head ends.
+fn end_of(bytes: &[u8]) -> Option<usize> {
+    let head = &bytes[..bytes.len().min(HEAD_LIMIT)];
+    let lines = head.iter().enumerate().filter(|(_, byte)| **byte == b'\n').map(|(at, _)| at);
+    let is_last = |at: &usize| matches!(head[at + 1..], [b'\n', ..] | [b'\r', b'\n', ..]);
+    let at = lines.into_iter().find(is_last)?;
+    Some(at + if head[at + 1] == b'\n' { 2 } else { 3 })
+}
+
+fn endless() -> NtripError {
+    NtripError::Protocol { why: format!("its head is longer than {HEAD_LIMIT} bytes") }
+}
+
+/// What the status line grants or refuses.
+fn status(line: &str, retry_after: Option<Duration>) -> Result<(), NtripError> {
+    let answer = line.to_owned();
+    let number = line.split_whitespace().nth(1).and_then(|number| number.parse::<u16>().ok());
+    match number {
+        Some(200) => Ok(()),
+        Some(401 | 403 | 407) => Err(NtripError::Unauthorised { answer }),
+        Some(404 | 410) => Err(NtripError::NoSuchMountpoint { answer }),
+        Some(300..=399) => Err(NtripError::Redirected { answer }),
+        Some(408 | 409 | 425 | 429 | 500..=599) => {
+            Err(NtripError::TryLater { answer, retry_after })
+        }
+        _ => Err(NtripError::Protocol { why: format!("it says {answer:?}") }),
+    }
+}
+
+/// What a caster of version 1 refuses with.
+fn error(line: &str) -> NtripError {
+    let (answer, lower) = (line.to_owned(), line.to_ascii_lowercase());
+    if ["password", "pass", "user", "auth"].iter().any(|word| lower.contains(word)) {
+        NtripError::Unauthorised { answer }
+    } else if lower.contains("mount") {
+        NtripError::NoSuchMountpoint { answer }
+    } else {
+        NtripError::TryLater { answer, retry_after: None }
+    }
+}
+
+/// The fields of a head.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn value(&self, name: &str) -> Option<String> {
+        let field = |line: &[u8]| {
+            let colon = line.iter().position(|byte| *byte == b':')?;
+            let is_named = line[..colon].trim_ascii().eq_ignore_ascii_case(name.as_bytes());
+            is_named.then(|| shown(&line[colon + 1..]))
+        };
+        self.0.split(|byte| *byte == b'\n').find_map(field)
+    }
+
+    fn retry_after(&self) -> Option<Duration> {
+        let seconds = self.value("retry-after")?.parse().ok()?;
+        Some(Duration::from_secs(seconds).min(RETRY_AFTER_LIMIT))
+    }
+}
+
+/// A text of somebody else's, short and printable.
+fn shown(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4 * ANSWER_LIMIT)]).into_owned();
+    let printable = |c: char| if c.is_control() { ' ' } else { c };
+    let text: String = text.trim().chars().map(printable).take(ANSWER_LIMIT).collect();
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn granted(head: &str) -> Granted {
+        let whole = [head.as_bytes(), b"\xd3\0\0rest"].concat();
+        for length in 1..head.len() {
+            // A head that is cut is waited for, but for one that needs no empty line.
+            let cut = read(&whole[..length]).unwrap();
+            assert!(cut.is_none() || head.starts_with("ICY"), "{:?}", &head[..length]);
+        }
+        read(&whole).unwrap().unwrap()
+    }
+
+    fn code(head: &str) -> &'static str {
+        read(head.as_bytes()).unwrap_err().code()
+    }
+
+    #[test]
+    fn streams_are_granted_by_both_versions() {
+        let one = granted("ICY 200 OK\r\n");
+        assert_eq!(one, Granted { length: 12, is_chunked: false, is_sourcetable: false });
+        let two =
+            "HTTP/1.1 200 OK\r\nNtrip-Version: Ntrip/2.0\r\nTransfer-Encoding: chunked\r\n\r\n";
+        let expected = Granted { length: two.len(), is_chunked: true, is_sourcetable: false };
+        assert_eq!(granted(two), expected);
+        let table = "SOURCETABLE 200 OK\r\nContent-Length: 5\r\n\r\n";
+        assert!(granted(table).is_sourcetable);
+        let table = "HTTP/1.1 200 OK\ncontent-type:gnss/sourcetable\n\n";
+        assert!(granted(table).is_sourcetable);
+    }
+
+    #[test]
+    fn refusals_are_told_apart() {
+        assert_eq!(code("HTTP/1.1 401 Unauthorized\r\n\r\n"), "CASTER_UNAUTHORISED");
+        assert_eq!(code("ERROR - Bad Password\r\n"), "CASTER_UNAUTHORISED");
+        assert_eq!(code("HTTP/1.0 404 Not Found\r\n\r\n"), "NO_SUCH_MOUNTPOINT");
+        assert_eq!(code("ERROR - Mount Point Taken or Invalid\r\n"), "NO_SUCH_MOUNTPOINT");
+        assert_eq!(
+            code("HTTP/1.1 302 Found\r\nLocation: http://10.0.0.1/\r\n\r\n"),
+            "CASTER_REDIRECTS"
+        );
+        let busy = read(b"HTTP/1.1 503 Busy\r\nRetry-After: 7\r\n\r\n").unwrap_err();
+        assert_eq!(busy.code(), "CASTER_TRY_LATER");
+        assert_eq!(busy.retry_after(), Some(Duration::from_secs(7)));
+        let forever = read(b"HTTP/1.1 429 No\r\nRetry-After: 99999999999\r\n\r\n").unwrap_err();
+        assert_eq!(forever.retry_after(), Some(RETRY_AFTER_LIMIT));
+    }
+
+    #[test]
+    fn what_is_no_caster_is_refused_at_once() {
+        assert_eq!(code("SSH-2.0-OpenSSH_9.2\r\n"), "CASTER_PROTOCOL");
+        assert_eq!(code("\u{1}\u{2}"), "CASTER_PROTOCOL");
+        assert_eq!(code("HTTP/1.1 204 Nothing\r\n\r\n"), "CASTER_PROTOCOL");
+        let endless = format!("HTTP/1.1 200 OK\r\n{}", "X: y\r\n".repeat(2000));
+        assert_eq!(code(&endless), "CASTER_PROTOCOL");
+        assert_eq!(code(&format!("HTTP/1.1 {}", "2".repeat(9000))), "CASTER_PROTOCOL");
+        assert_eq!(read(b"").unwrap(), None);
+    }
+}

@@ -1,0 +1,90 @@
+//! Streams of casters that fill bases.
+
+use std::fmt;
+
+use crate::gnss::{Ecef, GpsTime};
+
+use super::StoreError;
+
+/// The stream of a caster that fills a base.
+#[derive(Clone, PartialEq)]
+pub struct BaseFeed {
+    /// Such as `ntrip://caster.example.org:2101`.
+    pub caster: String,
+    /// The stream's name.
+    pub mountpoint: String,
+    /// The caster's user; empty for none.
+    pub name: String,
+    /// The password, which nothing shows.
+    pub password: String,
+    /// Version of NTRIP, 1 or 2.
+    pub version: u8,
+    /// Within half a day of the stream's first message, for one that is played later than it was
+    /// observed.
+    pub near: Option<GpsTime>,
+    /// Where rovers are, for casters that compute a stream for a place.
+    pub position: Option<Ecef>,
+}
+
+impl fmt::Debug for BaseFeed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { caster, mountpoint, name, .. } = self;
+        write!(f, "BaseFeed({name}@{caster}/{mountpoint})")
+    }
+}
+
+#[derive(sqlx::FromRow)]
+pub(super) struct RawFeed {
+    pub(super) base: i64,
+    caster: String,
+    mountpoint: String,
+    name: String,
+    password: String,
+    version: i32,
+    near_ns: Option<i64>,
+    x_m: Option<f64>,
+    y_m: Option<f64>,
+    z_m: Option<f64>,
+}
+
+impl RawFeed {
+    pub(super) fn parse(self) -> Result<BaseFeed, StoreError> {
+        let version = u8::try_from(self.version).map_err(|_| StoreError::CorruptText {
+            what: "feed",
+            why: format!("{} is no version", self.version),
+        })?;
+        let position = self.x_m.zip(self.y_m).zip(self.z_m);
+        Ok(BaseFeed {
+            caster: self.caster,
+            mountpoint: self.mountpoint,
+            name: self.name,
+            password: self.password,
+            version,
+            near: self.near_ns.map(GpsTime::from_ns),
+            position: position.map(|((x, y), z)| Ecef::new(x, y, z)),
+        })
+    }
+}
+
+pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
+    (base, caster, mountpoint, name, password, version, near_ns, x_m, y_m, z_m)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
+
+/// Binds a feed behind its base.
+macro_rules! feed {
+    ($base:expr, $feed:expr) => {{
+        let axis = |axis: usize| $feed.position.map(|position| position.0[axis]);
+        sqlx::query($crate::store::feeds::INSERT_FEED)
+            .bind($base.0)
+            .bind(&$feed.caster)
+            .bind(&$feed.mountpoint)
+            .bind(&$feed.name)
+            .bind(&$feed.password)
+            .bind(i32::from($feed.version))
+            .bind($feed.near.map(crate::gnss::GpsTime::as_ns))
+            .bind(axis(0))
+            .bind(axis(1))
+            .bind(axis(2))
+    }};
+}
+pub(super) use feed;

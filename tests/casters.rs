@@ -1,0 +1,400 @@
+//! The client of NTRIP casters against casters that nobody here wrote, and against one that is
+//! hostile.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::crash::free_port;
+use graphfix::feeds::ntrip::{self, Credentials, NtripStream, NtripVersion, StreamRequest};
+use graphfix::feeds::{Connector, FeedOptions, FetchPolicy, Patience};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+
+/// Patient enough for this machine, and no more.
+pub(crate) const PATIENCE: Patience = Patience {
+    connecting: Duration::from_secs(2),
+    answering: Duration::from_millis(800),
+    listing: Duration::from_secs(3),
+};
+
+/// Quicker than casters of the internet like it.
+pub(crate) const BRISK: FeedOptions = FeedOptions {
+    silence: Duration::from_millis(1500),
+    no_epochs: Duration::from_millis(2500),
+    delay: Duration::from_millis(50),
+    delay_ceiling: Duration::from_millis(800),
+    lasting_delay: Duration::from_millis(400),
+    lasting_ceiling: Duration::from_secs(3),
+    steady: Duration::from_secs(1),
+    position_interval: Duration::from_millis(200),
+};
+
+pub(crate) fn connector(authorities: Option<&Path>) -> Connector {
+    let hosts = ["localhost", "127.0.0.1"].map(str::to_owned);
+    Connector::new(FetchPolicy::new(&hosts, true).unwrap(), PATIENCE, authorities).unwrap()
+}
+
+pub(crate) fn request(port: u16, mountpoint: &str) -> StreamRequest {
+    StreamRequest {
+        caster: format!("ntrip://127.0.0.1:{port}").parse().unwrap(),
+        mountpoint: mountpoint.to_owned(),
+        credentials: None,
+        version: NtripVersion::Two,
+    }
+}
+
+/// A caster of ours, which does to each connection what it is told.
+pub(crate) struct HostileCaster {
+    pub(crate) port: u16,
+    pub(crate) connections: Arc<AtomicUsize>,
+}
+
+impl HostileCaster {
+    /// Gives each connection, once its request has come, to `serve` with its number from 0.
+    pub(crate) async fn start<F: Future<Output = ()> + Send + 'static>(
+        serve: impl Fn(usize, TcpStream, String) -> F + Send + Sync + 'static,
+    ) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let connections = Arc::new(AtomicUsize::new(0));
+        let (counted, serve) = (connections.clone(), Arc::new(serve));
+        tokio::spawn(async move {
+            while let Ok((mut stream, _)) = listener.accept().await {
+                let (number, serve) = (counted.fetch_add(1, Ordering::SeqCst), serve.clone());
+                tokio::spawn(async move {
+                    let mut request = Vec::new();
+                    while !request.ends_with(b"\r\n\r\n") {
+                        let Ok(byte) = stream.read_u8().await else { return };
+                        request.push(byte);
+                    }
+                    serve(number, stream, String::from_utf8(request).unwrap()).await;
+                });
+            }
+        });
+        Self { port, connections }
+    }
+
+    /// Answers every request so, and closes.
+    pub(crate) async fn answering(answer: impl Into<Vec<u8>>) -> Self {
+        let answer = Arc::new(answer.into());
+        Self::start(move |_, mut stream, _| {
+            let answer = answer.clone();
+            async move {
+                // Err: the client has had enough.
+                stream.write_all(&answer).await.ok();
+                stream.shutdown().await.ok();
+            }
+        })
+        .await
+    }
+}
+
+/// What the stream holds up to its end, or `limit` bytes.
+async fn content(stream: &mut NtripStream, limit: usize) -> Vec<u8> {
+    let mut content = Vec::new();
+    while content.len() < limit && stream.read(&mut content).await.is_ok() {}
+    content
+}
+
+async fn refusal(answer: impl Into<Vec<u8>>) -> &'static str {
+    let caster = HostileCaster::answering(answer).await;
+    let refused = ntrip::connect(&connector(None), &request(caster.port, "M"), None).await;
+    refused.unwrap_err().code()
+}
+
+#[tokio::test]
+async fn answers_are_told_apart() {
+    for (answer, code) in [
+        ("HTTP/1.1 401 Unauthorized\r\n\r\n", "CASTER_UNAUTHORISED"),
+        ("ERROR - Bad Password\r\n", "CASTER_UNAUTHORISED"),
+        ("HTTP/1.1 404 Not Found\r\n\r\n", "NO_SUCH_MOUNTPOINT"),
+        (
+            "SOURCETABLE 200 OK\r\nContent-Type: text/plain\r\n\r\nENDSOURCETABLE\r\n",
+            "NO_SUCH_MOUNTPOINT",
+        ),
+        ("HTTP/1.1 503 Busy\r\nRetry-After: 3\r\n\r\n", "CASTER_TRY_LATER"),
+        ("HTTP/1.1 301 Moved\r\nLocation: http://169.254.169.254/\r\n\r\n", "CASTER_REDIRECTS"),
+        ("SSH-2.0-OpenSSH_9.2\r\n", "CASTER_PROTOCOL"),
+        ("HTTP/1.1 200", "CASTER_CLOSED"),
+        ("", "CASTER_CLOSED"),
+    ] {
+        assert_eq!(refusal(answer).await, code, "{answer:?}");
+    }
+    let endless = [b"HTTP/1.1 200 OK\r\n".as_slice(), &b"X-Filler: y\r\n".repeat(100_000)].concat();
+    assert_eq!(refusal(endless).await, "CASTER_PROTOCOL");
+    assert_eq!(refusal(vec![b'H'; 10]).await, "CASTER_PROTOCOL");
+    assert_eq!(
+        refusal([b"ICY 200 OK".as_slice(), &[b' '; 20_000]].concat()).await,
+        "CASTER_PROTOCOL"
+    );
+}
+
+/// A head that comes byte by byte, each in time, is not waited for longer than a head may take.
+#[tokio::test]
+async fn a_head_that_drips_is_given_up() {
+    let caster = HostileCaster::start(|_, mut stream, _| async move {
+        for byte in b"HTTP/1.1 200 OK\r\n".iter().cycle() {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            if stream.write_all(&[*byte]).await.is_err() {
+                return;
+            }
+        }
+    })
+    .await;
+    let start = Instant::now();
+    let refused = ntrip::connect(&connector(None), &request(caster.port, "M"), None).await;
+    assert_eq!(refused.unwrap_err().code(), "CASTER_SILENT");
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+}
+
+/// Chunks as the network splits them; what comes with the head is not lost.
+#[tokio::test]
+async fn chunks_arrive_whole_however_they_are_cut() {
+    let sent: Vec<u8> = (0..50_000_u32).map(|i| (i * 7) as u8).collect();
+    let expected = sent.clone();
+    let caster = HostileCaster::start(move |_, mut stream, request| {
+        let sent = sent.clone();
+        async move {
+            assert!(request.starts_with("GET /M HTTP/1.1\r\n"), "{request}");
+            let head = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n";
+            let mut wire = head.to_vec();
+            for (index, chunk) in sent.chunks(777).enumerate() {
+                wire.extend(format!("{:X};x={index}\r\n", chunk.len()).bytes());
+                wire.extend_from_slice(chunk);
+                wire.extend(b"\r\n");
+            }
+            wire.extend(b"0\r\n\r\n");
+            for piece in wire.chunks(1_003) {
+                stream.write_all(piece).await.unwrap();
+                tokio::task::yield_now().await;
+            }
+        }
+    })
+    .await;
+    let granted = ntrip::connect(&connector(None), &request(caster.port, "M"), None).await;
+    assert_eq!(content(&mut granted.unwrap(), usize::MAX).await, expected);
+}
+
+#[tokio::test]
+async fn chunks_that_lie_end_the_stream() {
+    for body in ["zz\r\n", "5\r\nhelloX", "99999999999\r\n"] {
+        let head = "HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n";
+        let caster = HostileCaster::start(move |_, mut stream, _| async move {
+            stream.write_all(head.as_bytes()).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            stream.write_all(body.as_bytes()).await.ok();
+            tokio::time::sleep(Duration::from_secs(5)).await;
+        })
+        .await;
+        let granted = ntrip::connect(&connector(None), &request(caster.port, "M"), None).await;
+        let (mut stream, mut content) = (granted.unwrap(), Vec::new());
+        let error = loop {
+            if let Err(error) = stream.read(&mut content).await {
+                break error;
+            }
+        };
+        assert_eq!(error.code(), "CASTER_PROTOCOL", "{body}");
+        assert!(content.starts_with(b"abc"));
+    }
+}
+
+#[tokio::test]
+async fn a_sourcetable_that_never_ends_is_given_up() {
+    let caster = HostileCaster::start(|_, mut stream, _| async move {
+        let head = b"SOURCETABLE 200 OK\r\n\r\n";
+        stream.write_all(head).await.unwrap();
+        let record = b"STR;A;B;RTCM 3;;2;GPS;N;C;1.00;2.00;0;0;x;n;N;N;0;\r\n".repeat(1000);
+        while stream.write_all(&record).await.is_ok() {}
+    })
+    .await;
+    let listed = ntrip::sourcetable(&connector(None), &request(caster.port, "")).await;
+    assert_eq!(listed.unwrap_err().code(), "CASTER_PROTOCOL");
+}
+
+/// Nothing is asked that the operator has not listed, nor at an address of a private network.
+#[tokio::test]
+async fn hosts_that_may_not_be_asked_are_not() {
+    let caster = HostileCaster::answering("ICY 200 OK\r\n").await;
+    let policy = |hosts: &[&str], allows_private| {
+        let hosts: Vec<String> = hosts.iter().map(|host| (*host).to_owned()).collect();
+        let policy = FetchPolicy::new(&hosts, allows_private).unwrap();
+        Connector::new(policy, PATIENCE, None).unwrap()
+    };
+    let asked = request(caster.port, "M");
+    for (connector, code) in [
+        (policy(&[], true), "HOST_NOT_ALLOWED"),
+        (policy(&["caster.example.org"], true), "HOST_NOT_ALLOWED"),
+        (policy(&["127.0.0.1:1"], true), "HOST_NOT_ALLOWED"),
+        (policy(&["127.0.0.1"], false), "ADDRESS_REFUSED"),
+    ] {
+        let refused = ntrip::connect(&connector, &asked, None).await.unwrap_err();
+        assert_eq!(refused.code(), code);
+    }
+    assert_eq!(caster.connections.load(Ordering::SeqCst), 0);
+    assert!(ntrip::connect(&policy(&["127.0.0.1"], true), &asked, None).await.is_ok());
+}
+
+/// TLS with a certificate of an authority that the operator names, and with none.
+#[tokio::test]
+async fn encrypted_casters_must_prove_who_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+    let made = Command::new("openssl")
+        .args(["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"])
+        .args(["-nodes", "-days", "2", "-subj", "/CN=localhost"])
+        .args(["-addext", "subjectAltName=DNS:localhost", "-addext", "basicConstraints=CA:FALSE"])
+        .arg("-keyout")
+        .arg(&key)
+        .arg("-out")
+        .arg(&certificate)
+        .stderr(Stdio::null())
+        .status();
+    assert!(made.unwrap().success(), "openssl");
+    let port = free_port();
+    let mut server = Running(
+        Command::new("openssl")
+            .args(["s_server", "-quiet", "-accept", &port.to_string()])
+            .arg("-cert")
+            .arg(&certificate)
+            .arg("-key")
+            .arg(&key)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap(),
+    );
+    let mut asked = request(port, "M");
+    asked.caster = format!("ntrips://localhost:{port}").parse().unwrap();
+    let stranger = loop {
+        match ntrip::connect(&connector(None), &asked, None).await {
+            Err(error) if error.code() == "HOST_UNREACHABLE" => {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+            answer => break answer.unwrap_err(),
+        }
+    };
+    assert_eq!(stranger.code(), "TLS_FAILED", "{stranger}");
+    use std::io::Write;
+    let stdin = server.0.stdin.as_mut().unwrap();
+    stdin.write_all(b"ICY 200 OK\r\nstream").unwrap();
+    stdin.flush().unwrap();
+    let mut granted = ntrip::connect(&connector(Some(&certificate)), &asked, None).await.unwrap();
+    assert_eq!(content(&mut granted, 6).await, b"stream");
+}
+
+/// A program that ends with its test.
+pub(crate) struct Running(pub(crate) Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// RTKLIB's `str2str` as a caster: what comes in by TCP it gives to whoever knows the password.
+pub(crate) struct Str2str {
+    pub(crate) port: u16,
+    /// What is written here is its stream.
+    pub(crate) source: TcpStream,
+    _running: Running,
+}
+
+impl Str2str {
+    pub(crate) const NAME: &str = "rover";
+    pub(crate) const PASSWORD: &str = "secret";
+
+    pub(crate) async fn start(mountpoint: &str) -> Self {
+        Self::start_at(mountpoint, free_port()).await
+    }
+
+    pub(crate) async fn start_at(mountpoint: &str, port: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let input = format!("tcpcli://127.0.0.1:{}", listener.local_addr().unwrap().port());
+        let record = "Town;RTCM 3.2;1005(10),1077(1);2;GPS;NET;IRL;53.28;-9.06;0;0;x;B;N;9;";
+        let output =
+            format!("ntripc://{}:{}@:{port}/{mountpoint}:{record}", Self::NAME, Self::PASSWORD);
+        let running = Command::new("str2str")
+            .args(["-in", &input, "-out", &output])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("str2str is installed");
+        let running = Running(running);
+        let (source, _) = listener.accept().await.unwrap();
+        Self { port, source, _running: running }
+    }
+
+    pub(crate) fn request(&self, mountpoint: &str) -> StreamRequest {
+        let credentials =
+            Credentials { name: Self::NAME.to_owned(), password: Self::PASSWORD.to_owned() };
+        StreamRequest { credentials: Some(credentials), ..request(self.port, mountpoint) }
+    }
+}
+
+/// A stream through `str2str`, by requests of both versions; wrong passwords and mountpoints.
+#[tokio::test]
+async fn str2str_gives_its_stream_to_who_may_have_it() {
+    for version in [NtripVersion::One, NtripVersion::Two] {
+        let mut caster = Str2str::start("BASE").await;
+        let connector = connector(None);
+        let asked = StreamRequest { version, ..caster.request("BASE") };
+        let mut stream = loop {
+            match ntrip::connect(&connector, &asked, None).await {
+                Ok(stream) => break stream,
+                Err(error) => {
+                    assert_eq!(error.code(), "HOST_UNREACHABLE", "{error}");
+                    tokio::time::sleep(Duration::from_millis(50)).await;
+                }
+            }
+        };
+        let sent: Vec<u8> = (0..40_000_u32).map(|i| ((i * 13) >> 3) as u8).collect();
+        // Who has just come may miss what was on its way.
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        caster.source.write_all(&sent).await.unwrap();
+        let found = tokio::time::timeout(Duration::from_secs(10), content(&mut stream, sent.len()));
+        let found = found.await.unwrap();
+        assert!(found.ends_with(&sent), "{} of {} bytes", found.len(), sent.len());
+
+        let wrong = Credentials { name: "rover".into(), password: "guess".into() };
+        let asked_wrongly = StreamRequest { credentials: Some(wrong), ..asked.clone() };
+        let refused = ntrip::connect(&connector, &asked_wrongly, None).await.unwrap_err();
+        assert_eq!(refused.code(), "CASTER_UNAUTHORISED", "{refused}");
+        let elsewhere = StreamRequest { mountpoint: "OTHER".into(), ..asked.clone() };
+        let refused = ntrip::connect(&connector, &elsewhere, None).await.unwrap_err();
+        assert_eq!(refused.code(), "NO_SUCH_MOUNTPOINT", "{refused}");
+        let list = StreamRequest { mountpoint: String::new(), ..asked };
+        let table = ntrip::sourcetable(&connector, &list).await.unwrap();
+        let found = table.get("BASE").unwrap();
+        assert_eq!((found.format.as_str(), found.position_deg), ("RTCM 3.2", Some((53.28, -9.06))));
+    }
+}
+
+/// A caster that computes a stream for the rover's position is sent it, in the request and after.
+#[tokio::test]
+async fn a_position_is_sent_to_casters_that_need_it() {
+    let (told, mut telling) = tokio::sync::mpsc::unbounded_channel();
+    let caster = HostileCaster::start(move |_, mut stream, request| {
+        let told = told.clone();
+        async move {
+            stream.write_all(b"ICY 200 OK\r\n").await.unwrap();
+            let mut line = vec![0; 200];
+            let length = stream.read(&mut line).await.unwrap();
+            told.send((request, String::from_utf8(line[..length].to_vec()).unwrap())).unwrap();
+            tokio::time::sleep(Duration::from_secs(5)).await;
+        }
+    })
+    .await;
+    let sentence = ntrip::position_sentence(53.28, -9.06, 60.0, 3661);
+    let asked = request(caster.port, "VRS");
+    let mut stream = ntrip::connect(&connector(None), &asked, Some(&sentence)).await.unwrap();
+    let (head, line) = telling.recv().await.unwrap();
+    assert!(head.contains("Ntrip-GGA: $GPGGA,010101.00,5316.8000,N,00903.6000,W,"), "{head}");
+    assert_eq!(line, sentence);
+    stream.send(&sentence).await.unwrap();
+}

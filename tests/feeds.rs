@@ -1,0 +1,247 @@
+//! Bases that casters fill, end to end: through `str2str`, and through casters that misbehave.
+
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use graphfix::contract::{calls, v1};
+use graphfix::gnss::GpsTime;
+use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt;
+
+use crate::casters::{HostileCaster, Str2str};
+use crate::crash::free_port;
+use crate::data;
+use crate::doors::Doors;
+use crate::streams::unpacked;
+
+/// Within half a day of the Galway logs.
+const NEAR: GpsTime = GpsTime::from_ns((2021 * 604_800 + 391_000) * 1_000_000_000);
+
+/// The logs of the static rover and its base: RXM-RAWX there, messages 1005, 1077 and 1087 here.
+fn logs() -> Option<(Vec<u8>, Vec<u8>)> {
+    let folder = data::set("galway-static")?;
+    let log = |name: &str| unpacked(&folder.join(name));
+    Some((log("rover-20181004-1237.ubx.gz"), log("base-20181004-1236.ubx.gz")))
+}
+
+/// A base that a caster on this machine fills.
+async fn base_of(doors: &Doors, port: u16, user: &str, password: &str) -> String {
+    let near: v1::GpsTime = NEAR.into();
+    let near = json!({"week": near.week, "nsOfWeek": near.ns_of_week});
+    let caster = format!("ntrip://127.0.0.1:{port}");
+    let ntrip = json!({
+        "caster": caster, "mountpoint": "BASE", "user": user, "password": password, "near": near
+    });
+    let (status, base) = doors.post("/v1/bases", json!({"ntrip": ntrip})).await;
+    assert_eq!(status.as_u16(), 201, "{base}");
+    assert!(!base.to_string().contains("secret"), "the password is shown: {base}");
+    base["base"].as_str().unwrap().to_owned()
+}
+
+async fn feed(doors: &Doors, base: &str) -> Value {
+    doors.get(&format!("/v1/bases/{base}")).await.1["feed"].clone()
+}
+
+/// Waits until the feed is as asked for.
+async fn until(doors: &Doors, base: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+    let start = Instant::now();
+    loop {
+        let feed = feed(doors, base).await;
+        if is_so(&feed) {
+            return feed;
+        }
+        assert!(start.elapsed() < Duration::from_secs(30), "{feed}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// Plays bytes no faster than `str2str` hands them on, and waits until all have come.
+async fn play(doors: &Doors, base: &str, caster: &mut Str2str, bytes: &[u8]) {
+    let before = feed(doors, base).await["bytes"].as_u64().unwrap();
+    for piece in bytes.chunks(4_000) {
+        caster.source.write_all(piece).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(12)).await;
+    }
+    let whole = before + bytes.len() as u64;
+    until(doors, base, |feed| whole <= feed["bytes"].as_u64().unwrap()).await;
+}
+
+async fn session(doors: &Doors, base: &str) -> String {
+    let new = v1::CreateSessionRequest {
+        mode: "rtk-fgo".to_owned(),
+        profile: "static".to_owned(),
+        base: base.to_owned(),
+        ..Default::default()
+    };
+    calls::sessions::create(&doors.service, new).await.unwrap().session
+}
+
+/// A device: sends the bytes of its receiver, and is answered.
+async fn push(doors: &Doors, session: &str, offset: usize, bytes: &[u8]) -> Vec<v1::Solution> {
+    let mut solutions = Vec::new();
+    for (index, content) in bytes.chunks(20_000).enumerate() {
+        let push = v1::PushRawRequest {
+            session: session.to_owned(),
+            offset: (offset + index * 20_000) as u64,
+            content: Bytes::copy_from_slice(content),
+            end: false,
+            near: None,
+        };
+        let answer = calls::raw::push(&doors.service, push).await.unwrap();
+        solutions.extend(answer.results.into_iter().map(|result| result.solution.unwrap()));
+    }
+    solutions
+}
+
+fn second(solution: &v1::Solution) -> f64 {
+    solution.time.unwrap().ns_of_week as f64 * 1e-9
+}
+
+fn fixed(solutions: &[v1::Solution]) -> usize {
+    solutions.iter().filter(|solution| solution.status() == v1::Status::Fixed).count()
+}
+
+/// The whole: `str2str` plays the base's log, a device sends its receiver's bytes, nobody uploads a
+/// file. Then the caster dies, the session says what it lacks; it comes back, and so does the fix.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_device_and_a_caster_are_enough() {
+    let Some((rover, base_log)) = logs() else { return };
+    let doors = Doors::open().await;
+    let port = free_port();
+    let mut caster = Str2str::start_at("BASE", port).await;
+    let base = base_of(&doors, port, Str2str::NAME, Str2str::PASSWORD).await;
+    until(&doors, &base, |feed| feed["state"] == "STREAMING").await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+
+    let (first, rest) = base_log.split_at(base_log.len() / 2);
+    play(&doors, &base, &mut caster, first).await;
+    let held = doors.get(&format!("/v1/bases/{base}")).await.1;
+    assert_eq!(held["site"]["source"], "message", "{held}");
+    assert_eq!(held["feed"]["connections"], 1);
+    let kinds: Vec<&str> = held["feed"]["messages"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|total| total["kind"].as_str().unwrap())
+        .collect();
+    assert!(kinds.contains(&"RTCM 1077") && kinds.contains(&"RTCM 1005"), "{kinds:?}");
+
+    let session = session(&doors, &base).await;
+    let half = rover.len() / 2 + rover.len() / 10;
+    let before = push(&doors, &session, 0, &rover[..half]).await;
+    let start = second(&before[0]);
+    let first_fix = before.iter().find(|s| s.status() == v1::Status::Fixed).map(second);
+    let since_s = first_fix.unwrap_or(f64::INFINITY) - start;
+    eprintln!("first fix after {since_s:.0} s, {} of {} fixed", fixed(&before), before.len());
+    let stale = before.last().unwrap();
+    let reasons: Vec<&str> = stale.reasons.iter().map(|reason| reason.code.as_str()).collect();
+    assert!(reasons.contains(&"BASE_STALE"), "{reasons:?} at {}", second(stale));
+    assert_ne!(stale.status(), v1::Status::Fixed);
+
+    drop(caster);
+    let lost = until(&doors, &base, |feed| feed["state"] != "STREAMING").await;
+    assert!(lost["problem"]["code"].is_string(), "{lost}");
+    let granted = lost["connections"].as_u64().unwrap();
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let waiting = feed(&doors, &base).await;
+    let attempts = waiting["attempts"].as_u64().unwrap();
+    assert!((3..40).contains(&attempts), "{attempts} attempts in 2 s");
+    assert_eq!(waiting["problem"]["code"], "HOST_UNREACHABLE", "{waiting}");
+
+    let mut caster = Str2str::start_at("BASE", port).await;
+    until(&doors, &base, |feed| feed["state"] == "STREAMING").await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    play(&doors, &base, &mut caster, rest).await;
+    assert_eq!(feed(&doors, &base).await["connections"], granted + 1);
+    let after = push(&doors, &session, half, &rover[half..]).await;
+    eprintln!("after the break {} of {} fixed", fixed(&after), after.len());
+    assert!(since_s <= 60.0, "first fix after {since_s} s");
+    assert!(after.len() / 2 < fixed(&after), "{} of {}", fixed(&after), after.len());
+}
+
+/// Two bases of one stream and two hundred sessions: one connection. When the last base goes, so
+/// does the connection.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_connection_serves_everybody() {
+    let Some((_, base_log)) = logs() else { return };
+    let doors = Doors::open().await;
+    let (ended, mut ends) = tokio::sync::mpsc::unbounded_channel();
+    let log = base_log[..200_000].to_vec();
+    let caster = HostileCaster::start(move |_, mut stream, _| {
+        let (log, ended) = (log.clone(), ended.clone());
+        async move {
+            stream.write_all(b"ICY 200 OK\r\n").await.unwrap();
+            for piece in log.chunks(1000).cycle() {
+                if stream.write_all(piece).await.is_err() {
+                    break;
+                }
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            ended.send(()).ok();
+        }
+    })
+    .await;
+    let bases =
+        [base_of(&doors, caster.port, "", "").await, base_of(&doors, caster.port, "", "").await];
+    for index in 0..200 {
+        session(&doors, &bases[index % 2]).await;
+    }
+    for base in &bases {
+        let start = Instant::now();
+        while doors.get(&format!("/v1/bases/{base}")).await.1["epochs"].as_u64().unwrap() < 3 {
+            assert!(start.elapsed() < Duration::from_secs(30), "{}", feed(&doors, base).await);
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+    assert_eq!(caster.connections.load(Ordering::SeqCst), 1);
+    let sessions = doors.get("/v1/sessions?pageSize=1000").await.1;
+    for session in sessions["sessions"].as_array().unwrap() {
+        let path = format!("/v1/sessions/{}", session["session"].as_str().unwrap());
+        doors.send("DELETE", &path, json!({})).await;
+    }
+    for base in &bases {
+        let (status, answer) = doors.send("DELETE", &format!("/v1/bases/{base}"), json!({})).await;
+        assert_eq!(status.as_u16(), 200, "{answer}");
+    }
+    tokio::time::timeout(Duration::from_secs(10), ends.recv()).await.unwrap().unwrap();
+    assert_eq!(caster.connections.load(Ordering::SeqCst), 1);
+}
+
+/// What each caster that misbehaves is called, and that it is not asked all the time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn casters_that_misbehave_are_told_and_left_alone() {
+    let doors = Doors::open().await;
+    let silent = HostileCaster::start(|_, mut stream, _| async move {
+        stream.write_all(b"ICY 200 OK\r\n").await.unwrap();
+        tokio::time::sleep(Duration::from_secs(60)).await;
+    })
+    .await;
+    let garbage = HostileCaster::start(|_, mut stream, _| async move {
+        stream.write_all(b"HTTP/1.1 200 OK\r\n\r\n").await.unwrap();
+        while stream.write_all(&[0xd3, 0, 4, 0xb5, 0x62, 1, 2, b'$']).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    })
+    .await;
+    let cut = HostileCaster::answering("ICY 200 OK\r\n\u{3}").await;
+    let busy = HostileCaster::answering("HTTP/1.1 503 Busy\r\nRetry-After: 1\r\n\r\n").await;
+    let wrong = HostileCaster::answering("HTTP/1.1 401 Unauthorized\r\n\r\n").await;
+    let mut asked = Vec::new();
+    for (caster, code, most) in [
+        (&silent, "CASTER_SILENT", 4),
+        (&garbage, "CASTER_NO_EPOCHS", 3),
+        (&cut, "CASTER_CLOSED", 20),
+        (&busy, "CASTER_TRY_LATER", 5),
+        (&wrong, "CASTER_UNAUTHORISED", 7),
+    ] {
+        asked.push((base_of(&doors, caster.port, "", "").await, caster, code, most));
+    }
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    for (base, caster, code, most) in asked {
+        let feed = until(&doors, &base, |feed| feed["problem"]["code"] == code).await;
+        assert!(!feed["problem"]["remedy"].as_str().unwrap().is_empty());
+        let connections = caster.connections.load(Ordering::SeqCst);
+        assert!((1..=most).contains(&connections), "{code}: {connections} connections");
+    }
+}
