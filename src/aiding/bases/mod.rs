@@ -4,8 +4,9 @@
 //! [`BaseBroker::create`] names a base. Its place is given then, or brought by the header of the
 //! first file ([`BaseBroker::upload`]), or by a feed's messages 1005 and 1006
 //! ([`BaseBroker::place`]); until it is known, epochs are refused with
-//! [`AidingError::BasePositionMissing`]. [`BaseBroker::push`] takes epochs, one or many, in order
-//! of time; what it acknowledges is committed, and sessions that ask from then on see it.
+//! [`BasePositionMissing`](crate::aiding::AidingError). [`BaseBroker::push`] takes epochs, one or
+//! many, in order of time; what it acknowledges is committed, and sessions that ask from then on
+//! see it.
 //!
 //! A feed, such as a client of a caster, so calls `place` whenever its stream tells a position
 //! (the same one again changes nothing) and `push` with what its decoder gave since the last call;
