@@ -142,8 +142,8 @@ impl Mode {
     /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
     pub const fn has_window(self) -> bool {
         match self {
-            Self::Spp | Self::Ekf | Self::RtkEkf | Self::RtkFgo => false,
-            Self::Fgo => true,
+            Self::Spp | Self::Ekf | Self::RtkEkf => false,
+            Self::Fgo | Self::RtkFgo => true,
         }
     }
 

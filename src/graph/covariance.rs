@@ -14,9 +14,12 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::graph::block::{subtract_product, symmetric};
+use crate::graph::block::{Factor, subtract_product, symmetric};
 use crate::graph::border::{Packed, dot};
-use crate::graph::elimination::{Elimination, Retired, Step};
+use crate::graph::elimination::{Elimination, Retired};
+
+/// Variance of a border variable of which nothing is known, where a prior was built without it.
+const UNKNOWN: f64 = 1e6;
 
 /// Walks a factored system backward; keeps its storage from one use to the next.
 #[derive(Clone, Debug)]
@@ -53,7 +56,8 @@ impl<const S: usize> Covariances<S> {
         self.cross.clear();
         self.cross.resize(self.variables.len(), SVector::zeros());
         if let Some(step) = elimination.steps.last() {
-            self.step_back(elimination, step);
+            let columns = &elimination.columns[step.columns..step.columns + step.alive];
+            self.step_back(&step.factor, &step.coupling, columns);
         }
     }
 
@@ -70,15 +74,21 @@ impl<const S: usize> Covariances<S> {
         for k in (0..states.len()).rev() {
             states[k] = self.state;
             if 0 < k {
-                let step = &elimination.steps[k - 1];
-                self.truncate(elimination.steps[k].carried);
-                let end = step.retired + step.retired_count;
-                for retired in elimination.retired[step.retired..end].iter().rev() {
-                    self.restore(elimination, retired);
-                }
-                self.step_back(elimination, step);
+                self.go_back(elimination, k - 1);
             }
         }
+    }
+
+    /// Goes on from state k + 1, the one reached, to state `k`.
+    pub(crate) fn go_back(&mut self, elimination: &Elimination<S>, k: usize) {
+        let step = &elimination.steps[k];
+        self.truncate(elimination.steps[k + 1].carried);
+        let end = step.retired + step.retired_count;
+        for retired in elimination.retired[step.retired..end].iter().rev() {
+            self.restore(retired, &elimination.retired_rows[retired.row..]);
+        }
+        let columns = &elimination.columns[step.columns..step.columns + step.alive];
+        self.step_back(&step.factor, &step.coupling, columns);
     }
 
     /// Covariance of the state reached: the newest one after [`Covariances::newest`].
@@ -116,22 +126,26 @@ impl<const S: usize> Covariances<S> {
         self.variables.iter().position(|&known| known == variable)
     }
 
-    fn truncate(&mut self, alive: usize) {
+    /// Forgets the border variables that joined last.
+    pub(crate) fn truncate(&mut self, alive: usize) {
         self.variables.truncate(alive);
         self.cross.truncate(alive);
         self.border.truncate(alive);
     }
 
     /// From Σ of (state k + 1, border alive) to Σ of (state k, border alive).
-    fn step_back(&mut self, elimination: &Elimination<S>, step: &Step<S>) {
-        let factor = &step.factor;
+    pub(crate) fn step_back(
+        &mut self,
+        factor: &Factor<S>,
+        coupling: &SMatrix<f64, S, S>,
+        columns: &[SVector<f64, S>],
+    ) {
         // U's rows: transposed, one column per variable of R.
-        let coupling = step.coupling.transpose();
+        let coupling = coupling.transpose();
         let u_state = SMatrix::<f64, S, S>::from_columns(&std::array::from_fn::<_, S, _>(|c| {
             factor.solve_upper(&coupling.column(c).into_owned())
         }));
         self.gone.clear();
-        let columns = &elimination.columns[step.columns..step.columns + step.alive];
         self.gone.extend(columns.iter().map(|w| factor.solve_upper(w)));
         // Σ_k,next, S×S.
         let mut to_next = -(u_state * self.state);
@@ -151,10 +165,11 @@ impl<const S: usize> Covariances<S> {
         self.state = symmetric(&covariance);
     }
 
-    /// Brings a border variable retired early back into Σ.
-    fn restore(&mut self, elimination: &Elimination<S>, retired: &Retired<S>) {
+    /// Brings a border variable retired early back into Σ; `row` begins with its factors on those
+    /// alive.
+    pub(crate) fn restore(&mut self, retired: &Retired<S>, row: &[f64]) {
         let alive = self.variables.len();
-        let row = &elimination.retired_rows[retired.row..retired.row + alive];
+        let row = &row[..alive];
         self.scratch.clear();
         for i in 0..alive {
             let mut sum = self.cross[i].dot(&retired.next);
@@ -169,7 +184,10 @@ impl<const S: usize> Covariances<S> {
         }
         cross *= -retired.reciprocal;
         let explained = cross.dot(&retired.next) + dot(&self.scratch, row);
-        let variance = retired.reciprocal * (retired.reciprocal - explained);
+        let variance = match 0.0 < retired.reciprocal {
+            true => retired.reciprocal * (retired.reciprocal - explained),
+            false => UNKNOWN,
+        };
         self.scratch.insert(retired.place, variance);
         self.border.insert(retired.place);
         self.variables.insert(retired.place, retired.variable);

@@ -15,6 +15,7 @@
 //! | [`elimination`] | block Cholesky along the chain, border by Schur complement, δ |
 //! | [`covariance`] | marginal covariances of any state and of the border |
 //! | [`prior`] | old states marginalised into a dense prior |
+//! | [`smoother`] | states that were marginalised, smoothed by what came after them |
 //! | [`optimizer`] | Gauss–Newton with Levenberg's damping |
 //!
 //! One elimination serves the sliding window and the batch: its cost is linear in the number of
@@ -82,6 +83,7 @@ pub mod kernel;
 pub mod optimizer;
 pub mod prior;
 pub mod sharing;
+pub mod smoother;
 pub mod system;
 
 mod block;
@@ -98,4 +100,5 @@ pub use kernel::{Kernel, Law};
 pub use optimizer::{OptimizerOptions, Outcome, Problem, Summary, Workspace, optimize};
 pub use prior::Prior;
 pub use sharing::{SharingRow, shared_offset};
+pub use smoother::{Departure, Smoother};
 pub use system::{BorderLife, Link, Row, System};

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
-use crate::gnss::{BaseEpochIssue, Ecef, Epoch, GpsTime, Navigation, Solution};
+use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::base::BaseAiding;
 use super::ekf::KalmanFilter;
 use super::fgo::{SlidingWindow, WholeChain};
-use super::rtk::{RtkFilter, RtkWindow};
+use super::rtk::{Revises, RtkFilter, RtkWindow};
 use super::spp::SinglePoint;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
@@ -76,7 +76,10 @@ impl Estimator {
             Mode::Ekf => Engine::KalmanFilter(Box::new(KalmanFilter::new(&options))),
             Mode::Fgo => Engine::FactorGraph(Box::new(SlidingWindow::new(&options, revises))),
             Mode::RtkEkf => Engine::RelativeFilter(Box::new(RtkFilter::new(&options))),
-            Mode::RtkFgo => Engine::Relative(Box::new(RtkWindow::new(&options))),
+            Mode::RtkFgo => {
+                let revises = if revises { Revises::WhenTheyLeave } else { Revises::Never };
+                Engine::Relative(Box::new(RtkWindow::new(&options, revises)))
+            }
         };
         Self { options: Arc::new(options), engine }
     }
@@ -89,7 +92,7 @@ impl Estimator {
     /// Solves one epoch. No position is an answer too, with its reasons.
     pub fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Solution {
         let (options, navigation) = (&*self.options, aiding.navigation);
-        let mut solution = match &mut self.engine {
+        match &mut self.engine {
             Engine::SinglePoint { start, single_point } => {
                 let solution = single_point.solve(epoch, navigation, options, *start);
                 *start = solution.estimate.as_ref().map(|estimate| estimate.position);
@@ -103,13 +106,7 @@ impl Estimator {
             Engine::RelativeFilter(filter) => {
                 filter.advance(epoch, navigation, aiding.base.as_ref(), options)
             }
-        };
-        let relative = solution.estimate.as_ref().and_then(|estimate| estimate.relative.as_ref());
-        if let (Some(relative), Some(base)) = (relative, &aiding.base) {
-            let (base, time) = (base.station.name.clone(), epoch.time - relative.age_s);
-            solution.provenance.base = Some(BaseEpochIssue { base, time });
         }
-        solution
     }
 
     /// Answers of the epochs that have left the window since the last call, smoothed by what came
@@ -117,6 +114,7 @@ impl Estimator {
     pub fn take_revisions(&mut self) -> Vec<Solution> {
         match &mut self.engine {
             Engine::FactorGraph(window) => window.take_revisions(),
+            Engine::Relative(window) => window.take_revisions(),
             _ => Vec::new(),
         }
     }
@@ -125,6 +123,7 @@ impl Estimator {
     pub fn finish(mut self) -> Vec<Solution> {
         match &mut self.engine {
             Engine::FactorGraph(window) => window.finish(),
+            Engine::Relative(window) => window.finish(&self.options),
             _ => Vec::new(),
         }
     }
@@ -133,6 +132,7 @@ impl Estimator {
     pub fn oldest_unrevised(&self) -> Option<GpsTime> {
         match &self.engine {
             Engine::FactorGraph(window) => window.oldest_time(),
+            Engine::Relative(window) => window.oldest_time(),
             _ => None,
         }
     }
@@ -284,27 +284,45 @@ impl Clone for Estimator {
     }
 }
 
-/// Smooths all epochs of a recording at once, mode `fgo` only.
+/// Smooths all epochs of a recording at once, in modes with a window.
 #[derive(Debug)]
 pub struct Batch {
     options: PositioningOptions,
-    chain: WholeChain,
+    chain: Whole,
+}
+
+#[derive(Debug)]
+enum Whole {
+    Alone(Box<WholeChain>),
+    Relative(Box<RtkWindow>),
 }
 
 impl Batch {
     /// A batch without epochs yet.
     pub fn new(options: PositioningOptions) -> Self {
-        let chain = WholeChain::new(&options);
+        let chain = match options.mode.is_relative() {
+            true => Whole::Relative(Box::new(RtkWindow::new(&options, Revises::AtTheEnd))),
+            false => Whole::Alone(Box::new(WholeChain::new(&options))),
+        };
         Self { options, chain }
     }
 
     /// Takes one epoch.
     pub fn push(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) {
-        self.chain.push(epoch, aiding.navigation, &self.options);
+        let (options, navigation) = (&self.options, aiding.navigation);
+        match &mut self.chain {
+            Whole::Alone(chain) => chain.push(epoch, navigation, options),
+            Whole::Relative(window) => {
+                window.advance(epoch, navigation, aiding.base.as_ref(), options);
+            }
+        }
     }
 
     /// Solves everything; one solution for each epoch, in order of time.
-    pub fn finish(mut self) -> Vec<Solution> {
-        self.chain.finish()
+    pub fn finish(self) -> Vec<Solution> {
+        match self.chain {
+            Whole::Alone(mut chain) => chain.finish(),
+            Whole::Relative(mut window) => window.finish(&self.options),
+        }
     }
 }

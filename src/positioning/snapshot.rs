@@ -9,8 +9,9 @@
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    Band, Constellation, Cycles, Ecef, EphemerisIssue, Epoch, GpsTime, LocalFrame, Observation,
-    ObservationCode, Odometry, OdometryFrame, Reason, SatelliteId,
+    Band, BaseEpochIssue, Constellation, Cycles, Dops, Ecef, EphemerisIssue, Epoch, GpsTime,
+    LocalFrame, Observation, ObservationCode, Odometry, OdometryFrame, Provenance, Reason,
+    RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
 };
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::snapshot::{snapshot_fields, snapshot_variants};
@@ -58,6 +59,55 @@ snapshot_variants!(Reason {
     19 => OdometryUnused { interval_s },
     20 => FixImprecise { sigma_m },
 });
+
+snapshot_fields!(Solution { time, status, estimate, reasons, provenance });
+snapshot_fields!(Provenance { ephemerides, base });
+snapshot_fields!(BaseEpochIssue { base, time });
+snapshot_fields!(SolutionEstimate {
+    position,
+    covariance,
+    velocity,
+    clock_m,
+    inter_system_biases_m,
+    reception_time,
+    dops,
+    satellites_used,
+    relative,
+});
+snapshot_fields!(Velocity { velocity_m_s, covariance, clock_drift_m_s });
+snapshot_fields!(Dops { gdop, pdop, hdop, vdop, tdop });
+snapshot_fields!(RelativeEstimate {
+    baseline_m,
+    age_s,
+    ambiguities,
+    fixed_ambiguities,
+    ratio,
+    success_rate,
+    fix_probability,
+});
+
+impl Snapshot for Status {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        let place = Self::ALL.iter().position(|status| status == self);
+        place.expect("every status is in the list").save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let status = Self::ALL.get(usize::load(reader)?).copied();
+        status.ok_or_else(|| reader.invalid("status"))
+    }
+}
+
+impl Snapshot for Constellation {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        self.index().save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let constellation = Self::ALL.get(usize::load(reader)?).copied();
+        constellation.ok_or_else(|| reader.invalid("constellation"))
+    }
+}
 
 /// The name of an ionosphere model, the only text in a reason.
 impl Snapshot for &'static str {

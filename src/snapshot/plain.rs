@@ -1,6 +1,7 @@
 //! Numbers, options, lists, arrays and matrices.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use nalgebra::SMatrix;
 
@@ -90,6 +91,29 @@ impl<A: Snapshot, B: Snapshot> Snapshot for (A, B) {
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
         Ok((A::load(reader)?, B::load(reader)?))
+    }
+}
+
+/// Who shares it with whom is not kept.
+impl<T: Snapshot> Snapshot for Arc<T> {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        T::save(self, writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        T::load(reader).map(Self::new)
+    }
+}
+
+/// In UTF-8.
+impl Snapshot for String {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        writer.bytes(self.as_bytes());
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let bytes = reader.bytes()?.to_vec();
+        Self::from_utf8(bytes).map_err(|_| reader.invalid("text"))
     }
 }
 

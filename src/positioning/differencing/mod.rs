@@ -28,6 +28,8 @@ use crate::models::{
     state_at_transmission,
 };
 
+use crate::snapshot::snapshot_fields;
+
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
 use pairing::{Pair, pairs};
 use variances::{DifferenceVariances, PairQuality};
@@ -71,6 +73,8 @@ pub(super) struct DifferenceGroup {
     band: Band,
     codes: [ObservationCode; 2],
 }
+
+snapshot_fields!(DifferenceGroup { constellation, is_geostationary, band, codes });
 
 impl DifferenceGroup {
     pub(super) fn of(satellite: SatelliteId, band: Band, codes: [ObservationCode; 2]) -> Self {

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution, SolutionEstimate, Status,
-    Velocity,
+    BaseEpochIssue, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
+    SolutionEstimate, Status, Velocity,
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
@@ -83,8 +83,10 @@ pub(super) fn solution(findings: Findings<'_>) -> Solution {
         }),
     };
     let ephemerides = used.iter().map(|c| of(c).ephemeris).collect();
-    let provenance = Provenance { ephemerides, base: None };
-    Solution { time: epoch.time, status, estimate: Some(estimate), reasons, provenance }
+    let (name, time) = (base.station.name.clone(), epoch.time - base.age_s);
+    let provenance = Provenance { ephemerides, base: Some(BaseEpochIssue { base: name, time }) };
+    let estimate = Some(estimate);
+    Solution { time: epoch.time, status, estimate, reasons, provenance }
 }
 
 /// The rover's clock (m), from the mean of the first constellation's pseudoranges: the ionosphere,

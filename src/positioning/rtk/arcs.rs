@@ -18,6 +18,8 @@ pub(super) struct Arc {
     pub(super) codes: [ObservationCode; 2],
     /// Border variable of its ambiguity.
     pub(super) variable: usize,
+    /// How many began before it: variables are given again, this is not.
+    pub(super) serial: u64,
     pub(super) frequency_hz: f64,
     /// Time of its newest phase.
     pub(super) last: GpsTime,
@@ -27,8 +29,23 @@ pub(super) struct Arc {
     pub(super) half_cycle: bool,
     /// Elevation at the newest phase (rad).
     pub(super) elevation_rad: f64,
-    /// Its integer less one that all labelled arcs of its group share, once found.
-    pub(super) label: Option<i64>,
+    /// Its integer, once found.
+    pub(super) label: Option<Label>,
+}
+
+/// An integer less one that all arcs share whose labels are of one origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Label {
+    /// Which arc of which group began the count, at which time.
+    pub(super) origin: u32,
+    pub(super) integer: i64,
+}
+
+impl Label {
+    /// The integer between two arcs, where it is known.
+    pub(super) fn less(self, other: Self) -> Option<i64> {
+        (self.origin == other.origin).then(|| self.integer - other.integer)
+    }
 }
 
 impl Arc {
@@ -49,13 +66,17 @@ pub(super) struct Arcs {
     pub(super) list: Vec<Arc>,
     /// Border variables in use, by arcs or by epochs still in the window.
     in_use: Vec<bool>,
+    /// How many have begun.
+    begun: u64,
 }
 
+snapshot_fields!(Label { origin, integer });
 snapshot_fields!(Arc {
     satellite,
     band,
     codes,
     variable,
+    serial,
     frequency_hz,
     last,
     epochs,
@@ -63,7 +84,7 @@ snapshot_fields!(Arc {
     elevation_rad,
     label,
 });
-snapshot_fields!(Arcs { list, in_use });
+snapshot_fields!(Arcs { list, in_use, begun });
 
 impl Arcs {
     /// Whether no arc has a variable that is not among the first `border`.
@@ -106,6 +127,7 @@ impl Arcs {
             band: difference.band,
             codes: difference.codes,
             variable,
+            serial: self.take_serial(),
             frequency_hz: difference.frequency_hz,
             last: time,
             epochs: 1,
@@ -117,8 +139,21 @@ impl Arcs {
         arc
     }
 
+    /// Begins the arc at a place of the list anew; returns its variable.
+    pub(super) fn renew(&mut self, place: usize) -> usize {
+        let (variable, serial) = (self.take_variable(), self.take_serial());
+        let arc = &mut self.list[place];
+        (arc.variable, arc.serial, arc.epochs, arc.label) = (variable, serial, 1, None);
+        variable
+    }
+
+    fn take_serial(&mut self) -> u64 {
+        self.begun += 1;
+        self.begun - 1
+    }
+
     /// A border variable that nothing names.
-    pub(super) fn take_variable(&mut self) -> usize {
+    fn take_variable(&mut self) -> usize {
         let free = self.in_use.iter().position(|used| !used);
         let variable = free.unwrap_or(self.in_use.len());
         if variable == self.in_use.len() {
@@ -133,14 +168,18 @@ impl Arcs {
         self.list.iter().any(|arc| arc.variable == variable)
     }
 
-    /// Puts the labels in the place of the ambiguities in rows of one group, and drops the rows of
-    /// arcs without one.
+    /// Puts the labels of the newest origin in the place of the ambiguities in rows of one group,
+    /// and drops the other rows.
     pub(super) fn put_labels(&self, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
+        let label = |row: &SharingRow<3>| {
+            let (variable, _) = row.border?;
+            self.list.iter().find(|arc| arc.variable == variable)?.label
+        };
+        let newest = rows.iter().filter_map(label).map(|label| label.origin).max();
         rows.retain_mut(|row| {
-            let Some((variable, slope)) = row.border else { return false };
-            let arc = self.list.iter().find(|arc| arc.variable == variable);
-            let Some(label) = arc.and_then(|arc| arc.label) else { return false };
-            row.row.residual += (label as f64 - border[variable]) * slope;
+            let own = label(row).filter(|label| Some(label.origin) == newest);
+            let (Some(label), Some((variable, slope))) = (own, row.border) else { return false };
+            row.row.residual += (label.integer as f64 - border[variable]) * slope;
             true
         });
     }

@@ -3,13 +3,15 @@
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
-    Elimination, EliminationError, Estimate, Phase, Prior, System, Workspace, optimize,
+    Departure, Elimination, EliminationError, Estimate, Phase, Prior, Problem, System, Workspace,
+    optimize,
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::{ComponentFactor, MotionFactor, VELOCITY};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::epoch::{Rows, RtkEpoch, STATE, State};
+use super::history::History;
 use super::settings::Settings;
 use super::tracking::Tracking;
 
@@ -179,6 +181,21 @@ impl Chain {
         solved.map(|_| ())
     }
 
+    /// Factors the window where it stands; no factor of an earlier solve is state.
+    pub(super) fn factor(
+        &mut self,
+        settings: &Settings,
+        workspace: &mut Workspace<STATE>,
+    ) -> Result<(), EliminationError> {
+        let Workspace { system, elimination, .. } = workspace;
+        let Self { epochs, estimate, prior, tracking, .. } = self;
+        let (kernels, scratch) = (&settings.kernels, &mut tracking.scratch);
+        system.reset(estimate.states.len(), estimate.border.len());
+        let mut rows = Rows { epochs, prior, kernels, scratch };
+        rows.linearize(estimate, Phase::Graduated(1.0), system);
+        elimination.factor(system, 0.0)
+    }
+
     /// Begins the arcs anew whose newest phase contradicts the others; returns whether any did.
     pub(super) fn cut_slips(
         &mut self,
@@ -202,12 +219,15 @@ impl Chain {
     }
 
     /// Marginalises the oldest epoch into the prior, and with it the ambiguities nothing names.
+    /// `history`, if there is one, learns how what is gone depends on what stays.
     pub(super) fn forget_oldest(
         &mut self,
         settings: &Settings,
         workspace: &mut (System<STATE>, Elimination<STATE>),
+        history: Option<&mut History>,
     ) -> Result<(), EliminationError> {
         let (system, elimination) = workspace;
+        let carried = self.prior.variables().count();
         let kernels = settings.kernels.at(Phase::Graduated(1.0));
         system.reset(2, self.estimate.border.len());
         self.prior.add_to(0, &self.estimate, system);
@@ -217,6 +237,9 @@ impl Chain {
         let over =
             |variable: usize| !arcs.has(variable) && !later.iter().any(|e| e.names(variable));
         self.prior.marginalize(system, &self.estimate, over, elimination)?;
+        if let Some(history) = history {
+            history.depart(Departure::of(elimination, &self.estimate, carried));
+        }
         let oldest = self.epochs.remove(0);
         self.spare.push(oldest);
         self.estimate.states.remove(0);

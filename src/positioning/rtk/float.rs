@@ -21,10 +21,11 @@ pub(super) struct FloatSolution {
 }
 
 impl FloatSolution {
-    /// Of a state of the graph, which the covariances have reached.
+    /// Of a state of the graph, which the covariances have reached; the ambiguities are in their
+    /// order.
     pub(super) fn of_graph(
         state: &State,
-        border: &[f64],
+        ambiguities: Vec<f64>,
         covariances: &Covariances<STATE>,
     ) -> Self {
         let variables = covariances.variables().to_vec();
@@ -45,12 +46,7 @@ impl FloatSolution {
                 covariance[(3 + b, 3 + a)] = value;
             }
         }
-        Self {
-            position: state.fixed_rows::<3>(0).into_owned(),
-            ambiguities: variables.iter().map(|&variable| border[variable]).collect(),
-            variables,
-            covariance,
-        }
+        Self { position: state.fixed_rows::<3>(0).into_owned(), ambiguities, variables, covariance }
     }
 
     /// Place of a border variable among the ambiguities.

@@ -5,7 +5,7 @@
 //! conditioned on them anew, after a test of whether it still agrees, and they are dropped when it
 //! does not. What is not labelled is then looked for in what that leaves.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
@@ -14,7 +14,7 @@ use crate::lambda::{
 };
 use crate::snapshot::snapshot_fields;
 
-use super::arcs::Arc;
+use super::arcs::{Arc, Label};
 use super::float::FloatSolution;
 use super::joint::{Joint, chosen_of, condition, doubted};
 
@@ -29,11 +29,11 @@ const ATTEMPTS_MAX: usize = 12;
 /// Residuals that would tell as much of the noise as is known of it.
 const SCALE_FREEDOM: f64 = 8.0;
 /// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
-const DISAGREEMENT: f64 = 4.0;
+pub(super) const DISAGREEMENT: f64 = 4.0;
 
 /// A position is within centimetres whose horizontal standard deviation is at most this in every
 /// direction (m): 95 % of its errors are within 12 cm.
-const FIXED_SIGMA_M: f64 = 0.05;
+pub(super) const FIXED_SIGMA_M: f64 = 0.05;
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FixedPosition {
@@ -45,6 +45,14 @@ pub(super) struct FixedPosition {
     pub(super) held: usize,
     /// Estimated probability that they are right.
     pub(super) probability: f64,
+}
+
+impl FixedPosition {
+    /// Greatest horizontal standard deviation (m).
+    pub(super) fn horizontal_sigma_m(&self) -> f64 {
+        let horizontal = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        horizontal.symmetric_eigenvalues().max().sqrt()
+    }
 }
 
 /// What looking for integers came to.
@@ -61,8 +69,7 @@ impl Resolution {
     /// The same, but for a position that the integers held leave uncertain: that is none.
     fn if_precise(self) -> Self {
         let precise = |fixed: FixedPosition| {
-            let horizontal = fixed.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-            let sigma_m = horizontal.symmetric_eigenvalues().max().sqrt();
+            let sigma_m = fixed.horizontal_sigma_m();
             if sigma_m <= FIXED_SIGMA_M { Ok(fixed) } else { Err(Reason::FixImprecise { sigma_m }) }
         };
         Self { outcome: self.outcome.and_then(precise), ..self }
@@ -83,21 +90,34 @@ struct DoubleDifference {
 pub(super) struct Trust {
     /// Epochs in a row that found the same integers, up to what is asked for.
     pub(super) agreed: u32,
-    probability: f64,
-    ratio: Option<f64>,
-    success_rate: Option<f64>,
-    /// Times that labels were dropped: those of one era are comparable.
+    pub(super) probability: f64,
+    pub(super) ratio: Option<f64>,
+    pub(super) success_rate: Option<f64>,
+    /// Times that all labels were dropped.
     pub(super) era: u32,
     /// The last era whose labels were found to be wrong.
     pub(super) refuted: Option<u32>,
+    /// Whether they have agreed for as long as is asked for since they were found.
+    pub(super) was_kept: bool,
+    /// How many origins labels have had.
+    pub(super) origins: u32,
 }
 
-snapshot_fields!(Trust { agreed, probability, ratio, success_rate, era, refuted });
+snapshot_fields!(Trust {
+    agreed,
+    probability,
+    ratio,
+    success_rate,
+    era,
+    refuted,
+    was_kept,
+    origins,
+});
 
 /// Resolves integers; its memory is used again.
 #[derive(Clone, Debug)]
 pub(super) struct Integers {
-    resolver: Resolver,
+    pub(super) resolver: Resolver,
     conditioning: Conditioning,
     pairs: Vec<DoubleDifference>,
     /// Place of each arc among the covariances.
@@ -125,13 +145,14 @@ impl Integers {
         float: &FloatSolution,
         options: &RtkOptions,
     ) -> Resolution {
-        let is_eligible = |arc: &Arc| {
-            is_present(arc)
-                && !arc.half_cycle
-                && arc.satellite.constellation != Constellation::Glonass
-                && options.elevation_mask_rad <= arc.elevation_rad
-        };
+        let is_eligible = |arc: &Arc| is_present(arc) && may_be_integer(arc, options);
         self.difference(arcs, is_eligible, float);
+        for pair in self.pairs.iter().filter(|pair| pair.known.is_none()) {
+            // What is counted from elsewhere says nothing here.
+            if arcs[pair.reference].label.is_some() {
+                arcs[pair.arc].label = None;
+            }
+        }
         if self.pairs.len() < options.fixed_min {
             let (used, needed) = (self.pairs.len(), options.fixed_min);
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
@@ -141,9 +162,21 @@ impl Integers {
             if let Some(resolution) = self.resolve_held(arcs, trust, &joint, options) {
                 return resolution.if_precise();
             }
-            let known = self.indices(|pair| pair.known.is_some()).len();
-            drop_labels(arcs, trust, options.fixed_min <= known);
+            let (era, before) = (trust.era, self.pairs.clone());
+            drop_labels(arcs, trust, false);
             self.pairs.iter_mut().for_each(|pair| pair.known = None);
+            let resolution = self.resolve_anew(arcs, trust, &joint, options);
+            // What no longer agrees is not wrong before other integers are found.
+            let found = |arc: usize| arcs[arc].label;
+            let differs = |pair: &DoubleDifference| {
+                let both = found(pair.arc).zip(found(pair.reference));
+                let now = both.and_then(|(own, zero)| own.less(zero));
+                pair.known.zip(now).is_some_and(|(known, found)| known != found)
+            };
+            if before.iter().any(differs) {
+                trust.refuted = Some(era);
+            }
+            return resolution.if_precise();
         }
         self.resolve_anew(arcs, trust, &joint, options).if_precise()
     }
@@ -183,7 +216,7 @@ impl Integers {
             if let Some((outcome, position)) = self.search(arcs, &rest, &others, &lambda)
                 && outcome.rejection.is_none()
             {
-                held += self.label(arcs, &others);
+                held += self.label(arcs, trust, &others);
                 rest = position;
             }
         }
@@ -238,8 +271,9 @@ impl Integers {
         if probability < options.probability_min {
             return resolution;
         }
-        let held = self.label(arcs, &wanted);
+        let held = self.label(arcs, trust, &wanted);
         trust.agreed += 1;
+        trust.was_kept |= options.hold_epochs <= trust.agreed;
         trust.probability = probability;
         (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
         resolution.outcome = Ok(fixed_position(&position, held, probability));
@@ -332,14 +366,17 @@ impl Integers {
     }
 
     /// Labels the arcs of the pairs whose integers the last search found; returns how many.
-    fn label(&self, arcs: &mut [Arc], wanted: &[usize]) -> usize {
+    fn label(&self, arcs: &mut [Arc], trust: &mut Trust, wanted: &[usize]) -> usize {
         let entries = self.resolver.fix().entries();
         let mut count = 0;
         for (&i, entry) in wanted.iter().zip(entries) {
             let Some(integer) = *entry else { continue };
             let DoubleDifference { arc, reference, .. } = self.pairs[i];
-            let zero = *arcs[reference].label.get_or_insert(0);
-            arcs[arc].label = Some(zero + integer);
+            let zero = *arcs[reference].label.get_or_insert_with(|| {
+                trust.origins += 1;
+                Label { origin: trust.origins, integer: 0 }
+            });
+            arcs[arc].label = Some(Label { integer: zero.integer + integer, ..zero });
             count += 1;
         }
         count
@@ -370,7 +407,8 @@ impl Integers {
                 }
             }
             if reference != arc {
-                let known = own.label.zip(arcs[reference].label).map(|(own, zero)| own - zero);
+                let both = own.label.zip(arcs[reference].label);
+                let known = both.and_then(|(own, zero)| own.less(zero));
                 self.pairs.push(DoubleDifference { arc, reference, known });
             }
         }
@@ -378,44 +416,29 @@ impl Integers {
 
     /// Position and double differences with their covariance.
     fn joint(&self, float: &FloatSolution) -> Joint {
-        let n = self.pairs.len();
         let place = |arc: usize| self.places[arc].expect("arcs of double differences have places");
         let places: Vec<_> =
             self.pairs.iter().map(|pair| (place(pair.arc), place(pair.reference))).collect();
-        let mut joint =
-            Joint { estimate: DVector::zeros(3 + n), covariance: DMatrix::zeros(3 + n, 3 + n) };
-        for axis in 0..3 {
-            joint.estimate[axis] = float.position[axis];
-            for other in 0..3 {
-                joint.covariance[(axis, other)] = float.covariance[(axis, other)];
-            }
-        }
-        for (j, &(b, s)) in places.iter().enumerate() {
-            joint.estimate[3 + j] = float.ambiguities[b] - float.ambiguities[s];
-            for axis in 0..3 {
-                let cross = float.covariance[(axis, 3 + b)] - float.covariance[(axis, 3 + s)];
-                joint.covariance[(axis, 3 + j)] = cross;
-                joint.covariance[(3 + j, axis)] = cross;
-            }
-            for (i, &(a, r)) in places[..=j].iter().enumerate() {
-                let own = float.between(a, b) - float.between(a, s);
-                let references = float.between(r, b) - float.between(r, s);
-                joint.covariance[(3 + i, 3 + j)] = own - references;
-                joint.covariance[(3 + j, 3 + i)] = own - references;
-            }
-        }
-        joint
+        Joint::of_differences(float, &places)
     }
+}
+
+/// Whether the ambiguity of an arc is looked for among integers.
+pub(super) fn may_be_integer(arc: &Arc, options: &RtkOptions) -> bool {
+    !arc.half_cycle
+        && arc.satellite.constellation != Constellation::Glonass
+        && options.elevation_mask_rad <= arc.elevation_rad
 }
 
 /// Forgets the integers kept, because they are wrong or because too few are left.
 pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust, are_wrong: bool) {
     arcs.iter_mut().for_each(|arc| arc.label = None);
     let refuted = if are_wrong { Some(trust.era) } else { trust.refuted };
-    *trust = Trust { era: trust.era + 1, refuted, ..Trust::default() };
+    let (era, origins) = (trust.era + 1, trust.origins);
+    *trust = Trust { era, refuted, origins, ..Trust::default() };
 }
 
-fn lambda_options(options: &RtkOptions) -> Options {
+pub(super) fn lambda_options(options: &RtkOptions) -> Options {
     Options {
         success_rate_min: options.success_rate_min,
         ratio_test: RatioTest::Constant(options.ratio_min),
@@ -442,7 +465,7 @@ fn refusal(outcome: &Outcome) -> Option<Reason> {
     })
 }
 
-fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
+pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
     FixedPosition {
         position: joint.estimate.fixed_rows::<3>(0).into_owned(),
         covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),

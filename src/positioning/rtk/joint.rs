@@ -3,6 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::float::FloatSolution;
+
 /// Share of the carriers that follow no direct signal or hide a slip, before any is looked at.
 const ASTRAY: f64 = 0.1;
 /// Wrapped to a cycle, a normal density of this deviation (cycles) is one to 1.4 %.
@@ -17,6 +19,34 @@ pub(super) struct Joint {
 }
 
 impl Joint {
+    /// Position and double differences of ambiguities, each of two places in the float solution.
+    pub(super) fn of_differences(float: &FloatSolution, places: &[(usize, usize)]) -> Self {
+        let n = places.len();
+        let mut joint =
+            Self { estimate: DVector::zeros(3 + n), covariance: DMatrix::zeros(3 + n, 3 + n) };
+        for axis in 0..3 {
+            joint.estimate[axis] = float.position[axis];
+            for other in 0..3 {
+                joint.covariance[(axis, other)] = float.covariance[(axis, other)];
+            }
+        }
+        for (j, &(b, s)) in places.iter().enumerate() {
+            joint.estimate[3 + j] = float.ambiguities[b] - float.ambiguities[s];
+            for axis in 0..3 {
+                let cross = float.covariance[(axis, 3 + b)] - float.covariance[(axis, 3 + s)];
+                joint.covariance[(axis, 3 + j)] = cross;
+                joint.covariance[(3 + j, axis)] = cross;
+            }
+            for (i, &(a, r)) in places[..=j].iter().enumerate() {
+                let own = float.between(a, b) - float.between(a, s);
+                let references = float.between(r, b) - float.between(r, s);
+                joint.covariance[(3 + i, 3 + j)] = own - references;
+                joint.covariance[(3 + j, 3 + i)] = own - references;
+            }
+        }
+        joint
+    }
+
     /// Position and some of the ambiguities.
     pub(super) fn of(&self, wanted: &[usize]) -> Self {
         let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();

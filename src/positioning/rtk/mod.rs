@@ -15,12 +15,17 @@ mod epoch;
 mod filter;
 mod float;
 mod front;
+mod held;
+mod history;
 mod integers;
 mod joint;
+mod labels;
 mod noise;
+mod revision;
 mod settings;
 mod tracking;
 mod window;
 
 pub(super) use filter::RtkFilter;
+pub(super) use history::Revises;
 pub(super) use window::RtkWindow;

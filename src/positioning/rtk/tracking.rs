@@ -299,10 +299,8 @@ impl Tracking {
                 continue;
             }
             any = true;
-            let variable = self.arcs.take_variable();
-            let arc = &mut self.arcs.list[index];
-            (arc.variable, arc.epochs, arc.label) = (variable, 1, None);
-            slipped.push(arc.satellite);
+            let variable = self.arcs.renew(index);
+            slipped.push(self.arcs.list[index].satellite);
             let mean = border[old] - miss_m / ambiguity.wavelength_m;
             start(epoch, border, variable, mean);
             epoch.rows[place].ambiguity = Some(Ambiguity { variable, ..ambiguity });

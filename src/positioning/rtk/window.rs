@@ -1,8 +1,10 @@
-//! The sliding window on differences against a base: each epoch answered as it comes.
+//! The sliding window on differences against a base: each epoch answered as it comes, and again.
+
+use std::ops::Range;
 
 use crate::config::PositioningOptions;
-use crate::gnss::{Epoch, Navigation, Reason, Solution};
-use crate::graph::{BorderLife, Covariances, Elimination, System, Workspace};
+use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Reason, Solution};
+use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
 use crate::positioning::base::BaseAiding;
 use crate::positioning::fgo::SlidingWindow;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
@@ -12,6 +14,7 @@ use super::chain::Chain;
 use super::epoch::{STATE, State};
 use super::float::FloatSolution;
 use super::front::{Front, UsableBase};
+use super::history::{History, Revises, Window};
 use super::integers::Integers;
 use super::settings::Settings;
 
@@ -20,7 +23,7 @@ pub(super) const FRAME_LIMIT_M: f64 = 1e5;
 /// Times that slips are looked for in one epoch.
 pub(super) const SLIP_ROUNDS: usize = 3;
 
-/// A causal estimator over a sliding window of differences.
+/// An estimator over a sliding window of differences.
 #[derive(Debug)]
 pub(in crate::positioning) struct RtkWindow {
     settings: Settings,
@@ -28,23 +31,32 @@ pub(in crate::positioning) struct RtkWindow {
     front: Front,
     /// Answers while there is no base to use.
     stand_in: Option<Box<SlidingWindow>>,
+    revises: Revises,
+    /// Of the epochs to be answered again, if any are.
+    history: Option<History>,
+    revisions: Vec<Solution>,
     integers: Integers,
     workspace: Workspace<STATE>,
     covariances: Covariances<STATE>,
+    smoother: Smoother<STATE>,
     oldest: (System<STATE>, Elimination<STATE>),
 }
 
 impl RtkWindow {
     /// One that has seen nothing.
-    pub(in crate::positioning) fn new(options: &PositioningOptions) -> Self {
+    pub(in crate::positioning) fn new(options: &PositioningOptions, revises: Revises) -> Self {
         Self {
             settings: Settings::new(options),
             chain: Chain::new(),
             front: Front::new(options),
             stand_in: None,
+            revises,
+            history: (revises != Revises::Never).then(History::default),
+            revisions: Vec::new(),
             integers: Integers::new(),
             workspace: Workspace::new(BorderLife::WholeChain),
             covariances: Covariances::new(),
+            smoother: Smoother::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
         }
     }
@@ -65,9 +77,12 @@ impl RtkWindow {
         if let Some(alone) = self.front.receive(epoch, navigation, base, arcs, options) {
             return alone;
         }
-        match self.relative(epoch, navigation, base, options) {
+        let solution = match self.relative(epoch, navigation, base, options) {
             Ok(solution) => {
                 self.stand_in = None;
+                if let Some(history) = &mut self.history {
+                    history.push(solution.clone(), &self.chain.tracking, &options.rtk);
+                }
                 solution
             }
             Err(reason) => {
@@ -76,9 +91,68 @@ impl RtkWindow {
                     .get_or_insert_with(|| Box::new(SlidingWindow::new(options, false)));
                 let mut solution = stand_in.advance(epoch, navigation, options);
                 solution.reasons.push(reason);
+                if let Some(history) = &mut self.history {
+                    history.push_alone(solution.clone());
+                }
                 solution
             }
+        };
+        if let Some(history) = &self.history {
+            let due = history.due(epoch.time, &options.graph);
+            self.revise(due.clone(), options);
+            if self.revises == Revises::WhenTheyLeave {
+                self.leave(due.end);
+            }
         }
+        solution
+    }
+
+    /// Answers some epochs again, where the window can be gone back from.
+    fn revise(&mut self, epochs: Range<usize>, options: &PositioningOptions) {
+        let Self { history, chain, settings, workspace, smoother, integers, .. } = self;
+        let Some(history) = history else { return };
+        if history.has_graph(epochs.clone()) && chain.factor(settings, workspace).is_ok() {
+            let Chain { estimate, frame, .. } = &*chain;
+            let (elimination, resolver) = (&workspace.elimination, &mut integers.resolver);
+            let window = Window { elimination, estimate, frame, smoother, resolver };
+            history.revise(epochs, window, &options.rtk);
+        }
+    }
+
+    /// Answers the oldest epochs for good.
+    fn leave(&mut self, count: usize) {
+        let history = self.history.as_mut().filter(|_| 0 < count);
+        self.revisions.extend(history.map(|history| history.leave(count)).unwrap_or_default());
+    }
+
+    /// Answers all epochs for good: nothing of the chain will be gone back to.
+    fn leave_all(&mut self) {
+        self.leave(self.history.as_ref().map_or(0, |history| history.all().end));
+        self.history = (self.revises != Revises::Never).then(History::default);
+    }
+
+    /// Revises every epoch not yet revised; returns all revisions not yet taken.
+    pub(in crate::positioning) fn finish(&mut self, options: &PositioningOptions) -> Vec<Solution> {
+        self.revise(self.history.as_ref().map_or(0..0, History::all), options);
+        self.leave_all();
+        self.take_revisions()
+    }
+
+    /// Answers of the epochs that have left the window since the last call.
+    pub(in crate::positioning) fn take_revisions(&mut self) -> Vec<Solution> {
+        std::mem::take(&mut self.revisions)
+    }
+
+    /// Time of the oldest epoch not yet revised.
+    pub(in crate::positioning) fn oldest_time(&self) -> Option<GpsTime> {
+        self.history.as_ref()?.oldest_time()
+    }
+
+    /// Begins the chain anew with its origin at `start`.
+    fn begin(&mut self, start: Ecef, options: &PositioningOptions) {
+        self.revise(self.history.as_ref().map_or(0..0, History::all), options);
+        self.leave_all();
+        self.chain.begin(start);
     }
 
     /// The answer relative to the base, or why there is none.
@@ -98,6 +172,7 @@ impl RtkWindow {
         self.chain.append(epoch.time, guess, differences, options, settings);
         if self.solve(options).is_none() {
             self.chain.clear();
+            self.leave_all();
             return Err(Reason::NotConverged);
         }
         self.covariances.newest(&self.workspace.elimination);
@@ -115,7 +190,7 @@ impl RtkWindow {
             let guess = self.chain.predicted(epoch.time);
             let is_near = guess.fixed_rows::<3>(0).norm() < FRAME_LIMIT_M;
             if options.rtk.single_epoch {
-                self.chain.begin(self.chain.place(&guess));
+                self.begin(self.chain.place(&guess), options);
                 return Ok(State::zeros());
             }
             if epoch.time - last <= options.graph.gap_s && is_near {
@@ -124,7 +199,7 @@ impl RtkWindow {
         }
         let alone = self.front.single_point.solve(epoch, navigation, options, None);
         let estimate = alone.estimate.ok_or(Reason::NotConverged)?;
-        self.chain.begin(estimate.position);
+        self.begin(estimate.position, options);
         let mut guess = State::zeros();
         if let Some(velocity) = &estimate.velocity {
             let local = self.chain.frame.rotation * velocity.velocity_m_s;
@@ -135,9 +210,9 @@ impl RtkWindow {
 
     /// Forgets the epochs that leave and solves the window, slips cut out.
     fn solve(&mut self, options: &PositioningOptions) -> Option<()> {
-        let Self { chain, settings, workspace, oldest, front, .. } = self;
+        let Self { chain, settings, workspace, oldest, front, history, .. } = self;
         while options.rtk.window_epochs < chain.epochs.len() {
-            chain.forget_oldest(settings, oldest).ok()?;
+            chain.forget_oldest(settings, oldest, history.as_mut()).ok()?;
         }
         for _ in 0..SLIP_ROUNDS {
             chain.solve(settings, workspace).ok()?;
@@ -153,7 +228,9 @@ impl RtkWindow {
         let Chain { tracking, estimate, epochs, frame, .. } = &mut self.chain;
         let epoch = epochs.last().expect("a window that was solved has an epoch");
         let state = estimate.states.last().expect("one state for each epoch");
-        let float = FloatSolution::of_graph(state, &estimate.border, &self.covariances);
+        let variables = self.covariances.variables().iter();
+        let ambiguities = variables.map(|&variable| estimate.border[variable]).collect();
+        let float = FloatSolution::of_graph(state, ambiguities, &self.covariances);
         let resolution =
             tracking.resolve(&mut self.integers, epoch, &estimate.border, &float, options);
         let reasons = self.front.reasons(epoch.time, &tracking.arcs);
@@ -181,6 +258,7 @@ impl RtkWindow {
         if let Some(stand_in) = &self.stand_in {
             stand_in.save(writer);
         }
+        self.history.save(writer);
     }
 
     /// The window that was written, by the options it was made with.
@@ -188,22 +266,30 @@ impl RtkWindow {
         options: &PositioningOptions,
         reader: &mut SnapshotReader<'_>,
     ) -> Result<Self, SnapshotError> {
-        Ok(Self {
+        let fresh = Self::new(options, Revises::Never);
+        let window = Self {
             chain: Snapshot::load(reader)?,
             front: Front::load(options, reader)?,
             stand_in: match bool::load(reader)? {
                 true => Some(Box::new(SlidingWindow::load(options, reader)?)),
                 false => None,
             },
-            ..Self::new(options)
-        })
+            history: Snapshot::load(reader)?,
+            ..fresh
+        };
+        let revises = match window.history {
+            Some(_) => Revises::WhenTheyLeave,
+            None => Revises::Never,
+        };
+        Ok(Self { revises, ..window })
     }
 
     /// Swaps the memory both work in.
     pub(in crate::positioning) fn exchange_memory(&mut self, other: &mut Self) {
         #[rustfmt::skip]
         let Self {
-            settings: _, chain, front, stand_in, integers, workspace, covariances, oldest,
+            settings: _, chain, front, stand_in, revises: _, history: _, revisions: _, integers,
+            workspace, covariances, smoother, oldest,
         } = self;
         chain.exchange_memory(&mut other.chain);
         if let (Some(stand_in), Some(other)) = (stand_in, &mut other.stand_in) {
@@ -213,6 +299,7 @@ impl RtkWindow {
         std::mem::swap(integers, &mut other.integers);
         std::mem::swap(workspace, &mut other.workspace);
         std::mem::swap(covariances, &mut other.covariances);
+        std::mem::swap(smoother, &mut other.smoother);
         std::mem::swap(oldest, &mut other.oldest);
     }
 }
@@ -225,9 +312,13 @@ impl Clone for RtkWindow {
             chain: self.chain.clone(),
             front: self.front.clone(),
             stand_in: self.stand_in.clone(),
+            revises: self.revises,
+            history: self.history.clone(),
+            revisions: self.revisions.clone(),
             integers: Integers::new(),
             workspace: Workspace::new(BorderLife::WholeChain),
             covariances: Covariances::new(),
+            smoother: Smoother::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
         }
     }
@@ -237,5 +328,8 @@ impl Clone for RtkWindow {
         self.chain.clone_from(&source.chain);
         self.front.clone_from(&source.front);
         self.stand_in.clone_from(&source.stand_in);
+        self.revises = source.revises;
+        self.history.clone_from(&source.history);
+        self.revisions.clone_from(&source.revisions);
     }
 }

@@ -1,0 +1,357 @@
+//! States that were marginalised, smoothed by what came after them.
+//!
+//! Marginalising state k leaves, beside the prior on what stays, how it depends on that:
+//!
+//! x_k = x̄_k + L⁻ᵀ·(y − Gᵀ·δ_{k+1} − W·δ_β) + L⁻ᵀ·ε, ε standard normal
+//!
+//! with δ from where the rows were linearised, and likewise the border variables that were retired
+//! with it. Whoever keeps that, a [`Departure`], can go back from any later estimate: a
+//! [`Smoother`] begins at the newest state of a solved window and carries mean and covariance of
+//! (one state, the border alive there) backward, at S²·n + S·n² for n border variables. What the
+//! rows of a state gone said, their kernel weights included, stays as it was when it left.
+//!
+//! Source: Rauch, Tung & Striebel (1965), *Maximum likelihood estimates of linear dynamic systems*;
+//! here in the square-root information form of Bierman (1977), *Factorization methods for discrete
+//! sequential estimation*, chapter X.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::graph::block::Factor;
+use crate::graph::border::dot;
+use crate::graph::covariance::Covariances;
+use crate::graph::elimination::{Elimination, Retired};
+use crate::graph::estimate::Estimate;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, snapshot_fields};
+
+/// How a marginalised state depends on the next one and the border that stayed.
+#[derive(Clone, Debug)]
+pub struct Departure<const S: usize> {
+    factor: Factor<S>,
+    coupling: SMatrix<f64, S, S>,
+    forward: SVector<f64, S>,
+    /// W, and of which variables, with the values they were linearised at.
+    columns: Vec<SVector<f64, S>>,
+    variables: Vec<usize>,
+    border_at: Vec<f64>,
+    /// The first of these were known to the prior before.
+    carried: usize,
+    retired: Vec<Retired<S>>,
+    retired_rows: Vec<f64>,
+    /// The state and the next one where they were linearised.
+    at: SVector<f64, S>,
+    next_at: SVector<f64, S>,
+}
+
+snapshot_fields!(generic [const S: usize] Factor<S> { lower, reciprocal } memory {});
+snapshot_fields!(
+    generic [const S: usize] Retired<S> { variable, place, reciprocal, forward, next, row }
+    memory {}
+);
+
+impl<const S: usize> Departure<S> {
+    /// Of the first of the two states that [`Prior::marginalize`] was given, right after it.
+    ///
+    /// `carried` is how many border variables the prior named before; `estimate` is where the
+    /// system was linearised. No row of it may bring the second state a border variable.
+    ///
+    /// [`Prior::marginalize`]: crate::graph::Prior::marginalize
+    pub fn of(elimination: &Elimination<S>, estimate: &Estimate<S>, carried: usize) -> Self {
+        let step = elimination.steps.last().expect("a state was marginalised");
+        let mut variables = elimination.front.variables.clone();
+        for retired in elimination.retired.iter().rev() {
+            variables.insert(retired.place, retired.variable);
+        }
+        debug_assert_eq!(variables.len(), step.alive, "the next state joined no variable");
+        Self {
+            factor: step.factor,
+            coupling: step.coupling,
+            forward: step.forward,
+            columns: elimination.columns[step.columns..].to_vec(),
+            border_at: variables.iter().map(|&variable| estimate.border[variable]).collect(),
+            variables,
+            carried,
+            retired: elimination.retired.clone(),
+            retired_rows: elimination.retired_rows.clone(),
+            at: estimate.states[0],
+            next_at: estimate.states[1],
+        }
+    }
+}
+
+impl<const S: usize> Snapshot for Departure<S> {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        #[rustfmt::skip]
+        let Self {
+            factor, coupling, forward, columns, variables, border_at, carried, retired,
+            retired_rows, at, next_at,
+        } = self;
+        factor.save(writer);
+        coupling.save(writer);
+        forward.save(writer);
+        columns.save(writer);
+        variables.save(writer);
+        border_at.save(writer);
+        carried.save(writer);
+        retired.save(writer);
+        retired_rows.save(writer);
+        at.save(writer);
+        next_at.save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        let departure = Self {
+            factor: Snapshot::load(reader)?,
+            coupling: Snapshot::load(reader)?,
+            forward: Snapshot::load(reader)?,
+            columns: Snapshot::load(reader)?,
+            variables: Snapshot::load(reader)?,
+            border_at: Snapshot::load(reader)?,
+            carried: Snapshot::load(reader)?,
+            retired: Snapshot::load(reader)?,
+            retired_rows: Snapshot::load(reader)?,
+            at: Snapshot::load(reader)?,
+            next_at: Snapshot::load(reader)?,
+        };
+        if departure.is_whole() { Ok(departure) } else { Err(reader.invalid("departure")) }
+    }
+}
+
+impl<const S: usize> Departure<S> {
+    /// Whether all lists are as long as what indexes them wants.
+    fn is_whole(&self) -> bool {
+        let alive = self.variables.len();
+        let mut left = alive.checked_sub(self.retired.len());
+        let mut fits = self.columns.len() == alive && self.border_at.len() == alive;
+        for retired in self.retired.iter().rev() {
+            let Some(others) = left else { return false };
+            let end = retired.row.checked_add(others);
+            fits &=
+                retired.place <= others && end.is_some_and(|end| end <= self.retired_rows.len());
+            left = Some(others + 1);
+        }
+        fits && self.carried <= alive
+    }
+
+    /// Border variables that stayed.
+    fn left(&self) -> usize {
+        self.variables.len() - self.retired.len()
+    }
+}
+
+/// Mean and covariance of one state and the border alive there, from the newest state backward.
+#[derive(Clone, Debug)]
+pub struct Smoother<const S: usize> {
+    state: SVector<f64, S>,
+    /// In the order of [`Covariances::variables`].
+    border: Vec<f64>,
+    covariances: Covariances<S>,
+    /// State of the window reached; none once it is behind.
+    place: Option<usize>,
+    /// δ of the border.
+    moved: Vec<f64>,
+}
+
+impl<const S: usize> Smoother<S> {
+    /// Nowhere yet.
+    pub fn new() -> Self {
+        Self {
+            state: SVector::zeros(),
+            border: Vec::new(),
+            covariances: Covariances::new(),
+            place: None,
+            moved: Vec::new(),
+        }
+    }
+
+    /// Begins at the newest state of a window that was solved.
+    pub fn begin(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) {
+        self.covariances.newest(elimination);
+        self.place = estimate.states.len().checked_sub(1);
+        self.read(estimate);
+    }
+
+    /// Takes state and border from the window's estimate.
+    fn read(&mut self, estimate: &Estimate<S>) {
+        self.state = self.place.map_or_else(SVector::zeros, |place| estimate.states[place]);
+        self.border.clear();
+        let variables = self.covariances.variables();
+        self.border.extend(variables.iter().map(|&variable| estimate.border[variable]));
+    }
+
+    /// Goes on to the state before in the window; false at its first.
+    pub fn go_back(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) -> bool {
+        let Some(before) = self.place.and_then(|place| place.checked_sub(1)) else { return false };
+        self.covariances.go_back(elimination, before);
+        self.place = Some(before);
+        self.read(estimate);
+        true
+    }
+
+    /// Goes on from the window's first state, or the one gone after it, to a state gone.
+    ///
+    /// False, with nothing changed, where the departure is not of the state before.
+    pub fn go_back_to(&mut self, departure: &Departure<S>) -> bool {
+        let left = departure.left();
+        let mut stayed = departure.variables.clone();
+        let mut border_at = departure.border_at.clone();
+        for retired in &departure.retired {
+            stayed.remove(retired.place);
+            border_at.remove(retired.place);
+        }
+        if !self.covariances.variables().starts_with(&stayed) {
+            return false;
+        }
+        self.place = None;
+        self.covariances.truncate(left);
+        self.border.truncate(left);
+        let next = self.state - departure.next_at;
+        self.moved.clear();
+        self.moved.extend(self.border.iter().zip(&border_at).map(|(value, at)| value - at));
+        for retired in departure.retired.iter().rev() {
+            let row = &departure.retired_rows[retired.row..];
+            self.covariances.restore(retired, row);
+            let known = retired.next.dot(&next) + dot(&row[..self.moved.len()], &self.moved);
+            self.moved.insert(retired.place, retired.reciprocal * (retired.forward - known));
+        }
+        self.covariances.step_back(&departure.factor, &departure.coupling, &departure.columns);
+        let mut right = departure.forward - departure.coupling.tr_mul(&next);
+        for (column, &moved) in departure.columns.iter().zip(&self.moved) {
+            right -= column * moved;
+        }
+        self.state = departure.at + departure.factor.solve_upper(&right);
+        self.border.clear();
+        let whole = self.moved.iter().zip(&departure.border_at);
+        self.border.extend(whole.map(|(moved, at)| moved + at));
+        true
+    }
+
+    /// The state reached.
+    pub fn state(&self) -> &SVector<f64, S> {
+        &self.state
+    }
+
+    /// The border variables alive there, in the order of the covariances.
+    pub fn border(&self) -> &[f64] {
+        &self.border
+    }
+
+    /// Covariances of both.
+    pub fn covariances(&self) -> &Covariances<S> {
+        &self.covariances
+    }
+}
+
+impl<const S: usize> Default for Smoother<S> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::oracle::Linear;
+    use crate::graph::prior::Prior;
+    use crate::graph::system::{BorderLife, System};
+
+    const LENGTH: usize = 3;
+
+    /// The last window of a linear problem, factored, and what has left it, oldest first.
+    struct Slid {
+        elimination: Elimination<5>,
+        window: Estimate<5>,
+        departures: Vec<Departure<5>>,
+    }
+
+    fn slide(problem: &Linear<5>) -> Slid {
+        let mut system = System::new(BorderLife::WholeChain);
+        let (mut elimination, mut prior) = (Elimination::new(), Prior::none());
+        let mut delta = Estimate::new();
+        let mut window = Estimate { states: vec![], border: vec![0.0; problem.border] };
+        let mut departures = Vec::new();
+        for end in 1..=problem.states {
+            window.states.push(SVector::repeat(end as f64));
+            let begin = end.saturating_sub(LENGTH);
+            if LENGTH < window.states.len() {
+                let gone = begin - 1;
+                system.reset(2, problem.border);
+                let carried = prior.variables().count();
+                prior.add_to(0, &window, &mut system);
+                for row in problem.rows.iter().filter(|row| row.k == gone) {
+                    problem.add(row, gone, &window, &mut system);
+                }
+                let over = |variable| problem.last_state_of(variable) == Some(gone);
+                prior.marginalize(&system, &window, over, &mut elimination).unwrap();
+                departures.push(Departure::of(&elimination, &window, carried));
+                window.states.remove(0);
+            }
+            system.reset(window.states.len(), problem.border);
+            prior.add_to(0, &window, &mut system);
+            let inside = |k: usize, linked: bool| begin <= k && k + usize::from(linked) < end;
+            for row in problem.rows.iter().filter(|row| inside(row.k, row.is_link())) {
+                problem.add(row, begin, &window, &mut system);
+            }
+            elimination.factor(&system, 0.0).unwrap();
+            elimination.solve(&mut delta);
+            window.step(&delta);
+        }
+        Slid { elimination, window, departures }
+    }
+
+    /// Every state with the border alive there, mean and joint covariance, is that of the whole
+    /// problem solved at once, whatever had left the window and whatever its border variables were.
+    #[test]
+    fn states_gone_are_smoothed_as_by_the_batch() {
+        for (states, border) in [(12, 0), (14, 5), (9, 12)] {
+            let problem = Linear::<5>::random(states as u64, states, border);
+            let (dense, inverse) = problem.dense();
+            let mut slid = slide(&problem);
+            let mut smoother = Smoother::new();
+            smoother.begin(&slid.elimination, &slid.window);
+            let mut seen = vec![false; border];
+            for k in (0..states).rev() {
+                let at = smoother.state() - dense.fixed_rows::<5>(5 * k);
+                assert!(at.norm() < 1e-9 * dense.amax(), "state {k} of {states}, {border}");
+                let covariances = smoother.covariances();
+                let oracle = inverse.fixed_view::<5, 5>(5 * k, 5 * k);
+                assert!((covariances.state() - oracle).norm() < 1e-9 * oracle.norm());
+                for (place, &variable) in covariances.variables().iter().enumerate() {
+                    seen[variable] = true;
+                    let own = 5 * states + variable;
+                    let value = smoother.border()[place];
+                    assert!((value - dense[own]).abs() < 1e-9 * dense.amax(), "{variable}");
+                    let oracle = inverse.fixed_view::<5, 1>(5 * k, own);
+                    assert!((covariances.cross_at(place) - oracle).norm() < 1e-9, "{variable}");
+                    for (b, &other) in covariances.variables().iter().enumerate() {
+                        let oracle = inverse[(own, 5 * states + other)];
+                        assert!((covariances.border_at(place, b) - oracle).abs() < 1e-9);
+                    }
+                }
+                if 0 < k && !smoother.go_back(&slid.elimination, &slid.window) {
+                    let departure = slid.departures.pop().unwrap();
+                    assert!(smoother.go_back_to(&departure));
+                }
+            }
+            assert!(slid.departures.is_empty() && seen.iter().all(|seen| *seen));
+        }
+    }
+
+    /// What is stored and read back goes back alike; what is cut short is refused.
+    #[test]
+    fn a_stored_departure_is_the_same() {
+        let problem = Linear::<5>::random(3, 9, 7);
+        let slid = slide(&problem);
+        let departure = slid.departures.iter().find(|d| !d.retired.is_empty()).unwrap();
+        let stored = |departure: &Departure<5>| {
+            let mut writer = SnapshotWriter::new(1);
+            departure.save(&mut writer);
+            let bytes = writer.finish();
+            Departure::<5>::load(&mut SnapshotReader::open(&bytes, 1).unwrap())
+        };
+        let same = stored(departure).unwrap();
+        assert_eq!(format!("{same:?}"), format!("{departure:?}"));
+        let mut cut = departure.clone();
+        cut.retired_rows.pop();
+        assert!(stored(&cut).is_err());
+    }
+}
