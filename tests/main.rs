@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 
 mod antennas;
+mod archives;
 mod bases;
 mod casters;
 mod clients;

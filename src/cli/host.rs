@@ -3,13 +3,21 @@
 use std::future::Future;
 use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 
 use crate::aiding::{AidingDesk, AidingError, AidingLimits};
-use crate::config::{FetchConfiguration, Limits, ServiceConfiguration, ServiceConfigurationError};
+use crate::config::{
+    CasterConfiguration, FetchConfiguration, Limits, NavigationConfiguration, ServiceConfiguration,
+    ServiceConfigurationError,
+};
 use crate::contract::Service;
-use crate::feeds::{Connector, FeedOptions, Feeds, FetchError, FetchPolicy, Patience};
+use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
+use crate::feeds::{
+    ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
+    Patience,
+};
 use crate::http::{self, ServerError};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
@@ -31,13 +39,18 @@ impl Host {
         database: &str,
         limits: &Limits,
         fetch: &FetchConfiguration,
+        navigation: &NavigationConfiguration,
     ) -> Result<Self, Failure> {
+        let sources = navigation_sources(navigation)?;
         let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
         let connector = Connector::new(policy, Patience::standard(), fetch.ca_file.as_deref())?;
         let store = Store::open(database).await?;
         let aiding = AidingDesk::open(store.clone(), aiding_limits(limits)).await?;
         let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
         let feeds = Feeds::open(connector, aiding.clone(), FeedOptions::standard());
+        let own =
+            Connector::new(sources.policy()?, Patience::standard(), fetch.ca_file.as_deref())?;
+        feeds.bring_navigation(sources, &own)?;
         Ok(Self { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
     }
 
@@ -57,6 +70,27 @@ impl Host {
         self.store.close().await;
         Ok(served?)
     }
+}
+
+fn navigation_sources(
+    configuration: &NavigationConfiguration,
+) -> Result<NavigationSources, FetchError> {
+    let archives = configuration.archives.iter().map(|text| ArchiveTemplate::new(text));
+    let stream = |named: &CasterConfiguration| {
+        let CasterConfiguration { caster, mountpoint, user, password } = named;
+        let credentials = Credentials { name: user.clone(), password: password.clone() };
+        Ok(StreamRequest {
+            caster: caster.parse()?,
+            mountpoint: mountpoint.clone(),
+            credentials: (!user.is_empty()).then_some(credentials),
+            version: NtripVersion::Two,
+        })
+    };
+    Ok(NavigationSources {
+        archives: archives.collect::<Result<_, _>>()?,
+        interval: Duration::from_secs(configuration.archive_interval_s),
+        streams: configuration.casters.iter().map(stream).collect::<Result<_, FetchError>>()?,
+    })
 }
 
 fn aiding_limits(limits: &Limits) -> AidingLimits {

@@ -31,6 +31,10 @@ pub(super) struct ServeArguments {
     /// Let these hosts be at addresses of private networks.
     #[arg(long, env = "GRAPHFIX_FETCH_PRIVATE")]
     fetch_private: bool,
+    /// Address of RINEX navigation files to fetch each hour, with {yyyy}, {ddd} and the like for
+    /// the day; may be repeated.
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_NAV_ARCHIVES", value_delimiter = ' ')]
+    nav_archive: Vec<String>,
     /// What is logged, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
@@ -56,6 +60,7 @@ impl ServeArguments {
         configuration.database = self.database.unwrap_or(configuration.database);
         configuration.fetch.hosts.extend(self.fetch_host);
         configuration.fetch.private_addresses |= self.fetch_private;
+        configuration.navigation.archives.extend(self.nav_archive);
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         configuration.check()?;
@@ -78,8 +83,8 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
         let message = format!("{}: {error}", configuration.listen);
         Failure::new("ADDRESS_UNAVAILABLE", message, "choose another with --listen")
     })?;
-    let host = Host::open(&configuration.database, &configuration.limits, &configuration.fetch);
-    let host = host.await?;
+    let ServiceConfiguration { database, limits, fetch, navigation, .. } = &configuration;
+    let host = Host::open(database, limits, fetch, navigation).await?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
     host.serve(listener, host::interrupted()).await?;

@@ -24,6 +24,6 @@ pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub use rtk_options::RtkOptions;
 pub use service::{
-    FetchConfiguration, IntakeLimits, Limits, LogConfiguration, ServiceConfiguration,
-    ServiceConfigurationError,
+    CasterConfiguration, FetchConfiguration, IntakeLimits, Limits, LogConfiguration,
+    NavigationConfiguration, ServiceConfiguration, ServiceConfigurationError,
 };

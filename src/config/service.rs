@@ -3,10 +3,14 @@
 //! Every value has a default here; a TOML file, `GRAPHFIX_…` variables and arguments override it,
 //! in this order. The command line reads them; a file's unknown key is refused by name.
 
+use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use serde::Deserialize;
+
+/// Nobody needs ephemerides more often, and archives are for everybody (s).
+const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 
 /// What the service is told.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -20,8 +24,45 @@ pub struct ServiceConfiguration {
     pub log: LogConfiguration,
     /// Whom the service may ask for data.
     pub fetch: FetchConfiguration,
+    /// What brings ephemerides.
+    pub navigation: NavigationConfiguration,
     /// How much the service takes.
     pub limits: Limits,
+}
+
+/// What brings ephemerides beside uploads, bases and devices.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NavigationConfiguration {
+    /// Addresses of RINEX navigation files, plain or gzip, one a day: `{yyyy}`, `{yy}`, `{mm}`,
+    /// `{dd}`, `{ddd}` and `{hh}` stand for year, month, day, day of year and hour of GPS time.
+    pub archives: Vec<String>,
+    /// Seconds between requests for such a file.
+    pub archive_interval_s: u64,
+    /// Streams of NTRIP casters with ephemerides.
+    pub casters: Vec<CasterConfiguration>,
+}
+
+/// A stream of an NTRIP caster.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CasterConfiguration {
+    /// Such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
+    pub caster: String,
+    /// The stream's name.
+    pub mountpoint: String,
+    /// The caster's user; empty for none.
+    #[serde(default)]
+    pub user: String,
+    /// The password.
+    #[serde(default)]
+    pub password: String,
+}
+
+impl fmt::Debug for CasterConfiguration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}/{}", self.user, self.caster, self.mountpoint)
+    }
 }
 
 /// Whom the service may ask for data by a client's wish, such as casters.
@@ -114,6 +155,9 @@ pub enum ServiceConfigurationError {
     /// An address that others can reach.
     #[error("refusing to listen on {0}: without keys and TLS only this machine may be served")]
     NotLoopback(SocketAddr),
+    /// Archives would be asked all the time.
+    #[error("navigation.archive_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
+    ArchiveInterval,
     /// A limit that would refuse everything.
     #[error("limits.{0} must be at least 1")]
     ZeroLimit(&'static str),
@@ -125,6 +169,7 @@ impl ServiceConfigurationError {
         match self {
             Self::Malformed(_) => "CONFIGURATION_MALFORMED",
             Self::NotLoopback(_) => "LISTEN_NOT_LOOPBACK",
+            Self::ArchiveInterval => "ARCHIVE_INTERVAL_TOO_SHORT",
             Self::ZeroLimit(_) => "LIMIT_ZERO",
         }
     }
@@ -136,6 +181,7 @@ impl ServiceConfigurationError {
             Self::NotLoopback(_) => {
                 "listen on 127.0.0.1 or [::1], behind a proxy that authenticates if others need it"
             }
+            Self::ArchiveInterval => "ask archives seldom: an hour is usual",
             Self::ZeroLimit(_) => "give a limit of at least 1, or leave it out",
         }
     }
@@ -152,6 +198,11 @@ impl ServiceConfiguration {
                 hosts: Vec::new(),
                 private_addresses: false,
                 ca_file: None,
+            },
+            navigation: NavigationConfiguration {
+                archives: Vec::new(),
+                archive_interval_s: 3600,
+                casters: Vec::new(),
             },
             limits: Limits::standard(),
         }
@@ -172,6 +223,9 @@ impl ServiceConfiguration {
     pub fn check(&self) -> Result<(), ServiceConfigurationError> {
         if !self.listen.ip().is_loopback() {
             return Err(ServiceConfigurationError::NotLoopback(self.listen));
+        }
+        if self.navigation.archive_interval_s < ARCHIVE_INTERVAL_MIN_S {
+            return Err(ServiceConfigurationError::ArchiveInterval);
         }
         let limits = &self.limits;
         let must_be_positive = [
@@ -232,6 +286,12 @@ impl Default for ServiceConfiguration {
 impl Default for LogConfiguration {
     fn default() -> Self {
         ServiceConfiguration::standard().log
+    }
+}
+
+impl Default for NavigationConfiguration {
+    fn default() -> Self {
+        ServiceConfiguration::standard().navigation
     }
 }
 

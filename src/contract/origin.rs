@@ -122,6 +122,7 @@ impl From<FetchError> for Refusal {
             FetchError::HostNotAllowed { .. } => (Code::HostNotAllowed, "ntrip.caster"),
             // Of the connection, which no call waits for.
             FetchError::PatternInvalid { .. }
+            | FetchError::LocationInvalid { .. }
             | FetchError::Unresolved { .. }
             | FetchError::AddressRefused { .. }
             | FetchError::Unreachable { .. }

@@ -1,6 +1,6 @@
 //! The desk itself: which streams there are, and which bases they fill.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
@@ -11,6 +11,7 @@ use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::gnss::{Ecef, GpsTime};
 
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
+use super::sources::{NavigationSources, Source, SourceStatus};
 use super::stream::{Shared, Stream};
 use super::{Connector, FeedHealth, FeedOptions, FetchError};
 
@@ -40,6 +41,7 @@ struct Desk {
     aiding: AidingDesk,
     options: FeedOptions,
     streams: Mutex<BTreeMap<Key, Running>>,
+    sources: Mutex<Vec<Source>>,
 }
 
 impl Feeds {
@@ -48,15 +50,49 @@ impl Feeds {
     /// # Panics
     /// Outside a tokio runtime.
     pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
-        let streams = Mutex::default();
+        let (streams, sources) = (Mutex::default(), Mutex::default());
         let fed = aiding.bases.feeds();
-        let feeds = Self { desk: Arc::new(Desk { connector, aiding, options, streams }) };
+        let desk = Desk { connector, aiding, options, streams, sources };
+        let feeds = Self { desk: Arc::new(desk) };
         for (base, feed) in fed {
             if let Err(error) = feeds.start(&base, &feed) {
                 tracing::error!(code = error.code(), %base, %error, "a base is not fed");
             }
         }
         feeds
+    }
+
+    /// Has ephemerides brought by these sources from now on, through a connector of their own.
+    ///
+    /// # Errors
+    /// An address that is none.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn bring_navigation(
+        &self,
+        sources: NavigationSources,
+        connector: &Connector,
+    ) -> Result<(), FetchError> {
+        let NavigationSources { archives, interval, streams } = sources;
+        let Desk { aiding, options, .. } = &*self.desk;
+        let mut running = self.sources();
+        for template in archives {
+            let name = template.to_string();
+            running.push(Source::archive(template, name, interval, connector, aiding));
+        }
+        for request in streams {
+            if request.mountpoint.is_empty() || !request.is_sound() {
+                return Err(FetchError::MountpointInvalid { text: request.mountpoint });
+            }
+            running.push(Source::stream(request, *options, connector, aiding));
+        }
+        Ok(())
+    }
+
+    /// The sources of ephemerides, each with its address and how it is doing.
+    pub fn navigation_sources(&self) -> Vec<(String, SourceStatus)> {
+        self.sources().iter().map(|source| (source.name.clone(), source.status())).collect()
     }
 
     /// Whether a stream may be asked for.
@@ -82,19 +118,17 @@ impl Feeds {
             return Ok(());
         }
         let (stop, stopped) = watch::channel(false);
-        let shared = Arc::new(Shared::new(base.clone()));
-        let stream = Stream {
-            request: key.request.clone(),
-            near: feed.near,
-            position: feed.position,
-            site: None,
-            early: VecDeque::new(),
-            shared: shared.clone(),
-            connector: self.desk.connector.clone(),
-            aiding: self.desk.aiding.clone(),
-            options: self.desk.options,
+        let shared = Arc::new(Shared::new(Some(base.clone())));
+        let Desk { connector, aiding, options, .. } = &*self.desk;
+        let stream = Stream::new(
+            key.request.clone(),
+            (feed.near, feed.position),
+            shared.clone(),
+            connector.clone(),
+            aiding.clone(),
+            *options,
             stopped,
-        };
+        );
         let task = tokio::spawn(stream.run());
         streams.insert(key, Running { shared, stop, task });
         Ok(())
@@ -126,6 +160,14 @@ impl Feeds {
             stop.send(true).ok();
             task.await.ok();
         }
+        let sources = std::mem::take(&mut *self.sources());
+        for source in sources {
+            source.close().await;
+        }
+    }
+
+    fn sources(&self) -> MutexGuard<'_, Vec<Source>> {
+        self.desk.sources.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn streams(&self) -> MutexGuard<'_, BTreeMap<Key, Running>> {

@@ -17,6 +17,12 @@ pub enum FetchError {
         /// The text.
         text: String,
     },
+    /// A text that is no address of a file.
+    #[error("{text:?} is no address such as https://archive.example.org/{{yyyy}}/{{ddd}}/file.gz")]
+    LocationInvalid {
+        /// The text.
+        text: String,
+    },
     /// A text that names no mountpoint.
     #[error("{text:?} is no mountpoint: one to 100 printable characters without / ? # %")]
     MountpointInvalid {
@@ -79,6 +85,7 @@ impl FetchError {
         match self {
             Self::PatternInvalid { .. } => "FETCH_HOST_INVALID",
             Self::AddressInvalid { .. } => "CASTER_ADDRESS_INVALID",
+            Self::LocationInvalid { .. } => "LOCATION_INVALID",
             Self::MountpointInvalid { .. } => "MOUNTPOINT_INVALID",
             Self::HostNotAllowed { .. } => "HOST_NOT_ALLOWED",
             Self::Unresolved { .. } => "HOST_UNRESOLVED",
@@ -94,6 +101,9 @@ impl FetchError {
         match self {
             Self::PatternInvalid { .. } => "list hosts as host, host:port or *.domain",
             Self::AddressInvalid { .. } => "write ntrip://HOST:PORT, or ntrips:// for TLS",
+            Self::LocationInvalid { .. } => {
+                "write http:// or https://, host, path and placeholders"
+            }
             Self::MountpointInvalid { .. } => "choose a mountpoint of the caster's sourcetable",
             Self::HostNotAllowed { .. } => "let the operator list the host in fetch.hosts",
             Self::Unresolved { .. } => "check the host's name",

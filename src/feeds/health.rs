@@ -1,10 +1,14 @@
 //! How a stream is doing.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
 use crate::aiding::AidingError;
 use crate::formats::receiver::Statistics;
 use crate::gnss::GpsTime;
 
 use super::ntrip::NtripError;
+use super::web::WebError;
 
 /// What a stream is at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +49,12 @@ impl From<&NtripError> for FeedProblem {
     }
 }
 
+impl From<&WebError> for FeedProblem {
+    fn from(error: &WebError) -> Self {
+        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+    }
+}
+
 impl From<&AidingError> for FeedProblem {
     fn from(error: &AidingError) -> Self {
         Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
@@ -76,6 +86,8 @@ pub struct FeedHealth {
     pub epochs: u64,
     /// Time of the last of them.
     pub last_epoch: Option<GpsTime>,
+    /// Ephemerides that came, each issue once.
+    pub ephemerides: u64,
     /// What the present connection brought, by type of message, or else the last.
     pub statistics: Statistics,
     /// From where the base is stated to stand to where the stream says (m).
@@ -96,6 +108,7 @@ impl FeedHealth {
             heard_unix_ms: None,
             epochs: 0,
             last_epoch: None,
+            ephemerides: 0,
             statistics: Statistics::default(),
             station_off_m: None,
         }
@@ -108,5 +121,92 @@ impl FeedHealth {
             FeedState::Streaming => self.connections += 1,
             FeedState::Waiting => {}
         }
+    }
+}
+
+/// What an archive is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceState {
+    /// Its files are being asked for.
+    Fetching,
+    /// It gave what it has, and is asked again in a while.
+    Current,
+    /// It failed, and is asked again after a delay.
+    Waiting,
+}
+
+impl SourceState {
+    /// The name as the API writes it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fetching => "FETCHING",
+            Self::Current => "CURRENT",
+            Self::Waiting => "WAITING",
+        }
+    }
+}
+
+/// How an archive is doing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArchiveHealth {
+    /// What it is at.
+    pub state: SourceState,
+    /// Since when (ms since 1970-01-01 UTC).
+    pub since_unix_ms: i64,
+    /// When it last gave all that it has (ms since 1970-01-01 UTC).
+    pub succeeded_unix_ms: Option<i64>,
+    /// Why it failed last, until it succeeds.
+    pub problem: Option<FeedProblem>,
+    /// When it is asked again (ms since 1970-01-01 UTC).
+    pub retry_unix_ms: Option<i64>,
+    /// Ephemerides that it brought and nobody had before.
+    pub ephemerides: u64,
+}
+
+/// The same, as its task writes it.
+pub(super) struct SourceHealth(Mutex<ArchiveHealth>);
+
+impl SourceHealth {
+    pub(super) const fn new(now_unix_ms: i64) -> Self {
+        Self(Mutex::new(ArchiveHealth {
+            state: SourceState::Fetching,
+            since_unix_ms: now_unix_ms,
+            succeeded_unix_ms: None,
+            problem: None,
+            retry_unix_ms: None,
+            ephemerides: 0,
+        }))
+    }
+
+    pub(super) fn read(&self) -> ArchiveHealth {
+        self.note().clone()
+    }
+
+    pub(super) fn enter(&self, state: SourceState, now_unix_ms: i64) {
+        let mut health = self.note();
+        (health.state, health.since_unix_ms, health.retry_unix_ms) = (state, now_unix_ms, None);
+    }
+
+    pub(super) fn succeeded(&self, now_unix_ms: i64) {
+        self.enter(SourceState::Current, now_unix_ms);
+        let mut health = self.note();
+        (health.succeeded_unix_ms, health.problem) = (Some(now_unix_ms), None);
+    }
+
+    pub(super) fn failed(&self, problem: FeedProblem, now_unix_ms: i64) {
+        self.enter(SourceState::Waiting, now_unix_ms);
+        self.note().problem = Some(problem);
+    }
+
+    pub(super) fn wait(&self, delay: Duration, now_unix_ms: i64) {
+        self.note().retry_unix_ms = Some(now_unix_ms + delay.as_millis() as i64);
+    }
+
+    pub(super) fn brought(&self, ephemerides: u64) {
+        self.note().ephemerides += ephemerides;
+    }
+
+    fn note(&self) -> MutexGuard<'_, ArchiveHealth> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

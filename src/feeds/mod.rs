@@ -1,4 +1,4 @@
-//! Doors that bring aiding in: streams of NTRIP casters.
+//! Doors that bring aiding in: streams of NTRIP casters, and archives of ephemerides.
 //!
 //! [`Feeds`] holds one connection for each stream, however many bases it fills and sessions name
 //! these. A stream is decoded as it comes; its epochs become those of its bases, its ephemerides
@@ -6,23 +6,33 @@
 //! When it ends it is asked for again, after a delay that doubles; [`FeedHealth`] says what it does
 //! and why.
 //!
-//! What is fetched here is fetched by a client's wish, so nothing is asked but hosts that the
-//! operator lists, at addresses that were checked ([`FetchPolicy`]).
+//! What bases are filled from is fetched by a client's wish, so nothing is asked but hosts that the
+//! operator lists, at addresses that were checked ([`FetchPolicy`]). What brings ephemerides beside
+//! that the operator names himself ([`NavigationSources`]).
 
 mod address;
+mod archive;
 mod backoff;
+mod chunked;
+mod clock;
 mod connection;
 mod desk;
 mod error;
+mod head;
 mod health;
 pub mod ntrip;
 mod options;
+mod sources;
 mod stream;
+mod web;
 
 pub use address::{FetchPolicy, is_public};
+pub use archive::ArchiveTemplate;
 pub use backoff::Backoff;
 pub use connection::{Connection, Connector, Patience};
 pub use desk::Feeds;
 pub use error::FetchError;
-pub use health::{FeedHealth, FeedProblem, FeedState};
+pub use health::{ArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState};
 pub use options::FeedOptions;
+pub use sources::{NavigationSources, SourceStatus};
+pub use web::{Fetched, Location, Validators, WebError, fetch};

@@ -1,8 +1,8 @@
 //! One stream: asked for, decoded, handed on, and asked for again.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::{Instant, interval, sleep, timeout_at};
@@ -12,6 +12,7 @@ use crate::aiding::bases::BaseId;
 use crate::formats::receiver::{Decoder, Event, TimeReference};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, LeapSeconds, Navigation, PositionSource};
 
+use super::clock::{stopped, unix_ms};
 use super::health::{FeedHealth, FeedProblem, FeedState};
 use super::ntrip::{self, NtripError, NtripStream, StreamRequest, position_sentence};
 use super::{Backoff, Connector, FeedOptions};
@@ -26,8 +27,9 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(base: BaseId) -> Self {
-        Self { health: Mutex::new(FeedHealth::new(unix_ms())), bases: Mutex::new(vec![base]) }
+    pub(super) fn new(base: Option<BaseId>) -> Self {
+        let bases = Mutex::new(base.into_iter().collect());
+        Self { health: Mutex::new(FeedHealth::new(unix_ms())), bases }
     }
 
     pub(super) fn add(&self, base: BaseId) {
@@ -63,21 +65,45 @@ impl Shared {
 
 /// What a stream's task works with.
 pub(super) struct Stream {
-    pub(super) request: StreamRequest,
-    pub(super) near: Option<GpsTime>,
-    pub(super) position: Option<Ecef>,
+    request: StreamRequest,
+    near: Option<GpsTime>,
+    position: Option<Ecef>,
     /// Where the station stands, once the stream has told.
-    pub(super) site: Option<BaseSite>,
+    site: Option<BaseSite>,
     /// Epochs that came before that, which a base takes only then.
-    pub(super) early: VecDeque<Epoch>,
-    pub(super) shared: std::sync::Arc<Shared>,
-    pub(super) connector: Connector,
-    pub(super) aiding: AidingDesk,
-    pub(super) options: FeedOptions,
-    pub(super) stopped: watch::Receiver<bool>,
+    early: VecDeque<Epoch>,
+    shared: Arc<Shared>,
+    connector: Connector,
+    aiding: AidingDesk,
+    options: FeedOptions,
+    stopped: watch::Receiver<bool>,
 }
 
 impl Stream {
+    /// A stream that is not asked for yet, dated near a time and told a place, where it needs that.
+    pub(super) const fn new(
+        request: StreamRequest,
+        (near, position): (Option<GpsTime>, Option<Ecef>),
+        shared: Arc<Shared>,
+        connector: Connector,
+        aiding: AidingDesk,
+        options: FeedOptions,
+        stopped: watch::Receiver<bool>,
+    ) -> Self {
+        Self {
+            request,
+            near,
+            position,
+            site: None,
+            early: VecDeque::new(),
+            shared,
+            connector,
+            aiding,
+            options,
+            stopped,
+        }
+    }
+
     /// Runs until it is stopped. It stops between pieces: what came is stored.
     pub(super) async fn run(mut self) {
         let FeedOptions { delay, delay_ceiling, lasting_delay, lasting_ceiling, .. } = self.options;
@@ -182,6 +208,7 @@ impl Stream {
             health.bytes += bytes as u64;
             health.heard_unix_ms = Some(unix_ms());
             health.epochs += epochs.len() as u64;
+            health.ephemerides += navigation.len() as u64;
             health.last_epoch = epochs.last().map(|epoch| epoch.time).or(health.last_epoch);
             health.statistics = decoder.statistics().clone();
         }
@@ -257,12 +284,6 @@ impl Stream {
     }
 }
 
-/// Waits until the stream is to be given up.
-async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // Err: the desk is gone.
-    stop.wait_for(|stop| *stop).await.ok();
-}
-
 /// The sentence that tells a caster a place.
 fn sentence(position: Ecef) -> String {
     let place = position.to_geodetic();
@@ -270,9 +291,4 @@ fn sentence(position: Ecef) -> String {
     let (latitude_deg, longitude_deg) =
         (place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
     position_sentence(latitude_deg, longitude_deg, place.height_m, second_of_day)
-}
-
-fn unix_ms() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("the clock is past 1970");
-    i64::try_from(since.as_millis()).expect("the clock is not millions of years ahead")
 }

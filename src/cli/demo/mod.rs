@@ -61,8 +61,8 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let database = format!("sqlite://{}", folder.0.join("demo.db").display());
     let listener = listener().await?;
     let address = listener.local_addr().map_err(|error| no_port(&error))?;
-    let fetch = ServiceConfiguration::standard().fetch;
-    let host = Host::open(&database, &Limits::standard(), &fetch).await?;
+    let ServiceConfiguration { fetch, navigation, .. } = ServiceConfiguration::standard();
+    let host = Host::open(&database, &Limits::standard(), &fetch, &navigation).await?;
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped its end, which stops the service too.
     let serving = tokio::spawn(host.serve(listener, async { drop(stopped.await) }));

@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::contract::{Code, Refusal, Service, intake, v1};
-use crate::feeds::{FeedHealth, FeedProblem};
+use crate::feeds::{FeedHealth, FeedProblem, SourceStatus};
 use crate::gnss::Geodetic;
 
 use super::raw::statistics;
@@ -65,8 +65,7 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
     };
     let health = BaseId::parse(base).and_then(|id| service.feeds().health(&id));
     let Some(health) = health else { return named };
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-    let seconds = |unix_ms: i64| unix_ms as f64 / 1e3;
+    let now = now_s();
     let FeedHealth { state, problem, refusal, statistics: counted, .. } = &health;
     let (messages, left_out) = statistics(counted);
     v1::Feed {
@@ -87,6 +86,48 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
         station_off_m: health.station_off_m,
         ..named
     }
+}
+
+/// A source of ephemerides with its health.
+pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::NavigationSource {
+    let (kind, state, since, retry, problem, ephemerides, last) = match status {
+        SourceStatus::Archive(health) => (
+            "archive",
+            health.state.name(),
+            health.since_unix_ms,
+            health.retry_unix_ms,
+            health.problem,
+            health.ephemerides,
+            health.succeeded_unix_ms,
+        ),
+        SourceStatus::Stream(health) => (
+            "caster",
+            health.state.name(),
+            health.since_unix_ms,
+            health.retry_unix_ms,
+            health.problem,
+            health.ephemerides,
+            health.heard_unix_ms,
+        ),
+    };
+    v1::NavigationSource {
+        name,
+        kind: kind.to_owned(),
+        state: state.to_owned(),
+        since_utc: utc(since),
+        retry_in_s: retry.map(|retry| (seconds(retry) - now_s()).max(0.0)),
+        problem: problem.as_ref().map(told),
+        ephemerides,
+        last_utc: last.map(utc).unwrap_or_default(),
+    }
+}
+
+fn now_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}
+
+fn seconds(unix_ms: i64) -> f64 {
+    unix_ms as f64 / 1e3
 }
 
 fn told(problem: &FeedProblem) -> v1::Refusal {

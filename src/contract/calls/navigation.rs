@@ -5,6 +5,7 @@ use crate::contract::{Refusal, Service, v1};
 use crate::formats::rinex::{self, Skipped};
 use crate::gnss::Navigation;
 
+use super::feeds;
 use super::upload::{in_background, skipped_entry, unpacked};
 
 /// Who brought what came through this call.
@@ -36,6 +37,12 @@ pub fn status(service: &Service) -> v1::NavigationStatusResponse {
         ephemerides: status.ephemerides as u64,
         ionosphere_models: ionosphere_models(&status),
         satellites: status.satellites.iter().map(coverage).collect(),
+        sources: service
+            .feeds()
+            .navigation_sources()
+            .into_iter()
+            .map(feeds::source_message)
+            .collect(),
     }
 }
 

@@ -5,10 +5,11 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, timeout, timeout_at};
 
+use crate::feeds::chunked::Unchunker;
+use crate::feeds::head::HEAD_LIMIT;
 use crate::feeds::{Connection, Connector};
 
-use super::chunked::Unchunker;
-use super::head::{self, HEAD_LIMIT};
+use super::head;
 use super::sourcetable::{TABLE_LIMIT, is_whole};
 use super::{NtripError, Sourcetable, StreamRequest};
 
@@ -163,7 +164,9 @@ impl NtripStream {
 
     fn take(&mut self, bytes: &[u8], content: &mut Vec<u8>) -> Result<(), NtripError> {
         match &mut self.unchunker {
-            Some(unchunker) => unchunker.push(bytes, content),
+            Some(unchunker) => unchunker
+                .push(bytes, content)
+                .map_err(|unchunked| NtripError::Protocol { why: unchunked.0.to_owned() }),
             None => {
                 content.extend_from_slice(bytes);
                 Ok(())

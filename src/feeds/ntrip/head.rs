@@ -2,14 +2,10 @@
 
 use std::time::Duration;
 
+use crate::feeds::head::{Fields, HEAD_LIMIT, end_of, shown};
+
 use super::NtripError;
 
-/// Longest head that is read (bytes).
-pub(super) const HEAD_LIMIT: usize = 8 << 10;
-/// Longest answer that is repeated to users (characters).
-const ANSWER_LIMIT: usize = 120;
-/// Longest delay that a caster may ask for.
-const RETRY_AFTER_LIMIT: Duration = Duration::from_secs(3600);
 /// What answers begin with.
 const STARTS: [&[u8]; 4] = [b"ICY ", b"HTTP/1.", b"SOURCETABLE ", b"ERROR"];
 
@@ -67,15 +63,6 @@ pub(super) fn refusal(bytes: &[u8]) -> Option<NtripError> {
     status(&shown(&bytes[..line_end]), None).err()
 }
 
-/// Where the empty line that ends a head ends.
-fn end_of(bytes: &[u8]) -> Option<usize> {
-    let head = &bytes[..bytes.len().min(HEAD_LIMIT)];
-    let lines = head.iter().enumerate().filter(|(_, byte)| **byte == b'\n').map(|(at, _)| at);
-    let is_last = |at: &usize| matches!(head[at + 1..], [b'\n', ..] | [b'\r', b'\n', ..]);
-    let at = lines.into_iter().find(is_last)?;
-    Some(at + if head[at + 1] == b'\n' { 2 } else { 3 })
-}
-
 fn endless() -> NtripError {
     NtripError::Protocol { why: format!("its head is longer than {HEAD_LIMIT} bytes") }
 }
@@ -108,36 +95,10 @@ fn error(line: &str) -> NtripError {
     }
 }
 
-/// The fields of a head.
-struct Fields<'a>(&'a [u8]);
-
-impl Fields<'_> {
-    fn value(&self, name: &str) -> Option<String> {
-        let field = |line: &[u8]| {
-            let colon = line.iter().position(|byte| *byte == b':')?;
-            let is_named = line[..colon].trim_ascii().eq_ignore_ascii_case(name.as_bytes());
-            is_named.then(|| shown(&line[colon + 1..]))
-        };
-        self.0.split(|byte| *byte == b'\n').find_map(field)
-    }
-
-    fn retry_after(&self) -> Option<Duration> {
-        let seconds = self.value("retry-after")?.parse().ok()?;
-        Some(Duration::from_secs(seconds).min(RETRY_AFTER_LIMIT))
-    }
-}
-
-/// A text of somebody else's, short and printable.
-fn shown(bytes: &[u8]) -> String {
-    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4 * ANSWER_LIMIT)]).into_owned();
-    let printable = |c: char| if c.is_control() { ' ' } else { c };
-    let text: String = text.trim().chars().map(printable).take(ANSWER_LIMIT).collect();
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::feeds::head::RETRY_AFTER_LIMIT;
 
     fn granted(head: &str) -> Granted {
         let whole = [head.as_bytes(), b"\xd3\0\0rest"].concat();

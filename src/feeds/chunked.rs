@@ -1,7 +1,5 @@
 //! The body of HTTP/1.1 in chunks, as it comes.
 
-use super::NtripError;
-
 /// Longest line that tells a chunk's size, extensions included (bytes).
 const SIZE_LINE_LIMIT: usize = 256;
 /// Hexadecimal digits of a size; more would not be a size of this world.
@@ -19,6 +17,10 @@ enum Place {
     /// Behind the last chunk.
     End,
 }
+
+/// Why a body is not chunked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unchunked(pub(super) &'static str);
 
 /// Takes the frame of chunks off a body.
 #[derive(Debug)]
@@ -40,7 +42,7 @@ impl Unchunker {
     ///
     /// # Errors
     /// A body that is not chunked.
-    pub(super) fn push(&mut self, bytes: &[u8], content: &mut Vec<u8>) -> Result<(), NtripError> {
+    pub(super) fn push(&mut self, bytes: &[u8], content: &mut Vec<u8>) -> Result<(), Unchunked> {
         let mut rest = bytes;
         while let [first, after @ ..] = rest {
             match &mut self.place {
@@ -50,7 +52,7 @@ impl Unchunker {
                         let size = size_of(line)?;
                         self.place = if size == 0 { Place::End } else { Place::Content(size) };
                     } else if line.len() == SIZE_LINE_LIMIT {
-                        return Err(refused("the line of a chunk's size is too long"));
+                        return Err(Unchunked("the line of a chunk's size is too long"));
                     } else {
                         line.push(*first);
                     }
@@ -69,7 +71,7 @@ impl Unchunker {
                     match first {
                         b'\r' => {}
                         b'\n' => self.place = Place::Size(Vec::new()),
-                        _ => return Err(refused("a chunk is longer than it says")),
+                        _ => return Err(Unchunked("a chunk is longer than it says")),
                     }
                 }
                 // Trailers say nothing that is used.
@@ -80,22 +82,18 @@ impl Unchunker {
     }
 }
 
-fn size_of(line: &[u8]) -> Result<u32, NtripError> {
+fn size_of(line: &[u8]) -> Result<u32, Unchunked> {
     let digits = line.split(|byte| *byte == b';').next().unwrap_or_default().trim_ascii();
     let text = std::str::from_utf8(digits).ok().filter(|text| text.len() <= SIZE_DIGITS);
     let size = text.and_then(|text| u32::from_str_radix(text, 16).ok());
-    size.ok_or_else(|| refused("a chunk has no size"))
-}
-
-fn refused(why: &str) -> NtripError {
-    NtripError::Protocol { why: why.to_owned() }
+    size.ok_or(Unchunked("a chunk has no size"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn unchunked(body: &[u8], piece: usize) -> Result<(Vec<u8>, bool), NtripError> {
+    fn unchunked(body: &[u8], piece: usize) -> Result<(Vec<u8>, bool), Unchunked> {
         let (mut unchunker, mut content) = (Unchunker::new(), Vec::new());
         for bytes in body.chunks(piece) {
             unchunker.push(bytes, &mut content)?;

@@ -1,0 +1,204 @@
+//! Archives of ephemerides: a file a day, fetched again as long as it grows.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io::Read;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::sleep;
+
+use crate::aiding::NavigationBroker;
+use crate::formats::decompress;
+use crate::formats::rinex::read_navigation;
+use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Navigation, TimeScale};
+
+use super::clock::{stopped, unix_ms};
+use super::health::{FeedProblem, SourceHealth, SourceState};
+use super::web::{self, Fetched, Location, Validators, WebError};
+use super::{Backoff, Connector, FetchError};
+
+/// Largest file, packed and unpacked: those of a day with all systems have 3 and 12 MB.
+const PACKED_LIMIT: usize = 32 << 20;
+const UNPACKED_LIMIT: u64 = 128 << 20;
+/// Days whose files are asked for: today's grows, yesterday's may have been completed.
+const DAYS: i64 = 2;
+/// First and longest delay after a failure.
+const DELAY: Duration = Duration::from_secs(30);
+const DELAY_CEILING: Duration = Duration::from_secs(3600);
+
+/// The address of an archive's files, such as
+/// `https://archive.example.org/{yyyy}/{ddd}/BRDC00WRD_R_{yyyy}{ddd}0000_01D_MN.rnx.gz`.
+///
+/// `{yyyy}`, `{yy}`, `{mm}`, `{dd}`, `{ddd}` and `{hh}` are year, its last digits, month, day of
+/// the month, day of the year and hour of GPS time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ArchiveTemplate(String);
+
+impl ArchiveTemplate {
+    /// The template of a text.
+    ///
+    /// # Errors
+    /// What it stands for is no address.
+    pub fn new(text: &str) -> Result<Self, FetchError> {
+        let template = Self(text.to_owned());
+        template.at(GpsTime::EPOCH).map(|_| template)
+    }
+
+    /// The address of the file of a time.
+    ///
+    /// # Errors
+    /// It is none, which [`Self::new`] has excluded.
+    pub fn at(&self, time: GpsTime) -> Result<Location, FetchError> {
+        let civil = time.to_civil(TimeScale::Gps, &LeapSeconds::table());
+        let CivilTime { year, month, day, hour, .. } = civil;
+        let text = self.0.replace("{yyyy}", &format!("{year:04}"));
+        let text = text.replace("{yy}", &format!("{:02}", year.rem_euclid(100)));
+        let text = text.replace("{mm}", &format!("{month:02}"));
+        let text = text.replace("{dd}", &format!("{day:02}"));
+        let text = text.replace("{ddd}", &format!("{:03}", day_of_year(&civil)));
+        let text = text.replace("{hh}", &format!("{hour:02}"));
+        if text.contains(['{', '}']) {
+            return Err(FetchError::LocationInvalid { text: self.0.clone() });
+        }
+        text.parse()
+    }
+}
+
+impl fmt::Display for ArchiveTemplate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+fn day_of_year(civil: &CivilTime) -> i64 {
+    let start =
+        CivilTime { month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0, ..*civil };
+    let leap = LeapSeconds::table();
+    let ns = |civil: &CivilTime| GpsTime::from_civil(civil, TimeScale::Gps, &leap);
+    let since = ns(civil).zip(ns(&start)).map(|(now, start)| now.as_ns() - start.as_ns());
+    since.unwrap_or_default() / (86_400 * 1_000_000_000) + 1
+}
+
+/// Fetches an archive's files.
+pub(super) struct Archive {
+    pub(super) template: ArchiveTemplate,
+    pub(super) interval: Duration,
+    pub(super) connector: Connector,
+    pub(super) navigation: NavigationBroker,
+    pub(super) health: Arc<SourceHealth>,
+    pub(super) stopped: watch::Receiver<bool>,
+}
+
+impl Archive {
+    /// Runs until it is stopped, between files.
+    pub(super) async fn run(mut self) {
+        let mut known: BTreeMap<Location, Validators> = BTreeMap::new();
+        let mut failing = Backoff::new(DELAY, DELAY_CEILING);
+        let mut waiting = Backoff::new(self.interval, self.interval);
+        loop {
+            self.health.enter(SourceState::Fetching, unix_ms());
+            let mut stopping = self.stopped.clone();
+            let rounds = tokio::select! {
+                () = stopped(&mut stopping) => return,
+                fetched = self.fetch(&mut known) => fetched,
+            };
+            let delay = match rounds {
+                Ok(()) => {
+                    failing.reset();
+                    self.health.succeeded(unix_ms());
+                    waiting.next(None)
+                }
+                Err((problem, retry_after)) => {
+                    self.health.failed(problem, unix_ms());
+                    failing.next(retry_after)
+                }
+            };
+            self.health.wait(delay, unix_ms());
+            tokio::select! {
+                () = stopped(&mut self.stopped) => return,
+                () = sleep(delay) => {}
+            }
+        }
+    }
+
+    /// Asks for the files of the last days; an older one is enough where today's has not begun.
+    async fn fetch(
+        &self,
+        known: &mut BTreeMap<Location, Validators>,
+    ) -> Result<(), (FeedProblem, Option<Duration>)> {
+        let now = GpsTime::from_unix_ms(unix_ms(), &LeapSeconds::table());
+        let mut places = Vec::new();
+        for days in 0..DAYS {
+            let place = self.template.at(now - 86_400.0 * days as f64);
+            let place = place.map_err(|error| (FeedProblem::from(&WebError::from(error)), None))?;
+            if !places.contains(&place) {
+                places.push(place);
+            }
+        }
+        known.retain(|place, _| places.contains(place));
+        let mut missing = None;
+        let mut found = false;
+        for place in places {
+            let before = known.get(&place).cloned().unwrap_or_default();
+            match web::fetch(&self.connector, &place, &before, PACKED_LIMIT).await {
+                Ok(Fetched::Unchanged) => found = true,
+                Ok(Fetched::New { content, validators }) => {
+                    self.take(&place, content).await.map_err(|problem| (problem, None))?;
+                    known.insert(place, validators);
+                    found = true;
+                }
+                Err(error @ WebError::NotFound { .. }) => {
+                    missing.get_or_insert((FeedProblem::from(&error), None));
+                }
+                Err(error) => return Err((FeedProblem::from(&error), error.retry_after())),
+            }
+        }
+        missing.filter(|_| !found).map_or(Ok(()), Err)
+    }
+
+    async fn take(&self, place: &Location, content: Vec<u8>) -> Result<(), FeedProblem> {
+        let reading = tokio::task::spawn_blocking(move || read(&content));
+        let read = reading.await.unwrap_or_else(|panic| Err(panic.to_string()));
+        let navigation = read.map_err(|message| FeedProblem {
+            code: "FILE_UNREADABLE",
+            message: format!("{place}: {message}"),
+            remedy: "check that the address is of RINEX navigation files, plain or gzip",
+        })?;
+        let source = place.to_string();
+        let pushed = self.navigation.push(navigation, &source).await;
+        let pushed = pushed.map_err(|error| FeedProblem::from(&error))?;
+        self.health.brought(pushed.new as u64);
+        tracing::info!(%place, received = pushed.received, new = pushed.new, "ephemerides fetched");
+        Ok(())
+    }
+}
+
+fn read(content: &[u8]) -> Result<Navigation, String> {
+    let mut text = Vec::new();
+    let unpacked = decompress(content).take(UNPACKED_LIMIT + 1).read_to_end(&mut text);
+    unpacked.map_err(|error| error.to_string())?;
+    if UNPACKED_LIMIT < text.len() as u64 {
+        return Err(format!("unpacked, it exceeds {UNPACKED_LIMIT} bytes"));
+    }
+    read_navigation(text.as_slice()).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn templates_name_the_file_of_a_day() {
+        let template =
+            ArchiveTemplate::new("https://a.example/{yyyy}/{ddd}/b{ddd}{hh}.{yy}n?{mm}-{dd}");
+        // 2024-12-31T23:59:42, day 366 of a leap year: week 2347, Tuesday.
+        let time = GpsTime::from_week_seconds(2347, 3.0 * 86_400.0 - 18.0);
+        let place = template.unwrap().at(time).unwrap();
+        assert_eq!(place.to_string(), "https://a.example:443/2024/366/b36623.24n?12-31");
+        for wrong in ["https://a.example/{year}", "file:///etc/passwd", "https://a.example/{yyyy"] {
+            assert!(ArchiveTemplate::new(wrong).is_err(), "{wrong}");
+        }
+    }
+}
