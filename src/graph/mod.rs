@@ -11,6 +11,7 @@
 //! | [`annealing`] | graduated non-convexity: which kernel width in which iteration |
 //! | [`estimate`] | values of all states and border variables |
 //! | [`system`] | normal equations H·δ = −g, accumulated row by row |
+//! | [`sums`] | rows on the same coordinates, summed before they are accumulated |
 //! | [`sharing`] | rows with a free offset in common, eliminated before they are accumulated |
 //! | [`elimination`] | block Cholesky along the chain, border by Schur complement, δ |
 //! | [`covariance`] | marginal covariances of any state and of the border |
@@ -84,6 +85,7 @@ pub mod optimizer;
 pub mod prior;
 pub mod sharing;
 pub mod smoother;
+pub mod sums;
 pub mod system;
 
 mod block;
@@ -96,9 +98,10 @@ pub use annealing::{AnnealedKernel, Phase, Schedule, Stage};
 pub use covariance::Covariances;
 pub use elimination::{Elimination, EliminationError, Variable};
 pub use estimate::Estimate;
-pub use kernel::{Kernel, Law};
+pub use kernel::{Kernel, Law, LossSum};
 pub use optimizer::{OptimizerOptions, Outcome, Problem, Summary, Workspace, optimize};
 pub use prior::Prior;
 pub use sharing::{SharingRow, shared_offset};
 pub use smoother::{Departure, Smoother};
+pub use sums::{LinkSum, RowSum};
 pub use system::{BorderLife, Link, Row, System};

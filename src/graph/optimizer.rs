@@ -4,8 +4,9 @@
 //! falls out of linearising there; if it rose, the step is taken back and λ grows tenfold, else λ
 //! shrinks. With λ = 0, its first value unless asked otherwise, that is Gauss–Newton.
 //!
-//! Converged: √(gᵀH⁻¹g) below the tolerance, the length of the step in standard deviations of the
-//! estimate itself. It has no unit, so one tolerance serves all variables.
+//! Converged: √(gᵀH⁻¹g/n) below the tolerance, the length of the step in standard deviations of the
+//! estimate itself, in the mean over its n states. It has no unit, so one tolerance serves all
+//! variables and chains of any length.
 //!
 //! Source: Dellaert & Kaess (2017), sections 2.5.2 and 2.5.3; Marquardt (1963).
 
@@ -32,7 +33,7 @@ pub trait Problem<const S: usize> {
 pub struct OptimizerOptions {
     /// Phases and their iterations.
     pub schedule: Schedule,
-    /// √(gᵀH⁻¹g) at which a stage has converged (standard deviations).
+    /// √(gᵀH⁻¹g/n) at which a stage has converged, n the number of states (standard deviations).
     pub tolerance: f64,
     /// Damping λ each stage starts with; zero is Gauss–Newton.
     pub damping: f64,
@@ -66,7 +67,7 @@ pub struct Summary {
 
 /// Storage for a solve, shared by any number of problems of one state size, one after another.
 ///
-/// After [`optimize`] it holds the last linearisation and its factor, for covariances.
+/// After [`optimize`] it holds the last linearisation and its factor, undamped, for covariances.
 #[derive(Clone, Debug)]
 pub struct Workspace<const S: usize> {
     /// The normal equations last built.
@@ -103,13 +104,23 @@ pub fn optimize<const S: usize>(
         cost: 0.0,
         decrement: 0.0,
     };
+    let (mut damping, mut phase) = (options.damping, Phase::Convex);
     for stage in options.schedule.stages() {
-        run_stage(problem, estimate, options, *stage, workspace, &mut summary)?;
+        damping = run_stage(problem, estimate, options, *stage, workspace, &mut summary)?;
+        phase = stage.phase;
+    }
+    if options.damping < damping {
+        // What damping adds would pass for information.
+        let Workspace { system, elimination, .. } = workspace;
+        system.reset(estimate.states.len(), estimate.border.len());
+        problem.linearize(estimate, phase, system);
+        elimination.factor(system, options.damping)?;
     }
     Ok(summary)
 }
 
-/// Iterates in one phase until convergence, a stall, or the stage's last iteration.
+/// Iterates in one phase until convergence, a stall, or the stage's last iteration; returns the
+/// damping that it ended with.
 fn run_stage<const S: usize>(
     problem: &mut impl Problem<S>,
     estimate: &mut Estimate<S>,
@@ -117,7 +128,7 @@ fn run_stage<const S: usize>(
     stage: Stage,
     workspace: &mut Workspace<S>,
     summary: &mut Summary,
-) -> Result<(), EliminationError> {
+) -> Result<f64, EliminationError> {
     let Workspace { system, elimination, delta, previous } = workspace;
     let (mut damping, mut before) = (options.damping, f64::INFINITY);
     summary.outcome = Outcome::IterationsSpent;
@@ -125,14 +136,14 @@ fn run_stage<const S: usize>(
         system.reset(estimate.states.len(), estimate.border.len());
         problem.linearize(estimate, stage.phase, system);
         summary.iterations += 1;
-        let bound = before + COST_ROUNDING * (1.0 + before.abs());
-        if before.is_finite() && (bound < system.cost() || system.cost().is_nan()) {
+        let (cost, bound) = (system.cost(), before + COST_ROUNDING * (1.0 + before.abs()));
+        if before.is_finite() && (bound < cost || cost.is_nan()) {
             estimate.clone_from(previous);
             summary.rejected += 1;
             damping = (10.0 * damping).max(DAMPING_START);
             if DAMPING_LIMIT < damping {
                 summary.outcome = Outcome::Stalled;
-                return Ok(());
+                return Ok(damping);
             }
             before = f64::INFINITY;
             continue;
@@ -140,25 +151,27 @@ fn run_stage<const S: usize>(
         if before.is_finite() {
             damping = if damping <= DAMPING_START { options.damping } else { damping / 10.0 };
         }
-        before = system.cost();
+        before = cost;
         elimination.factor(system, damping)?;
         elimination.solve(delta);
         previous.clone_from(estimate);
         estimate.step(delta);
         (summary.cost, summary.decrement) = (before, elimination.decrement());
         let undamped = damping <= options.damping.max(DAMPING_START);
-        if undamped && summary.decrement <= options.tolerance * options.tolerance {
+        let states = estimate.states.len() as f64;
+        if undamped && summary.decrement <= options.tolerance * options.tolerance * states {
             summary.outcome = Outcome::Converged;
-            return Ok(());
+            return Ok(damping);
         }
     }
-    Ok(())
+    Ok(damping)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::graph::annealing::AnnealedKernel;
+    use crate::graph::covariance::Covariances;
     use crate::graph::kernel::Kernel;
     use crate::graph::oracle::{Linear, assert_jacobian};
     use crate::graph::system::Row;
@@ -200,6 +213,23 @@ mod tests {
         assert_eq!(summary.outcome, Outcome::Converged);
         assert!(0 < summary.rejected, "the full step from here climbs the wall: {summary:?}");
         assert!((estimate.states[0] - Vector2::new(1.0, 1.0)).norm() < 1e-6);
+    }
+
+    /// However a solve ends, the factor left is that of the rows: here after a rejected step, and in
+    /// the midst of damping.
+    #[test]
+    fn what_is_left_is_not_damped() {
+        for iterations in 2..40 {
+            let mut estimate = Estimate { states: vec![Vector2::new(-1.2, 1.0)], border: vec![] };
+            let mut workspace = Workspace::new(BorderLife::WholeChain);
+            let options = options(Schedule::direct(iterations));
+            optimize(&mut Valley, &mut estimate, &options, &mut workspace).unwrap();
+            let mut covariances = Covariances::new();
+            covariances.newest(&workspace.elimination);
+            // The rows' Jacobian where they were last linearised: det H = 100, whatever x is.
+            let information = covariances.state().determinant().recip();
+            assert!((information - 100.0).abs() < 1e-3, "{iterations}: {information}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::border::Packed;
-use crate::graph::kernel::Kernel;
+use crate::graph::kernel::{Kernel, LossSum};
 
 /// When elimination lets a border variable go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +129,7 @@ pub struct System<const S: usize> {
     pub(crate) gradient: Vec<SVector<f64, S>>,
     pub(crate) touched: Vec<Touched<S>>,
     pub(crate) lives: Vec<Life>,
-    cost: f64,
+    cost: LossSum,
     pub(crate) scratch: Vec<f64>,
 }
 
@@ -144,7 +144,7 @@ impl<const S: usize> System<S> {
             gradient: Vec::new(),
             touched: Vec::new(),
             lives: Vec::new(),
-            cost: 0.0,
+            cost: LossSum::ZERO,
             scratch: Vec::new(),
         }
     }
@@ -152,7 +152,7 @@ impl<const S: usize> System<S> {
     /// All zero, for `states` states and border variables 0 … `border` − 1.
     pub fn reset(&mut self, states: usize, border: usize) {
         self.states = states;
-        self.cost = 0.0;
+        self.cost = LossSum::ZERO;
         for blocks in [&mut self.diagonal, &mut self.coupling] {
             blocks.clear();
             blocks.resize(states, SMatrix::zeros());
@@ -179,12 +179,18 @@ impl<const S: usize> System<S> {
 
     /// Σ ρ(r) of the rows added since the reset.
     pub fn cost(&self) -> f64 {
-        self.cost
+        self.cost.value()
     }
 
     /// Adds a constant or an own term to the cost.
     pub fn add_cost(&mut self, cost: f64) {
-        self.cost += cost;
+        self.cost.add_loss(cost);
+    }
+
+    /// The weight a kernel gives a residual, whose loss enters the cost.
+    #[inline]
+    pub fn weigh(&mut self, residual: f64, kernel: &Kernel) -> f64 {
+        self.cost.add(residual, kernel)
     }
 
     /// Whether any row touched this border variable.
@@ -195,8 +201,7 @@ impl<const S: usize> System<S> {
     /// Adds a row on state `k`; returns the weight its kernel gave it.
     #[inline]
     pub fn add<const N: usize>(&mut self, k: usize, row: &Row<N>, kernel: &Kernel) -> f64 {
-        let (loss, weight) = kernel.loss_and_weight(row.residual);
-        self.cost += loss;
+        let weight = self.weigh(row.residual, kernel);
         self.add_weighted(k, row, weight);
         weight
     }
@@ -224,8 +229,7 @@ impl<const S: usize> System<S> {
         link: &Link<N, M>,
         kernel: &Kernel,
     ) -> f64 {
-        let (loss, weight) = kernel.loss_and_weight(link.residual);
-        self.cost += loss;
+        let weight = self.weigh(link.residual, kernel);
         let Link { residual, columns, jacobian, next_columns, next_jacobian } = *link;
         self.add_weighted(k, &Row { residual, columns, jacobian }, weight);
         let next = Row { residual, columns: next_columns, jacobian: next_jacobian };
@@ -252,6 +256,20 @@ impl<const S: usize> System<S> {
         kernel: &Kernel,
     ) -> f64 {
         let weight = self.add(k, row, kernel);
+        self.add_border(k, row, border, weight);
+        weight
+    }
+
+    /// Adds what a row on state `k` says of border variables, none twice, by its weight; what it
+    /// says of the state alone is the caller's.
+    #[inline]
+    pub fn add_border<const N: usize>(
+        &mut self,
+        k: usize,
+        row: &Row<N>,
+        border: &[(usize, f64)],
+        weight: f64,
+    ) {
         for (position, &(variable, derivative)) in border.iter().enumerate() {
             let place = self.touch(k, variable);
             let touched = &mut self.touched[k];
@@ -267,7 +285,6 @@ impl<const S: usize> System<S> {
                 *touched.matrix.get_mut(place, other) += scaled * derivative;
             }
         }
-        weight
     }
 
     /// Adds M correlated rows on state `k`, already whitened together: one kernel weight for all,
@@ -279,8 +296,7 @@ impl<const S: usize> System<S> {
         jacobian: &SMatrix<f64, M, S>,
         kernel: &Kernel,
     ) -> f64 {
-        let (loss, weight) = kernel.loss_and_weight(residual.norm());
-        self.cost += loss;
+        let weight = self.weigh(residual.norm(), kernel);
         self.diagonal[k] += jacobian.tr_mul(jacobian) * weight;
         self.gradient[k] += jacobian.tr_mul(residual) * weight;
         weight

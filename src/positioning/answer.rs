@@ -8,7 +8,7 @@ use crate::gnss::{
     Status, Velocity,
 };
 
-use super::factors::{CLOCK, DRIFT, STATE, State, VELOCITY, position, velocity};
+use super::factors::{CLOCK, DRIFT, Line, STATE, State, VELOCITY, position, velocity};
 use super::geometry::{Geometry, UNDETERMINED};
 use super::ranging::Ranging;
 use super::uncertainty::ErrorModel;
@@ -32,10 +32,12 @@ pub(super) struct Answer<'a> {
     pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
     /// Inter-system biases, where the pseudoranges say (m).
     pub(super) biases_m: &'a [f64],
+    /// Lines of sight from the state's position.
+    pub(super) lines: &'a [Line],
     /// All pseudoranges of the epoch.
     pub(super) ranges: &'a [Ranging],
     /// How much each of them counted, 0 … 1.
-    pub(super) weights: Vec<f64>,
+    pub(super) weights: &'a [f64],
     /// Whether the state's velocity means anything.
     pub(super) has_velocity: bool,
     /// What is known of the errors of pseudoranges.
@@ -47,26 +49,24 @@ pub(super) struct Answer<'a> {
 impl Answer<'_> {
     /// The solution with its covariance, which is not the estimator's: see `uncertainty`.
     pub(super) fn solution(mut self) -> Solution {
-        let weighted = self.ranges.iter().zip(&self.weights);
-        let counted = weighted.filter(|(_, weight)| USED_WEIGHT <= **weight);
-        let mut used: Vec<_> = counted.map(|(range, _)| range).collect();
-        used.sort_unstable_by_key(|range| range.satellite);
-        quality_reasons(self.ranges, &used, &mut self.reasons);
-        let Self { frame, state, covariance, .. } = self;
+        self.quality_reasons();
+        let Self { frame, state, covariance, lines, ranges, weights, .. } = self;
         if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
             return Solution::none(self.time, self.reasons);
         }
-        let at = position(state);
+        let mut ephemerides = Vec::with_capacity(used(ranges, weights).count());
+        ephemerides.extend(used(ranges, weights).map(Ranging::ephemeris));
+        ephemerides.sort_unstable_by_key(|issue| issue.satellite);
         let geometry = Geometry::of(
-            used.iter()
-                .map(|range| (range.satellite.constellation, range.factor.sight.range(&at).1)),
+            used(ranges, weights)
+                .map(|range| (range.satellite.constellation, lines[usize::from(range.sight)].1)),
         );
         let formal = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let weighted = self.ranges.iter().zip(self.weights.iter().copied());
-        let place = self.errors.covariance(&formal, &at, weighted);
+        let weighted = ranges.iter().zip(weights.iter().copied());
+        let place = self.errors.covariance(&formal, lines, weighted);
         let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
         let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
-        let (clock_m, inter_system_biases_m) = clocks(self.ranges, self.biases_m, state[CLOCK]);
+        let (clock_m, inter_system_biases_m) = clocks(ranges, self.biases_m, state[CLOCK]);
         let estimate = SolutionEstimate {
             position: frame.to_ecef(Enu(position(state))),
             covariance: to_ecef(&place),
@@ -79,10 +79,9 @@ impl Answer<'_> {
             inter_system_biases_m,
             reception_time: self.time - clock_m / SPEED_OF_LIGHT,
             dops: geometry.map_or(UNDETERMINED, |geometry| geometry.dops()),
-            satellites_used: used.iter().map(|range| range.satellite).collect(),
+            satellites_used: ephemerides.iter().map(|issue| issue.satellite).collect(),
             relative: None,
         };
-        let ephemerides = used.iter().map(|range| range.ephemeris).collect();
         Solution {
             time: self.time,
             status: self.status,
@@ -91,28 +90,43 @@ impl Answer<'_> {
             provenance: Provenance { ephemerides, base: None },
         }
     }
+
+    /// Adds what kept the epoch from being better.
+    fn quality_reasons(&mut self) {
+        let (all, reasons) = (self.ranges.len(), &mut self.reasons);
+        let (mut used_count, mut present) = (0, [false; Constellation::COUNT]);
+        for range in used(self.ranges, self.weights) {
+            used_count += 1;
+            present[range.satellite.constellation.index()] = true;
+        }
+        if used_count < all {
+            let mut satellites = Vec::with_capacity(all - used_count);
+            let others = self.ranges.iter().zip(self.weights).filter(|(_, w)| !counts(**w));
+            satellites.extend(others.map(|(range, _)| range.satellite));
+            satellites.sort_unstable();
+            reasons.push(Reason::SatellitesExcluded { satellites });
+        }
+        let needed = 3 + present.iter().filter(|present| **present).count().max(1);
+        if used_count < needed {
+            reasons.push(Reason::TooFewSatellites { used: used_count, needed });
+        } else if used_count == needed {
+            reasons.push(Reason::NoRedundancy);
+        }
+        if used_count < all - used_count {
+            let ratio = (all - used_count) as f64 / used_count.max(1) as f64;
+            reasons.push(Reason::ResidualsTooLarge { ratio });
+        }
+    }
 }
 
-/// What kept the epoch from being better.
-fn quality_reasons(all: &[Ranging], used: &[&Ranging], reasons: &mut Vec<Reason>) {
-    if used.len() < all.len() {
-        let mut satellites: Vec<_> = all.iter().map(|range| range.satellite).collect();
-        satellites.retain(|satellite| used.iter().all(|range| range.satellite != *satellite));
-        satellites.sort_unstable();
-        reasons.push(Reason::SatellitesExcluded { satellites });
-    }
-    let mut present = [false; Constellation::COUNT];
-    used.iter().for_each(|range| present[range.satellite.constellation.index()] = true);
-    let needed = 3 + present.iter().filter(|present| **present).count().max(1);
-    if used.len() < needed {
-        reasons.push(Reason::TooFewSatellites { used: used.len(), needed });
-    } else if used.len() == needed {
-        reasons.push(Reason::NoRedundancy);
-    }
-    if used.len() < all.len() - used.len() {
-        let ratio = (all.len() - used.len()) as f64 / used.len().max(1) as f64;
-        reasons.push(Reason::ResidualsTooLarge { ratio });
-    }
+/// Whether a pseudorange of that weight counts as used.
+fn counts(weight: f64) -> bool {
+    USED_WEIGHT <= weight
+}
+
+/// The pseudoranges that count.
+fn used<'a>(ranges: &'a [Ranging], weights: &'a [f64]) -> impl Iterator<Item = &'a Ranging> {
+    ranges.iter().zip(weights).filter(|(_, weight)| counts(**weight)).map(|(range, _)| range)
 }
 
 /// Clock of the first constellation present (m), and each further one less it.

@@ -6,13 +6,13 @@
 //! that the model counts from second to second and the second phase from minute to minute, when
 //! what the model leaves would pass for a drift of the position.
 
-use crate::gnss::{LocalFrame, ObservationCode, SatelliteId};
+use crate::gnss::{ObservationCode, SatelliteId};
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
 use super::clock_jump::whole_milliseconds_m;
-use super::factors::{PhaseDifferenceFactor, Sight, State};
-use super::ranging::median;
+use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
+use super::ranging::{median, sighted};
 
 /// C/N0 to which the deviations refer, and which is taken where none is reported (dB-Hz).
 const REFERENCE_DB_HZ: f64 = 42.0;
@@ -33,7 +33,8 @@ const CLOCK_DIFFERS_M: f64 = 3e4;
 struct Kept {
     satellite: SatelliteId,
     code: ObservationCode,
-    sight: Sight,
+    /// Place of its satellite among the epoch's sights.
+    sight: u16,
     /// Free of satellite clock, troposphere and ionosphere (m).
     corrected_m: f64,
     half_cycle: bool,
@@ -52,8 +53,8 @@ struct SecondPhase {
 }
 
 impl Kept {
-    fn of(frame: &LocalFrame, measurement: &Measurement) -> Option<Self> {
-        let phase = measurement.phase.filter(|_| measurement.is_above_mask)?;
+    fn of((sight, measurement): (u16, &Measurement)) -> Option<Self> {
+        let phase = measurement.phase?;
         let second = measurement.second.as_ref().and_then(|second| {
             second.phase.map(|other| SecondPhase {
                 code: second.code,
@@ -64,7 +65,7 @@ impl Kept {
         Some(Self {
             satellite: measurement.satellite,
             code: measurement.code,
-            sight: Sight::new(frame, measurement.state.position),
+            sight,
             corrected_m: phase.range_m - measurement.troposphere_m + measurement.ionosphere_m,
             half_cycle: phase.half_cycle,
             ionosphere_m: measurement.ionosphere_m,
@@ -107,20 +108,27 @@ fn thermal_m(cn0_db_hz: Option<f64>) -> f64 {
 #[derive(Debug, Default)]
 pub(super) struct Phases {
     kept: Vec<Kept>,
-    scratch: Vec<f64>,
+    /// Satellites of that epoch.
+    sights: Vec<Sight>,
+    /// Lines of sight from the epoch before and from this one.
+    lines: [Vec<Line>; 2],
+    misses_m: Vec<f64>,
 }
 
 snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle, ionosphere_m, second });
 snapshot_fields!(SecondPhase { code, difference_m, half_cycle });
-snapshot_fields!(Phases { kept } memory { scratch: Vec::new() });
+snapshot_fields!(
+    Phases { kept, sights } memory { lines: Default::default(), misses_m: Vec::new() }
+);
 
 impl Clone for Phases {
     fn clone(&self) -> Self {
-        Self { kept: self.kept.clone(), scratch: Vec::new() }
+        Self { kept: self.kept.clone(), sights: self.sights.clone(), ..Self::default() }
     }
 
     fn clone_from(&mut self, source: &Self) {
         self.kept.clone_from(&source.kept);
+        self.sights.clone_from(&source.sights);
     }
 }
 
@@ -128,12 +136,26 @@ impl Phases {
     /// Forgets them: no difference spans what follows.
     pub(super) fn clear(&mut self) {
         self.kept.clear();
+        self.sights.clear();
     }
 
-    /// Keeps the phases of `list` for the next epoch.
-    pub(super) fn keep(&mut self, frame: &LocalFrame, list: &[Measurement]) {
+    /// Keeps the phases of `list`, whose satellites are `sights`, for the next epoch.
+    pub(super) fn keep(&mut self, sights: &[Sight], list: &[Measurement]) {
         self.kept.clear();
-        self.kept.extend(list.iter().filter_map(|measurement| Kept::of(frame, measurement)));
+        self.kept.extend(sighted(list).filter_map(Kept::of));
+        self.sights.clear();
+        self.sights.extend_from_slice(sights);
+    }
+
+    /// Whether they are of satellites of their own, `sights` of them, if any are kept.
+    pub(super) fn is_within(&self, sights: usize) -> bool {
+        let is_known = |kept: &Kept| usize::from(kept.sight) < sights;
+        self.kept.is_empty() || self.sights.len() == sights && self.kept.iter().all(is_known)
+    }
+
+    /// Satellites of the epoch whose phases are kept.
+    pub(super) fn sights(&self) -> &[Sight] {
+        &self.sights
     }
 
     /// Differences from the phases kept to those of `list`, `interval_s` later.
@@ -142,15 +164,14 @@ impl Phases {
     /// cycle; where both may, the half cycle is most likely the same and the kernel judges.
     pub(super) fn differences(
         &self,
-        frame: &LocalFrame,
         list: &[Measurement],
         sigma_m: f64,
         interval_s: f64,
         factors: &mut Vec<PhaseDifferenceFactor>,
     ) {
         factors.clear();
-        for measurement in list {
-            let Some(after) = Kept::of(frame, measurement) else { continue };
+        for (sight, measurement) in sighted(list) {
+            let Some(after) = Kept::of((sight, measurement)) else { continue };
             let lost = measurement.phase.is_none_or(|phase| phase.loss_of_lock);
             let before = self.kept.iter().find(|before| {
                 before.satellite == after.satellite
@@ -173,14 +194,25 @@ impl Phases {
     /// leaves the differences out.
     pub(super) fn follow_clock(
         &mut self,
+        sights: &[Sight],
         factors: &mut Vec<PhaseDifferenceFactor>,
         state: &State,
         next: &State,
     ) {
-        self.scratch.clear();
-        let misses = factors.iter().map(|f| f.linearize(state, next).residual / f.inverse_sigma);
-        self.scratch.extend(misses);
-        let Some(miss_m) = median(&mut self.scratch) else { return };
+        let Self { kept: _, sights: before, lines, misses_m } = self;
+        for ((lines, sights), from) in lines.iter_mut().zip([&**before, sights]).zip([state, next])
+        {
+            lines.clear();
+            lines.extend(sights.iter().map(|sight| sight.range(&position(from))));
+        }
+        misses_m.clear();
+        misses_m.extend(factors.iter().map(|factor| {
+            let [from, to] =
+                [&lines[0][usize::from(factor.before)], &lines[1][usize::from(factor.after)]];
+            let link = factor.linearize((from, state), (to, next));
+            link.residual / factor.inverse_sigma
+        }));
+        let Some(miss_m) = median(misses_m) else { return };
         let whole_m = whole_milliseconds_m(miss_m);
         if CLOCK_DIFFERS_M < (miss_m - whole_m).abs() {
             factors.clear();
@@ -192,18 +224,15 @@ impl Phases {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gnss::{Ecef, EphemerisIssue, GpsTime};
+    use crate::gnss::{Ecef, EphemerisIssue, GpsTime, LocalFrame};
     use crate::models::{LookAngles, SatelliteState};
     use crate::positioning::measurements::{CarrierPhase, SecondFrequency};
+    use crate::positioning::ranging::look;
 
     /// (f₁/f₂)² of L1 and L2 of GPS: (154/120)².
     const GAMMA: f64 = 1.646_944_444_444_444_4;
     /// What the ionosphere changed (m), of which the model knew nothing.
     const CHANGE_M: f64 = 0.04;
-
-    fn frame() -> LocalFrame {
-        LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0))
-    }
 
     /// A satellite overhead, its phases advanced by the ionosphere and cycles slipped on the second.
     fn measurement(ionosphere_m: f64, model_m2: f64, slipped_m: f64) -> Measurement {
@@ -250,9 +279,11 @@ mod tests {
 
     fn factors(model_m2: f64, interval_s: f64, slipped_m: f64) -> Vec<PhaseDifferenceFactor> {
         let mut phases = Phases::default();
-        phases.keep(&frame(), &[measurement(0.0, model_m2, 0.0)]);
+        let (first, mut sights) = ([measurement(0.0, model_m2, 0.0)], Vec::new());
+        look(&LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)), &first, &mut sights);
+        phases.keep(&sights, &first);
         let (mut factors, later) = (Vec::new(), measurement(CHANGE_M, model_m2, slipped_m));
-        phases.differences(&frame(), &[later], 0.01, interval_s, &mut factors);
+        phases.differences(&[later], 0.01, interval_s, &mut factors);
         factors
     }
 

@@ -1,20 +1,36 @@
-//! A pseudorange factor with what names it.
+//! The satellites that an epoch sees, and its pseudorange factors with what names them.
 
-use crate::gnss::{EphemerisIssue, LocalFrame, SatelliteId};
+use crate::gnss::{EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 
+use crate::graph::Row;
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
-use super::factors::{PseudorangeFactor, Sight, State};
+use super::factors::{Line, PseudorangeFactor, Sight, State};
+
+/// The measurements above the mask, each with the place of its satellite among the epoch's sights.
+pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measurement)> {
+    (0..).zip(list.iter().filter(|measurement| measurement.is_above_mask))
+}
+
+/// One sight for each measurement above the mask, in their order, into `sights`.
+pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Sight>) {
+    sights.clear();
+    sights.extend(sighted(list).map(|(_, m)| Sight::new(frame, m.state.position)));
+}
 
 /// A pseudorange with what names it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ranging {
     pub(super) factor: PseudorangeFactor,
+    /// Place of its satellite among the epoch's sights.
+    pub(super) sight: u16,
     pub(super) satellite: SatelliteId,
-    pub(super) ephemeris: EphemerisIssue,
+    /// Time and issue of its ephemeris.
+    pub(super) toe: GpsTime,
+    pub(super) issue: u32,
     /// Place of its inter-system bias among all; `None` for the reference constellation.
-    pub(super) bias: Option<usize>,
+    pub(super) bias: Option<u32>,
     /// Standard deviation of what the ionosphere's model puts into it (m).
     pub(super) ionosphere_m: f64,
     /// Standard deviation of what the troposphere's does (m).
@@ -22,36 +38,57 @@ pub(super) struct Ranging {
 }
 
 impl Ranging {
-    /// Of a placed measurement.
-    pub(super) fn new(frame: &LocalFrame, measurement: &Measurement, bias: Option<usize>) -> Self {
+    /// Of a placed measurement, its satellite at place `sight`.
+    pub(super) fn new(sight: u16, measurement: &Measurement, bias: Option<u32>) -> Self {
         let factor = PseudorangeFactor {
-            sight: Sight::new(frame, measurement.state.position),
             corrected_range_m: measurement.corrected_range_m,
             inverse_sigma: measurement.variance_m2.sqrt().recip(),
         };
         Self {
             factor,
+            sight,
             satellite: measurement.satellite,
-            ephemeris: measurement.ephemeris,
+            toe: measurement.ephemeris.toe,
+            issue: measurement.ephemeris.issue,
             bias,
             ionosphere_m: measurement.ionosphere_share_m,
             troposphere_m: measurement.troposphere_share_m,
         }
     }
 
+    /// Its ephemeris.
+    pub(super) fn ephemeris(&self) -> EphemerisIssue {
+        EphemerisIssue { satellite: self.satellite, toe: self.toe, issue: self.issue }
+    }
+
     /// The bias in force (m), of all of them.
     pub(super) fn bias_m(&self, biases_m: &[f64]) -> f64 {
-        self.bias.map_or(0.0, |variable| biases_m[variable])
+        self.bias.map_or(0.0, |variable| biases_m[variable as usize])
+    }
+
+    /// Whitened residual and its Jacobian on [p; b], of the epoch's lines of sight.
+    #[inline]
+    pub(super) fn linearize(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> Row<4> {
+        self.factor.linearize(&lines[usize::from(self.sight)], state, self.bias_m(biases_m))
     }
 
     /// Measured less predicted (m).
-    pub(super) fn miss_m(&self, state: &State, biases_m: &[f64]) -> f64 {
-        let row = self.factor.linearize(state, self.bias_m(biases_m));
+    pub(super) fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
+        let row = self.linearize(lines, state, biases_m);
         -row.residual / self.factor.inverse_sigma
     }
 }
 
-snapshot_fields!(Ranging { factor, satellite, ephemeris, bias, ionosphere_m, troposphere_m });
+snapshot_fields!(Ranging {
+    factor,
+    sight,
+    satellite,
+    toe,
+    issue,
+    bias,
+    ionosphere_m,
+    troposphere_m,
+});
 
 /// The lower median; `None` of nothing. Reorders.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {

@@ -113,7 +113,7 @@ impl Snapshot for Constellation {
 impl Snapshot for &'static str {
     fn save(&self, writer: &mut SnapshotWriter) {
         let place = IonosphereModel::ALL.iter().position(|model| model.name() == *self);
-        place.expect("reasons name a model").save(writer);
+        place.expect("a model has the name").save(writer);
     }
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {

@@ -27,6 +27,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::gnss::Constellation;
 use crate::snapshot::snapshot_fields;
 
+use super::factors::Line;
 use super::ranging::Ranging;
 
 /// Redundant pseudoranges of the stated variance that stand before all residuals.
@@ -132,12 +133,12 @@ impl ErrorModel {
     pub(super) fn covariance<'a>(
         &self,
         formal: &Matrix3<f64>,
-        at: &Vector3<f64>,
+        lines: &[Line],
         weighted: impl Iterator<Item = (&'a Ranging, f64)> + Clone,
     ) -> Matrix3<f64> {
         let Some(window) = formal.try_inverse() else { return *formal };
         let rows = weighted.map(|(range, weight)| {
-            let (_, slope) = range.factor.sight.range(at);
+            let slope = lines[usize::from(range.sight)].1;
             (range, slope, weight * range.factor.inverse_sigma.powi(2))
         });
         let mut groups = [Group::default(); Constellation::COUNT];
@@ -172,39 +173,40 @@ impl ErrorModel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gnss::{Ecef, EphemerisIssue, GpsTime, LocalFrame};
+    use crate::gnss::{Ecef, GpsTime, LocalFrame};
     use crate::positioning::factors::{PseudorangeFactor, Sight};
 
     const RADIUS_M: f64 = 6_378_137.0;
 
     /// Satellites in four directions at 45° and one overhead, one clock, σ = 2 m.
-    fn ranges() -> Vec<Ranging> {
+    fn ranges() -> (Vec<Line>, Vec<Ranging>) {
         let frame = LocalFrame::at(Ecef::new(RADIUS_M, 0.0, 0.0));
         let far = 2e7 / 2_f64.sqrt();
         let directions =
             [(far, 0.0, far), (-far, 0.0, far), (0.0, far, far), (0.0, -far, far), (0.0, 0.0, 2e7)];
-        let range = |(east, north, up): (f64, f64, f64)| {
+        let line = |(east, north, up): (f64, f64, f64)| {
+            Sight::new(&frame, Ecef::new(RADIUS_M + up, east, north)).range(&Vector3::zeros())
+        };
+        let range = |sight| {
             let satellite = "G01".parse().unwrap();
             Ranging {
-                factor: PseudorangeFactor {
-                    sight: Sight::new(&frame, Ecef::new(RADIUS_M + up, east, north)),
-                    corrected_range_m: 0.0,
-                    inverse_sigma: 0.5,
-                },
+                factor: PseudorangeFactor { corrected_range_m: 0.0, inverse_sigma: 0.5 },
+                sight,
                 satellite,
-                ephemeris: EphemerisIssue { satellite, toe: GpsTime::EPOCH, issue: 1 },
+                toe: GpsTime::EPOCH,
+                issue: 1,
                 bias: None,
                 ionosphere_m: 3.0,
                 troposphere_m: 0.0,
             }
         };
-        directions.into_iter().map(range).collect()
+        (directions.map(line).to_vec(), (0..5).map(range).collect())
     }
 
     fn stated(formal_m2: f64, errors: ErrorModel) -> Matrix3<f64> {
-        let ranges = ranges();
+        let (lines, ranges) = ranges();
         let weighted = ranges.iter().map(|range| (range, 1.0));
-        errors.covariance(&(Matrix3::identity() * formal_m2), &Vector3::zeros(), weighted)
+        errors.covariance(&(Matrix3::identity() * formal_m2), &lines, weighted)
     }
 
     const ERRORS: ErrorModel =

@@ -16,7 +16,7 @@ use crate::positioning::factors::{
     ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::Phases;
-use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::ranging::{Ranging, look, median, sighted};
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::standstill::{Standstill, StandstillTest};
 use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
@@ -171,13 +171,14 @@ impl KalmanFilter {
             let sigma_m = graph.phase_sigma_m.max(PHASE_BOUND_M);
             let list = &self.measurements.list;
             let phases = &mut self.rows.phases;
-            memory.phases.differences(&memory.frame, list, sigma_m, interval_s, phases);
+            memory.phases.differences(list, sigma_m, interval_s, phases);
             let (past, next) = (memory.belief.past(), memory.belief.state());
-            memory.phases.follow_clock(phases, &past, &next);
+            memory.phases.follow_clock(&self.rows.sights, phases, &past, &next);
         }
         self.other_sensors(&mut memory, place, interval_s);
         let share = (interval_s / graph.independence_s).min(1.0);
-        self.rows.enter(&mut memory.belief, self.settings.limit, share, graph);
+        let before = memory.phases.sights();
+        self.rows.enter(&mut memory.belief, before, self.settings.limit, share, graph);
         let is_failing = self.rows.used.len() * 2 < self.rows.ranges.len();
         memory.failing_s = if is_failing { memory.failing_s + interval_s } else { 0.0 };
         if LOST_S < memory.failing_s && self.can_begin(scene) {
@@ -257,7 +258,7 @@ impl KalmanFilter {
         let is_used =
             |range: &&Ranging| estimate.satellites_used.binary_search(&range.satellite).is_ok();
         self.rows.ranges.extend(all.iter().filter(is_used));
-        self.rows.enter(&mut memory.belief, self.settings.limit, 1.0, &options.graph);
+        self.rows.enter(&mut memory.belief, &[], self.settings.limit, 1.0, &options.graph);
         self.rows.ranges = all;
         // As wide as single-point positioning says, which knows how well its residuals fit.
         let own = memory.belief.state_covariance().fixed_view::<3, 3>(0, 0).trace();
@@ -276,10 +277,12 @@ impl KalmanFilter {
         measurements.list.sort_unstable_by(|a, b| {
             a.variance_m2.total_cmp(&b.variance_m2).then(a.satellite.cmp(&b.satellite))
         });
-        for measurement in measurements.list.iter().filter(|m| m.is_above_mask && !m.is_excluded) {
+        look(frame, &measurements.list, &mut rows.sights);
+        for (sight, measurement) in sighted(&measurements.list).filter(|(_, m)| !m.is_excluded) {
             let constellation = measurement.satellite.constellation;
-            let bias = (constellation != Constellation::Gps).then_some(constellation.index());
-            rows.ranges.push(Ranging::new(frame, measurement, bias));
+            let bias = constellation != Constellation::Gps;
+            let bias = bias.then_some(constellation.index() as u32);
+            rows.ranges.push(Ranging::new(sight, measurement, bias));
         }
         Some(())
     }
@@ -288,16 +291,18 @@ impl KalmanFilter {
     ///
     /// Without an interval all begin; without a motion model the receiver's does at every epoch.
     fn settle_clock(&mut self, memory: &mut Memory, interval_s: Option<f64>, graph: &GraphOptions) {
-        let Rows { ranges, misses_m, .. } = &mut self.rows;
         let state = memory.belief.state();
-        let is_known = |range: &&Ranging| range.bias.is_none_or(|bias| memory.begun[bias]);
+        self.rows.see(&state);
+        let Rows { ranges, lines, misses_m, .. } = &mut self.rows;
+        let begun = memory.begun;
+        let is_known = |range: &&Ranging| range.bias.is_none_or(|bias| begun[bias as usize]);
         misses_m.clear();
         let known = ranges.iter().filter(is_known);
-        misses_m.extend(known.map(|range| range.miss_m(&state, memory.belief.biases_m())));
+        misses_m.extend(known.map(|range| range.miss_m(lines, &state, memory.belief.biases_m())));
         let mut miss_m = median(misses_m);
         for constellation in Constellation::ALL {
             let place = constellation.index();
-            let of = |range: &&Ranging| range.bias == Some(place);
+            let of = |range: &&Ranging| range.bias == Some(place as u32);
             if memory.begun[place] || !ranges.iter().any(|range| of(&range)) {
                 continue;
             }
@@ -305,7 +310,8 @@ impl KalmanFilter {
             memory.begun[place] = true;
             misses_m.clear();
             let misses = ranges.iter().filter(of);
-            misses_m.extend(misses.map(|range| range.miss_m(&state, memory.belief.biases_m())));
+            let biases_m = memory.belief.biases_m();
+            misses_m.extend(misses.map(|range| range.miss_m(lines, &state, biases_m)));
             let own_m = median(misses_m).unwrap_or(0.0);
             // Without any clock yet, the first constellation's stands in for GPS's.
             let clock_m = *miss_m.get_or_insert(own_m);
@@ -343,18 +349,21 @@ impl KalmanFilter {
         if options.graph.phase {
             memory.issues.clear();
             memory.issues.extend(self.measurements.list.iter().map(|m| m.ephemeris));
-            memory.phases.keep(&memory.frame, &self.measurements.list);
+            memory.phases.keep(&self.rows.sights, &self.measurements.list);
         }
         let mut reasons = Vec::new();
         self.measurements.aiding_reasons(&mut reasons);
         let odometry = self.measurements.odometry.filter(|_| self.rows.odometry.is_none());
         reasons.extend(odometry.map(|o| Reason::OdometryUnused { interval_s: o.interval_s }));
-        let is_used = |range: &Ranging| self.rows.used.binary_search(&range.satellite).is_ok();
         let (state, biases_m) = (memory.belief.state(), memory.belief.biases_m());
-        let kernelled = self.rows.ranges.iter().map(|range| {
-            let residual = range.factor.linearize(&state, range.bias_m(biases_m)).residual;
-            let weight = f64::from(u8::from(is_used(range)));
-            (range.satellite.constellation, weight * residual, weight)
+        self.rows.see(&state);
+        let Rows { used, lines, ranges, weights, .. } = &mut self.rows;
+        let is_used = |range: &Ranging| used.binary_search(&range.satellite).is_ok();
+        weights.clear();
+        weights.extend(ranges.iter().map(|range| f64::from(u8::from(is_used(range)))));
+        let kernelled = ranges.iter().zip(&*weights).map(|(range, weight)| {
+            let residual = range.linearize(lines, &state, biases_m).residual;
+            (range.satellite.constellation, weight * residual, *weight)
         });
         let residuals = Residuals::of(kernelled);
         let spacing_s = interval_s.max(options.graph.independence_s);
@@ -362,11 +371,12 @@ impl KalmanFilter {
             status: Status::Ekf,
             time: memory.time,
             frame: &memory.frame,
-            state: &memory.belief.state(),
+            state: &state,
             covariance: &memory.belief.state_covariance(),
-            biases_m: memory.belief.biases_m(),
-            ranges: &self.rows.ranges,
-            weights: self.rows.ranges.iter().map(|r| f64::from(u8::from(is_used(r)))).collect(),
+            biases_m,
+            lines,
+            ranges,
+            weights,
             has_velocity,
             errors: ErrorModel {
                 repetition: repetition(spacing_s, options.graph.correlation_s),

@@ -3,8 +3,8 @@
 use crate::config::GraphOptions;
 use crate::gnss::SatelliteId;
 use crate::positioning::factors::{
-    ComponentFactor, DopplerFactor, OdometryFactor, PhaseDifferenceFactor, VELOCITY,
-    ZeroVelocityFactor,
+    ComponentFactor, DopplerFactor, Line, OdometryFactor, PhaseDifferenceFactor, Sight, State,
+    VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::ranging::Ranging;
 
@@ -13,6 +13,10 @@ use super::belief::{Belief, Innovation};
 /// One epoch's rows; the memory is used again.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
+    /// Satellites above the mask.
+    pub(super) sights: Vec<Sight>,
+    /// Lines of sight from the state last asked for.
+    pub(super) lines: Vec<Line>,
     pub(super) ranges: Vec<Ranging>,
     /// Satellites whose pseudoranges passed the test, sorted.
     pub(super) used: Vec<SatelliteId>,
@@ -20,6 +24,8 @@ pub(super) struct Rows {
     pub(super) phases: Vec<PhaseDifferenceFactor>,
     pub(super) odometry: Option<OdometryFactor>,
     pub(super) standstill: Option<ZeroVelocityFactor>,
+    /// How much each pseudorange counted.
+    pub(super) weights: Vec<f64>,
     /// Scratch of medians.
     pub(super) misses_m: Vec<f64>,
 }
@@ -27,6 +33,7 @@ pub(super) struct Rows {
 impl Rows {
     /// Empties the lists; their memory stays.
     pub(super) fn clear(&mut self) {
+        self.sights.clear();
         self.ranges.clear();
         self.used.clear();
         self.rates.clear();
@@ -37,11 +44,12 @@ impl Rows {
 
     /// Takes the rows in, kind by kind, the sharpest kinds first.
     ///
-    /// `limit` is that of the innovation test, `share` how much of their information pseudoranges
-    /// keep.
+    /// `before` are the satellites of the epoch before, `limit` is that of the innovation test,
+    /// `share` how much of their information pseudoranges keep.
     pub(super) fn enter(
         &mut self,
         belief: &mut Belief,
+        before: &[Sight],
         limit: f64,
         share: f64,
         graph: &GraphOptions,
@@ -67,19 +75,30 @@ impl Rows {
             }
         }
         for phase in &self.phases {
-            let link = phase.linearize(&belief.past(), &belief.state());
+            let (past, state) = (belief.past(), belief.state());
+            let from = before[usize::from(phase.before)].range(&position(&past));
+            let to = self.sights[usize::from(phase.after)].range(&position(&state));
+            let link = phase.linearize((&from, &past), (&to, &state));
             belief.update(&Innovation::link(&link), limit);
         }
         for rate in &self.rates {
             belief.update(&Innovation::row(&rate.linearize(&belief.state()), None), limit);
         }
         for range in &self.ranges {
-            let row = range.factor.linearize(&belief.state(), range.bias_m(belief.biases_m()));
-            let bias = range.bias.map(|place| (place, range.factor.inverse_sigma));
+            let state = belief.state();
+            let line = self.sights[usize::from(range.sight)].range(&position(&state));
+            let row = range.factor.linearize(&line, &state, range.bias_m(belief.biases_m()));
+            let bias = range.bias.map(|place| (place as usize, range.factor.inverse_sigma));
             if belief.update(&Innovation::row(&row, bias).tempered(share), limit) {
                 self.used.push(range.satellite);
             }
         }
         self.used.sort_unstable();
+    }
+
+    /// The lines of sight from a state's position, of all satellites.
+    pub(super) fn see(&mut self, state: &State) {
+        self.lines.clear();
+        self.lines.extend(self.sights.iter().map(|sight| sight.range(&position(state))));
     }
 }

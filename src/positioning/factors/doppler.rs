@@ -7,7 +7,7 @@ use crate::graph::Row;
 use crate::models::{SatelliteState, range_rate};
 use crate::snapshot::snapshot_fields;
 
-use super::{DRIFT, State, VELOCITY};
+use super::{DRIFT, PACE, State, VELOCITY};
 
 /// Doppler factor on the velocity and the clock drift of one state.
 ///
@@ -51,7 +51,7 @@ impl DopplerFactor {
         let along = g.x * state[VELOCITY] + g.y * state[VELOCITY + 1] + g.z * state[VELOCITY + 2];
         Row {
             residual: (along + state[DRIFT] - self.rate_m_s) * w,
-            columns: [VELOCITY, VELOCITY + 1, VELOCITY + 2, DRIFT],
+            columns: PACE,
             jacobian: [g.x * w, g.y * w, g.z * w, w],
         }
     }

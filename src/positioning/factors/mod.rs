@@ -41,7 +41,7 @@ pub(super) use motion::{MotionFactor, MotionWalk};
 pub(super) use odometry::OdometryFactor;
 pub(super) use phase_difference::PhaseDifferenceFactor;
 pub(super) use pseudorange::PseudorangeFactor;
-pub(super) use sight::Sight;
+pub(super) use sight::{Line, Sight};
 pub(super) use zero_velocity::ZeroVelocityFactor;
 
 /// Numbers in a state.
@@ -52,6 +52,10 @@ pub(super) const VELOCITY: usize = 3;
 pub(super) const CLOCK: usize = 6;
 /// Column of the clock's drift.
 pub(super) const DRIFT: usize = 7;
+/// Columns of position and clock.
+pub(super) const PLACE: [usize; 4] = [0, 1, 2, CLOCK];
+/// Columns of velocity and drift.
+pub(super) const PACE: [usize; 4] = [VELOCITY, VELOCITY + 1, VELOCITY + 2, DRIFT];
 
 /// The state of one epoch.
 pub(super) type State = nalgebra::SVector<f64, STATE>;

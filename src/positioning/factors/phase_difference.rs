@@ -3,7 +3,7 @@
 use crate::graph::Link;
 use crate::snapshot::snapshot_fields;
 
-use super::{CLOCK, Sight, State, position};
+use super::{CLOCK, Line, PLACE, State};
 
 /// Phase-difference factor between two states.
 ///
@@ -17,10 +17,10 @@ use super::{CLOCK, Sight, State, position};
 /// receiver*, Navigation 51(4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::positioning) struct PhaseDifferenceFactor {
-    /// At the earlier epoch.
-    pub(in crate::positioning) before: Sight,
-    /// At the later epoch.
-    pub(in crate::positioning) after: Sight,
+    /// Place of the satellite among the sights of the earlier epoch.
+    pub(in crate::positioning) before: u16,
+    /// Place of it among those of the later epoch.
+    pub(in crate::positioning) after: u16,
     /// Δφ (m).
     pub(in crate::positioning) change_m: f64,
     /// 1/σ (1/m).
@@ -28,18 +28,21 @@ pub(in crate::positioning) struct PhaseDifferenceFactor {
 }
 
 impl PhaseDifferenceFactor {
-    /// Whitened residual and its Jacobian on [p; b] and [p₊; b₊].
+    /// Whitened residual and its Jacobian on [p; b] and [p₊; b₊], the satellite seen from the
+    /// position of either.
     #[inline]
-    pub(in crate::positioning) fn linearize(&self, state: &State, next: &State) -> Link<4, 4> {
-        let (from_m, old) = self.before.range(&position(state));
-        let (to_m, new) = self.after.range(&position(next));
+    pub(in crate::positioning) fn linearize(
+        &self,
+        ((from_m, old), state): (&Line, &State),
+        ((to_m, new), next): (&Line, &State),
+    ) -> Link<4, 4> {
         let w = self.inverse_sigma;
         let moved = to_m - from_m + next[CLOCK] - state[CLOCK];
         Link {
             residual: (moved - self.change_m) * w,
-            columns: [0, 1, 2, CLOCK],
+            columns: PLACE,
             jacobian: [-old.x * w, -old.y * w, -old.z * w, -w],
-            next_columns: [0, 1, 2, CLOCK],
+            next_columns: PLACE,
             next_jacobian: [new.x * w, new.y * w, new.z * w, w],
         }
     }
@@ -52,32 +55,37 @@ mod tests {
     use super::*;
     use crate::gnss::{Ecef, LocalFrame};
     use crate::positioning::factors::sample::{LATER, SATELLITE, check_link, frame};
+    use crate::positioning::factors::{Sight, position};
+
+    /// The first satellite of either epoch.
+    fn link(
+        factor: &PhaseDifferenceFactor,
+        [before, after]: &[Sight; 2],
+        state: &State,
+        next: &State,
+    ) -> Link<4, 4> {
+        let (from, to) = (before.range(&position(state)), after.range(&position(next)));
+        factor.linearize((&from, state), (&to, next))
+    }
 
     /// Towards a satellite overhead at rest: 5 m nearer, the clock 8 m on, the phase 2.9 m more.
     #[test]
     fn a_residual_worked_by_hand() {
         let frame = LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0));
         let overhead = Sight::new(&frame, Ecef::new(26_378_137.0, 0.0, 0.0));
-        let factor = PhaseDifferenceFactor {
-            before: overhead,
-            after: overhead,
-            change_m: 2.9,
-            inverse_sigma: 20.0,
-        };
+        let factor =
+            PhaseDifferenceFactor { before: 0, after: 0, change_m: 2.9, inverse_sigma: 20.0 };
         let next = State::from([0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 8.0, 0.0]);
-        let residual = factor.linearize(&State::zeros(), &next).residual;
+        let residual = link(&factor, &[overhead, overhead], &State::zeros(), &next).residual;
         assert!((residual - 0.1 * 20.0).abs() < 1e-6, "{residual}");
     }
 
     #[test]
     fn the_jacobian_is_the_derivative() {
         let frame = frame();
-        let factor = PhaseDifferenceFactor {
-            before: Sight::new(&frame, SATELLITE),
-            after: Sight::new(&frame, LATER),
-            change_m: 700.0,
-            inverse_sigma: 1.0,
-        };
-        check_link(|a, b| factor.linearize(a, b));
+        let sights = [Sight::new(&frame, SATELLITE), Sight::new(&frame, LATER)];
+        let factor =
+            PhaseDifferenceFactor { before: 0, after: 0, change_m: 700.0, inverse_sigma: 1.0 };
+        check_link(|a, b| link(&factor, &sights, a, b));
     }
 }

@@ -6,6 +6,9 @@ use crate::gnss::{Ecef, LocalFrame};
 use crate::models::geometric_range;
 use crate::snapshot::snapshot_fields;
 
+/// What a sight shows from one place: the range ρ (m), and its slope ∂ρ/∂p.
+pub(in crate::positioning) type Line = (f64, Vector3<f64>);
+
 /// A satellite as seen from anywhere near the origin of a local frame.
 ///
 /// ρ(p) = ‖s − p‖ + a + gᵀp: the Sagnac term is linear in the receiver's position, so that the
@@ -32,7 +35,7 @@ impl Sight {
 
     /// Range from a local position (m), and ∂ρ/∂p.
     #[inline]
-    pub(in crate::positioning) fn range(&self, position: &Vector3<f64>) -> (f64, Vector3<f64>) {
+    pub(in crate::positioning) fn range(&self, position: &Vector3<f64>) -> Line {
         let line = self.satellite_m - position;
         let distance_m = line.norm();
         let range_m = distance_m + self.sagnac_m + self.sagnac_slope.dot(position);

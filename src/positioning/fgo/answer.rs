@@ -5,7 +5,7 @@ use nalgebra::SMatrix;
 use crate::gnss::{Reason, Solution, Status};
 use crate::graph::Phase;
 use crate::positioning::answer::Answer;
-use crate::positioning::factors::STATE;
+use crate::positioning::factors::{Line, STATE};
 use crate::positioning::ranging::Ranging;
 use crate::positioning::uncertainty::{ErrorModel, Residuals};
 
@@ -16,18 +16,31 @@ use super::settings::Settings;
 /// Residuals of epochs this far away tell how large errors are now (s).
 const NEIGHBOURS_S: f64 = 15.0;
 
+/// Memory to answer in.
+#[derive(Debug, Default)]
+pub(super) struct AnswerMemory {
+    lines: Vec<Line>,
+    weights: Vec<f64>,
+}
+
 /// The solution of state `k` with its covariance.
 pub(super) fn solution(
     chain: &Chain,
     k: usize,
     covariance: &SMatrix<f64, STATE, STATE>,
     settings: &Settings,
+    memory: &mut AnswerMemory,
 ) -> Solution {
     let (epoch, state) = (&chain.epochs[k], &chain.estimate.states[k]);
     let biases_m = &chain.estimate.border;
     let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
-    let residual = |range: &Ranging| range.factor.linearize(state, range.bias_m(biases_m)).residual;
-    let mut reasons = epoch.reasons.clone();
+    let AnswerMemory { lines, weights } = memory;
+    epoch.see(state, lines);
+    weights.clear();
+    let residual = |range: &Ranging| range.linearize(lines, state, biases_m).residual;
+    weights.extend(epoch.ranges.iter().map(|range| kernel.weight(residual(range))));
+    let mut reasons = Vec::new();
+    epoch.aiding_reasons(&mut reasons);
     reasons.extend(chain.unproven_s(epoch.time).map(|age_s| Reason::StartUnproven { age_s }));
     let answer = Answer {
         status: Status::Fgo,
@@ -36,8 +49,9 @@ pub(super) fn solution(
         state,
         covariance,
         biases_m,
+        lines,
         ranges: &epoch.ranges,
-        weights: epoch.ranges.iter().map(|range| kernel.weight(residual(range))).collect(),
+        weights,
         has_velocity: epoch.carries_velocity(),
         errors: ErrorModel {
             repetition: epoch.repetition,

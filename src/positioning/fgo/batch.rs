@@ -3,12 +3,11 @@
 use crate::config::{DopplerUse, PositioningOptions};
 use crate::gnss::{Epoch, Navigation, Reason, Solution};
 use crate::graph::{BorderLife, Covariances, Workspace, optimize};
-use crate::positioning::Measurements;
 use crate::positioning::factors::{DRIFT, STATE, VELOCITY};
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::velocity::VelocityEstimator;
 
-use super::answer::solution;
+use super::answer::{AnswerMemory, solution};
 use super::chain::Chain;
 use super::settings::Settings;
 
@@ -22,7 +21,6 @@ pub(in crate::positioning) struct WholeChain {
     solutions: Vec<Solution>,
     single_point: SinglePoint,
     velocity: VelocityEstimator,
-    measurements: Measurements,
     workspace: Workspace<STATE>,
 }
 
@@ -36,7 +34,6 @@ impl WholeChain {
             solutions: Vec::new(),
             single_point: SinglePoint::new(options),
             velocity: VelocityEstimator::default(),
-            measurements: Measurements::default(),
             workspace: Workspace::new(BorderLife::WhileTouched),
         }
     }
@@ -48,7 +45,9 @@ impl WholeChain {
         navigation: &Navigation,
         options: &PositioningOptions,
     ) {
-        let alone = self.single_point.solve(epoch, navigation, options, None);
+        let place = |solution: &Solution| Some(solution.estimate.as_ref()?.position);
+        let start = self.alone.last().and_then(place);
+        let alone = self.single_point.solve(epoch, navigation, options, start);
         let interval_s = self.chain.last_time().map(|last| epoch.time - last);
         if interval_s.is_some_and(|interval_s| interval_s <= 0.0) {
             self.solutions.push(alone);
@@ -73,20 +72,21 @@ impl WholeChain {
             return;
         }
         let place = self.chain.frame.to_ecef(crate::gnss::Enu(guess.fixed_rows::<3>(0).into()));
-        self.measurements.gather(epoch, navigation, options);
-        if self.measurements.place(place, epoch.time, navigation, options).is_none() {
+        let measurements = self.single_point.measurements();
+        if alone.estimate.is_none()
+            && measurements.place(place, epoch.time, navigation, options).is_none()
+        {
             self.solutions.push(alone);
             return;
         }
-        let list = &self.measurements.list;
+        let list = &measurements.list;
         let is_used = |index: usize| list[index].is_above_mask;
         let velocity = match options.graph.doppler {
             DopplerUse::Velocity => self.velocity.estimate(place, list, is_used, options),
             DopplerUse::None | DopplerUse::Satellites => None,
         };
         let local = velocity.map(|velocity| self.chain.frame.rotation * velocity.velocity_m_s);
-        let (settings, measurements) = (&self.settings, &self.measurements);
-        self.chain.append(epoch.time, guess, measurements, local, options, settings);
+        self.chain.append(epoch.time, guess, measurements, local, options, &self.settings);
         self.alone.push(alone);
     }
 
@@ -109,10 +109,10 @@ impl WholeChain {
         match solved {
             Ok(_) => {
                 chain.weigh_residuals(settings);
-                let mut covariances = Vec::new();
+                let (mut covariances, mut memory) = (Vec::new(), AnswerMemory::default());
                 Covariances::new().all_states(&workspace.elimination, &mut covariances);
                 for (k, covariance) in covariances.iter().enumerate() {
-                    self.solutions.push(solution(chain, k, covariance, settings));
+                    self.solutions.push(solution(chain, k, covariance, settings, &mut memory));
                 }
                 self.alone.clear();
             }

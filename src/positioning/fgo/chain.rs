@@ -3,22 +3,22 @@
 use nalgebra::Vector3;
 
 use crate::config::{DopplerUse, PositioningOptions};
-use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry, Reason};
+use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry};
 use crate::graph::{Elimination, EliminationError, Estimate, Phase, Prior, System};
 use crate::positioning::clock_jump::{CRYSTAL_DRIFT_M_S, jump_m};
 use crate::positioning::factors::{
     BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerFactor, DopplerVelocityFactor,
-    MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
+    Line, MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::Phases;
-use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::ranging::{Ranging, look, median, sighted};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::uncertainty::repetition;
 use crate::positioning::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-use super::epoch::{GraphEpoch, Rows, Tie};
+use super::epoch::{GraphEpoch, Rows, Seen, Tie};
 use super::settings::Settings;
 
 /// Deviation of the first position about its start (m): says nearly nothing.
@@ -52,6 +52,8 @@ pub(super) struct Chain {
     /// Epochs whose own biases may be alive at once; zero where biases are constant.
     ring: usize,
     scratch: Vec<f64>,
+    lines: Vec<Line>,
+    seen: [Seen; 2],
 }
 
 impl Clone for Chain {
@@ -82,7 +84,7 @@ impl Snapshot for Chain {
         #[rustfmt::skip]
         let Self {
             frame, epochs, estimate, prior, phases, standstill, spare: _, begun, sequence, started,
-            is_proven, ring, scratch: _,
+            is_proven, ring, scratch: _, lines: _, seen: _,
         } = self;
         frame.save(writer);
         epochs.save(writer);
@@ -112,11 +114,13 @@ impl Snapshot for Chain {
             is_proven: Snapshot::load(reader)?,
             ring: Snapshot::load(reader)?,
             scratch: Vec::new(),
+            lines: Vec::new(),
+            seen: Default::default(),
         };
         let border = chain.estimate.border.len();
         let is_whole = chain.epochs.len() == chain.estimate.states.len()
             && chain.epochs.len() <= chain.sequence
-            && chain.epochs.iter().all(|epoch| epoch.is_within(border))
+            && chain.names_what_it_holds(border)
             && chain.prior.variables().all(|variable| variable < border);
         if is_whole { Ok(chain) } else { Err(reader.invalid("chain")) }
     }
@@ -140,6 +144,8 @@ impl Chain {
             is_proven: false,
             ring,
             scratch: Vec::new(),
+            lines: Vec::new(),
+            seen: Default::default(),
         }
     }
 
@@ -157,6 +163,8 @@ impl Chain {
     pub(super) fn exchange_memory(&mut self, other: &mut Self) {
         std::mem::swap(&mut self.spare, &mut other.spare);
         std::mem::swap(&mut self.scratch, &mut other.scratch);
+        std::mem::swap(&mut self.lines, &mut other.lines);
+        std::mem::swap(&mut self.seen, &mut other.seen);
     }
 
     /// Takes the newest epoch back.
@@ -227,7 +235,9 @@ impl Chain {
         let spacing_s = interval_s.unwrap_or(independence_s);
         epoch.share = (spacing_s / independence_s).min(1.0);
         epoch.repetition = repetition(spacing_s.max(independence_s), options.graph.correlation_s);
-        measurements.aiding_reasons(&mut epoch.reasons);
+        epoch.without_ephemeris.clone_from(&measurements.without_ephemeris);
+        epoch.ionosphere_fallback = measurements.ionosphere_fallback;
+        look(&self.frame, &measurements.list, &mut epoch.sights);
         self.range(&mut epoch, &measurements.list);
         let miss_m = self.settle_clock(&mut epoch, &mut guess);
         self.doppler(&mut epoch, &guess, &measurements.list, options);
@@ -236,8 +246,8 @@ impl Chain {
             if options.graph.phase {
                 let (list, sigma_m) = (&measurements.list, options.graph.phase_sigma_m);
                 let factors = &mut epoch.phases;
-                self.phases.differences(&self.frame, list, sigma_m, interval_s, factors);
-                self.phases.follow_clock(&mut epoch.phases, before, &guess);
+                self.phases.differences(list, sigma_m, interval_s, factors);
+                self.phases.follow_clock(&epoch.sights, factors, before, &guess);
             }
         }
         self.carry_on(&mut epoch, interval_s, &guess, measurements.odometry.as_ref());
@@ -247,7 +257,7 @@ impl Chain {
         }
         self.regularize(&mut epoch, interval_s.is_none(), &guess, options);
         if options.graph.phase {
-            self.phases.keep(&self.frame, &measurements.list);
+            self.phases.keep(&epoch.sights, &measurements.list);
         }
         self.estimate.states.push(guess);
         self.epochs.push(epoch);
@@ -256,7 +266,6 @@ impl Chain {
 
     /// Pseudorange factors of the measurements that are used.
     fn range(&mut self, epoch: &mut GraphEpoch, list: &[Measurement]) {
-        let is_used = |m: &&Measurement| m.is_above_mask && !m.is_excluded;
         let present = |c: Constellation| {
             list.iter().any(|m| m.is_above_mask && !m.is_excluded && m.satellite.constellation == c)
         };
@@ -266,11 +275,11 @@ impl Chain {
             _ => Constellation::ALL.into_iter().find(|c| present(*c)),
         };
         let first = Constellation::COUNT * epoch.slot;
-        for measurement in list.iter().filter(is_used) {
+        for (sight, measurement) in sighted(list).filter(|(_, m)| !m.is_excluded) {
             let constellation = measurement.satellite.constellation;
             let further = Some(constellation) != reference;
-            let bias = further.then_some(first + constellation.index());
-            epoch.ranges.push(Ranging::new(&self.frame, measurement, bias));
+            let bias = further.then_some((first + constellation.index()) as u32);
+            epoch.ranges.push(Ranging::new(sight, measurement, bias));
         }
         if self.ring != 0 {
             self.begun = [false; Constellation::COUNT];
@@ -284,9 +293,10 @@ impl Chain {
             None => true,
             Some(_) => begun[range.satellite.constellation.index()],
         };
+        epoch.see(guess, &mut self.lines);
         self.scratch.clear();
         for range in epoch.ranges.iter().filter(|range| known(range, &self.begun)) {
-            self.scratch.push(range.miss_m(guess, &self.estimate.border));
+            self.scratch.push(range.miss_m(&self.lines, guess, &self.estimate.border));
         }
         let mut miss = median(&mut self.scratch);
         for constellation in Constellation::ALL {
@@ -296,10 +306,10 @@ impl Chain {
                 continue;
             };
             self.scratch.clear();
+            let variable = variable as usize;
             self.estimate.border[variable] = 0.0;
-            let misses =
-                epoch.ranges.iter().filter(of).map(|r| r.miss_m(guess, &self.estimate.border));
-            self.scratch.extend(misses);
+            let of_own = |r: &Ranging| r.miss_m(&self.lines, guess, &self.estimate.border);
+            self.scratch.extend(epoch.ranges.iter().filter(of).map(of_own));
             let own = median(&mut self.scratch).unwrap_or(0.0);
             // Without any clock yet, the first constellation's stands in for the reference's.
             let clock_m = *miss.get_or_insert(own);
@@ -369,9 +379,9 @@ impl Chain {
         let Some(odometry) = odometry else { return };
         let place = self.frame.to_ecef(Enu(position(guess)));
         let over = |interval_s| OdometryFactor::over(interval_s, &self.frame, place, odometry);
-        epoch.odometry = interval_s.and_then(over);
-        if epoch.odometry.is_none() {
-            epoch.reasons.push(Reason::OdometryUnused { interval_s: odometry.interval_s });
+        epoch.odometry.extend(interval_s.and_then(over));
+        if epoch.odometry.is_empty() {
+            epoch.unused_odometry_s = Some(odometry.interval_s);
         }
     }
 
@@ -404,7 +414,8 @@ impl Chain {
         let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
         let Estimate { states, border } = &self.estimate;
         for (epoch, state) in self.epochs.iter_mut().zip(states) {
-            epoch.weigh_residuals(state, border, &kernel);
+            epoch.see(state, &mut self.lines);
+            epoch.weigh_residuals(&self.lines, state, border, &kernel);
             self.is_proven |= epoch.residuals.agree();
         }
     }
@@ -418,8 +429,18 @@ impl Chain {
     }
 
     /// The rows of the whole chain.
-    pub(super) fn rows<'a>(&'a self, settings: &'a Settings) -> Rows<'a> {
-        Rows { epochs: &self.epochs, prior: &self.prior, kernels: &settings.kernels }
+    pub(super) fn rows<'a>(&'a mut self, settings: &'a Settings) -> Rows<'a> {
+        let Self { epochs, prior, seen, .. } = self;
+        Rows { epochs, prior, kernels: &settings.kernels, seen }
+    }
+
+    /// Whether every factor names variables, numbers and satellites that there are.
+    fn names_what_it_holds(&self, border: usize) -> bool {
+        // The first epoch's phases go back to one that is forgotten.
+        let before =
+            |k: usize| k.checked_sub(1).map_or(usize::MAX, |k| self.epochs[k].sights.len());
+        self.epochs.iter().enumerate().all(|(k, epoch)| epoch.is_within(border, before(k)))
+            && self.phases.is_within(self.epochs.last().map_or(0, |last| last.sights.len()))
     }
 
     /// Whether some epoch has been marginalised.
@@ -435,11 +456,10 @@ impl Chain {
         workspace: &mut (System<STATE>, Elimination<STATE>),
     ) -> Result<(), EliminationError> {
         let (system, elimination) = workspace;
-        let kernels = settings.kernels.at(Phase::Graduated(1.0));
         system.reset(2, self.estimate.border.len());
-        self.prior.add_to(0, &self.estimate, system);
-        self.epochs[0].add_to(0, &self.estimate, &kernels, system);
-        self.epochs[1].add_tie_to(0, &self.estimate, &kernels, system);
+        let Self { epochs, prior, seen, estimate, .. } = self;
+        let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen };
+        rows.add_oldest(estimate, system);
         let (per_epoch, slot) = (self.ring != 0, self.epochs[0].slot);
         let retired = |variable| per_epoch && variable / Constellation::COUNT == slot;
         self.prior.marginalize(system, &self.estimate, retired, elimination)?;

@@ -2,12 +2,15 @@
 
 use nalgebra::Vector3;
 
-use crate::gnss::{GpsTime, Reason};
-use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, System};
+use crate::gnss::{GpsTime, Reason, SatelliteId};
+
+use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
-    BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, MotionFactor,
-    OdometryFactor, PhaseDifferenceFactor, STATE, State, ZeroVelocityFactor,
+    BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
+    MotionFactor, OdometryFactor, PACE, PLACE, PhaseDifferenceFactor, STATE, Sight, State,
+    ZeroVelocityFactor, position,
 };
+use crate::positioning::measurements::aiding_reasons;
 use crate::positioning::ranging::Ranging;
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
@@ -29,6 +32,17 @@ pub(super) enum Tie {
     DopplerVelocity(DopplerVelocityFactor),
 }
 
+/// An epoch's satellites at the estimate.
+#[derive(Debug, Default)]
+pub(super) struct Seen {
+    /// Lines of sight, from the epoch's state.
+    lines: Vec<Line>,
+    /// How far a satellite's phase is the direct signal's: as far as its pseudorange is not
+    /// rejected. A reflection's phase is as steady as any and moves with the reflection; where
+    /// several are followed at once, they agree with one another and not with the car.
+    trust: Vec<f64>,
+}
+
 /// One epoch of the chain.
 #[derive(Debug)]
 pub(super) struct GraphEpoch {
@@ -39,22 +53,28 @@ pub(super) struct GraphEpoch {
     pub(super) repetition: f64,
     /// What its pseudoranges missed by in the last solve.
     pub(super) residuals: Residuals,
+    /// Satellites above the mask, by whose places factors name them.
+    pub(super) sights: Vec<Sight>,
     pub(super) ranges: Vec<Ranging>,
     pub(super) rates: Vec<DopplerFactor>,
     /// From the epoch before to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
     /// From the epoch before to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
-    /// From the epoch before to this one.
-    pub(super) odometry: Option<OdometryFactor>,
+    /// From the epoch before to this one: one or none, in a list because most epochs have none.
+    pub(super) odometry: Vec<OdometryFactor>,
     /// Where the receiver stood still since the epoch before.
     pub(super) standstill: Option<ZeroVelocityFactor>,
     pub(super) components: Vec<ComponentFactor>,
     pub(super) biases: Vec<BiasFactor>,
     /// Local velocity from this epoch's Doppler alone, where the tie needs it (m/s).
     pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
-    /// What the epoch lacked.
-    pub(super) reasons: Vec<Reason>,
+    /// Satellites for which no ephemeris was held.
+    pub(super) without_ephemeris: Vec<SatelliteId>,
+    /// The ionosphere model that stood in for the one asked for.
+    pub(super) ionosphere_fallback: Option<&'static str>,
+    /// How long the displacement took that was not used (s).
+    pub(super) unused_odometry_s: Option<f64>,
     /// Its place in the ring of per-epoch biases.
     pub(super) slot: usize,
 }
@@ -66,32 +86,45 @@ impl GraphEpoch {
             share: 1.0,
             repetition: 1.0,
             residuals: Residuals::default(),
+            sights: Vec::new(),
             ranges: Vec::new(),
             rates: Vec::new(),
             phases: Vec::new(),
             tie: None,
-            odometry: None,
+            odometry: Vec::new(),
             standstill: None,
             components: Vec::new(),
             biases: Vec::new(),
             doppler_velocity_m_s: None,
-            reasons: Vec::new(),
+            without_ephemeris: Vec::new(),
+            ionosphere_fallback: None,
+            unused_odometry_s: None,
             slot: 0,
         }
     }
 
     /// Empties the lists; their memory stays.
     pub(super) fn clear(&mut self) {
+        self.sights.clear();
         self.ranges.clear();
         self.rates.clear();
         self.phases.clear();
         self.components.clear();
         self.biases.clear();
-        self.reasons.clear();
+        self.without_ephemeris.clear();
+        self.ionosphere_fallback = None;
+        self.unused_odometry_s = None;
         self.tie = None;
-        self.odometry = None;
+        self.odometry.clear();
         self.standstill = None;
         self.doppler_velocity_m_s = None;
+    }
+
+    /// What the epoch lacked, into `reasons`.
+    pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
+        aiding_reasons(&self.without_ephemeris, self.ionosphere_fallback, reasons);
+        let unused = |interval_s| Reason::OdometryUnused { interval_s };
+        reasons.extend(self.unused_odometry_s.map(unused));
     }
 
     /// Whether its state's velocity means anything.
@@ -99,38 +132,65 @@ impl GraphEpoch {
         !matches!(self.tie, Some(Tie::DopplerVelocity(_)))
     }
 
-    /// Sums up what its pseudoranges miss by at `state`, under their kernel.
-    pub(super) fn weigh_residuals(&mut self, state: &State, biases_m: &[f64], kernel: &Kernel) {
+    /// Lines of sight to its satellites from the position of `state`.
+    pub(super) fn see(&self, state: &State, lines: &mut Vec<Line>) {
+        let from = position(state);
+        lines.clear();
+        lines.extend(self.sights.iter().map(|sight| sight.range(&from)));
+    }
+
+    /// Sums up what its pseudoranges miss by at `state`, of the lines of sight there, under their
+    /// kernel.
+    pub(super) fn weigh_residuals(
+        &mut self,
+        lines: &[Line],
+        state: &State,
+        biases_m: &[f64],
+        kernel: &Kernel,
+    ) {
         self.residuals = Residuals::of(self.ranges.iter().map(|range| {
-            let residual = range.factor.linearize(state, range.bias_m(biases_m)).residual;
+            let residual = range.linearize(lines, state, biases_m).residual;
             let pull = kernel.weight(residual) * residual;
             (range.satellite.constellation, pull, kernel.pull_slope(residual))
         }));
     }
 
-    /// Adds what touches this epoch's state alone, and the border.
+    /// Adds what touches this epoch's state alone, and the border; sees and trusts what the links
+    /// to it will ask.
     pub(super) fn add_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
         kernels: &[Kernel; 3],
+        seen: &mut Seen,
         system: &mut System<STATE>,
     ) {
-        let state = &estimate.states[k];
-        let pseudorange = kernels[0].tempered(self.share);
+        let (state, biases_m) = (&estimate.states[k], &estimate.border);
+        self.see(state, &mut seen.lines);
+        seen.trust.clear();
+        seen.trust.resize(self.sights.len(), 1.0);
+        let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
         for range in &self.ranges {
-            let row = range.factor.linearize(state, range.bias_m(&estimate.border));
-            match range.bias {
-                None => system.add(k, &row, &pseudorange),
-                Some(variable) => {
-                    let border = [(variable, range.factor.inverse_sigma)];
-                    system.add_with_border(k, &row, &border, &pseudorange)
-                }
-            };
+            let row = range.linearize(&seen.lines, state, biases_m);
+            let (loss, trust) = kernels[0].loss_and_weight(row.residual);
+            seen.trust[usize::from(range.sight)] = trust.max(TRUST_MIN);
+            losses += loss;
+            let weight = self.share * trust;
+            sum.add(row.residual, &row.jacobian, weight);
+            if let Some(variable) = range.bias {
+                let border = [(variable as usize, range.factor.inverse_sigma)];
+                system.add_border(k, &row, &border, weight);
+            }
         }
+        system.add_cost(self.share * losses);
+        system.add_sum(k, &PLACE, &sum);
+        let mut sum = RowSum::ZERO;
         for rate in &self.rates {
-            system.add(k, &rate.linearize(state), &kernels[1]);
+            let row = rate.linearize(state);
+            let weight = system.weigh(row.residual, &kernels[1]);
+            sum.add(row.residual, &row.jacobian, weight);
         }
+        system.add_sum(k, &PACE, &sum);
         for component in &self.components {
             system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
         }
@@ -140,38 +200,36 @@ impl GraphEpoch {
         }
     }
 
-    /// How far a phase is the direct signal's: as far as the same satellite's pseudorange is not
-    /// rejected. A reflection's phase is as steady as any and moves with the reflection; where
-    /// several are followed at once, they agree with one another and not with the car.
-    fn trust_in_phase(
-        &self,
-        phase: &PhaseDifferenceFactor,
-        next: &State,
-        biases_m: &[f64],
-        pseudorange: &Kernel,
-    ) -> f64 {
-        let of_satellite = |range: &&Ranging| range.factor.sight == phase.after;
-        self.ranges.iter().find(of_satellite).map_or(1.0, |range| {
-            let residual = range.factor.linearize(next, range.bias_m(biases_m)).residual;
-            pseudorange.weight(residual).max(TRUST_MIN)
-        })
+    /// Sees and trusts as [`Self::add_to`] does, and adds nothing.
+    fn look(&self, state: &State, biases_m: &[f64], pseudorange: &Kernel, seen: &mut Seen) {
+        self.see(state, &mut seen.lines);
+        seen.trust.clear();
+        seen.trust.resize(self.sights.len(), 1.0);
+        for range in &self.ranges {
+            let residual = range.linearize(&seen.lines, state, biases_m).residual;
+            seen.trust[usize::from(range.sight)] = pseudorange.weight(residual).max(TRUST_MIN);
+        }
     }
 
-    /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`.
+    /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`, as seen from either.
     pub(super) fn add_tie_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
         kernels: &[Kernel; 3],
+        [before, seen]: [&Seen; 2],
         system: &mut System<STATE>,
     ) {
         let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
+        let mut sum = LinkSum::ZERO;
         for phase in &self.phases {
-            let trust = self.trust_in_phase(phase, next, &estimate.border, &kernels[0]);
-            let kernel = kernels[2].tempered(trust);
-            system.add_link(k, &phase.linearize(state, next), &kernel);
+            let (from, to) = (usize::from(phase.before), usize::from(phase.after));
+            let link = phase.linearize((&before.lines[from], state), (&seen.lines[to], next));
+            let kernel = kernels[2].tempered(seen.trust[to]);
+            sum.add(&link, system.weigh(link.residual, &kernel));
         }
-        if let Some(odometry) = &self.odometry {
+        system.add_link_sum(k, (&PLACE, &PLACE), &sum);
+        for odometry in &self.odometry {
             for row in 0..3 {
                 system.add_link(k, &odometry.linearize(row, state, next), &ODOMETRY_KERNEL);
             }
@@ -208,6 +266,7 @@ snapshot_fields!(GraphEpoch {
     share,
     repetition,
     residuals,
+    sights,
     ranges,
     rates,
     phases,
@@ -217,7 +276,9 @@ snapshot_fields!(GraphEpoch {
     components,
     biases,
     doppler_velocity_m_s,
-    reasons,
+    without_ephemeris,
+    ionosphere_fallback,
+    unused_odometry_s,
     slot,
 });
 
@@ -253,17 +314,27 @@ impl GraphEpoch {
                 list.shrink_to_fit();
             }
         }
+        fit(&mut self.sights);
         fit(&mut self.ranges);
         fit(&mut self.rates);
         fit(&mut self.phases);
+        fit(&mut self.odometry);
         fit(&mut self.components);
         fit(&mut self.biases);
-        fit(&mut self.reasons);
+        fit(&mut self.without_ephemeris);
     }
 
-    /// Whether its factors name only variables below `border` and numbers of a state.
-    pub(super) fn is_within(&self, border: usize) -> bool {
-        self.ranges.iter().all(|range| range.bias.is_none_or(|variable| variable < border))
+    /// Whether its factors name only variables below `border`, numbers of a state, and satellites
+    /// of its own and among the `before` of the epoch before.
+    pub(super) fn is_within(&self, border: usize, before: usize) -> bool {
+        let is_known = |range: &Ranging| {
+            usize::from(range.sight) < self.sights.len()
+                && range.bias.is_none_or(|variable| (variable as usize) < border)
+        };
+        let ends = |phase: &PhaseDifferenceFactor| (phase.before.into(), phase.after.into());
+        let is_link = |(from, to): (usize, usize)| from < before && to < self.sights.len();
+        self.ranges.iter().all(is_known)
+            && self.phases.iter().map(ends).all(is_link)
             && self.biases.iter().all(|bias| bias.variable < border)
             && self.components.iter().all(|component| component.column < STATE)
     }
@@ -282,16 +353,19 @@ impl Clone for GraphEpoch {
         self.share = source.share;
         self.repetition = source.repetition;
         self.residuals = source.residuals;
+        self.sights.clone_from(&source.sights);
         self.ranges.clone_from(&source.ranges);
         self.rates.clone_from(&source.rates);
         self.phases.clone_from(&source.phases);
         self.tie = source.tie;
-        self.odometry = source.odometry;
+        self.odometry.clone_from(&source.odometry);
         self.standstill = source.standstill;
         self.components.clone_from(&source.components);
         self.biases.clone_from(&source.biases);
         self.doppler_velocity_m_s = source.doppler_velocity_m_s;
-        self.reasons.clone_from(&source.reasons);
+        self.without_ephemeris.clone_from(&source.without_ephemeris);
+        self.ionosphere_fallback = source.ionosphere_fallback;
+        self.unused_odometry_s = source.unused_odometry_s;
         self.slot = source.slot;
     }
 }
@@ -301,17 +375,33 @@ pub(super) struct Rows<'a> {
     pub(super) epochs: &'a [GraphEpoch],
     pub(super) prior: &'a Prior<STATE>,
     pub(super) kernels: &'a Kernels,
+    /// Memory for two neighbours.
+    pub(super) seen: &'a mut [Seen; 2],
+}
+
+impl Rows<'_> {
+    /// Adds what touches the first of the epochs: itself, the tie to the second, and the prior.
+    pub(super) fn add_oldest(&mut self, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
+        let kernels = self.kernels.at(Phase::Graduated(1.0));
+        let [before, seen] = &mut *self.seen;
+        self.prior.add_to(0, estimate, system);
+        self.epochs[0].add_to(0, estimate, &kernels, before, system);
+        self.epochs[1].look(&estimate.states[1], &estimate.border, &kernels[0], seen);
+        self.epochs[1].add_tie_to(0, estimate, &kernels, [before, seen], system);
+    }
 }
 
 impl Problem<STATE> for Rows<'_> {
     fn linearize(&mut self, estimate: &Estimate<STATE>, phase: Phase, system: &mut System<STATE>) {
         let kernels = self.kernels.at(phase);
+        let [before, seen] = &mut *self.seen;
         self.prior.add_to(0, estimate, system);
         for (k, epoch) in self.epochs.iter().enumerate() {
+            std::mem::swap(before, seen);
+            epoch.add_to(k, estimate, &kernels, seen, system);
             if 0 < k {
-                epoch.add_tie_to(k - 1, estimate, &kernels, system);
+                epoch.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
             }
-            epoch.add_to(k, estimate, &kernels, system);
         }
     }
 }

@@ -74,9 +74,9 @@ impl Settings {
         let kernels = Kernels::new(options);
         let (update, whole) = match kernels.is_redescending() {
             true => {
-                (Schedule::graduated(1, 2.0, 2.0, 1, 1), Schedule::graduated(6, 15.0, 1.4, 2, 20))
+                (Schedule::graduated(1, 2.0, 2.0, 1, 1), Schedule::graduated(3, 15.0, 2.0, 1, 10))
             }
-            false => (Schedule::direct(10), Schedule::direct(30)),
+            false => (Schedule::direct(3), Schedule::direct(30)),
         };
         let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
         Self {

@@ -1,5 +1,7 @@
 //! The sliding window: each epoch answered as it comes, and again when it leaves.
 
+use std::sync::Arc;
+
 use nalgebra::SMatrix;
 
 use crate::config::{DopplerUse, PositioningOptions};
@@ -13,7 +15,7 @@ use crate::positioning::spp::SinglePoint;
 use crate::positioning::velocity::VelocityEstimator;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-use super::answer::solution;
+use super::answer::{AnswerMemory, solution};
 use super::chain::Chain;
 use super::epoch::GraphEpoch;
 use super::settings::Settings;
@@ -26,7 +28,7 @@ const FRAME_LIMIT_M: f64 = 1e5;
 /// A causal estimator over a sliding window.
 #[derive(Debug)]
 pub(in crate::positioning) struct SlidingWindow {
-    settings: Settings,
+    settings: Arc<Settings>,
     chain: Chain,
     revisions: Option<Vec<Solution>>,
     single_point: SinglePoint,
@@ -36,6 +38,7 @@ pub(in crate::positioning) struct SlidingWindow {
     covariances: Covariances<STATE>,
     smoothed: Vec<SMatrix<f64, STATE, STATE>>,
     oldest: (System<STATE>, Elimination<STATE>),
+    answer: AnswerMemory,
 }
 
 impl SlidingWindow {
@@ -46,7 +49,7 @@ impl SlidingWindow {
             false => options.graph.window_epochs_max + 1,
         };
         Self {
-            settings: Settings::new(&options.graph),
+            settings: Arc::new(Settings::new(&options.graph)),
             chain: Chain::new(ring),
             revisions: revises.then(Vec::new),
             single_point: SinglePoint::new(options),
@@ -56,6 +59,7 @@ impl SlidingWindow {
             covariances: Covariances::new(),
             smoothed: Vec::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
+            answer: AnswerMemory::default(),
         }
     }
 
@@ -190,15 +194,17 @@ impl SlidingWindow {
             return;
         }
         let Workspace { system, elimination, .. } = &mut self.workspace;
-        let estimate = &self.chain.estimate;
+        let estimate = std::mem::take(&mut self.chain.estimate);
         system.reset(estimate.states.len(), estimate.border.len());
-        self.chain.rows(&self.settings).linearize(estimate, Phase::Graduated(1.0), system);
+        self.chain.rows(&self.settings).linearize(&estimate, Phase::Graduated(1.0), system);
+        self.chain.estimate = estimate;
         if elimination.factor(system, 0.0).is_err() {
             return;
         }
         self.covariances.all_states(elimination, &mut self.smoothed);
         for (k, covariance) in self.smoothed.iter().enumerate().take(count) {
-            revisions.push(solution(&self.chain, k, covariance, &self.settings));
+            let (chain, settings) = (&self.chain, &self.settings);
+            revisions.push(solution(chain, k, covariance, settings, &mut self.answer));
         }
     }
 
@@ -216,8 +222,8 @@ impl SlidingWindow {
         solved.ok()?;
         chain.weigh_residuals(settings);
         self.covariances.newest(&self.workspace.elimination);
-        let newest = self.chain.epochs.len() - 1;
-        Some(solution(&self.chain, newest, self.covariances.state(), &self.settings))
+        let (newest, covariance) = (self.chain.epochs.len() - 1, self.covariances.state());
+        Some(solution(&self.chain, newest, covariance, &self.settings, &mut self.answer))
     }
 }
 
@@ -248,7 +254,7 @@ impl SlidingWindow {
         #[rustfmt::skip]
         let Self {
             settings: _, chain, revisions: _, single_point, velocity, measurements, workspace,
-            covariances, smoothed, oldest,
+            covariances, smoothed, oldest, answer,
         } = self;
         chain.exchange_memory(&mut other.chain);
         single_point.exchange_memory(&mut other.single_point);
@@ -258,6 +264,7 @@ impl SlidingWindow {
         std::mem::swap(covariances, &mut other.covariances);
         std::mem::swap(smoothed, &mut other.smoothed);
         std::mem::swap(oldest, &mut other.oldest);
+        std::mem::swap(answer, &mut other.answer);
     }
 
     /// Gives back the room that the epochs do not need.
@@ -285,6 +292,7 @@ impl Clone for SlidingWindow {
             covariances: Covariances::new(),
             smoothed: Vec::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
+            answer: AnswerMemory::default(),
         }
     }
 

@@ -161,14 +161,21 @@ impl Measurements {
 
     /// What the epoch lacked before any position was sought, into `reasons`.
     pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
-        if !self.without_ephemeris.is_empty() {
-            let satellites = self.without_ephemeris.clone();
-            reasons.push(Reason::EphemerisMissing { satellites });
-        }
-        if let Some(used) = self.ionosphere_fallback {
-            reasons.push(Reason::IonosphereFallback { used });
-        }
+        aiding_reasons(&self.without_ephemeris, self.ionosphere_fallback, reasons);
     }
+}
+
+/// What an epoch lacked, into `reasons`: ephemerides of these satellites, and the ionosphere model
+/// asked for, which another stood in for.
+pub(super) fn aiding_reasons(
+    without_ephemeris: &[SatelliteId],
+    ionosphere_fallback: Option<&'static str>,
+    reasons: &mut Vec<Reason>,
+) {
+    if !without_ephemeris.is_empty() {
+        reasons.push(Reason::EphemerisMissing { satellites: without_ephemeris.to_vec() });
+    }
+    reasons.extend(ionosphere_fallback.map(|used| Reason::IonosphereFallback { used }));
 }
 
 /// The measurement of one satellite, not yet placed.

@@ -27,6 +27,9 @@ const HUBER_LATE: f64 = 1.345;
 const HUBER_EARLY: f64 = 2.0 * HUBER_LATE;
 /// Reweighted solutions at most.
 const REWEIGHTINGS_MAX: usize = 500;
+/// Distance within which rows need no new place before their weights have settled (m): the range's
+/// curvature is less than a millimetre.
+const STRAIGHT_M: f64 = 100.0;
 /// Change of position at which the weights have settled (m).
 const SETTLED_M: f64 = 1e-6;
 
@@ -55,17 +58,19 @@ impl SinglePoint {
         for _ in 0..REWEIGHTINGS_MAX {
             self.reweigh(&step);
             let Some(mut next) = Step::solve(&self.rows) else { return all };
-            let change_m = (next.position_m - step.position_m).norm();
-            if LAST_STEP_M < next.position_m.norm() {
+            let has_settled = (next.position_m - step.position_m).norm() < SETTLED_M;
+            let moved_m = next.position_m.norm();
+            if has_settled && moved_m <= LAST_STEP_M {
+                step = next;
+                break;
+            }
+            if has_settled || STRAIGHT_M < moved_m {
                 // The weights carry over to rows at the new place.
                 origin.0 += next.position_m;
                 let Some(moved) = self.replaced(scene, origin, &next) else { return all };
                 next = moved;
             }
             step = next;
-            if change_m < SETTLED_M {
-                break;
-            }
         }
         Fit { test_ratio: all.test_ratio, ..self.judge(origin, step) }
     }

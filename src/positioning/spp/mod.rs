@@ -132,6 +132,13 @@ impl SinglePoint {
         }
     }
 
+    /// Measurements of the epoch solved last, none excluded; placed where its position is, if it
+    /// has one.
+    pub(super) fn measurements(&mut self) -> &mut Measurements {
+        self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
+        &mut self.measurements
+    }
+
     fn fit(
         &mut self,
         epoch: &Epoch,

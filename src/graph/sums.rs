@@ -1,0 +1,141 @@
+//! Rows on the same coordinates, summed before they enter a system.
+//!
+//! The rows of one kind at a state name the same few coordinates: Σ w·jjᵀ and Σ w·jr of their
+//! Jacobians j are sums of small dense matrices, which enter the state's block once.
+
+use crate::graph::system::{Link, System};
+
+/// Normal equations of rows on the same N coordinates of one state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowSum<const N: usize> {
+    /// Σ w·jjᵀ, full.
+    matrix: [[f64; N]; N],
+    /// Σ w·jr.
+    gradient: [f64; N],
+}
+
+impl<const N: usize> RowSum<N> {
+    /// Of no rows.
+    pub const ZERO: Self = Self { matrix: [[0.0; N]; N], gradient: [0.0; N] };
+
+    /// Adds a row by its weight, which [`System::weigh`] gives.
+    #[inline]
+    pub fn add(&mut self, residual: f64, jacobian: &[f64; N], weight: f64) {
+        let scaled = jacobian.map(|slope| slope * weight);
+        for (column, factor) in self.matrix.iter_mut().zip(scaled) {
+            for (value, slope) in column.iter_mut().zip(jacobian) {
+                *value += factor * slope;
+            }
+        }
+        for (value, factor) in self.gradient.iter_mut().zip(scaled) {
+            *value += factor * residual;
+        }
+    }
+}
+
+/// Normal equations of rows on the same N coordinates of one state and M of the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkSum<const N: usize, const M: usize> {
+    earlier: RowSum<N>,
+    later: RowSum<M>,
+    /// Σ w·j₊jᵀ, by columns of the earlier state.
+    coupling: [[f64; M]; N],
+}
+
+impl<const N: usize, const M: usize> LinkSum<N, M> {
+    /// Of no rows.
+    pub const ZERO: Self =
+        Self { earlier: RowSum::ZERO, later: RowSum::ZERO, coupling: [[0.0; M]; N] };
+
+    /// Adds a row by its weight, which [`System::weigh`] gives; its coordinates are the sum's.
+    #[inline]
+    pub fn add(&mut self, link: &Link<N, M>, weight: f64) {
+        self.earlier.add(link.residual, &link.jacobian, weight);
+        self.later.add(link.residual, &link.next_jacobian, weight);
+        for (column, slope) in self.coupling.iter_mut().zip(link.jacobian) {
+            let factor = weight * slope;
+            for (value, slope) in column.iter_mut().zip(link.next_jacobian) {
+                *value += factor * slope;
+            }
+        }
+    }
+}
+
+impl<const S: usize> System<S> {
+    /// Adds rows on the coordinates `columns` of state `k`, ascending and none twice; their cost is
+    /// that of [`System::weigh`].
+    #[inline]
+    pub fn add_sum<const N: usize>(&mut self, k: usize, columns: &[usize; N], sum: &RowSum<N>) {
+        let block = &mut self.diagonal[k].data.0;
+        let gradient = &mut self.gradient[k].data.0[0];
+        for j in 0..N {
+            gradient[columns[j]] += sum.gradient[j];
+            let target = &mut block[columns[j]];
+            for i in j..N {
+                target[columns[i]] += sum.matrix[j][i];
+            }
+        }
+    }
+
+    /// Adds rows on `columns` of state `k` and `next` of state `k + 1`, else as
+    /// [`System::add_sum`] does.
+    #[inline]
+    pub fn add_link_sum<const N: usize, const M: usize>(
+        &mut self,
+        k: usize,
+        (columns, next): (&[usize; N], &[usize; M]),
+        sum: &LinkSum<N, M>,
+    ) {
+        self.add_sum(k, columns, &sum.earlier);
+        self.add_sum(k + 1, next, &sum.later);
+        let block = &mut self.coupling[k].data.0;
+        for j in 0..N {
+            let target = &mut block[columns[j]];
+            for i in 0..M {
+                target[next[i]] += sum.coupling[j][i];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::kernel::Kernel;
+    use crate::graph::system::BorderLife;
+
+    const COLUMNS: ([usize; 2], [usize; 3]) = ([0, 3], [1, 2, 4]);
+
+    fn links() -> [Link<2, 3>; 3] {
+        [1.0, -0.5, 3.0].map(|residual: f64| Link {
+            residual,
+            columns: COLUMNS.0,
+            jacobian: [0.3 * residual, -1.1],
+            next_columns: COLUMNS.1,
+            next_jacobian: [0.7, residual, -0.2],
+        })
+    }
+
+    /// Summed rows are the rows, one by one.
+    #[test]
+    fn a_sum_is_its_rows() {
+        let kernel = Kernel::cauchy(2.0).tempered(0.5);
+        let (mut single, mut summed) =
+            (System::<5>::new(BorderLife::WholeChain), System::<5>::new(BorderLife::WholeChain));
+        single.reset(2, 0);
+        summed.reset(2, 0);
+        let mut sum = LinkSum::ZERO;
+        for link in links() {
+            single.add_link(0, &link, &kernel);
+            sum.add(&link, summed.weigh(link.residual, &kernel));
+        }
+        summed.add_link_sum(0, (&COLUMNS.0, &COLUMNS.1), &sum);
+        for k in 0..2 {
+            assert!((single.diagonal[k] - summed.diagonal[k]).norm() < 1e-14);
+            assert!((single.coupling[k] - summed.coupling[k]).norm() < 1e-14);
+            assert!((single.gradient[k] - summed.gradient[k]).norm() < 1e-14);
+        }
+        assert!(1.0 < single.diagonal[1].norm());
+        assert!((single.cost() - summed.cost()).abs() < 1e-14);
+    }
+}
