@@ -169,17 +169,28 @@ impl Arcs {
     }
 
     /// Puts the labels of the newest origin in the place of the ambiguities in rows of one group,
-    /// and drops the other rows.
+    /// and drops the other rows. The count all labels begin with is the ambiguities' own, in the
+    /// mean: where wavelengths differ, what is common to all is no offset.
     pub(super) fn put_labels(&self, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
         let label = |row: &SharingRow<3>| {
             let (variable, _) = row.border?;
             self.list.iter().find(|arc| arc.variable == variable)?.label
         };
         let newest = rows.iter().filter_map(label).map(|label| label.origin).max();
+        let (mut common, mut count) = (0.0, 0.0);
+        for row in rows.iter() {
+            if let Some((own, (variable, _))) = label(row).zip(row.border)
+                && Some(own.origin) == newest
+            {
+                common += border[variable] - own.integer as f64;
+                count += 1.0;
+            }
+        }
+        common /= f64::max(count, 1.0);
         rows.retain_mut(|row| {
             let own = label(row).filter(|label| Some(label.origin) == newest);
             let (Some(label), Some((variable, slope))) = (own, row.border) else { return false };
-            row.row.residual += (label.integer as f64 - border[variable]) * slope;
+            row.row.residual += (label.integer as f64 + common - border[variable]) * slope;
             true
         });
     }

@@ -236,48 +236,61 @@ impl Integers {
         joint: &Joint,
         options: &RtkOptions,
     ) -> Resolution {
-        let mut wanted = self.indices(|_| true);
         let lambda = lambda_options(options);
-        let Some((mut outcome, mut position)) = self.search(arcs, joint, &wanted, &lambda) else {
-            return self.refused(Reason::FixRejected);
-        };
-        let mut tried = outcome.attempts;
-        if outcome.rejection == Some(Rejection::Ratio)
-            && let Some(found) = self.search_without_a_group(arcs, joint, &lambda)
-        {
-            (wanted, outcome, position) = found;
+        let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
+        for wanted in self.subsets(arcs, options) {
+            let part = joint.of(&wanted);
+            let Some((outcome, position)) = self.search(arcs, &part, &wanted, &lambda) else {
+                continue;
+            };
             tried += outcome.attempts;
+            resolution.ratio = outcome.ratio;
+            resolution.success_rate = Some(outcome.success_rate);
+            if let Some(reason) = refusal(&outcome) {
+                resolution.outcome = Err(reason);
+                continue;
+            }
+            resolution.outcome = Err(Reason::FixRejected);
+            let entries = self.resolver.fix().entries();
+            let contradicts = |(&i, entry): (&usize, &Option<i64>)| {
+                self.pairs[i].known.zip(*entry).is_some_and(|(known, found)| known != found)
+            };
+            if wanted.iter().zip(entries).any(contradicts) {
+                drop_labels(arcs, trust, true);
+                return resolution;
+            }
+            let stated = chosen_of(tried, outcome.probability.unwrap_or(0.0));
+            let doubted = self.doubted(joint, &wanted, stated);
+            if let Some(probability) = doubted.filter(|p| options.probability_min <= *p) {
+                let held = self.label(arcs, trust, &wanted);
+                trust.agreed += 1;
+                trust.was_kept |= options.hold_epochs <= trust.agreed;
+                trust.probability = probability;
+                (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
+                resolution.outcome = Ok(fixed_position(&position, held, probability));
+                return resolution;
+            }
         }
-        let mut resolution = Resolution {
-            ambiguities: self.pairs.len(),
-            ratio: outcome.ratio,
-            success_rate: Some(outcome.success_rate),
-            outcome: Err(Reason::FixRejected),
-        };
-        if let Some(reason) = refusal(&outcome) {
-            resolution.outcome = Err(reason);
-            return resolution;
-        }
-        let entries = self.resolver.fix().entries();
-        let contradicts = |(&i, entry): (&usize, &Option<i64>)| {
-            self.pairs[i].known.zip(*entry).is_some_and(|(known, found)| known != found)
-        };
-        if wanted.iter().zip(entries).any(contradicts) {
-            drop_labels(arcs, trust, true);
-            return resolution;
-        }
-        let stated = chosen_of(tried, outcome.probability.unwrap_or(0.0));
-        let Some(probability) = self.doubted(joint, &wanted, stated) else { return resolution };
-        if probability < options.probability_min {
-            return resolution;
-        }
-        let held = self.label(arcs, trust, &wanted);
-        trust.agreed += 1;
-        trust.was_kept |= options.hold_epochs <= trust.agreed;
-        trust.probability = probability;
-        (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
-        resolution.outcome = Ok(fixed_position(&position, held, probability));
         resolution
+    }
+
+    /// The pairs to look for together, one set after another until one is found: those of groups with
+    /// one wavelength, where there are others; all; and all but one group.
+    ///
+    /// Receivers of different makers may not agree on the phase of one signal.
+    fn subsets(&self, arcs: &[Arc], options: &RtkOptions) -> Vec<Vec<usize>> {
+        let group = |pair: &DoubleDifference| arcs[pair.arc].group();
+        let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let mut subsets = vec![
+            self.indices(|pair| has_one_wavelength(&arcs[pair.arc])),
+            self.indices(|_| true),
+        ];
+        subsets.extend(groups.iter().map(|out| self.indices(|pair| group(pair) != *out)));
+        subsets.retain(|wanted| options.fixed_min <= wanted.len());
+        subsets.dedup();
+        subsets
     }
 
     /// The probability of the integers the last search found among the pairs `wanted`, given what
@@ -292,37 +305,6 @@ impl Integers {
         let others: Vec<_> = others.collect();
         let (rest, _) = condition(joint, &known, &values, &others)?;
         Some(doubted(probability, &rest))
-    }
-
-    /// Leaves out each group in turn, where all together contradict one another: receivers of
-    /// different makers may not agree on the phase of one signal. The largest ratio counts; the
-    /// resolver holds its fix.
-    fn search_without_a_group(
-        &mut self,
-        arcs: &[Arc],
-        joint: &Joint,
-        options: &Options,
-    ) -> Option<(Vec<usize>, Outcome, Joint)> {
-        let mut groups: Vec<_> = self.pairs.iter().map(|pair| arcs[pair.arc].group()).collect();
-        groups.sort_unstable();
-        groups.dedup();
-        let mut best: Option<(f64, Vec<usize>)> = None;
-        for group in groups {
-            let wanted = self.indices(|pair| arcs[pair.arc].group() != group);
-            if wanted.len() < options.fixed_min {
-                continue;
-            }
-            let tried = self.search(arcs, &joint.of(&wanted), &wanted, options);
-            let Some((outcome, _)) = tried else { continue };
-            let ratio = outcome.ratio.unwrap_or(0.0);
-            let is_better = best.as_ref().is_none_or(|(known, _)| *known < ratio);
-            if outcome.rejection.is_none() && is_better {
-                best = Some((ratio, wanted));
-            }
-        }
-        let (_, wanted) = best?;
-        let (outcome, position) = self.search(arcs, &joint.of(&wanted), &wanted, options)?;
-        Some((wanted, outcome, position))
     }
 
     fn indices(&self, is_wanted: impl Fn(&DoubleDifference) -> bool) -> Vec<usize> {
@@ -423,11 +405,14 @@ impl Integers {
     }
 }
 
+/// Whether all arcs of the group have one wavelength, so that what they share is an offset.
+fn has_one_wavelength(arc: &Arc) -> bool {
+    arc.satellite.constellation != Constellation::Glonass
+}
+
 /// Whether the ambiguity of an arc is looked for among integers.
 pub(super) fn may_be_integer(arc: &Arc, options: &RtkOptions) -> bool {
-    !arc.half_cycle
-        && arc.satellite.constellation != Constellation::Glonass
-        && options.elevation_mask_rad <= arc.elevation_rad
+    !arc.half_cycle && options.elevation_mask_rad <= arc.elevation_rad
 }
 
 /// Forgets the integers kept, because they are wrong or because too few are left.
