@@ -9,6 +9,7 @@ use super::float::FloatSolution;
 use super::history::Named;
 use super::integers::{DISAGREEMENT, FIXED_SIGMA_M, FixedPosition, fixed_position, lambda_options};
 use super::joint::{Joint, condition, doubted};
+use super::noise::FREEDOM_LEAST;
 
 /// An ambiguity of an epoch.
 pub(super) struct Ambiguity<'a> {
@@ -80,7 +81,12 @@ fn are_found(
     let n = integers.len();
     let float: Vec<f64> = joint.estimate.iter().skip(3).copied().collect();
     let covariance = joint.covariance.view((3, 3), (n, n)).into_owned();
-    let found = resolver.resolve(&float, &covariance, Partial::None, &lambda_options(options));
+    let found = resolver.resolve(
+        &float,
+        &covariance,
+        Partial::None,
+        &lambda_options(options, FREEDOM_LEAST),
+    );
     let entries = resolver.fix().entries().iter();
     found.is_ok_and(|outcome| outcome.rejection.is_none())
         && entries.zip(integers).all(|(entry, integer)| *entry == Some(*integer))

@@ -26,8 +26,6 @@ const CANDIDATES: usize = 4;
 const NODES_MAX: usize = 20_000;
 /// Subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
-/// Residuals that would tell as much of the noise as is known of it.
-const SCALE_FREEDOM: f64 = 8.0;
 /// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
 pub(super) const DISAGREEMENT: f64 = 4.0;
 
@@ -144,6 +142,7 @@ impl Integers {
         is_present: impl Fn(&Arc) -> bool,
         float: &FloatSolution,
         options: &RtkOptions,
+        freedom: f64,
     ) -> Resolution {
         let is_eligible = |arc: &Arc| is_present(arc) && may_be_integer(arc, options);
         self.difference(arcs, is_eligible, float);
@@ -158,14 +157,15 @@ impl Integers {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.joint(float);
+        let lambda = lambda_options(options, freedom);
         if options.hold_epochs <= trust.agreed {
-            if let Some(resolution) = self.resolve_held(arcs, trust, &joint, options) {
+            if let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
                 return resolution.if_precise();
             }
             let (era, before) = (trust.era, self.pairs.clone());
             drop_labels(arcs, trust, false);
             self.pairs.iter_mut().for_each(|pair| pair.known = None);
-            let resolution = self.resolve_anew(arcs, trust, &joint, options);
+            let resolution = self.resolve_anew(arcs, trust, &joint, &lambda, options.hold_epochs);
             // What no longer agrees is not wrong before other integers are found.
             let found = |arc: usize| arcs[arc].label;
             let differs = |pair: &DoubleDifference| {
@@ -178,7 +178,7 @@ impl Integers {
             }
             return resolution.if_precise();
         }
-        self.resolve_anew(arcs, trust, &joint, options).if_precise()
+        self.resolve_anew(arcs, trust, &joint, &lambda, options.hold_epochs).if_precise()
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -193,7 +193,7 @@ impl Integers {
         arcs: &mut [Arc],
         trust: &mut Trust,
         joint: &Joint,
-        options: &RtkOptions,
+        options: &Options,
     ) -> Option<Resolution> {
         let known = self.indices(|pair| pair.known.is_some());
         let others = self.indices(|pair| pair.known.is_none());
@@ -212,7 +212,7 @@ impl Integers {
         }
         let mut held = known.len();
         if !others.is_empty() {
-            let lambda = Options { fixed_min: 1, ..lambda_options(options) };
+            let lambda = Options { fixed_min: 1, ..*options };
             if let Some((outcome, position)) = self.search(arcs, &rest, &others, &lambda)
                 && outcome.rejection.is_none()
             {
@@ -234,13 +234,13 @@ impl Integers {
         arcs: &mut [Arc],
         trust: &mut Trust,
         joint: &Joint,
-        options: &RtkOptions,
+        options: &Options,
+        hold_epochs: u32,
     ) -> Resolution {
-        let lambda = lambda_options(options);
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
-        for wanted in self.subsets(arcs, options) {
+        for wanted in self.subsets(arcs, options.fixed_min) {
             let part = joint.of(&wanted);
-            let Some((outcome, position)) = self.search(arcs, &part, &wanted, &lambda) else {
+            let Some((outcome, position)) = self.search(arcs, &part, &wanted, options) else {
                 continue;
             };
             tried += outcome.attempts;
@@ -264,7 +264,7 @@ impl Integers {
             if let Some(probability) = doubted.filter(|p| options.probability_min <= *p) {
                 let held = self.label(arcs, trust, &wanted);
                 trust.agreed += 1;
-                trust.was_kept |= options.hold_epochs <= trust.agreed;
+                trust.was_kept |= hold_epochs <= trust.agreed;
                 trust.probability = probability;
                 (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
                 resolution.outcome = Ok(fixed_position(&position, held, probability));
@@ -274,21 +274,19 @@ impl Integers {
         resolution
     }
 
-    /// The pairs to look for together, one set after another until one is found: those of groups with
-    /// one wavelength, where there are others; all; and all but one group.
+    /// The pairs to look for together, one set after another until one is found: those of groups
+    /// with one wavelength, where there are others; all; and all but one group.
     ///
     /// Receivers of different makers may not agree on the phase of one signal.
-    fn subsets(&self, arcs: &[Arc], options: &RtkOptions) -> Vec<Vec<usize>> {
+    fn subsets(&self, arcs: &[Arc], fixed_min: usize) -> Vec<Vec<usize>> {
         let group = |pair: &DoubleDifference| arcs[pair.arc].group();
         let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
         groups.sort_unstable();
         groups.dedup();
-        let mut subsets = vec![
-            self.indices(|pair| has_one_wavelength(&arcs[pair.arc])),
-            self.indices(|_| true),
-        ];
+        let mut subsets =
+            vec![self.indices(|pair| has_one_wavelength(&arcs[pair.arc])), self.indices(|_| true)];
         subsets.extend(groups.iter().map(|out| self.indices(|pair| group(pair) != *out)));
-        subsets.retain(|wanted| options.fixed_min <= wanted.len());
+        subsets.retain(|wanted| fixed_min <= wanted.len());
         subsets.dedup();
         subsets
     }
@@ -423,12 +421,14 @@ pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust, are_wrong: bool) 
     *trust = Trust { era, refuted, origins, ..Trust::default() };
 }
 
-pub(super) fn lambda_options(options: &RtkOptions) -> Options {
+/// How integers are looked for where as much is known of the noise's scale as `freedom` residuals
+/// would tell.
+pub(super) fn lambda_options(options: &RtkOptions, freedom: f64) -> Options {
     Options {
         success_rate_min: options.success_rate_min,
         ratio_test: RatioTest::Constant(options.ratio_min),
         probability_min: options.probability_min,
-        scale_freedom: SCALE_FREEDOM,
+        scale_freedom: freedom,
         fixed_min: options.fixed_min,
         candidates: CANDIDATES,
         nodes_max: NODES_MAX,

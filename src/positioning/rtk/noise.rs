@@ -7,43 +7,117 @@ const NOISE_EPOCHS: f64 = 20.0;
 /// Epochs that the stated noise counts for.
 const NOISE_PRIOR_EPOCHS: f64 = 2.0;
 /// Factors on the stated noise, lest few satellites or a street say nonsense.
-const NOISE_SCALES: std::ops::RangeInclusive<f64> = 0.25..=4.0;
+const NOISE_SCALES: std::ops::RangeInclusive<f64> = 0.1..=4.0;
 /// A normal variable's standard deviation over its median magnitude.
 const NORMAL_OVER_MEDIAN: f64 = 1.482_6;
 
-/// Standard deviations seen over those stated.
+/// Residuals that would tell as much of the scale as is known of it, at the least.
+pub(super) const FREEDOM_LEAST: f64 = 8.0;
+/// At the most.
+const FREEDOM_MOST: f64 = 64.0;
+/// What the excess is before anything is seen: that of the least freedom; and the epochs it counts
+/// for.
+const EXCESS_PRIOR: f64 = 0.5;
+const EXCESS_PRIOR_EPOCHS: f64 = 5.0;
+
+/// Standard deviations seen over those stated, and how steady their factor is.
 ///
 /// Receivers differ by a factor of five for the same C/N0. m = 1.4826·median∣s∣, s the whitened
 /// residuals of all groups, widened for the numbers they have determined; the scale's square is a
 /// running mean of m² that begins with one.
+///
+/// How well it is known is seen too: s², the mean square over its degrees of freedom k, has
+/// variance 2/k about one where the scale is right, and more by an excess where it comes and goes,
+/// or where residuals have tails. A scale that is inverse chi-square of ν degrees has an excess of
+/// 2/(ν − 4).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NoiseScale {
     /// The factor.
     pub(super) value: f64,
     /// Epochs it was learnt from.
     learnt: f64,
+    /// Mean of s².
+    mean: f64,
+    /// Relative variance of s² beyond 2/k.
+    excess: f64,
 }
 
-snapshot_fields!(NoiseScale { value, learnt });
+snapshot_fields!(NoiseScale { value, learnt, mean, excess });
 
 impl NoiseScale {
     /// As stated.
     pub(super) const fn stated() -> Self {
-        Self { value: 1.0, learnt: 0.0 }
+        Self { value: 1.0, learnt: 0.0, mean: 1.0, excess: EXCESS_PRIOR }
+    }
+
+    /// ν: the residuals that would tell as much of the scale as is known of it.
+    pub(super) fn freedom(&self) -> f64 {
+        match 0.0 < self.excess {
+            true => (4.0 + 2.0 / self.excess).clamp(FREEDOM_LEAST, FREEDOM_MOST),
+            false => FREEDOM_MOST,
+        }
     }
 
     /// Takes the residuals of one epoch, which have determined so many numbers.
     pub(super) fn learn(&mut self, misses: &mut [f64], determined: usize) {
         let n = misses.len();
-        if n < 2 * determined {
+        if n < determined + 3 {
             return;
         }
+        let left = (n - determined) as f64;
+        let square = misses.iter().map(|miss| miss * miss).sum::<f64>() / left;
         let (_, median, _) = misses.select_nth_unstable_by(n / 2, f64::total_cmp);
-        let freedom = n as f64 / (n - determined) as f64;
+        let freedom = n as f64 / left;
         let stated = self.value.powi(2);
         let seen = (*median * NORMAL_OVER_MEDIAN).powi(2) * stated * freedom;
         self.learnt = (self.learnt + 1.0).min(NOISE_EPOCHS);
+        let epochs = self.learnt + EXCESS_PRIOR_EPOCHS;
+        self.mean += (square - self.mean) / epochs;
+        // What is less than stated does no harm, if only it is steady.
+        let usual = self.mean.min(1.0);
+        let excess = (square / usual - 1.0).powi(2) - 2.0 / left;
+        self.excess += (excess - self.excess) / epochs;
         let mean = stated + (seen - stated) / (self.learnt + NOISE_PRIOR_EPOCHS);
         self.value = mean.sqrt().clamp(*NOISE_SCALES.start(), *NOISE_SCALES.end());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Magnitudes of nine standard normal residuals, which have determined one number.
+    fn misses(scale: f64) -> Vec<f64> {
+        let quantiles = [0.0697, 0.2104, 0.3549, 0.5062, 0.6682, 0.8463, 1.0503, 1.3013, 1.6629];
+        quantiles.map(|quantile| 1.06 * scale * quantile).to_vec()
+    }
+
+    fn learnt(scales: impl Iterator<Item = f64>) -> NoiseScale {
+        let mut noise = NoiseScale::stated();
+        for scale in scales {
+            noise.learn(&mut misses(scale / noise.value), 1);
+        }
+        noise
+    }
+
+    /// As stated, or steadily a third of it: the scale is known as well as can be. Half of the epochs
+    /// at four times the rest, or one residual of nine a hundred sigmas: as little as ever.
+    #[test]
+    fn a_steady_scale_is_known_well() {
+        for scale in [1.0, 1.0 / 3.0] {
+            let noise = learnt(std::iter::repeat_n(scale, 200));
+            assert!((noise.value / scale - 1.0).abs() < 0.15, "{noise:?}");
+            assert!(40.0 < noise.freedom(), "{noise:?}");
+        }
+        assert_eq!(NoiseScale::stated().freedom(), FREEDOM_LEAST);
+        let uneasy = learnt((0..200).map(|k| if k % 2 == 0 { 4.0 } else { 1.0 }));
+        assert_eq!(uneasy.freedom(), FREEDOM_LEAST, "{uneasy:?}");
+        let mut tailed = NoiseScale::stated();
+        for _ in 0..200 {
+            let mut with_one = misses(1.0 / tailed.value);
+            with_one[3] = 100.0;
+            tailed.learn(&mut with_one, 1);
+        }
+        assert_eq!(tailed.freedom(), FREEDOM_LEAST, "{tailed:?}");
     }
 }
