@@ -7,8 +7,10 @@ use std::path::Path;
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::formats::rinex::{ObservationReader, read_navigation};
 use graphfix::formats::{decompress, truth};
+use graphfix::gnss::constants::SPEED_OF_LIGHT;
 use graphfix::gnss::{BaseStation, Ecef, Epoch, GpsTime, LocalFrame, Navigation, Reason};
-use graphfix::gnss::{Solution, Status};
+use graphfix::gnss::{Constellation, Ephemeris, Signal, Solution, Status};
+use graphfix::models::select_ephemeris;
 use graphfix::positioning::{Aiding, BaseAiding, Batch, Estimator};
 use graphfix::simulation::{Scenario, Simulator};
 
@@ -259,6 +261,46 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     assert!(fixed[0] < fixed[1] && fixed[1] < fixed[2], "{fixed:?} of {all} fixed");
     let is_rare = |(wrong, fixed): (&usize, &usize)| 100 * wrong <= *fixed;
     assert!(wrong.iter().zip(&fixed).all(is_rare), "{wrong:?} of {fixed:?} wrong");
+}
+
+/// GLONASS alone, each satellite with a wavelength of its own, between receivers whose delays differ
+/// from channel to channel: as Trimble's and Leica's do, by 3 cm.
+#[test]
+fn glonass_alone_is_fixed() {
+    for slope_m in [0.0, 0.03] {
+        let constellations = vec![Constellation::Glonass];
+        let scenario = Scenario { constellations, ..Scenario::by_name("rtk-open").unwrap() };
+        let simulator = Simulator::new(scenario, 2);
+        let navigation = simulator.navigation().clone();
+        let antenna_reference_point = simulator.base_position().unwrap();
+        let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
+        let mut estimator = Estimator::new(general());
+        let (mut all, mut fixed) = (0, 0);
+        for mut epoch in simulator {
+            for observation in &mut epoch.rover.observations {
+                let ephemeris =
+                    select_ephemeris(&navigation, observation.satellite, epoch.rover.time);
+                let Some(channel) = ephemeris.and_then(Ephemeris::glonass_channel) else {
+                    continue;
+                };
+                let signal = Signal::of(observation.satellite, observation.code);
+                let frequency_hz = signal.frequency_hz(Some(channel)).unwrap();
+                let cycles = f64::from(channel) * slope_m * frequency_hz / SPEED_OF_LIGHT;
+                observation.carrier_phase.iter_mut().for_each(|phase| phase.0 += cycles);
+            }
+            let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
+            let solution =
+                estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base });
+            all += 1;
+            if solution.status == Status::Fixed {
+                let position = solution.estimate.unwrap().position;
+                let error = LocalFrame::at(epoch.position).to_enu(position).0.xy().norm();
+                assert!(error < 0.1, "{error} m off");
+                fixed += 1;
+            }
+        }
+        assert!(all < 2 * fixed, "{slope_m} m a channel: {fixed} of {all} fixed");
+    }
 }
 
 /// A hardware simulator's signals, 2 km: 2 mm are the rounding of phases and the troposphere.

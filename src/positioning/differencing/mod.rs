@@ -31,6 +31,7 @@ use crate::models::{
 use crate::snapshot::snapshot_fields;
 
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
+use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use pairing::{Pair, pairs};
 use variances::{DifferenceVariances, PairQuality};
 
@@ -46,12 +47,21 @@ pub(super) struct Differenced {
     pub(super) variance_m2: f64,
 }
 
+/// A range rate free of the satellite's clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct RangeRate {
+    pub(super) rate_m_s: f64,
+    pub(super) variance_m2_s2: f64,
+}
+
 /// A satellite that both receivers see.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CommonSatellite {
     pub(super) satellite: SatelliteId,
     /// At the transmission of what the rover received.
-    pub(super) position: Ecef,
+    pub(super) state: SatelliteState,
+    /// −λD + c·δṫˢ of the rover's strongest signal of those both receive.
+    pub(super) range_rate: Option<RangeRate>,
     /// From the rover.
     pub(super) look: LookAngles,
     pub(super) ephemeris: EphemerisIssue,
@@ -170,7 +180,7 @@ impl SingleDifferences {
             let (_, begin, end) = self.base[place];
             let others = &base.epoch.observations[begin..end];
             pairs(observations, others, ephemeris.glonass_channel(), options, &mut common);
-            self.add(&scene, &common, ephemeris);
+            self.add(&scene, &common, ephemeris, options);
         }
         self.without_ephemeris.sort_unstable();
         self.mask(options);
@@ -192,7 +202,13 @@ impl SingleDifferences {
 
     /// The differences of one satellite; none if either receiver has no pseudorange of it, which
     /// tells when the signal was sent.
-    fn add(&mut self, scene: &Scene, common: &[Pair<'_>], ephemeris: &Ephemeris) {
+    fn add(
+        &mut self,
+        scene: &Scene,
+        common: &[Pair<'_>],
+        ephemeris: &Ephemeris,
+        options: &PositioningOptions,
+    ) {
         let Some((rover_m, base_m)) = ranges_m(common) else { return };
         let [state, base_state] = scene.states(ephemeris, rover_m, base_m);
         let look = look_angles(&scene.rover.frame, state.position);
@@ -232,7 +248,8 @@ impl SingleDifferences {
         }
         self.satellites.push(CommonSatellite {
             satellite,
-            position: state.position,
+            state,
+            range_rate: range_rate(common, &state, options),
             look,
             ephemeris: EphemerisIssue { satellite, toe: ephemeris.toe(), issue: ephemeris.issue() },
             rover_range_m: rover_m + rover_part_m,
@@ -324,6 +341,24 @@ fn carrier_m(observation: &Observation, pair: &Pair<'_>) -> Option<f64> {
     let wavelength = Meters(SPEED_OF_LIGHT / pair.frequency_hz);
     let phase = observation.carrier_phase.filter(|phase| phase.0.is_finite() && phase.0 != 0.0)?;
     Some(phase.to_meters(wavelength).0)
+}
+
+/// The range rate of the signal whose Doppler shift is the least noisy.
+fn range_rate(
+    common: &[Pair<'_>],
+    state: &SatelliteState,
+    options: &PositioningOptions,
+) -> Option<RangeRate> {
+    let measured = common.iter().filter_map(|pair| {
+        let doppler_hz = pair.rover.doppler_hz.filter(|doppler_hz| doppler_hz.is_finite())?;
+        let wavelength_m = SPEED_OF_LIGHT / pair.frequency_hz;
+        let cn0_db_hz = pair.rover.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
+        Some(RangeRate {
+            rate_m_s: -wavelength_m * doppler_hz + state.clock_drift_m_s,
+            variance_m2_s2: variance_m2_s2(options.doppler_sigma_m_s, cn0_db_hz),
+        })
+    });
+    measured.min_by(|a, b| a.variance_m2_s2.total_cmp(&b.variance_m2_s2))
 }
 
 /// The state a moment later, in a straight line.

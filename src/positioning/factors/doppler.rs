@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::gnss::{Ecef, LocalFrame};
-use crate::graph::Row;
+use crate::graph::{Row, SharingRow};
 use crate::models::{SatelliteState, range_rate};
 use crate::snapshot::snapshot_fields;
 
@@ -55,6 +55,20 @@ impl DopplerFactor {
             jacobian: [g.x * w, g.y * w, g.z * w, w],
         }
     }
+
+    /// The same on the velocity alone, the drift shared by all satellites and eliminated.
+    pub(in crate::positioning) fn linearize_sharing(
+        &self,
+        velocity: &Vector3<f64>,
+    ) -> SharingRow<3> {
+        let (g, w) = (&self.slope, self.inverse_sigma);
+        let row = Row {
+            residual: (g.dot(velocity) - self.rate_m_s) * w,
+            columns: [VELOCITY, VELOCITY + 1, VELOCITY + 2],
+            jacobian: [g.x * w, g.y * w, g.z * w],
+        };
+        SharingRow { row, by_offset: w, border: None, share: 1.0 }
+    }
 }
 
 snapshot_fields!(DopplerFactor { slope, rate_m_s, inverse_sigma });
@@ -89,6 +103,18 @@ mod tests {
     fn the_jacobian_is_the_derivative() {
         let factor = DopplerFactor::new(&frame(), frame().origin, &satellite(), -300.0, 0.1);
         check_row(&state(), |state| factor.linearize(state));
+    }
+
+    /// Either form says the same of the velocity, and of the drift.
+    #[test]
+    fn a_shared_drift_is_the_drift() {
+        let factor = DopplerFactor::new(&frame(), frame().origin, &satellite(), -300.0, 0.1);
+        let (own, state) = (factor.linearize(&state()), state());
+        let shared = factor.linearize_sharing(&state.fixed_rows::<3>(VELOCITY).into_owned());
+        let residual = shared.row.residual + shared.by_offset * state[DRIFT];
+        assert!((residual - own.residual).abs() < 1e-9);
+        assert_eq!(shared.row.jacobian[..], own.jacobian[..3]);
+        assert_eq!(shared.row.columns[..], own.columns[..3]);
     }
 
     /// The satellite's own motion must be in it.

@@ -51,11 +51,11 @@ struct Slope {
 
 impl Slope {
     fn of(row: &SharingRow<3>) -> Self {
-        let [x, y, z] = row.row.jacobian;
+        let ([x, y, z], [first, second, third]) = (row.row.jacobian, row.row.columns);
         let (variable, by_ambiguity) = row.border.unwrap_or((0, 0.0));
         let ambiguity = if row.border.is_some() { AMBIGUITY + variable } else { OFFSET };
         Self {
-            columns: [0, 1, 2, OFFSET, ambiguity],
+            columns: [first, second, third, OFFSET, ambiguity],
             values: [x, y, z, row.by_offset, by_ambiguity],
         }
     }

@@ -4,7 +4,7 @@ use nalgebra::{SVector, Vector3};
 
 use crate::gnss::GpsTime;
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, SharingRow, System};
-use crate::positioning::factors::{ComponentFactor, MotionFactor, Sight};
+use crate::positioning::factors::{ComponentFactor, DopplerFactor, MotionFactor, Sight};
 use crate::snapshot::snapshot_fields;
 
 use super::settings::Kernels;
@@ -84,6 +84,8 @@ pub(super) struct RtkEpoch {
     pub(super) sights: Vec<Sight>,
     pub(super) rows: Vec<DifferenceFactor>,
     pub(super) groups: Vec<Group>,
+    /// The rover's Doppler shifts, whose drift is one.
+    pub(super) rates: Vec<DopplerFactor>,
     /// From the epoch before; `None` for the first.
     pub(super) motion: Option<MotionFactor>,
     pub(super) components: Vec<ComponentFactor>,
@@ -109,7 +111,7 @@ snapshot_fields!(Ambiguity { variable, wavelength_m });
 snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity });
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
-snapshot_fields!(RtkEpoch { time, sights, rows, groups, motion, components, starts });
+snapshot_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });
 
 impl RtkEpoch {
     /// Whether its factors name only satellites of its own, variables below `border` and numbers of
@@ -131,6 +133,7 @@ impl RtkEpoch {
             sights: Vec::new(),
             rows: Vec::new(),
             groups: Vec::new(),
+            rates: Vec::new(),
             motion: None,
             components: Vec::new(),
             starts: Vec::new(),
@@ -142,6 +145,7 @@ impl RtkEpoch {
         self.sights.clear();
         self.rows.clear();
         self.groups.clear();
+        self.rates.clear();
         self.motion = None;
         self.components.clear();
         self.starts.clear();
@@ -162,12 +166,19 @@ impl RtkEpoch {
         rows.extend(factors.iter().map(|factor| factor.linearize(&ranges[factor.sight], border)));
     }
 
+    /// The rows of the Doppler shifts at drift zero, into the scratch.
+    pub(super) fn linearize_rates(&self, state: &State, scratch: &mut Scratch) {
+        let velocity = state.fixed_rows::<3>(3).into_owned();
+        scratch.rows.clear();
+        scratch.rows.extend(self.rates.iter().map(|rate| rate.linearize_sharing(&velocity)));
+    }
+
     /// Adds what touches this epoch's state alone, and the border.
     pub(super) fn add_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
-        kernels: &[Kernel; 2],
+        kernels: &[Kernel; 3],
         scratch: &mut Scratch,
         system: &mut System<STATE>,
     ) {
@@ -177,6 +188,8 @@ impl RtkEpoch {
             self.linearize_group(group, &estimate.border, scratch);
             system.add_sharing_offset(k, &scratch.rows, &kernels[usize::from(group.is_carrier)]);
         }
+        self.linearize_rates(state, scratch);
+        system.add_sharing_offset(k, &scratch.rows, &kernels[2]);
         for component in &self.components {
             system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
         }
@@ -223,6 +236,7 @@ impl Clone for RtkEpoch {
         self.sights.clone_from(&source.sights);
         self.rows.clone_from(&source.rows);
         self.groups.clone_from(&source.groups);
+        self.rates.clone_from(&source.rates);
         self.motion = source.motion;
         self.components.clone_from(&source.components);
         self.starts.clone_from(&source.starts);

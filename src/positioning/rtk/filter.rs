@@ -269,6 +269,8 @@ fn enter(
     gains: &mut Gains,
 ) -> (usize, usize) {
     epoch.starts.iter().for_each(|start| belief.begin(start));
+    epoch.linearize_rates(&belief.state(), scratch);
+    belief.enter(&scratch.rows, limit, gains);
     let mut pseudoranges = (0, 0);
     for is_carrier in [false, true] {
         for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {

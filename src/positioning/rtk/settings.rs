@@ -14,12 +14,13 @@ const TOLERANCE: f64 = 1e-2;
 pub(super) struct Kernels {
     pseudorange: AnnealedKernel,
     carrier: AnnealedKernel,
+    doppler: Kernel,
 }
 
 impl Kernels {
-    /// The kernels of one phase, pseudoranges' and carriers'.
-    pub(super) fn at(&self, phase: Phase) -> [Kernel; 2] {
-        [self.pseudorange.at(phase), self.carrier.at(phase)]
+    /// The kernels of one phase: pseudoranges', carriers' and Doppler shifts'.
+    pub(super) fn at(&self, phase: Phase) -> [Kernel; 3] {
+        [self.pseudorange.at(phase), self.carrier.at(phase), self.doppler]
     }
 }
 
@@ -43,7 +44,11 @@ impl Settings {
         let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
         let (horizontal, up) = (options.graph.horizontal_walk_m_s, options.graph.vertical_walk_m_s);
         Self {
-            kernels: Kernels { pseudorange: annealed(3.0), carrier: annealed(4.0) },
+            kernels: Kernels {
+                pseudorange: annealed(3.0),
+                carrier: annealed(4.0),
+                doppler: Kernel::cauchy(options.graph.doppler_width),
+            },
             motion: MotionWalk { velocity_m_s: [horizontal, horizontal, up] },
             update: solve(Schedule::graduated(1, 1.0, 2.0, 1, 3)),
             whole: solve(Schedule::graduated(4, 8.0, 2.0, 1, 4)),

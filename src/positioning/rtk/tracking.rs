@@ -5,11 +5,11 @@
 
 use nalgebra::Vector3;
 
-use crate::config::PositioningOptions;
-use crate::gnss::{LocalFrame, Reason, SatelliteId};
+use crate::config::{DopplerUse, PositioningOptions};
+use crate::gnss::{Enu, LocalFrame, Reason, SatelliteId};
 use crate::graph::{Kernel, SharingRow, shared_offset};
-use crate::positioning::differencing::{SingleDifference, SingleDifferences};
-use crate::positioning::factors::Sight;
+use crate::positioning::differencing::{RangeRate, SingleDifference, SingleDifferences};
+use crate::positioning::factors::{DopplerFactor, Sight};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Arcs};
@@ -95,8 +95,11 @@ impl Tracking {
         options: &PositioningOptions,
     ) {
         let satellites = differences.satellites.iter();
-        epoch.sights.extend(satellites.map(|common| Sight::new(frame, common.position)));
+        epoch.sights.extend(satellites.map(|common| Sight::new(frame, common.state.position)));
         epoch.see(guess, &mut self.scratch);
+        if options.graph.doppler != DopplerUse::None {
+            add_rates(epoch, frame, guess, differences);
+        }
         for group in differences.list.chunk_by(|a, b| a.group() == b.group()) {
             let offset_m = self.add_pseudoranges(epoch, group, options);
             self.add_carriers(epoch, group, differences, offset_m, border, options);
@@ -310,6 +313,23 @@ impl Tracking {
         }
         any
     }
+}
+
+/// Doppler shifts of the rover from the satellites that are differenced.
+fn add_rates(
+    epoch: &mut RtkEpoch,
+    frame: &LocalFrame,
+    guess: &State,
+    differences: &SingleDifferences,
+) {
+    let place = frame.to_ecef(Enu(guess.fixed_rows::<3>(0).into_owned()));
+    let is_used = |common: &usize| differences.list.iter().any(|d| d.common == *common);
+    let used = (0..differences.satellites.len()).filter(is_used);
+    epoch.rates.extend(used.filter_map(|common| {
+        let satellite = &differences.satellites[common];
+        let RangeRate { rate_m_s, variance_m2_s2 } = satellite.range_rate?;
+        Some(DopplerFactor::new(frame, place, &satellite.state, rate_m_s, variance_m2_s2.sqrt()))
+    }));
 }
 
 fn start(epoch: &mut RtkEpoch, border: &mut Vec<f64>, variable: usize, mean: f64) {
