@@ -12,14 +12,14 @@ use graphfix::simulation::{Scenario, Simulator};
 use crate::data;
 use crate::recording::{Errors, Recording, canyon};
 
-/// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m. The maximum hangs on one epoch.
+/// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m; their program, run: 9.33, 8.06, 31.82.
 #[test]
 fn the_paper_profile_gives_the_papers_row() {
     let Some(recording) = canyon() else { return };
     let errors = Errors::in_the_canyon(&recording.batch(Profile::Paper));
     assert!((9.3..=9.5).contains(&errors.mean_m), "{}", errors.mean_m);
     assert!((8.0..=8.1).contains(&errors.deviation_m), "{}", errors.deviation_m);
-    assert!((30.0..=32.1).contains(&errors.greatest_m), "{}", errors.greatest_m);
+    assert!((31.5..=32.1).contains(&errors.greatest_m), "{}", errors.greatest_m);
 }
 
 #[test]

@@ -104,6 +104,20 @@ const TABLE: &[OptionSpecification] = &[
         set: |o, text| switch(text).map(|v| o.klobuchar_beidou = v),
     },
     OptionSpecification {
+        name: "group_delay_beidou", unit: "",
+        meaning: "whether BeiDou's broadcast group delays are taken off its pseudoranges",
+        allowed: "on, off",
+        get: |o| switch_text(o.group_delay_beidou),
+        set: |o, text| switch(text).map(|v| o.group_delay_beidou = v),
+    },
+    OptionSpecification {
+        name: "ephemeris_beidou_h", unit: "h",
+        meaning: "how far from its time of ephemeris a BeiDou ephemeris is used",
+        allowed: "a number from 1 to 24",
+        get: |o| (o.ephemeris_beidou_s / 3_600.0).to_string(),
+        set: |o, text| number(text, 1.0, 24.0).map(|v| o.ephemeris_beidou_s = v * 3_600.0),
+    },
+    OptionSpecification {
         name: "troposphere", unit: "",
         meaning: "how the troposphere's delay is corrected",
         allowed: "none, saastamoinen",

@@ -7,6 +7,8 @@ use super::{
     TroposphereMapping, TroposphereModel, WeightModel,
 };
 
+const HOUR_S: f64 = 3_600.0;
+
 /// What an estimator is told: a profile's values with overrides.
 ///
 /// The fields are in the units the estimator computes with; [`Self::entries`] shows them under
@@ -37,6 +39,10 @@ pub struct PositioningOptions {
     pub dual_frequency: bool,
     /// Whether BeiDou's own Klobuchar coefficients correct BeiDou, rather than GPS's.
     pub klobuchar_beidou: bool,
+    /// Whether BeiDou's pseudoranges are corrected by the group delays it broadcasts.
+    pub group_delay_beidou: bool,
+    /// How far from toe an ephemeris of BeiDou is used (s).
+    pub ephemeris_beidou_s: f64,
     /// Troposphere model.
     pub troposphere: TroposphereModel,
     /// How the zenith delay of the troposphere is mapped to the elevation.
@@ -89,8 +95,15 @@ impl PositioningOptions {
                 frequencies: BandSet::of(&[Band::L1]),
                 dual_frequency: false,
                 klobuchar_beidou: false,
+                // As RTKLIB 2.4.2 has it, with which the paper models its measurements.
+                group_delay_beidou: false,
+                ephemeris_beidou_s: 6.0 * HOUR_S,
                 troposphere_mapping: TroposphereMapping::Cosecant,
-                weighting: WeightModel::Rtklib,
+                // Its WLS is RTKLIB's; its graph has the weights of goGPS.
+                weighting: match mode {
+                    Mode::Spp => WeightModel::Rtklib,
+                    _ => WeightModel::GoGps,
+                },
                 fault_exclusion: false,
                 gdop_limit: f64::INFINITY,
                 ..general
@@ -112,6 +125,8 @@ impl PositioningOptions {
             ionosphere: IonosphereModel::Klobuchar,
             dual_frequency: true,
             klobuchar_beidou: true,
+            group_delay_beidou: true,
+            ephemeris_beidou_s: 2.0 * HOUR_S,
             troposphere: TroposphereModel::Saastamoinen,
             troposphere_mapping: TroposphereMapping::Cosecant,
             weighting: WeightModel::Cn0Elevation,

@@ -230,6 +230,18 @@ impl<const S: usize> System<S> {
         kernel: &Kernel,
     ) -> f64 {
         let weight = self.weigh(link.residual, kernel);
+        self.add_link_weighted(k, link, weight);
+        weight
+    }
+
+    /// Adds a row on states `k` and `k + 1` with a weight known already; the cost is the caller's.
+    #[inline]
+    pub fn add_link_weighted<const N: usize, const M: usize>(
+        &mut self,
+        k: usize,
+        link: &Link<N, M>,
+        weight: f64,
+    ) {
         let Link { residual, columns, jacobian, next_columns, next_jacobian } = *link;
         self.add_weighted(k, &Row { residual, columns, jacobian }, weight);
         let next = Row { residual, columns: next_columns, jacobian: next_jacobian };
@@ -242,7 +254,6 @@ impl<const S: usize> System<S> {
                 target[next_columns[i]] += scaled * next_jacobian[i];
             }
         }
-        weight
     }
 
     /// Adds a row on state `k` and border variables `(variable, ∂r/∂b)`, none twice; a row on the

@@ -29,4 +29,4 @@ mod selection;
 pub use geometry::{LookAngles, RangeRate, geometric_range, look_angles, range_rate};
 pub use group_delay::group_delay_m;
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
-pub use selection::{is_usable, select_ephemeris, validity_s};
+pub use selection::{is_usable, select_ephemeris, select_ephemeris_within, validity_s};

@@ -5,6 +5,8 @@ use crate::gnss::{Constellation, Ephemeris, GpsTime, Navigation, NavigationMessa
 const HOUR_S: f64 = 3_600.0;
 /// Longest span on either side of toe that any message is used for (s).
 const LONGEST_S: f64 = 24.0 * HOUR_S;
+/// How far from toe BeiDou's are valid: an hour, as they change, and one of margin (s).
+const BEIDOU_S: f64 = 2.0 * HOUR_S;
 
 /// The ephemeris to use for `satellite` at `time`: healthy, valid, and closest in time.
 ///
@@ -20,6 +22,20 @@ pub fn select_ephemeris(
     satellite: SatelliteId,
     time: GpsTime,
 ) -> Option<&Ephemeris> {
+    select_ephemeris_within(navigation, satellite, time, BEIDOU_S)
+}
+
+/// As [`select_ephemeris`], BeiDou's being valid to `beidou_s` from toe (s).
+pub fn select_ephemeris_within(
+    navigation: &Navigation,
+    satellite: SatelliteId,
+    time: GpsTime,
+    beidou_s: f64,
+) -> Option<&Ephemeris> {
+    let reach_s = |ephemeris: &Ephemeris| match satellite.constellation {
+        Constellation::BeiDou => beidou_s,
+        _ => validity_s(ephemeris),
+    };
     let list = navigation.of(satellite);
     let first = list.partition_point(|e| e.toe() < time - LONGEST_S);
     let mut best: Option<(u8, f64, &Ephemeris)> = None;
@@ -30,7 +46,7 @@ pub fn select_ephemeris(
         }
         let (rank, distance) = (preference(ephemeris), ahead.abs());
         let better = best.is_none_or(|(r, d, _)| rank < r || (rank == r && distance <= d));
-        if better && distance <= validity_s(ephemeris) && is_usable(ephemeris) {
+        if better && distance <= reach_s(ephemeris) && is_usable(ephemeris) {
             best = Some((rank, distance, ephemeris));
         }
     }
@@ -62,7 +78,8 @@ pub fn validity_s(ephemeris: &Ephemeris) -> f64 {
         return 0.5 * HOUR_S;
     };
     let unstated = match e.message {
-        M::Lnav | M::D1 | M::D2 | M::Cnv1 | M::Cnv2 | M::Cnv3 | M::Fdma => 2.0 * HOUR_S,
+        M::D1 | M::D2 | M::Cnv1 | M::Cnv2 | M::Cnv3 => BEIDOU_S,
+        M::Lnav | M::Fdma => 2.0 * HOUR_S,
         M::Cnav | M::Cnav2 => 1.5 * HOUR_S,
         M::Inav | M::Fnav => 4.0 * HOUR_S,
     };
@@ -161,6 +178,20 @@ mod tests {
             // Months old, as real navigation files hold them.
             assert_eq!(chosen(&navigation, &name, 2_000.0), None);
         }
+    }
+
+    #[test]
+    fn beidou_may_be_used_for_longer() {
+        let list = [shifted(sample::beidou(), 0.0, 1), shifted(sample::gps(), 0.0, 2)];
+        let navigation = navigation(list);
+        let time = sample::toe() - 5.9 * HOUR_S;
+        let issue = |name: &str, reach_s: f64| {
+            let satellite = name.parse().unwrap();
+            select_ephemeris_within(&navigation, satellite, time, reach_s).map(Ephemeris::issue)
+        };
+        assert_eq!(issue("C08", 6.0 * HOUR_S), Some(1));
+        assert_eq!(issue("C08", 5.8 * HOUR_S), None);
+        assert_eq!(issue("G05", 6.0 * HOUR_S), None);
     }
 
     #[test]

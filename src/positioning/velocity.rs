@@ -4,11 +4,12 @@
 //! the paper's (3) needs the sign), which is ρ̇ + c·δṫ_r − c·δṫˢ. ρ̇ is linear in the receiver's
 //! velocity with gradient −e (the paper's (5) prints +e), so that one step of least squares
 //! solves; it is repeated with Huber's weights (Huber 1964) while reflections pull at it. One clock
-//! drift serves all constellations.
+//! drift serves all constellations. Where the velocity itself is what enters the graph, as in the
+//! paper, it is that of plain least squares, every Doppler alike, as the paper and RTKLIB have it.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
-use crate::config::PositioningOptions;
+use crate::config::{DopplerUse, PositioningOptions};
 use crate::gnss::{Ecef, Velocity};
 use crate::models::range_rate;
 
@@ -57,7 +58,14 @@ impl VelocityEstimator {
         self.rows.clear();
         let used = measurements.iter().enumerate().filter(|(index, _)| is_used(*index));
         self.rows.extend(used.filter_map(|(_, m)| row(position, m, options)));
-        solve(&self.rows)
+        match options.graph.doppler {
+            DopplerUse::Velocity => {
+                let root_weight = options.doppler_sigma_m_s.recip();
+                self.rows.iter_mut().for_each(|row| row.root_weight = root_weight);
+                solve(&self.rows, f64::INFINITY)
+            }
+            DopplerUse::None | DopplerUse::Satellites => solve(&self.rows, HUBER),
+        }
     }
 }
 
@@ -80,8 +88,8 @@ pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }
 
-/// Iteratively reweighted least squares.
-fn solve(rows: &[Row]) -> Option<Velocity> {
+/// Least squares, reweighted until residuals beyond `huber` deviations pull no more than those there.
+fn solve(rows: &[Row], huber: f64) -> Option<Velocity> {
     if rows.len() < 4 {
         return None;
     }
@@ -91,7 +99,7 @@ fn solve(rows: &[Row]) -> Option<Velocity> {
         let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
         for row in rows {
             let whitened = whitened(row, &state).abs();
-            let kernel = if iteration == 0 { 1.0 } else { (HUBER / whitened).min(1.0) };
+            let kernel = if iteration == 0 { 1.0 } else { (huber / whitened).min(1.0) };
             let weighted = row.design * (row.root_weight * row.root_weight * kernel);
             normal += weighted * row.design.transpose();
             right -= weighted * row.residual_m_s;
@@ -105,7 +113,7 @@ fn solve(rows: &[Row]) -> Option<Velocity> {
         }
     }
     let degrees = rows.len() - 4;
-    let squares: f64 = rows.iter().map(|row| huber_square(whitened(row, &state))).sum();
+    let squares: f64 = rows.iter().map(|row| huber_square(whitened(row, &state), huber)).sum();
     let scale = if degrees == 0 { 1.0 } else { (squares / degrees as f64).max(1.0) };
     Some(Velocity {
         velocity_m_s: state.xyz(),
@@ -119,8 +127,8 @@ fn whitened(row: &Row, state: &Vector4<f64>) -> f64 {
 }
 
 /// w(r)·r²: a residual's square under its Huber weight.
-fn huber_square(whitened: f64) -> f64 {
-    whitened.abs().min(HUBER) * whitened.abs()
+fn huber_square(whitened: f64, huber: f64) -> f64 {
+    whitened.abs().min(huber) * whitened.abs()
 }
 
 fn invert_positive(normal: &Matrix4<f64>) -> Option<Matrix4<f64>> {

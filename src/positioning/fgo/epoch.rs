@@ -22,6 +22,8 @@ use super::settings::Kernels;
 const TRUST_MIN: f64 = 0.1;
 /// Wheels slip: Huber's kernel, 95 % efficient under normal errors, bounds what that does.
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(1.345);
+/// That of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
+const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
 
 /// What ties an epoch to the one before, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
@@ -243,10 +245,10 @@ impl GraphEpoch {
         match &self.tie {
             None => {}
             Some(Tie::DopplerVelocity(factor)) => {
-                for axis in 0..3 {
-                    let link = factor.linearize(axis, state, next);
-                    system.add_link(k, &link, &Kernel::QUADRATIC);
-                }
+                let links = [0, 1, 2].map(|axis| factor.linearize(axis, state, next));
+                let norm = links.iter().map(|link| link.residual * link.residual).sum::<f64>();
+                let weight = system.weigh(norm.sqrt(), &DOPPLER_VELOCITY_KERNEL);
+                links.iter().for_each(|link| system.add_link_weighted(k, link, weight));
             }
             Some(Tie::Motion(motion, clock)) => {
                 for axis in 0..3 {

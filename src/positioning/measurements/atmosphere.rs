@@ -1,6 +1,8 @@
 //! What troposphere and ionosphere do to the measurements of a receiver at one place.
 
-use crate::config::{IonosphereModel, PositioningOptions, TroposphereMapping, TroposphereModel};
+use crate::config::{
+    IonosphereModel, PositioningOptions, TroposphereMapping, TroposphereModel, WeightModel,
+};
 use crate::gnss::{
     Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
 };
@@ -120,7 +122,13 @@ impl<'a> Atmosphere<'a> {
         };
         measurement.troposphere_m = troposphere_m;
         measurement.corrected_range_m = range_m - troposphere_m;
-        measurement.variance_m2 = variance_m2 + measurement.state.variance_m2 + troposphere_m2;
+        measurement.variance_m2 = match options.weighting {
+            // As published: nothing but elevation and C/N0.
+            WeightModel::GoGps => measurement.noise_m2,
+            WeightModel::Cn0Elevation | WeightModel::Rtklib => {
+                variance_m2 + measurement.state.variance_m2 + troposphere_m2
+            }
+        };
         measurement.ionosphere_share_m = ionosphere_share_m;
         measurement.troposphere_share_m = troposphere_m2.sqrt();
     }

@@ -16,7 +16,7 @@ use crate::gnss::{
     Observation, ObservationCode, Odometry, Reason, SatelliteId, Signal,
 };
 use crate::models::{
-    LookAngles, SatelliteState, group_delay_m, select_ephemeris, state_at_transmission,
+    LookAngles, SatelliteState, group_delay_m, select_ephemeris_within, state_at_transmission,
 };
 
 use atmosphere::Atmosphere;
@@ -135,7 +135,9 @@ impl Measurements {
                 continue;
             }
             *bits |= bit;
-            let Some(ephemeris) = select_ephemeris(navigation, satellite, epoch.time) else {
+            let reach_s = options.ephemeris_beidou_s;
+            let nearest = select_ephemeris_within(navigation, satellite, epoch.time, reach_s);
+            let Some(ephemeris) = nearest else {
                 self.without_ephemeris.push(satellite);
                 continue;
             };
@@ -286,7 +288,10 @@ fn best_of_first_band<'a>(
             band,
             place: signals::preference(signal, band)?,
             frequency_hz: signal.frequency_hz(ephemeris.glonass_channel())?,
-            group_delay_m: group_delay_m(ephemeris, observation.code)?,
+            group_delay_m: match observation.satellite.constellation {
+                Constellation::BeiDou if !options.group_delay_beidou => 0.0,
+                _ => group_delay_m(ephemeris, observation.code)?,
+            },
         })
     });
     usable.min_by_key(|candidate| (candidate.band, candidate.place))

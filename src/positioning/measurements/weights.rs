@@ -18,7 +18,7 @@ const GLONASS_FACTOR: f64 = 1.5;
 /// `cn0-elevation`: σ² = s²/sin²E + u²·10^(−(S−42)/10), s and u from the options, S the C/N0. The
 /// first term is multipath that grows towards the horizon, the second thermal noise and, where
 /// buildings weaken a signal, the reflections that come with it.
-/// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²).
+/// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²), which then is the whole variance.
 /// `rtklib`: σ² = 0.3² + 0.3²/sin E, and 0.3² for code biases.
 pub(in crate::positioning) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeights {
     match options.weighting {
