@@ -18,7 +18,7 @@ use allocation_counter::measure;
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::formats::decompress;
 use graphfix::formats::rinex::{ObservationReader, read_navigation};
-use graphfix::gnss::{Epoch, GpsTime, Navigation};
+use graphfix::gnss::{Constellation, Epoch, GpsTime, Navigation, Observation};
 use graphfix::positioning::{Aiding, Batch, Estimator};
 use graphfix::simulation::{Scenario, Simulator};
 
@@ -31,6 +31,22 @@ const SCORED_S: std::ops::RangeInclusive<f64> = 46_701.0..=47_185.5;
 struct Drive {
     navigation: Navigation,
     epochs: Vec<Epoch>,
+}
+
+impl Drive {
+    /// Satellites observed in the mean epoch.
+    fn satellites(&self) -> f64 {
+        let seen: usize = self.epochs.iter().map(|epoch| epoch.by_satellite().count()).sum();
+        seen as f64 / self.epochs.len() as f64
+    }
+
+    /// Its first epochs with some constellations alone.
+    fn of(&self, constellations: &[Constellation], count: usize) -> Self {
+        let mut epochs = self.epochs[..count].to_vec();
+        let is_kept = |o: &Observation| constellations.contains(&o.satellite.constellation);
+        epochs.iter_mut().for_each(|epoch| epoch.observations.retain(is_kept));
+        Self { navigation: self.navigation.clone(), epochs }
+    }
 }
 
 fn open(path: &Path) -> Option<impl std::io::BufRead + use<>> {
@@ -76,6 +92,8 @@ fn options(settings: &[(&str, &str)]) -> PositioningOptions {
 const HUBER: [(&str, &str); 3] =
     [("pseudorange_kernel", "huber"), ("phase", "off"), ("window_s", "30")];
 const ANNEALED: [(&str, &str); 1] = [("window_s", "30")];
+/// Two constellations, of which the simulated car sees about ten satellites.
+const TWO: [Constellation; 2] = [Constellation::Gps, Constellation::Galileo];
 
 /// Each epoch's least time (µs), from a fresh estimator on.
 fn update_times_us(drive: &Drive, settings: &[(&str, &str)], passes: usize) -> Vec<f64> {
@@ -162,13 +180,18 @@ fn main() {
     println!("| one update of 30 epochs | median (µs) | 99.9 % (µs) | ratio |\n|---|---|---|---|");
     let recorded = recording();
     if let Some(drive) = &recorded {
-        let seen: usize = drive.epochs.iter().map(|epoch| epoch.by_satellite().count()).sum();
-        let mean = seen as f64 / drive.epochs.len() as f64;
-        println!("| {} epochs, {mean:.1} satellites each | | | |", drive.epochs.len());
+        let mean = drive.satellites();
+        println!("| `tst-2019`, {} epochs, {mean:.1} satellites each | | | |", drive.epochs.len());
         print_updates("Huber", &update_times_us(drive, &HUBER, PASSES)[WARM..]);
         print_updates("annealed", &update_times_us(drive, &ANNEALED, PASSES)[WARM..]);
     }
     let hours = simulated(10.0);
+    let ten = hours.of(&TWO, 3_600);
+    let mean = ten.satellites();
+    println!("| simulated, {mean:.1} satellites each | | | |");
+    print_updates("Huber", &update_times_us(&ten, &HUBER, 5)[WARM..]);
+    print_updates("annealed", &update_times_us(&ten, &ANNEALED, 5)[WARM..]);
+    println!("| simulated, {:.1} satellites each | | | |", hours.satellites());
     let times_us = update_times_us(&hours, &ANNEALED, 3);
     for hour in [0, 4, 9] {
         let end = 3_600 * (hour + 1);

@@ -8,8 +8,9 @@ use crate::positioning::standstill::StandstillTest;
 
 /// Huber's constant: 95 % efficiency under normal errors.
 const HUBER: f64 = 1.345;
-/// Steps shorter than this many standard deviations of the answer end a solve.
-const TOLERANCE: f64 = 1e-2;
+/// Steps shorter than this many standard deviations of the answer end a solve: what is left to go
+/// is then a tenth of what the pseudoranges' errors move it by.
+const TOLERANCE: f64 = 5e-2;
 
 /// Robust kernels of the measurements.
 #[derive(Clone, Copy, Debug)]
@@ -74,7 +75,7 @@ impl Settings {
         let kernels = Kernels::new(options);
         let (update, whole) = match kernels.is_redescending() {
             true => {
-                (Schedule::graduated(1, 2.0, 2.0, 1, 1), Schedule::graduated(3, 15.0, 2.0, 1, 10))
+                (Schedule::graduated(1, 2.0, 2.0, 1, 1), Schedule::graduated(2, 15.0, 2.0, 1, 10))
             }
             false => (Schedule::direct(3), Schedule::direct(30)),
         };
