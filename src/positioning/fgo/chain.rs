@@ -254,6 +254,10 @@ impl Chain {
         if let Some(test) = &settings.standstill {
             let stands = self.standstill.observe(test, &epoch.rates, interval_s);
             epoch.standstill = interval_s.filter(|_| stands).map(ZeroVelocityFactor::new);
+            if stands {
+                // What reflects stands as well: its errors repeat, and so many epochs are one.
+                epoch.share = (spacing_s / options.graph.correlation_s).min(epoch.share);
+            }
         }
         self.regularize(&mut epoch, interval_s.is_none(), &guess, options);
         if options.graph.phase {
