@@ -5,15 +5,19 @@ use std::str::FromStr;
 
 use clap::Args;
 
+use nalgebra::Vector3;
+
+use crate::config::{Mode, PositioningOptions, Profile};
 use crate::formats::observations::{FileError, LeftOut};
 use crate::gnss::{
-    AntennaCatalogue, BaseSite, BaseStation, Ecef, Epoch, GpsTime, Navigation, PositionSource,
+    AntennaCatalogue, BaseSite, BaseStation, Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation,
+    PositionSource,
 };
-use crate::positioning::{BASE_LATER_S, BaseAiding};
+use crate::positioning::{Aiding, BASE_LATER_S, BaseAiding, Estimator};
 
 use super::Failure;
 use super::antennas::ReceiverAntenna;
-use super::files::{ObservationFile, Site};
+use super::files::{self, Dating, ObservationFile};
 
 /// The arguments that name a base.
 #[derive(Clone, Debug, Args)]
@@ -22,18 +26,18 @@ pub(crate) struct BaseArguments {
     #[arg(long, value_name = "FILE")]
     base: Option<PathBuf>,
     /// Position of the base's marker, ECEF (m); its header's antenna offset is added. Of UBX and
-    /// RTCM 3 data the position in messages 1005 and 1006 takes the header's place.
+    /// RTCM 3 data the position in messages 1005 and 1006 takes the header's place. Not given: from
+    /// these, and where they tell none, the mean of the base's own single-point positions.
     #[arg(
         long,
         value_name = "X,Y,Z|from-header",
-        default_value = "from-header",
         allow_negative_numbers = true,
         requires = "base"
     )]
-    base_position: BasePosition,
+    base_position: Option<BasePosition>,
 }
 
-/// Where a base's position comes from.
+/// Where a base's position must come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum BasePosition {
     FromHeader,
@@ -62,29 +66,14 @@ impl BaseArguments {
     pub(crate) fn file(&self) -> Option<&Path> {
         self.base.as_deref()
     }
-
-    /// Where the base stands: as stated, else as its file tells.
-    fn site(&self, told: Site) -> Result<BaseSite, Failure> {
-        let (marker, source) = match self.base_position {
-            BasePosition::Marker(marker) => (marker, PositionSource::Given),
-            BasePosition::FromHeader => {
-                let marker = told.marker.ok_or_else(|| {
-                    let message =
-                        "neither header nor messages 1005 and 1006 tell the base's position";
-                    Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
-                })?;
-                (marker, PositionSource::Header)
-            }
-        };
-        let (antenna_delta_hen_m, antenna) = (told.antenna_hen_m, told.antenna);
-        Ok(BaseSite { marker, antenna_delta_hen_m, antenna, source })
-    }
 }
 
 /// A base's observations that are being read.
 pub(crate) struct BaseRecording {
     station: BaseStation,
     site: BaseSite,
+    /// Single-point positions of which the base's position is the mean.
+    averaged: u64,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
     /// Read, and later than the rover's epoch.
@@ -95,17 +84,46 @@ pub(crate) struct BaseRecording {
 }
 
 impl BaseRecording {
-    /// A base whose file is open, and what that tells of its site.
-    pub(crate) fn new(
+    /// Opens a base's file and finds out where the base stands: as asked for, else as the file
+    /// tells, else by what it observes.
+    ///
+    /// # Errors
+    /// The file cannot be read, or nothing tells the position.
+    pub(crate) fn open(
         arguments: &BaseArguments,
-        reader: ObservationFile,
-        site: Site,
+        path: &Path,
+        dating: &Dating,
+        navigation: &Navigation,
     ) -> Result<Self, Failure> {
-        let name = site.name.clone();
-        let site = arguments.site(site)?;
+        let reader = files::observations(path, dating, navigation)?;
+        let told = files::site(path, &reader)?;
+        let (antenna_delta_hen_m, antenna) = (told.antenna_hen_m, told.antenna);
+        let mut averaged = 0;
+        let (marker, source) = match (arguments.base_position, told.marker) {
+            (Some(BasePosition::Marker(marker)), _) => (marker, PositionSource::Given),
+            (_, Some(marker)) => (marker, told.source),
+            (Some(BasePosition::FromHeader), None) => {
+                let message = "neither header nor messages 1005 and 1006 tell the base's position";
+                return Err(position_missing(message));
+            }
+            (None, None) => {
+                let observed = files::observations(path, dating, navigation)?;
+                let mean = mean_position(observed, navigation);
+                let (point, count) = mean.map_err(|error| files::broken(path, &error))?;
+                averaged = count;
+                let point = point.ok_or_else(|| {
+                    position_missing("nothing tells the base's position, nor do its pseudoranges")
+                })?;
+                let [height, east, north] = antenna_delta_hen_m;
+                let below = Enu(Vector3::new(-east, -north, -height));
+                (LocalFrame::at(point).to_ecef(below), PositionSource::SinglePoints)
+            }
+        };
+        let site = BaseSite { marker, antenna_delta_hen_m, antenna, source };
         Ok(Self {
-            station: site.station(name),
+            station: site.station(told.name),
             site,
+            averaged,
             antenna: None,
             reader,
             ahead: None,
@@ -166,11 +184,24 @@ impl BaseRecording {
     pub(crate) fn notes(&self) -> Vec<String> {
         let Ecef(marker) = self.site.marker;
         let [height_m, east_m, north_m] = self.site.antenna_delta_hen_m;
+        let source = match self.site.source {
+            PositionSource::Given => "as given",
+            PositionSource::Header => "from its header",
+            PositionSource::Message => "from its messages 1005 and 1006",
+            PositionSource::SinglePoints => "from its own single-point positions",
+        };
         let mut notes = vec![format!(
-            "base: marker at {:.4},{:.4},{:.4} (ECEF, m), antenna reference point {height_m:.4} m \
-             above, {east_m:.4} m east, {north_m:.4} m north of it",
+            "base: marker at {:.4},{:.4},{:.4} (ECEF, m) {source}, antenna reference point \
+             {height_m:.4} m above, {east_m:.4} m east, {north_m:.4} m north of it",
             marker.x, marker.y, marker.z
         )];
+        if self.site.source == PositionSource::SinglePoints {
+            notes.push(format!(
+                "warning: base: nothing tells its position; the mean of {} single-point positions \
+                 may be metres off, and all positions relative to it by as much",
+                self.averaged
+            ));
+        }
         notes.extend(self.antenna.iter().flat_map(ReceiverAntenna::notes));
         notes
     }
@@ -179,6 +210,29 @@ impl BaseRecording {
     pub(crate) fn left_out(&self) -> LeftOut {
         self.reader.left_out()
     }
+}
+
+fn position_missing(message: &str) -> Failure {
+    Failure::new("BASE_POSITION_MISSING", message, "give --base-position X,Y,Z")
+}
+
+/// The mean of a receiver's single-point positions, ECEF (m), and of how many it is.
+fn mean_position(
+    mut observed: ObservationFile,
+    navigation: &Navigation,
+) -> Result<(Option<Ecef>, u64), FileError> {
+    let options = PositioningOptions::new(Mode::Spp, Profile::General);
+    let mut single_point = Estimator::new(options);
+    let mut epoch = Epoch::new(GpsTime::EPOCH);
+    let (mut sum_m, mut count) = (Vector3::zeros(), 0_u64);
+    while observed.read_epoch(&mut epoch)? {
+        let solution = single_point.advance(&epoch, &Aiding::alone(navigation));
+        if let Some(estimate) = solution.estimate {
+            sum_m += estimate.position.0;
+            count += 1;
+        }
+    }
+    Ok(((0 < count).then(|| Ecef(sum_m / count as f64)), count))
 }
 
 #[cfg(test)]

@@ -15,7 +15,8 @@ use crate::formats::observations::{
 };
 use crate::formats::receiver::TimeReference;
 use crate::gnss::{
-    CivilTime, Ecef, Enu, Ephemeris, GpsTime, LeapSeconds, LocalFrame, Navigation, TimeScale,
+    CivilTime, Ecef, Enu, Ephemeris, GpsTime, LeapSeconds, LocalFrame, Navigation, PositionSource,
+    TimeScale,
 };
 
 use super::Failure;
@@ -194,6 +195,8 @@ pub(crate) struct Site {
     /// Type and radome, empty where not told.
     pub(crate) antenna: String,
     pub(crate) marker: Option<Ecef>,
+    /// What tells the marker's position, where anything does.
+    pub(crate) source: PositionSource,
     /// Antenna reference point above, east and north of the marker (m).
     pub(crate) antenna_hen_m: [f64; 3],
 }
@@ -206,6 +209,7 @@ pub(crate) fn site(path: &Path, file: &ObservationFile) -> Result<Site, Failure>
             name: header.marker.clone(),
             antenna: header.antenna.clone(),
             marker: header.approximate_position,
+            source: PositionSource::Header,
             antenna_hen_m: header.antenna_delta_hen_m,
         });
     }
@@ -219,6 +223,7 @@ pub(crate) fn site(path: &Path, file: &ObservationFile) -> Result<Site, Failure>
         name: station.id.to_string(),
         antenna: station.antenna,
         marker: point.map(|point| LocalFrame::at(point).to_ecef(below)),
+        source: PositionSource::Message,
         antenna_hen_m: [height_m, 0.0, 0.0],
     })
 }

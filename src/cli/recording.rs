@@ -79,14 +79,8 @@ impl<'a> Recording<'a> {
         let (navigation, left_out, dating) =
             files::navigation(&arguments.nav, &files, &arguments.times)?;
         let rover = files::observations(rover, &dating, &navigation)?;
-        let base = match base {
-            Some(path) => {
-                let reader = files::observations(path, &dating, &navigation)?;
-                let site = files::site(path, &reader)?;
-                Some(BaseRecording::new(&arguments.base, reader, site)?)
-            }
-            None => None,
-        };
+        let open_base = |path| BaseRecording::open(&arguments.base, path, &dating, &navigation);
+        let base = base.map(open_base).transpose()?;
         let read_rows = |path: &PathBuf| {
             odometry::read(files::open_plain(path)?)
                 .map(OdometryRows::new)

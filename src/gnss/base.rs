@@ -25,11 +25,13 @@ pub enum PositionSource {
     Header,
     /// Messages 1005 and 1006 of RTCM 3.
     Message,
+    /// The mean of its own single-point positions, where nothing tells it.
+    SinglePoints,
 }
 
 impl PositionSource {
     /// Every source.
-    pub const ALL: [Self; 3] = [Self::Given, Self::Header, Self::Message];
+    pub const ALL: [Self; 4] = [Self::Given, Self::Header, Self::Message, Self::SinglePoints];
 
     /// The name as the API writes it.
     pub const fn name(self) -> &'static str {
@@ -37,6 +39,7 @@ impl PositionSource {
             Self::Given => "given",
             Self::Header => "header",
             Self::Message => "message",
+            Self::SinglePoints => "single-points",
         }
     }
 

@@ -1,0 +1,113 @@
+//! Where `solve` takes the base to stand: as asked for, else as its file tells, else by itself.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use graphfix::gnss::Ecef;
+
+use crate::data;
+use crate::streams::{rtcm_frame, rtcm_payloads, unpacked};
+
+/// Success or not, standard output, standard error.
+fn run(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    let output = command.current_dir(folder).args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.success(), text(output.stdout), text(output.stderr))
+}
+
+/// The marker that a summary names, and what it says of its source.
+fn marker(summary: &str) -> (Ecef, String) {
+    let line = summary.lines().find_map(|l| l.trim().strip_prefix("base: marker at ")).unwrap();
+    let (numbers, rest) = line.split_once(" (ECEF, m) ").unwrap();
+    let numbers: Vec<f64> = numbers.split(',').map(|n| n.parse().unwrap()).collect();
+    let [x, y, z] = numbers[..] else { panic!("{line}") };
+    (Ecef::new(x, y, z), rest.split_once(", antenna").unwrap().0.to_owned())
+}
+
+/// A simulated base whose header tells its place, tells the geocentre, or tells none.
+#[test]
+fn a_base_of_rinex_stands_where_it_can_be_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scenario = ["simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "30"];
+    let (done, _, error) = run(folder, &[&scenario[..], &["--output", "."]].concat());
+    assert!(done, "{error}");
+    let told = fs::read_to_string(folder.join("base.obs")).unwrap();
+    let line = told.lines().find(|line| line.contains("APPROX POSITION XYZ")).unwrap();
+    let zero = format!("{:<60}APPROX POSITION XYZ", "        0.0000        0.0000        0.0000");
+    fs::write(folder.join("zero.obs"), told.replacen(line, &zero, 1)).unwrap();
+    fs::write(folder.join("untold.obs"), told.replacen(&format!("{line}\n"), "", 1)).unwrap();
+    let solve = |base: &str, further: &[&str]| {
+        let fixed = ["solve", "--rover", "rover.obs", "--nav", "navigation.rnx", "--base", base];
+        let to = ["--mode", "rtk-fgo", "--output", "out.pos"];
+        run(folder, &[&fixed[..], &to, further].concat())
+    };
+
+    let (done, summary, error) = solve("base.obs", &[]);
+    assert!(done, "{error}");
+    let (truth, source) = marker(&summary);
+    assert_eq!(source, "from its header");
+    assert!(!summary.contains("warning: base"), "{summary}");
+    assert_eq!(
+        solve("base.obs", &["--base-position", "from-header"]).1.lines().nth(1),
+        summary.lines().nth(1)
+    );
+
+    for base in ["zero.obs", "untold.obs"] {
+        let (done, summary, error) = solve(base, &[]);
+        assert!(done, "{error}");
+        let (mean, source) = marker(&summary);
+        assert_eq!(source, "from its own single-point positions");
+        let off_m = mean.distance_m(truth);
+        // Metres of orbits, clocks and atmosphere; not the millimetres of the header's digits.
+        assert!((0.01..10.0).contains(&off_m), "{off_m}");
+        let warning = "warning: base: nothing tells its position; the mean of 31 single-point";
+        assert!(summary.contains(warning), "{summary}");
+        let (done, _, error) = solve(base, &["--base-position", "from-header"]);
+        assert!(!done && error.contains("BASE_POSITION_MISSING"), "{error}");
+        let given = format!("--base-position={:.4},{:.4},{:.4}", truth.0.x, truth.0.y, truth.0.z);
+        let (_, summary, _) = solve(base, &[&given]);
+        assert_eq!(marker(&summary), (truth, "as given".to_owned()));
+    }
+}
+
+/// The Galway base's log has messages 1005 and no header. Without them nothing tells its place.
+#[test]
+fn a_base_of_messages_stands_where_they_say_or_by_itself() {
+    let Some(data) = data::set("galway-static") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let rover = data.join("rover-20181004-1237.ubx.gz").to_str().unwrap().to_owned();
+    let log = unpacked(&data.join("base-20181004-1236.ubx.gz"));
+    let (mut whole, mut silent) = (Vec::new(), Vec::new());
+    for payload in rtcm_payloads(&log[..log.len() / 8]) {
+        let frame = rtcm_frame(&payload);
+        whole.extend_from_slice(&frame);
+        let number = u16::from(payload[0]) << 4 | u16::from(payload[1]) >> 4;
+        if ![1005, 1006].contains(&number) {
+            silent.extend_from_slice(&frame);
+        }
+    }
+    assert!(silent.len() < whole.len());
+    fs::write(folder.join("whole.rtcm3"), whole).unwrap();
+    fs::write(folder.join("silent.rtcm3"), silent).unwrap();
+    let solve = |base: &str| {
+        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391100"];
+        let (done, summary, error) =
+            run(folder, &[&fixed[..], &["--mode", "rtk-fgo", "--output", "out.pos"]].concat());
+        assert!(done, "{error}");
+        summary
+    };
+    let summary = solve("whole.rtcm3");
+    let (truth, source) = marker(&summary);
+    assert_eq!(source, "from its messages 1005 and 1006");
+    assert!(!summary.contains("warning: base"), "{summary}");
+    let summary = solve("silent.rtcm3");
+    let (mean, source) = marker(&summary);
+    assert_eq!(source, "from its own single-point positions");
+    let off_m = mean.distance_m(truth);
+    assert!((0.01..15.0).contains(&off_m), "{off_m}");
+    assert!(summary.contains("warning: base: nothing tells its position"), "{summary}");
+}
