@@ -303,15 +303,12 @@ fn a_station_is_told_when_it_changes() {
 
 #[test]
 fn messages_are_refused_with_their_reason() {
-    let mut ambiguous = BitWriter::default();
-    ambiguous.unsigned(12, 1003).unsigned(60, 0);
     let whole = msm(1077, 1000, false, &[PLAIN]);
     let payload = &whole[3..whole.len() - 3];
     let mut cells = BitWriter::default();
     cells.unsigned(12, 1077).unsigned(12 + 30, 0).unsigned(1 + 18, 0);
     cells.unsigned(64, u64::MAX).unsigned(32, 3).unsigned(64, 0).unsigned(64, 0);
     let cases = [
-        (rtcm_frame(&ambiguous.bytes()), Refusal::AmbiguousPseudorange),
         (rtcm_frame(&payload[..payload.len() - 4]), Refusal::Truncated),
         (rtcm_frame(&cells.bytes()), Refusal::TooManyCells),
         (msm(1107, 1000, false, &[PLAIN]), Refusal::OtherConstellation),
@@ -327,6 +324,42 @@ fn messages_are_refused_with_their_reason() {
     let (events, statistics) = decode(&msm(1077, 1000, false, &[PLAIN]), None);
     assert!(events.is_empty());
     assert_eq!(statistics.refused_for(Refusal::NoReferenceTime), 1);
+}
+
+/// Messages without C/N0 lack the whole light-milliseconds too (DF014): a pseudorange of theirs is
+/// any of a row 300 km apart. They are refused and counted by type, and cost no other message.
+#[test]
+fn messages_of_ambiguous_ranges_are_counted_and_cost_no_other() {
+    let mut bytes = Vec::new();
+    let numbers = [1001, 1003, 1009, 1011];
+    for (index, number) in numbers.into_iter().enumerate() {
+        let (is_glonass, has_l2) = (1008 < number, number % 8 == 3);
+        for _ in 0..=index {
+            let mut bits = BitWriter::default();
+            bits.unsigned(12, number).unsigned(12, 3).unsigned(if is_glonass { 27 } else { 30 }, 7);
+            // One satellite: number, code, GLONASS's channel, L1 range, phase and lock.
+            bits.unsigned(1, 1).unsigned(5, 1).unsigned(4, 0).unsigned(6, 9).unsigned(1, 0);
+            if is_glonass {
+                bits.unsigned(5, 7).unsigned(25, 5_000_000);
+            } else {
+                bits.unsigned(24, 5_000_000);
+            }
+            bits.signed(20, 1000).unsigned(7, 60);
+            if has_l2 {
+                bits.unsigned(2, 0).signed(14, -400).signed(20, 1000).unsigned(7, 60);
+            }
+            bytes.extend(rtcm_frame(&bits.bytes()));
+        }
+        bytes.extend(legacy(index as u64, false, 1000));
+    }
+    let (events, statistics) = decode(&bytes, day(2100, 0.0));
+    assert_eq!(epochs(events).len(), 4);
+    for (index, number) in numbers.into_iter().enumerate() {
+        let kind = Some(MessageKind::Rtcm(number as u16));
+        let entry = statistics.refusals().iter().find(|entry| entry.kind == kind).unwrap();
+        let refused = (entry.reason, entry.count);
+        assert_eq!(refused, (Refusal::AmbiguousPseudorange, index as u64 + 1), "{number}");
+    }
 }
 
 /// A stream of everything above, with garbage between.
