@@ -398,3 +398,66 @@ async fn a_position_is_sent_to_casters_that_need_it() {
     assert_eq!(line, sentence);
     stream.send(&sentence).await.unwrap();
 }
+
+/// `pygnssutils`' caster; `None`, said plainly, where it is not installed.
+fn pygnssutils(port: u16, version: &str) -> Option<Running> {
+    let python = std::env::var("GRAPHFIX_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has = Command::new(&python).args(["-c", "import pygnssutils"]).output();
+    if !has.is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: no Python with pygnssutils; scripts/test prepares one");
+        return None;
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/caster.py");
+    let running = Command::new(python)
+        .arg(script)
+        .args([&port.to_string(), version, Str2str::NAME, Str2str::PASSWORD])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    Some(Running(running.unwrap()))
+}
+
+/// A stream through `pygnssutils`, of both versions; it names its only mountpoint itself. The head
+/// by which its version 2 grants a stream lacks the end of its first line.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pygnssutils_gives_its_stream_to_who_may_have_it() {
+    use std::io::Write;
+    for version in ["1.0", "2.0"] {
+        let port = free_port();
+        let Some(mut caster) = pygnssutils(port, version) else { return };
+        let connector = connector(None);
+        let credentials =
+            Credentials { name: Str2str::NAME.to_owned(), password: Str2str::PASSWORD.to_owned() };
+        let asked =
+            StreamRequest { credentials: Some(credentials), ..request(port, "pygnssutils") };
+        let start = Instant::now();
+        let mut stream = loop {
+            match ntrip::connect(&connector, &asked, None).await {
+                Ok(stream) => break stream,
+                Err(error) => {
+                    assert_eq!(error.code(), "HOST_UNREACHABLE", "{error}");
+                    assert!(start.elapsed() < Duration::from_secs(30), "it does not start");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            }
+        };
+        let sent: Vec<u8> = (0..40_000_u32).map(|i| ((i * 13) >> 3) as u8).collect();
+        caster.0.stdin.as_mut().unwrap().write_all(&sent).unwrap();
+        caster.0.stdin.as_mut().unwrap().flush().unwrap();
+        let found = tokio::time::timeout(Duration::from_secs(10), content(&mut stream, sent.len()));
+        let found = found.await.unwrap();
+        assert!(found.ends_with(&sent), "{version}: {} of {} bytes", found.len(), sent.len());
+
+        let wrong = Credentials { name: Str2str::NAME.into(), password: "guess".into() };
+        let asked_wrongly = StreamRequest { credentials: Some(wrong), ..asked.clone() };
+        let refused = ntrip::connect(&connector, &asked_wrongly, None).await.unwrap_err();
+        assert_eq!(refused.code(), "CASTER_UNAUTHORISED", "{version}: {refused}");
+        let elsewhere = StreamRequest { mountpoint: "OTHER".into(), ..asked.clone() };
+        let refused = ntrip::connect(&connector, &elsewhere, None).await.unwrap_err();
+        assert_eq!(refused.code(), "NO_SUCH_MOUNTPOINT", "{version}: {refused}");
+        let list = StreamRequest { mountpoint: String::new(), ..asked };
+        let table = ntrip::sourcetable(&connector, &list).await.unwrap();
+        assert_eq!(table.get("pygnssutils").unwrap().format, "RTCM 3.3", "{version}");
+    }
+}
