@@ -32,6 +32,10 @@ pub(crate) const BRISK: FeedOptions = FeedOptions {
     position_interval: Duration::from_millis(200),
 };
 
+/// As brisk, and content with casters that have said all that they have to say.
+pub(crate) const CONTENT: FeedOptions =
+    FeedOptions { silence: Duration::from_secs(300), no_epochs: Duration::from_secs(300), ..BRISK };
+
 pub(crate) fn connector(authorities: Option<&Path>) -> Connector {
     let hosts = ["localhost", "127.0.0.1"].map(str::to_owned);
     Connector::new(FetchPolicy::new(&hosts, true).unwrap(), PATIENCE, authorities).unwrap()

@@ -1,22 +1,27 @@
 //! Bases that casters fill, end to end: through `str2str`, and through casters that misbehave.
 
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use graphfix::contract::{calls, v1};
-use graphfix::gnss::GpsTime;
+use graphfix::aiding::bases::BaseId;
+use graphfix::config::Limits;
+use graphfix::contract::{calls, convert, v1};
+use graphfix::formats::receiver::{Decoder, Event, TimeReference};
+use graphfix::gnss::{Epoch, GpsTime};
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
+use tokio::sync::watch;
 
-use crate::casters::{HostileCaster, Str2str};
+use crate::casters::{BRISK, CONTENT, HostileCaster, Str2str};
 use crate::crash::free_port;
 use crate::data;
 use crate::doors::Doors;
-use crate::streams::unpacked;
+use crate::streams::{decode, epochs, navigation, unpacked};
 
 /// Within half a day of the Galway logs.
-const NEAR: GpsTime = GpsTime::from_ns((2021 * 604_800 + 391_000) * 1_000_000_000);
+pub(crate) const NEAR: GpsTime = GpsTime::from_ns((2021 * 604_800 + 391_000) * 1_000_000_000);
 
 /// The logs of the static rover and its base: RXM-RAWX there, messages 1005, 1077 and 1087 here.
 fn logs() -> Option<(Vec<u8>, Vec<u8>)> {
@@ -68,9 +73,15 @@ async fn play(doors: &Doors, base: &str, caster: &mut Str2str, bytes: &[u8]) {
 }
 
 async fn session(doors: &Doors, base: &str) -> String {
+    session_of(doors, base, "rtk-fgo", &[]).await
+}
+
+async fn session_of(doors: &Doors, base: &str, mode: &str, options: &[(&str, &str)]) -> String {
+    let options = options.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
     let new = v1::CreateSessionRequest {
-        mode: "rtk-fgo".to_owned(),
+        mode: mode.to_owned(),
         profile: "static".to_owned(),
+        overrides: options.collect(),
         base: base.to_owned(),
         ..Default::default()
     };
@@ -206,6 +217,162 @@ async fn one_connection_serves_everybody() {
     }
     tokio::time::timeout(Duration::from_secs(10), ends.recv()).await.unwrap().unwrap();
     assert_eq!(caster.connections.load(Ordering::SeqCst), 1);
+}
+
+/// What a caster sends: bytes of a log, while it lives.
+#[derive(Clone, Copy)]
+struct Air {
+    lives: bool,
+    /// Who asks is sent the log from here …
+    from: usize,
+    /// … to here.
+    until: usize,
+}
+
+/// A caster that sends what is on air; it notes when it was asked.
+async fn station(
+    log: Vec<u8>,
+    air: &watch::Sender<Air>,
+) -> (HostileCaster, Arc<Mutex<Vec<Instant>>>) {
+    let asked: Arc<Mutex<Vec<Instant>>> = Arc::default();
+    let (noting, air) = (asked.clone(), air.subscribe());
+    let caster = HostileCaster::start(move |_, mut stream, _| {
+        noting.lock().unwrap().push(Instant::now());
+        let (mut air, log) = (air.clone(), log.clone());
+        async move {
+            let Air { lives, from: mut sent, .. } = *air.borrow_and_update();
+            if lives {
+                stream.write_all(b"ICY 200 OK\r\n").await.unwrap();
+            }
+            loop {
+                let Air { lives, until, .. } = *air.borrow_and_update();
+                if !lives || stream.write_all(&log[sent..until.max(sent)]).await.is_err() {
+                    return;
+                }
+                sent = until.max(sent);
+                if air.changed().await.is_err() {
+                    return;
+                }
+            }
+        }
+    })
+    .await;
+    (caster, asked)
+}
+
+/// Where in a log all epochs before a second of the week have come.
+fn place_in(log: &[u8], second: f64) -> usize {
+    let mut decoder = Decoder::new(Some(TimeReference::Day(NEAR)));
+    let mut events = Vec::new();
+    for (index, piece) in log.chunks(250).enumerate() {
+        decoder.push(piece, &mut events);
+        let is_past = |event: &Event| matches!(event, Event::Epoch(epoch) if second <= epoch.time.seconds_of_week());
+        if events.drain(..).any(|event| is_past(&event)) {
+            return (index + 1) * 250;
+        }
+    }
+    panic!("the log ends before {second}")
+}
+
+/// Waits until a base holds an epoch of a second of the week.
+async fn until_held(doors: &Doors, base: &str, second: f64) {
+    let (base, start) = (BaseId::parse(base).unwrap(), Instant::now());
+    while doors
+        .service
+        .bases()
+        .get(&base)
+        .await
+        .unwrap()
+        .span
+        .is_none_or(|(_, newest)| newest.seconds_of_week() < second)
+    {
+        assert!(start.elapsed() < Duration::from_secs(30), "no base epoch of {second}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// The last answers to some epochs that each session is sent.
+async fn last_answers(
+    doors: &Doors,
+    sessions: &[String],
+    first_seq: u64,
+    epochs: &[Epoch],
+) -> Vec<v1::Solution> {
+    let numbered = (first_seq..).zip(epochs);
+    let messages: Vec<v1::Epoch> =
+        numbered.map(|(seq, e)| convert::epoch_message(seq, e)).collect();
+    let mut answers = Vec::new();
+    for session in sessions {
+        let push = v1::PushEpochsRequest { session: session.clone(), epochs: messages.clone() };
+        let answer = calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+        assert_eq!(answer.durable_through, Some(first_seq + epochs.len() as u64 - 1));
+        answers.push(answer.results.into_iter().next_back().unwrap().solution.unwrap());
+    }
+    answers
+}
+
+/// The caster dies for 30 s of the service's patience, here a twentieth of that, under two hundred
+/// sessions: each says that its base is stale, and each is fixed again; the caster is asked as often
+/// as the backoff allows, and by one connection.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_caster_that_dies_is_missed_and_comes_back() {
+    let Some((rover_log, base_log)) = logs() else { return };
+    let doors = Doors::with_feeds(Limits::standard(), CONTENT).await;
+    let events = decode(&rover_log[..rover_log.len() / 4], None).0;
+    doors.service.navigation().push(navigation(&events), "test").await.unwrap();
+    let mut rover = epochs(events);
+    // The base tells its place from 391133 on.
+    rover.retain(|epoch| 391_149.5 < epoch.time.seconds_of_week());
+    let start = rover[0].time.seconds_of_week().round();
+    let at = |second: f64| place_in(&base_log, start + second);
+    let (air, _) = watch::channel(Air { lives: true, from: 0, until: at(7.0) });
+    let (caster, asked) = station(base_log.clone(), &air).await;
+    let base = base_of(&doors, caster.port, "", "").await;
+    // Bold enough to fix within seconds: what is tested here is not the estimator.
+    let options = [
+        ("ambiguity.probability_min", "0.5"),
+        ("ambiguity.ratio_min", "1"),
+        ("ambiguity.success_rate_min", "0.1"),
+        ("ambiguity.hold_epochs", "1"),
+        ("differencing.base_age_max_s", "5"),
+    ];
+    let mut sessions = Vec::new();
+    for _ in 0..200 {
+        sessions.push(session_of(&doors, &base, "rtk-ekf", &options).await);
+    }
+    until_held(&doors, &base, start + 7.0).await;
+    assert_eq!(fixed(&last_answers(&doors, &sessions, 1, &rover[..7]).await), 200);
+    tokio::time::sleep(BRISK.steady).await;
+    assert_eq!(asked.lock().unwrap().len(), 1);
+
+    let death = Instant::now();
+    air.send_modify(|air| air.lives = false);
+    let stale = last_answers(&doors, &sessions, 8, &rover[20..21]).await;
+    for answer in &stale {
+        let codes: Vec<&str> = answer.reasons.iter().map(|reason| reason.code.as_str()).collect();
+        assert!(codes.contains(&"BASE_STALE"), "{codes:?}");
+    }
+    assert_eq!((fixed(&stale), stale.len()), (0, 200));
+    tokio::time::sleep(Duration::from_millis(1500).saturating_sub(death.elapsed())).await;
+    let told = feed(&doors, &base).await;
+    assert_eq!(told["problem"]["code"], "CASTER_CLOSED", "{told}");
+
+    air.send_replace(Air { lives: true, from: at(20.0), until: at(41.0) });
+    until_held(&doors, &base, start + 40.0).await;
+    assert_eq!(fixed(&last_answers(&doors, &sessions, 9, &rover[25..40]).await), 200);
+    let times = asked.lock().unwrap().clone();
+    let mut delay = BRISK.delay;
+    for pair in [&[death], &times[1..]].concat().windows(2) {
+        let gap = pair[1] - pair[0];
+        // A second more where the machine is busy.
+        let bounds = delay / 2..delay + Duration::from_secs(1);
+        assert!(bounds.contains(&gap), "asked after {gap:?}, not {bounds:?}");
+        delay = (2 * delay).min(BRISK.delay_ceiling);
+    }
+    assert!(3 < times.len(), "asked {} times", times.len());
+    let told = feed(&doors, &base).await;
+    assert_eq!(told["connections"], 2, "{told}");
+    assert_eq!(told["attempts"], times.len(), "{told}");
 }
 
 /// What each caster that misbehaves is called, and that it is not asked all the time.

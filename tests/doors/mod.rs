@@ -6,7 +6,7 @@ use axum::http::{Request, StatusCode};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Limits;
 use graphfix::contract::Service;
-use graphfix::feeds::Feeds;
+use graphfix::feeds::{FeedOptions, Feeds};
 use graphfix::session::{SessionLimits, Sessions};
 use graphfix::store::Store;
 use serde_json::{Value, json};
@@ -26,6 +26,11 @@ impl Doors {
     }
 
     pub(crate) async fn with(limits: Limits) -> Self {
+        Self::with_feeds(limits, BRISK).await
+    }
+
+    /// Where streams are kept up like this.
+    pub(crate) async fn with_feeds(limits: Limits, options: FeedOptions) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let url = format!("sqlite://{}", folder.path().join("test.db").display());
         let store = Store::open(&url).await.unwrap();
@@ -45,7 +50,7 @@ impl Doors {
             ..SessionLimits::service()
         };
         let sessions = Sessions::open(store, aiding.clone(), session_limits);
-        let feeds = Feeds::open(connector(None), aiding.clone(), BRISK);
+        let feeds = Feeds::open(connector(None), aiding.clone(), options);
         let service = Service::new(sessions, aiding, feeds, limits);
         Self { router: graphfix::http::router(&service), service, _folder: folder }
     }
