@@ -7,7 +7,7 @@ use std::process::Command;
 use graphfix::gnss::Ecef;
 
 use crate::data;
-use crate::streams::{rtcm_frame, rtcm_payloads, unpacked};
+use crate::streams::{message_number, moved_station, rtcm_frame, rtcm_payloads, unpacked};
 
 /// Success or not, standard output, standard error.
 fn run(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
@@ -85,8 +85,7 @@ fn a_base_of_messages_stands_where_they_say_or_by_itself() {
     for payload in rtcm_payloads(&log[..log.len() / 8]) {
         let frame = rtcm_frame(&payload);
         whole.extend_from_slice(&frame);
-        let number = u16::from(payload[0]) << 4 | u16::from(payload[1]) >> 4;
-        if ![1005, 1006].contains(&number) {
+        if ![1005, 1006].contains(&message_number(&payload)) {
             silent.extend_from_slice(&frame);
         }
     }
@@ -110,4 +109,51 @@ fn a_base_of_messages_stands_where_they_say_or_by_itself() {
     let off_m = mean.distance_m(truth);
     assert!((0.01..15.0).contains(&off_m), "{off_m}");
     assert!(summary.contains("warning: base: nothing tells its position"), "{summary}");
+}
+
+/// Messages 1005 that move the base by 5 m along x: positions follow from that epoch on, which is
+/// said, and the fix comes back.
+#[test]
+fn a_base_of_messages_may_move() {
+    let Some(data) = data::set("galway-static") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let rover = data.join("rover-20181004-1237.ubx.gz").to_str().unwrap().to_owned();
+    let log = unpacked(&data.join("base-20181004-1236.ubx.gz"));
+    let payloads = rtcm_payloads(&log[..log.len() / 3]);
+    let payload = payloads.iter().find(|payload| message_number(payload) == 1005).unwrap();
+    let (still, moved) = (rtcm_frame(payload), rtcm_frame(&moved_station(payload, 50_000)));
+    let mut bytes = log[..log.len() / 3].to_vec();
+    fs::write(folder.join("still.ubx"), &bytes).unwrap();
+    for place in log.len() * 3 / 20..bytes.len() {
+        if bytes[place..].starts_with(&still) {
+            bytes[place..place + moved.len()].copy_from_slice(&moved);
+        }
+    }
+    fs::write(folder.join("moved.ubx"), &bytes).unwrap();
+    let solve = |base: &str| {
+        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391400"];
+        let to = ["--mode", "rtk-fgo", "--profile", "static", "--output", "out.csv"];
+        let (done, summary, error) = run(folder, &[&fixed[..], &to].concat());
+        assert!(done, "{error}");
+        let rows = fs::read_to_string(folder.join("out.csv")).unwrap();
+        let row = |row: &str| {
+            let fields: Vec<&str> = row.split(',').collect();
+            let x: f64 = fields[3].parse().unwrap();
+            (fields[2] == "FIXED", x, row.contains("BASE_MOVED"))
+        };
+        (summary, rows.lines().skip(1).map(row).collect::<Vec<_>>())
+    };
+    let (summary, still) = solve("still.ubx");
+    assert!(!summary.contains("messages moved it") && !summary.contains("BASE_MOVED"), "{summary}");
+    let (summary, moved) = solve("moved.ubx");
+    assert!(summary.contains("base: messages moved it 1 times"), "{summary}");
+    let at = moved.iter().position(|(_, _, says)| *says).unwrap();
+    assert_eq!(moved.iter().filter(|(_, _, says)| *says).count(), 1);
+    assert_eq!(moved[..at], still[..at]);
+    assert!(still[at].0 && !moved[at].0, "integers are kept");
+    let both = still.iter().zip(&moved).skip(at).filter(|(a, b)| a.0 && b.0);
+    let moves: Vec<f64> = both.map(|(a, b)| b.1 - a.1).collect();
+    assert!(100 < moves.len(), "{} fixed after the base moved", moves.len());
+    assert!(moves.iter().all(|moved_m| (moved_m - 5.0).abs() < 0.02), "{moves:?}");
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use graphfix::aiding::bases::{BaseId, BaseInfo, NewBase};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Mode;
-use graphfix::gnss::{Epoch, Reason, Solution, Status};
+use graphfix::gnss::{BaseSite, Epoch, PositionSource, Reason, Solution, Status};
 use graphfix::session::{
     Burst, Check, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits,
     SessionUpdate, Sessions, SolveRequest,
@@ -24,6 +24,7 @@ on_both_databases!(
     what_a_base_holds_is_bounded,
     a_base_in_use_stays,
     a_session_may_change_its_base,
+    a_base_may_move,
     a_base_serves_positions_on_request,
     forgotten_base_epochs_are_said,
 );
@@ -313,6 +314,52 @@ async fn a_base_in_use_stays(database: Database) {
     assert_eq!(checked(&database, &session).await.unwrap_err(), "BASE_FORGOTTEN");
     let error = desk.sessions.create(new_session("rtk-fgo", Some(&base))).await.unwrap_err();
     assert_eq!(error.code(), "BASE_NOT_FOUND");
+}
+
+/// A virtual base moves while the rover is silent: each of its epochs keeps its place, ambiguities
+/// begin anew, which is said, and are fixed again at the same positions; replay gives the same bits.
+async fn a_base_may_move(database: Database) {
+    let desk = desk(&database).await;
+    desk.navigate().await;
+    let (elsewhere, place) = PAIR.base_elsewhere(7_800.0);
+    let moved_m = place.distance_m(PAIR.position);
+    assert!((100.0..500.0).contains(&moved_m), "{moved_m}");
+    let site = PAIR.new_base(0.0).site.unwrap();
+    let site = BaseSite { source: PositionSource::Message, ..site };
+    let new = NewBase { site: Some(site.clone()), ..PAIR.new_base(0.0) };
+    let base = id_of(&desk.aiding.bases.create(new).await.unwrap());
+    desk.push(&base, &PAIR.base[..70]).await;
+    desk.aiding.bases.place(&base, &BaseSite { marker: place, ..site }).await.unwrap();
+    desk.push(&base, &elsewhere[70..]).await;
+    let session = desk.session(&base).await;
+    let rover = [&PAIR.rover[..68], &PAIR.rover[72..]].concat();
+    let mut answers = Vec::new();
+    for batch in rover.chunks(40) {
+        answers.extend(desk.submit(&session, batch).await);
+    }
+    let said: Vec<usize> =
+        (0..answers.len()).filter(|at| codes(&answers[*at]).contains(&"BASE_MOVED")).collect();
+    assert_eq!(said, [68]);
+    let of_move = |reason: &Reason| match reason {
+        Reason::BaseMoved { distance_m } => Some(*distance_m),
+        _ => None,
+    };
+    let told_m = answers[68].reasons.iter().find_map(of_move).unwrap();
+    assert!((told_m - moved_m).abs() < 1e-6, "{told_m}");
+    assert_eq!(answers[68].provenance.base.as_ref().unwrap().time, PAIR.rover[72].epoch.time);
+    assert_ne!(answers[68].status, Status::Fixed, "integers are kept");
+    let still = PAIR.solved(Mode::RtkFgo, &base);
+    let still = [&still[..68], &still[72..]].concat();
+    let both = |(a, b): &(&Solution, &Solution)| [a, b].iter().all(|s| s.status == Status::Fixed);
+    let pairs: Vec<_> = answers.iter().zip(&still).skip(68).filter(both).collect();
+    assert!(40 < pairs.len(), "{} fixed after the move", pairs.len());
+    for (moved, still) in pairs {
+        let place = |s: &Solution| s.estimate.as_ref().unwrap().position;
+        let off_m = place(moved).distance_m(place(still));
+        assert!(off_m < 0.05, "{off_m} m at {}", moved.time);
+    }
+    desk.sessions.close(&session).await.unwrap();
+    assert!(checked(&database, &session).await.unwrap().is_same());
 }
 
 /// Another base begins the estimator anew, as another configuration does.

@@ -53,6 +53,13 @@ impl Pair {
         NewBase { label: "base".to_owned(), site: Some(site), feed: None }
     }
 
+    /// What the base would observe from another place, so far from the origin, and that place.
+    pub(crate) fn base_elsewhere(&self, distance_m: f64) -> (Vec<Epoch>, Ecef) {
+        let simulator = Simulator::new(self.scenario.clone().with_baseline(distance_m), 1);
+        let position = simulator.base_position().unwrap();
+        (simulator.map(|epoch| epoch.base.unwrap()).collect(), position)
+    }
+
     /// What an estimator alone answers, given all of the base.
     pub(crate) fn solved(&self, mode: Mode, base: &BaseId) -> Vec<Solution> {
         let options = PositioningOptions::new(mode, Profile::General);

@@ -83,6 +83,22 @@ pub(crate) fn rtcm_payloads(bytes: &[u8]) -> Vec<Vec<u8>> {
     payloads
 }
 
+/// The number of an RTCM 3 message.
+pub(crate) fn message_number(payload: &[u8]) -> u16 {
+    u16::from(payload[0]) << 4 | u16::from(payload[1]) >> 4
+}
+
+/// Message 1005 or 1006 with its x moved by so many tenths of millimetres.
+pub(crate) fn moved_station(payload: &[u8], by: i64) -> Vec<u8> {
+    let bits = payload.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1 == 1));
+    let mut bits: Vec<bool> = bits.collect();
+    let x = bits[34..72].iter().fold(0_i64, |x, bit| x << 1 | i64::from(*bit));
+    for (place, bit) in bits[34..72].iter_mut().rev().enumerate() {
+        *bit = (x + by) >> place & 1 == 1;
+    }
+    BitWriter { bits }.bytes()
+}
+
 /// A week and second of it.
 pub(crate) fn at(week: i32, second: f64) -> GpsTime {
     GpsTime::from_week_seconds(week, second)

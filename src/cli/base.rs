@@ -19,6 +19,9 @@ use super::Failure;
 use super::antennas::ReceiverAntenna;
 use super::files::{self, Dating, ObservationFile};
 
+/// A base that messages place further away has moved (m): they tell tenths of millimetres.
+const MOVED_M: f64 = 1e-3;
+
 /// The arguments that name a base.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct BaseArguments {
@@ -76,8 +79,10 @@ pub(crate) struct BaseRecording {
     averaged: u64,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
-    /// Read, and later than the rover's epoch.
-    ahead: Option<Epoch>,
+    /// Times that messages moved it, as virtual bases are.
+    moves: u64,
+    /// Read with where the antenna then was, and later than the rover's epoch.
+    ahead: Option<(Epoch, Ecef)>,
     /// New since the rover's epoch before; the first `count` of them.
     epochs: Vec<Epoch>,
     count: usize,
@@ -126,6 +131,7 @@ impl BaseRecording {
             averaged,
             antenna: None,
             reader,
+            moves: 0,
             ahead: None,
             epochs: Vec::new(),
             count: 0,
@@ -140,8 +146,8 @@ impl BaseRecording {
     ) -> Result<(), FileError> {
         self.count = 0;
         loop {
-            let mut epoch = match self.ahead.take() {
-                Some(epoch) => epoch,
+            let (mut epoch, place) = match self.ahead.take() {
+                Some(ahead) => ahead,
                 None => {
                     let mut epoch = self.epochs.get_mut(self.count).map_or_else(
                         || Epoch::new(rover),
@@ -150,16 +156,20 @@ impl BaseRecording {
                     if !self.reader.read_epoch(&mut epoch)? {
                         return Ok(());
                     }
+                    let place = self.place();
                     if let Some(antenna) = &mut self.antenna {
-                        let place = self.station.antenna_reference_point;
                         antenna.correct(&mut epoch, Some(place), navigation);
                     }
-                    epoch
+                    (epoch, place)
                 }
             };
             if BASE_LATER_S < epoch.time - rover {
-                self.ahead = Some(epoch);
+                self.ahead = Some((epoch, place));
                 return Ok(());
+            }
+            if MOVED_M < self.station.antenna_reference_point.distance_m(place) {
+                self.station.antenna_reference_point = place;
+                self.moves += 1;
             }
             match self.epochs.get_mut(self.count) {
                 Some(spare) => std::mem::swap(spare, &mut epoch),
@@ -167,6 +177,16 @@ impl BaseRecording {
             }
             self.count += 1;
         }
+    }
+
+    /// Where the antenna was at the epoch read last: messages may move it.
+    fn place(&self) -> Ecef {
+        let told = match self.site.source {
+            PositionSource::Message => self.reader.station(),
+            _ => None,
+        };
+        let told = told.and_then(|station| station.antenna_reference_point);
+        told.unwrap_or(self.station.antenna_reference_point)
     }
 
     /// What an estimator needs for the rover's epoch.
@@ -200,6 +220,12 @@ impl BaseRecording {
                 "warning: base: nothing tells its position; the mean of {} single-point positions \
                  may be metres off, and all positions relative to it by as much",
                 self.averaged
+            ));
+        }
+        if 0 < self.moves {
+            notes.push(format!(
+                "base: messages moved it {} times; each epoch counts where it then was",
+                self.moves
             ));
         }
         notes.extend(self.antenna.iter().flat_map(ReceiverAntenna::notes));

@@ -12,7 +12,7 @@ use crate::gnss::{Ecef, GpsTime};
 
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
 use super::sources::{NavigationSources, Source, SourceStatus};
-use super::stream::{Shared, Stream};
+use super::stream::{Shared, Stream, Told};
 use super::{Connector, FeedHealth, FeedOptions, FetchError};
 
 /// What tells streams apart: those that are alike are one.
@@ -22,6 +22,8 @@ struct Key {
     near: Option<GpsTime>,
     /// Bits of the position, which is compared and no more.
     position: Option<[u64; 3]>,
+    /// The base whose rovers the caster is told of: it computes the stream for them alone.
+    follows: Option<BaseId>,
 }
 
 struct Running {
@@ -110,8 +112,13 @@ impl Feeds {
     /// A caster or mountpoint that is none.
     pub fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
         let bits = |Ecef(p): Ecef| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
-        let key =
-            Key { request: request_of(feed)?, near: feed.near, position: feed.position.map(bits) };
+        let follows = feed.follows_rover.then(|| base.clone());
+        let key = Key {
+            request: request_of(feed)?,
+            near: feed.near,
+            position: feed.position.map(bits),
+            follows: follows.clone(),
+        };
         let mut streams = self.streams();
         if let Some(running) = streams.get(&key) {
             running.shared.add(base.clone());
@@ -122,7 +129,7 @@ impl Feeds {
         let Desk { connector, aiding, options, .. } = &*self.desk;
         let stream = Stream::new(
             key.request.clone(),
-            (feed.near, feed.position),
+            Told { near: feed.near, position: feed.position, follows },
             shared.clone(),
             connector.clone(),
             aiding.clone(),

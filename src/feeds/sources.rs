@@ -12,7 +12,7 @@ use super::archive::{Archive, ArchiveTemplate};
 use super::clock::unix_ms;
 use super::health::{ArchiveHealth, FeedHealth, SourceHealth};
 use super::ntrip::{Caster, StreamRequest};
-use super::stream::{Shared, Stream};
+use super::stream::{Shared, Stream, Told};
 use super::{Connector, FeedOptions, FetchError, FetchPolicy};
 
 /// What is to bring ephemerides.
@@ -102,8 +102,15 @@ impl Source {
         let (connector, aiding) = (connector.clone(), aiding.clone());
         // Nobody waits for epochs of it.
         let options = FeedOptions { no_epochs: Duration::MAX, ..options };
-        let stream =
-            Stream::new(request, (None, None), shared.clone(), connector, aiding, options, stopped);
+        let stream = Stream::new(
+            request,
+            Told::default(),
+            shared.clone(),
+            connector,
+            aiding,
+            options,
+            stopped,
+        );
         let task = tokio::spawn(stream.run());
         Self { name, health: Health::Stream(shared), stop, task }
     }

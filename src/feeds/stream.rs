@@ -9,7 +9,7 @@ use tokio::time::{Instant, interval, sleep, timeout_at};
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseId;
-use crate::formats::receiver::{Decoder, Event, TimeReference};
+use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, LeapSeconds, Navigation, PositionSource};
 
 use super::clock::{stopped, unix_ms};
@@ -63,11 +63,28 @@ impl Shared {
     }
 }
 
+/// What a stream is dated near and its caster told, where it needs that.
+#[derive(Default)]
+pub(super) struct Told {
+    pub(super) near: Option<GpsTime>,
+    /// The rovers' place until one of them is known.
+    pub(super) position: Option<Ecef>,
+    /// The base whose rovers' place it is.
+    pub(super) follows: Option<BaseId>,
+}
+
+/// Epochs that a station observed at one place.
+#[derive(Default)]
+struct Run {
+    /// What the stream told of the station just before them.
+    station: Option<Station>,
+    epochs: Vec<Epoch>,
+}
+
 /// What a stream's task works with.
 pub(super) struct Stream {
     request: StreamRequest,
-    near: Option<GpsTime>,
-    position: Option<Ecef>,
+    told: Told,
     /// Where the station stands, once the stream has told.
     site: Option<BaseSite>,
     /// Epochs that came before that, which a base takes only then.
@@ -80,10 +97,10 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// A stream that is not asked for yet, dated near a time and told a place, where it needs that.
+    /// A stream that is not asked for yet.
     pub(super) const fn new(
         request: StreamRequest,
-        (near, position): (Option<GpsTime>, Option<Ecef>),
+        told: Told,
         shared: Arc<Shared>,
         connector: Connector,
         aiding: AidingDesk,
@@ -92,8 +109,7 @@ impl Stream {
     ) -> Self {
         Self {
             request,
-            near,
-            position,
+            told,
             site: None,
             early: VecDeque::new(),
             shared,
@@ -133,7 +149,7 @@ impl Stream {
     /// Why the stream was refused or ended; `None` once it is stopped.
     async fn connect_and_listen(&mut self) -> Option<NtripError> {
         self.shared.note().enter(FeedState::Connecting, unix_ms());
-        let sentence = self.position.map(sentence);
+        let sentence = self.rovers().map(sentence);
         let connecting = ntrip::connect(&self.connector, &self.request, sentence.as_deref());
         let connected = tokio::select! {
             () = stopped(&mut self.stopped) => return None,
@@ -154,6 +170,11 @@ impl Stream {
     async fn listen(&mut self, mut stream: NtripStream) -> Option<NtripError> {
         let FeedOptions { silence, no_epochs, position_interval, .. } = self.options;
         let mut decoder = Decoder::new(Some(TimeReference::Day(self.reference())));
+        if self.told.follows.is_some() {
+            // A virtual base may have another place now.
+            (self.site, self.early) = (None, VecDeque::new());
+        }
+        let tells = self.told.position.is_some() || self.told.follows.is_some();
         let mut sending = interval(position_interval);
         sending.tick().await; // The first is sent with the request.
         let (mut heard, mut useful) = (Instant::now(), Instant::now());
@@ -163,8 +184,8 @@ impl Stream {
             let read = tokio::select! {
                 () = stopped(&mut self.stopped) => return None,
                 read = timeout_at(heard + silence, stream.read(&mut content)) => read,
-                _ = sending.tick(), if self.position.is_some() => {
-                    let sentence = self.position.map(sentence).unwrap_or_default();
+                _ = sending.tick(), if tells => {
+                    let Some(sentence) = self.rovers().map(sentence) else { continue };
                     match stream.send(&sentence).await {
                         Ok(()) => continue,
                         Err(error) => return Some(error),
@@ -189,27 +210,30 @@ impl Stream {
 
     /// Hands on what came; returns how many epochs it is.
     async fn take(&mut self, decoder: &Decoder, bytes: usize, events: Vec<Event>) -> usize {
-        let (mut epochs, mut navigation) = (Vec::new(), Navigation::default());
-        let mut is_told = false;
+        let mut navigation = Navigation::default();
+        let mut runs = vec![Run::default()];
         for event in events {
             match event {
-                Event::Epoch(epoch) => epochs.push(epoch),
+                Event::Epoch(epoch) => {
+                    runs.last_mut().expect("it begins with one").epochs.push(epoch);
+                }
                 Event::Station(station) => {
-                    self.site = station.site().or(self.site.take());
-                    is_told = true;
+                    runs.push(Run { station: Some(station), epochs: Vec::new() });
                 }
                 event => {
                     event.apply_to(&mut navigation);
                 }
             }
         }
+        let count = runs.iter().map(|run| run.epochs.len()).sum();
+        let last = runs.iter().flat_map(|run| &run.epochs).last().map(|epoch| epoch.time);
         {
             let mut health = self.shared.note();
             health.bytes += bytes as u64;
             health.heard_unix_ms = Some(unix_ms());
-            health.epochs += epochs.len() as u64;
+            health.epochs += count as u64;
             health.ephemerides += navigation.len() as u64;
-            health.last_epoch = epochs.last().map(|epoch| epoch.time).or(health.last_epoch);
+            health.last_epoch = last.or(health.last_epoch);
             health.statistics = decoder.statistics().clone();
         }
         if navigation != Navigation::default() {
@@ -219,22 +243,37 @@ impl Stream {
                 self.shared.note().refusal = Some(FeedProblem::from(&error));
             }
         }
-        if let (Some(_), Some(last)) = (self.near, epochs.last()) {
-            self.near = Some(last.time); // A stream that is played goes on from here.
+        if self.told.near.is_some() {
+            self.told.near = last.or(self.told.near); // A stream that is played goes on from here.
         }
-        let count = epochs.len();
+        for run in runs {
+            self.hand_on(run).await;
+        }
+        count
+    }
+
+    /// Hands epochs on to the bases. Those before a message of the station are of the place that
+    /// it had until then: a virtual base moves. Those of one wait until its place is told.
+    async fn hand_on(&mut self, Run { station, mut epochs }: Run) {
+        let is_told = station.is_some();
+        self.site = station.and_then(|station| station.site()).or(self.site.take());
         if self.site.is_none() {
             self.early.extend(epochs.iter().cloned());
             let surplus = self.early.len().saturating_sub(EARLY_EPOCHS);
             self.early.drain(..surplus);
+            if self.told.follows.is_some() {
+                return;
+            }
         } else if !self.early.is_empty() {
             epochs.splice(..0, self.early.drain(..));
+        }
+        if !is_told && epochs.is_empty() {
+            return;
         }
         let bases = self.shared.bases().clone();
         for base in &bases {
             self.fill(base, is_told, &epochs).await;
         }
-        count
     }
 
     /// Hands a base what came of it. Where its owner has said where it stands, that holds.
@@ -263,10 +302,16 @@ impl Stream {
         is_refused
     }
 
+    /// Where the rovers are: where one of them was last, else as stated.
+    fn rovers(&self) -> Option<Ecef> {
+        let Told { position, follows, .. } = &self.told;
+        follows.as_ref().and_then(|base| self.aiding.bases.rover(base)).or(*position)
+    }
+
     /// Within half a day of what comes.
     fn reference(&self) -> GpsTime {
         let now = || GpsTime::from_unix_ms(unix_ms(), &LeapSeconds::table());
-        self.near.unwrap_or_else(now)
+        self.told.near.unwrap_or_else(now)
     }
 
     fn log(&self, error: &NtripError, delay: Duration) {

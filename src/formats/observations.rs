@@ -88,6 +88,14 @@ impl<R: BufRead> Observations<R> {
         })
     }
 
+    /// The station, as far as the messages read so far have told; `None` for RINEX.
+    pub fn station(&self) -> Option<&Station> {
+        match self {
+            Self::Rinex(_) => None,
+            Self::Receiver(reader) => reader.station(),
+        }
+    }
+
     /// What was left out so far.
     pub fn left_out(&self) -> LeftOut {
         match self {
@@ -131,7 +139,7 @@ pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, Fi
 }
 
 /// The station of receiver data: all that its messages tell until position and antenna are known,
-/// or to the end; `None` where they tell nothing, and for RINEX.
+/// or to the end; of positions that change the first. `None` where they tell nothing, and for RINEX.
 ///
 /// # Errors
 /// The file cannot be read on.
@@ -141,8 +149,12 @@ pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileE
     }
     let mut reader = ReceiverReader::new(file.input, None);
     let is_known = |s: &Station| s.antenna_reference_point.is_some() && !s.antenna.is_empty();
-    while !reader.station().is_some_and(is_known) && reader.read_event()?.is_some() {}
-    Ok(reader.station().cloned())
+    let mut first = None;
+    while !reader.station().is_some_and(is_known) && reader.read_event()?.is_some() {
+        first = first.or(reader.station().and_then(|s| s.antenna_reference_point));
+    }
+    let station = reader.station().cloned();
+    Ok(station.map(|station| Station { antenna_reference_point: first, ..station }))
 }
 
 /// What of a file was left out.

@@ -165,6 +165,11 @@ pub enum Reason {
         /// From the stated position to its single-point solution (m).
         distance_m: f64,
     },
+    /// The base stands elsewhere than at the epoch before, so that all ambiguities began anew.
+    BaseMoved {
+        /// From the place before to the place now (m).
+        distance_m: f64,
+    },
     /// The base is too far away for differences to cancel the atmosphere.
     BaselineTooLong {
         /// Length of the baseline (m).
@@ -233,6 +238,7 @@ impl Reason {
             Self::BaseMissing => "BASE_MISSING",
             Self::BaseStale { .. } => "BASE_STALE",
             Self::BasePositionDoubtful { .. } => "BASE_POSITION_DOUBTFUL",
+            Self::BaseMoved { .. } => "BASE_MOVED",
             Self::BaselineTooLong { .. } => "BASELINE_TOO_LONG",
             Self::TooFewCommonSatellites { .. } => "TOO_FEW_COMMON_SATELLITES",
             Self::RatioBelowThreshold { .. } => "RATIO_BELOW_THRESHOLD",
@@ -266,6 +272,7 @@ impl Reason {
             Self::BaseMissing => "name a base and push its epochs",
             Self::BaseStale { .. } => "check the base's connection, or allow a greater base age",
             Self::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
+            Self::BaseMoved { .. } => "none needed: a fix comes back as after cycle slips",
             Self::BaselineTooLong { .. } => "choose a nearer base",
             Self::TooFewCommonSatellites { .. } => {
                 "choose a base that receives the rover's constellations and bands"
@@ -324,7 +331,7 @@ impl Reason {
             }
             Self::OdometryUnused { interval_s } => vec![("intervalS", V::Number(*interval_s))],
             Self::FixImprecise { sigma_m } => vec![("sigmaM", V::Number(*sigma_m))],
-            Self::BasePositionDoubtful { distance_m } => {
+            Self::BasePositionDoubtful { distance_m } | Self::BaseMoved { distance_m } => {
                 vec![("distanceM", V::Number(*distance_m))]
             }
             Self::BaselineTooLong { length_m } => vec![("lengthM", V::Number(*length_m))],
@@ -361,6 +368,7 @@ impl fmt::Display for Reason {
             }
             Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
             Self::FixImprecise { sigma_m } => write!(f, "{{sigma {sigma_m:.2} m}}"),
+            Self::BaseMoved { distance_m } => write!(f, "{{distance {distance_m:.3} m}}"),
             Self::BasePositionDoubtful { distance_m } => {
                 write!(f, "{{distance {distance_m:.0} m}}")
             }

@@ -58,6 +58,7 @@ snapshot_variants!(Reason {
     18 => StartUnproven { age_s },
     19 => OdometryUnused { interval_s },
     20 => FixImprecise { sigma_m },
+    21 => BaseMoved { distance_m },
 });
 
 snapshot_fields!(Solution { time, status, estimate, reasons, provenance });

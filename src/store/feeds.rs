@@ -24,6 +24,8 @@ pub struct BaseFeed {
     pub near: Option<GpsTime>,
     /// Where rovers are, for casters that compute a stream for a place.
     pub position: Option<Ecef>,
+    /// Such casters are told where the base's rovers are.
+    pub follows_rover: bool,
 }
 
 impl fmt::Debug for BaseFeed {
@@ -45,6 +47,7 @@ pub(super) struct RawFeed {
     x_m: Option<f64>,
     y_m: Option<f64>,
     z_m: Option<f64>,
+    follows_rover: i32,
 }
 
 impl RawFeed {
@@ -62,13 +65,15 @@ impl RawFeed {
             version,
             near: self.near_ns.map(GpsTime::from_ns),
             position: position.map(|((x, y), z)| Ecef::new(x, y, z)),
+            follows_rover: self.follows_rover != 0,
         })
     }
 }
 
 pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
-    (base, caster, mountpoint, name, password, version, near_ns, x_m, y_m, z_m)
-    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
+    (base, caster, mountpoint, name, password, version, near_ns, x_m, y_m, z_m,
+     follows_rover)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)";
 
 /// Binds a feed behind its base.
 macro_rules! feed {
@@ -85,6 +90,7 @@ macro_rules! feed {
             .bind(axis(0))
             .bind(axis(1))
             .bind(axis(2))
+            .bind(i32::from($feed.follows_rover))
     }};
 }
 pub(super) use feed;

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, Rw
 
 use crate::aiding::broker::unix_ms;
 use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
-use crate::gnss::{BaseSite, Epoch, GpsTime, Navigation};
+use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
 use crate::positioning::BASE_LATER_S;
 use crate::store::{
     BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
@@ -34,6 +34,8 @@ struct Base {
     label: String,
     created_unix_ms: i64,
     feed: Option<BaseFeed>,
+    /// Where a rover that is positioned against it was last.
+    rover: Mutex<Option<Ecef>>,
     /// Held while a push is built and committed: pushes follow one another.
     pushing: tokio::sync::Mutex<()>,
     held: Mutex<Held>,
@@ -67,6 +69,7 @@ impl BaseBroker {
                 label: row.label,
                 created_unix_ms: row.created_unix_ms,
                 feed: row.feed,
+                rover: Mutex::default(),
                 pushing: tokio::sync::Mutex::new(()),
                 held: Mutex::new(Held::new(row.sites, epochs, stored_unix_ms)),
             };
@@ -100,6 +103,7 @@ impl BaseBroker {
             label: new.label,
             created_unix_ms: now,
             feed: new.feed,
+            rover: Mutex::default(),
             pushing: tokio::sync::Mutex::new(()),
             held: Mutex::new(Held::new(sites, Vec::new(), None)),
         });
@@ -149,6 +153,19 @@ impl BaseBroker {
     /// There is none of this id.
     pub fn site(&self, id: &BaseId) -> Result<Option<BaseSite>, AidingError> {
         Ok(self.base(id)?.held().site().cloned())
+    }
+
+    /// Notes where a rover of a base is, for casters that compute a stream for a place.
+    pub fn note_rover(&self, base: BaseKey, place: Ecef) {
+        if let Some(base) = self.of(base) {
+            *base.rover.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);
+        }
+    }
+
+    /// Where a rover of a base was last, since the service started.
+    pub fn rover(&self, id: &BaseId) -> Option<Ecef> {
+        let base = self.base(id).ok()?;
+        *base.rover.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Deletes a base with its epochs.

@@ -1,6 +1,7 @@
 //! What is held of one base in memory: all that is stored of it.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use crate::gnss::{BaseSite, Epoch, GpsTime};
 use crate::store::StoredBaseEpoch;
@@ -12,7 +13,7 @@ use super::{BaseEpochRefusal, HeldEpoch};
 #[derive(Clone, Debug)]
 pub(super) struct Held {
     /// From the epoch of that number on.
-    pub(super) sites: Vec<(u64, BaseSite)>,
+    pub(super) sites: Arc<Vec<(u64, BaseSite)>>,
     /// In order of number and time, without gaps.
     pub(super) epochs: VecDeque<StoredBaseEpoch>,
     /// Bytes of the epochs.
@@ -35,7 +36,7 @@ impl Held {
         let bytes = epochs.iter().map(StoredBaseEpoch::size).sum();
         let newest = epochs.last().and_then(|stored| stored.epoch().ok());
         Self {
-            sites,
+            sites: Arc::new(sites),
             epochs: epochs.into(),
             bytes,
             check: PositionCheck::new(),
@@ -63,8 +64,9 @@ impl Held {
 
     /// Takes over a site that is stored.
     pub(super) fn take_site(&mut self, since: u64, site: BaseSite) {
-        self.sites.retain(|(other, _)| *other < since);
-        self.sites.push((since, site));
+        let sites = Arc::make_mut(&mut self.sites);
+        sites.retain(|(other, _)| *other < since);
+        sites.push((since, site));
         self.check = PositionCheck::new();
     }
 

@@ -1,5 +1,7 @@
 //! What a session sees of its base: the epochs around those it positions.
 
+use std::sync::Arc;
+
 use crate::gnss::{BaseSite, BaseStation, Epoch, GpsTime};
 use crate::positioning::{BASE_LATER_S, BaseAiding};
 use crate::store::{BaseName, BaseUse, StoredBaseEpoch};
@@ -9,7 +11,7 @@ use crate::store::{BaseName, BaseUse, StoredBaseEpoch};
 pub struct BaseView {
     pub(super) name: BaseName,
     /// From the epoch of that number on.
-    pub(super) sites: Vec<(u64, BaseSite)>,
+    pub(super) sites: Arc<Vec<(u64, BaseSite)>>,
     /// In order of number and time, without gaps.
     pub(super) epochs: Vec<StoredBaseEpoch>,
 }
@@ -25,8 +27,8 @@ pub struct BaseGiven {
 
 impl BaseView {
     /// A base of which nothing is held, nor its place known.
-    pub const fn empty(name: BaseName) -> Self {
-        Self { name, sites: Vec::new(), epochs: Vec::new() }
+    pub fn empty(name: BaseName) -> Self {
+        Self { name, sites: Arc::default(), epochs: Vec::new() }
     }
 
     /// The base.
@@ -35,7 +37,8 @@ impl BaseView {
     }
 
     /// What is new for a rover's epoch at `time`: epochs numbered above `after`, up to that time,
-    /// and no older than `span_s`, for what came before no longer counts.
+    /// and no older than `span_s`, for what came before no longer counts. The station is where the
+    /// newest of them was observed, which is the one that the rover's is differenced against.
     pub fn new_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseGiven {
         let is_past = |epoch: &StoredBaseEpoch| epoch.time - time <= BASE_LATER_S;
         let end = self.epochs.partition_point(is_past);

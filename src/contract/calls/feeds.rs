@@ -20,7 +20,8 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     let refused = |field: &str, message: String| {
         Err(Refusal::new(Code::InvalidField, message).at(format!("ntrip.{field}")))
     };
-    let v1::NtripSource { caster, mountpoint, user, password, version, position, near } = source;
+    let v1::NtripSource { caster, mountpoint, user, password, version, position, near, .. } =
+        source;
     let version = match version {
         0 | 2 => 2,
         1 => 1,
@@ -50,7 +51,16 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     let at_near = |refusal: Refusal| refusal.at("ntrip.near");
     let near = near.map(|near| intake::time(near.week, near.ns_of_week).map_err(at_near));
     let near = near.transpose()?;
-    let feed = BaseFeed { caster, mountpoint, name: user, password, version, near, position };
+    let feed = BaseFeed {
+        caster,
+        mountpoint,
+        name: user,
+        password,
+        version,
+        near,
+        position,
+        follows_rover: source.follow_rover,
+    };
     service.feeds().check(&feed)?;
     Ok(feed)
 }

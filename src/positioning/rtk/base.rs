@@ -10,6 +10,8 @@ use crate::snapshot::snapshot_fields;
 
 /// Base epochs whose single-point positions are averaged to check the stated one.
 const CHECKS_MAX: u32 = 10;
+/// A base whose stated position changes by more has moved (m): messages tell tenths of millimetres.
+const MOVED_M: f64 = 1e-3;
 
 /// How far the stated position of a base is from what the base observes.
 #[derive(Clone, Copy, Debug)]
@@ -82,6 +84,14 @@ impl BaseMemory {
         }
         self.check = Some(check);
         (0 < check.count).then(|| check.sum_m.norm() / f64::from(check.count))
+    }
+
+    /// How far the base moved since it was used last (m); `None` where it stands where it stood.
+    ///
+    /// Its phases are then those of another place, and none of them can be relied upon to go on.
+    pub(super) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
+        let stated = self.check?.stated;
+        Some(stated.distance_m(station.antenna_reference_point)).filter(|m| MOVED_M < *m)
     }
 
     /// The newest epoch.

@@ -42,6 +42,8 @@ pub(super) struct Front {
     pub(super) differences: SingleDifferences,
     /// Satellites whose arcs ended at this epoch.
     pub(super) slipped: Vec<SatelliteId>,
+    /// How far the base moved before this epoch (m).
+    base_moved_m: Option<f64>,
 }
 
 impl Front {
@@ -53,11 +55,12 @@ impl Front {
             single_point: SinglePoint::new(options),
             differences: SingleDifferences::default(),
             slipped: Vec::new(),
+            base_moved_m: None,
         }
     }
 
     /// Takes an epoch and what is new of the base, and ends the arcs that either receiver says it
-    /// lost, and those not seen for long.
+    /// lost, those not seen for long, and all where the base has moved.
     ///
     /// An epoch that is not after the last one changes nothing: its own solution is returned.
     pub(super) fn receive(
@@ -76,6 +79,7 @@ impl Front {
             self.base.take(base.epochs, epoch.time);
         }
         self.slipped.clear();
+        self.base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
         let lost_by_rover = |satellite, code| {
             epoch.observations.iter().any(|observation| {
                 let is_same = observation.satellite == satellite && observation.code == code;
@@ -83,7 +87,10 @@ impl Front {
             })
         };
         let base = &self.base;
-        let failed = epoch.power_failure || base.power_failed || options.rtk.single_epoch;
+        let failed = epoch.power_failure
+            || base.power_failed
+            || self.base_moved_m.is_some()
+            || options.rtk.single_epoch;
         arcs.end(
             |arc| {
                 failed
@@ -171,6 +178,7 @@ impl Front {
             let satellites = self.differences.without_ephemeris.clone();
             reasons.push(Reason::EphemerisMissing { satellites });
         }
+        reasons.extend(self.base_moved_m.map(|distance_m| Reason::BaseMoved { distance_m }));
         if !self.slipped.is_empty() {
             self.slipped.sort_unstable();
             self.slipped.dedup();
@@ -203,7 +211,7 @@ impl Front {
 
     /// Swaps the memory both work in.
     pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        let Self { base: _, last: _, single_point, differences, slipped } = self;
+        let Self { base: _, last: _, single_point, differences, slipped, base_moved_m: _ } = self;
         single_point.exchange_memory(&mut other.single_point);
         std::mem::swap(differences, &mut other.differences);
         std::mem::swap(slipped, &mut other.slipped);
@@ -219,6 +227,7 @@ impl Clone for Front {
             single_point: self.single_point.with_fresh_memory(),
             differences: SingleDifferences::default(),
             slipped: Vec::new(),
+            base_moved_m: None,
         }
     }
 

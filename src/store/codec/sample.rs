@@ -125,6 +125,7 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         number().prop_map(|age_s| Reason::StartUnproven { age_s }),
         number().prop_map(|interval_s| Reason::OdometryUnused { interval_s }),
         number().prop_map(|sigma_m| Reason::FixImprecise { sigma_m }),
+        number().prop_map(|distance_m| Reason::BaseMoved { distance_m }),
     ]
 }
 

@@ -166,6 +166,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         Reason::StartUnproven { age_s } => numbers(18, &[*age_s]),
         Reason::OdometryUnused { interval_s } => numbers(19, &[*interval_s]),
         Reason::FixImprecise { sigma_m } => numbers(20, &[*sigma_m]),
+        Reason::BaseMoved { distance_m } => numbers(21, &[*distance_m]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -296,6 +297,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         18 => Reason::StartUnproven { age_s: input.f64()? },
         19 => Reason::OdometryUnused { interval_s: input.f64()? },
         20 => Reason::FixImprecise { sigma_m: input.f64()? },
+        21 => Reason::BaseMoved { distance_m: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }
