@@ -76,7 +76,7 @@ impl GraphOptions {
                 ..general
             },
             Profile::Phone => Self { phase_sigma_m: 0.1, ..general },
-            // The paper prints neither deviation nor kernel width; these are of the program it names,
+            // The paper prints neither; deviation and width are those of the program it names,
             // GraphGNSSLib.
             Profile::Paper => Self {
                 doppler_velocity_sigma_m_s: 0.6,

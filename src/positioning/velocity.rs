@@ -88,7 +88,7 @@ pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }
 
-/// Least squares, reweighted until residuals beyond `huber` deviations pull no more than those there.
+/// Least squares, reweighted: residuals beyond `huber` deviations pull as those there.
 fn solve(rows: &[Row], huber: f64) -> Option<Velocity> {
     if rows.len() < 4 {
         return None;

@@ -8,9 +8,10 @@ use crate::positioning::standstill::StandstillTest;
 
 /// Huber's constant: 95 % efficiency under normal errors.
 const HUBER: f64 = 1.345;
-/// Steps shorter than this many standard deviations of the answer end a solve: what is left to go
-/// is then a tenth of what the pseudoranges' errors move it by.
-const TOLERANCE: f64 = 5e-2;
+/// Steps shorter than this many standard deviations of the answer end a solve.
+const TOLERANCE: f64 = 1e-2;
+/// The same of kernels that redescend: they reject what would hold a solve up, and converge soon.
+const ANNEALED_TOLERANCE: f64 = 5e-2;
 
 /// Robust kernels of the measurements.
 #[derive(Clone, Copy, Debug)]
@@ -79,7 +80,8 @@ impl Settings {
             }
             false => (Schedule::direct(3), Schedule::direct(30)),
         };
-        let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
+        let tolerance = if kernels.is_redescending() { ANNEALED_TOLERANCE } else { TOLERANCE };
+        let solve = |schedule| OptimizerOptions { schedule, tolerance, damping: 0.0 };
         Self {
             kernels,
             motion: MotionWalk::of(options),
