@@ -132,8 +132,8 @@ fn a_base_of_messages_may_move() {
     }
     fs::write(folder.join("moved.ubx"), &bytes).unwrap();
     let solve = |base: &str| {
-        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391400"];
-        let to = ["--mode", "rtk-fgo", "--profile", "static", "--output", "out.csv"];
+        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391440"];
+        let to = ["--mode", "rtk-fgo", "--output", "out.csv"];
         let (done, summary, error) = run(folder, &[&fixed[..], &to].concat());
         assert!(done, "{error}");
         let rows = fs::read_to_string(folder.join("out.csv")).unwrap();

@@ -321,8 +321,8 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     let events = decode(&rover_log[..rover_log.len() / 4], None).0;
     doors.service.navigation().push(navigation(&events), "test").await.unwrap();
     let mut rover = epochs(events);
-    // The base tells its place from 391133 on.
-    rover.retain(|epoch| 391_149.5 < epoch.time.seconds_of_week());
+    // The base tells its place from 391166 on.
+    rover.retain(|epoch| 391_199.5 < epoch.time.seconds_of_week());
     let start = rover[0].time.seconds_of_week().round();
     let at = |second: f64| place_in(&base_log, start + second);
     let (air, _) = watch::channel(Air { lives: true, from: 0, until: at(7.0) });
