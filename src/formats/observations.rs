@@ -139,7 +139,7 @@ pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, Fi
 }
 
 /// The station of receiver data: all that its messages tell until position and antenna are known,
-/// or to the end; of positions that change the first. `None` where they tell nothing, and for RINEX.
+/// or to the end; of positions that change the first. `None` where they tell nothing, and of RINEX.
 ///
 /// # Errors
 /// The file cannot be read on.

@@ -232,8 +232,8 @@ impl Task {
         }
         let durable_through = state.last.map(|(seq, _)| seq);
         self.solvers.spares().keep(committed);
-        let estimates = solutions.iter().filter_map(|stored| stored.solution.estimate.as_ref());
-        if let (Some(base), Some(estimate)) = (&origin.base, estimates.last()) {
+        let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
+        if let (Some(base), Some(estimate)) = (&origin.base, newest) {
             self.aiding.bases.note_rover(base.key, estimate.position);
         }
         *active = Some(Active { committed: state, origin, raw: reception });
