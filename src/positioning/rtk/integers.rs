@@ -26,6 +26,8 @@ const CANDIDATES: usize = 4;
 const NODES_MAX: usize = 20_000;
 /// Subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
+/// The same of those that join integers kept: what is not found now is looked for at every epoch.
+const OTHERS_ATTEMPTS_MAX: usize = 3;
 /// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
 pub(super) const DISAGREEMENT: f64 = 4.0;
 
@@ -212,7 +214,7 @@ impl Integers {
         }
         let mut held = known.len();
         if !others.is_empty() {
-            let lambda = Options { fixed_min: 1, ..*options };
+            let lambda = Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*options };
             if let Some((outcome, position)) = self.search(arcs, &rest, &others, &lambda)
                 && outcome.rejection.is_none()
             {
