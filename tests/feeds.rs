@@ -266,7 +266,10 @@ fn place_in(log: &[u8], second: f64) -> usize {
     let mut events = Vec::new();
     for (index, piece) in log.chunks(250).enumerate() {
         decoder.push(piece, &mut events);
-        let is_past = |event: &Event| matches!(event, Event::Epoch(epoch) if second <= epoch.time.seconds_of_week());
+        let is_past = |event: &Event| match event {
+            Event::Epoch(epoch) => second <= epoch.time.seconds_of_week(),
+            _ => false,
+        };
         if events.drain(..).any(|event| is_past(&event)) {
             return (index + 1) * 250;
         }

@@ -263,8 +263,8 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     assert!(wrong.iter().zip(&fixed).all(is_rare), "{wrong:?} of {fixed:?} wrong");
 }
 
-/// GLONASS's integers, each of a wavelength of its own, are found beside GPS's, between receivers whose
-/// delays differ from channel to channel, too: by 3 cm, as some makers' do.
+/// GLONASS's integers, each of a wavelength of its own, are found beside GPS's, between receivers
+/// whose delays differ from channel to channel, too: by 3 cm, as some makers' do.
 #[test]
 fn integers_of_glonass_are_found() {
     for (slope_m, least) in [(0.0, 50), (0.03, 1)] {
