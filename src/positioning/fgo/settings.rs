@@ -78,7 +78,7 @@ impl Settings {
             true => {
                 (Schedule::graduated(1, 2.0, 2.0, 1, 1), Schedule::graduated(2, 15.0, 2.0, 1, 10))
             }
-            false => (Schedule::direct(3), Schedule::direct(30)),
+            false => (Schedule::direct(2), Schedule::direct(30)),
         };
         let tolerance = if kernels.is_redescending() { ANNEALED_TOLERANCE } else { TOLERANCE };
         let solve = |schedule| OptimizerOptions { schedule, tolerance, damping: 0.0 };
