@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use crate::config::RtkOptions;
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     BaseEpochIssue, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
@@ -27,6 +28,16 @@ pub(super) struct Findings<'a> {
     pub(super) resolution: Resolution,
     pub(super) base: UsableBase<'a>,
     pub(super) reasons: Vec<Reason>,
+    pub(super) options: &'a RtkOptions,
+}
+
+/// What the ionosphere's gradient puts into a position over such a baseline, ENU (m²).
+///
+/// For minutes it is the same for every epoch and satellite, so that no number of them averages it
+/// out: g·d in each horizontal direction, twice that upward, where the delay acts with one sign.
+pub(super) fn gradient_covariance(options: &RtkOptions, baseline_m: f64) -> Matrix3<f64> {
+    let sigma_m = options.ionosphere_gradient * baseline_m;
+    Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 4.0)) * (sigma_m * sigma_m)
 }
 
 /// The solution of an epoch.
@@ -49,6 +60,8 @@ pub(super) fn solution(findings: Findings<'_>) -> Solution {
     };
     reasons.extend(base.doubt);
     let position = frame.to_ecef(Enu(place));
+    let baseline_m = position.0 - base.station.antenna_reference_point.0;
+    let uncertainty = uncertainty + gradient_covariance(findings.options, baseline_m.norm());
     let mut used: Vec<_> = differences.list.iter().map(|d| d.common).collect();
     used.sort_unstable_by_key(|&common| differences.satellites[common].satellite);
     used.dedup();
@@ -73,7 +86,7 @@ pub(super) fn solution(findings: Findings<'_>) -> Solution {
         dops: geometry.map_or(UNDETERMINED, |geometry| geometry.dops()),
         satellites_used: used.iter().map(|common| of(common).satellite).collect(),
         relative: Some(RelativeEstimate {
-            baseline_m: position.0 - base.station.antenna_reference_point.0,
+            baseline_m,
             age_s: base.age_s,
             ambiguities: resolution.ambiguities,
             fixed_ambiguities: held,

@@ -255,6 +255,7 @@ impl RtkFilter {
             resolution,
             reasons,
             base,
+            options: &options.rtk,
         })
     }
 }

@@ -8,6 +8,7 @@ use crate::graph::Smoother;
 use crate::lambda::Resolver;
 use crate::positioning::factors::VELOCITY;
 
+use super::answer::gradient_covariance;
 use super::arcs::Label;
 use super::epoch::STATE;
 use super::float::FloatSolution;
@@ -124,11 +125,13 @@ impl<'a> Revision<'a> {
         let to_ecef = |c: &Matrix3<f64>| rotation.transpose() * c * rotation;
         if let Some(estimate) = &mut solution.estimate {
             let place = self.frame.to_ecef(Enu(*position));
+            let mut covariance = *covariance;
             if let Some(relative) = &mut estimate.relative {
                 relative.baseline_m += place.0 - estimate.position.0;
+                covariance += gradient_covariance(self.options, relative.baseline_m.norm());
             }
             estimate.position = place;
-            estimate.covariance = to_ecef(covariance);
+            estimate.covariance = to_ecef(&covariance);
             estimate.velocity = Some(Velocity {
                 velocity_m_s: rotation.transpose() * self.velocity.velocity_m_s,
                 covariance: to_ecef(&self.velocity.covariance),

@@ -243,6 +243,7 @@ impl RtkWindow {
             resolution,
             reasons,
             base,
+            options: &options.rtk,
         };
         solution(findings)
     }
