@@ -1,6 +1,7 @@
 //! A connection to a host that may be asked, plain or encrypted.
 
 use std::fmt;
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::pin::Pin;
@@ -156,7 +157,13 @@ impl AsyncRead for Connection {
     ) -> Poll<std::io::Result<()>> {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_read(context, buffer),
-            Self::Tls(stream) => Pin::new(stream.as_mut()).poll_read(context, buffer),
+            Self::Tls(stream) => match Pin::new(stream.as_mut()).poll_read(context, buffer) {
+                // So TLS ends where nobody says that it does: whoever reads knows what is missing.
+                Poll::Ready(Err(error)) if error.kind() == ErrorKind::UnexpectedEof => {
+                    Poll::Ready(Ok(()))
+                }
+                read => read,
+            },
         }
     }
 }

@@ -34,9 +34,14 @@ impl Fields<'_> {
 
     /// When the host asks to come back, if it does.
     pub(super) fn retry_after(&self) -> Option<Duration> {
-        let seconds = self.value("retry-after")?.parse().ok()?;
-        Some(Duration::from_secs(seconds).min(RETRY_AFTER_LIMIT))
+        retry_after(&self.value("retry-after")?)
     }
+}
+
+/// The delay that a field `Retry-After` asks for; none where it names a date.
+pub(super) fn retry_after(text: &str) -> Option<Duration> {
+    let seconds = text.trim().parse().ok()?;
+    Some(Duration::from_secs(seconds).min(RETRY_AFTER_LIMIT))
 }
 
 /// A text of somebody else's, short and printable.

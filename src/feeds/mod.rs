@@ -13,7 +13,6 @@
 mod address;
 mod archive;
 mod backoff;
-mod chunked;
 mod clock;
 mod connection;
 mod desk;

@@ -2,22 +2,29 @@
 //!
 //! Source: RFC 9110 (validators, redirection) and RFC 9112 (message body length).
 
+use std::error::Error;
 use std::fmt;
+use std::io::ErrorKind;
+use std::pin::pin;
 use std::str::FromStr;
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use bytes::Bytes;
+use http_body_util::{BodyExt, Empty};
+use hyper::body::{Body, Incoming};
+use hyper::client::conn::http1;
+use hyper::header::{self, HeaderValue};
+use hyper::{Request, Response, StatusCode, Uri};
+use hyper_util::rt::TokioIo;
 use tokio::time::timeout;
 
-use super::chunked::Unchunker;
-use super::head::{Fields, HEAD_LIMIT, end_of, shown};
-use super::{Connection, Connector, FetchError};
+use super::head::{HEAD_LIMIT, retry_after, shown};
+use super::{Connector, FetchError};
 
 const AGENT: &str = concat!("graphfix/", env!("CARGO_PKG_VERSION"));
 /// How often a host may send elsewhere on itself.
 const REDIRECTIONS: usize = 3;
 const LOCATION_LIMIT: usize = 2000;
-const READ_BYTES: usize = 16 << 10;
 
 /// A place of the web, such as `https://host/path`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -37,28 +44,16 @@ impl FromStr for Location {
 
     fn from_str(text: &str) -> Result<Self, FetchError> {
         let parse = || {
-            let (scheme, rest) = text.split_once("://").filter(|_| text.len() <= LOCATION_LIMIT)?;
-            let is_tls = match scheme {
-                "http" => false,
-                "https" => true,
+            let uri: Uri = text.parse().ok().filter(|_| text.len() <= LOCATION_LIMIT)?;
+            let (is_tls, usual_port) = match uri.scheme_str()? {
+                "http" => (false, 80),
+                "https" => (true, 443),
                 _ => return None,
             };
-            let slash = rest.find('/').unwrap_or(rest.len());
-            let (authority, path) = rest.split_at(slash);
-            let (host, port) = match authority.rsplit_once(':') {
-                Some((host, port)) if !host.contains(':') || host.ends_with(']') => {
-                    (host, port.parse().ok().filter(|port| *port != 0)?)
-                }
-                _ => (authority, if is_tls { 443 } else { 80 }),
-            };
-            let is_host = |c: char| {
-                c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_' | '[' | ']' | ':')
-            };
-            let is_path = |c: char| c.is_ascii_graphic() && c != '#';
-            let is_sound =
-                !host.is_empty() && host.chars().all(is_host) && path.chars().all(is_path);
-            let path = if path.is_empty() { "/" } else { path }.to_owned();
-            is_sound.then(|| Self { host: host.to_ascii_lowercase(), port, is_tls, path })
+            let port = uri.port_u16().unwrap_or(usual_port);
+            let is_sound = port != 0 && text.is_ascii() && !uri.authority()?.as_str().contains('@');
+            let (host, path) = (uri.host()?.to_ascii_lowercase(), uri.path_and_query()?.as_str());
+            is_sound.then(|| Self { host, port, is_tls, path: path.to_owned() })
         };
         parse().ok_or_else(|| FetchError::LocationInvalid { text: text.to_owned() })
     }
@@ -74,8 +69,8 @@ impl fmt::Display for Location {
 /// What a host said of the file that it gave last.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Validators {
-    etag: Option<String>,
-    modified: Option<String>,
+    etag: Option<HeaderValue>,
+    modified: Option<HeaderValue>,
 }
 
 /// What a host gave.
@@ -215,18 +210,14 @@ async fn follow(
 
 /// The place that a host sends to, if it is its own.
 fn on_same_host(from: &Location, to: &str) -> Result<Location, WebError> {
-    let elsewhere = || WebError::Redirected { location: to.to_owned() };
-    let whole = match to.strip_prefix('/') {
-        // Two slashes begin another host's name.
-        Some(path) if !path.starts_with('/') => {
-            let Location { host, port, is_tls, .. } = from;
-            let scheme = if *is_tls { "https" } else { "http" };
-            format!("{scheme}://{host}:{port}{to}")
-        }
-        _ => to.to_owned(),
-    };
+    let elsewhere = || WebError::Redirected { location: shown(to.as_bytes()) };
+    let Location { host, port, is_tls, .. } = from;
+    // Two slashes begin another host's name.
+    let is_path = to.starts_with('/') && !to.starts_with("//");
+    let scheme = if *is_tls { "https" } else { "http" };
+    let whole = if is_path { format!("{scheme}://{host}:{port}{to}") } else { to.to_owned() };
     let place: Location = whole.parse().map_err(|_| elsewhere())?;
-    let is_same = (&place.host, place.port, place.is_tls) == (&from.host, from.port, from.is_tls);
+    let is_same = (&place.host, place.port, place.is_tls) == (host, *port, *is_tls);
     if is_same { Ok(place) } else { Err(elsewhere()) }
 }
 
@@ -241,135 +232,81 @@ async fn ask(
     known: &Validators,
     limit: usize,
 ) -> Result<Answer, WebError> {
-    let mut connection = connector.connect(&at.host, at.port, at.is_tls).await?;
-    let Location { host, port, path, .. } = at;
-    let mut request = format!(
-        "GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\nUser-Agent: {AGENT}\r\n\
-         Accept-Encoding: identity\r\nConnection: close\r\n"
-    );
+    let stream = connector.connect(&at.host, at.port, at.is_tls).await?;
+    let mut client = http1::Builder::new();
+    client.max_buf_size(HEAD_LIMIT).title_case_headers(true);
+    let client = client.handshake(TokioIo::new(stream));
+    let (mut sender, connection) = client.await.map_err(|error| failed(&error))?;
+    let request = request(at, known)?;
+    let mut exchange = pin!(async {
+        let answering = sender.send_request(request).await;
+        take(answering.map_err(|error| failed(&error))?, limit).await
+    });
+    tokio::select! {
+        answer = &mut exchange => answer,
+        // What it has read before its end, or what ended it, the exchange is told.
+        _ = connection => exchange.await,
+    }
+}
+
+fn request(at: &Location, known: &Validators) -> Result<Request<Empty<Bytes>>, WebError> {
+    let mut request = Request::get(at.path.as_str())
+        .header(header::HOST, format!("{}:{}", at.host, at.port))
+        .header(header::USER_AGENT, AGENT)
+        .header(header::ACCEPT_ENCODING, "identity")
+        .header(header::CONNECTION, "close");
     if let Some(etag) = &known.etag {
-        request.push_str(&format!("If-None-Match: {etag}\r\n"));
+        request = request.header(header::IF_NONE_MATCH, etag);
     }
     if let Some(modified) = &known.modified {
-        request.push_str(&format!("If-Modified-Since: {modified}\r\n"));
+        request = request.header(header::IF_MODIFIED_SINCE, modified);
     }
-    request.push_str("\r\n");
-    connection.write_all(request.as_bytes()).await.map_err(|error| cut(&error))?;
-    let (bytes, length) = head(&mut connection).await?;
-    let line_end = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(length);
-    let line = shown(&bytes[..line_end]);
-    let fields = Fields(&bytes[line_end..length]);
-    let number = line.split_whitespace().nth(1).and_then(|number| number.parse::<u16>().ok());
-    match number {
-        Some(200) => {}
-        Some(304) => return Ok(Answer::File(Fetched::Unchanged)),
-        Some(301 | 302 | 303 | 307 | 308) => {
-            let to = fields.value("location").unwrap_or_default();
-            return Ok(Answer::Elsewhere(to));
+    let invalid = |_| FetchError::LocationInvalid { text: at.to_string() };
+    Ok(request.body(Empty::new()).map_err(invalid)?)
+}
+
+async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebError> {
+    let field = |name| response.headers().get(name).cloned();
+    let text = |name| field(name).and_then(|value| value.to_str().ok().map(str::to_owned));
+    let answer = response.status().to_string();
+    match response.status() {
+        StatusCode::OK => {}
+        StatusCode::NOT_MODIFIED => return Ok(Answer::File(Fetched::Unchanged)),
+        StatusCode::NOT_FOUND | StatusCode::GONE => return Err(WebError::NotFound { answer }),
+        status if status.is_redirection() && response.headers().contains_key(header::LOCATION) => {
+            return Ok(Answer::Elsewhere(text(header::LOCATION).unwrap_or_default()));
         }
-        Some(404 | 410) => return Err(WebError::NotFound { answer: line }),
-        Some(300..=599) => {
-            return Err(WebError::Refused { answer: line, retry_after: fields.retry_after() });
+        status if (300..=599).contains(&status.as_u16()) => {
+            let retry_after = text(header::RETRY_AFTER).and_then(|text| retry_after(&text));
+            return Err(WebError::Refused { answer, retry_after });
         }
-        _ => return Err(WebError::Protocol { why: format!("it says {line:?}") }),
+        _ => return Err(WebError::Protocol { why: format!("it says {answer:?}") }),
     }
     let validators =
-        Validators { etag: fields.value("etag"), modified: fields.value("last-modified") };
-    let is_chunks = |coding: String| coding.to_ascii_lowercase().contains("chunked");
-    let end = if fields.value("transfer-encoding").is_some_and(is_chunks) {
-        End::Chunks(Unchunker::new())
-    } else {
-        match fields.value("content-length").map(|text| text.parse::<usize>()) {
-            Some(Ok(length)) if limit < length => return Err(WebError::TooLarge { limit }),
-            Some(Ok(length)) => End::Length(length),
-            Some(Err(_)) => {
-                return Err(WebError::Protocol { why: "its length is none".to_owned() });
-            }
-            None => End::Connection,
-        }
-    };
-    let content = body(&mut connection, &bytes[length..], end, limit).await?;
-    Ok(Answer::File(Fetched::New { content, validators }))
-}
-
-/// The bytes up to the end of the head at least, and where that is.
-async fn head(connection: &mut Connection) -> Result<(Vec<u8>, usize), WebError> {
-    let mut bytes = Vec::new();
-    let mut buffer = vec![0; READ_BYTES];
-    loop {
-        if let Some(length) = end_of(&bytes) {
-            return Ok((bytes, length));
-        }
-        let start = &bytes[..bytes.len().min(b"HTTP/1.".len())];
-        if !b"HTTP/1.".starts_with(start) {
-            return Err(WebError::Protocol { why: format!("it begins {:?}", shown(&bytes)) });
-        }
-        if HEAD_LIMIT <= bytes.len() {
-            let why = format!("its head is longer than {HEAD_LIMIT} bytes");
-            return Err(WebError::Protocol { why });
-        }
-        match connection.read(&mut buffer).await.map_err(|error| cut(&error))? {
-            0 => return Err(WebError::Cut { why: "before it answered".to_owned() }),
-            length => bytes.extend_from_slice(&buffer[..length]),
-        }
-    }
-}
-
-/// What ends a body.
-enum End {
-    Length(usize),
-    Chunks(Unchunker),
-    Connection,
-}
-
-async fn body(
-    connection: &mut Connection,
-    first: &[u8],
-    mut end: End,
-    limit: usize,
-) -> Result<Vec<u8>, WebError> {
+        Validators { etag: field(header::ETAG), modified: field(header::LAST_MODIFIED) };
+    let mut body = response.into_body();
     let mut content = Vec::new();
-    let mut buffer = first.to_vec();
-    loop {
-        match &mut end {
-            End::Chunks(unchunker) => unchunker
-                .push(&buffer, &mut content)
-                .map_err(|unchunked| WebError::Protocol { why: unchunked.0.to_owned() })?,
-            End::Length(_) | End::Connection => content.extend_from_slice(&buffer),
+    if (limit as u64) < body.size_hint().lower() {
+        return Err(WebError::TooLarge { limit });
+    }
+    while let Some(frame) = body.frame().await {
+        if let Ok(data) = frame.map_err(|error| failed(&error))?.into_data() {
+            content.extend_from_slice(&data);
         }
         if limit < content.len() {
             return Err(WebError::TooLarge { limit });
         }
-        let is_whole = match &end {
-            End::Length(length) => *length <= content.len(),
-            End::Chunks(unchunker) => unchunker.is_at_end(),
-            End::Connection => false,
-        };
-        if is_whole {
-            if let End::Length(length) = end {
-                content.truncate(length);
-            }
-            return Ok(content);
-        }
-        buffer.resize(READ_BYTES, 0);
-        let read = match connection.read(&mut buffer).await {
-            Ok(read) => read,
-            // How TLS ends where nobody says that it does; a file cut there would not unpack.
-            Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => 0,
-            Err(error) => return Err(cut(&error)),
-        };
-        if read == 0 {
-            return match end {
-                End::Connection => Ok(content),
-                _ => Err(WebError::Cut { why: format!("after {} bytes", content.len()) }),
-            };
-        }
-        buffer.truncate(read);
     }
+    Ok(Answer::File(Fetched::New { content, validators }))
 }
 
-fn cut(error: &std::io::Error) -> WebError {
-    WebError::Cut { why: error.to_string() }
+fn failed(error: &hyper::Error) -> WebError {
+    let cause = error.source().map_or_else(String::new, |cause| format!(": {cause}"));
+    let why = format!("{error}{cause}");
+    let kind =
+        error.source().and_then(|cause| Some(cause.downcast_ref::<std::io::Error>()?.kind()));
+    let is_garbage = matches!(kind, Some(ErrorKind::InvalidInput | ErrorKind::InvalidData));
+    if error.is_parse() || is_garbage { WebError::Protocol { why } } else { WebError::Cut { why } }
 }
 
 #[cfg(test)]

@@ -5,10 +5,10 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, timeout, timeout_at};
 
-use crate::feeds::chunked::Unchunker;
 use crate::feeds::head::HEAD_LIMIT;
 use crate::feeds::{Connection, Connector};
 
+use super::chunked::Unchunker;
 use super::head;
 use super::sourcetable::{TABLE_LIMIT, is_whole};
 use super::{NtripError, Sourcetable, StreamRequest};

@@ -10,6 +10,7 @@
 //! Sources: RTCM 10410.0 (NTRIP 1.0) and 10410.1 (NTRIP 2.0), as the protocol is described
 //! publicly; RFC 9112, section 7.1 (chunked).
 
+mod chunked;
 mod client;
 mod error;
 mod head;
