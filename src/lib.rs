@@ -2,6 +2,7 @@
 //!
 //! Modules in reading order, from the ground floor up; see `ARCHITECTURE.md` for the invariants.
 
+pub mod clock;
 pub mod config;
 pub mod gnss;
 pub mod snapshot;

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 /// Module → modules it may name, floor by floor: a module names only what stands above it here.
 const MAY_NAME: &[(&str, &[&str])] = &[
     ("gnss", &[]),
+    ("clock", &["gnss"]),
     ("config", &["gnss"]),
     ("snapshot", &[]),
     ("graph", &["snapshot"]),
@@ -21,16 +22,27 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("store", &["gnss", "config"]),
     ("reception", &["gnss", "formats"]),
     ("evaluation", &["gnss", "formats"]),
-    ("aiding", &["gnss", "config", "models", "formats", "positioning", "store"]),
-    ("feeds", &["gnss", "config", "formats", "aiding"]),
+    ("aiding", &["gnss", "clock", "config", "models", "formats", "positioning", "store"]),
+    ("feeds", &["gnss", "clock", "config", "formats", "aiding"]),
     (
         "session",
-        &["gnss", "config", "snapshot", "models", "positioning", "store", "reception", "aiding"],
+        &[
+            "gnss",
+            "clock",
+            "config",
+            "snapshot",
+            "models",
+            "positioning",
+            "store",
+            "reception",
+            "aiding",
+        ],
     ),
     (
         "contract",
         &[
             "gnss",
+            "clock",
             "config",
             "formats",
             "positioning",

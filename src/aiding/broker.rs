@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use tokio::sync::Mutex;
 
+use crate::clock::unix_ms;
 use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
 use crate::store::{NavigationChange, Store, StoreError};
@@ -264,9 +264,4 @@ fn usable_span(list: &[Ephemeris]) -> Option<(GpsTime, GpsTime)> {
         (ephemeris.toe() - validity_s, ephemeris.toe() + validity_s)
     });
     spans.reduce(|(from, until), (start, end)| (from.min(start), until.max(end)))
-}
-
-pub(super) fn unix_ms() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("the clock is past 1970");
-    i64::try_from(since.as_millis()).expect("the clock is not millions of years ahead")
 }

@@ -10,12 +10,13 @@ use tokio::sync::watch;
 use tokio::time::sleep;
 
 use crate::aiding::NavigationBroker;
+use crate::clock::{gps_time, unix_ms};
 use crate::formats::decompress;
 use crate::formats::rinex::read_navigation;
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Navigation, TimeScale};
 
-use super::clock::{stopped, unix_ms};
 use super::health::{FeedProblem, SourceHealth, SourceState};
+use super::stop::stopped;
 use super::web::{self, Fetched, Location, Validators, WebError};
 use super::{Backoff, Connector, FetchError};
 
@@ -128,7 +129,7 @@ impl Archive {
         &self,
         known: &mut BTreeMap<Location, Validators>,
     ) -> Result<(), (FeedProblem, Option<Duration>)> {
-        let now = GpsTime::from_unix_ms(unix_ms(), &LeapSeconds::table());
+        let now = gps_time(unix_ms());
         let mut places = Vec::new();
         for days in 0..DAYS {
             let place = self.template.at(now - 86_400.0 * days as f64);

@@ -13,7 +13,6 @@
 mod address;
 mod archive;
 mod backoff;
-mod clock;
 mod connection;
 mod desk;
 mod error;
@@ -22,6 +21,7 @@ mod health;
 pub mod ntrip;
 mod options;
 mod sources;
+mod stop;
 mod stream;
 mod web;
 

@@ -7,9 +7,9 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 use crate::aiding::AidingDesk;
+use crate::clock::unix_ms;
 
 use super::archive::{Archive, ArchiveTemplate};
-use super::clock::unix_ms;
 use super::health::{ArchiveHealth, FeedHealth, SourceHealth};
 use super::ntrip::{Caster, StreamRequest};
 use super::stream::{Shared, Stream, Told};

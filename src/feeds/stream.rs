@@ -9,12 +9,13 @@ use tokio::time::{Instant, interval, sleep, timeout_at};
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseId;
+use crate::clock::{gps_time, unix_ms};
 use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
-use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, LeapSeconds, Navigation, PositionSource};
+use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation, PositionSource};
 
-use super::clock::{stopped, unix_ms};
 use super::health::{FeedHealth, FeedProblem, FeedState};
 use super::ntrip::{self, NtripError, NtripStream, StreamRequest, position_sentence};
+use super::stop::stopped;
 use super::{Backoff, Connector, FeedOptions};
 
 /// Epochs kept until the stream tells where its station stands, which most do twice a minute.
@@ -310,7 +311,7 @@ impl Stream {
 
     /// Within half a day of what comes.
     fn reference(&self) -> GpsTime {
-        let now = || GpsTime::from_unix_ms(unix_ms(), &LeapSeconds::table());
+        let now = || gps_time(unix_ms());
         self.told.near.unwrap_or_else(now)
     }
 

@@ -12,11 +12,11 @@ use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseId;
+use crate::clock::unix_ms;
 use crate::store::{
     BaseName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
-use super::clock::unix_ms;
 use super::configuration::{settings, stored_options};
 use super::solvers::Solvers;
 use super::task::{Message, Place, RawSubmission, Submission, Task};

@@ -30,7 +30,6 @@
 //! `COMMIT`), the task forgets its state and restores it from the store before the next piece.
 //! Clients resend; what had been stored after all is answered from the store.
 
-mod clock;
 mod configuration;
 mod desk;
 mod error;

@@ -8,12 +8,12 @@
 
 use bytes::Bytes;
 
+use crate::clock::gps_time;
 use crate::gnss::{GpsTime, Navigation};
 use crate::reception::{Needed, Received, ReceptionError, Stream};
 use crate::store::{RawPiecePlace, RawPosition};
 
 use super::EpochOutcome;
-use super::clock::gps_time;
 
 /// A stream that is silent so long is dated anew (ms), if it came as it was observed.
 const SILENCE_MS: i64 = 3_600_000;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use crate::aiding::broker::unix_ms;
 use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
+use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
 use crate::positioning::BASE_LATER_S;
 use crate::store::{

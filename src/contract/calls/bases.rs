@@ -1,10 +1,9 @@
 //! Base stations.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use crate::aiding::bases::{
     BaseEpochRefusal, BaseId, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
 };
+use crate::clock::unix_ms;
 use crate::contract::{Code, Refusal, Service, convert, v1};
 use crate::formats::rinex::{ObservationReader, Skipped};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
@@ -234,10 +233,7 @@ fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
 }
 
 fn message(service: &Service, info: &BaseInfo) -> v1::Base {
-    let age_s = info.stored_unix_ms.map(|stored_ms| {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        now.as_secs_f64() - stored_ms as f64 / 1e3
-    });
+    let age_s = info.stored_unix_ms.map(|stored| (unix_ms() - stored) as f64 / 1e3);
     v1::Base {
         feed: info.feed.as_ref().map(|feed| feeds::message(service, &info.name.id, feed)),
         base: info.name.id.to_string(),

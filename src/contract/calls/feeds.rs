@@ -1,8 +1,7 @@
 //! The streams that fill bases.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use crate::aiding::bases::{BaseFeed, BaseId};
+use crate::clock::unix_ms;
 use crate::contract::{Code, Refusal, Service, intake, v1};
 use crate::feeds::{FeedHealth, FeedProblem, SourceStatus};
 use crate::gnss::Geodetic;
@@ -75,19 +74,19 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
     };
     let health = BaseId::parse(base).and_then(|id| service.feeds().health(&id));
     let Some(health) = health else { return named };
-    let now = now_s();
+    let now = unix_ms();
     let FeedHealth { state, problem, refusal, statistics: counted, .. } = &health;
     let (messages, left_out) = statistics(counted);
     v1::Feed {
         state: state.name().to_owned(),
         since_utc: utc(health.since_unix_ms),
-        retry_in_s: health.retry_unix_ms.map(|retry| (seconds(retry) - now).max(0.0)),
+        retry_in_s: health.retry_unix_ms.map(|retry| seconds_between(now, retry)),
         problem: problem.as_ref().map(told),
         refusal: refusal.as_ref().map(told),
         attempts: health.attempts,
         connections: health.connections,
         bytes: health.bytes,
-        silent_s: health.heard_unix_ms.map(|heard| (now - seconds(heard)).max(0.0)),
+        silent_s: health.heard_unix_ms.map(|heard| seconds_between(heard, now)),
         epochs: health.epochs,
         last_time: health.last_epoch.map(Into::into),
         messages,
@@ -125,19 +124,16 @@ pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::Navi
         kind: kind.to_owned(),
         state: state.to_owned(),
         since_utc: utc(since),
-        retry_in_s: retry.map(|retry| (seconds(retry) - now_s()).max(0.0)),
+        retry_in_s: retry.map(|retry| seconds_between(unix_ms(), retry)),
         problem: problem.as_ref().map(told),
         ephemerides,
         last_utc: last.map(utc).unwrap_or_default(),
     }
 }
 
-fn now_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
-}
-
-fn seconds(unix_ms: i64) -> f64 {
-    unix_ms as f64 / 1e3
+/// From one instant to a later one (s).
+fn seconds_between(from_unix_ms: i64, until_unix_ms: i64) -> f64 {
+    (until_unix_ms - from_unix_ms).max(0) as f64 / 1e3
 }
 
 fn told(problem: &FeedProblem) -> v1::Refusal {

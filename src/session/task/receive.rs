@@ -1,8 +1,8 @@
 //! The task's part in raw bytes: decoded, positioned and committed in one go.
 
+use crate::clock::unix_ms;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
-use crate::session::clock::unix_ms;
 use crate::session::raw::{Order, RawPiece, RawReceived, Reception};
 use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
 use crate::store::{Batch, RawChange, RawPosition, StoredEpoch};
