@@ -14,7 +14,8 @@ use crate::http::navigation::navigation;
 
 /// Codes that only a failing database, a load, a fault or an observation file brings about: the
 /// tests of their origin hold them.
-const NOT_BY_REQUEST: [Code; 12] = [
+const NOT_BY_REQUEST: [Code; 13] = [
+    Code::RawStreamTooLong,
     Code::DatabaseFailed,
     Code::WrittenElsewhere,
     Code::StoredDataCorrupt,

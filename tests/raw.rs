@@ -1,10 +1,12 @@
 //! Raw bytes of receivers, split anywhere, sent again, and over restarts of the service.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::process::Command;
 use std::time::Duration;
 
 use bytes::Bytes;
+use flate2::write::GzEncoder;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::contract::{calls, v1};
 use graphfix::formats::receiver::TimeReference;
@@ -28,6 +30,8 @@ on_both_databases!(
     split_anywhere_it_gives_the_epochs_of_the_file,
     bytes_sent_again_change_nothing,
     rinex_comes_in_pieces,
+    crinex_comes_in_pieces,
+    packed_streams_come_in_pieces,
     the_end_of_a_stream_begins_another,
 );
 
@@ -174,6 +178,46 @@ async fn rinex_comes_in_pieces(database: Database) {
     assert_eq!((found.len(), found), (PAIR.base.len(), whole(&file)));
 }
 
+/// Every epoch of CRINEX rests on those before it, over restarts too.
+async fn crinex_comes_in_pieces(database: Database) {
+    let Some(folder) = data::set("formats") else { return };
+    for name in ["crx1/eijs0010.21d", "crx3/YEBE00ESP_R_20230891800_01H_30S_MO.crx.gz"] {
+        let file = unpacked(&folder.join(name));
+        let expected = whole(&file);
+        assert!(70 < expected.len(), "{name}: {} epochs", expected.len());
+        let store = database.store().await;
+        let id = created(&desk(&store).await).await;
+        let (restarts, resent) = push_at_random(&database, &id, &file, 3_000).await;
+        assert!(0 < restarts && 0 < resent, "{restarts} restarts, {resent} sent again");
+        assert!(stored(&store, &id).await == expected, "{name}: other epochs");
+    }
+}
+
+/// Gzip of frames, of RINEX and of CRINEX: what is in it, wherever it is split.
+async fn packed_streams_come_in_pieces(database: Database) {
+    let (Some(frames), Some(folder)) = (log(400_000), data::set("formats")) else { return };
+    let crinex = unpacked(&folder.join("crx1/eijs0010.21d"));
+    let rinex = PAIR.base_file(Some(PAIR.position));
+    let of_frames = epochs(decode(&frames, None).0);
+    // Two members, one behind the other.
+    let frames = [gzip(&frames[..250_001]), gzip(&frames[250_001..])].concat();
+    for (packed, expected) in
+        [(frames, of_frames), (gzip(&rinex), whole(&rinex)), (gzip(&crinex), whole(&crinex))]
+    {
+        let store = database.store().await;
+        let id = created(&desk(&store).await).await;
+        let (restarts, resent) = push_at_random(&database, &id, &packed, packed.len() / 40).await;
+        assert!(0 < restarts && 0 < resent, "{restarts} restarts, {resent} sent again");
+        assert!(70 < expected.len() && stored(&store, &id).await == expected, "other epochs");
+    }
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut packed = GzEncoder::new(Vec::new(), flate2::Compression::default());
+    packed.write_all(bytes).unwrap();
+    packed.finish().unwrap()
+}
+
 /// What the file holds, read as one.
 fn whole(file: &[u8]) -> Vec<Epoch> {
     let mut reader = ObservationReader::new(file).unwrap();
@@ -318,9 +362,20 @@ async fn what_is_no_stream_is_refused() {
     let doors = Doors::open().await;
     let session = doors.session().await;
     let garbage = vec![0_u8; 40_000];
-    for bytes in [&garbage[..], &[0x1f, 0x8b, 8, 0][..]] {
-        let (status, answer) = push(&doors, &session, "", bytes).await;
-        assert_eq!((status, code(&answer)), (400, "RAW_FORMAT_UNKNOWN"), "{answer}");
+    let mut damaged = gzip(&PAIR.base_file(None)[..50_000]);
+    let middle = damaged.len() / 2;
+    damaged[middle..].fill(0xff);
+    for (bytes, expected) in [
+        (garbage.clone(), "RAW_FORMAT_UNKNOWN"),
+        (gzip(&garbage), "RAW_FORMAT_UNKNOWN"),
+        (gzip(&gzip(&PAIR.base_file(None))), "RAW_FORMAT_UNKNOWN"),
+        (vec![0x1f, 0x8b, 9, 0], "RINEX_READ_FAILED"),
+        (damaged, "RINEX_READ_FAILED"),
+        (gzip(&bomb()), "DECOMPRESSED_TOO_LARGE"),
+    ] {
+        let (status, answer) = push(&doors, &session, "", &bytes).await;
+        assert_eq!(code(&answer), expected, "{answer}");
+        assert!((400..500).contains(&status) && answer["field"] == "content", "{answer}");
     }
     // A navigation file, and one whose header is cut by the end: what was taken stays taken.
     let mut navigation = Vec::new();
@@ -335,6 +390,28 @@ async fn what_is_no_stream_is_refused() {
     // The stream is over, the session is not.
     let (_, answer) = push(&doors, &session, "offset=300", &file[..100_000]).await;
     assert!(9 < answer["results"].as_array().unwrap().len(), "{answer}");
+}
+
+/// Text that is RINEX all through: its header, then one epoch of no satellites after the other.
+fn bomb() -> Vec<u8> {
+    let file = String::from_utf8(PAIR.base_file(None)).unwrap();
+    let end = file.find("END OF HEADER").unwrap() + 14;
+    let epoch = "> 2024 01 01 00 00  0.0000000  0  0\n";
+    [&file[..end], &epoch.repeat((9 << 20) / epoch.len())].concat().into_bytes()
+}
+
+/// A stream of gzip that is cut by its end: what it holds is taken, and the cut is told.
+#[tokio::test]
+async fn a_packed_stream_may_be_cut() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let file = PAIR.base_file(Some(PAIR.position));
+    let packed = gzip(&file);
+    let (status, answer) = push(&doors, &session, "end=true", &packed[..packed.len() / 2]).await;
+    assert_eq!((status, &answer["format"]), (200, &json!("rinex")), "{answer}");
+    let results = answer["results"].as_array().unwrap().len();
+    assert!(0 < results && results < PAIR.base.len(), "{results}");
+    assert_eq!(answer["leftOut"][0]["why"], "gzip ends before its end");
 }
 
 /// Pushes from `at` on until the service dies or all is sent.
@@ -367,6 +444,18 @@ async fn push_on(
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_outlives_kill_9() {
     let Some(stream) = log(400_000) else { return };
+    outlives_kill_9(&stream, epochs(decode(&stream, None).0)).await;
+}
+
+/// The same of CRINEX within gzip, neither of which can be read from the middle on.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_packed_stream_outlives_kill_9() {
+    let Some(folder) = data::set("formats") else { return };
+    let file = unpacked(&folder.join("crx3/GRAS00FRA_R_20223151700_15M_01S_MO.crx.gz"));
+    outlives_kill_9(&gzip(&file), whole(&file)).await;
+}
+
+async fn outlives_kill_9(stream: &[u8], expected: Vec<Epoch>) {
     let folder = tempfile::tempdir().unwrap();
     let (database, port) = (folder.path().join("raw.db"), free_port());
     let mut server = Server::start(&database, port);
@@ -375,7 +464,7 @@ async fn a_stream_outlives_kill_9() {
     for after_ms in [5, 20, 45, 90, 150] {
         let channel = server.channel();
         let at = opened(&channel, Some(&session)).await.raw_through.unwrap_or(0);
-        let pushing = push_on(&channel, &session, &stream, at, &mut acknowledged);
+        let pushing = push_on(&channel, &session, stream, at, &mut acknowledged);
         let kill = async {
             tokio::time::sleep(Duration::from_millis(after_ms)).await;
             server.kill();
@@ -386,14 +475,12 @@ async fn a_stream_outlives_kill_9() {
     let channel = server.channel();
     let at = opened(&channel, Some(&session)).await.raw_through.unwrap();
     assert!(0 < at && at < stream.len() as u64, "all was sent before the last kill");
-    push_on(&channel, &session, &stream, at, &mut acknowledged).await;
+    push_on(&channel, &session, stream, at, &mut acknowledged).await;
 
     let list = v1::ListSolutionsRequest { session, page_size: 10_000, ..Default::default() };
     let listed = SolutionsClient::new(channel).list(list).await.unwrap().into_inner().solutions;
-    let expected: Vec<(u64, Option<v1::GpsTime>)> = (1..)
-        .zip(epochs(decode(&stream, None).0))
-        .map(|(seq, epoch)| (seq, Some(epoch.time.into())))
-        .collect();
+    let expected: Vec<(u64, Option<v1::GpsTime>)> =
+        (1..).zip(expected).map(|(seq, epoch)| (seq, Some(epoch.time.into()))).collect();
     let found: Vec<_> = listed.iter().map(|solution| (solution.seq, solution.time)).collect();
     assert_eq!(found, expected, "missing, doubled, or of other times");
     for solution in listed {

@@ -45,13 +45,15 @@ impl From<RinexError> for Refusal {
 
 impl From<ReceptionError> for Refusal {
     fn from(error: ReceptionError) -> Self {
+        let refused = |code| Self::new(code, error.to_string()).at("content");
         match &error {
             ReceptionError::Rinex(error) => Self::from(&**error),
             ReceptionError::Unrecognised { .. }
-            | ReceptionError::Unsupported { .. }
-            | ReceptionError::EpochTooLong { .. } => {
-                Self::new(Code::RawFormatUnknown, error.to_string()).at("content")
-            }
+            | ReceptionError::PackedTwice
+            | ReceptionError::EpochTooLong { .. } => refused(Code::RawFormatUnknown),
+            ReceptionError::Damaged(_) => refused(Code::RinexReadFailed),
+            ReceptionError::UnpackedTooLarge { .. } => refused(Code::DecompressedTooLarge),
+            ReceptionError::StreamTooLong { .. } => refused(Code::RawStreamTooLong),
         }
     }
 }

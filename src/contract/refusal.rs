@@ -157,7 +157,10 @@ codes! {
         "count offsets from the first byte ever sent to the session";
     /// Raw bytes that are neither RTCM 3, UBX nor RINEX observations.
     RawFormatUnknown = "RAW_FORMAT_UNKNOWN", Malformed,
-        "send RTCM 3, UBX or RINEX observations, not packed, from the stream's beginning";
+        "send RTCM 3, UBX or RINEX observations, plain or gzip, from the stream's beginning";
+    /// A stream that can be read from its beginning alone has become too long.
+    RawStreamTooLong = "RAW_STREAM_TOO_LONG", TooLarge,
+        "end the stream, and begin another file";
     /// The session has as many epochs waiting as it may.
     MailboxFull = "MAILBOX_FULL", Exhausted,
         "wait as long as the answer says and send the same epochs again";

@@ -6,6 +6,7 @@ mod broadcast;
 pub mod csv;
 mod decimal;
 pub mod geojson;
+mod gunzip;
 pub mod observations;
 pub mod odometry;
 pub mod pos;
@@ -18,6 +19,8 @@ mod ubx;
 use std::io::{BufRead, BufReader, Chain, Cursor, Read, Result};
 
 use flate2::bufread::MultiGzDecoder;
+
+pub use gunzip::{Gunzip, GunzipError};
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];

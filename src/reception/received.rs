@@ -44,7 +44,8 @@ pub struct LeftOut {
     pub why: String,
     /// How often.
     pub count: u64,
-    /// Where first: the byte of the session's stream, or the line of a RINEX file from 1.
+    /// Where first: the byte of the session's stream (of what is unpacked of a packed one), or the
+    /// line of a RINEX file from 1.
     pub first: u64,
 }
 
@@ -112,7 +113,13 @@ impl Received {
         }
     }
 
-    fn leave_out(&mut self, kind: Option<MessageKind>, why: String, count: u64, first: u64) {
+    pub(super) fn leave_out(
+        &mut self,
+        kind: Option<MessageKind>,
+        why: String,
+        count: u64,
+        first: u64,
+    ) {
         match self.left_out.iter_mut().find(|known| known.kind == kind && known.why == why) {
             Some(known) => known.count += count,
             None => self.left_out.push(LeftOut { kind, why, count, first }),

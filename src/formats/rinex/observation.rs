@@ -79,6 +79,11 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
+    /// Whether it is CRINEX.
+    pub(super) const fn is_compact(&self) -> bool {
+        self.compact.is_some()
+    }
+
     pub(super) fn note(&mut self, reason: SkipReason) {
         self.skipped.note(reason, self.lines.number());
     }

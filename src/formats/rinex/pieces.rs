@@ -80,6 +80,11 @@ impl PieceReader {
         self.header_bytes
     }
 
+    /// Whether it is CRINEX, which says of an epoch how it differs from all those before.
+    pub fn is_compact(&self) -> bool {
+        self.reader.as_ref().is_some_and(|reader| reader.is_compact())
+    }
+
     /// Bytes at the end that no epoch has taken.
     pub fn untaken_bytes(&self) -> usize {
         self.reader.as_ref().map_or(self.head.len(), |reader| untaken(reader))

@@ -1,5 +1,7 @@
 //! The stream itself.
 
+mod packed;
+
 use std::ops::Range;
 
 use crate::formats::receiver::{Decoder, TimeReference};
@@ -7,6 +9,8 @@ use crate::formats::rinex::PieceReader;
 use crate::gnss::{Epoch, GpsTime, Navigation};
 
 use super::{Received, ReceptionError, StreamFormat};
+
+use packed::Packed;
 
 /// How much of a stream of frames is decoded again to restore it (bytes): at one epoch a second
 /// and 32 satellites about half a minute, in which each signal's lock time and each subframe of an
@@ -17,9 +21,15 @@ const UNRECOGNISED_LIMIT: u64 = 32 << 10;
 /// Longest text of an epoch with what surrounds it (bytes): 300 satellites of 999 observations
 /// would have 5 MB, real ones 60 kB.
 const EPOCH_TEXT_LIMIT: usize = 256 << 10;
+/// Longest stream that is read again from its beginning to restore it (bytes): a day of CRINEX at
+/// 30 s with all systems has 8 MB.
+const REREAD_LIMIT: u64 = 16 << 20;
+/// In such pieces (bytes).
+const REREAD_PIECE: usize = 1 << 16;
 /// Columns of RINEX's first line, which tell it.
 const FIRST_LINE_BYTES: usize = 80;
 const LABEL_COLUMN: usize = 60;
+const CRINEX: &[u8] = b"CRINEX VERS";
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// A receiver's stream, as far as it has come.
@@ -32,6 +42,8 @@ pub struct Stream {
     /// Within half a day of what comes.
     time: GpsTime,
     form: Form,
+    /// It comes out of a packed one.
+    is_unpacked: bool,
 }
 
 #[derive(Debug)]
@@ -45,6 +57,13 @@ enum Form {
         is_recognised: bool,
     },
     Rinex(PieceReader),
+    Gzip(Box<Packed>),
+}
+
+/// What the first bytes tell.
+enum Kind {
+    Plain(StreamFormat),
+    Gzip,
 }
 
 /// What must be stored of a stream so that it can be restored, as offsets.
@@ -60,7 +79,12 @@ impl Stream {
     /// A stream whose first byte is the device's byte `start`; `time`, within half a day of its
     /// first message, dates those that tell no week.
     pub const fn new(start: u64, time: GpsTime) -> Self {
-        Self { start, through: start, time, form: Form::Unknown(Vec::new()) }
+        Self { start, through: start, time, form: Form::Unknown(Vec::new()), is_unpacked: false }
+    }
+
+    /// What comes out of a packed stream.
+    fn unpacked(time: GpsTime) -> Self {
+        Self { is_unpacked: true, ..Self::new(0, time) }
     }
 
     /// The stream as it was after the bytes before `needed.tail.end`, from the bytes of `needed`.
@@ -73,12 +97,24 @@ impl Stream {
         tail: &[u8],
         time: GpsTime,
     ) -> Result<Self, ReceptionError> {
-        let mut stream = Self::new(needed.header.start, time);
-        let mut known = Received::default();
-        stream.push(header, &Navigation::default(), &mut known)?;
-        stream.through = needed.tail.start;
-        stream.push(tail, &Navigation::default(), &mut known)?;
-        stream.through = needed.tail.end;
+        let Needed { header: Range { start, end: header_end }, tail: of_tail } = needed.clone();
+        let mut stream = Self::new(start, time);
+        if of_tail.start == start && tail.starts_with(&GZIP) {
+            stream.form = Form::Gzip(Box::new(Packed::restore(tail, time)?));
+        } else {
+            if header_end == start && start < of_tail.start {
+                // In the middle any bytes may come first.
+                stream.form = stream.form_of(StreamFormat::Receiver, of_tail.start);
+            }
+            if !header.is_empty() {
+                stream.push(header, &Navigation::default(), &mut Received::default())?;
+            }
+            stream.through = of_tail.start;
+            for piece in tail.chunks(REREAD_PIECE) {
+                stream.push(piece, &Navigation::default(), &mut Received::default())?;
+            }
+        }
+        stream.through = of_tail.end;
         Ok(stream)
     }
 
@@ -97,11 +133,22 @@ impl Stream {
         self.time
     }
 
+    /// Its format, once the first bytes have told.
+    const fn format(&self) -> Option<StreamFormat> {
+        match &self.form {
+            Form::Receiver { .. } => Some(StreamFormat::Receiver),
+            Form::Rinex(_) => Some(StreamFormat::Rinex),
+            Form::Unknown(_) | Form::Gzip(_) => None,
+        }
+    }
+
     /// Gives a time within half a day of what comes.
     pub fn date(&mut self, time: GpsTime) {
         self.time = time;
-        if let Form::Receiver { decoder, .. } = &mut self.form {
-            decoder.date(time);
+        match &mut self.form {
+            Form::Receiver { decoder, .. } => decoder.date(time),
+            Form::Gzip(packed) => packed.content.date(time),
+            Form::Unknown(_) | Form::Rinex(_) => {}
         }
     }
 
@@ -121,10 +168,14 @@ impl Stream {
         match &mut self.form {
             Form::Unknown(head) => {
                 head.extend_from_slice(bytes);
-                let Some(format) = format_of(head)? else { return Ok(()) };
+                let Some(kind) = kind_of(head) else { return Ok(()) };
                 let head = std::mem::take(head);
                 let from = self.through - head.len() as u64;
-                self.form = self.form_of(format, from);
+                self.form = match kind {
+                    Kind::Plain(format) => self.form_of(format, from),
+                    Kind::Gzip if self.is_unpacked => return Err(ReceptionError::PackedTwice),
+                    Kind::Gzip => Form::Gzip(Box::new(Packed::new(self.time))),
+                };
                 self.decode(from, &head, navigation, received)
             }
             _ => self.decode(from, bytes, navigation, received),
@@ -146,6 +197,7 @@ impl Stream {
                 // What cannot be read at the very end is left out.
                 read_epochs(reader, received).ok();
             }
+            Form::Gzip(packed) => packed.finish(received),
         }
     }
 
@@ -155,7 +207,9 @@ impl Stream {
         let (header_bytes, tail_bytes) = match &self.form {
             Form::Unknown(head) => (0, head.len() as u64),
             Form::Receiver { .. } => (0, RECALL_BYTES),
+            Form::Rinex(reader) if reader.is_compact() => (reader.header_bytes() as u64, u64::MAX),
             Form::Rinex(reader) => (reader.header_bytes() as u64, reader.untaken_bytes() as u64),
+            Form::Gzip(_) => (0, u64::MAX),
         };
         let header = start..start + header_bytes;
         let tail = through.saturating_sub(tail_bytes).max(header.end)..through;
@@ -207,9 +261,25 @@ impl Stream {
                 if EPOCH_TEXT_LIMIT < bytes {
                     return Err(ReceptionError::EpochTooLong { bytes });
                 }
+                if reader.is_compact() && !self.is_unpacked {
+                    return self.check_length("CRINEX");
+                }
+            }
+            Form::Gzip(packed) => {
+                packed.push(bytes, navigation, received)?;
+                self.time = packed.content.time();
+                return self.check_length("gzip");
             }
         }
         Ok(())
+    }
+
+    fn check_length(&self, format: &'static str) -> Result<(), ReceptionError> {
+        let limit = REREAD_LIMIT;
+        match self.through - self.start <= limit {
+            true => Ok(()),
+            false => Err(ReceptionError::StreamTooLong { format, limit }),
+        }
     }
 }
 
@@ -222,24 +292,42 @@ fn read_epochs(reader: &mut PieceReader, received: &mut Received) -> Result<(), 
     Ok(())
 }
 
-/// The format of a stream that begins with `head`; `None` where more of it must be seen.
-fn format_of(head: &[u8]) -> Result<Option<StreamFormat>, ReceptionError> {
+/// What a stream is that begins with `head`; `None` where more of it must be seen.
+fn kind_of(head: &[u8]) -> Option<Kind> {
     match head {
-        [] | [0x1f] => Ok(None),
-        _ if head.starts_with(&GZIP) => Err(ReceptionError::Unsupported { format: "gzip" }),
+        [] | [0x1f] => None,
+        _ if head.starts_with(&GZIP) => Some(Kind::Gzip),
         // The version, at the right of its columns.
         [b' ' | b'0'..=b'9', ..] => {
             let line = head.split(|byte| *byte == b'\n').next().unwrap_or(head);
             if line.len() == head.len() && head.len() < FIRST_LINE_BYTES {
-                return Ok(None);
+                return None;
             }
             let label = line.get(LABEL_COLUMN..).unwrap_or_default();
-            if label.starts_with(b"CRINEX VERS") {
-                return Err(ReceptionError::Unsupported { format: "CRINEX" });
-            }
-            let is_rinex = label.starts_with(b"RINEX VERSION / TYPE");
-            Ok(Some(if is_rinex { StreamFormat::Rinex } else { StreamFormat::Receiver }))
+            let is_rinex = label.starts_with(b"RINEX VERSION / TYPE") || label.starts_with(CRINEX);
+            let format = if is_rinex { StreamFormat::Rinex } else { StreamFormat::Receiver };
+            Some(Kind::Plain(format))
         }
-        _ => Ok(Some(StreamFormat::Receiver)),
+        _ => Some(Kind::Plain(StreamFormat::Receiver)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A member of gzip may begin with a comment of any length, which gives nothing.
+    #[test]
+    fn packed_streams_have_a_longest_length() {
+        let mut stream = Stream::new(5, GpsTime::EPOCH);
+        let mut push =
+            |bytes: &[u8]| stream.push(bytes, &Navigation::default(), &mut Received::default());
+        push(&[0x1f, 0x8b, 8, 0x10, 0, 0, 0, 0, 0, 3]).unwrap();
+        let comment = [b'x'; 1 << 16];
+        let outcomes: Vec<_> = (0..260).map(|_| push(&comment)).collect();
+        let refused = outcomes.iter().position(Result::is_err);
+        assert_eq!(refused, Some((REREAD_LIMIT >> 16) as usize - 1));
+        let error = outcomes.into_iter().find_map(Result::err).unwrap();
+        assert_eq!(error.code(), "RAW_STREAM_TOO_LONG");
     }
 }
