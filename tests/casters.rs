@@ -30,6 +30,9 @@ pub(crate) const BRISK: FeedOptions = FeedOptions {
     lasting_ceiling: Duration::from_secs(3),
     steady: Duration::from_secs(1),
     position_interval: Duration::from_millis(200),
+    file_delay: Duration::from_millis(100),
+    file_ceiling: Duration::from_millis(800),
+    file_refresh: Duration::from_millis(300),
 };
 
 /// As brisk, and content with casters that have said all that they have to say.

@@ -4,6 +4,7 @@
 
 mod antennas;
 mod archives;
+mod base_files;
 mod base_positions;
 mod bases;
 mod casters;

@@ -6,8 +6,8 @@ use graphfix::aiding::bases::{BaseId, NewBase};
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
 use graphfix::gnss::{
-    BaseSite, BaseStation, Constellation, Ecef, Ephemeris, Epoch, Navigation, PositionSource,
-    Solution,
+    BaseSite, BaseStation, Constellation, Ecef, Ephemeris, Epoch, GpsTime, Navigation,
+    PositionSource, Solution,
 };
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
 use graphfix::session::SequencedEpoch;
@@ -25,9 +25,13 @@ pub(crate) struct Pair {
 }
 
 /// Two and a half minutes under open sky, an epoch a second, the base 8 km away.
-pub(crate) static PAIR: LazyLock<Pair> = LazyLock::new(|| {
+pub(crate) static PAIR: LazyLock<Pair> =
+    LazyLock::new(|| simulated(Scenario::by_name("rtk-open").unwrap().start));
+
+/// The same, begun at another time.
+pub(crate) fn simulated(start: GpsTime) -> Pair {
     let open = Scenario::by_name("rtk-open").unwrap();
-    let scenario = Scenario { duration_s: 149.0, ..open };
+    let scenario = Scenario { start, duration_s: 149.0, ..open };
     let simulator = Simulator::new(scenario.clone(), 1);
     let navigation = Navigation::clone(simulator.navigation());
     let position = simulator.base_position().unwrap();
@@ -36,7 +40,7 @@ pub(crate) static PAIR: LazyLock<Pair> = LazyLock::new(|| {
     let number = |(index, epoch)| SequencedEpoch { seq: index as u64 + 1, epoch };
     let rover = rover.into_iter().enumerate().map(number).collect();
     Pair { rover, base, navigation, position, scenario }
-});
+}
 
 impl Pair {
     /// The base, standing `off_m` east and as much north of where it is.
@@ -50,7 +54,7 @@ impl Pair {
             antenna: String::new(),
             source: PositionSource::Given,
         };
-        NewBase { label: "base".to_owned(), site: Some(site), feed: None }
+        NewBase { label: "base".to_owned(), site: Some(site), feed: None, archive: None }
     }
 
     /// What the base would observe from another place, so far from the origin, and that place.
@@ -80,6 +84,11 @@ impl Pair {
 
     /// The base's observations as a file whose header has a position.
     pub(crate) fn base_file(&self, position: Option<Ecef>) -> Vec<u8> {
+        self.file_of(&self.base, position)
+    }
+
+    /// A file of some of them.
+    pub(crate) fn file_of(&self, epochs: &[Epoch], position: Option<Ecef>) -> Vec<u8> {
         let mut codes = [const { Vec::new() }; Constellation::COUNT];
         for constellation in &self.scenario.constellations {
             codes[constellation.index()] =
@@ -103,7 +112,7 @@ impl Pair {
         };
         let mut file = Vec::new();
         let mut writer = ObservationWriter::new(&mut file, &header).unwrap();
-        self.base.iter().for_each(|epoch| writer.write_epoch(epoch).unwrap());
+        epochs.iter().for_each(|epoch| writer.write_epoch(epoch).unwrap());
         writer.finish().unwrap();
         file
     }

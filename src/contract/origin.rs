@@ -1,7 +1,7 @@
 //! Errors of the desks and tools as refusals: one `match` for each.
 
 use crate::aiding::AidingError;
-use crate::aiding::bases::BaseEpochRefusal;
+use crate::aiding::bases::{BaseEpochRefusal, BaseFileError};
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
 use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
@@ -116,15 +116,26 @@ impl From<AidingError> for Refusal {
     }
 }
 
+impl From<BaseFileError> for Refusal {
+    fn from(error: BaseFileError) -> Self {
+        match &error {
+            BaseFileError::Rinex(error) => Self::from(error),
+            BaseFileError::TooManyEpochs { .. } => Self::new(Code::BaseTooLarge, error.to_string()),
+        }
+    }
+}
+
 impl From<FetchError> for Refusal {
     fn from(error: FetchError) -> Self {
         let (code, field) = match &error {
             FetchError::AddressInvalid { .. } => (Code::CasterAddressInvalid, "ntrip.caster"),
             FetchError::MountpointInvalid { .. } => (Code::MountpointInvalid, "ntrip.mountpoint"),
+            FetchError::LocationInvalid { .. } | FetchError::TemplateWithoutDay { .. } => {
+                (Code::InvalidField, "archive.template")
+            }
             FetchError::HostNotAllowed { .. } => (Code::HostNotAllowed, "ntrip.caster"),
             // Of the connection, which no call waits for.
             FetchError::PatternInvalid { .. }
-            | FetchError::LocationInvalid { .. }
             | FetchError::Unresolved { .. }
             | FetchError::AddressRefused { .. }
             | FetchError::Unreachable { .. }

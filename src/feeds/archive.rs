@@ -1,4 +1,5 @@
-//! Archives of ephemerides: a file a day, fetched again as long as it grows.
+//! Archives of ephemerides: a file a day, fetched again as long as it grows. And how archives name
+//! their files.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,7 +22,7 @@ use super::web::{self, Fetched, Location, Validators, WebError};
 use super::{Backoff, Connector, FetchError};
 
 /// Largest file, packed and unpacked: those of a day with all systems have 3 and 12 MB.
-const PACKED_LIMIT: usize = 32 << 20;
+pub(super) const PACKED_LIMIT: usize = 32 << 20;
 const UNPACKED_LIMIT: u64 = 128 << 20;
 /// Days whose files are asked for: today's grows, yesterday's may have been completed.
 const DAYS: i64 = 2;
@@ -33,7 +34,8 @@ const DELAY_CEILING: Duration = Duration::from_secs(3600);
 /// `https://archive.example.org/{yyyy}/{ddd}/BRDC00WRD_R_{yyyy}{ddd}0000_01D_MN.rnx.gz`.
 ///
 /// `{yyyy}`, `{yy}`, `{mm}`, `{dd}`, `{ddd}` and `{hh}` are year, its last digits, month, day of
-/// the month, day of the year and hour of GPS time.
+/// the month, day of the year and hour of GPS time; `{h}` is the hour as the letter `a` to `x` that
+/// RINEX 2 has, `{min}` the quarter of the hour in minutes, `00` to `45`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArchiveTemplate(String);
 
@@ -53,17 +55,40 @@ impl ArchiveTemplate {
     /// It is none, which [`Self::new`] has excluded.
     pub fn at(&self, time: GpsTime) -> Result<Location, FetchError> {
         let civil = time.to_civil(TimeScale::Gps, &LeapSeconds::table());
-        let CivilTime { year, month, day, hour, .. } = civil;
+        let CivilTime { year, month, day, hour, minute, .. } = civil;
         let text = self.0.replace("{yyyy}", &format!("{year:04}"));
         let text = text.replace("{yy}", &format!("{:02}", year.rem_euclid(100)));
         let text = text.replace("{mm}", &format!("{month:02}"));
         let text = text.replace("{dd}", &format!("{day:02}"));
         let text = text.replace("{ddd}", &format!("{:03}", day_of_year(&civil)));
         let text = text.replace("{hh}", &format!("{hour:02}"));
+        let text = text.replace("{h}", &char::from(b'a' + hour).to_string());
+        let text = text.replace("{min}", &format!("{:02}", minute / 15 * 15));
         if text.contains(['{', '}']) {
             return Err(FetchError::LocationInvalid { text: self.0.clone() });
         }
         text.parse()
+    }
+
+    /// How long the time of one file is (s), by the finest placeholder; `None` where the address
+    /// names no day of a year.
+    pub fn period_s(&self) -> Option<i64> {
+        let has = |placeholder| self.0.contains(placeholder);
+        let has_day =
+            (has("{yyyy}") || has("{yy}")) && (has("{ddd}") || has("{mm}") && has("{dd}"));
+        match (has_day, has("{hh}") || has("{h}"), has("{min}")) {
+            (true, true, true) => Some(900),
+            (true, true, false) => Some(3600),
+            (true, false, false) => Some(86_400),
+            _ => None,
+        }
+    }
+
+    /// From when until before when the file of a time holds epochs.
+    pub fn span(&self, time: GpsTime) -> Option<(GpsTime, GpsTime)> {
+        let period_ns = self.period_s()? * 1_000_000_000;
+        let start_ns = time.as_ns().div_euclid(period_ns) * period_ns;
+        Some((GpsTime::from_ns(start_ns), GpsTime::from_ns(start_ns + period_ns)))
     }
 }
 
@@ -177,13 +202,19 @@ impl Archive {
 }
 
 fn read(content: &[u8]) -> Result<Navigation, String> {
+    let text = unpacked(content)?;
+    read_navigation(text.as_slice()).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
+}
+
+/// A file's text, plain or gzip.
+pub(super) fn unpacked(content: &[u8]) -> Result<Vec<u8>, String> {
     let mut text = Vec::new();
     let unpacked = decompress(content).take(UNPACKED_LIMIT + 1).read_to_end(&mut text);
     unpacked.map_err(|error| error.to_string())?;
     if UNPACKED_LIMIT < text.len() as u64 {
         return Err(format!("unpacked, it exceeds {UNPACKED_LIMIT} bytes"));
     }
-    read_navigation(text.as_slice()).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -200,6 +231,32 @@ mod tests {
         assert_eq!(place.to_string(), "https://a.example:443/2024/366/b36623.24n?12-31");
         for wrong in ["https://a.example/{year}", "file:///etc/passwd", "https://a.example/{yyyy"] {
             assert!(ArchiveTemplate::new(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn templates_tell_how_long_a_file_is() {
+        let template =
+            |path: &str| ArchiveTemplate::new(&format!("https://a.example/{path}")).unwrap();
+        // 2024-12-31T23:59:42.
+        let time = GpsTime::from_week_seconds(2347, 3.0 * 86_400.0 - 18.0);
+        for (path, name, period_s) in [
+            ("site{ddd}0.{yy}d.Z", "/site3660.24d.Z", 86_400),
+            ("{yyyy}{mm}{dd}.crx", "/20241231.crx", 86_400),
+            ("site{ddd}{h}.{yy}o", "/site366x.24o", 3600),
+            ("{yyyy}{ddd}{hh}00_01H", "/20243662300_01H", 3600),
+            ("site{ddd}{h}{min}.{yy}o", "/site366x45.24o", 900),
+        ] {
+            assert_eq!(template(path).at(time).unwrap().path, name);
+            let (from, until) = template(path).span(time).unwrap();
+            assert_eq!(
+                (template(path).period_s(), until - from),
+                (Some(period_s), period_s as f64)
+            );
+            assert!(from <= time && time < until && template(path).span(until).unwrap().0 == until);
+        }
+        for path in ["latest.obs", "{hh}.obs", "{yyyy}{dd}", "{ddd}{hh}.o", "{yy}{ddd}{min}"] {
+            assert_eq!(template(path).period_s(), None, "{path}");
         }
     }
 }

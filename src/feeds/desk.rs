@@ -3,17 +3,18 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::gnss::{Ecef, GpsTime};
 
+use super::base_archive::{BaseArchive, Note};
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
 use super::sources::{NavigationSources, Source, SourceStatus};
 use super::stream::{Shared, Stream, Told};
-use super::{Connector, FeedHealth, FeedOptions, FetchError};
+use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptions, FetchError};
 
 /// What tells streams apart: those that are alike are one.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,7 +33,17 @@ struct Running {
     task: JoinHandle<()>,
 }
 
-/// The desk for streams of casters. Clones share it.
+/// Files of bases that are unpacked at a time.
+const READ_AT_A_TIME: usize = 2;
+
+/// An archive that fills a base.
+struct Filling {
+    note: Arc<Note>,
+    stop: watch::Sender<bool>,
+    task: JoinHandle<()>,
+}
+
+/// The desk for streams of casters and for archives. Clones share it.
 #[derive(Clone)]
 pub struct Feeds {
     desk: Arc<Desk>,
@@ -44,6 +55,8 @@ struct Desk {
     options: FeedOptions,
     streams: Mutex<BTreeMap<Key, Running>>,
     sources: Mutex<Vec<Source>>,
+    archives: Mutex<BTreeMap<BaseId, Filling>>,
+    reading: Arc<Semaphore>,
 }
 
 impl Feeds {
@@ -52,13 +65,19 @@ impl Feeds {
     /// # Panics
     /// Outside a tokio runtime.
     pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
-        let (streams, sources) = (Mutex::default(), Mutex::default());
-        let fed = aiding.bases.feeds();
-        let desk = Desk { connector, aiding, options, streams, sources };
+        let (streams, sources, archives) = (Mutex::default(), Mutex::default(), Mutex::default());
+        let reading = Arc::new(Semaphore::new(READ_AT_A_TIME));
+        let (fed, filled) = (aiding.bases.feeds(), aiding.bases.archives());
+        let desk = Desk { connector, aiding, options, streams, sources, archives, reading };
         let feeds = Self { desk: Arc::new(desk) };
         for (base, feed) in fed {
             if let Err(error) = feeds.start(&base, &feed) {
                 tracing::error!(code = error.code(), %base, %error, "a base is not fed");
+            }
+        }
+        for (base, template) in filled {
+            if let Err(error) = feeds.fill(&base, &template) {
+                tracing::error!(code = error.code(), %base, %error, "a base is not filled");
             }
         }
         feeds
@@ -141,8 +160,53 @@ impl Feeds {
         Ok(())
     }
 
+    /// Whether an archive may be asked for a base's files.
+    ///
+    /// # Errors
+    /// An address that is none or names no day, or a host that the operator does not list.
+    pub fn check_archive(&self, template: &str) -> Result<(), FetchError> {
+        let template = ArchiveTemplate::new(template)?;
+        if template.period_s().is_none() {
+            return Err(FetchError::TemplateWithoutDay { text: template.to_string() });
+        }
+        let place = template.at(GpsTime::EPOCH)?;
+        self.desk.connector.policy().check(&place.host, place.port)
+    }
+
+    /// Fills a base from an archive's files from now on, each when rovers need it.
+    ///
+    /// # Errors
+    /// An address that is none.
+    pub fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
+        let (stop, stopped) = watch::channel(false);
+        let note = Arc::new(Note::new());
+        let Desk { connector, aiding, options, reading, .. } = &*self.desk;
+        let archive = BaseArchive {
+            base: base.clone(),
+            template: ArchiveTemplate::new(template)?,
+            connector: connector.clone(),
+            bases: aiding.bases.clone(),
+            options: *options,
+            note: note.clone(),
+            reading: reading.clone(),
+            stopped,
+        };
+        let task = tokio::spawn(archive.run());
+        self.archives().insert(base.clone(), Filling { note, stop, task });
+        Ok(())
+    }
+
+    /// How the archive is doing that fills a base.
+    pub fn archive_health(&self, base: &BaseId) -> Option<BaseArchiveHealth> {
+        self.archives().get(base).map(|filling| filling.note.read())
+    }
+
     /// Fills a base no more; a stream that fills none is given up.
     pub fn stop(&self, base: &BaseId) {
+        if let Some(Filling { stop, .. }) = self.archives().remove(base) {
+            // Err: it has ended by itself, for the base is gone.
+            stop.send(true).ok();
+        }
         self.streams().retain(|_, running| {
             let is_used = running.shared.remove(base);
             if !is_used {
@@ -167,6 +231,11 @@ impl Feeds {
             stop.send(true).ok();
             task.await.ok();
         }
+        let archives = std::mem::take(&mut *self.archives());
+        for (_, Filling { stop, task, .. }) in archives {
+            stop.send(true).ok();
+            task.await.ok();
+        }
         let sources = std::mem::take(&mut *self.sources());
         for source in sources {
             source.close().await;
@@ -175,6 +244,10 @@ impl Feeds {
 
     fn sources(&self) -> MutexGuard<'_, Vec<Source>> {
         self.desk.sources.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn archives(&self) -> MutexGuard<'_, BTreeMap<BaseId, Filling>> {
+        self.desk.archives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn streams(&self) -> MutexGuard<'_, BTreeMap<Key, Running>> {

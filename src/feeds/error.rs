@@ -23,6 +23,12 @@ pub enum FetchError {
         /// The text.
         text: String,
     },
+    /// An address of files that does not tell of which time each is.
+    #[error("{text:?} names no day: {{yyyy}} or {{yy}}, with {{ddd}} or {{mm}} and {{dd}}")]
+    TemplateWithoutDay {
+        /// The text.
+        text: String,
+    },
     /// A text that names no mountpoint.
     #[error("{text:?} is no mountpoint: one to 100 printable characters without / ? # %")]
     MountpointInvalid {
@@ -85,7 +91,7 @@ impl FetchError {
         match self {
             Self::PatternInvalid { .. } => "FETCH_HOST_INVALID",
             Self::AddressInvalid { .. } => "CASTER_ADDRESS_INVALID",
-            Self::LocationInvalid { .. } => "LOCATION_INVALID",
+            Self::LocationInvalid { .. } | Self::TemplateWithoutDay { .. } => "LOCATION_INVALID",
             Self::MountpointInvalid { .. } => "MOUNTPOINT_INVALID",
             Self::HostNotAllowed { .. } => "HOST_NOT_ALLOWED",
             Self::Unresolved { .. } => "HOST_UNRESOLVED",
@@ -101,7 +107,7 @@ impl FetchError {
         match self {
             Self::PatternInvalid { .. } => "list hosts as host, host:port or *.domain",
             Self::AddressInvalid { .. } => "write ntrip://HOST:PORT, or ntrips:// for TLS",
-            Self::LocationInvalid { .. } => {
+            Self::LocationInvalid { .. } | Self::TemplateWithoutDay { .. } => {
                 "write http:// or https://, host, path and placeholders"
             }
             Self::MountpointInvalid { .. } => "choose a mountpoint of the caster's sourcetable",

@@ -163,6 +163,33 @@ pub struct ArchiveHealth {
     pub ephemerides: u64,
 }
 
+/// How an archive is doing that fills a base.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseArchiveHealth {
+    /// What it is at: current where nothing is missing that rovers need.
+    pub state: SourceState,
+    /// Since when (ms since 1970-01-01 UTC).
+    pub since_unix_ms: i64,
+    /// When it is asked again (ms since 1970-01-01 UTC), while it waits.
+    pub retry_unix_ms: Option<i64>,
+    /// Why the first file that is missing did not come.
+    pub problem: Option<FeedProblem>,
+    /// Why epochs that came last are not taken.
+    pub refusal: Option<FeedProblem>,
+    /// Files that rovers need and that have not come, or still grow.
+    pub missing: usize,
+    /// How often it was asked.
+    pub requests: u64,
+    /// Files that came.
+    pub files: u64,
+    /// Bytes of them, as they came.
+    pub bytes: u64,
+    /// Epochs of them that the base took and did not hold.
+    pub epochs: u64,
+    /// Address of the last of them.
+    pub last_file: Option<String>,
+}
+
 /// The same, as its task writes it.
 pub(super) struct SourceHealth(Mutex<ArchiveHealth>);
 
@@ -208,5 +235,30 @@ impl SourceHealth {
 
     fn note(&self) -> MutexGuard<'_, ArchiveHealth> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl BaseArchiveHealth {
+    pub(super) const fn new(now_unix_ms: i64) -> Self {
+        Self {
+            state: SourceState::Current,
+            since_unix_ms: now_unix_ms,
+            retry_unix_ms: None,
+            problem: None,
+            refusal: None,
+            missing: 0,
+            requests: 0,
+            files: 0,
+            bytes: 0,
+            epochs: 0,
+            last_file: None,
+        }
+    }
+
+    pub(super) fn enter(&mut self, state: SourceState, retry_unix_ms: Option<i64>, now: i64) {
+        if self.state != state {
+            (self.state, self.since_unix_ms) = (state, now);
+        }
+        self.retry_unix_ms = retry_unix_ms;
     }
 }

@@ -6,6 +6,10 @@
 //! When it ends it is asked for again, after a delay that doubles; [`FeedHealth`] says what it does
 //! and why.
 //!
+//! A base may be filled from an archive instead, which has a file for each day, hour or quarter of
+//! an hour. One is fetched when epochs of its time are to be positioned, once for all sessions that
+//! wait for it.
+//!
 //! What bases are filled from is fetched by a client's wish, so nothing is asked but hosts that the
 //! operator lists, at addresses that were checked ([`FetchPolicy`]). What brings ephemerides beside
 //! that the operator names himself ([`NavigationSources`]).
@@ -13,6 +17,7 @@
 mod address;
 mod archive;
 mod backoff;
+mod base_archive;
 mod connection;
 mod desk;
 mod error;
@@ -31,7 +36,9 @@ pub use backoff::Backoff;
 pub use connection::{Connection, Connector, Patience};
 pub use desk::Feeds;
 pub use error::FetchError;
-pub use health::{ArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState};
+pub use health::{
+    ArchiveHealth, BaseArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState,
+};
 pub use options::FeedOptions;
 pub use sources::{NavigationSources, SourceStatus};
 pub use web::{Fetched, Location, Validators, WebError, fetch};

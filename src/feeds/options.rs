@@ -1,4 +1,4 @@
-//! How streams are kept up.
+//! How streams are kept up, and files asked for.
 
 use std::time::Duration;
 
@@ -21,6 +21,12 @@ pub struct FeedOptions {
     pub steady: Duration,
     /// How often a caster that computes a stream for a place is told it.
     pub position_interval: Duration,
+    /// First delay before a file of a base that is not there is asked for again.
+    pub file_delay: Duration,
+    /// Longest of these.
+    pub file_ceiling: Duration,
+    /// A file that still grows is asked for again after so long.
+    pub file_refresh: Duration,
 }
 
 impl FeedOptions {
@@ -35,6 +41,9 @@ impl FeedOptions {
             lasting_ceiling: Duration::from_secs(900),
             steady: Duration::from_secs(60),
             position_interval: Duration::from_secs(10),
+            file_delay: Duration::from_secs(30),
+            file_ceiling: Duration::from_secs(3600),
+            file_refresh: Duration::from_secs(900),
         }
     }
 }

@@ -60,6 +60,8 @@ pub struct BaseRow {
     pub sites: Vec<(u64, BaseSite)>,
     /// The stream that fills it.
     pub feed: Option<BaseFeed>,
+    /// The address of the archive whose files fill it.
+    pub archive: Option<String>,
 }
 
 /// An epoch of a base, in the store's form.
@@ -151,7 +153,8 @@ const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
 /// Not where an open session names it.
-const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2 WHERE key = $1 AND NOT EXISTS
+const DELETE: &str =
+    "UPDATE bases SET deleted_unix_ms = $2, archive = NULL WHERE key = $1 AND NOT EXISTS
     (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)";
 
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
@@ -174,6 +177,9 @@ macro_rules! site {
     }};
 }
 
+/// A base's key, id, label, when it was created (ms), and the address of its archive.
+type NamedRow = (i64, String, String, i64, Option<String>);
+
 /// A kept epoch's number, GPS time (ns), when it was stored (ms) and its content.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
@@ -188,14 +194,16 @@ impl Store {
         label: &str,
         site: Option<&BaseSite>,
         feed: Option<&BaseFeed>,
+        archive: Option<&str>,
         created_unix_ms: i64,
     ) -> Result<BaseKey, StoreError> {
         writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
-                let sql = "INSERT INTO bases (id, label, created_unix_ms) VALUES ($1, $2, $3)
-                           RETURNING key";
+                let sql = "INSERT INTO bases (id, label, created_unix_ms, archive)
+                           VALUES ($1, $2, $3, $4) RETURNING key";
                 let insert = sqlx::query_as(sql).bind(id).bind(label).bind(created_unix_ms);
+                let insert = insert.bind(archive);
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 let key = BaseKey(key);
                 if let Some(site) = site {
@@ -217,8 +225,8 @@ impl Store {
     /// The database fails, or a row is corrupt.
     pub async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
         let failed = "reading bases";
-        let rows: Result<Vec<(i64, String, String, i64)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key, id, label, created_unix_ms FROM bases
+        let rows: Result<Vec<NamedRow>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT key, id, label, created_unix_ms, archive FROM bases
                        WHERE deleted_unix_ms IS NULL ORDER BY key";
             sqlx::query_as(sql).fetch_all(pool).await
         });
@@ -226,9 +234,9 @@ impl Store {
             let sql = "SELECT * FROM base_sites ORDER BY base, since";
             sqlx::query_as(sql).fetch_all(pool).await
         });
-        let base = |(key, id, label, created_unix_ms)| {
+        let base = |(key, id, label, created_unix_ms, archive): NamedRow| {
             let (key, sites) = (BaseKey(key), Vec::new());
-            BaseRow { key, id, label, created_unix_ms, sites, feed: None }
+            BaseRow { key, id, label, created_unix_ms, sites, feed: None, archive }
         };
         let feeds: Result<Vec<RawFeed>, _> = reading!(&self.pool, pool => {
             sqlx::query_as("SELECT * FROM base_feeds").fetch_all(pool).await

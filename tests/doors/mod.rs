@@ -17,7 +17,7 @@ use crate::casters::{BRISK, connector};
 pub(crate) struct Doors {
     pub(crate) router: Router,
     pub(crate) service: Service,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 impl Doors {
@@ -31,7 +31,17 @@ impl Doors {
 
     /// Where streams are kept up like this.
     pub(crate) async fn with_feeds(limits: Limits, options: FeedOptions) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        Self::within(tempfile::tempdir().unwrap(), limits, options).await
+    }
+
+    /// The service after it has stopped and started again.
+    pub(crate) async fn restarted(self) -> Self {
+        self.service.sessions().drain().await;
+        self.service.feeds().close().await;
+        Self::within(self.folder, Limits::standard(), BRISK).await
+    }
+
+    async fn within(folder: tempfile::TempDir, limits: Limits, options: FeedOptions) -> Self {
         let url = format!("sqlite://{}", folder.path().join("test.db").display());
         let store = Store::open(&url).await.unwrap();
         let held = AidingLimits {
@@ -52,7 +62,7 @@ impl Doors {
         let sessions = Sessions::open(store, aiding.clone(), session_limits);
         let feeds = Feeds::open(connector(None), aiding.clone(), options);
         let service = Service::new(sessions, aiding, feeds, limits);
-        Self { router: graphfix::http::router(&service), service, _folder: folder }
+        Self { router: graphfix::http::router(&service), service, folder }
     }
 
     /// The status and JSON that a request is answered with.

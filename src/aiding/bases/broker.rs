@@ -12,7 +12,8 @@ use crate::store::{
 };
 
 use super::check::{PositionCheck, REFUSED_M};
-use super::held::Held;
+use super::demand::Demand;
+use super::held::{Held, Reach};
 use super::{BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, NewBase};
 
 /// Epochs looked at to check a position on request.
@@ -34,6 +35,9 @@ struct Base {
     label: String,
     created_unix_ms: i64,
     feed: Option<BaseFeed>,
+    archive: Option<String>,
+    /// What rovers need of the archive.
+    demand: Demand,
     /// Where a rover that is positioned against it was last.
     rover: Mutex<Option<Ecef>>,
     /// Held while a push is built and committed: pushes follow one another.
@@ -69,6 +73,8 @@ impl BaseBroker {
                 label: row.label,
                 created_unix_ms: row.created_unix_ms,
                 feed: row.feed,
+                archive: row.archive,
+                demand: Demand::default(),
                 rover: Mutex::default(),
                 pushing: tokio::sync::Mutex::new(()),
                 held: Mutex::new(Held::new(row.sites, epochs, stored_unix_ms)),
@@ -94,8 +100,9 @@ impl BaseBroker {
             return Err(AidingError::TooManyBases { limit });
         }
         let (id, now) = (BaseId::random(), unix_ms());
-        let NewBase { label, site, feed } = &new;
-        let stored = self.store.create_base(id.as_str(), label, site.as_ref(), feed.as_ref(), now);
+        let NewBase { label, site, feed, archive } = &new;
+        let (site, feed, archive) = (site.as_ref(), feed.as_ref(), archive.as_deref());
+        let stored = self.store.create_base(id.as_str(), label, site, feed, archive, now);
         let key = stored.await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
         let base = Arc::new(Base {
@@ -103,6 +110,8 @@ impl BaseBroker {
             label: new.label,
             created_unix_ms: now,
             feed: new.feed,
+            archive: new.archive,
+            demand: Demand::default(),
             rover: Mutex::default(),
             pushing: tokio::sync::Mutex::new(()),
             held: Mutex::new(Held::new(sites, Vec::new(), None)),
@@ -145,6 +154,43 @@ impl BaseBroker {
         let bases = self.read();
         let fed = bases.iter().filter_map(|(id, base)| Some((id.clone(), base.feed.clone()?)));
         fed.collect()
+    }
+
+    /// Every base that an archive's files fill, with the archive's address.
+    pub fn archives(&self) -> Vec<(BaseId, String)> {
+        let bases = self.read();
+        bases.iter().filter_map(|(id, base)| Some((id.clone(), base.archive.clone()?))).collect()
+    }
+
+    /// When the quarters of an hour begin of which rovers have lately needed the base, in order.
+    ///
+    /// # Errors
+    /// There is none of this id.
+    pub fn needed(&self, id: &BaseId) -> Result<Vec<GpsTime>, AidingError> {
+        Ok(self.base(id)?.demand.needed(unix_ms()))
+    }
+
+    /// Waits until a rover needs the base at a time at which none has.
+    ///
+    /// # Errors
+    /// There is none of this id.
+    pub async fn need(&self, id: &BaseId) -> Result<(), AidingError> {
+        let base = self.base(id)?;
+        base.demand.news().await;
+        Ok(())
+    }
+
+    /// How much is held of a base from one time until before another.
+    ///
+    /// # Errors
+    /// There is none of this id.
+    pub fn reach(&self, id: &BaseId, from: GpsTime, until: GpsTime) -> Result<Reach, AidingError> {
+        Ok(self.base(id)?.held().reach(from, until))
+    }
+
+    /// Most epochs that a base holds.
+    pub const fn epochs_max(&self) -> usize {
+        self.limits.epochs_per_base
     }
 
     /// Where a base stands now, as far as known.
@@ -348,6 +394,9 @@ impl BaseBroker {
     /// of them older than `span_s`.
     pub fn view(&self, name: &BaseName, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
         let Some(base) = self.of(name.key) else { return BaseView::empty(name.clone()) };
+        if base.archive.is_some() {
+            base.demand.note(from, until, unix_ms());
+        }
         let held = base.held();
         let epochs = held.between_times(from - span_s - BASE_LATER_S, until + BASE_LATER_S);
         BaseView { name: name.clone(), sites: held.sites.clone(), epochs }
@@ -397,6 +446,7 @@ fn info(base: &Base) -> BaseInfo {
         label: base.label.clone(),
         created_unix_ms: base.created_unix_ms,
         feed: base.feed.clone(),
+        archive: base.archive.clone(),
         site: held.site().cloned(),
         epochs: held.epochs.len(),
         span: span.map(|(oldest, newest)| (oldest.time, newest.time)),

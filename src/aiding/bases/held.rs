@@ -9,6 +9,20 @@ use crate::store::StoredBaseEpoch;
 use super::check::PositionCheck;
 use super::{BaseEpochRefusal, HeldEpoch};
 
+/// Receivers tag epochs so near to the second that they mean (s).
+const TOLERANCE_S: f64 = 0.5;
+
+/// How much of a span of time is held, whose end does not belong to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Epochs of it may still be taken.
+    Open,
+    /// It is held to its end.
+    Whole,
+    /// Nothing of it is held, nor can be: epochs behind it are.
+    Passed,
+}
+
 /// What is held of one base.
 #[derive(Clone, Debug)]
 pub(super) struct Held {
@@ -137,6 +151,19 @@ impl Held {
         let start = self.epochs.partition_point(|epoch| epoch.time < from);
         let end = self.epochs.partition_point(|epoch| epoch.time <= until);
         self.epochs.range(start..end.max(start)).cloned().collect()
+    }
+
+    /// How much of a span is held; to its end if another epoch would lie behind it.
+    pub(super) fn reach(&self, from: GpsTime, until: GpsTime) -> Reach {
+        let mut newest = self.epochs.iter().rev().map(|epoch| epoch.time);
+        let (Some(last), before) = (newest.next(), newest.next()) else { return Reach::Open };
+        let interval_s = before.map_or(0.0, |before| last - before);
+        if last < from || last + interval_s < until - TOLERANCE_S {
+            return Reach::Open;
+        }
+        let first = self.epochs.partition_point(|epoch| epoch.time < from - TOLERANCE_S);
+        let is_within = self.epochs.get(first).is_some_and(|epoch| epoch.time < until);
+        if is_within { Reach::Whole } else { Reach::Passed }
     }
 
     /// The epochs numbered above `after`, up to `through`.

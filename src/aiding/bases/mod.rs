@@ -14,6 +14,10 @@
 //! (after it has connected anew): epochs held just so are acknowledged as resent. Refusals of
 //! single epochs are in the answer and need no reaction beyond counting them.
 //!
+//! An archive's files are pushed as uploads are, each when sessions need it: the times of the views
+//! that they take are noted ([`BaseBroker::needed`]), and how much of a file's time is held says
+//! whether it is to be fetched ([`BaseBroker::reach`]).
+//!
 //! # How sessions use it
 //! A session takes a [`BaseView`] of its base for the span of the epochs that it positions and
 //! stores with each which base epochs its estimator was given, by their numbers: replay gives it
@@ -25,6 +29,8 @@
 
 mod broker;
 mod check;
+mod demand;
+mod file;
 mod held;
 mod view;
 
@@ -38,6 +44,8 @@ use crate::store::BaseName;
 
 pub use broker::BaseBroker;
 pub use check::PositionCheck;
+pub use file::{BaseFile, BaseFileError};
+pub use held::Reach;
 pub use view::{BaseGiven, BaseView};
 
 pub use crate::store::BaseFeed;
@@ -87,6 +95,8 @@ pub struct NewBase {
     pub site: Option<BaseSite>,
     /// The stream of a caster that fills it.
     pub feed: Option<BaseFeed>,
+    /// The address of the archive whose files fill it, with placeholders for their times.
+    pub archive: Option<String>,
 }
 
 /// A base with its health.
@@ -100,6 +110,8 @@ pub struct BaseInfo {
     pub created_unix_ms: i64,
     /// The stream of a caster that fills it.
     pub feed: Option<BaseFeed>,
+    /// The address of the archive whose files fill it.
+    pub archive: Option<String>,
     /// Where it stands, as far as known.
     pub site: Option<BaseSite>,
     /// Epochs held.

@@ -1,11 +1,10 @@
 //! Base stations.
 
 use crate::aiding::bases::{
-    BaseEpochRefusal, BaseId, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
+    BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
 };
 use crate::clock::unix_ms;
 use crate::contract::{Code, Refusal, Service, convert, v1};
-use crate::formats::rinex::{ObservationReader, Skipped};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 
 use super::feeds;
@@ -26,16 +25,28 @@ const DELTA_MAX_M: f64 = 1000.0;
 /// Creates a base.
 ///
 /// # Errors
-/// A position or a stream that is none, as many bases as there may be, or the store's failure.
+/// A position, a stream or an archive that is none, as many bases as there may be, or the store's
+/// failure.
 pub async fn create(
     service: &Service,
     request: v1::CreateBaseRequest,
 ) -> Result<v1::Base, Refusal> {
     let site = site(&request)?;
+    if request.ntrip.is_some() && request.archive.is_some() {
+        let message = "a base is filled by a caster's stream or by an archive, not by both";
+        return Err(Refusal::new(Code::InvalidField, message).at("archive"));
+    }
     let feed = request.ntrip.map(|source| feeds::source(service, source)).transpose()?;
-    let created = service.bases().create(NewBase { label: request.label, site, feed }).await?;
-    if let (Some(feed), Some(id)) = (&created.feed, BaseId::parse(&created.name.id)) {
-        service.feeds().start(&id, feed)?;
+    let archive = request.archive.map(|source| feeds::archive(service, source)).transpose()?;
+    let new = NewBase { label: request.label, site, feed, archive };
+    let created = service.bases().create(new).await?;
+    if let Some(id) = BaseId::parse(&created.name.id) {
+        if let Some(feed) = &created.feed {
+            service.feeds().start(&id, feed)?;
+        }
+        if let Some(archive) = &created.archive {
+            service.feeds().fill(&id, archive)?;
+        }
     }
     Ok(message(service, &created))
 }
@@ -130,8 +141,9 @@ pub async fn upload(
     let limits = service.limits();
     let (bytes_max, epochs_max) = (limits.decompressed_bytes, limits.epochs_per_base);
     let content = request.content;
-    let read = in_background(move || read(&content, bytes_max, epochs_max)).await?;
-    let File { epochs, site, skipped } = read?;
+    let read =
+        move || Ok::<_, Refusal>(BaseFile::read(&unpacked(&content, bytes_max)?, epochs_max)?);
+    let BaseFile { epochs, site, skipped } = in_background(read).await??;
     if epochs.is_empty() {
         return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));
     }
@@ -181,36 +193,6 @@ fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
     Ok(Some(BaseSite { marker, antenna_delta_hen_m, antenna, source: PositionSource::Given }))
 }
 
-/// What a file of a base holds.
-struct File {
-    epochs: Vec<Epoch>,
-    site: Option<BaseSite>,
-    skipped: Skipped,
-}
-
-fn read(content: &[u8], bytes_max: u64, epochs_max: usize) -> Result<File, Refusal> {
-    let text = unpacked(content, bytes_max)?;
-    let mut reader = ObservationReader::new(text.as_slice())?;
-    let header = reader.header();
-    let site = header.approximate_position.map(|marker| BaseSite {
-        marker,
-        antenna_delta_hen_m: header.antenna_delta_hen_m,
-        antenna: header.antenna.clone(),
-        source: PositionSource::Header,
-    });
-    let mut epochs = Vec::new();
-    let mut epoch = Epoch::new(GpsTime::EPOCH);
-    while reader.read_epoch(&mut epoch)? {
-        if epochs.len() == epochs_max {
-            let message = format!("the file holds more than {epochs_max} epochs");
-            return Err(Refusal::new(Code::BaseTooLarge, message));
-        }
-        epochs.push(epoch.clone());
-    }
-    let skipped = reader.skipped().clone();
-    Ok(File { epochs, site, skipped })
-}
-
 fn result(
     index: usize,
     time: GpsTime,
@@ -236,6 +218,10 @@ fn message(service: &Service, info: &BaseInfo) -> v1::Base {
     let age_s = info.stored_unix_ms.map(|stored| (unix_ms() - stored) as f64 / 1e3);
     v1::Base {
         feed: info.feed.as_ref().map(|feed| feeds::message(service, &info.name.id, feed)),
+        archive: info
+            .archive
+            .as_ref()
+            .map(|template| feeds::archive_message(service, &info.name.id, template)),
         base: info.name.id.to_string(),
         label: info.label.clone(),
         created_utc: utc(info.created_unix_ms),

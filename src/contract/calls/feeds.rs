@@ -1,9 +1,9 @@
-//! The streams that fill bases.
+//! The streams and archives that fill bases.
 
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
 use crate::contract::{Code, Refusal, Service, intake, v1};
-use crate::feeds::{FeedHealth, FeedProblem, SourceStatus};
+use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, SourceStatus};
 use crate::gnss::Geodetic;
 
 use super::raw::statistics;
@@ -93,6 +93,35 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
         left_out,
         garbage_bytes: counted.garbage_bytes(),
         station_off_m: health.station_off_m,
+        ..named
+    }
+}
+
+/// The archive that a request names, checked.
+pub(super) fn archive(service: &Service, source: v1::ArchiveSource) -> Result<String, Refusal> {
+    let checked = service.feeds().check_archive(&source.template);
+    checked.map_err(|error| Refusal::from(error).at("archive.template"))?;
+    Ok(source.template)
+}
+
+/// An archive with its health.
+pub(super) fn archive_message(service: &Service, base: &str, template: &str) -> v1::BaseArchive {
+    let named = v1::BaseArchive { template: template.to_owned(), ..Default::default() };
+    let health = BaseId::parse(base).and_then(|id| service.feeds().archive_health(&id));
+    let Some(health) = health else { return named };
+    let BaseArchiveHealth { state, since_unix_ms, retry_unix_ms, problem, refusal, .. } = health;
+    v1::BaseArchive {
+        state: state.name().to_owned(),
+        since_utc: utc(since_unix_ms),
+        retry_in_s: retry_unix_ms.map(|retry| seconds_between(unix_ms(), retry)),
+        problem: problem.as_ref().map(told),
+        refusal: refusal.as_ref().map(told),
+        missing: health.missing as u32,
+        requests: health.requests,
+        files: health.files,
+        bytes: health.bytes,
+        epochs: health.epochs,
+        last_file: health.last_file.unwrap_or_default(),
         ..named
     }
 }
