@@ -102,6 +102,8 @@ pub(super) struct SingleDifference {
     pub(super) band: Band,
     /// Codes at rover and base.
     pub(super) codes: [ObservationCode; 2],
+    /// Whether the pseudoranges are of one ranging code, so that the satellite delays both alike.
+    pub(super) shares_code: bool,
     pub(super) frequency_hz: f64,
     pub(super) pseudorange: Option<Differenced>,
     pub(super) carrier: Option<Differenced>,
@@ -224,7 +226,6 @@ impl SingleDifferences {
                 frequency_hz: pair.frequency_hz,
                 elevation_rad: look.elevation_rad,
                 cn0_db_hz: [pair.rover.cn0_db_hz, pair.base.cn0_db_hz],
-                shares_code: pair.shares_code(),
             };
             let difference = |(rover_m, base_m): (f64, f64), variance_m2: f64| Differenced {
                 range_m: (rover_m + rover_part_m) - (base_m + base_part_m),
@@ -238,6 +239,7 @@ impl SingleDifferences {
                 satellite,
                 band: pair.band,
                 codes: [pair.rover.code, pair.base.code],
+                shares_code: pair.shares_code(),
                 frequency_hz: pair.frequency_hz,
                 pseudorange: pseudoranges
                     .map(|ranges| difference(ranges, variances.pseudorange_m2(&quality))),

@@ -7,9 +7,6 @@ use crate::positioning::measurements::constellation_factor;
 
 /// C/N0 to which the options refer (dB-Hz).
 const REFERENCE_DB_HZ: f64 = 42.0;
-/// What satellites delay two ranging codes of one carrier differently, beyond what all of them
-/// share (m): RTKLIB's `ERR_CBIAS`.
-const CODE_BIAS_M: f64 = 0.3;
 /// How far a satellite's clock wanders from its broadcast polynomial (m/s): 5·10⁻¹² of the speed of
 /// light, the default clock stability of RTKLIB's manual 2.4.2, section 3.5 (`stats-clkstab`).
 const CLOCK_WANDER_M_S: f64 = 1.5e-3;
@@ -37,7 +34,6 @@ pub(super) struct PairQuality {
     pub(super) elevation_rad: f64,
     /// C/N0 at rover and base (dB-Hz).
     pub(super) cn0_db_hz: [Option<f64>; 2],
-    pub(super) shares_code: bool,
 }
 
 impl DifferenceVariances {
@@ -60,11 +56,10 @@ impl DifferenceVariances {
         }
     }
 
-    /// Variance of a pseudorange difference (m²).
+    /// Variance of a pseudorange difference (m²), of what receivers and paths differ by.
     pub(super) fn pseudorange_m2(&self, pair: &PairQuality) -> f64 {
-        let bias_m = if pair.shares_code { 0.0 } else { CODE_BIAS_M };
         let receivers = self.receivers_m2(&self.pseudorange, pair);
-        constellation_factor(pair.constellation) * receivers + bias_m * bias_m + self.path_m2(pair)
+        constellation_factor(pair.constellation) * receivers + self.path_m2(pair)
     }
 
     /// Variance of a carrier phase difference (m²).
@@ -99,13 +94,12 @@ mod tests {
     use super::*;
     use crate::config::{Mode, Profile};
 
-    fn quality(elevation_deg: f64, shares_code: bool) -> PairQuality {
+    fn quality(elevation_deg: f64) -> PairQuality {
         PairQuality {
             constellation: Constellation::Gps,
             frequency_hz: L1_HZ,
             elevation_rad: f64::to_radians(elevation_deg),
             cn0_db_hz: [None; 2],
-            shares_code,
         }
     }
 
@@ -114,18 +108,9 @@ mod tests {
     fn carrier_worked_by_hand() {
         let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
         (options.rtk.carrier_sigma_m, options.rtk.ionosphere_gradient) = (3e-3, 2e-6);
-        let near = DifferenceVariances::new(&options, 0.0, 0.05).carrier_m2(&quality(30.0, true));
+        let near = DifferenceVariances::new(&options, 0.0, 0.05).carrier_m2(&quality(30.0));
         assert!((near - 2.0 * 45e-6).abs() < 1e-12, "{near}");
-        let far = DifferenceVariances::new(&options, 5e3, 10.0).carrier_m2(&quality(30.0, true));
+        let far = DifferenceVariances::new(&options, 5e3, 10.0).carrier_m2(&quality(30.0));
         assert!((far - near - 0.02_f64.powi(2) - 0.015_f64.powi(2)).abs() < 1e-12, "{far}");
-    }
-
-    #[test]
-    fn other_codes_add_their_bias() {
-        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let variances = DifferenceVariances::new(&options, 0.0, 0.0);
-        let alike = variances.pseudorange_m2(&quality(60.0, true));
-        let unlike = variances.pseudorange_m2(&quality(60.0, false));
-        assert!((unlike - alike - 0.09).abs() < 1e-12);
     }
 }

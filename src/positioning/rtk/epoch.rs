@@ -39,6 +39,8 @@ pub(super) struct DifferenceFactor {
     /// Share of information kept because errors last.
     pub(super) share: f64,
     pub(super) ambiguity: Option<Ambiguity>,
+    /// Place of the code bias that z was corrected for, if its codes differ.
+    pub(super) bias: Option<usize>,
 }
 
 impl DifferenceFactor {
@@ -108,7 +110,7 @@ impl Scratch {
 }
 
 snapshot_fields!(Ambiguity { variable, wavelength_m });
-snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity });
+snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity, bias });
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
 snapshot_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });

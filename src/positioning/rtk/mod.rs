@@ -10,6 +10,7 @@ mod answer;
 mod arcs;
 mod base;
 mod belief;
+mod biases;
 mod chain;
 mod epoch;
 mod filter;

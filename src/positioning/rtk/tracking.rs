@@ -13,6 +13,7 @@ use crate::positioning::factors::{DopplerFactor, Sight};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Arcs};
+use super::biases::CodeBiases;
 use super::epoch::{Ambiguity, AmbiguityStart, DifferenceFactor, Group, RtkEpoch, Scratch, State};
 use super::float::FloatSolution;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
@@ -33,11 +34,12 @@ pub(super) struct Tracking {
     pub(super) trust: Trust,
     pseudorange_noise: NoiseScale,
     carrier_noise: NoiseScale,
+    biases: CodeBiases,
     pub(super) scratch: Scratch,
     misses: Vec<f64>,
 }
 
-snapshot_fields!(Tracking { arcs, trust, pseudorange_noise, carrier_noise } memory {
+snapshot_fields!(Tracking { arcs, trust, pseudorange_noise, carrier_noise, biases } memory {
     scratch: Scratch::default(),
     misses: Vec::new(),
 });
@@ -55,6 +57,7 @@ impl Clone for Tracking {
         self.trust = source.trust;
         self.pseudorange_noise = source.pseudorange_noise;
         self.carrier_noise = source.carrier_noise;
+        self.biases.clone_from(&source.biases);
     }
 }
 
@@ -66,6 +69,7 @@ impl Tracking {
             trust: Trust::default(),
             pseudorange_noise: NoiseScale::stated(),
             carrier_noise: NoiseScale::stated(),
+            biases: CodeBiases::default(),
             scratch: Scratch::default(),
             misses: Vec::new(),
         }
@@ -122,13 +126,15 @@ impl Tracking {
                 Some(motion) if continues => (motion.interval_s() / correlation_s).min(1.0),
                 _ => 1.0,
             };
-            let sigma_m = self.pseudorange_noise.value * pseudorange.variance_m2.sqrt();
+            let (bias, place) = self.biases.of(difference);
+            let noise_m2 = self.pseudorange_noise.value.powi(2) * pseudorange.variance_m2;
             epoch.rows.push(DifferenceFactor {
                 sight: difference.common,
-                range_m: pseudorange.range_m,
-                inverse_sigma: sigma_m.recip(),
+                range_m: pseudorange.range_m - bias.bias_m,
+                inverse_sigma: (noise_m2 + bias.variance_m2).sqrt().recip(),
                 share,
                 ambiguity: None,
+                bias: place,
             });
         }
         let rows = Group { begin, end: epoch.rows.len(), is_carrier: false };
@@ -216,6 +222,28 @@ impl Tracking {
         rms
     }
 
+    /// Learns from a position with integers held what satellites delay codes that differ.
+    fn learn_biases(&mut self, epoch: &RtkEpoch, position: &Vector3<f64>) {
+        let mut state = State::zeros();
+        state.fixed_rows_mut::<3>(0).copy_from(position);
+        epoch.see(&state, &mut self.scratch);
+        for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+            let factors = &epoch.rows[group.begin..group.end];
+            if factors.iter().all(|factor| factor.bias.is_none()) {
+                continue;
+            }
+            epoch.linearize_group(group, &[], &mut self.scratch);
+            let Scratch { rows, numbers, .. } = &mut self.scratch;
+            let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
+            for (factor, row) in factors.iter().zip(rows.iter()) {
+                let Some(place) = factor.bias else { continue };
+                let miss = row.row.residual + row.by_offset * offset_m;
+                let sigma_m = factor.inverse_sigma.recip();
+                self.biases.learn(place, -miss * sigma_m, sigma_m.powi(2), factor.share);
+            }
+        }
+    }
+
     /// Magnitudes of an epoch's whitened residuals at a position, of pseudoranges or of the carrier
     /// phases with integers; returns the number of their groups.
     fn gather_misses(
@@ -259,13 +287,15 @@ impl Tracking {
         let (list, trust) = (&mut self.arcs.list, &mut self.trust);
         let is_present = |arc: &Arc| arc.last == epoch.time;
         let freedom = self.pseudorange_noise.freedom();
-        let mut resolution =
-            integers.resolve(list, trust, is_present, float, &options.rtk, freedom);
+        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, freedom);
         if let Ok(fixed) = &resolution.outcome
             && MISFIT_SIGMAS < self.learn_carrier_noise(epoch, &fixed.position, border)
         {
             drop_labels(&mut self.arcs.list, &mut self.trust, true);
             resolution.outcome = Err(Reason::FixRejected);
+        }
+        if let Ok(fixed) = &resolution.outcome {
+            self.learn_biases(epoch, &fixed.position);
         }
         resolution
     }
@@ -356,5 +386,6 @@ fn push_carrier(
         inverse_sigma: variance_m2.sqrt().recip(),
         share,
         ambiguity: Some(Ambiguity { variable, wavelength_m }),
+        bias: None,
     });
 }
