@@ -149,7 +149,7 @@ fn is_fixed_throughout(solutions: &[Solution]) {
 #[test]
 fn one_frequency_is_fixed_and_never_wrong() {
     let Some(pair) = hers_hert() else { return };
-    for (single_epoch, least) in [("false", 2_870), ("true", 280)] {
+    for (single_epoch, least) in [("false", 2_875), ("true", 864)] {
         let mut options = general();
         options.set("frequencies", "L1").unwrap();
         options.set("ambiguity.single_epoch", single_epoch).unwrap();
@@ -307,6 +307,38 @@ fn shift_channels(epoch: &mut Epoch, navigation: &Navigation, slope_m: f64) {
         let cycles = f64::from(channel) * slope_m / wavelength_m;
         observation.carrier_phase.iter_mut().for_each(|phase| phase.0 += cycles);
     }
+}
+
+/// Over 8 km under a sloping ionosphere fixes are off to one side for minutes, by some centimetres:
+/// as far as is stated, and neither no distance nor any.
+#[test]
+fn fixes_state_what_the_ionosphere_leaves() {
+    let simulator = Simulator::new(Scenario::by_name("rtk-open").unwrap(), 1);
+    let navigation = simulator.navigation().clone();
+    let antenna_reference_point = simulator.base_position().unwrap();
+    let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
+    let mut estimator = Estimator::new(general());
+    let (mut fixed, mut inside, mut squares) = (0, 0, 0.0);
+    for epoch in simulator {
+        let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
+        let solution = estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base });
+        if solution.status != Status::Fixed {
+            continue;
+        }
+        let estimate = solution.estimate.unwrap();
+        let frame = LocalFrame::at(epoch.position);
+        let error = frame.to_enu(estimate.position).0.xy();
+        let covariance = frame.rotation * estimate.covariance * frame.rotation.transpose();
+        let inverse = covariance.fixed_view::<2, 2>(0, 0).try_inverse().unwrap();
+        let square = error.dot(&(inverse * error));
+        fixed += 1;
+        // 95 % of chi-square with two degrees.
+        inside += usize::from(square < 5.991);
+        squares += 0.5 * square;
+    }
+    let normalised = (squares / fixed as f64).sqrt();
+    assert!(500 < fixed && 9 * fixed <= 10 * inside, "{inside} of {fixed} inside");
+    assert!((0.3..=1.5).contains(&normalised), "{normalised}");
 }
 
 /// A hardware simulator's signals, 2 km: 2 mm are the rounding of phases and the troposphere.

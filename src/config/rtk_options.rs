@@ -69,7 +69,7 @@ impl RtkOptions {
             single_epoch: false,
             resolve: true,
             ratio_min: 2.0,
-            probability_min: 0.999,
+            probability_min: 0.996,
             success_rate_min: 0.05,
             hold_epochs: 10,
             fixed_min: 4,

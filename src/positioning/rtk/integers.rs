@@ -17,6 +17,7 @@ use crate::snapshot::snapshot_fields;
 use super::arcs::{Arc, Label};
 use super::float::FloatSolution;
 use super::joint::{Joint, chosen_of, condition, doubted};
+use super::noise::NoiseScale;
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
@@ -144,7 +145,7 @@ impl Integers {
         is_present: impl Fn(&Arc) -> bool,
         float: &FloatSolution,
         options: &RtkOptions,
-        freedom: f64,
+        noise: &NoiseScale,
     ) -> Resolution {
         let is_eligible = |arc: &Arc| is_present(arc) && may_be_integer(arc, options);
         self.difference(arcs, is_eligible, float);
@@ -159,7 +160,7 @@ impl Integers {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.joint(float);
-        let lambda = lambda_options(options, freedom);
+        let (lambda, doubt) = (lambda_options(options, noise.freedom()), noise.doubt());
         if options.hold_epochs <= trust.agreed {
             if let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
                 return resolution.if_precise();
@@ -167,7 +168,8 @@ impl Integers {
             let (era, before) = (trust.era, self.pairs.clone());
             drop_labels(arcs, trust, false);
             self.pairs.iter_mut().for_each(|pair| pair.known = None);
-            let resolution = self.resolve_anew(arcs, trust, &joint, &lambda, options.hold_epochs);
+            let resolution =
+                self.resolve_anew(arcs, trust, &joint, &lambda, doubt, options.hold_epochs);
             // What no longer agrees is not wrong before other integers are found.
             let found = |arc: usize| arcs[arc].label;
             let differs = |pair: &DoubleDifference| {
@@ -180,7 +182,7 @@ impl Integers {
             }
             return resolution.if_precise();
         }
-        self.resolve_anew(arcs, trust, &joint, &lambda, options.hold_epochs).if_precise()
+        self.resolve_anew(arcs, trust, &joint, &lambda, doubt, options.hold_epochs).if_precise()
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -230,13 +232,15 @@ impl Integers {
         })
     }
 
-    /// Looks for all integers; labels must be found again until they are trusted.
+    /// Looks for all integers; labels must be found again until they are trusted. Odds are divided
+    /// by `doubt`.
     fn resolve_anew(
         &mut self,
         arcs: &mut [Arc],
         trust: &mut Trust,
         joint: &Joint,
         options: &Options,
+        doubt: f64,
         hold_epochs: u32,
     ) -> Resolution {
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
@@ -261,7 +265,7 @@ impl Integers {
                 drop_labels(arcs, trust, true);
                 return resolution;
             }
-            let stated = chosen_of(tried, outcome.probability.unwrap_or(0.0));
+            let stated = chosen_of(doubt * tried as f64, outcome.probability.unwrap_or(0.0));
             let doubted = self.doubted(joint, &wanted, stated);
             if let Some(probability) = doubted.filter(|p| options.probability_min <= *p) {
                 let held = self.label(arcs, trust, &wanted);
@@ -285,11 +289,15 @@ impl Integers {
         let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
         groups.sort_unstable();
         groups.dedup();
-        let mut subsets =
-            vec![self.indices(|pair| has_one_wavelength(&arcs[pair.arc])), self.indices(|_| true)];
-        subsets.extend(groups.iter().map(|out| self.indices(|pair| group(pair) != *out)));
-        subsets.retain(|wanted| fixed_min <= wanted.len());
-        subsets.dedup();
+        let mut subsets: Vec<Vec<usize>> = Vec::new();
+        let mut add = |wanted: Vec<usize>| {
+            if fixed_min <= wanted.len() && !subsets.contains(&wanted) {
+                subsets.push(wanted);
+            }
+        };
+        add(self.indices(|pair| has_one_wavelength(&arcs[pair.arc])));
+        add(self.indices(|_| true));
+        groups.iter().for_each(|out| add(self.indices(|pair| group(pair) != *out)));
         subsets
     }
 

@@ -59,9 +59,9 @@ impl Joint {
 }
 
 /// The probability of integers that were the first of `tried` subsets to pass: each had its chance
-/// to pass by chance (Bonferroni's bound on the odds).
-pub(super) fn chosen_of(tried: usize, probability: f64) -> f64 {
-    probability / (probability + tried.max(1) as f64 * (1.0 - probability))
+/// to pass by chance (Bonferroni's bound on the odds). Other doubts are factors on `tried`.
+pub(super) fn chosen_of(tried: f64, probability: f64) -> f64 {
+    probability / (probability + tried.max(1.0) * (1.0 - probability))
 }
 
 /// The probability of integers given what the ambiguities left real-valued make of them.
@@ -166,8 +166,8 @@ mod tests {
 
     #[test]
     fn more_tries_are_more_chances_to_be_wrong() {
-        assert_eq!(chosen_of(1, 0.9), 0.9);
-        assert!((chosen_of(9, 0.9) - 0.5).abs() < 1e-12);
-        assert_eq!(chosen_of(5, 1.0), 1.0);
+        assert_eq!(chosen_of(1.0, 0.9), 0.9);
+        assert!((chosen_of(9.0, 0.9) - 0.5).abs() < 1e-12);
+        assert_eq!(chosen_of(5.0, 1.0), 1.0);
     }
 }

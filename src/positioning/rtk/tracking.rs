@@ -286,8 +286,8 @@ impl Tracking {
     ) -> Resolution {
         let (list, trust) = (&mut self.arcs.list, &mut self.trust);
         let is_present = |arc: &Arc| arc.last == epoch.time;
-        let freedom = self.pseudorange_noise.freedom();
-        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, freedom);
+        let noise = &self.pseudorange_noise;
+        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, noise);
         if let Ok(fixed) = &resolution.outcome
             && MISFIT_SIGMAS < self.learn_carrier_noise(epoch, &fixed.position, border)
         {
