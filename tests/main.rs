@@ -22,6 +22,7 @@ mod fgo;
 mod grpc;
 mod http;
 mod models;
+mod nearest;
 mod network_casters;
 mod odometry;
 mod pair;

@@ -8,8 +8,8 @@ use graphfix::gnss::{
     Navigation, NavigationMessage, NeQuickCoefficients, Solution, Status,
 };
 use graphfix::store::{
-    Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery, Store,
-    StoreError, StoredSolution,
+    BaseChoice, Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery,
+    Store, StoreError, StoredSolution,
 };
 
 use crate::database::{Database, on_both_databases};
@@ -35,7 +35,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         overrides: BTreeMap::new(),
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
-        base: None,
+        base: BaseChoice::None,
     };
     store.create_session(id, &settings, 0).await.unwrap().key
 }
@@ -194,7 +194,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 6"
+        "the database has schema 9000, this Graphfix knows schemas up to 7"
     );
     assert_eq!(error.code(), "DATABASE_SCHEMA_NEWER");
 }

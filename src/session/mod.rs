@@ -32,6 +32,7 @@
 
 mod clock;
 mod configuration;
+mod course;
 mod desk;
 mod error;
 mod info;

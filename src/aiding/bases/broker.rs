@@ -11,6 +11,7 @@ use crate::store::{
     BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
 };
 
+use super::candidates::Candidates;
 use super::check::{PositionCheck, REFUSED_M};
 use super::held::Held;
 use super::{BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, NewBase};
@@ -29,8 +30,8 @@ pub struct BaseBroker {
     creating: Arc<tokio::sync::Mutex<()>>,
 }
 
-struct Base {
-    name: BaseName,
+pub(super) struct Base {
+    pub(super) name: BaseName,
     label: String,
     created_unix_ms: i64,
     feed: Option<BaseFeed>,
@@ -42,8 +43,15 @@ struct Base {
 }
 
 impl Base {
-    fn held(&self) -> MutexGuard<'_, Held> {
+    pub(super) fn held(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// It with the epochs that a rover's epochs from `from` until `until` may need.
+    pub(super) fn view(&self, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
+        let held = self.held();
+        let epochs = held.between_times(from - span_s - BASE_LATER_S, until + BASE_LATER_S);
+        BaseView { name: self.name.clone(), sites: held.sites.clone(), epochs }
     }
 }
 
@@ -347,10 +355,19 @@ impl BaseBroker {
     /// A base with the epochs that a rover's epochs tagged from `from` until `until` may need, none
     /// of them older than `span_s`.
     pub fn view(&self, name: &BaseName, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
-        let Some(base) = self.of(name.key) else { return BaseView::empty(name.clone()) };
-        let held = base.held();
-        let epochs = held.between_times(from - span_s - BASE_LATER_S, until + BASE_LATER_S);
-        BaseView { name: name.clone(), sites: held.sites.clone(), epochs }
+        match self.of(name.key) {
+            Some(base) => base.view(from, until, span_s),
+            None => BaseView::empty(name.clone()),
+        }
+    }
+
+    /// The bases of these names, in their order, as far as there are any; all, by id, of no names.
+    pub fn candidates(&self, names: Option<&[BaseName]>) -> Candidates {
+        let bases = match names {
+            None => self.read().values().cloned().collect(),
+            Some(names) => names.iter().filter_map(|name| self.of(name.key)).collect(),
+        };
+        Candidates::new(bases)
     }
 
     /// The bases with the epochs that were used then; empty ones where they were deleted.
