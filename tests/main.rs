@@ -24,6 +24,7 @@ mod http;
 mod models;
 mod nearest;
 mod network_casters;
+mod networks;
 mod odometry;
 mod pair;
 mod raw;

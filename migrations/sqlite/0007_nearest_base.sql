@@ -10,3 +10,6 @@ CREATE TABLE session_bases (
     PRIMARY KEY (session, place)
 );
 CREATE INDEX sessions_of_bases ON session_bases (base);
+
+-- Whether a stream was found in a caster's sourcetable and is asked for while a rover needs it: 0 or 1.
+ALTER TABLE base_feeds ADD COLUMN on_demand INTEGER NOT NULL DEFAULT 0;

@@ -6,6 +6,9 @@
 //! When it ends it is asked for again, after a delay that doubles; [`FeedHealth`] says what it does
 //! and why.
 //!
+//! The sourcetables of [`NetworkRequest`]s say where further bases stand: the one nearest to a
+//! rover is connected while that needs it.
+//!
 //! What bases are filled from is fetched by a client's wish, so nothing is asked but hosts that the
 //! operator lists, at addresses that were checked ([`FetchPolicy`]). What brings ephemerides beside
 //! that the operator names himself ([`NavigationSources`]).
@@ -20,6 +23,7 @@ mod desk;
 mod error;
 mod head;
 mod health;
+mod network;
 pub mod ntrip;
 mod options;
 mod sources;
@@ -33,6 +37,7 @@ pub use connection::{Connection, Connector, Patience};
 pub use desk::Feeds;
 pub use error::FetchError;
 pub use health::{ArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState};
+pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
 pub use sources::{NavigationSources, SourceStatus};
 pub use web::{Fetched, Location, Validators, WebError, fetch};

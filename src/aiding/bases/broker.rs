@@ -14,6 +14,7 @@ use crate::store::{
 use super::candidates::Candidates;
 use super::check::{PositionCheck, REFUSED_M};
 use super::held::Held;
+use super::seekers::Seekers;
 use super::{BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, NewBase};
 
 /// Epochs looked at to check a position on request.
@@ -28,6 +29,7 @@ pub struct BaseBroker {
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
     /// Held while a base is created, so that there are never more than allowed.
     creating: Arc<tokio::sync::Mutex<()>>,
+    seekers: Seekers,
 }
 
 pub(super) struct Base {
@@ -36,13 +38,17 @@ pub(super) struct Base {
     created_unix_ms: i64,
     feed: Option<BaseFeed>,
     /// Where a rover that is positioned against it was last.
-    rover: Mutex<Option<Ecef>>,
+    rover: Mutex<Option<(Ecef, i64)>>,
     /// Held while a push is built and committed: pushes follow one another.
     pushing: tokio::sync::Mutex<()>,
     held: Mutex<Held>,
 }
 
 impl Base {
+    fn rover(&self) -> MutexGuard<'_, Option<(Ecef, i64)>> {
+        self.rover.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     pub(super) fn held(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -84,7 +90,8 @@ impl BaseBroker {
             bases.insert(id, Arc::new(base));
         }
         let bases = Arc::new(RwLock::new(bases));
-        Ok(Self { store, navigation, limits, bases, creating: Arc::default() })
+        let (creating, seekers) = Default::default();
+        Ok(Self { store, navigation, limits, bases, creating, seekers })
     }
 
     /// Creates a base and stores it.
@@ -166,14 +173,26 @@ impl BaseBroker {
     /// Notes where a rover of a base is, for casters that compute a stream for a place.
     pub fn note_rover(&self, base: BaseKey, place: Ecef) {
         if let Some(base) = self.of(base) {
-            *base.rover.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);
+            *base.rover() = Some((place, unix_ms()));
         }
     }
 
     /// Where a rover of a base was last, since the service started.
     pub fn rover(&self, id: &BaseId) -> Option<Ecef> {
-        let base = self.base(id).ok()?;
-        *base.rover.lock().unwrap_or_else(PoisonError::into_inner)
+        let rover = *self.base(id).ok()?.rover();
+        rover.map(|(place, _)| place)
+    }
+
+    /// When a rover was positioned against a base last, since the service started
+    /// (ms since 1970-01-01 UTC).
+    pub fn used_unix_ms(&self, id: &BaseId) -> Option<i64> {
+        let rover = *self.base(id).ok()?.rover();
+        rover.map(|(_, noted_unix_ms)| noted_unix_ms)
+    }
+
+    /// Rovers that seek the nearest of all bases.
+    pub const fn seekers(&self) -> &Seekers {
+        &self.seekers
     }
 
     /// Deletes a base with its epochs.

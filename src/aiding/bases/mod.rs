@@ -30,6 +30,7 @@ mod broker;
 mod candidates;
 mod check;
 mod held;
+mod seekers;
 mod view;
 
 use std::fmt;
@@ -43,6 +44,7 @@ use crate::store::BaseName;
 pub use broker::BaseBroker;
 pub use candidates::Candidates;
 pub use check::PositionCheck;
+pub use seekers::{Seeker, Seekers};
 pub use view::{BaseGiven, BaseView};
 
 pub use crate::store::{BaseChoice, BaseFeed};

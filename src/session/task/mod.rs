@@ -10,8 +10,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
+use crate::aiding::bases::{BaseChoice, Seeker};
 use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
+use super::clock::unix_ms;
 use super::course::Against;
 use super::piece::{Piece, PieceAiding, Plan};
 use super::raw::Reception;
@@ -238,6 +240,11 @@ impl Task {
         let base = state.base().filter(|_| !force.base.is_none());
         if let (Some(base), Some(estimate)) = (base, newest) {
             self.aiding.bases.note_rover(base, estimate.position);
+        }
+        if let (BaseChoice::Nearest, Some(estimate)) = (&force.base, newest) {
+            let reach_m = force.origin.options.rtk.baseline_max_m;
+            let seeker = Seeker { place: estimate.position, reach_m, noted_unix_ms: unix_ms() };
+            self.aiding.bases.seekers().note(self.key, seeker);
         }
         *active = Some(Active { committed: state, force, raw: reception });
         let outcome = |(seq, plan)| {
