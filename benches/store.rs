@@ -14,7 +14,9 @@ use graphfix::gnss::{
     ObservationCode, Provenance, SatelliteId, Solution, SolutionEstimate, Status,
 };
 use graphfix::session::{NewSession, SequencedEpoch, SessionLimits, Sessions};
-use graphfix::store::{Batch, EncodedEpoch, SessionKey, SessionSettings, Store, StoredSolution};
+use graphfix::store::{
+    BaseChoice, Batch, EncodedEpoch, SessionKey, SessionSettings, Store, StoredSolution,
+};
 use nalgebra::Matrix3;
 
 const SESSIONS: usize = 8;
@@ -96,7 +98,7 @@ async fn whole_desk(store: &Store, size: u64, epochs: u64) {
                 mode: "spp".to_owned(),
                 profile: "general".to_owned(),
                 overrides: BTreeMap::new(),
-                base: None,
+                base: BaseChoice::None,
             };
             let id = sessions.create(new).await.expect("the session is created").id;
             for first in (0..epochs).step_by(size as usize) {
@@ -120,7 +122,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         overrides: BTreeMap::new(),
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
-        base: None,
+        base: BaseChoice::None,
     };
     store.create_session(&unique, &settings, 0).await.expect("the session is stored").key
 }

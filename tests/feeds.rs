@@ -24,7 +24,7 @@ use crate::streams::{decode, epochs, navigation, unpacked};
 pub(crate) const NEAR: GpsTime = GpsTime::from_ns((2021 * 604_800 + 391_000) * 1_000_000_000);
 
 /// The logs of the static rover and its base: RXM-RAWX there, messages 1005, 1077 and 1087 here.
-fn logs() -> Option<(Vec<u8>, Vec<u8>)> {
+pub(crate) fn logs() -> Option<(Vec<u8>, Vec<u8>)> {
     let folder = data::set("galway-static")?;
     let log = |name: &str| unpacked(&folder.join(name));
     Some((log("rover-20181004-1237.ubx.gz"), log("base-20181004-1236.ubx.gz")))
@@ -89,7 +89,12 @@ async fn session_of(doors: &Doors, base: &str, mode: &str, options: &[(&str, &st
 }
 
 /// A device: sends the bytes of its receiver, and is answered.
-async fn push(doors: &Doors, session: &str, offset: usize, bytes: &[u8]) -> Vec<v1::Solution> {
+pub(crate) async fn push(
+    doors: &Doors,
+    session: &str,
+    offset: usize,
+    bytes: &[u8],
+) -> Vec<v1::Solution> {
     let mut solutions = Vec::new();
     for (index, content) in bytes.chunks(20_000).enumerate() {
         let push = v1::PushRawRequest {
@@ -109,7 +114,7 @@ fn second(solution: &v1::Solution) -> f64 {
     solution.time.unwrap().ns_of_week as f64 * 1e-9
 }
 
-fn fixed(solutions: &[v1::Solution]) -> usize {
+pub(crate) fn fixed(solutions: &[v1::Solution]) -> usize {
     solutions.iter().filter(|solution| solution.status() == v1::Status::Fixed).count()
 }
 

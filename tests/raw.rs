@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use flate2::write::GzEncoder;
+use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::contract::{calls, v1};
 use graphfix::formats::receiver::TimeReference;
@@ -46,7 +47,7 @@ async fn created(sessions: &Sessions) -> SessionId {
         mode: "spp".to_owned(),
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
-        base: None,
+        base: BaseChoice::None,
     };
     sessions.create(new).await.unwrap().id
 }

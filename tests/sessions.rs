@@ -6,6 +6,7 @@ use std::io::BufReader;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
+use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::formats::decompress;
 use graphfix::formats::rinex::{ObservationReader, read_navigation};
@@ -52,6 +53,7 @@ fn limits() -> SessionLimits {
         raw_piece_bytes: 256 << 10,
         observations_per_epoch: 8,
         active_sessions: 64,
+        candidate_bases: 2,
         label_characters: 20,
         solver_threads: NonZeroUsize::new(2).unwrap(),
         retry_after: Duration::from_millis(50),
@@ -73,7 +75,7 @@ fn new_session() -> NewSession {
         mode: "spp".to_owned(),
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
-        base: None,
+        base: BaseChoice::None,
     }
 }
 
@@ -476,8 +478,14 @@ async fn requests_are_solved_without_a_trace(database: Database) {
     assert_ne!(solved.configuration_hash, last.configuration_hash);
 
     let NewSession { mode, profile, overrides, .. } = new_session();
-    let burst =
-        Burst { mode, profile, overrides, epochs: batch(1..=3), navigation: None, base: None };
+    let burst = Burst {
+        mode,
+        profile,
+        overrides,
+        epochs: batch(1..=3),
+        navigation: None,
+        base: BaseChoice::None,
+    };
     let answers = sessions.solve_once(burst.clone()).await.unwrap();
     assert_eq!(answers.iter().map(|a| a.seq).collect::<Vec<_>>(), [1, 2, 3]);
     assert!(answers.iter().all(|answer| answer.solution.status == Status::None));

@@ -8,8 +8,8 @@ use graphfix::gnss::{
     Navigation, NavigationMessage, NeQuickCoefficients, Solution, Status,
 };
 use graphfix::store::{
-    Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery, Store,
-    StoreError, StoredSolution,
+    BaseChoice, Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery,
+    Store, StoreError, StoredSolution,
 };
 
 use crate::database::{Database, on_both_databases};
@@ -35,7 +35,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         overrides: BTreeMap::new(),
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
-        base: None,
+        base: BaseChoice::None,
     };
     store.create_session(id, &settings, 0).await.unwrap().key
 }

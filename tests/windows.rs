@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Mode;
 use graphfix::gnss::Status;
@@ -43,7 +44,7 @@ async fn created(sessions: &Sessions, mode: &str) -> SessionId {
         mode: mode.to_owned(),
         profile: "urban-vehicle".to_owned(),
         overrides: BTreeMap::new(),
-        base: None,
+        base: BaseChoice::None,
     };
     sessions.create(new).await.unwrap().id
 }

@@ -9,20 +9,23 @@ use tokio::net::TcpListener;
 
 use crate::aiding::{AidingDesk, AidingError, AidingLimits};
 use crate::config::{
-    CasterConfiguration, FetchConfiguration, Limits, NavigationConfiguration, ServiceConfiguration,
-    ServiceConfigurationError,
+    BasesConfiguration, CasterConfiguration, FetchConfiguration, Limits, NavigationConfiguration,
+    NetworkConfiguration, ServiceConfiguration, ServiceConfigurationError,
 };
 use crate::contract::Service;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
-    Patience,
+    NetworkRequest, Patience,
 };
 use crate::http::{self, ServerError};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
 
 use super::Failure;
+
+/// How often is looked which streams of a network are needed.
+const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
 
 /// A service whose desks are open.
 pub(super) struct Host {
@@ -52,6 +55,27 @@ impl Host {
             Connector::new(sources.policy()?, Patience::standard(), fetch.ca_file.as_deref())?;
         feeds.bring_navigation(sources, &own)?;
         Ok(Self { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
+    }
+
+    /// Has bases brought by the sourcetables of casters from now on.
+    ///
+    /// # Errors
+    /// An address that is none, or a host that may not be asked.
+    pub(super) fn bring_bases(&self, configuration: &BasesConfiguration) -> Result<(), Failure> {
+        let request = |named: &NetworkConfiguration| {
+            let NetworkConfiguration { caster, user, password } = named;
+            let credentials = Credentials { name: user.clone(), password: password.clone() };
+            Ok(NetworkRequest {
+                caster: caster.parse()?,
+                credentials: (!user.is_empty()).then_some(credentials),
+                near: None,
+                table_interval: Duration::from_secs(configuration.table_interval_s),
+                idle: Duration::from_secs(configuration.idle_s),
+                demand_interval: DEMAND_INTERVAL,
+            })
+        };
+        let requests: Result<_, FetchError> = configuration.networks.iter().map(request).collect();
+        Ok(self.service.feeds().bring_bases(requests?)?)
     }
 
     /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes the

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use clap::Args;
 
+use crate::aiding::bases::BaseChoice;
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::gnss::Status;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
@@ -81,7 +82,7 @@ impl ReplayArguments {
         }
         let (mode, profile) = (self.mode.clone(), self.profile.clone());
         let is_given = mode.is_some() || profile.is_some() || !overrides.is_empty();
-        Ok(is_given.then_some(SolveRequest { mode, profile, overrides, base: None }))
+        Ok(is_given.then_some(SolveRequest { mode, profile, overrides, base: BaseChoice::None }))
     }
 }
 

@@ -83,8 +83,9 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
         let message = format!("{}: {error}", configuration.listen);
         Failure::new("ADDRESS_UNAVAILABLE", message, "choose another with --listen")
     })?;
-    let ServiceConfiguration { database, limits, fetch, navigation, .. } = &configuration;
+    let ServiceConfiguration { database, limits, fetch, navigation, bases, .. } = &configuration;
     let host = Host::open(database, limits, fetch, navigation).await?;
+    host.bring_bases(bases)?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
     host.serve(listener, host::interrupted()).await?;

@@ -24,6 +24,7 @@ pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub use rtk_options::RtkOptions;
 pub use service::{
-    CasterConfiguration, FetchConfiguration, IntakeLimits, Limits, LogConfiguration,
-    NavigationConfiguration, ServiceConfiguration, ServiceConfigurationError,
+    BasesConfiguration, CasterConfiguration, FetchConfiguration, IntakeLimits, Limits,
+    LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
+    ServiceConfigurationError,
 };

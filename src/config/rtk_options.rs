@@ -23,6 +23,13 @@ pub struct RtkOptions {
     pub base_age_max_s: f64,
     /// A base further away is not used (m).
     pub baseline_max_m: f64,
+    /// Of several bases another is taken where it is nearer by this share of the present one's
+    /// distance (0 to 1) …
+    pub nearer_share: f64,
+    /// … and by this much (m) …
+    pub nearer_m: f64,
+    /// … and has been heard for so long without a gap (s).
+    pub steady_s: f64,
     /// An ambiguity not seen for longer begins anew (s).
     pub arc_gap_s: f64,
     /// Epochs that stay nonlinear in the window.
@@ -64,6 +71,9 @@ impl RtkOptions {
             carrier_correlation_s: 5.0,
             base_age_max_s: 30.0,
             baseline_max_m: 50_000.0,
+            nearer_share: 0.2,
+            nearer_m: 1_000.0,
+            steady_s: 60.0,
             arc_gap_s: 35.0,
             window_epochs: 2,
             single_epoch: false,

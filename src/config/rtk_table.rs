@@ -70,6 +70,27 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
         set: |o, text| number(text, 0.1, 1000.0).map(|v| o.rtk.baseline_max_m = v * 1e3),
     },
     OptionSpecification {
+        name: "differencing.nearer_percent", unit: "%",
+        meaning: "another base is taken where it is nearer by this, and by nearer_km",
+        allowed: "a number from 0 to 99",
+        get: |o| ((o.rtk.nearer_share * 1e8).round() / 1e6).to_string(),
+        set: |o, text| number(text, 0.0, 99.0).map(|v| o.rtk.nearer_share = v / 100.0),
+    },
+    OptionSpecification {
+        name: "differencing.nearer_km", unit: "km",
+        meaning: "another base is taken where it is nearer by this, and by nearer_percent",
+        allowed: "a number from 0 to 1000",
+        get: |o| (o.rtk.nearer_m / 1e3).to_string(),
+        set: |o, text| number(text, 0.0, 1000.0).map(|v| o.rtk.nearer_m = v * 1e3),
+    },
+    OptionSpecification {
+        name: "differencing.steady_s", unit: "s",
+        meaning: "a nearer base is taken once it was heard so long without a gap",
+        allowed: "a number from 0 to 3600",
+        get: |o| o.rtk.steady_s.to_string(),
+        set: |o, text| number(text, 0.0, 3600.0).map(|v| o.rtk.steady_s = v),
+    },
+    OptionSpecification {
         name: "ambiguity.gap_s", unit: "s",
         meaning: "an ambiguity not seen for longer than this begins anew",
         allowed: "a number from 0.01 to 3600",

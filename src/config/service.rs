@@ -26,6 +26,8 @@ pub struct ServiceConfiguration {
     pub fetch: FetchConfiguration,
     /// What brings ephemerides.
     pub navigation: NavigationConfiguration,
+    /// What brings bases.
+    pub bases: BasesConfiguration,
     /// How much the service takes.
     pub limits: Limits,
 }
@@ -41,6 +43,40 @@ pub struct NavigationConfiguration {
     pub archive_interval_s: u64,
     /// Streams of NTRIP casters with ephemerides.
     pub casters: Vec<CasterConfiguration>,
+}
+
+/// What brings bases beside those that are created.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BasesConfiguration {
+    /// Casters whose sourcetable says where bases stand: those nearest to rovers of sessions that
+    /// take the nearest of all are connected while they are needed. Their hosts must be among those
+    /// that may be asked.
+    pub networks: Vec<NetworkConfiguration>,
+    /// Seconds between requests for a sourcetable.
+    pub table_interval_s: u64,
+    /// Seconds after which a stream that no rover has needed is disconnected.
+    pub idle_s: u64,
+}
+
+/// An NTRIP caster with many streams.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfiguration {
+    /// Such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
+    pub caster: String,
+    /// The caster's user; empty for none.
+    #[serde(default)]
+    pub user: String,
+    /// The password.
+    #[serde(default)]
+    pub password: String,
+}
+
+impl fmt::Debug for NetworkConfiguration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}", self.user, self.caster)
+    }
 }
 
 /// A stream of an NTRIP caster.
@@ -158,6 +194,9 @@ pub enum ServiceConfigurationError {
     /// Archives would be asked all the time.
     #[error("navigation.archive_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
     ArchiveInterval,
+    /// Sourcetables would be asked for all the time.
+    #[error("bases.table_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
+    TableInterval,
     /// A limit that would refuse everything.
     #[error("limits.{0} must be at least 1")]
     ZeroLimit(&'static str),
@@ -170,6 +209,7 @@ impl ServiceConfigurationError {
             Self::Malformed(_) => "CONFIGURATION_MALFORMED",
             Self::NotLoopback(_) => "LISTEN_NOT_LOOPBACK",
             Self::ArchiveInterval => "ARCHIVE_INTERVAL_TOO_SHORT",
+            Self::TableInterval => "TABLE_INTERVAL_TOO_SHORT",
             Self::ZeroLimit(_) => "LIMIT_ZERO",
         }
     }
@@ -182,6 +222,7 @@ impl ServiceConfigurationError {
                 "listen on 127.0.0.1 or [::1], behind a proxy that authenticates if others need it"
             }
             Self::ArchiveInterval => "ask archives seldom: an hour is usual",
+            Self::TableInterval => "ask for sourcetables seldom: an hour is usual",
             Self::ZeroLimit(_) => "give a limit of at least 1, or leave it out",
         }
     }
@@ -204,6 +245,7 @@ impl ServiceConfiguration {
                 archive_interval_s: 3600,
                 casters: Vec::new(),
             },
+            bases: BasesConfiguration { networks: Vec::new(), table_interval_s: 3600, idle_s: 300 },
             limits: Limits::standard(),
         }
     }
@@ -226,6 +268,9 @@ impl ServiceConfiguration {
         }
         if self.navigation.archive_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::ArchiveInterval);
+        }
+        if self.bases.table_interval_s < ARCHIVE_INTERVAL_MIN_S {
+            return Err(ServiceConfigurationError::TableInterval);
         }
         let limits = &self.limits;
         let must_be_positive = [
@@ -292,6 +337,12 @@ impl Default for LogConfiguration {
 impl Default for NavigationConfiguration {
     fn default() -> Self {
         ServiceConfiguration::standard().navigation
+    }
+}
+
+impl Default for BasesConfiguration {
+    fn default() -> Self {
+        ServiceConfiguration::standard().bases
     }
 }
 

@@ -172,6 +172,9 @@ impl From<SessionError> for Refusal {
             SessionError::RawGap { .. } => (Code::RawGap, Some("offset")),
             SessionError::RawConflict { .. } => (Code::RawConflict, Some("content")),
             SessionError::BaseRequired { .. } => (Code::BaseRequired, Some("base")),
+            SessionError::TooManyCandidates { .. } | SessionError::BaseNamedTwice { .. } => {
+                (Code::InvalidField, Some("bases"))
+            }
             SessionError::NotFound { .. } => (Code::SessionNotFound, Some("session")),
             SessionError::Closed { .. } => (Code::SessionClosed, Some("session")),
             SessionError::LabelTooLong { .. } => (Code::LabelTooLong, Some("label")),

@@ -1,7 +1,7 @@
 //! The desk itself: which streams there are, and which bases they fill.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
@@ -11,6 +11,7 @@ use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::gnss::{Ecef, GpsTime};
 
 use super::base_archive::{BaseArchive, Note};
+use super::network::{NetworkHealth, NetworkRequest, RunningNetwork, Streams};
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
 use super::sources::{NavigationSources, Source, SourceStatus};
 use super::stream::{Shared, Stream, Told};
@@ -57,20 +58,22 @@ struct Desk {
     sources: Mutex<Vec<Source>>,
     archives: Mutex<BTreeMap<BaseId, Filling>>,
     reading: Arc<Semaphore>,
+    networks: Mutex<Vec<RunningNetwork>>,
 }
 
 impl Feeds {
-    /// Opens the desk; streams that fill bases are asked for at once.
+    /// Opens the desk; streams that fill bases are asked for at once, but for those of networks.
     ///
     /// # Panics
     /// Outside a tokio runtime.
     pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
-        let (streams, sources, archives) = (Mutex::default(), Mutex::default(), Mutex::default());
+        let (streams, sources, archives, networks) = Default::default();
         let reading = Arc::new(Semaphore::new(READ_AT_A_TIME));
         let (fed, filled) = (aiding.bases.feeds(), aiding.bases.archives());
-        let desk = Desk { connector, aiding, options, streams, sources, archives, reading };
+        let desk =
+            Desk { connector, aiding, options, streams, sources, archives, reading, networks };
         let feeds = Self { desk: Arc::new(desk) };
-        for (base, feed) in fed {
+        for (base, feed) in fed.into_iter().filter(|(_, feed)| !feed.is_on_demand) {
             if let Err(error) = feeds.start(&base, &feed) {
                 tracing::error!(code = error.code(), %base, %error, "a base is not fed");
             }
@@ -109,6 +112,35 @@ impl Feeds {
             running.push(Source::stream(request, *options, connector, aiding));
         }
         Ok(())
+    }
+
+    /// Has bases brought by the sourcetables of these casters from now on.
+    ///
+    /// # Errors
+    /// A host that may not be asked.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn bring_bases(&self, requests: Vec<NetworkRequest>) -> Result<(), FetchError> {
+        let connector = &self.desk.connector;
+        for NetworkRequest { caster, .. } in &requests {
+            connector.policy().check(&caster.host, caster.port)?;
+        }
+        let start = |request| {
+            let (bases, filling) = (self.desk.aiding.bases.clone(), Arc::downgrade(&self.desk));
+            RunningNetwork::start(request, connector.clone(), bases, filling)
+        };
+        self.running_networks().extend(requests.into_iter().map(start));
+        Ok(())
+    }
+
+    /// How the casters are doing whose sourcetables bring bases.
+    pub fn networks(&self) -> Vec<NetworkHealth> {
+        self.running_networks().iter().map(RunningNetwork::health).collect()
+    }
+
+    fn running_networks(&self) -> MutexGuard<'_, Vec<RunningNetwork>> {
+        self.desk.networks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The sources of ephemerides, each with its address and how it is doing.
@@ -225,6 +257,10 @@ impl Feeds {
 
     /// Gives up all streams; returns when what they brought is stored.
     pub async fn close(&self) {
+        let networks = std::mem::take(&mut *self.running_networks());
+        for network in networks {
+            network.close().await; // Else it would connect again what is given up.
+        }
         let running = std::mem::take(&mut *self.streams());
         for (_, Running { stop, task, .. }) in running {
             // Err: it has ended by itself, or it panicked.
@@ -252,6 +288,19 @@ impl Feeds {
 
     fn streams(&self) -> MutexGuard<'_, BTreeMap<Key, Running>> {
         self.desk.streams.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Of a desk that its networks do not keep alive: once it is gone nothing is started.
+impl Streams for Weak<Desk> {
+    fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
+        self.upgrade().map_or(Ok(()), |desk| Feeds { desk }.start(base, feed))
+    }
+
+    fn stop(&self, base: &BaseId) {
+        if let Some(desk) = self.upgrade() {
+            Feeds { desk }.stop(base);
+        }
     }
 }
 

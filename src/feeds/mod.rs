@@ -8,7 +8,8 @@
 //!
 //! A base may be filled from an archive instead, which has a file for each day, hour or quarter of
 //! an hour. One is fetched when epochs of its time are to be positioned, once for all sessions that
-//! wait for it.
+//! wait for it. The sourcetables of [`NetworkRequest`]s say where further bases stand: the one
+//! nearest to a rover is connected while that needs it.
 //!
 //! What bases are filled from is fetched by a client's wish, so nothing is asked but hosts that the
 //! operator lists, at addresses that were checked ([`FetchPolicy`]). What brings ephemerides beside
@@ -23,6 +24,7 @@ mod desk;
 mod error;
 mod head;
 mod health;
+mod network;
 pub mod ntrip;
 mod options;
 mod sources;
@@ -39,6 +41,7 @@ pub use error::FetchError;
 pub use health::{
     ArchiveHealth, BaseArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState,
 };
+pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
 pub use sources::{NavigationSources, SourceStatus};
 pub use web::{Fetched, Location, Validators, WebError, fetch};

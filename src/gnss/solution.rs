@@ -170,6 +170,12 @@ pub enum Reason {
         /// From the place before to the place now (m).
         distance_m: f64,
     },
+    /// The position is relative to another base than the one before, so that all that was known
+    /// relative to that one began anew.
+    BaseChanged {
+        /// From the base before to this one (m).
+        distance_m: f64,
+    },
     /// The base is too far away for differences to cancel the atmosphere.
     BaselineTooLong {
         /// Length of the baseline (m).
@@ -239,6 +245,7 @@ impl Reason {
             Self::BaseStale { .. } => "BASE_STALE",
             Self::BasePositionDoubtful { .. } => "BASE_POSITION_DOUBTFUL",
             Self::BaseMoved { .. } => "BASE_MOVED",
+            Self::BaseChanged { .. } => "BASE_CHANGED",
             Self::BaselineTooLong { .. } => "BASELINE_TOO_LONG",
             Self::TooFewCommonSatellites { .. } => "TOO_FEW_COMMON_SATELLITES",
             Self::RatioBelowThreshold { .. } => "RATIO_BELOW_THRESHOLD",
@@ -272,7 +279,9 @@ impl Reason {
             Self::BaseMissing => "name a base and push its epochs",
             Self::BaseStale { .. } => "check the base's connection, or allow a greater base age",
             Self::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
-            Self::BaseMoved { .. } => "none needed: a fix comes back as after cycle slips",
+            Self::BaseMoved { .. } | Self::BaseChanged { .. } => {
+                "none needed: a fix comes back as after cycle slips"
+            }
             Self::BaselineTooLong { .. } => "choose a nearer base",
             Self::TooFewCommonSatellites { .. } => {
                 "choose a base that receives the rover's constellations and bands"
@@ -331,7 +340,9 @@ impl Reason {
             }
             Self::OdometryUnused { interval_s } => vec![("intervalS", V::Number(*interval_s))],
             Self::FixImprecise { sigma_m } => vec![("sigmaM", V::Number(*sigma_m))],
-            Self::BasePositionDoubtful { distance_m } | Self::BaseMoved { distance_m } => {
+            Self::BasePositionDoubtful { distance_m }
+            | Self::BaseMoved { distance_m }
+            | Self::BaseChanged { distance_m } => {
                 vec![("distanceM", V::Number(*distance_m))]
             }
             Self::BaselineTooLong { length_m } => vec![("lengthM", V::Number(*length_m))],
@@ -369,6 +380,7 @@ impl fmt::Display for Reason {
             Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
             Self::FixImprecise { sigma_m } => write!(f, "{{sigma {sigma_m:.2} m}}"),
             Self::BaseMoved { distance_m } => write!(f, "{{distance {distance_m:.3} m}}"),
+            Self::BaseChanged { distance_m } => write!(f, "{{distance {distance_m:.0} m}}"),
             Self::BasePositionDoubtful { distance_m } => {
                 write!(f, "{{distance {distance_m:.0} m}}")
             }

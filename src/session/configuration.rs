@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
-use crate::store::{BaseName, SessionSettings, StoredConfiguration};
+use crate::store::{BaseChoice, SessionSettings, StoredConfiguration};
 
 use super::SessionError;
 
@@ -32,28 +32,25 @@ pub(super) fn settings(
     mode: String,
     profile: String,
     overrides: BTreeMap<String, String>,
-    base: Option<BaseName>,
+    base: BaseChoice,
 ) -> Result<SessionSettings, SessionError> {
     let options = options(&mode, &profile, &overrides)?;
-    base_of(options.mode, base.as_ref())?;
+    base_of(options.mode, &base)?;
     let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
     let configuration = in_force.collect();
     let configuration_hash = options.configuration_hash().into();
     Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash, base })
 }
 
-/// The base that a mode works with: none where it is not relative to one.
+/// Which base a mode works with: none where it is not relative to one.
 ///
 /// # Errors
 /// It is, and there is none.
-pub(super) fn base_of(
-    mode: Mode,
-    base: Option<&BaseName>,
-) -> Result<Option<BaseName>, SessionError> {
+pub(super) fn base_of(mode: Mode, base: &BaseChoice) -> Result<BaseChoice, SessionError> {
     match (mode.is_relative(), base) {
-        (false, _) => Ok(None),
-        (true, Some(base)) => Ok(Some(base.clone())),
-        (true, None) => Err(SessionError::BaseRequired { mode: mode.name() }),
+        (false, _) => Ok(BaseChoice::None),
+        (true, BaseChoice::None) => Err(SessionError::BaseRequired { mode: mode.name() }),
+        (true, base) => Ok(base.clone()),
     }
 }
 

@@ -11,10 +11,10 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
-use crate::aiding::bases::BaseId;
+use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::clock::unix_ms;
 use crate::store::{
-    BaseName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
+    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
 use super::configuration::{settings, stored_options};
@@ -94,7 +94,7 @@ impl Sessions {
     /// A configuration or a base that does not exist, a label too long, or the store fails.
     pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
         self.check_label(&new.label)?;
-        let base = self.base_name(new.base.as_ref())?;
+        let base = self.base_names(new.base)?;
         let settings = settings(new.label, new.mode, new.profile, new.overrides, base)?;
         let id = SessionId::random();
         let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
@@ -146,9 +146,9 @@ impl Sessions {
         let mut overrides = row.settings.overrides;
         overrides.retain(|name, _| !update.clear_overrides.contains(name));
         overrides.extend(update.overrides);
-        let base = match &update.base {
+        let base = match update.base {
             None => row.settings.base,
-            Some(base) => self.base_name(base.as_ref())?,
+            Some(base) => self.base_names(base)?,
         };
         row.settings = settings(
             update.label.unwrap_or(row.settings.label),
@@ -296,8 +296,25 @@ impl Sessions {
         self.tasks().draining
     }
 
-    pub(super) fn base_name(&self, id: Option<&BaseId>) -> Result<Option<BaseName>, SessionError> {
-        Ok(id.map(|id| self.desk.aiding.bases.name(id)).transpose()?)
+    /// The bases of a choice, as the store names them.
+    pub(super) fn base_names(
+        &self,
+        choice: BaseChoice<BaseId>,
+    ) -> Result<BaseChoice, SessionError> {
+        if let BaseChoice::NearestOf(ids) = &choice {
+            let (bases, limit) = (ids.len(), self.desk.limits.candidate_bases);
+            if limit < bases {
+                return Err(SessionError::TooManyCandidates { bases, limit });
+            }
+            let is_again = |index: &usize| ids[..*index].contains(&ids[*index]);
+            if let Some(index) = (0..ids.len()).find(is_again) {
+                return Err(SessionError::BaseNamedTwice { index });
+            }
+            if ids.is_empty() {
+                return Ok(BaseChoice::None);
+            }
+        }
+        Ok(choice.try_map(|id| self.desk.aiding.bases.name(&id))?)
     }
 
     pub(super) fn store(&self) -> &Store {
@@ -452,6 +469,6 @@ fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
         closed_unix_ms: row.closed_unix_ms,
         durable_through: row.last_seq,
         raw_through: row.raw_through,
-        base: row.settings.base.map(|base| base.id),
+        base: row.settings.base.try_map(|base| Ok::<_, SessionError>(base.id))?,
     })
 }

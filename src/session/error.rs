@@ -31,6 +31,20 @@ pub enum SessionError {
         /// The mode.
         mode: &'static str,
     },
+    /// More bases are named than one session chooses from.
+    #[error("{bases} bases are named, allowed are {limit}")]
+    TooManyCandidates {
+        /// How many are named.
+        bases: usize,
+        /// How many may be.
+        limit: usize,
+    },
+    /// A list of bases names one twice.
+    #[error("base {index} of the list is named before")]
+    BaseNamedTwice {
+        /// Its place, from 0.
+        index: usize,
+    },
     /// Base or navigation data are refused.
     #[error(transparent)]
     Aiding(#[from] AidingError),
@@ -155,6 +169,7 @@ impl SessionError {
             Self::Closed { .. } => "SESSION_CLOSED",
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => "BASE_REQUIRED",
+            Self::TooManyCandidates { .. } | Self::BaseNamedTwice { .. } => "INVALID_FIELD",
             Self::Aiding(error) => error.code(),
             Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
             Self::NoEpochs => "NO_EPOCHS",
@@ -183,6 +198,8 @@ impl SessionError {
             Self::Closed { .. } => "create a new session; what this one stored stays readable",
             Self::Configuration(_) => "list the options and their values with `graphfix config`",
             Self::BaseRequired { .. } => "create a base, push its epochs, and name it",
+            Self::TooManyCandidates { .. } => "name fewer bases, or take the nearest of all",
+            Self::BaseNamedTwice { .. } => "name each base once",
             Self::Aiding(error) => error.remedy(),
             Self::LabelTooLong { .. } => "shorten the label",
             Self::NoEpochs => "send at least one epoch",

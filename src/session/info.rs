@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use uuid::Uuid;
 
-use crate::aiding::bases::BaseId;
+use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 
 /// The name of a session: `ses_` and 122 random bits, so that nobody guesses another's.
@@ -57,8 +57,8 @@ pub struct NewSession {
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// The base of modes relative to one.
-    pub base: Option<BaseId>,
+    /// Which base modes relative to one are given.
+    pub base: BaseChoice<BaseId>,
 }
 
 /// What to change of a session; what is `None` or empty stays.
@@ -75,7 +75,7 @@ pub struct SessionUpdate {
     /// Overrides to drop, so that the profile's value holds again.
     pub clear_overrides: Vec<String>,
     /// Another base, or none.
-    pub base: Option<Option<BaseId>>,
+    pub base: Option<BaseChoice<BaseId>>,
 }
 
 /// A session as it is stored.
@@ -103,8 +103,8 @@ pub struct SessionInfo {
     pub durable_through: Option<u64>,
     /// Raw bytes of the receiver that are stored: at this offset its device goes on.
     pub raw_through: Option<u64>,
-    /// Id of the base of modes relative to one.
-    pub base: Option<Arc<str>>,
+    /// Which base modes relative to one are given, by its id.
+    pub base: BaseChoice<Arc<str>>,
 }
 
 #[cfg(test)]

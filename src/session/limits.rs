@@ -19,6 +19,8 @@ pub struct SessionLimits {
     pub observations_per_epoch: usize,
     /// Sessions that hold an estimator in memory; the least recently used idle one is parked.
     pub active_sessions: usize,
+    /// Bases of which one session takes the nearest.
+    pub candidate_bases: usize,
     /// Characters of a label.
     pub label_characters: usize,
     /// Threads that estimate at the same time.
@@ -37,6 +39,7 @@ impl SessionLimits {
             raw_piece_bytes: 256 << 10,
             observations_per_epoch: 512,
             active_sessions: 4_096,
+            candidate_bases: 32,
             label_characters: 200,
             solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
             retry_after: Duration::from_millis(100),

@@ -31,6 +31,7 @@
 //! Clients resend; what had been stored after all is answered from the store.
 
 mod configuration;
+mod course;
 mod desk;
 mod error;
 mod info;

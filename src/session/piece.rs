@@ -1,9 +1,9 @@
 //! The part of a session's work that computes: what runs on the solver pool.
 
 use crate::aiding::PushedNavigation;
-use crate::aiding::bases::BaseView;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
+use super::course::Against;
 use super::state::{Advanced, Origin, State};
 use super::{EpochRefusal, SequencedEpoch};
 
@@ -24,8 +24,8 @@ pub(super) enum Plan {
 /// What the epochs of a piece are positioned with.
 pub(super) struct PieceAiding {
     pub(super) navigation: PushedNavigation,
-    /// The base of the session, where its mode is relative to one.
-    pub(super) base: Option<BaseView>,
+    /// Bases, where the session's mode is relative to one.
+    pub(super) against: Against,
 }
 
 /// A piece of work done, not committed.
@@ -98,10 +98,10 @@ impl Piece {
     fn advance(
         &mut self,
         SequencedEpoch { seq, epoch }: &SequencedEpoch,
-        PieceAiding { navigation: PushedNavigation { push, navigation }, base }: &PieceAiding,
+        PieceAiding { navigation: PushedNavigation { push, navigation }, against }: &PieceAiding,
         origin: &Origin,
     ) -> Plan {
-        let base = base.as_ref().map(|view| self.state.new_of(view, epoch.time, origin));
+        let base = self.state.base_for(against, epoch, navigation, origin);
         let advanced = self.state.advance(*seq, epoch, navigation, base.as_ref(), origin);
         let Advanced { solution, revisions } = advanced;
         let used = base.map(|given| given.used);

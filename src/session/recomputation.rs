@@ -8,7 +8,7 @@ use crate::gnss::LeapSeconds;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
 use super::configuration::base_of;
-use super::replay::{By, Course, origin_in_force};
+use super::replay::{By, Course, InForce, in_force};
 use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
@@ -62,25 +62,26 @@ impl Recomputation {
     ) -> Result<Self, SessionError> {
         let row = store.session(id.as_str()).await?;
         let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })?;
-        let origin = match change {
-            None => origin_in_force(&store, id.as_str()).await?,
+        let force = match change {
+            None => in_force(&store, id.as_str()).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
-                let asked = request.base.as_ref().map(|id| aiding.bases.name(id)).transpose()?;
-                let base = asked.as_ref().or(row.settings.base.as_ref());
+                let asked = request.base.clone().try_map(|id| aiding.bases.name(&id))?;
+                let base = if asked.is_none() { &row.settings.base } else { &asked };
                 let base = base_of(options.mode, base)?;
                 let configuration_hash = options.configuration_hash().into();
-                Origin { version: VERSION.into(), configuration_hash, options, base }
+                let origin = Origin { version: VERSION.into(), configuration_hash, options };
+                InForce { origin, base }
             }
         };
-        let configuration_hash = origin.configuration_hash.clone();
-        let state = Some(State::new(&origin));
+        let configuration_hash = force.origin.configuration_hash.clone();
+        let state = Some(State::new(&force.origin));
         let course = Course {
             store,
             aiding,
             solvers: Solvers::new(SessionLimits::service().solver_threads),
             key: row.key,
-            by: if change.is_some() { By::Options(Arc::new(origin)) } else { By::Stored },
+            by: if change.is_some() { By::Options(Arc::new(force)) } else { By::Stored },
             may_differ: false,
         };
         let to_the_end = change.is_some() || row.closed_unix_ms.is_some();

@@ -3,16 +3,15 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::bases::{BaseGiven, BaseView};
+use crate::aiding::bases::{BaseChoice, BaseGiven, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
 use crate::gnss::Epoch;
-use crate::store::{
-    BaseKey, BaseName, BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution,
-};
+use crate::store::{BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
 
 use super::SessionError;
 use super::configuration::{base_of, kept_options, stored_options};
+use super::course::Against;
 use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
 
@@ -27,8 +26,16 @@ const REBUILT_EPOCHS: usize = 4_096;
 pub(super) enum By {
     /// What they were computed with before.
     Stored,
-    /// These options, whatever the session had.
-    Options(Arc<Origin>),
+    /// These options and bases, whatever the session had.
+    Options(Arc<InForce>),
+}
+
+/// What epochs that are new are computed with.
+#[derive(Clone, Debug)]
+pub(super) struct InForce {
+    pub(super) origin: Origin,
+    /// Which base it is, where the mode is relative to one.
+    pub(super) base: BaseChoice,
 }
 
 /// The way through a session's stored epochs.
@@ -58,7 +65,7 @@ enum StepBase {
     /// What it was given before.
     Again(BaseGiven),
     /// What is new then of all that is held.
-    Held(Arc<BaseView>),
+    Held(Arc<Against>),
 }
 
 impl Course {
@@ -80,7 +87,9 @@ impl Course {
                 let base = match base {
                     StepBase::None => None,
                     StepBase::Again(given) => Some(given),
-                    StepBase::Held(view) => Some(state.new_of(&view, epoch.time, &origin)),
+                    StepBase::Held(against) => {
+                        state.base_for(&against, &epoch, &navigation.navigation, &origin)
+                    }
                 };
                 let navigation = &navigation.navigation;
                 let advanced = state.advance(seq, &epoch, navigation, base.as_ref(), &origin);
@@ -93,19 +102,17 @@ impl Course {
     }
 
     async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
-        let mut origins: BTreeMap<(Arc<str>, Option<BaseKey>), Arc<Origin>> = BTreeMap::new();
+        let mut origins: BTreeMap<Arc<str>, Arc<Origin>> = BTreeMap::new();
         let mut pushes: BTreeMap<u64, PushedNavigation> = BTreeMap::new();
         let mut steps = Vec::with_capacity(stored.len());
         let bases = self.bases(&stored)?;
         for row in stored {
-            let used = row.base.map(|used| used.base);
-            let key = (row.solution.configuration_hash.clone(), used);
-            let origin = match origins.get(&key) {
+            let hash = &row.solution.configuration_hash;
+            let origin = match origins.get(hash) {
                 Some(origin) => origin.clone(),
                 None => {
-                    let base = used.and_then(|used| bases.name_of(used));
-                    let origin = self.origin(&key.0, base).await?;
-                    origins.insert(key, origin.clone());
+                    let origin = self.origin(hash).await?;
+                    origins.insert(hash.clone(), origin.clone());
                     origin
                 }
             };
@@ -125,27 +132,23 @@ impl Course {
 
     /// The bases that epochs are computed with.
     fn bases(&self, stored: &[StoredEpoch]) -> Result<Bases, SessionError> {
-        let By::Options(origin) = &self.by else {
+        let By::Options(force) = &self.by else {
             let uses: Vec<BaseUse> = stored.iter().filter_map(|row| row.base).collect();
             return Ok(Bases::Used(self.aiding.bases.used(&uses)));
         };
-        let (Some(name), Some(first), Some(last)) = (&origin.base, stored.first(), stored.last())
-        else {
-            return Ok(Bases::Used(Vec::new()));
+        let span = match (stored.first(), stored.last()) {
+            (Some(first), Some(last)) => Some((first.epoch()?.time, last.epoch()?.time)),
+            _ => None,
         };
-        let (from, until) = (first.epoch()?.time, last.epoch()?.time);
-        let span_s = origin.options.rtk.base_span_s();
-        Ok(Bases::Held(Arc::new(self.aiding.bases.view(name, from, until, span_s))))
+        let InForce { origin, base } = &**force;
+        let against = Against::new(&self.aiding.bases, base, span, &origin.options);
+        Ok(Bases::Held(Arc::new(against)))
     }
 
-    async fn origin(
-        &self,
-        hash: &Arc<str>,
-        base: Option<BaseName>,
-    ) -> Result<Arc<Origin>, SessionError> {
+    async fn origin(&self, hash: &Arc<str>) -> Result<Arc<Origin>, SessionError> {
         match &self.by {
-            By::Options(origin) => Ok(origin.clone()),
-            By::Stored => origin_of(&self.store, hash, base).await.map(Arc::new),
+            By::Options(force) => Ok(Arc::new(force.origin.clone())),
+            By::Stored => origin_of(&self.store, hash).await.map(Arc::new),
         }
     }
 
@@ -164,20 +167,15 @@ impl Course {
 enum Bases {
     /// Each with the epochs that were given then.
     Used(Vec<BaseView>),
-    /// One, with all that is held.
-    Held(Arc<BaseView>),
+    /// One or several, with all that is held.
+    Held(Arc<Against>),
 }
 
 impl Bases {
-    fn name_of(&self, key: BaseKey) -> Option<BaseName> {
-        let Self::Used(views) = self else { return None };
-        views.iter().map(BaseView::name).find(|name| name.key == key).cloned()
-    }
-
     fn of(&self, used: Option<BaseUse>, may_differ: bool) -> Result<StepBase, StoreError> {
         let views = match self {
             Self::Used(views) => views,
-            Self::Held(view) => return Ok(StepBase::Held(view.clone())),
+            Self::Held(against) => return Ok(StepBase::Held(against.clone())),
         };
         let Some(used) = used else { return Ok(StepBase::None) };
         let view = views.iter().find(|view| view.name().key == used.base);
@@ -194,28 +192,21 @@ impl Bases {
 }
 
 /// What epochs under a stored configuration are computed with.
-async fn origin_of(
-    store: &Store,
-    hash: &Arc<str>,
-    base: Option<BaseName>,
-) -> Result<Origin, SessionError> {
+async fn origin_of(store: &Store, hash: &Arc<str>) -> Result<Origin, SessionError> {
     let kept = store.configuration(hash).await?;
-    Ok(Origin {
-        version: VERSION.into(),
-        configuration_hash: hash.clone(),
-        options: kept_options(&kept)?,
-        base,
-    })
+    let options = kept_options(&kept)?;
+    Ok(Origin { version: VERSION.into(), configuration_hash: hash.clone(), options })
 }
 
 /// What a session's next epochs are computed with.
-pub(super) async fn origin_in_force(store: &Store, id: &str) -> Result<Origin, SessionError> {
+pub(super) async fn in_force(store: &Store, id: &str) -> Result<InForce, SessionError> {
     let row = store.session(id).await?;
     let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
     let options: PositioningOptions = stored_options(&row.settings)?;
-    let base = base_of(options.mode, row.settings.base.as_ref())?;
+    let base = base_of(options.mode, &row.settings.base)?;
     let configuration_hash = row.settings.configuration_hash;
-    Ok(Origin { version: VERSION.into(), configuration_hash, options, base })
+    let origin = Origin { version: VERSION.into(), configuration_hash, options };
+    Ok(InForce { origin, base })
 }
 
 /// The state after a session's last stored epoch: its newest snapshot, and the epochs since.
@@ -243,7 +234,7 @@ pub(super) async fn restored(course: &Course, origin: &Origin) -> Result<State, 
 
 async fn snapshot(course: &Course) -> Result<Option<State>, SessionError> {
     let Some(stored) = course.store.snapshot(course.key).await? else { return Ok(None) };
-    let origin = origin_of(&course.store, &stored.configuration_hash, None).await?;
+    let origin = origin_of(&course.store, &stored.configuration_hash).await?;
     match State::decode(stored.seq, &stored.content, &origin) {
         Ok(state) => Ok(Some(state)),
         Err(error) => {

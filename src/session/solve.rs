@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::bases::{BaseGiven, BaseId};
+use crate::aiding::bases::{BaseChoice, BaseGiven, BaseId};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, Estimator};
-use crate::store::{BaseName, SessionSettings, StoredSolution};
+use crate::store::{SessionSettings, StoredSolution};
 
+use super::course::{Against, BaseCourse};
 use super::desk::Sessions;
 use super::state::VERSION;
 use super::{SequencedEpoch, SessionError, SessionId, configuration};
@@ -23,8 +24,8 @@ pub struct SolveRequest {
     /// Options that differ. Where neither mode nor profile is given they come on top of the
     /// session's configuration, otherwise on top of the profile.
     pub overrides: BTreeMap<String, String>,
-    /// The base of modes relative to one; `None`: the session's.
-    pub base: Option<BaseId>,
+    /// Which base modes relative to one are given; none: the session's.
+    pub base: BaseChoice<BaseId>,
 }
 
 /// A short run of epochs without a session.
@@ -40,8 +41,8 @@ pub struct Burst {
     pub epochs: Vec<SequencedEpoch>,
     /// Navigation data of its own, used together with what the service holds.
     pub navigation: Option<Navigation>,
-    /// The base of modes relative to one: its epochs that are held serve.
-    pub base: Option<BaseId>,
+    /// Which base modes relative to one are given: its epochs that are held serve.
+    pub base: BaseChoice<BaseId>,
 }
 
 /// A solution that is not stored.
@@ -110,14 +111,18 @@ impl Sessions {
     ) -> Result<Computed, SessionError> {
         let row = self.row(id).await?;
         let options = request.options(&row.settings)?;
-        let asked = self.base_name(request.base.as_ref())?;
-        let base =
-            configuration::base_of(options.mode, asked.as_ref().or(row.settings.base.as_ref()))?;
+        let asked = self.base_names(request.base.clone())?;
+        let base = if asked.is_none() { &row.settings.base } else { &asked };
+        let base = configuration::base_of(options.mode, base)?;
         let is_own = options == configuration::stored_options(&row.settings)?;
         let count = window_epochs(&options).min(self.limits().epochs_per_batch);
         let mut stored = self.store().last_epochs(row.key, count).await?;
         let last = stored.first().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
-        let is_same_base = last.base.map(|used| used.base) == base.as_ref().map(|base| base.key);
+        let is_same_base = match &base {
+            BaseChoice::None => last.base.is_none(),
+            BaseChoice::One(base) => last.base.is_some_and(|used| used.base == base.key),
+            choice => *choice == row.settings.base,
+        };
         let is_same = last.solution.configuration_hash == row.settings.configuration_hash;
         if is_own && is_same && is_same_base {
             return Ok(stored.swap_remove(0).solution.into());
@@ -158,8 +163,8 @@ impl Sessions {
                 Arc::new(navigation)
             }
         };
-        let base = self.base_name(burst.base.as_ref())?;
-        let base = configuration::base_of(options.mode, base.as_ref())?;
+        let base = self.base_names(burst.base)?;
+        let base = configuration::base_of(options.mode, &base)?;
         self.compute(options, burst.epochs, navigation, base).await
     }
 
@@ -168,25 +173,24 @@ impl Sessions {
         options: PositioningOptions,
         epochs: Vec<SequencedEpoch>,
         navigation: Arc<Navigation>,
-        base: Option<BaseName>,
+        base: BaseChoice,
     ) -> Result<Vec<Computed>, SessionError> {
-        let span_s = options.rtk.base_span_s();
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
-        let span = base.as_ref().zip(times().next()).zip(times().next_back());
-        let view =
-            span.map(|((name, from), until)| self.aiding().bases.view(name, from, until, span_s));
+        let span = times().next().zip(times().next_back());
+        let against = Against::new(&self.aiding().bases, &base, span, &options);
         let version: Arc<str> = VERSION.into();
         let configuration_hash: Arc<str> = options.configuration_hash().into();
         let work = move || {
-            let mut estimator = Estimator::new(options);
-            let mut given = 0;
+            let mut estimator = Estimator::new(options.clone());
+            let mut course = BaseCourse::default();
             let position = |SequencedEpoch { seq, epoch }| {
-                let base = view.as_ref().map(|view| view.new_at(epoch.time, given, span_s));
-                given = base.as_ref().map_or(given, |base| base.used.through);
-                let base = base.as_ref().and_then(BaseGiven::aiding);
+                let given = course.next(&against, &epoch, &navigation, &options);
+                let base = given.as_ref().and_then(BaseGiven::aiding);
+                let solution = estimator.advance(&epoch, &Aiding { navigation: &navigation, base });
+                course.take(given.as_ref(), &solution);
                 Computed {
                     seq,
-                    solution: estimator.advance(&epoch, &Aiding { navigation: &navigation, base }),
+                    solution,
                     version: version.clone(),
                     configuration_hash: configuration_hash.clone(),
                 }

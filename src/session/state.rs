@@ -4,17 +4,19 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::aiding::bases::{BaseGiven, BaseView};
+use crate::aiding::bases::BaseGiven;
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::positioning::{Aiding, Estimator};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
-use crate::store::{BaseKey, BaseName, EncodedSnapshot, StoredSolution};
+use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
+
+use super::course::{Against, BaseCourse};
 
 /// Version of this program, which each solution names.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Layout of the bytes around an estimator's snapshot.
-const LAYOUT: u16 = 2;
+const LAYOUT: u16 = 3;
 
 /// What names the origin of a solution, and makes it.
 #[derive(Clone, Debug)]
@@ -22,14 +24,6 @@ pub(super) struct Origin {
     pub(super) version: Arc<str>,
     pub(super) configuration_hash: Arc<str>,
     pub(super) options: PositioningOptions,
-    /// The base, where the mode is relative to one.
-    pub(super) base: Option<BaseName>,
-}
-
-impl Origin {
-    fn base_key(&self) -> Option<BaseKey> {
-        self.base.as_ref().map(|base| base.key)
-    }
 }
 
 /// A session's estimator after its last epoch.
@@ -39,9 +33,7 @@ pub(super) struct State {
     /// Of the configuration it was made by.
     pub(super) configuration_hash: Arc<str>,
     /// The base it is relative to.
-    base: Option<BaseKey>,
-    /// Number of the base's newest epoch that the estimator was given.
-    given: u64,
+    course: BaseCourse,
     /// Number and time of the last epoch.
     pub(super) last: Option<(u64, GpsTime)>,
     /// Epochs that the estimator may still answer again, in order.
@@ -62,29 +54,43 @@ impl State {
         Self {
             estimator: Estimator::revising(origin.options.clone()),
             configuration_hash: origin.configuration_hash.clone(),
-            base: origin.base_key(),
-            given: 0,
+            course: BaseCourse::default(),
             last: None,
             unrevised: VecDeque::new(),
             unsaved: 0,
         }
     }
 
-    /// What is new of the base for an epoch at `time`.
-    pub(super) fn new_of(&self, view: &BaseView, time: GpsTime, origin: &Origin) -> BaseGiven {
-        let after = if self.goes_on(origin) { self.given } else { 0 };
-        view.new_at(time, after, origin.options.rtk.base_span_s())
+    /// What the next epoch is given of a base.
+    pub(super) fn base_for(
+        &self,
+        against: &Against,
+        epoch: &Epoch,
+        navigation: &Navigation,
+        origin: &Origin,
+    ) -> Option<BaseGiven> {
+        let mut course = self.course;
+        if !self.goes_on(origin) {
+            course.begin_anew();
+        }
+        course.next(against, epoch, navigation, &origin.options)
+    }
+
+    /// The base of the last epoch that had one.
+    pub(super) const fn base(&self) -> Option<BaseKey> {
+        self.course.base
     }
 
     /// Whether the estimator is one of `origin`.
     fn goes_on(&self, origin: &Origin) -> bool {
-        self.configuration_hash == origin.configuration_hash && self.base == origin.base_key()
+        self.configuration_hash == origin.configuration_hash
     }
 
     /// Solves the next epoch.
     ///
-    /// Where configuration or base are not those of the epoch before, the estimator begins anew:
-    /// what its window held is answered for the last time, and nothing of it is carried over.
+    /// Where the configuration is not that of the epoch before, the estimator begins anew: what its
+    /// window held is answered for the last time, and nothing of it is carried over. Where the base
+    /// is another, the estimator does so itself.
     pub(super) fn advance(
         &mut self,
         seq: u64,
@@ -98,14 +104,13 @@ impl State {
             revisions = self.finish();
             self.estimator = Estimator::revising(origin.options.clone());
             self.configuration_hash = origin.configuration_hash.clone();
-            self.base = origin.base_key();
-            self.given = 0;
+            self.course.begin_anew();
         }
-        self.given = base.map_or(self.given, |given| given.used.through);
         self.unrevised.push_back((seq, epoch.time));
         let solution = self
             .estimator
             .advance(epoch, &Aiding { navigation, base: base.and_then(BaseGiven::aiding) });
+        self.course.take(base, &solution);
         let revised = self.estimator.take_revisions();
         revisions.extend(self.numbered(revised, &origin.version));
         let oldest = self.estimator.oldest_unrevised();
@@ -154,8 +159,7 @@ impl State {
         let (seq, time) = self.last?;
         let mut writer = SnapshotWriter::new(LAYOUT);
         time.save(&mut writer);
-        self.base.map(BaseKey::number).save(&mut writer);
-        self.given.save(&mut writer);
+        self.course.save(&mut writer);
         self.unrevised.save(&mut writer);
         writer.bytes(&self.estimator.snapshot());
         Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), writer.finish()))
@@ -165,14 +169,13 @@ impl State {
     pub(super) fn decode(seq: u64, content: &[u8], origin: &Origin) -> Result<Self, SnapshotError> {
         let mut reader = SnapshotReader::open(content, LAYOUT)?;
         let time = GpsTime::load(&mut reader)?;
-        let base = Option::<i64>::load(&mut reader)?.map(BaseKey::of_number);
-        let given = u64::load(&mut reader)?;
+        let course = Snapshot::load(&mut reader)?;
         let unrevised = Snapshot::load(&mut reader)?;
         let estimator = Estimator::restore(origin.options.clone(), reader.bytes()?)?;
         reader.finish()?;
         let configuration_hash = origin.configuration_hash.clone();
         let last = Some((seq, time));
-        Ok(Self { estimator, configuration_hash, base, given, last, unrevised, unsaved: 0 })
+        Ok(Self { estimator, configuration_hash, course, last, unrevised, unsaved: 0 })
     }
 }
 
@@ -181,8 +184,7 @@ impl Clone for State {
         Self {
             estimator: self.estimator.clone(),
             configuration_hash: self.configuration_hash.clone(),
-            base: self.base,
-            given: self.given,
+            course: self.course,
             last: self.last,
             unrevised: self.unrevised.clone(),
             unsaved: self.unsaved,
@@ -193,8 +195,7 @@ impl Clone for State {
     fn clone_from(&mut self, source: &Self) {
         self.estimator.clone_from(&source.estimator);
         self.configuration_hash.clone_from(&source.configuration_hash);
-        self.base = source.base;
-        self.given = source.given;
+        self.course = source.course;
         self.last = source.last;
         self.unrevised.clone_from(&source.unrevised);
         self.unsaved = source.unsaved;

@@ -34,6 +34,51 @@ pub struct BaseName {
     pub id: Arc<str>,
 }
 
+/// Which base the modes relative to one are given.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum BaseChoice<B = BaseName> {
+    /// None.
+    #[default]
+    None,
+    /// This one.
+    One(B),
+    /// The nearest of these.
+    NearestOf(Vec<B>),
+    /// The nearest of all that the service has.
+    Nearest,
+}
+
+impl<B> BaseChoice<B> {
+    /// Whether it is none.
+    pub const fn is_none(&self) -> bool {
+        matches!(self, Self::None)
+    }
+
+    /// The same choice of what `name` makes of each base.
+    ///
+    /// # Errors
+    /// The first that `name` gives.
+    pub fn try_map<C, E>(
+        self,
+        mut name: impl FnMut(B) -> Result<C, E>,
+    ) -> Result<BaseChoice<C>, E> {
+        Ok(match self {
+            Self::None => BaseChoice::None,
+            Self::One(base) => BaseChoice::One(name(base)?),
+            Self::NearestOf(bases) => {
+                BaseChoice::NearestOf(bases.into_iter().map(name).collect::<Result<_, E>>()?)
+            }
+            Self::Nearest => BaseChoice::Nearest,
+        })
+    }
+}
+
+impl<B> From<Option<B>> for BaseChoice<B> {
+    fn from(base: Option<B>) -> Self {
+        base.map_or(Self::None, Self::One)
+    }
+}
+
 /// The base an epoch was solved with, and which of its epochs were new then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseUse {
@@ -155,7 +200,9 @@ const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
 /// Not where an open session names it.
 const DELETE: &str =
     "UPDATE bases SET deleted_unix_ms = $2, archive = NULL WHERE key = $1 AND NOT EXISTS
-    (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)";
+    (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
+    AND NOT EXISTS (SELECT 1 FROM session_bases JOIN sessions ON sessions.key = session
+    WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
 
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 

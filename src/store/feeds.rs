@@ -26,6 +26,8 @@ pub struct BaseFeed {
     pub position: Option<Ecef>,
     /// Such casters are told where the base's rovers are.
     pub follows_rover: bool,
+    /// It was found in the sourcetable of a network: it is asked for while a rover needs it.
+    pub is_on_demand: bool,
 }
 
 impl fmt::Debug for BaseFeed {
@@ -48,6 +50,7 @@ pub(super) struct RawFeed {
     y_m: Option<f64>,
     z_m: Option<f64>,
     follows_rover: i32,
+    on_demand: i32,
 }
 
 impl RawFeed {
@@ -66,14 +69,15 @@ impl RawFeed {
             near: self.near_ns.map(GpsTime::from_ns),
             position: position.map(|((x, y), z)| Ecef::new(x, y, z)),
             follows_rover: self.follows_rover != 0,
+            is_on_demand: self.on_demand != 0,
         })
     }
 }
 
 pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
     (base, caster, mountpoint, name, password, version, near_ns, x_m, y_m, z_m,
-     follows_rover)
-    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)";
+     follows_rover, on_demand)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
 
 /// Binds a feed behind its base.
 macro_rules! feed {
@@ -91,6 +95,7 @@ macro_rules! feed {
             .bind(axis(1))
             .bind(axis(2))
             .bind(i32::from($feed.follows_rover))
+            .bind(i32::from($feed.is_on_demand))
     }};
 }
 pub(super) use feed;

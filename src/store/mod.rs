@@ -29,7 +29,7 @@ use std::sync::Arc;
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 
-pub use bases::{BaseChange, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
+pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
 pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;

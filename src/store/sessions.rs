@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{BaseKey, BaseName, Page, Store, StoreError};
+use super::{BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 
@@ -28,8 +28,8 @@ pub struct SessionSettings {
     pub configuration: BTreeMap<String, String>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
-    /// The base of modes relative to one.
-    pub base: Option<BaseName>,
+    /// Which base modes relative to one are given.
+    pub base: BaseChoice,
 }
 
 /// A configuration that solved epochs.
@@ -78,11 +78,28 @@ struct RawSession {
     raw_through: Option<i64>,
     base: Option<i64>,
     base_id: Option<String>,
+    base_choice: i32,
 }
 
+/// A base that a session takes if it is the nearest: the session's key, the base's key and id.
+type CandidateRow = (i64, i64, String);
+
 impl RawSession {
-    fn parse(self) -> Result<SessionRow, StoreError> {
-        let base = self.base.zip(self.base_id);
+    /// The row, of whose candidates `candidates` knows.
+    fn parse(self, candidates: &[CandidateRow]) -> Result<SessionRow, StoreError> {
+        let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
+        let base = match self.base_choice {
+            0 => self.base.zip(self.base_id).map(|(key, id)| name(key, id)).into(),
+            1 => {
+                let own = candidates.iter().filter(|(session, ..)| *session == self.key);
+                BaseChoice::NearestOf(own.map(|(_, base, id)| name(*base, id.clone())).collect())
+            }
+            2 => BaseChoice::Nearest,
+            other => {
+                let why = format!("{other} is no choice of a base");
+                return Err(StoreError::CorruptText { what: "session", why });
+            }
+        };
         Ok(SessionRow {
             key: SessionKey(self.key),
             id: self.id,
@@ -93,7 +110,7 @@ impl RawSession {
                 overrides: options_from(&self.overrides)?,
                 configuration: options_from(&self.configuration)?,
                 configuration_hash: self.configuration_hash.into(),
-                base: base.map(|(key, id)| BaseName { key: BaseKey(key), id: id.into() }),
+                base,
             },
             created_unix_ms: self.created_unix_ms,
             closed_unix_ms: self.closed_unix_ms,
@@ -112,6 +129,34 @@ fn options_from(text: &str) -> Result<BTreeMap<String, String>, StoreError> {
         .map_err(|error| StoreError::CorruptText { what: "configuration", why: error.to_string() })
 }
 
+fn base_column(base: &BaseChoice) -> Option<i64> {
+    match base {
+        BaseChoice::One(base) => Some(base.key.0),
+        BaseChoice::None | BaseChoice::NearestOf(_) | BaseChoice::Nearest => None,
+    }
+}
+
+const fn choice_column(base: &BaseChoice) -> i32 {
+    match base {
+        BaseChoice::None | BaseChoice::One(_) => 0,
+        BaseChoice::NearestOf(_) => 1,
+        BaseChoice::Nearest => 2,
+    }
+}
+
+/// Stores the bases of which a session takes the nearest.
+macro_rules! insert_candidates {
+    ($transaction:ident, $session:expr, $base:expr) => {
+        if let BaseChoice::NearestOf(bases) = $base {
+            for (place, base) in bases.iter().enumerate() {
+                let sql = "INSERT INTO session_bases (session, place, base) VALUES ($1, $2, $3)";
+                let insert = sqlx::query(sql).bind($session).bind(place as i32).bind(base.key.0);
+                insert.execute(&mut *$transaction).await?;
+            }
+        }
+    };
+}
+
 /// Columns of [`RawSession`], up to the condition.
 macro_rules! select_sessions {
     ($condition:literal) => {
@@ -121,7 +166,7 @@ macro_rules! select_sessions {
             "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq, ",
             "(SELECT through FROM raw_streams WHERE raw_streams.session = sessions.key) ",
             "AS raw_through, ",
-            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id ",
+            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, base_choice ",
             "FROM sessions ",
             $condition
         )
@@ -140,23 +185,31 @@ impl Store {
         created_unix_ms: i64,
     ) -> Result<SessionRow, StoreError> {
         self.store_configuration(settings).await?;
-        let inserted = writing!(&self.pool, pool => sqlx::query_as(
-            "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
-                                   configuration_hash, created_unix_ms, base)
-             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9) RETURNING key",
-        )
-        .bind(id)
-        .bind(&settings.label)
-        .bind(&settings.mode)
-        .bind(&settings.profile)
-        .bind(options_text(&settings.overrides))
-        .bind(options_text(&settings.configuration))
-        .bind(&*settings.configuration_hash)
-        .bind(created_unix_ms)
-        .bind(settings.base.as_ref().map(|base| base.key.0))
-        .fetch_one(pool)
-        .await);
-        let (key,): (i64,) = inserted.map_err(StoreError::database("storing a session"))?;
+        let key = writing!(&self.pool, pool => {
+            let inserted = async {
+                let mut transaction = pool.begin().await?;
+                let insert = sqlx::query_as(
+                    "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
+                                           configuration_hash, created_unix_ms, base, base_choice)
+                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10) RETURNING key",
+                )
+                .bind(id)
+                .bind(&settings.label)
+                .bind(&settings.mode)
+                .bind(&settings.profile)
+                .bind(options_text(&settings.overrides))
+                .bind(options_text(&settings.configuration))
+                .bind(&*settings.configuration_hash)
+                .bind(created_unix_ms)
+                .bind(base_column(&settings.base))
+                .bind(choice_column(&settings.base));
+                let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
+                insert_candidates!(transaction, key, &settings.base);
+                transaction.commit().await?;
+                Ok::<i64, sqlx::Error>(key)
+            };
+            inserted.await.map_err(StoreError::database("storing a session"))?
+        });
         Ok(SessionRow {
             key: SessionKey(key),
             id: id.to_owned(),
@@ -176,8 +229,22 @@ impl Store {
         let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
             sqlx::query_as(select_sessions!("WHERE id = $1")).bind(id).fetch_optional(pool).await
         });
-        let row = row.map_err(StoreError::database("reading a session"))?;
-        row.map(RawSession::parse).transpose()
+        let Some(row) = row.map_err(StoreError::database("reading a session"))? else {
+            return Ok(None);
+        };
+        let candidates = self.candidates(row.key, row.key).await?;
+        row.parse(&candidates).map(Some)
+    }
+
+    /// The candidates of the sessions from one key to another, each session's in their order.
+    async fn candidates(&self, from: i64, to: i64) -> Result<Vec<CandidateRow>, StoreError> {
+        let rows: Result<Vec<CandidateRow>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT session, bases.key, bases.id FROM session_bases
+                       JOIN bases ON bases.key = session_bases.base
+                       WHERE session BETWEEN $1 AND $2 ORDER BY session, place";
+            sqlx::query_as(sql).bind(from).bind(to).fetch_all(pool).await
+        });
+        rows.map_err(StoreError::database("reading a session's bases"))
     }
 
     /// Sessions, the newest first.
@@ -205,7 +272,12 @@ impl Store {
                 .await
         });
         let rows = rows.map_err(StoreError::database("listing sessions"))?;
-        Page::of(rows, page_size, |row| row.id.clone()).try_map(RawSession::parse)
+        let keys = rows.last().zip(rows.first()).map(|(last, first)| (last.key, first.key));
+        let candidates = match keys {
+            Some((from, to)) => self.candidates(from, to).await?,
+            None => Vec::new(),
+        };
+        Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))
     }
 
     /// Replaces a session's settings.
@@ -218,23 +290,32 @@ impl Store {
         settings: &SessionSettings,
     ) -> Result<(), StoreError> {
         self.store_configuration(settings).await?;
-        let updated = writing!(&self.pool, pool => sqlx::query(
-            "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
-                                 configuration = $6, configuration_hash = $7, base = $8
-             WHERE key = $1",
-        )
-        .bind(key.0)
-        .bind(&settings.label)
-        .bind(&settings.mode)
-        .bind(&settings.profile)
-        .bind(options_text(&settings.overrides))
-        .bind(options_text(&settings.configuration))
-        .bind(&*settings.configuration_hash)
-        .bind(settings.base.as_ref().map(|base| base.key.0))
-        .execute(pool)
-        .await
-        .map(drop));
-        updated.map_err(StoreError::database("updating a session"))
+        writing!(&self.pool, pool => {
+            let updated = async {
+                let mut transaction = pool.begin().await?;
+                let update = sqlx::query(
+                    "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
+                            configuration = $6, configuration_hash = $7, base = $8,
+                            base_choice = $9
+                     WHERE key = $1",
+                )
+                .bind(key.0)
+                .bind(&settings.label)
+                .bind(&settings.mode)
+                .bind(&settings.profile)
+                .bind(options_text(&settings.overrides))
+                .bind(options_text(&settings.configuration))
+                .bind(&*settings.configuration_hash)
+                .bind(base_column(&settings.base))
+                .bind(choice_column(&settings.base));
+                update.execute(&mut *transaction).await?;
+                let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
+                clear.execute(&mut *transaction).await?;
+                insert_candidates!(transaction, key.0, &settings.base);
+                transaction.commit().await
+            };
+            updated.await.map_err(StoreError::database("updating a session"))
+        })
     }
 
     /// Keeps a configuration under its hash, for replay. Equal hashes mean equal configurations.

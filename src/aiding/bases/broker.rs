@@ -11,9 +11,11 @@ use crate::store::{
     BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
 };
 
+use super::candidates::Candidates;
 use super::check::{PositionCheck, REFUSED_M};
 use super::demand::Demand;
 use super::held::{Held, Reach};
+use super::seekers::Seekers;
 use super::{BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, NewBase};
 
 /// Epochs looked at to check a position on request.
@@ -28,10 +30,11 @@ pub struct BaseBroker {
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
     /// Held while a base is created, so that there are never more than allowed.
     creating: Arc<tokio::sync::Mutex<()>>,
+    seekers: Seekers,
 }
 
-struct Base {
-    name: BaseName,
+pub(super) struct Base {
+    pub(super) name: BaseName,
     label: String,
     created_unix_ms: i64,
     feed: Option<BaseFeed>,
@@ -39,15 +42,29 @@ struct Base {
     /// What rovers need of the archive.
     demand: Demand,
     /// Where a rover that is positioned against it was last.
-    rover: Mutex<Option<Ecef>>,
+    rover: Mutex<Option<(Ecef, i64)>>,
     /// Held while a push is built and committed: pushes follow one another.
     pushing: tokio::sync::Mutex<()>,
     held: Mutex<Held>,
 }
 
 impl Base {
-    fn held(&self) -> MutexGuard<'_, Held> {
+    fn rover(&self) -> MutexGuard<'_, Option<(Ecef, i64)>> {
+        self.rover.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn held(&self) -> MutexGuard<'_, Held> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// It with the epochs that a rover's epochs from `from` until `until` may need.
+    pub(super) fn view(&self, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
+        if self.archive.is_some() {
+            self.demand.note(from, until, unix_ms());
+        }
+        let held = self.held();
+        let epochs = held.between_times(from - span_s - BASE_LATER_S, until + BASE_LATER_S);
+        BaseView { name: self.name.clone(), sites: held.sites.clone(), epochs }
     }
 }
 
@@ -82,7 +99,8 @@ impl BaseBroker {
             bases.insert(id, Arc::new(base));
         }
         let bases = Arc::new(RwLock::new(bases));
-        Ok(Self { store, navigation, limits, bases, creating: Arc::default() })
+        let (creating, seekers) = Default::default();
+        Ok(Self { store, navigation, limits, bases, creating, seekers })
     }
 
     /// Creates a base and stores it.
@@ -204,14 +222,26 @@ impl BaseBroker {
     /// Notes where a rover of a base is, for casters that compute a stream for a place.
     pub fn note_rover(&self, base: BaseKey, place: Ecef) {
         if let Some(base) = self.of(base) {
-            *base.rover.lock().unwrap_or_else(PoisonError::into_inner) = Some(place);
+            *base.rover() = Some((place, unix_ms()));
         }
     }
 
     /// Where a rover of a base was last, since the service started.
     pub fn rover(&self, id: &BaseId) -> Option<Ecef> {
-        let base = self.base(id).ok()?;
-        *base.rover.lock().unwrap_or_else(PoisonError::into_inner)
+        let rover = *self.base(id).ok()?.rover();
+        rover.map(|(place, _)| place)
+    }
+
+    /// When a rover was positioned against a base last, since the service started
+    /// (ms since 1970-01-01 UTC).
+    pub fn used_unix_ms(&self, id: &BaseId) -> Option<i64> {
+        let rover = *self.base(id).ok()?.rover();
+        rover.map(|(_, noted_unix_ms)| noted_unix_ms)
+    }
+
+    /// Rovers that seek the nearest of all bases.
+    pub const fn seekers(&self) -> &Seekers {
+        &self.seekers
     }
 
     /// Deletes a base with its epochs.
@@ -393,13 +423,19 @@ impl BaseBroker {
     /// A base with the epochs that a rover's epochs tagged from `from` until `until` may need, none
     /// of them older than `span_s`.
     pub fn view(&self, name: &BaseName, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
-        let Some(base) = self.of(name.key) else { return BaseView::empty(name.clone()) };
-        if base.archive.is_some() {
-            base.demand.note(from, until, unix_ms());
+        match self.of(name.key) {
+            Some(base) => base.view(from, until, span_s),
+            None => BaseView::empty(name.clone()),
         }
-        let held = base.held();
-        let epochs = held.between_times(from - span_s - BASE_LATER_S, until + BASE_LATER_S);
-        BaseView { name: name.clone(), sites: held.sites.clone(), epochs }
+    }
+
+    /// The bases of these names, in their order, as far as there are any; all, by id, of no names.
+    pub fn candidates(&self, names: Option<&[BaseName]>) -> Candidates {
+        let bases = match names {
+            None => self.read().values().cloned().collect(),
+            Some(names) => names.iter().filter_map(|name| self.of(name.key)).collect(),
+        };
+        Candidates::new(bases)
     }
 
     /// The bases with the epochs that were used then; empty ones where they were deleted.

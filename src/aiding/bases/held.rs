@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::gnss::{BaseSite, Epoch, GpsTime};
+use crate::positioning::BASE_LATER_S;
 use crate::store::StoredBaseEpoch;
 
 use super::check::PositionCheck;
@@ -144,6 +145,21 @@ impl Held {
             self.bytes -= oldest.size();
             self.epochs.pop_front();
         }
+    }
+
+    /// For how long at `time` the base had been heard without a gap of more than `gap_s`, looked
+    /// for no further back than `limit_s` (s); `None` where its newest epoch was older than a gap.
+    pub(super) fn heard_s(&self, time: GpsTime, gap_s: f64, limit_s: f64) -> Option<f64> {
+        let end = self.epochs.partition_point(|epoch| epoch.time - time <= BASE_LATER_S);
+        let mut since = None;
+        for epoch in self.epochs.range(..end).rev() {
+            let is_late = limit_s <= since.map_or(f64::NEG_INFINITY, |since| time - since);
+            if is_late || gap_s < since.unwrap_or(time) - epoch.time {
+                break;
+            }
+            since = Some(epoch.time);
+        }
+        since.map(|since| (time - since).max(0.0))
     }
 
     /// The epochs tagged from `from` until `until`.

@@ -23,15 +23,20 @@
 //! stores with each which base epochs its estimator was given, by their numbers: replay gives it
 //! just these. What is pushed later changes nothing that was solved before.
 //!
+//! A session that takes the nearest of several bases asks its [`Candidates`] for each epoch. What
+//! they choose is stored as what was given is, so that replay has not to choose again.
+//!
 //! # Memory
 //! All that is stored of a base is held, encoded; limits bound it. What comes beyond them pushes
 //! out the oldest epochs, in the store too.
 
 mod broker;
+mod candidates;
 mod check;
 mod demand;
 mod file;
 mod held;
+mod seekers;
 mod view;
 
 use std::fmt;
@@ -43,12 +48,14 @@ use crate::gnss::{BaseSite, GpsTime};
 use crate::store::BaseName;
 
 pub use broker::BaseBroker;
+pub use candidates::Candidates;
 pub use check::PositionCheck;
 pub use file::{BaseFile, BaseFileError};
 pub use held::Reach;
+pub use seekers::{Seeker, Seekers};
 pub use view::{BaseGiven, BaseView};
 
-pub use crate::store::BaseFeed;
+pub use crate::store::{BaseChoice, BaseFeed};
 
 /// The name of a base: `bas_` and 122 random bits.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]

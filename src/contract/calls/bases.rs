@@ -86,6 +86,7 @@ pub async fn list(
     Ok(v1::ListBasesResponse {
         next_page_token: last.map(|base| base.name.id.to_string()).unwrap_or_default(),
         bases: bases.iter().map(|base| message(service, base)).collect(),
+        networks: service.feeds().networks().iter().map(feeds::network_message).collect(),
     })
 }
 

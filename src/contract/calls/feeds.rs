@@ -3,7 +3,7 @@
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
 use crate::contract::{Code, Refusal, Service, intake, v1};
-use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, SourceStatus};
+use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, NetworkHealth, SourceStatus};
 use crate::gnss::Geodetic;
 
 use super::raw::statistics;
@@ -59,6 +59,7 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
         near,
         position,
         follows_rover: source.follow_rover,
+        is_on_demand: false,
     };
     service.feeds().check(&feed)?;
     Ok(feed)
@@ -73,7 +74,10 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
         ..Default::default()
     };
     let health = BaseId::parse(base).and_then(|id| service.feeds().health(&id));
-    let Some(health) = health else { return named };
+    let Some(health) = health else {
+        let state = if feed.is_on_demand { "IDLE" } else { "" };
+        return v1::Feed { state: state.to_owned(), ..named };
+    };
     let now = unix_ms();
     let FeedHealth { state, problem, refusal, statistics: counted, .. } = &health;
     let (messages, left_out) = statistics(counted);
@@ -157,6 +161,22 @@ pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::Navi
         problem: problem.as_ref().map(told),
         ephemerides,
         last_utc: last.map(utc).unwrap_or_default(),
+    }
+}
+
+/// A caster whose sourcetable brings bases, with its health.
+pub(super) fn network_message(health: &NetworkHealth) -> v1::Network {
+    v1::Network {
+        caster: health.caster.clone(),
+        state: health.state.name().to_owned(),
+        since_utc: utc(health.since_unix_ms),
+        retry_in_s: health.retry_unix_ms.map(|retry| seconds_between(unix_ms(), retry)),
+        problem: health.problem.as_ref().map(told),
+        refusal: health.refusal.as_ref().map(told),
+        last_utc: health.succeeded_unix_ms.map(utc).unwrap_or_default(),
+        listed: health.listed as u64,
+        usable: health.usable as u64,
+        connected: health.connected as u64,
     }
 }
 

@@ -10,16 +10,18 @@ pub mod sessions;
 pub mod solutions;
 mod upload;
 
-use crate::aiding::bases::BaseId;
+use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::session::SessionId;
 
-use super::{Code, Refusal};
+use super::{Code, Refusal, Service};
 
 /// What an empty mode stands for.
 const MODE: &str = "spp";
 /// What an empty profile stands for.
 const PROFILE: &str = "general";
+/// The base that is the nearest of all.
+const NEAREST: &str = "nearest";
 
 fn session_id(text: &str) -> Result<SessionId, Refusal> {
     SessionId::parse(text).ok_or_else(|| {
@@ -33,9 +35,31 @@ fn base_id(text: &str) -> Result<BaseId, Refusal> {
     })
 }
 
-/// The base of an id, none of an empty one.
-fn base_of(text: &str) -> Result<Option<BaseId>, Refusal> {
-    if text.is_empty() { Ok(None) } else { base_id(text).map(Some) }
+/// Which base a request means: the one of an id, the nearest of all, or the nearest of a list.
+fn base_choice(
+    service: &Service,
+    base: &str,
+    bases: &[String],
+) -> Result<BaseChoice<BaseId>, Refusal> {
+    if bases.is_empty() {
+        return match base {
+            "" => Ok(BaseChoice::None),
+            NEAREST => Ok(BaseChoice::Nearest),
+            id => base_id(id).map(BaseChoice::One),
+        };
+    }
+    if !base.is_empty() {
+        let message = "one base is named, and several of which the nearest is to be used";
+        return Err(Refusal::new(Code::InvalidField, message).at("bases"));
+    }
+    let named = |(index, text): (usize, &String)| {
+        let at = |refusal: Refusal| refusal.at(format!("bases[{index}]"));
+        let id = base_id(text).map_err(at)?;
+        service.bases().name(&id).map_err(|error| at(error.into()))?;
+        Ok(id)
+    };
+    let ids: Result<_, Refusal> = bases.iter().enumerate().map(named).collect();
+    Ok(BaseChoice::NearestOf(ids?))
 }
 
 /// `text`, or what an empty one stands for.

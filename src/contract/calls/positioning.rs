@@ -5,7 +5,7 @@ use crate::contract::convert::{self, Stored};
 use crate::contract::{Refusal, Service, intake, v1};
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
-use super::{MODE, PROFILE, base_of, or_standard, session_id};
+use super::{MODE, PROFILE, base_choice, or_standard, session_id};
 
 /// Positions a batch of epochs; returns when they are committed.
 ///
@@ -36,7 +36,7 @@ pub async fn solve(
         mode: given(request.mode),
         profile: given(request.profile),
         overrides: request.overrides,
-        base: base_of(&request.base)?,
+        base: base_choice(service, &request.base, &request.bases)?,
     };
     let computed = service.sessions().solve(&id, &request).await?;
     Ok(v1::SolveResponse { solution: Some(message(&computed)) })
@@ -56,7 +56,7 @@ pub async fn solve_once(
         overrides: request.overrides,
         epochs: epochs(&request.epochs, &service.limits().intake(), Numbered::No)?,
         navigation: None,
-        base: base_of(&request.base)?,
+        base: base_choice(service, &request.base, &request.bases)?,
     };
     let computed = service.sessions().solve_once(burst).await?;
     Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })

@@ -1,9 +1,12 @@
 //! Sessions.
 
+use crate::aiding::bases::BaseChoice;
 use crate::contract::{Refusal, Service, v1};
 use crate::session::{NewSession, SessionInfo, SessionUpdate};
 
-use super::{MODE, PROFILE, base_of, or_standard, page_size, page_token, session_id, utc};
+use super::{
+    MODE, NEAREST, PROFILE, base_choice, or_standard, page_size, page_token, session_id, utc,
+};
 
 /// Sessions on a page where no size is asked for.
 const PAGE: usize = 100;
@@ -21,7 +24,7 @@ pub async fn create(
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
-        base: base_of(&request.base)?,
+        base: base_choice(service, &request.base, &request.bases)?,
     };
     Ok(message(service.sessions().create(new).await?))
 }
@@ -63,13 +66,17 @@ pub async fn update(
     request: v1::UpdateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
+    let base = match (&request.base, &*request.bases) {
+        (None, []) => None,
+        (base, bases) => Some(base_choice(service, base.as_deref().unwrap_or_default(), bases)?),
+    };
     let update = SessionUpdate {
         label: request.label,
         mode: request.mode,
         profile: request.profile,
         overrides: request.overrides,
         clear_overrides: request.clear_overrides,
-        base: request.base.as_deref().map(base_of).transpose()?,
+        base,
     };
     Ok(message(service.sessions().update(&id, update).await?))
 }
@@ -95,6 +102,14 @@ fn message(info: SessionInfo) -> v1::Session {
         meaning: entry.meaning.to_owned(),
         allowed: entry.allowed.to_owned(),
     };
+    let (base, bases) = match info.base {
+        BaseChoice::None => (String::new(), Vec::new()),
+        BaseChoice::One(id) => (id.to_string(), Vec::new()),
+        BaseChoice::NearestOf(ids) => {
+            (String::new(), ids.iter().map(ToString::to_string).collect())
+        }
+        BaseChoice::Nearest => (NEAREST.to_owned(), Vec::new()),
+    };
     v1::Session {
         session: info.id.to_string(),
         label: info.label,
@@ -107,6 +122,7 @@ fn message(info: SessionInfo) -> v1::Session {
         closed: info.closed_unix_ms.is_some(),
         durable_through: info.durable_through,
         raw_through: info.raw_through,
-        base: info.base.map(|id| id.to_string()).unwrap_or_default(),
+        base,
+        bases,
     }
 }

@@ -64,7 +64,7 @@ impl fmt::Display for Caster {
 }
 
 /// A name and password of a caster's user.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Credentials {
     /// The user.
     pub name: String,

@@ -24,6 +24,8 @@ struct PositionCheck {
 /// The newest base epoch, and where the base may have slipped since it was last used.
 #[derive(Debug)]
 pub(super) struct BaseMemory {
+    /// The name of the base, and where it stood last.
+    station: Option<(String, Ecef)>,
     newest: Option<Epoch>,
     /// Satellites and codes that lost lock.
     pub(super) lost: Vec<(SatelliteId, ObservationCode)>,
@@ -33,11 +35,26 @@ pub(super) struct BaseMemory {
 }
 
 snapshot_fields!(PositionCheck { stated, sum_m, count });
-snapshot_fields!(BaseMemory { newest, lost, power_failed, check });
+snapshot_fields!(BaseMemory { station, newest, lost, power_failed, check });
 
 impl BaseMemory {
     pub(super) const fn new() -> Self {
-        Self { newest: None, lost: Vec::new(), power_failed: false, check: None }
+        Self { station: None, newest: None, lost: Vec::new(), power_failed: false, check: None }
+    }
+
+    /// From the base that is remembered to this one, where it is another (m).
+    pub(super) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
+        let (_, place) = self.station.as_ref().filter(|(name, _)| *name != station.name)?;
+        Some(place.distance_m(station.antenna_reference_point))
+    }
+
+    /// Remembers which base it is.
+    pub(super) fn know(&mut self, station: &BaseStation) {
+        let place = station.antenna_reference_point;
+        match &mut self.station {
+            Some((name, known)) if *name == station.name => *known = place,
+            other => *other = Some((station.name.clone(), place)),
+        }
     }
 
     /// Takes the epochs that are new and not later than the rover's at `time`.
@@ -109,12 +126,13 @@ impl BaseMemory {
 impl Clone for BaseMemory {
     fn clone(&self) -> Self {
         let lost = self.lost.clone();
-        let newest = self.newest.clone();
-        Self { newest, lost, power_failed: self.power_failed, check: self.check }
+        let (station, newest) = (self.station.clone(), self.newest.clone());
+        Self { station, newest, lost, power_failed: self.power_failed, check: self.check }
     }
 
     /// Copies into the storage already held.
     fn clone_from(&mut self, source: &Self) {
+        self.station.clone_from(&source.station);
         match (&mut self.newest, &source.newest) {
             (Some(newest), Some(from)) => {
                 newest.time = from.time;

@@ -119,7 +119,8 @@ impl RtkFilter {
     ///
     /// An epoch that is not after the last one is answered by itself and changes nothing. Without a
     /// base that can be used the answer is that of a filter without one, with the reason; what is
-    /// known of the ambiguities stays for the base's return.
+    /// known of the ambiguities stays for the base's return. With another base the filter begins
+    /// anew.
     pub(in crate::positioning) fn advance(
         &mut self,
         epoch: &Epoch,
@@ -127,6 +128,9 @@ impl RtkFilter {
         base: Option<&BaseAiding<'_>>,
         options: &PositioningOptions,
     ) -> Solution {
+        if self.front.changes_base(epoch.time, base) {
+            self.memory = Memory::new();
+        }
         let arcs = &mut self.memory.tracking.arcs;
         if let Some(alone) = self.front.receive(epoch, navigation, base, arcs, options) {
             return alone;
@@ -140,7 +144,7 @@ impl RtkFilter {
                 let stand_in =
                     self.stand_in.get_or_insert_with(|| Box::new(KalmanFilter::new(options)));
                 let mut solution = stand_in.advance(epoch, navigation, options);
-                solution.reasons.push(reason);
+                solution.reasons.extend(self.front.reasons_alone(reason));
                 solution
             }
         }

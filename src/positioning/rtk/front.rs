@@ -44,6 +44,8 @@ pub(super) struct Front {
     pub(super) slipped: Vec<SatelliteId>,
     /// How far the base moved before this epoch (m).
     base_moved_m: Option<f64>,
+    /// How far this epoch's base is from the one before, where it is another (m).
+    base_changed_m: Option<f64>,
 }
 
 impl Front {
@@ -56,7 +58,28 @@ impl Front {
             differences: SingleDifferences::default(),
             slipped: Vec::new(),
             base_moved_m: None,
+            base_changed_m: None,
         }
+    }
+
+    /// Whether an epoch at `time` comes with another base than those before: what is remembered of
+    /// that one is then forgotten, and the caller forgets what it knows relative to it. An epoch
+    /// that is not after the last one changes nothing.
+    pub(super) fn changes_base(&mut self, time: GpsTime, base: Option<&BaseAiding<'_>>) -> bool {
+        if self.last.is_some_and(|last| time <= last) {
+            return false;
+        }
+        self.base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
+        if self.base_changed_m.is_some() {
+            self.base = BaseMemory::new();
+        }
+        self.base_changed_m.is_some()
+    }
+
+    /// Why an answer without the base is no better.
+    pub(super) fn reasons_alone(&self, why: Reason) -> impl Iterator<Item = Reason> + use<> {
+        let changed = self.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
+        changed.into_iter().chain([why])
     }
 
     /// Takes an epoch and what is new of the base, and ends the arcs that either receiver says it
@@ -77,6 +100,7 @@ impl Front {
         self.last = Some(epoch.time);
         if let Some(base) = base {
             self.base.take(base.epochs, epoch.time);
+            self.base.know(base.station);
         }
         self.slipped.clear();
         self.base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
@@ -178,6 +202,7 @@ impl Front {
             let satellites = self.differences.without_ephemeris.clone();
             reasons.push(Reason::EphemerisMissing { satellites });
         }
+        reasons.extend(self.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m }));
         reasons.extend(self.base_moved_m.map(|distance_m| Reason::BaseMoved { distance_m }));
         if !self.slipped.is_empty() {
             self.slipped.sort_unstable();
@@ -211,7 +236,11 @@ impl Front {
 
     /// Swaps the memory both work in.
     pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        let Self { base: _, last: _, single_point, differences, slipped, base_moved_m: _ } = self;
+        #[rustfmt::skip]
+        let Self {
+            base: _, last: _, single_point, differences, slipped, base_moved_m: _,
+            base_changed_m: _,
+        } = self;
         single_point.exchange_memory(&mut other.single_point);
         std::mem::swap(differences, &mut other.differences);
         std::mem::swap(slipped, &mut other.slipped);
@@ -228,6 +257,7 @@ impl Clone for Front {
             differences: SingleDifferences::default(),
             slipped: Vec::new(),
             base_moved_m: None,
+            base_changed_m: None,
         }
     }
 

@@ -50,8 +50,8 @@ impl NoiseScale {
         Self { value: 1.0, learnt: 0.0, mean: 1.0, excess: EXCESS_PRIOR }
     }
 
-    /// What the odds of integers are divided by: noise beyond the stated is no noise but reflections,
-    /// whose errors are neither normal nor new at each epoch.
+    /// What the odds of integers are divided by: noise beyond the stated is no noise but
+    /// reflections, whose errors are neither normal nor new at each epoch.
     ///
     /// Of integers that were right by 99 to 99.9 % were it noise, 1 % are wrong in the simulated
     /// canyon where the noise is as stated, 5 % where its deviation is two and a half times that.

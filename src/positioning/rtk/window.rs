@@ -17,6 +17,7 @@ use super::front::{Front, UsableBase};
 use super::history::{History, Revises, Window};
 use super::integers::Integers;
 use super::settings::Settings;
+use super::tracking::Tracking;
 
 /// Distance from the frame's origin at which the graph starts anew (m): up has turned by 1°.
 pub(super) const FRAME_LIMIT_M: f64 = 1e5;
@@ -65,7 +66,8 @@ impl RtkWindow {
     ///
     /// An epoch that is not after the last one is answered by itself and changes nothing. Without a
     /// base that can be used the answer is that of a window without one, with the reason; what is
-    /// known of the ambiguities stays for the base's return.
+    /// known of the ambiguities stays for the base's return. With another base the window begins
+    /// anew.
     pub(in crate::positioning) fn advance(
         &mut self,
         epoch: &Epoch,
@@ -73,6 +75,12 @@ impl RtkWindow {
         base: Option<&BaseAiding<'_>>,
         options: &PositioningOptions,
     ) -> Solution {
+        if self.front.changes_base(epoch.time, base) {
+            self.revise(self.history.as_ref().map_or(0..0, History::all), options);
+            self.leave_all();
+            self.chain.clear();
+            self.chain.tracking = Tracking::new();
+        }
         let arcs = &mut self.chain.tracking.arcs;
         if let Some(alone) = self.front.receive(epoch, navigation, base, arcs, options) {
             return alone;
@@ -90,7 +98,7 @@ impl RtkWindow {
                     .stand_in
                     .get_or_insert_with(|| Box::new(SlidingWindow::new(options, false)));
                 let mut solution = stand_in.advance(epoch, navigation, options);
-                solution.reasons.push(reason);
+                solution.reasons.extend(self.front.reasons_alone(reason));
                 if let Some(history) = &mut self.history {
                     history.push_alone(solution.clone());
                 }

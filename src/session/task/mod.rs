@@ -10,13 +10,16 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
+use crate::aiding::bases::{BaseChoice, Seeker};
+use crate::clock::unix_ms;
 use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
+use super::course::Against;
 use super::piece::{Piece, PieceAiding, Plan};
 use super::raw::Reception;
-use super::replay::{By, Course, origin_in_force, restored};
+use super::replay::{By, Course, InForce, in_force, restored};
 use super::solvers::Solvers;
-use super::state::{Origin, State};
+use super::state::State;
 use super::{
     Acknowledged, EpochOutcome, EpochRefusal, RawPiece, RawReceived, SequencedEpoch, SessionError,
     SessionId, Submitted,
@@ -106,7 +109,8 @@ pub(super) struct Task {
 /// What of the session is in memory.
 struct Active {
     committed: State,
-    origin: Arc<Origin>,
+    /// What the next epochs are computed with.
+    force: Arc<InForce>,
     /// The stream of its receiver, once raw bytes have come.
     raw: Option<Box<Reception>>,
 }
@@ -163,7 +167,7 @@ impl Task {
     async fn close(&self, active: Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let mut state = match active {
             Some(active) => active.committed,
-            None => self.restored(&self.origin().await?).await?,
+            None => self.restored(&self.in_force().await?).await?,
         };
         let revisions = self.solvers.run(move || state.finish()).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
@@ -219,11 +223,11 @@ impl Task {
     async fn process(
         &self,
         active: &mut Option<Active>,
-        Active { committed, origin, raw: reception }: Active,
+        Active { committed, force, raw: reception }: Active,
         epochs: Vec<SequencedEpoch>,
         raw: Option<Box<RawChange>>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let (piece, committed) = self.position(committed, &origin, epochs).await?;
+        let (piece, committed) = self.position(committed, &force, epochs).await?;
         let Piece { state, plans, rows, revisions, snapshot, solutions } = piece;
         let stored = self.lookup(&plans).await?;
         let batch = Batch { epochs: rows, revisions, snapshot, raw, ..Batch::new(self.key) };
@@ -233,10 +237,16 @@ impl Task {
         let durable_through = state.last.map(|(seq, _)| seq);
         self.solvers.spares().keep(committed);
         let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
-        if let (Some(base), Some(estimate)) = (&origin.base, newest) {
-            self.aiding.bases.note_rover(base.key, estimate.position);
+        let base = state.base().filter(|_| !force.base.is_none());
+        if let (Some(base), Some(estimate)) = (base, newest) {
+            self.aiding.bases.note_rover(base, estimate.position);
         }
-        *active = Some(Active { committed: state, origin, raw: reception });
+        if let (BaseChoice::Nearest, Some(estimate)) = (&force.base, newest) {
+            let reach_m = force.origin.options.rtk.baseline_max_m;
+            let seeker = Seeker { place: estimate.position, reach_m, noted_unix_ms: unix_ms() };
+            self.aiding.bases.seekers().note(self.key, seeker);
+        }
+        *active = Some(Active { committed: state, force, raw: reception });
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
@@ -256,11 +266,11 @@ impl Task {
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         match active {
             Some(active) if !is_outdated => Ok(active),
-            Some(active) => Ok(Active { origin: Arc::new(self.origin().await?), ..active }),
+            Some(active) => Ok(Active { force: Arc::new(self.in_force().await?), ..active }),
             None => {
-                let origin = self.origin().await?;
-                let committed = self.restored(&origin).await?;
-                Ok(Active { committed, origin: Arc::new(origin), raw: None })
+                let force = self.in_force().await?;
+                let committed = self.restored(&force).await?;
+                Ok(Active { committed, force: Arc::new(force), raw: None })
             }
         }
     }
@@ -269,28 +279,27 @@ impl Task {
     async fn position(
         &self,
         committed: State,
-        origin: &Arc<Origin>,
+        force: &Arc<InForce>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Piece, State), SessionError> {
-        let aiding = self.aiding_for(origin, &epochs);
-        let (origin, limit) = (origin.clone(), self.observations_per_epoch);
+        let aiding = self.aiding_for(force, &epochs);
+        let (force, limit) = (force.clone(), self.observations_per_epoch);
         let spares = self.solvers.spares().clone();
         let work = move || {
             let state = spares.copy_of(&committed);
-            let position = |state| Piece::position(state, epochs, &aiding, &origin, limit);
+            let position = |state| Piece::position(state, epochs, &aiding, &force.origin, limit);
             (spares.lend(state, position, |piece| &mut piece.state), committed)
         };
         self.solvers.run(work).await
     }
 
     /// What the epochs are positioned with: all that is held now and may serve them.
-    fn aiding_for(&self, origin: &Origin, epochs: &[SequencedEpoch]) -> PieceAiding {
+    fn aiding_for(&self, force: &InForce, epochs: &[SequencedEpoch]) -> PieceAiding {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
-        let span = origin.base.as_ref().zip(times().min()).zip(times().max());
-        let base = span.map(|((name, from), until)| {
-            self.aiding.bases.view(name, from, until, origin.options.rtk.base_span_s())
-        });
-        PieceAiding { navigation: self.aiding.navigation.current(), base }
+        let span = times().min().zip(times().max());
+        let options = &force.origin.options;
+        let against = Against::new(&self.aiding.bases, &force.base, span, options);
+        PieceAiding { navigation: self.aiding.navigation.current(), against }
     }
 
     async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<HashMap<u64, StoredEpoch>, StoreError> {
@@ -303,12 +312,12 @@ impl Task {
         Ok(found.into_iter().map(|stored| (stored.solution.seq, stored)).collect())
     }
 
-    async fn origin(&self) -> Result<Origin, SessionError> {
-        origin_in_force(&self.store, self.id.as_str()).await
+    async fn in_force(&self) -> Result<InForce, SessionError> {
+        in_force(&self.store, self.id.as_str()).await
     }
 
     /// The state after the last committed epoch.
-    async fn restored(&self, origin: &Origin) -> Result<State, SessionError> {
+    async fn restored(&self, force: &InForce) -> Result<State, SessionError> {
         let course = Course {
             store: self.store.clone(),
             aiding: self.aiding.clone(),
@@ -317,7 +326,7 @@ impl Task {
             by: By::Stored,
             may_differ: true,
         };
-        restored(&course, origin).await
+        restored(&course, &force.origin).await
     }
 }
 

@@ -126,6 +126,7 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         number().prop_map(|interval_s| Reason::OdometryUnused { interval_s }),
         number().prop_map(|sigma_m| Reason::FixImprecise { sigma_m }),
         number().prop_map(|distance_m| Reason::BaseMoved { distance_m }),
+        number().prop_map(|distance_m| Reason::BaseChanged { distance_m }),
     ]
 }
 

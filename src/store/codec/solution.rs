@@ -167,6 +167,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         Reason::OdometryUnused { interval_s } => numbers(19, &[*interval_s]),
         Reason::FixImprecise { sigma_m } => numbers(20, &[*sigma_m]),
         Reason::BaseMoved { distance_m } => numbers(21, &[*distance_m]),
+        Reason::BaseChanged { distance_m } => numbers(22, &[*distance_m]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -298,6 +299,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         19 => Reason::OdometryUnused { interval_s: input.f64()? },
         20 => Reason::FixImprecise { sigma_m: input.f64()? },
         21 => Reason::BaseMoved { distance_m: input.f64()? },
+        22 => Reason::BaseChanged { distance_m: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }

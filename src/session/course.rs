@@ -1,0 +1,122 @@
+//! Which base an estimator was given, and which it is given next.
+
+use crate::aiding::bases::{BaseBroker, BaseChoice, BaseGiven, BaseView, Candidates};
+use crate::config::{Mode, PositioningOptions};
+use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Solution};
+use crate::positioning::{Aiding, Estimator};
+use crate::snapshot::snapshot_fields;
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::store::BaseKey;
+
+/// A position older than this no longer tells where the rover is (s).
+const PLACE_LASTS_S: f64 = 60.0;
+
+/// What epochs may be positioned against.
+pub(super) enum Against {
+    /// Nothing.
+    Nothing,
+    /// One base, with its epochs of the span of time.
+    One(BaseView),
+    /// The nearest of these.
+    Nearest(Candidates),
+}
+
+impl Against {
+    /// What `choice` means for epochs from `from` until `until`.
+    pub(super) fn new(
+        bases: &BaseBroker,
+        choice: &BaseChoice,
+        span: Option<(GpsTime, GpsTime)>,
+        options: &PositioningOptions,
+    ) -> Self {
+        match (choice, span) {
+            (BaseChoice::None, _) | (_, None) => Self::Nothing,
+            (BaseChoice::One(name), Some((from, until))) => {
+                Self::One(bases.view(name, from, until, options.rtk.base_span_s()))
+            }
+            (BaseChoice::NearestOf(names), _) => Self::Nearest(bases.candidates(Some(names))),
+            (BaseChoice::Nearest, _) => Self::Nearest(bases.candidates(None)),
+        }
+    }
+}
+
+/// The base of an estimator's last epoch, and where the rover was.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct BaseCourse {
+    /// The base, of the last epoch that had one.
+    pub(super) base: Option<BaseKey>,
+    /// Number of its newest epoch that the estimator was given.
+    given: u64,
+    /// The last position answered, and when.
+    place: Option<(GpsTime, Ecef)>,
+}
+
+snapshot_fields!(BaseCourse { base, given, place });
+
+impl Snapshot for BaseKey {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        self.number().save(writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        i64::load(reader).map(Self::of_number)
+    }
+}
+
+impl BaseCourse {
+    /// For an estimator that begins anew: it was given nothing.
+    pub(super) const fn begin_anew(&mut self) {
+        self.given = 0;
+    }
+
+    /// What the next epoch is given.
+    pub(super) fn next(
+        &self,
+        against: &Against,
+        epoch: &Epoch,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+    ) -> Option<BaseGiven> {
+        match against {
+            Against::Nothing => None,
+            Against::One(view) => Some(self.new_of(view, epoch.time, options)),
+            Against::Nearest(candidates) => {
+                let place = self.place_at(epoch, navigation, options);
+                let view = candidates.choose(self.base, place, epoch.time, &options.rtk)?;
+                Some(self.new_of(&view, epoch.time, options))
+            }
+        }
+    }
+
+    fn new_of(&self, view: &BaseView, time: GpsTime, options: &PositioningOptions) -> BaseGiven {
+        let after = if self.base == Some(view.name().key) { self.given } else { 0 };
+        view.new_at(time, after, options.rtk.base_span_s())
+    }
+
+    /// Where the rover is about: where it was last, unless that is long ago; else its single point.
+    fn place_at(
+        &self,
+        epoch: &Epoch,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+    ) -> Option<Ecef> {
+        let last = self.place.map(|(_, place)| place);
+        let is_recent = |(time, _): (GpsTime, Ecef)| epoch.time - time <= PLACE_LASTS_S;
+        if self.place.is_some_and(is_recent) {
+            return last;
+        }
+        let options = PositioningOptions { mode: Mode::Spp, ..options.clone() };
+        let alone = Estimator::new(options).advance(epoch, &Aiding::alone(navigation));
+        alone.estimate.map(|estimate| estimate.position).or(last)
+    }
+
+    /// Takes what an epoch was given, and its answer.
+    pub(super) fn take(&mut self, given: Option<&BaseGiven>, solution: &Solution) {
+        if let Some(BaseGiven { used, .. }) = given {
+            (self.base, self.given) = (Some(used.base), used.through);
+        }
+        if let Some(estimate) = &solution.estimate {
+            self.place = Some((solution.time, estimate.position));
+        }
+    }
+}
