@@ -9,7 +9,7 @@ use super::Failure;
 /// The arguments that make [`PositioningOptions`].
 #[derive(Clone, Debug, Args)]
 pub(crate) struct OptionArguments {
-    /// Estimator: spp, ekf or fgo.
+    /// Estimator: spp, ekf, fgo, rtk-ekf or rtk-fgo.
     #[arg(long, value_name = "MODE", default_value = "spp")]
     pub(crate) mode: String,
     /// Set of defaults: general, urban-vehicle, static, phone or paper.
