@@ -468,3 +468,89 @@ pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> Fi
         probability,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::DMatrix;
+
+    use super::*;
+    use crate::config::{Mode, PositioningOptions, Profile};
+    use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+
+    const N: usize = 7;
+
+    /// Arcs of one group, of which one stands highest.
+    fn arcs(highest: usize) -> Vec<Arc> {
+        let code = ObservationCode::parse("1C").unwrap();
+        let arc = |k: usize| Arc {
+            satellite: SatelliteId::new(Constellation::Gps, 1 + k as u8).unwrap(),
+            band: Band::L1,
+            codes: [code; 2],
+            variable: k,
+            serial: k as u64,
+            frequency_hz: 1_575.42e6,
+            last: GpsTime::EPOCH,
+            epochs: 5,
+            half_cycle: false,
+            elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },
+            label: None,
+        };
+        (0..N).map(arc).collect()
+    }
+
+    /// Ambiguities at integers k², 0.05 cycles off at the most and 25.3 off in common, a metre of
+    /// the position each moves them by two cycles or less.
+    fn float() -> FloatSolution {
+        let wave = |k: usize| (1.7 * k as f64).sin();
+        let tie = |i: usize, axis: usize| match i.checked_sub(3) {
+            None => f64::from(u8::from(i == axis)),
+            Some(k) => 2.0 * ((1 + axis) as f64 * k as f64).cos(),
+        };
+        let mut covariance = DMatrix::identity(3 + N, 3 + N) * 4e-4;
+        for i in 0..3 + N {
+            for j in 0..3 + N {
+                // Known to 5 cm along each axis, and to a cycle in common.
+                let real = (0..3).map(|axis| 0.0025 * tie(i, axis) * tie(j, axis)).sum::<f64>();
+                covariance[(i, j)] += real + if i < 3 || j < 3 { 0.0 } else { 1.0 };
+            }
+        }
+        FloatSolution {
+            position: Vector3::new(5.0, -3.0, 2.0),
+            variables: (0..N).collect(),
+            ambiguities: (0..N).map(|k| 25.3 + (k * k) as f64 + 0.05 * wave(k)).collect(),
+            covariance,
+        }
+    }
+
+    /// Whichever satellite is the reference, the same integers, position and probability are found.
+    #[test]
+    fn the_reference_satellite_does_not_matter() {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let found = |highest: usize| {
+            let (mut arcs, mut trust) = (arcs(highest), Trust::default());
+            let noise = NoiseScale::stated();
+            let resolution = Integers::new().resolve(
+                &mut arcs,
+                &mut trust,
+                |_| true,
+                &float(),
+                &options.rtk,
+                &noise,
+            );
+            let fixed = resolution.outcome.unwrap();
+            let first = arcs[0].label.unwrap();
+            let integers = arcs.iter().map(|arc| arc.label.unwrap().less(first).unwrap());
+            assert_eq!((fixed.held, arcs[highest].label.unwrap().integer), (N - 1, 0));
+            (fixed, integers.collect::<Vec<_>>())
+        };
+        let (fixed, integers) = found(0);
+        assert_eq!(integers, (0..N).map(|k| (k * k) as i64).collect::<Vec<_>>());
+        for highest in 1..N {
+            let (other, others) = found(highest);
+            assert_eq!(others, integers, "{highest}");
+            assert!((other.position - fixed.position).norm() < 1e-9, "{highest}");
+            assert!((other.covariance - fixed.covariance).norm() < 1e-12, "{highest}");
+            assert!((other.probability - fixed.probability).abs() < 1e-9, "{highest}");
+        }
+    }
+}
