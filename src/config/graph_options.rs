@@ -62,8 +62,6 @@ impl GraphOptions {
             Profile::General => general,
             Profile::UrbanVehicle => Self {
                 horizontal_walk_m_s: 1.0,
-                vertical_walk_m_s: 0.3,
-                vertical_velocity_m_s: 0.5,
                 zero_velocity: true,
                 // A reflection as strong as the signal shifts its phase by a quarter wavelength.
                 phase_sigma_m: 0.05,
