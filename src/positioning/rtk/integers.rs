@@ -9,9 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
-use crate::lambda::{
-    Conditioning, Options, Outcome, Partial, RatioTest, RealParameters, Rejection, Resolver,
-};
+use crate::lambda::{Options, Outcome, Partial, RatioTest, Rejection, Resolver};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Label};
@@ -119,7 +117,6 @@ snapshot_fields!(Trust {
 #[derive(Clone, Debug)]
 pub(super) struct Integers {
     pub(super) resolver: Resolver,
-    conditioning: Conditioning,
     pairs: Vec<DoubleDifference>,
     /// Place of each arc among the covariances.
     places: Vec<Option<usize>>,
@@ -130,7 +127,6 @@ impl Integers {
     pub(super) fn new() -> Self {
         Self {
             resolver: Resolver::with_capacity(CAPACITY),
-            conditioning: Conditioning::with_capacity(CAPACITY, 3),
             pairs: Vec::new(),
             places: Vec::new(),
             order: Vec::new(),
@@ -217,11 +213,13 @@ impl Integers {
         let mut held = known.len();
         if !others.is_empty() {
             let lambda = Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*options };
-            if let Some((outcome, position)) = self.search(arcs, &rest, &others, &lambda)
-                && outcome.rejection.is_none()
+            let outcome = self.search(arcs, &rest, &others, &lambda);
+            let places: Vec<usize> = (0..others.len()).collect();
+            if outcome.is_some_and(|outcome| outcome.rejection.is_none())
+                && let Some(left) = self.hold_found(&rest, &places)
             {
                 held += self.label(arcs, trust, &others);
-                rest = position;
+                rest = left;
             }
         }
         Some(Resolution {
@@ -246,9 +244,7 @@ impl Integers {
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.subsets(arcs, options.fixed_min) {
             let part = joint.of(&wanted);
-            let Some((outcome, position)) = self.search(arcs, &part, &wanted, options) else {
-                continue;
-            };
+            let Some(outcome) = self.search(arcs, &part, &wanted, options) else { continue };
             tried += outcome.attempts;
             resolution.ratio = outcome.ratio;
             resolution.success_rate = Some(outcome.success_rate);
@@ -266,14 +262,15 @@ impl Integers {
                 return resolution;
             }
             let stated = chosen_of(doubt * tried as f64, outcome.probability.unwrap_or(0.0));
-            let doubted = self.doubted(joint, &wanted, stated);
-            if let Some(probability) = doubted.filter(|p| options.probability_min <= *p) {
+            let Some(rest) = self.hold_found(joint, &wanted) else { continue };
+            let probability = doubted(stated, &rest);
+            if options.probability_min <= probability {
                 let held = self.label(arcs, trust, &wanted);
                 trust.agreed += 1;
                 trust.was_kept |= hold_epochs <= trust.agreed;
                 trust.probability = probability;
                 (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
-                resolution.outcome = Ok(fixed_position(&position, held, probability));
+                resolution.outcome = Ok(fixed_position(&rest, held, probability));
                 return resolution;
             }
         }
@@ -301,18 +298,15 @@ impl Integers {
         subsets
     }
 
-    /// The probability of the integers the last search found among the pairs `wanted`, given what
-    /// all others make of them; `None` where that cannot be told.
-    fn doubted(&self, joint: &Joint, wanted: &[usize], probability: f64) -> Option<f64> {
-        let entries = self.resolver.fix().entries();
-        let found = wanted.iter().zip(entries);
-        let held: Vec<(usize, f64)> =
-            found.filter_map(|(&i, entry)| Some((i, (*entry)? as f64))).collect();
-        let (known, values): (Vec<_>, Vec<_>) = held.into_iter().unzip();
-        let others = self.indices(|_| true).into_iter().filter(|i| !known.contains(i));
-        let others: Vec<_> = others.collect();
-        let (rest, _) = condition(joint, &known, &values, &others)?;
-        Some(doubted(probability, &rest))
+    /// Position and the ambiguities left real-valued, given the integers the last search found of
+    /// those at `wanted`, ascending; `None` where the covariance does not allow it.
+    fn hold_found(&self, joint: &Joint, wanted: &[usize]) -> Option<Joint> {
+        let found = wanted.iter().zip(self.resolver.fix().entries());
+        let (held, values): (Vec<usize>, Vec<f64>) =
+            found.filter_map(|(&i, entry)| Some((i, (*entry)? as f64))).unzip();
+        let all = 0..joint.ambiguities();
+        let left: Vec<usize> = all.filter(|i| held.binary_search(i).is_err()).collect();
+        condition(joint, &held, &values, &left).map(|(rest, _)| rest)
     }
 
     fn indices(&self, is_wanted: impl Fn(&DoubleDifference) -> bool) -> Vec<usize> {
@@ -320,14 +314,14 @@ impl Integers {
     }
 
     /// Looks for the integers of some pairs, of which `joint` holds estimate and covariance in
-    /// their order; returns the position conditioned on what was accepted.
+    /// their order.
     fn search(
         &mut self,
         arcs: &[Arc],
         joint: &Joint,
         wanted: &[usize],
         options: &Options,
-    ) -> Option<(Outcome, Joint)> {
+    ) -> Option<Outcome> {
         let n = wanted.len();
         let float: Vec<f64> = joint.estimate.iter().skip(3).copied().collect();
         let covariance = joint.covariance.view((3, 3), (n, n)).into_owned();
@@ -342,17 +336,7 @@ impl Integers {
             a_epochs.cmp(&b_epochs).then(a.total_cmp(&b))
         });
         let partial = Partial::Ordered(&self.order);
-        let outcome = self.resolver.resolve(&float, &covariance, partial, options).ok()?;
-        let mut real = RealParameters {
-            estimate: joint.estimate.rows(0, 3).into_owned(),
-            covariance: joint.covariance.view((0, 0), (3, 3)).into_owned(),
-            cross: joint.covariance.view((0, 3), (3, n)).into_owned(),
-        };
-        if outcome.rejection.is_none() {
-            let fix = self.resolver.fix();
-            self.conditioning.apply(fix, &float, &covariance, &mut real).ok()?;
-        }
-        Some((outcome, Joint { estimate: real.estimate, covariance: real.covariance }))
+        self.resolver.resolve(&float, &covariance, partial, options).ok()
     }
 
     /// Labels the arcs of the pairs whose integers the last search found; returns how many.

@@ -47,6 +47,11 @@ impl Joint {
         joint
     }
 
+    /// How many ambiguities there are.
+    pub(super) fn ambiguities(&self) -> usize {
+        self.estimate.len() - 3
+    }
+
     /// Position and some of the ambiguities.
     pub(super) fn of(&self, wanted: &[usize]) -> Self {
         let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();
