@@ -1,41 +1,58 @@
-//! A growing and shrinking symmetric matrix for the border: packed lower triangle, row by row.
+//! A growing and shrinking symmetric matrix for the border: its lower triangle in panels.
 //!
-//! Appending a variable appends a row, so nothing moves; all storage is kept when variables leave.
+//! A panel is four rows, column by column up to its last diagonal: all that works on the matrix
+//! works on four rows at once. Appending a variable appends a row, so nothing moves; all storage is
+//! kept when variables leave.
 
 use nalgebra::SVector;
 
 use crate::graph::block::{BadPivot, Rank};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-/// Lower triangle of a symmetric matrix, or its Cholesky factor, packed by rows.
+/// Rows of a panel.
+const ROWS: usize = 4;
+
+/// One number for each row of a panel.
+pub(crate) type Lanes = [f64; ROWS];
+
+/// Lower triangle of a symmetric matrix, or its Cholesky factor.
+///
+/// Rows beyond the size are zero. What stands above the diagonal is never read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Packed {
     size: usize,
-    values: Vec<f64>,
+    /// The columns of all panels.
+    columns: Vec<Lanes>,
 }
 
 impl Snapshot for Packed {
+    /// The triangle row by row.
     fn save(&self, writer: &mut SnapshotWriter) {
-        let Self { size, values } = self;
+        let Self { size, columns: _ } = self;
         size.save(writer);
-        values.save(writer);
+        let rows = (0..*size).flat_map(|i| (0..=i).map(move |j| self.get(i, j)));
+        rows.collect::<Vec<f64>>().save(writer);
     }
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
         // No larger than the values that follow, so that its square does not overflow.
         let size = reader.count()?;
         let values: Vec<f64> = Vec::load(reader)?;
-        match values.len() == start(size) {
-            true => Ok(Self { size, values }),
-            false => Err(reader.invalid("packed matrix")),
+        if values.len() != size * (size + 1) / 2 {
+            return Err(reader.invalid("packed matrix"));
         }
+        let mut matrix = Self::new();
+        matrix.resize(size);
+        let places = (0..size).flat_map(|i| (0..=i).map(move |j| (i, j)));
+        places.zip(values).for_each(|((i, j), value)| *matrix.get_mut(i, j) = value);
+        Ok(matrix)
     }
 }
 
-/// Where row `row` begins.
+/// Where panel `panel` begins.
 #[inline]
-fn start(row: usize) -> usize {
-    row * (row + 1) / 2
+fn start(panel: usize) -> usize {
+    ROWS * panel * (panel + 1) / 2
 }
 
 /// Dot product in four fixed lanes: vectorises, and always in the same order.
@@ -53,9 +70,59 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
 }
 
-/// Columns of height S in tiles of four: entry [s][lane], short tiles filled up with zeros.
+/// Dot product of one number each.
+#[inline]
+fn across(a: &Lanes, b: &Lanes) -> f64 {
+    (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
+}
+
+/// a ← a − f·b.
+#[inline]
+fn subtract(a: &mut Lanes, b: &Lanes, factor: f64) {
+    for (value, taken) in a.iter_mut().zip(b) {
+        *value -= taken * factor;
+    }
+}
+
+/// Σ aₖ·bₖᵀ over the columns of two panels: entry [j][i] is of row i of `a` and row j of `b`.
+#[inline]
+fn products(a: &[Lanes], b: &[Lanes]) -> [Lanes; ROWS] {
+    let mut sums = [[0.0; ROWS]; ROWS];
+    for (a, b) in a.iter().zip(b) {
+        for j in 0..ROWS {
+            for i in 0..ROWS {
+                sums[j][i] += a[i] * b[j];
+            }
+        }
+    }
+    sums
+}
+
+/// X ← L⁻¹·(X − T), L the triangle of a factor's block.
+#[inline]
+fn solve_block(triangle: &[Lanes], taken: &[Lanes; ROWS], x: &mut [Lanes]) {
+    for j in 0..ROWS {
+        let mut row = x[j];
+        subtract(&mut row, &taken[j], 1.0);
+        for l in 0..j {
+            subtract(&mut row, &x[l], triangle[l][j]);
+        }
+        x[j] = row.map(|value| value * triangle[j][j]);
+    }
+}
+
+/// The first rows of a panel from a slice, zero beyond its end.
+#[inline]
+fn lanes(values: &[f64]) -> Lanes {
+    let mut lanes = [0.0; ROWS];
+    let rows = values.len().min(ROWS);
+    lanes[..rows].copy_from_slice(&values[..rows]);
+    lanes
+}
+
+/// Columns of height S, each a row of panels that are S wide.
 #[derive(Clone, Debug)]
-pub(crate) struct Tiles<const S: usize>(Vec<[[f64; 4]; S]>);
+pub(crate) struct Tiles<const S: usize>(Vec<[Lanes; S]>);
 
 impl<const S: usize> Tiles<S> {
     pub(crate) const fn new() -> Self {
@@ -64,8 +131,8 @@ impl<const S: usize> Tiles<S> {
 
     pub(crate) fn load(&mut self, columns: &[SVector<f64, S>]) {
         self.0.clear();
-        for four in columns.chunks(4) {
-            let mut tile = [[0.0; 4]; S];
+        for four in columns.chunks(ROWS) {
+            let mut tile = [[0.0; ROWS]; S];
             for (lane, column) in four.iter().enumerate() {
                 for s in 0..S {
                     tile[s][lane] = column[s];
@@ -76,93 +143,69 @@ impl<const S: usize> Tiles<S> {
     }
 
     pub(crate) fn capacity(&self) -> usize {
-        self.0.capacity() * 4 * S
+        self.0.capacity() * ROWS * S
     }
-}
-
-/// aᵀ·b of two tiles, 4×4.
-#[inline]
-fn multiply<const S: usize>(a: &[[f64; 4]; S], b: &[[f64; 4]; S]) -> [[f64; 4]; 4] {
-    let mut product = [[0.0; 4]; 4];
-    for s in 0..S {
-        for i in 0..4 {
-            for j in 0..4 {
-                product[i][j] += a[s][i] * b[s][j];
-            }
-        }
-    }
-    product
 }
 
 impl Packed {
-    /// Subtracts Wᵀ·W, W's columns in tiles; four rows and four columns at a time.
-    pub(crate) fn subtract_gram<const S: usize>(&mut self, tiles: &Tiles<S>) {
-        for (group, a) in tiles.0.iter().enumerate() {
-            let rows = 4.min(self.size - 4 * group);
-            for (other, b) in tiles.0[..=group].iter().enumerate() {
-                let product = multiply(a, b);
-                for (i, values) in product[..rows].iter().enumerate() {
-                    let row = &mut self.row_mut(4 * group + i)[4 * other..];
-                    for (value, taken) in row.iter_mut().zip(values) {
-                        *value -= taken;
-                    }
-                }
-            }
-        }
-    }
-
     pub(crate) const fn new() -> Self {
-        Self { size: 0, values: Vec::new() }
+        Self { size: 0, columns: Vec::new() }
     }
 
     pub(crate) fn size(&self) -> usize {
         self.size
     }
 
+    fn panels(&self) -> usize {
+        self.size.div_ceil(ROWS)
+    }
+
+    /// Columns of a panel.
+    #[inline]
+    fn panel(&self, panel: usize) -> &[Lanes] {
+        &self.columns[start(panel)..start(panel + 1)]
+    }
+
     pub(crate) fn clear(&mut self) {
         self.size = 0;
-        self.values.clear();
+        self.columns.clear();
+    }
+
+    /// All zero, for `size` variables.
+    fn resize(&mut self, size: usize) {
+        self.clear();
+        self.size = size;
+        self.columns.resize(start(self.panels()), [0.0; ROWS]);
     }
 
     /// Appends a variable with a zero row.
     pub(crate) fn push(&mut self) {
         self.size += 1;
-        self.values.resize(start(self.size), 0.0);
-    }
-
-    /// Row `row` up to and with its diagonal.
-    #[inline]
-    pub(crate) fn row(&self, row: usize) -> &[f64] {
-        &self.values[start(row)..start(row + 1)]
-    }
-
-    #[inline]
-    pub(crate) fn row_mut(&mut self, row: usize) -> &mut [f64] {
-        &mut self.values[start(row)..start(row + 1)]
+        self.columns.resize(start(self.panels()), [0.0; ROWS]);
     }
 
     /// Entry (i, j) of the symmetric matrix, in either order.
     #[inline]
     pub(crate) fn get(&self, i: usize, j: usize) -> f64 {
-        self.values[start(i.max(j)) + i.min(j)]
+        let (row, column) = (i.max(j), i.min(j));
+        self.columns[start(row / ROWS) + column][row % ROWS]
     }
 
     #[inline]
     pub(crate) fn get_mut(&mut self, i: usize, j: usize) -> &mut f64 {
-        &mut self.values[start(i.max(j)) + i.min(j)]
+        let (row, column) = (i.max(j), i.min(j));
+        &mut self.columns[start(row / ROWS) + column][row % ROWS]
     }
 
     /// Removes row and column `index`, keeping the order of the others.
     pub(crate) fn remove(&mut self, index: usize) {
-        let mut to = start(index);
         for row in index + 1..self.size {
             for column in (0..=row).filter(|&column| column != index) {
-                self.values[to] = self.values[start(row) + column];
-                to += 1;
+                let to = column - usize::from(index < column);
+                *self.get_mut(row - 1, to) = self.get(row, column);
             }
         }
-        self.size -= 1;
-        self.values.truncate(start(self.size));
+        self.truncate(self.size - 1);
     }
 
     /// Inserts a zero row and column at `index`.
@@ -170,86 +213,219 @@ impl Packed {
         self.push();
         for row in (index + 1..self.size).rev() {
             for column in (0..=row).rev() {
-                let value = match column {
+                *self.get_mut(row, column) = match column {
                     c if c == index => 0.0,
-                    c => self.values[start(row - 1) + c - usize::from(index < c)],
+                    c => self.get(row - 1, c - usize::from(index < c)),
                 };
-                self.values[start(row) + column] = value;
             }
         }
-        self.row_mut(index).fill(0.0);
+        (0..=index).for_each(|column| *self.get_mut(index, column) = 0.0);
     }
 
     /// Keeps the first `size` variables.
     pub(crate) fn truncate(&mut self, size: usize) {
         self.size = size;
-        self.values.truncate(start(size));
+        self.columns.truncate(start(self.panels()));
+        let (last, rows) = (size / ROWS, size % ROWS);
+        if 0 < rows {
+            let columns = &mut self.columns[start(last)..];
+            columns.iter_mut().for_each(|column| column[rows..].fill(0.0));
+        }
+    }
+
+    /// Adds a matrix whose variable i is here at `place(i)`, which is never the same for two.
+    pub(crate) fn add(&mut self, other: &Self, place: impl Fn(usize) -> usize) {
+        if other.size <= self.size && (0..other.size).all(|i| place(i) == i) {
+            for (column, more) in self.columns.iter_mut().zip(&other.columns) {
+                for (value, more) in column.iter_mut().zip(more) {
+                    *value += more;
+                }
+            }
+            return;
+        }
+        for i in 0..other.size {
+            let row = place(i);
+            for j in 0..=i {
+                *self.get_mut(row, place(j)) += other.get(i, j);
+            }
+        }
+    }
+
+    /// Adds the diagonal of such a matrix.
+    pub(crate) fn add_diagonal(&mut self, other: &Self, place: impl Fn(usize) -> usize) {
+        for i in 0..other.size {
+            *self.get_mut(place(i), place(i)) += other.get(i, i);
+        }
+    }
+
+    /// Subtracts Wᵀ·W, W's columns in tiles.
+    pub(crate) fn subtract_gram<const S: usize>(&mut self, tiles: &Tiles<S>) {
+        for (panel, a) in tiles.0.iter().enumerate() {
+            let blocks = self.columns[start(panel)..start(panel + 1)].chunks_exact_mut(ROWS);
+            for (block, b) in blocks.zip(&tiles.0) {
+                for (column, taken) in block.iter_mut().zip(&products(a, b)) {
+                    subtract(column, taken, 1.0);
+                }
+            }
+        }
+    }
+
+    /// Subtracts v·vᵀ.
+    pub(crate) fn subtract_square(&mut self, v: &[f64]) {
+        for panel in 0..self.panels() {
+            let rows = lanes(&v[ROWS * panel..]);
+            for (column, &factor) in self.columns[start(panel)..start(panel + 1)].iter_mut().zip(v)
+            {
+                subtract(column, &rows, factor);
+            }
+        }
+    }
+
+    /// y ← y + A·x.
+    pub(crate) fn multiply_add(&self, x: &[f64], y: &mut [f64]) {
+        for panel in 0..self.panels() {
+            let (before, block) = self.panel(panel).split_at(ROWS * panel);
+            let (above, own) = y.split_at_mut(ROWS * panel);
+            let (x_above, x_own) = x.split_at(ROWS * panel);
+            let rows = lanes(x_own);
+            let mut sums = [0.0; ROWS];
+            for ((column, &x), y) in before.iter().zip(x_above).zip(above) {
+                subtract(&mut sums, column, -x);
+                *y += across(column, &rows);
+            }
+            for (i, y) in own.iter_mut().take(ROWS).enumerate() {
+                let left: f64 = (0..=i).map(|j| block[j][i] * rows[j]).sum();
+                let below: f64 = (i + 1..ROWS).map(|j| block[i][j] * rows[j]).sum();
+                *y += sums[i] + left + below;
+            }
+        }
     }
 
     /// Cholesky factor in place, reciprocals on the diagonal; pivot j must exceed `floor[j]`.
     pub(crate) fn factor(&mut self, floor: &[f64], rank: Rank) -> Result<(), BadPivot> {
-        for i in 0..self.size {
-            let (before, rest) = self.values.split_at_mut(start(i));
-            let row = &mut rest[..=i];
-            for j in 0..i {
-                let other = &before[start(j)..start(j + 1)];
-                row[j] = (row[j] - dot(&row[..j], &other[..j])) * other[j];
+        for panel in 0..self.panels() {
+            let (above, rest) = self.columns.split_at_mut(start(panel));
+            for other in 0..panel {
+                let known = &above[start(other)..start(other + 1)];
+                let (known, triangle) = known.split_at(ROWS * other);
+                let (done, block) = rest.split_at_mut(ROWS * other);
+                solve_block(triangle, &products(done, known), block);
             }
-            let pivot = row[i] - dot(&row[..i], &row[..i]);
-            let positive = floor[i] < pivot && pivot.is_finite();
-            if !positive && (rank == Rank::Full || pivot.is_nan()) {
-                return Err(BadPivot { index: i, pivot });
+            let (done, block) = rest.split_at_mut(ROWS * panel);
+            let taken = products(done, done);
+            let floor = &floor[ROWS * panel..];
+            for (j, &floor) in floor.iter().take(ROWS).enumerate() {
+                let mut column = block[j];
+                subtract(&mut column, &taken[j], 1.0);
+                for l in 0..j {
+                    subtract(&mut column, &block[l], block[l][j]);
+                }
+                let pivot = column[j];
+                let positive = floor < pivot && pivot.is_finite();
+                if !positive && (rank == Rank::Full || pivot.is_nan()) {
+                    return Err(BadPivot { index: ROWS * panel + j, pivot });
+                }
+                let reciprocal = if positive { 1.0 / pivot.sqrt() } else { 0.0 };
+                block[j] = column.map(|value| value * reciprocal);
+                block[j][j] = reciprocal;
             }
-            row[i] = if positive { 1.0 / pivot.sqrt() } else { 0.0 };
         }
         Ok(())
     }
 
     /// v ← L⁻¹·v, on a factor.
     pub(crate) fn solve_lower(&self, v: &mut [f64]) {
-        for i in 0..self.size {
-            let row = self.row(i);
-            v[i] = (v[i] - dot(&row[..i], &v[..i])) * row[i];
+        for panel in 0..self.panels() {
+            let (before, block) = self.panel(panel).split_at(ROWS * panel);
+            let (known, own) = v.split_at_mut(ROWS * panel);
+            let mut rows = lanes(own);
+            for (column, &known) in before.iter().zip(known.iter()) {
+                subtract(&mut rows, column, known);
+            }
+            for (j, own) in own.iter_mut().take(ROWS).enumerate() {
+                *own = rows[j] * block[j][j];
+                subtract(&mut rows, &block[j], *own);
+            }
         }
     }
 
     /// v ← L⁻ᵀ·v, on a factor.
     pub(crate) fn solve_upper(&self, v: &mut [f64]) {
-        for i in (0..self.size).rev() {
-            let row = self.row(i);
-            v[i] *= row[i];
-            let value = v[i];
-            for (x, l) in v[..i].iter_mut().zip(row) {
-                *x -= l * value;
+        for panel in (0..self.panels()).rev() {
+            let (before, block) = self.panel(panel).split_at(ROWS * panel);
+            let (above, own) = v.split_at_mut(ROWS * panel);
+            let mut rows = [0.0; ROWS];
+            for (j, own) in own.iter_mut().take(ROWS).enumerate().rev() {
+                *own = (*own - across(&block[j], &rows)) * block[j][j];
+                rows[j] = *own;
+            }
+            for (value, column) in above.iter_mut().zip(before) {
+                *value -= across(column, &rows);
             }
         }
     }
 
-    /// (L·Lᵀ)⁻¹ of a factor, into `inverse`; `column` is scratch.
-    pub(crate) fn invert_into(&self, inverse: &mut Self, column: &mut Vec<f64>) {
-        inverse.clear();
-        for _ in 0..self.size {
-            inverse.push();
+    /// (L·Lᵀ)⁻¹ of a factor, into `inverse`; `rows` is scratch.
+    ///
+    /// Four columns at a time, from their diagonal down: the rows above follow by symmetry.
+    pub(crate) fn invert_into(&self, inverse: &mut Self, rows: &mut Vec<Lanes>) {
+        inverse.resize(self.size);
+        for first in 0..self.panels() {
+            rows.clear();
+            rows.resize(ROWS * (self.panels() - first), [0.0; ROWS]);
+            (0..ROWS).for_each(|j| rows[j][j] = 1.0);
+            for panel in first..self.panels() {
+                self.solve_rows(first, panel, rows);
+            }
+            for panel in (first..self.panels()).rev() {
+                let own = self.solve_rows_back(first, panel, rows);
+                let target = &mut inverse.columns[start(panel) + ROWS * first..];
+                for (j, column) in target.iter_mut().take(ROWS).enumerate() {
+                    *column = own.map(|row| row[j]);
+                }
+            }
         }
-        for j in 0..self.size {
-            column.clear();
-            column.resize(self.size, 0.0);
-            column[j] = 1.0;
-            self.solve_lower(column);
-            self.solve_upper(column);
-            inverse.row_mut(j).copy_from_slice(&column[..=j]);
+    }
+
+    /// Rows `panel` of L⁻¹·R, those of the panels from `first` on being done; R is zero above.
+    fn solve_rows(&self, first: usize, panel: usize, rows: &mut [Lanes]) {
+        let place = ROWS * (panel - first);
+        let (before, block) = self.panel(panel)[ROWS * first..].split_at(place);
+        let (done, own) = rows.split_at_mut(place);
+        solve_block(block, &products(done, before), own);
+    }
+
+    /// Rows `panel` of L⁻ᵀ·R, those of the panels after it being done, taken from the rows of the
+    /// panels from `first` on.
+    fn solve_rows_back(&self, first: usize, panel: usize, rows: &mut [Lanes]) -> [Lanes; ROWS] {
+        let place = ROWS * (panel - first);
+        let (before, block) = self.panel(panel)[ROWS * first..].split_at(place);
+        let (above, rest) = rows.split_at_mut(place);
+        let mut own = [[0.0; ROWS]; ROWS];
+        for j in (0..ROWS).rev() {
+            let mut row = rest[j];
+            for l in j + 1..ROWS {
+                subtract(&mut row, &own[l], block[j][l]);
+            }
+            own[j] = row.map(|value| value * block[j][j]);
         }
+        for (row, column) in above.iter_mut().zip(before) {
+            for l in 0..ROWS {
+                subtract(row, &own[l], column[l]);
+            }
+        }
+        own
     }
 
     /// Copies into the storage already held.
     pub(crate) fn copy_from(&mut self, source: &Self) {
         self.size = source.size;
-        self.values.clone_from(&source.values);
+        self.columns.clone_from(&source.columns);
     }
 
     /// Numbers storage can hold without growing.
     pub(crate) fn capacity(&self) -> usize {
-        self.values.capacity()
+        self.columns.capacity() * ROWS
     }
 }
 

@@ -15,7 +15,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::block::{Factor, subtract_product, symmetric};
-use crate::graph::border::{Packed, dot};
+use crate::graph::border::{Lanes, Packed, dot};
 use crate::graph::elimination::{Elimination, Retired};
 
 /// Variance of a border variable of which nothing is known, where a prior was built without it.
@@ -33,6 +33,7 @@ pub struct Covariances<const S: usize> {
     variables: Vec<usize>,
     gone: Vec<SVector<f64, S>>,
     scratch: Vec<f64>,
+    rows: Vec<Lanes>,
 }
 
 impl<const S: usize> Covariances<S> {
@@ -45,13 +46,14 @@ impl<const S: usize> Covariances<S> {
             variables: Vec::new(),
             gone: Vec::new(),
             scratch: Vec::new(),
+            rows: Vec::new(),
         }
     }
 
     /// Computes the newest state and the border variables alive there.
     pub fn newest(&mut self, elimination: &Elimination<S>) {
         self.variables.clone_from(&elimination.front.variables);
-        elimination.last.invert_into(&mut self.border, &mut self.scratch);
+        elimination.last.invert_into(&mut self.border, &mut self.rows);
         self.state = SMatrix::zeros();
         self.cross.clear();
         self.cross.resize(self.variables.len(), SVector::zeros());

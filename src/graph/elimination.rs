@@ -210,16 +210,14 @@ impl<const S: usize> Front<S> {
             let place = self.place(variable);
             self.columns[place] += touched.columns[index];
             self.border_right[place] -= touched.gradient[index];
-            let row = touched.matrix.row(index);
-            let coupled = if touched.coupled { &row[..index] } else { &[] };
-            for (&other, &value) in touched.variables.iter().zip(coupled) {
-                let other = self.place(other);
-                *self.matrix.get_mut(place, other) += value;
-            }
-            *self.matrix.get_mut(place, place) += row[index];
-            let damped = damping * row[index];
-            *self.matrix.get_mut(place, place) += damped;
-            self.border_diagonal[place] += row[index] + damped;
+            let own = touched.matrix.get(index, index);
+            self.border_diagonal[place] += own + damping * own;
+            *self.matrix.get_mut(place, place) += damping * own;
+        }
+        let place = |index: usize| self.places[touched.variables[index]].expect("placed above");
+        match touched.coupled {
+            true => self.matrix.add(&touched.matrix, place),
+            false => self.matrix.add_diagonal(&touched.matrix, place),
         }
     }
 
@@ -249,10 +247,8 @@ impl<const S: usize> Front<S> {
         for (i, &factor) in row.iter().enumerate() {
             self.columns[i] -= next * factor;
             self.border_right[i] -= factor * forward;
-            for (value, other) in self.matrix.row_mut(i).iter_mut().zip(row) {
-                *value -= factor * other;
-            }
         }
+        self.matrix.subtract_square(row);
     }
 
     fn remove(&mut self, place: usize) {

@@ -94,29 +94,29 @@ impl<const S: usize> Prior<S> {
     /// Adds the prior on state `k` and the border to a system, at an estimate.
     pub fn add_to(&self, k: usize, estimate: &Estimate<S>, system: &mut System<S>) {
         let e = estimate.states[k] - self.linearized_at;
-        let moved = |b: &Bordering<S>| estimate.border[b.variable] - b.linearized_at;
+        let mut scratch = std::mem::take(&mut system.scratch);
+        scratch.clear();
+        scratch.extend(self.border.iter().map(|b| estimate.border[b.variable] - b.linearized_at));
+        scratch.extend(self.border.iter().map(|bordering| bordering.column.dot(&e)));
+        let (moved, pulls) = scratch.split_at_mut(self.border.len());
+        self.matrix.multiply_add(moved, pulls);
         let mut pull = self.information * e;
-        for bordering in &self.border {
-            pull += bordering.column * moved(bordering);
+        for (bordering, &moved) in self.border.iter().zip(moved.iter()) {
+            pull += bordering.column * moved;
         }
         let mut cost = e.dot(&(pull * 0.5 + self.gradient));
         system.add_information(k, &self.information, &(pull + self.gradient));
-        for (i, bordering) in self.border.iter().enumerate() {
+        for ((bordering, &moved), &pull) in self.border.iter().zip(moved.iter()).zip(pulls.iter()) {
             let place = system.touch(k, bordering.variable);
-            let mut pull = bordering.column.dot(&e);
-            for (j, other) in self.border.iter().enumerate() {
-                pull += self.matrix.get(i, j) * moved(other);
-            }
-            cost += moved(bordering) * (0.5 * pull + bordering.gradient);
+            cost += moved * (0.5 * pull + bordering.gradient);
             let touched = &mut system.touched[k];
-            touched.coupled |= 0 < i;
             touched.columns[place] += bordering.column;
             touched.gradient[place] += pull + bordering.gradient;
-            for (j, other) in self.border[..=i].iter().enumerate() {
-                let other = touched.find(other.variable, j);
-                *touched.matrix.get_mut(place, other) += self.matrix.get(i, j);
-            }
         }
+        let System { touched, lives, .. } = system;
+        touched[k].coupled |= 1 < self.border.len();
+        touched[k].matrix.add(&self.matrix, |i| lives[self.border[i].variable].place());
+        system.scratch = scratch;
         system.add_cost(cost);
     }
 

@@ -78,15 +78,6 @@ impl<const S: usize> Touched<S> {
         self.coupled = false;
     }
 
-    /// Place of a variable known to be here; `hint` is where it probably is.
-    pub(crate) fn find(&self, variable: usize, hint: usize) -> usize {
-        if self.variables.get(hint) == Some(&variable) {
-            return hint;
-        }
-        let place = self.variables.iter().position(|&known| known == variable);
-        place.expect("touched before")
-    }
-
     /// Place of a variable, given the place it had at the last state.
     fn place(&mut self, variable: usize, hint: usize) -> usize {
         if self.variables.get(hint) == Some(&variable) {
