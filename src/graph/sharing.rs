@@ -64,7 +64,10 @@ pub fn shared_offset<const N: usize>(
         if weight_sum <= 0.0 {
             break;
         }
-        offset = -pull / weight_sum;
+        let before = std::mem::replace(&mut offset, -pull / weight_sum);
+        if offset == before {
+            break;
+        }
     }
     offset
 }
@@ -88,36 +91,37 @@ impl<const S: usize> System<S> {
             let shifted = row.row.residual + row.by_offset * offset;
             let (loss, weight) = kernel.tempered(row.share).loss_and_weight(shifted);
             self.add_cost(loss);
-            let v = weight * row.by_offset * row.by_offset;
-            scratch.push(v);
-            total += v;
-            mean_residual += v * shifted / row.by_offset;
+            let scaled = weight * row.by_offset;
+            scratch.push(scaled * row.by_offset);
+            total += scaled * row.by_offset;
+            mean_residual += scaled * shifted;
             for (sum, entry) in mean.iter_mut().zip(row.row.jacobian) {
-                *sum += v * entry / row.by_offset;
+                *sum += scaled * entry;
             }
         }
         if 0.0 < total {
             mean.iter_mut().for_each(|sum| *sum /= total);
             mean_residual /= total;
             for (row, &v) in rows.iter().zip(&scratch) {
-                let shifted = (row.row.residual / row.by_offset + offset) - mean_residual;
-                let jacobian =
-                    std::array::from_fn(|i| row.row.jacobian[i] / row.by_offset - mean[i]);
+                let unit = row.by_offset.recip();
+                let shifted = (row.row.residual * unit + offset) - mean_residual;
+                let jacobian = std::array::from_fn(|i| row.row.jacobian[i] * unit - mean[i]);
                 let centred = Row { residual: shifted, columns: row.row.columns, jacobian };
                 self.add_weighted(k, &centred, v);
             }
-            self.add_group_border(k, rows, &scratch, &mean, offset - mean_residual, total);
+            self.add_group_border(k, rows, &mut scratch, &mean, offset - mean_residual, total);
         }
         self.scratch = scratch;
         offset
     }
 
-    /// What a group says about its border variables; `v` are the weights of its rows.
+    /// What a group says about its border variables; the weights v of its rows become the pulls
+    /// v·∂ρ/∂b of these variables.
     fn add_group_border<const N: usize>(
         &mut self,
         k: usize,
         rows: &[SharingRow<N>],
-        v: &[f64],
+        weights: &mut [f64],
         mean: &[f64; N],
         offset: f64,
         total: f64,
@@ -125,23 +129,25 @@ impl<const S: usize> System<S> {
         for (i, row) in rows.iter().enumerate() {
             let Some((variable, derivative)) = row.border else { continue };
             let place = self.touch(k, variable);
-            let slope = derivative / row.by_offset;
-            let scaled = v[i] * slope;
+            let unit = row.by_offset.recip();
+            let slope = derivative * unit;
+            let pull = weights[i] * slope;
             let touched = &mut self.touched[k];
-            touched.gradient[place] += scaled * (row.row.residual / row.by_offset + offset);
+            touched.gradient[place] += pull * (row.row.residual * unit + offset);
             let column = &mut touched.columns[place];
             for n in 0..N {
-                column[row.row.columns[n]] +=
-                    scaled * (row.row.jacobian[n] / row.by_offset - mean[n]);
+                column[row.row.columns[n]] += pull * (row.row.jacobian[n] * unit - mean[n]);
             }
-            *touched.matrix.get_mut(place, place) += scaled * slope * ((total - v[i]) / total);
+            let left = (total - weights[i]) / total;
+            *touched.matrix.get_mut(place, place) += pull * slope * left;
             touched.coupled |= 0 < i;
-            for (j, other) in rows[..i].iter().enumerate() {
-                let Some((variable, derivative)) = other.border else { continue };
+            let factor = pull / total;
+            for (other, pull) in rows.iter().zip(&weights[..i]) {
+                let Some((variable, _)) = other.border else { continue };
                 let at = self.lives[variable].place();
-                let product = scaled * v[j] * derivative / other.by_offset / total;
-                *self.touched[k].matrix.get_mut(place, at) -= product;
+                *touched.matrix.get_mut(place, at) -= factor * pull;
             }
+            weights[i] = pull;
         }
     }
 }

@@ -78,14 +78,8 @@ impl<const S: usize> Touched<S> {
         self.coupled = false;
     }
 
-    /// Place of a variable, given the place it had at the last state.
-    fn place(&mut self, variable: usize, hint: usize) -> usize {
-        if self.variables.get(hint) == Some(&variable) {
-            return hint;
-        }
-        if let Some(place) = self.variables.iter().position(|&known| known == variable) {
-            return place;
-        }
+    /// Appends a variable; returns its place.
+    fn push(&mut self, variable: usize) -> usize {
         self.variables.push(variable);
         self.columns.push(SVector::zeros());
         self.gradient.push(0.0);
@@ -99,14 +93,16 @@ impl<const S: usize> Touched<S> {
 pub(crate) struct Life {
     /// Last state with a row on it; none: never touched.
     pub(crate) last: Option<usize>,
-    /// Its place among the variables of the state last written.
-    hint: usize,
+    /// The state last written with it.
+    state: usize,
+    /// Its place among the variables there.
+    place: usize,
 }
 
 impl Life {
     /// Its place among the variables of the state last written.
     pub(crate) fn place(&self) -> usize {
-        self.hint
+        self.place
     }
 }
 
@@ -155,7 +151,7 @@ impl<const S: usize> System<S> {
             self.touched.resize_with(states, Touched::new);
         }
         self.lives.clear();
-        self.lives.resize(border, Life { last: None, hint: 0 });
+        self.lives.resize(border, Life { last: None, state: 0, place: 0 });
     }
 
     /// Number of states.
@@ -283,7 +279,7 @@ impl<const S: usize> System<S> {
                 column[row.columns[i]] += scaled * row.jacobian[i];
             }
             for &(other, derivative) in &border[..=position] {
-                let other = self.lives[other].hint;
+                let other = self.lives[other].place;
                 *touched.matrix.get_mut(place, other) += scaled * derivative;
             }
         }
@@ -325,13 +321,16 @@ impl<const S: usize> System<S> {
         blocks + self.gradient.capacity() * S + border.sum::<usize>() + self.lives.capacity()
     }
 
-    /// Place of a border variable among those of state `k`, made if new; kept as its hint.
+    /// Place of a border variable among those of state `k`, made if new.
     #[inline]
     pub(crate) fn touch(&mut self, k: usize, variable: usize) -> usize {
-        let life = &mut self.lives[variable];
-        let place = self.touched[k].place(variable, life.hint);
-        life.hint = place;
-        life.last = Some(life.last.map_or(k, |last| last.max(k)));
-        place
+        let (life, touched) = (&mut self.lives[variable], &mut self.touched[k]);
+        if life.last.is_none_or(|last| last < k) {
+            *life = Life { last: Some(k), state: k, place: touched.push(variable) };
+        } else if life.state != k {
+            let known = touched.variables.iter().position(|&known| known == variable);
+            (life.state, life.place) = (k, known.unwrap_or_else(|| touched.push(variable)));
+        }
+        life.place
     }
 }
