@@ -104,12 +104,8 @@ impl Front {
         }
         self.slipped.clear();
         self.base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
-        let lost_by_rover = |satellite, code| {
-            epoch.observations.iter().any(|observation| {
-                let is_same = observation.satellite == satellite && observation.code == code;
-                is_same && observation.loss_of_lock
-            })
-        };
+        let lost = epoch.observations.iter().filter(|observation| observation.loss_of_lock);
+        let lost: Vec<_> = lost.map(|lost| (lost.satellite, lost.code)).collect();
         let base = &self.base;
         let failed = epoch.power_failure
             || base.power_failed
@@ -119,7 +115,7 @@ impl Front {
             |arc| {
                 failed
                     || options.rtk.arc_gap_s < epoch.time - arc.last
-                    || lost_by_rover(arc.satellite, arc.codes[0])
+                    || lost.contains(&(arc.satellite, arc.codes[0]))
                     || base.lost.contains(&(arc.satellite, arc.codes[1]))
             },
             &mut self.slipped,

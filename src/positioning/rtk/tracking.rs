@@ -224,6 +224,9 @@ impl Tracking {
 
     /// Learns from a position with integers held what satellites delay codes that differ.
     fn learn_biases(&mut self, epoch: &RtkEpoch, position: &Vector3<f64>) {
+        if epoch.rows.iter().all(|factor| factor.bias.is_none()) {
+            return;
+        }
         let mut state = State::zeros();
         state.fixed_rows_mut::<3>(0).copy_from(position);
         epoch.see(&state, &mut self.scratch);
