@@ -236,10 +236,11 @@ impl Reduction {
     /// Integer Gauss step: column j minus round(l_ij) times column i.
     fn subtract(&mut self, i: usize, j: usize) {
         let n = self.size;
-        let multiple = self.factor[i + j * n].round();
-        if multiple == 0.0 {
+        let entry = self.factor[i + j * n];
+        if entry.abs() < 0.5 {
             return;
         }
+        let multiple = entry.round();
         let (left, right) = self.factor.split_at_mut(i * n);
         let target = left[j * n + i..(j + 1) * n].iter_mut();
         target.zip(&right[i..n]).for_each(|(a, b)| *a -= multiple * b);
@@ -267,9 +268,10 @@ impl Reduction {
     }
 
     fn store_rows(&mut self) {
-        let n = self.size;
         self.factor_rows.clear();
-        self.factor_rows.extend((0..n * n).map(|at| self.factor[at / n + at % n * n]));
+        for i in 0..self.size {
+            self.factor_rows.extend(self.factor[i..].iter().step_by(self.size));
+        }
     }
 }
 
