@@ -4,15 +4,14 @@
 //!
 //! `reduction` makes Q nearly diagonal by a unimodular Z, `search` walks the ellipsoid for the best
 //! integers, `success` and `validation` say how far to trust them, `resolver` joins these and
-//! settles for a part when the whole is too weak, `conditioning` brings the integers back to the
-//! real-valued parameters. What the integers mean is the caller's business.
+//! settles for a part when the whole is too weak. What the integers mean, and what they say of
+//! real-valued parameters, is the caller's business.
 //!
 //! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*;
 //! de Jonge & Tiberius (1996), *The LAMBDA method for integer ambiguity estimation: implementation
 //! aspects*, LGR-Series 12; Chang, Yang & Zhou (2005), *MLAMBDA: a modified LAMBDA method for
 //! integer least-squares estimation*, J. Geodesy 79.
 
-mod conditioning;
 mod fix;
 mod reduction;
 mod resolver;
@@ -21,7 +20,6 @@ mod success;
 mod thresholds;
 mod validation;
 
-pub use conditioning::{Conditioning, RealParameters};
 pub use fix::Fix;
 pub use reduction::Reduction;
 pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};

@@ -282,36 +282,6 @@ fn fixed_failure_rate_holds() {
     }
 }
 
-/// Conditioning on all entries is the textbook formula, and in any basis the same.
-#[test]
-fn conditioning_is_the_textbook_formula() {
-    let mut random = Random(3);
-    let (size, parameters) = (5, 3);
-    let root = random.matrix(size + parameters, size + parameters);
-    let joint = &root * root.transpose() + DMatrix::identity(8, 8) * 0.1;
-    let covariance = joint.view((0, 0), (size, size)).into_owned();
-    let before = RealParameters {
-        estimate: DVector::from_fn(parameters, |_, _| random.normal()),
-        covariance: joint.view((size, size), (parameters, parameters)).into_owned(),
-        cross: joint.view((size, 0), (parameters, size)).into_owned(),
-    };
-    let float = random.float(&covariance);
-    let mut resolver = Resolver::with_capacity(size);
-    resolver.resolve(&float, &covariance, Partial::None, &options()).unwrap();
-    let fix = resolver.fix();
-    let mut real = before.clone();
-    let mut conditioning = Conditioning::with_capacity(size, parameters);
-    conditioning.apply(fix, &float, &covariance, &mut real).unwrap();
-
-    let gain = &before.cross * covariance.try_inverse().unwrap();
-    let integers = fix.entries().iter().map(|z| z.unwrap() as f64);
-    let off = DVector::from_iterator(size, float.iter().zip(integers).map(|(a, z)| a - z));
-    assert!((real.estimate - (&before.estimate - &gain * off)).amax() < 1e-9);
-    assert!(
-        (real.covariance - (&before.covariance - &gain * before.cross.transpose())).amax() < 1e-9
-    );
-}
-
 #[test]
 fn bad_covariances_are_typed_errors() {
     let mut resolver = Resolver::with_capacity(3);

@@ -95,6 +95,8 @@ pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
 /// ‖â − z‖² of the latter. `None` where their covariance is not positive definite.
 ///
 /// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
+///
+/// Source: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*.
 pub(super) fn condition(
     joint: &Joint,
     known: &[usize],
