@@ -246,7 +246,11 @@ impl Packed {
         for i in 0..other.size {
             let row = place(i);
             for j in 0..=i {
-                *self.get_mut(row, place(j)) += other.get(i, j);
+                let more = other.get(i, j);
+                // Few variables stand in one row: most pairs are nothing to each other.
+                if more != 0.0 {
+                    *self.get_mut(row, place(j)) += more;
+                }
             }
         }
     }
@@ -298,6 +302,22 @@ impl Packed {
                 let below: f64 = (i + 1..ROWS).map(|j| block[i][j] * rows[j]).sum();
                 *y += sums[i] + left + below;
             }
+        }
+    }
+
+    /// Y ← Y − X·A, columns of height S.
+    pub(crate) fn subtract_product<const S: usize>(
+        &self,
+        x: &[SVector<f64, S>],
+        y: &mut [SVector<f64, S>],
+    ) {
+        for i in 0..self.size {
+            for j in 0..i {
+                let value = self.get(i, j);
+                y[i] -= x[j] * value;
+                y[j] -= x[i] * value;
+            }
+            y[i] -= x[i] * self.get(i, i);
         }
     }
 

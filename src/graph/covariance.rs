@@ -154,15 +154,15 @@ impl<const S: usize> Covariances<S> {
         for (u, cross) in self.gone.iter().zip(&self.cross) {
             to_next -= u * cross.transpose();
         }
+        for cross in &mut self.cross {
+            let mut own = SVector::zeros();
+            subtract_product(&mut own, &u_state, cross);
+            *cross = own;
+        }
+        self.border.subtract_product(&self.gone, &mut self.cross);
         let mut covariance = factor.inverse() - to_next * u_state.transpose();
-        for b in 0..self.gone.len() {
-            let mut cross = SVector::zeros();
-            subtract_product(&mut cross, &u_state, &self.cross[b]);
-            for (a, u) in self.gone.iter().enumerate() {
-                cross -= u * self.border.get(a, b);
-            }
-            covariance -= cross * self.gone[b].transpose();
-            self.cross[b] = cross;
+        for (u, cross) in self.gone.iter().zip(&self.cross) {
+            covariance -= cross * u.transpose();
         }
         self.state = symmetric(&covariance);
     }
