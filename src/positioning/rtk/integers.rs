@@ -5,7 +5,7 @@
 //! conditioned on them anew, after a test of whether it still agrees, and they are dropped when it
 //! does not. What is not labelled is then looked for in what that leaves.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
@@ -213,8 +213,8 @@ impl Integers {
         let mut held = known.len();
         if !others.is_empty() {
             let lambda = Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*options };
-            let outcome = self.search(arcs, &rest, &others, &lambda);
             let places: Vec<usize> = (0..others.len()).collect();
+            let outcome = self.search(arcs, &rest, &places, &others, &lambda);
             if outcome.is_some_and(|outcome| outcome.rejection.is_none())
                 && let Some(left) = self.hold_found(&rest, &places)
             {
@@ -243,8 +243,8 @@ impl Integers {
     ) -> Resolution {
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.subsets(arcs, options.fixed_min) {
-            let part = joint.of(&wanted);
-            let Some(outcome) = self.search(arcs, &part, &wanted, options) else { continue };
+            let found = self.search(arcs, joint, &wanted, &wanted, options);
+            let Some(outcome) = found else { continue };
             tried += outcome.attempts;
             resolution.ratio = outcome.ratio;
             resolution.success_rate = Some(outcome.success_rate);
@@ -313,18 +313,20 @@ impl Integers {
         (0..self.pairs.len()).filter(|&i| is_wanted(&self.pairs[i])).collect()
     }
 
-    /// Looks for the integers of some pairs, of which `joint` holds estimate and covariance in
-    /// their order.
+    /// Looks for the integers of the pairs `wanted`, of which `joint` holds estimate and covariance
+    /// at `places`.
     fn search(
         &mut self,
         arcs: &[Arc],
         joint: &Joint,
+        places: &[usize],
         wanted: &[usize],
         options: &Options,
     ) -> Option<Outcome> {
         let n = wanted.len();
-        let float: Vec<f64> = joint.estimate.iter().skip(3).copied().collect();
-        let covariance = joint.covariance.view((3, 3), (n, n)).into_owned();
+        let float: Vec<f64> = places.iter().map(|i| joint.estimate[3 + i]).collect();
+        let between = |i: usize, j: usize| joint.covariance[(3 + places[i], 3 + places[j])];
+        let covariance = DMatrix::from_fn(n, n, between);
         let strength = |&i: &usize| {
             let arc = &arcs[self.pairs[wanted[i]].arc];
             (arc.epochs.min(2), arc.elevation_rad)
@@ -455,8 +457,6 @@ pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> Fi
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::DMatrix;
-
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
     use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
