@@ -7,13 +7,8 @@
 use nalgebra::SVector;
 
 use crate::graph::block::{BadPivot, Rank};
+use crate::graph::lanes::{Lanes, ROWS, Tiles, across, lanes, products, solve_block, subtract};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
-
-/// Rows of a panel.
-const ROWS: usize = 4;
-
-/// One number for each row of a panel.
-pub(crate) type Lanes = [f64; ROWS];
 
 /// Lower triangle of a symmetric matrix, or its Cholesky factor.
 ///
@@ -53,98 +48,6 @@ impl Snapshot for Packed {
 #[inline]
 fn start(panel: usize) -> usize {
     ROWS * panel * (panel + 1) / 2
-}
-
-/// Dot product in four fixed lanes: vectorises, and always in the same order.
-#[inline]
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut lanes = [0.0; 4];
-    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
-    let tail = a4.remainder().iter().zip(b4.remainder());
-    let tail: f64 = tail.map(|(x, y)| x * y).sum();
-    for (x, y) in a4.zip(b4) {
-        for lane in 0..4 {
-            lanes[lane] += x[lane] * y[lane];
-        }
-    }
-    (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
-}
-
-/// Dot product of one number each.
-#[inline]
-fn across(a: &Lanes, b: &Lanes) -> f64 {
-    (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
-}
-
-/// a ← a − f·b.
-#[inline]
-fn subtract(a: &mut Lanes, b: &Lanes, factor: f64) {
-    for (value, taken) in a.iter_mut().zip(b) {
-        *value -= taken * factor;
-    }
-}
-
-/// Σ aₖ·bₖᵀ over the columns of two panels: entry [j][i] is of row i of `a` and row j of `b`.
-#[inline]
-fn products(a: &[Lanes], b: &[Lanes]) -> [Lanes; ROWS] {
-    let mut sums = [[0.0; ROWS]; ROWS];
-    for (a, b) in a.iter().zip(b) {
-        for j in 0..ROWS {
-            for i in 0..ROWS {
-                sums[j][i] += a[i] * b[j];
-            }
-        }
-    }
-    sums
-}
-
-/// X ← L⁻¹·(X − T), L the triangle of a factor's block.
-#[inline]
-fn solve_block(triangle: &[Lanes], taken: &[Lanes; ROWS], x: &mut [Lanes]) {
-    for j in 0..ROWS {
-        let mut row = x[j];
-        subtract(&mut row, &taken[j], 1.0);
-        for l in 0..j {
-            subtract(&mut row, &x[l], triangle[l][j]);
-        }
-        x[j] = row.map(|value| value * triangle[j][j]);
-    }
-}
-
-/// The first rows of a panel from a slice, zero beyond its end.
-#[inline]
-fn lanes(values: &[f64]) -> Lanes {
-    let mut lanes = [0.0; ROWS];
-    let rows = values.len().min(ROWS);
-    lanes[..rows].copy_from_slice(&values[..rows]);
-    lanes
-}
-
-/// Columns of height S, each a row of panels that are S wide.
-#[derive(Clone, Debug)]
-pub(crate) struct Tiles<const S: usize>(Vec<[Lanes; S]>);
-
-impl<const S: usize> Tiles<S> {
-    pub(crate) const fn new() -> Self {
-        Self(Vec::new())
-    }
-
-    pub(crate) fn load(&mut self, columns: &[SVector<f64, S>]) {
-        self.0.clear();
-        for four in columns.chunks(ROWS) {
-            let mut tile = [[0.0; ROWS]; S];
-            for (lane, column) in four.iter().enumerate() {
-                for s in 0..S {
-                    tile[s][lane] = column[s];
-                }
-            }
-            self.0.push(tile);
-        }
-    }
-
-    pub(crate) fn capacity(&self) -> usize {
-        self.0.capacity() * ROWS * S
-    }
 }
 
 impl Packed {
@@ -337,8 +240,8 @@ impl Packed {
             for (j, &floor) in floor.iter().take(ROWS).enumerate() {
                 let mut column = block[j];
                 subtract(&mut column, &taken[j], 1.0);
-                for l in 0..j {
-                    subtract(&mut column, &block[l], block[l][j]);
+                for left in &block[..j] {
+                    subtract(&mut column, left, left[j]);
                 }
                 let pivot = column[j];
                 let positive = floor < pivot && pivot.is_finite();
@@ -452,7 +355,7 @@ impl Packed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::DMatrix;
+    use nalgebra::{DMatrix, DVector};
 
     fn example(n: usize) -> (DMatrix<f64>, Packed) {
         let a = DMatrix::from_fn(n, n, |r, c| ((r * 11 + c * 5) % 7) as f64 - 2.5);
@@ -490,9 +393,45 @@ mod tests {
     fn agrees_with_nalgebra() {
         let (a, mut packed) = example(11);
         packed.factor(&[0.0; 11], Rank::Full).unwrap();
-        let (mut inverse, mut column) = (Packed::new(), Vec::new());
-        packed.invert_into(&mut inverse, &mut column);
-        assert!((dense(&inverse) - a.try_inverse().unwrap()).norm() < 1e-11);
+        let (mut inverse, mut rows) = (Packed::new(), Vec::new());
+        packed.invert_into(&mut inverse, &mut rows);
+        let oracle = a.try_inverse().unwrap();
+        assert!((dense(&inverse) - &oracle).norm() < 1e-11);
+        let right = DVector::from_fn(11, |i, _| (i as f64).cos());
+        let mut solved = right.clone();
+        packed.solve_lower(solved.as_mut_slice());
+        packed.solve_upper(solved.as_mut_slice());
+        assert!((solved - oracle * right).norm() < 1e-11);
+    }
+
+    /// Sums and products by their definitions, beyond a panel and within one.
+    #[test]
+    fn sums_and_products_are_those_of_dense_matrices() {
+        for n in [3, 8, 11] {
+            let (mut a, mut packed) = example(n);
+            let v = DVector::from_fn(n, |i, _| (i as f64).sin());
+            let x: Vec<_> = (0..n).map(|i| SVector::<f64, 2>::new(v[i], i as f64 - 2.5)).collect();
+            let (mut sum, mut left) = (vec![1.0; n], vec![SVector::zeros(); n]);
+            packed.multiply_add(v.as_slice(), &mut sum);
+            packed.subtract_product(&x, &mut left);
+            for i in 0..n {
+                assert!((sum[i] - 1.0 - a.row(i).dot(&v.transpose())).abs() < 1e-12);
+                let product: SVector<f64, 2> = (0..n).map(|j| x[j] * a[(i, j)]).sum();
+                assert!((left[i] + product).norm() < 1e-12);
+            }
+            packed.subtract_square(v.as_slice());
+            a -= &v * v.transpose();
+            let mut tiles = Tiles::new();
+            tiles.load(&x);
+            packed.subtract_gram(&tiles);
+            a -= DMatrix::from_fn(n, n, |i, j| x[i].dot(&x[j]));
+            assert!((dense(&packed) - &a).norm() < 1e-12);
+            let other = packed.clone();
+            packed.add(&other, |i| n - 1 - i);
+            packed.add(&other, |i| i);
+            let turned = DMatrix::from_fn(n, n, |i, j| a[(n - 1 - i, n - 1 - j)]);
+            assert!((dense(&packed) - (&a * 2.0 + turned)).norm() < 1e-12);
+        }
     }
 
     #[test]

@@ -15,8 +15,9 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::block::{Factor, subtract_product, symmetric};
-use crate::graph::border::{Lanes, Packed, dot};
+use crate::graph::border::Packed;
 use crate::graph::elimination::{Elimination, Retired};
+use crate::graph::lanes::{Lanes, dot};
 
 /// Variance of a border variable of which nothing is known, where a prior was built without it.
 const UNKNOWN: f64 = 1e6;

@@ -17,8 +17,9 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::block::{BadPivot, Factor, PIVOT_FLOOR, Rank, subtract_product, subtract_square};
-use crate::graph::border::{Packed, Tiles, dot};
+use crate::graph::border::Packed;
 use crate::graph::estimate::Estimate;
+use crate::graph::lanes::{Tiles, dot};
 use crate::graph::system::{BorderLife, System};
 
 /// A scalar unknown.

@@ -90,6 +90,7 @@ pub mod system;
 
 mod block;
 mod border;
+mod lanes;
 
 #[cfg(test)]
 pub(crate) mod oracle;

@@ -17,10 +17,10 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::block::Factor;
-use crate::graph::border::dot;
 use crate::graph::covariance::Covariances;
 use crate::graph::elimination::{Elimination, Retired};
 use crate::graph::estimate::Estimate;
+use crate::graph::lanes::dot;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, snapshot_fields};
 
 /// How a marginalised state depends on the next one and the border that stayed.

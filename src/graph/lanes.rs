@@ -1,0 +1,104 @@
+//! Four numbers at once: what the matrix of the border is worked on with.
+//!
+//! Four rows of a matrix, column by column, are a *panel*. Loops over `0..ROWS` have constant bounds
+//! and run over neighbours, so that they vectorise, and always in the same order.
+
+use nalgebra::SVector;
+
+/// Rows of a panel.
+pub(crate) const ROWS: usize = 4;
+
+/// One number for each row of a panel.
+pub(crate) type Lanes = [f64; ROWS];
+
+/// Dot product in four fixed lanes: vectorises, and always in the same order.
+#[inline]
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut lanes = [0.0; 4];
+    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
+    let tail = a4.remainder().iter().zip(b4.remainder());
+    let tail: f64 = tail.map(|(x, y)| x * y).sum();
+    for (x, y) in a4.zip(b4) {
+        for lane in 0..4 {
+            lanes[lane] += x[lane] * y[lane];
+        }
+    }
+    (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
+}
+
+/// Dot product of one number each.
+#[inline]
+pub(crate) fn across(a: &Lanes, b: &Lanes) -> f64 {
+    (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
+}
+
+/// a ← a − f·b.
+#[inline]
+pub(crate) fn subtract(a: &mut Lanes, b: &Lanes, factor: f64) {
+    for (value, taken) in a.iter_mut().zip(b) {
+        *value -= taken * factor;
+    }
+}
+
+/// Σ aₖ·bₖᵀ over the columns of two panels: entry [j][i] is of row i of `a` and row j of `b`.
+#[inline]
+pub(crate) fn products(a: &[Lanes], b: &[Lanes]) -> [Lanes; ROWS] {
+    let mut sums = [[0.0; ROWS]; ROWS];
+    for (a, b) in a.iter().zip(b) {
+        for j in 0..ROWS {
+            for i in 0..ROWS {
+                sums[j][i] += a[i] * b[j];
+            }
+        }
+    }
+    sums
+}
+
+/// X ← L⁻¹·(X − T), L the triangle of a factor's block.
+#[inline]
+pub(crate) fn solve_block(triangle: &[Lanes], taken: &[Lanes; ROWS], x: &mut [Lanes]) {
+    for j in 0..ROWS {
+        let mut row = x[j];
+        subtract(&mut row, &taken[j], 1.0);
+        for l in 0..j {
+            subtract(&mut row, &x[l], triangle[l][j]);
+        }
+        x[j] = row.map(|value| value * triangle[j][j]);
+    }
+}
+
+/// The first rows of a panel from a slice, zero beyond its end.
+#[inline]
+pub(crate) fn lanes(values: &[f64]) -> Lanes {
+    let mut lanes = [0.0; ROWS];
+    let rows = values.len().min(ROWS);
+    lanes[..rows].copy_from_slice(&values[..rows]);
+    lanes
+}
+
+/// Wᵀ in panels, each as wide as W's columns are high.
+#[derive(Clone, Debug)]
+pub(crate) struct Tiles<const S: usize>(pub(crate) Vec<[Lanes; S]>);
+
+impl<const S: usize> Tiles<S> {
+    pub(crate) const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    pub(crate) fn load(&mut self, columns: &[SVector<f64, S>]) {
+        self.0.clear();
+        for four in columns.chunks(ROWS) {
+            let mut tile = [[0.0; ROWS]; S];
+            for (lane, column) in four.iter().enumerate() {
+                for s in 0..S {
+                    tile[s][lane] = column[s];
+                }
+            }
+            self.0.push(tile);
+        }
+    }
+
+    pub(crate) fn capacity(&self) -> usize {
+        self.0.capacity() * ROWS * S
+    }
+}
