@@ -13,7 +13,7 @@ use super::rtk::{Revises, RtkFilter, RtkWindow};
 use super::spp::SinglePoint;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
-const LAYOUT: u16 = 7;
+const LAYOUT: u16 = 8;
 
 /// What an epoch needs beside its own observations.
 #[derive(Clone, Copy, Debug)]

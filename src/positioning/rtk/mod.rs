@@ -16,6 +16,7 @@ mod epoch;
 mod filter;
 mod float;
 mod front;
+mod heard;
 mod held;
 mod history;
 mod integers;

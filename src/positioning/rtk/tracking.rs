@@ -16,6 +16,7 @@ use super::arcs::{Arc, Arcs};
 use super::biases::CodeBiases;
 use super::epoch::{Ambiguity, AmbiguityStart, DifferenceFactor, Group, RtkEpoch, Scratch, State};
 use super::float::FloatSolution;
+use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
 use super::noise::NoiseScale;
 
@@ -32,6 +33,7 @@ pub(super) struct Tracking {
     pub(super) arcs: Arcs,
     /// How far the arcs' integers are trusted.
     pub(super) trust: Trust,
+    heard: HeardRanges,
     pseudorange_noise: NoiseScale,
     carrier_noise: NoiseScale,
     biases: CodeBiases,
@@ -39,7 +41,7 @@ pub(super) struct Tracking {
     misses: Vec<f64>,
 }
 
-snapshot_fields!(Tracking { arcs, trust, pseudorange_noise, carrier_noise, biases } memory {
+snapshot_fields!(Tracking { arcs, trust, heard, pseudorange_noise, carrier_noise, biases } memory {
     scratch: Scratch::default(),
     misses: Vec::new(),
 });
@@ -55,6 +57,7 @@ impl Clone for Tracking {
     fn clone_from(&mut self, source: &Self) {
         self.arcs.clone_from(&source.arcs);
         self.trust = source.trust;
+        self.heard.clone_from(&source.heard);
         self.pseudorange_noise = source.pseudorange_noise;
         self.carrier_noise = source.carrier_noise;
         self.biases.clone_from(&source.biases);
@@ -67,6 +70,7 @@ impl Tracking {
         Self {
             arcs: Arcs::default(),
             trust: Trust::default(),
+            heard: HeardRanges::default(),
             pseudorange_noise: NoiseScale::stated(),
             carrier_noise: NoiseScale::stated(),
             biases: CodeBiases::default(),
@@ -78,6 +82,7 @@ impl Tracking {
     /// Ends all arcs; what is known of the receivers' noise stays.
     pub(super) fn clear(&mut self) {
         self.arcs.clear();
+        self.heard.clear();
         self.trust = Trust::default();
     }
 
@@ -104,6 +109,7 @@ impl Tracking {
         if options.graph.doppler != DopplerUse::None {
             add_rates(epoch, frame, guess, differences);
         }
+        self.heard.forget_before(epoch.time - options.rtk.pseudorange_correlation_s);
         for group in differences.list.chunk_by(|a, b| a.group() == b.group()) {
             let offset_m = self.add_pseudoranges(epoch, group, options);
             self.add_carriers(epoch, group, differences, offset_m, border, options);
@@ -121,11 +127,7 @@ impl Tracking {
         let correlation_s = options.rtk.pseudorange_correlation_s;
         for difference in group {
             let Some(pseudorange) = difference.pseudorange else { continue };
-            let continues = self.arcs.find(difference).is_some();
-            let share = match &epoch.motion {
-                Some(motion) if continues => (motion.interval_s() / correlation_s).min(1.0),
-                _ => 1.0,
-            };
+            let share = self.heard.share(difference, epoch.time, correlation_s);
             let (bias, place) = self.biases.of(difference);
             let noise_m2 = self.pseudorange_noise.value.powi(2) * pseudorange.variance_m2;
             epoch.rows.push(DifferenceFactor {
