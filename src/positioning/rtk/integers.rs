@@ -65,13 +65,18 @@ pub(super) struct Resolution {
 }
 
 impl Resolution {
-    /// The same, but for a position that the integers held leave uncertain: that is none.
-    fn if_precise(self) -> Self {
-        let precise = |fixed: FixedPosition| {
+    /// The same where integers are enough to place the rover: not where they leave it uncertain, nor
+    /// where they are of less than half of its ambiguities.
+    pub(super) fn if_a_place(self) -> Self {
+        let ambiguities = self.ambiguities;
+        let place = |fixed: FixedPosition| {
             let sigma_m = fixed.horizontal_sigma_m();
-            if sigma_m <= FIXED_SIGMA_M { Ok(fixed) } else { Err(Reason::FixImprecise { sigma_m }) }
+            if FIXED_SIGMA_M < sigma_m {
+                return Err(Reason::FixImprecise { sigma_m });
+            }
+            if 2 * fixed.held < ambiguities { Err(Reason::FixRejected) } else { Ok(fixed) }
         };
-        Self { outcome: self.outcome.and_then(precise), ..self }
+        Self { outcome: self.outcome.and_then(place), ..self }
     }
 }
 
@@ -112,6 +117,18 @@ snapshot_fields!(Trust {
     was_kept,
     origins,
 });
+
+/// How integers are looked for.
+#[derive(Clone, Copy, Debug)]
+struct Search<'a> {
+    options: &'a Options,
+    /// What odds are divided by.
+    doubt: f64,
+    /// Epochs in a row after which labels are kept.
+    hold_epochs: u32,
+    /// Labels were kept and no longer agree with the float solution.
+    were_kept: bool,
+}
 
 /// Resolves integers; its memory is used again.
 #[derive(Clone, Debug)]
@@ -157,28 +174,18 @@ impl Integers {
         }
         let joint = self.joint(float);
         let (lambda, doubt) = (lambda_options(options, noise.freedom()), noise.doubt());
-        if options.hold_epochs <= trust.agreed {
-            if let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
-                return resolution.if_precise();
-            }
-            let (era, before) = (trust.era, self.pairs.clone());
-            drop_labels(arcs, trust, false);
-            self.pairs.iter_mut().for_each(|pair| pair.known = None);
-            let resolution =
-                self.resolve_anew(arcs, trust, &joint, &lambda, doubt, options.hold_epochs);
-            // What no longer agrees is not wrong before other integers are found.
-            let found = |arc: usize| arcs[arc].label;
-            let differs = |pair: &DoubleDifference| {
-                let both = found(pair.arc).zip(found(pair.reference));
-                let now = both.and_then(|(own, zero)| own.less(zero));
-                pair.known.zip(now).is_some_and(|(known, found)| known != found)
-            };
-            if before.iter().any(differs) {
-                trust.refuted = Some(era);
-            }
-            return resolution.if_precise();
+        let were_kept = options.hold_epochs <= trust.agreed;
+        if were_kept && let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
+            return resolution;
         }
-        self.resolve_anew(arcs, trust, &joint, &lambda, doubt, options.hold_epochs).if_precise()
+        let search =
+            Search { options: &lambda, doubt, hold_epochs: options.hold_epochs, were_kept };
+        let resolution = self.resolve_anew(arcs, trust, &joint, &search);
+        // What no longer agrees is not wrong before other integers are found.
+        if were_kept && options.hold_epochs <= trust.agreed {
+            drop_labels(arcs, trust, false);
+        }
+        resolution
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -230,17 +237,17 @@ impl Integers {
         })
     }
 
-    /// Looks for all integers; labels must be found again until they are trusted. Odds are divided
-    /// by `doubt`.
+    /// Looks for all integers; labels must be found again until they are trusted. Of integers that
+    /// contradict each other the likelier are believed, and none is answered before they are found
+    /// again.
     fn resolve_anew(
         &mut self,
         arcs: &mut [Arc],
         trust: &mut Trust,
         joint: &Joint,
-        options: &Options,
-        doubt: f64,
-        hold_epochs: u32,
+        search: &Search<'_>,
     ) -> Resolution {
+        let Search { options, doubt, hold_epochs, were_kept } = *search;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.subsets(arcs, options.fixed_min) {
             let found = self.search(arcs, joint, &wanted, &wanted, options);
@@ -253,18 +260,20 @@ impl Integers {
                 continue;
             }
             resolution.outcome = Err(Reason::FixRejected);
-            let entries = self.resolver.fix().entries();
-            let contradicts = |(&i, entry): (&usize, &Option<i64>)| {
-                self.pairs[i].known.zip(*entry).is_some_and(|(known, found)| known != found)
-            };
-            if wanted.iter().zip(entries).any(contradicts) {
-                drop_labels(arcs, trust, true);
-                return resolution;
-            }
             let stated = chosen_of(doubt * tried as f64, outcome.probability.unwrap_or(0.0));
             let Some(rest) = self.hold_found(joint, &wanted) else { continue };
             let probability = doubted(stated, &rest);
             if options.probability_min <= probability {
+                if self.contradict_labels(&wanted) {
+                    if probability <= trust.probability {
+                        continue;
+                    }
+                    drop_labels(arcs, trust, true);
+                    return resolution;
+                }
+                if were_kept {
+                    drop_labels(arcs, trust, false);
+                }
                 let held = self.label(arcs, trust, &wanted);
                 trust.agreed += 1;
                 trust.was_kept |= hold_epochs <= trust.agreed;
@@ -275,6 +284,13 @@ impl Integers {
             }
         }
         resolution
+    }
+
+    /// Whether the integers the last search found among the pairs `wanted` are not those known.
+    fn contradict_labels(&self, wanted: &[usize]) -> bool {
+        let found = wanted.iter().zip(self.resolver.fix().entries());
+        let mut both = found.filter_map(|(&i, entry)| self.pairs[i].known.zip(*entry));
+        both.any(|(known, found)| known != found)
     }
 
     /// The pairs to look for together, one set after another until one is found: those of groups
@@ -536,5 +552,58 @@ mod tests {
             assert!((other.covariance - fixed.covariance).norm() < 1e-12, "{highest}");
             assert!((other.probability - fixed.probability).abs() < 1e-9, "{highest}");
         }
+    }
+
+    fn resolved(arcs: &mut [Arc], trust: &mut Trust) -> Resolution {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let noise = NoiseScale::stated();
+        Integers::new().resolve(arcs, trust, |_| true, &float(), &options.rtk, &noise)
+    }
+
+    fn integers(arcs: &[Arc]) -> Vec<i64> {
+        arcs.iter().map(|arc| arc.label.unwrap().integer).collect()
+    }
+
+    /// Integers that contradict likelier ones are not believed; likelier than those, they are at the
+    /// next epoch, and those were wrong.
+    #[test]
+    fn the_likelier_are_believed() {
+        let others: Vec<i64> = (0..N as i64).map(|k| k * k + k % 2).collect();
+        for agreed in [1, 1000] {
+            let mut arcs = arcs(0);
+            for (arc, &integer) in arcs.iter_mut().zip(&others) {
+                arc.label = Some(Label { origin: 1, integer });
+            }
+            let certain = Trust { agreed, probability: 1.0, era: 4, ..Trust::default() };
+            let (mut known, mut trust) = (arcs.clone(), certain);
+            assert!(resolved(&mut known, &mut trust).outcome.is_err());
+            assert_eq!(trust.refuted, None);
+            match agreed {
+                1 => assert_eq!(integers(&known), others),
+                _ => assert!(known.iter().all(|arc| arc.label.is_none()), "kept, but out of reach"),
+            }
+            let mut trust = Trust { probability: 0.99, ..certain };
+            assert!(resolved(&mut arcs, &mut trust).outcome.is_err());
+            assert_eq!((trust.refuted, trust.era), (Some(4), 5));
+            assert!(resolved(&mut arcs, &mut trust).outcome.is_ok());
+            assert_eq!(integers(&arcs), (0..N as i64).map(|k| k * k).collect::<Vec<_>>());
+        }
+    }
+
+    /// Four of eight ambiguities place the rover, four of nine do not, nor do eight that leave it
+    /// uncertain by more than 5 cm.
+    #[test]
+    fn few_integers_or_rough_ones_are_no_place() {
+        let outcome = |ambiguities, held, sigma_m: f64| {
+            let covariance = Matrix3::identity() * sigma_m.powi(2);
+            let position = Vector3::zeros();
+            let fixed = FixedPosition { position, covariance, held, probability: 0.999 };
+            let resolution =
+                Resolution { ambiguities, ratio: None, success_rate: None, outcome: Ok(fixed) };
+            resolution.if_a_place().outcome
+        };
+        assert!(outcome(8, 4, 0.04).is_ok());
+        assert!(matches!(outcome(9, 4, 0.04), Err(Reason::FixRejected)));
+        assert!(matches!(outcome(8, 8, 0.06), Err(Reason::FixImprecise { .. })));
     }
 }

@@ -27,6 +27,7 @@ mod revision;
 mod settings;
 mod tracking;
 mod window;
+mod withheld;
 
 pub(super) use filter::RtkFilter;
 pub(super) use history::Revises;

@@ -9,6 +9,9 @@ const HUBER: f64 = 1.345;
 /// Steps shorter than this many standard deviations of the answer end a solve.
 const TOLERANCE: f64 = 1e-2;
 
+/// What carriers' kernel becomes.
+pub(super) const CARRIER_KERNEL: Kernel = Kernel::geman_mcclure(4.0);
+
 /// Robust kernels of the measurements.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kernels {
@@ -37,16 +40,13 @@ pub(super) struct Settings {
 
 impl Settings {
     pub(super) fn new(options: &PositioningOptions) -> Self {
-        let annealed = |width| AnnealedKernel {
-            convex: Kernel::huber(HUBER),
-            target: Kernel::geman_mcclure(width),
-        };
+        let annealed = |target| AnnealedKernel { convex: Kernel::huber(HUBER), target };
         let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
         let (horizontal, up) = (options.graph.horizontal_walk_m_s, options.graph.vertical_walk_m_s);
         Self {
             kernels: Kernels {
-                pseudorange: annealed(3.0),
-                carrier: annealed(4.0),
+                pseudorange: annealed(Kernel::geman_mcclure(3.0)),
+                carrier: annealed(CARRIER_KERNEL),
                 doppler: Kernel::cauchy(options.graph.doppler_width),
             },
             motion: MotionWalk { velocity_m_s: [horizontal, horizontal, up] },

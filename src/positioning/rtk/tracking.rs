@@ -19,6 +19,8 @@ use super::float::FloatSolution;
 use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
 use super::noise::NoiseScale;
+use super::settings::CARRIER_KERNEL;
+use super::withheld::withheld_information;
 
 /// Deviation of an ambiguity about its start (cycles): 200 m.
 const START_CYCLES: f64 = 1e3;
@@ -181,7 +183,7 @@ impl Tracking {
         let Scratch { rows, numbers, .. } = &mut self.scratch;
         let offset_m = match rows.is_empty() {
             true => offset_m.unwrap_or(0.0),
-            false => shared_offset(rows, &Kernel::geman_mcclure(4.0), numbers),
+            false => shared_offset(rows, &CARRIER_KERNEL, numbers),
         };
         for difference in group {
             let Some(carrier) = difference.carrier else { continue };
@@ -293,6 +295,12 @@ impl Tracking {
         let is_present = |arc: &Arc| arc.last == epoch.time;
         let noise = &self.pseudorange_noise;
         let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, noise);
+        if let Ok(fixed) = &mut resolution.outcome {
+            let withheld =
+                withheld_information(epoch, &fixed.position, border, &self.arcs, &mut self.scratch);
+            fixed.covariance -= fixed.covariance * withheld * fixed.covariance;
+        }
+        let mut resolution = resolution.if_a_place();
         if let Ok(fixed) = &resolution.outcome
             && MISFIT_SIGMAS < self.learn_carrier_noise(epoch, &fixed.position, border)
         {
