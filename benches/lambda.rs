@@ -39,7 +39,7 @@ fn resolve(bencher: Bencher<'_, '_>, covariance: &DMatrix<f64>) {
         success_rate_min: 0.0,
         ratio_test: RatioTest::FixedFailureRate(FailureRate::PerMille),
         probability_min: 0.0,
-        scale_freedom: f64::INFINITY,
+        scale: None,
         fixed_min: 4,
         candidates: 2,
         nodes_max: 20_000,

@@ -15,7 +15,7 @@ use crate::lambda::success::log_rounding_success;
 use crate::lambda::validation::RatioTest;
 use crate::lambda::validation::posterior_probability;
 use crate::lambda::validation::ratio;
-use crate::lambda::validation::scaled_posterior_probability;
+use crate::lambda::validation::{KnownScale, scaled_posterior_probability};
 
 /// What must hold for integers to be accepted, and how much may be spent on them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,9 +27,8 @@ pub struct Options {
     /// Least posterior probability of the best; 0 asks nothing. If the covariance is right, no test
     /// accepts more at the same rate of accepted wrong integers.
     pub probability_min: f64,
-    /// Degrees of freedom of what is known of the covariance's scale, for that probability;
-    /// infinite where the covariance is certain.
-    pub scale_freedom: f64,
+    /// What is known of the covariance's scale, for that probability; `None` where it is certain.
+    pub scale: Option<KnownScale>,
     /// Fewest entries (or combinations) a fix must hold.
     pub fixed_min: usize,
     /// Candidates kept for the posterior, at least 2.
@@ -231,9 +230,9 @@ impl Resolver {
         outcome.ratio = ratio(norms);
         outcome.squared_norm = norms.first().copied();
         let variances = &self.reduction.variances()[start..];
-        outcome.probability = Some(match options.scale_freedom.is_finite() {
-            true => scaled_posterior_probability(norms, variances, options.scale_freedom),
-            false => posterior_probability(norms, variances),
+        outcome.probability = Some(match options.scale {
+            Some(scale) => scaled_posterior_probability(norms, variances, scale),
+            None => posterior_probability(norms, variances),
         });
         if outcome.ratio.is_none_or(|ratio| ratio < outcome.ratio_threshold) {
             return Some(Rejection::Ratio);

@@ -62,7 +62,7 @@ fn options() -> Options {
         success_rate_min: 0.0,
         ratio_test: RatioTest::Constant(1.0),
         probability_min: 0.0,
-        scale_freedom: f64::INFINITY,
+        scale: None,
         fixed_min: 1,
         candidates: 2,
         nodes_max: 200_000,

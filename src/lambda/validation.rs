@@ -62,26 +62,34 @@ pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f6
     1.0 / (found + tail)
 }
 
-/// The same where the covariance is right but for a factor σ², of which as much is known as
-/// `freedom` residuals would tell.
+/// What is known of the factor σ² that a covariance is right but for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownScale {
+    /// ν: as much as so many residuals would tell.
+    pub freedom: f64,
+    /// s²: their mean square, were they whitened by that covariance.
+    pub variance: f64,
+}
+
+/// The same where the covariance is right but for a factor σ², of which something is known.
 ///
-/// P = (ν + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (ν + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the inverse
-/// chi-square density of ν degrees of freedom about one. A poor best (q₁ ≫ n) then speaks for a
-/// large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean density:
-/// with u = q/(ν + q), π^(n/2)/Γ(n/2) |Q|^½ ν^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from u_m to one.
+/// P = (νs² + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (νs² + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the
+/// inverse chi-square density of ν degrees of freedom about s². A poor best (q₁ ≫ n) then speaks for
+/// a large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean density:
+/// with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from u_m to one.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
 pub fn scaled_posterior_probability(
     norms: &[f64],
     conditional_variances: &[f64],
-    freedom: f64,
+    KnownScale { freedom, variance }: KnownScale,
 ) -> f64 {
     let (Some(best), Some(last)) = (norms.first(), norms.last()) else { return 0.0 };
     let half = 0.5 * conditional_variances.len() as f64;
-    let power = 0.5 * freedom + half;
+    let (power, known) = (0.5 * freedom + half, freedom * variance);
     let found: f64 =
-        norms.iter().map(|q| (power * ((freedom + best) / (freedom + q)).ln()).exp()).sum();
-    let begin = last / (freedom + last);
+        norms.iter().map(|q| (power * ((known + best) / (known + q)).ln()).exp()).sum();
+    let begin = last / (known + last);
     let density = |u: f64| u.powf(half - 1.0) * (1.0 - u).max(0.0).powf(0.5 * freedom - 1.0);
     let step = (1.0 - begin) / f64::from(TAIL_STEPS);
     let at = |k: i32| density(begin + f64::from(k) * step);
@@ -89,8 +97,8 @@ pub fn scaled_posterior_probability(
     let integral = (at(0) + inner + at(TAIL_STEPS)) * step / 3.0;
     let log_factor = half * PI.ln() - log_gamma_of_half(conditional_variances.len())
         + 0.5 * log_determinant(conditional_variances)
-        - 0.5 * freedom * freedom.ln()
-        + power * (freedom + best).ln();
+        - 0.5 * freedom * known.ln()
+        + power * (known + best).ln();
     1.0 / (found + log_factor.exp() * integral)
 }
 
@@ -134,6 +142,22 @@ mod tests {
         }
     }
 
+    fn about_one(freedom: f64) -> KnownScale {
+        KnownScale { freedom, variance: 1.0 }
+    }
+
+    /// A scale known to be about a quarter is a covariance a quarter as large.
+    #[test]
+    fn a_known_scale_is_a_covariance() {
+        let (norms, variances) = ([0.4, 2.0, 3.0, 3.5], [2e-2, 5e-2, 1e-2]);
+        let known = KnownScale { freedom: 9.0, variance: 0.25 };
+        let found = scaled_posterior_probability(&norms, &variances, known);
+        let quarter = (norms.map(|q| q * 4.0), variances.map(|v| v * 0.25));
+        let expected = scaled_posterior_probability(&quarter.0, &quarter.1, about_one(9.0));
+        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        assert!(scaled_posterior_probability(&norms, &variances, about_one(9.0)) + 0.05 < found);
+    }
+
     /// One entry of unit variance: Student's density over all integers, summed here one by one. With
     /// many degrees of freedom it is the normal posterior.
     #[test]
@@ -143,14 +167,15 @@ mod tests {
         let sum: f64 = (-2000..=2000).map(weight).sum();
         let mut norms: Vec<f64> = (-4..=4).map(|z: i32| (float - f64::from(z)).powi(2)).collect();
         norms.sort_by(f64::total_cmp);
-        let found = scaled_posterior_probability(&norms, &[1.0], freedom);
+        let found = scaled_posterior_probability(&norms, &[1.0], about_one(freedom));
         // The tail is an integral over what is a sum.
         assert!((found - weight(0) / sum).abs() < 2e-3, "{found} {}", weight(0) / sum);
         let normal = posterior_probability(&norms, &[1.0]);
-        assert!((scaled_posterior_probability(&norms, &[1.0], 1e4) - normal).abs() < 1e-3);
+        let certain = scaled_posterior_probability(&norms, &[1.0], about_one(1e4));
+        assert!((certain - normal).abs() < 1e-3);
         // The same difference of norms, a poorer best.
-        let near = scaled_posterior_probability(&[1.0, 15.0], &[1e-3; 4], 10.0);
-        let poor = scaled_posterior_probability(&[20.0, 34.0], &[1e-3; 4], 10.0);
+        let near = scaled_posterior_probability(&[1.0, 15.0], &[1e-3; 4], about_one(10.0));
+        let poor = scaled_posterior_probability(&[20.0, 34.0], &[1e-3; 4], about_one(10.0));
         assert!(0.99 < near && poor < 0.97, "{near} {poor}");
     }
 

@@ -14,6 +14,7 @@ use super::belief::{Belief, Gains};
 use super::epoch::{RtkEpoch, STATE, Scratch, State};
 use super::front::{Front, UsableBase};
 use super::integers::Integers;
+use super::noise::Residuals;
 use super::settings::Settings;
 use super::tracking::Tracking;
 use super::window::{FRAME_LIMIT_M, SLIP_ROUNDS};
@@ -248,7 +249,8 @@ impl RtkFilter {
         let Memory { belief, tracking, frame, .. } = memory;
         let present = tracking.arcs.list.iter().filter(|arc| arc.last == epoch.time);
         let float = belief.float(present);
-        let resolution = tracking.resolve(integers, epoch, belief.border(), &float, options);
+        let (border, residuals) = (belief.border(), &Residuals::NONE);
+        let resolution = tracking.resolve(integers, epoch, border, &float, residuals, options);
         let reasons = front.reasons(epoch.time, &tracking.arcs);
         solution(Findings {
             frame,

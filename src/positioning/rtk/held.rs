@@ -1,7 +1,7 @@
 //! Integers found at one time, held at another.
 
 use crate::config::RtkOptions;
-use crate::lambda::{Partial, Resolver};
+use crate::lambda::{KnownScale, Partial, Resolver};
 use crate::positioning::differencing::DifferenceGroup;
 
 use super::arcs::Label;
@@ -85,7 +85,7 @@ fn are_found(
         &float,
         &covariance,
         Partial::None,
-        &lambda_options(options, FREEDOM_LEAST),
+        &lambda_options(options, KnownScale { freedom: FREEDOM_LEAST, variance: 1.0 }),
     );
     let entries = resolver.fix().entries().iter();
     found.is_ok_and(|outcome| outcome.rejection.is_none())

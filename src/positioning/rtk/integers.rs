@@ -9,13 +9,13 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
-use crate::lambda::{Options, Outcome, Partial, RatioTest, Rejection, Resolver};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, RatioTest, Rejection, Resolver};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Label};
 use super::float::FloatSolution;
 use super::joint::{Joint, chosen_of, condition, doubted};
-use super::noise::NoiseScale;
+use super::noise::KnownNoise;
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
@@ -150,7 +150,8 @@ impl Integers {
         }
     }
 
-    /// Looks for the integers of the arcs that are `present`, and labels them.
+    /// Looks for the integers of the arcs that are `present`, and labels them, by what is known of the
+    /// pseudoranges' noise.
     pub(super) fn resolve(
         &mut self,
         arcs: &mut [Arc],
@@ -158,7 +159,7 @@ impl Integers {
         is_present: impl Fn(&Arc) -> bool,
         float: &FloatSolution,
         options: &RtkOptions,
-        noise: &NoiseScale,
+        noise: &KnownNoise,
     ) -> Resolution {
         let is_eligible = |arc: &Arc| is_present(arc) && may_be_integer(arc, options);
         self.difference(arcs, is_eligible, float);
@@ -173,7 +174,7 @@ impl Integers {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.joint(float);
-        let (lambda, doubt) = (lambda_options(options, noise.freedom()), noise.doubt());
+        let (lambda, doubt) = (lambda_options(options, noise.scale), noise.doubt);
         let were_kept = options.hold_epochs <= trust.agreed;
         if were_kept && let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
             return resolution;
@@ -433,14 +434,13 @@ pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust, are_wrong: bool) 
     *trust = Trust { era, refuted, origins, ..Trust::default() };
 }
 
-/// How integers are looked for where as much is known of the noise's scale as `freedom` residuals
-/// would tell.
-pub(super) fn lambda_options(options: &RtkOptions, freedom: f64) -> Options {
+/// How integers are looked for where that is known of the noise's scale.
+pub(super) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
     Options {
         success_rate_min: options.success_rate_min,
         ratio_test: RatioTest::Constant(options.ratio_min),
         probability_min: options.probability_min,
-        scale_freedom: freedom,
+        scale: Some(scale),
         fixed_min: options.fixed_min,
         candidates: CANDIDATES,
         nodes_max: NODES_MAX,
@@ -476,6 +476,7 @@ mod tests {
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
     use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+    use crate::positioning::rtk::noise::{NoiseScale, Residuals};
 
     const N: usize = 7;
 
@@ -528,7 +529,7 @@ mod tests {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
         let found = |highest: usize| {
             let (mut arcs, mut trust) = (arcs(highest), Trust::default());
-            let noise = NoiseScale::stated();
+            let noise = NoiseScale::stated().known(&Residuals::NONE);
             let resolution = Integers::new().resolve(
                 &mut arcs,
                 &mut trust,
@@ -556,7 +557,7 @@ mod tests {
 
     fn resolved(arcs: &mut [Arc], trust: &mut Trust) -> Resolution {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let noise = NoiseScale::stated();
+        let noise = NoiseScale::stated().known(&Residuals::NONE);
         Integers::new().resolve(arcs, trust, |_| true, &float(), &options.rtk, &noise)
     }
 

@@ -18,7 +18,7 @@ use super::epoch::{Ambiguity, AmbiguityStart, DifferenceFactor, Group, RtkEpoch,
 use super::float::FloatSolution;
 use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
-use super::noise::NoiseScale;
+use super::noise::{NoiseScale, Residuals};
 use super::settings::CARRIER_KERNEL;
 use super::withheld::withheld_information;
 
@@ -281,6 +281,28 @@ impl Tracking {
         groups
     }
 
+    /// The pseudoranges' residuals of a window that was solved. Position and offsets have determined
+    /// as many numbers; what phases tie together they determine once.
+    pub(super) fn residuals(&mut self, epochs: &[RtkEpoch], states: &[State]) -> Residuals {
+        let scratch = &mut self.scratch;
+        let (mut square, mut freedom) = (0.0, -3.0);
+        for (epoch, state) in epochs.iter().zip(states) {
+            epoch.see(state, scratch);
+            for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+                epoch.linearize_group(group, &[], scratch);
+                let Scratch { rows, numbers, .. } = &mut *scratch;
+                let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
+                let left = 1.0 - (rows.len() as f64).recip();
+                for row in rows.iter() {
+                    let miss = row.row.residual + row.by_offset * offset_m;
+                    square += row.share * miss * miss;
+                    freedom += row.share * left;
+                }
+            }
+        }
+        Residuals { square, freedom: f64::max(freedom, 0.0) }
+    }
+
     /// Looks for the integers of an epoch that was solved. A position whose phases contradict its
     /// integers is none.
     pub(super) fn resolve(
@@ -289,12 +311,13 @@ impl Tracking {
         epoch: &RtkEpoch,
         border: &[f64],
         float: &FloatSolution,
+        residuals: &Residuals,
         options: &PositioningOptions,
     ) -> Resolution {
         let (list, trust) = (&mut self.arcs.list, &mut self.trust);
         let is_present = |arc: &Arc| arc.last == epoch.time;
-        let noise = &self.pseudorange_noise;
-        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, noise);
+        let noise = self.pseudorange_noise.known(residuals);
+        let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, &noise);
         if let Ok(fixed) = &mut resolution.outcome {
             let withheld =
                 withheld_information(epoch, &fixed.position, border, &self.arcs, &mut self.scratch);

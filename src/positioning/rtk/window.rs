@@ -239,8 +239,15 @@ impl RtkWindow {
         let variables = self.covariances.variables().iter();
         let ambiguities = variables.map(|&variable| estimate.border[variable]).collect();
         let float = FloatSolution::of_graph(state, ambiguities, &self.covariances);
-        let resolution =
-            tracking.resolve(&mut self.integers, epoch, &estimate.border, &float, options);
+        let residuals = tracking.residuals(epochs, &estimate.states);
+        let resolution = tracking.resolve(
+            &mut self.integers,
+            epoch,
+            &estimate.border,
+            &float,
+            &residuals,
+            options,
+        );
         let reasons = self.front.reasons(epoch.time, &tracking.arcs);
         let findings = Findings {
             frame,

@@ -13,8 +13,8 @@ use super::settings::CARRIER_KERNEL;
 /// A phase keeps a share s of its weight, v = s/σ²: errors last, and what goes before has told the
 /// ambiguity the rest. With integers held there is no ambiguity to be told, and of the position,
 /// which each epoch has anew, C then says too little. The covariance of a linear estimator whose
-/// weights are less than the inverse variances is C·(C⁻¹ − D)·C, D = Σ v(1 − s)(a − ā)(a − ā)ᵀ over the
-/// rows of each group, a their slopes and ā those slopes' mean weighted by v.
+/// weights are less than the inverse variances is C·(C⁻¹ − D)·C with D = Σ v(1 − s)(a − ā)(a − ā)ᵀ
+/// over the rows of each group, a their slopes and ā those slopes' mean weighted by v.
 pub(super) fn withheld_information(
     epoch: &RtkEpoch,
     position: &Vector3<f64>,
