@@ -10,9 +10,9 @@ use graphfix::session::{
     Burst, Check, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits,
     SessionUpdate, Sessions, SolveRequest,
 };
-use graphfix::store::{Revisions, SolutionQuery, StoredSolution};
+use graphfix::store::StoredSolution;
 
-use crate::database::{Database, on_both_databases};
+use crate::database::{Database, on_both_databases, whole_session};
 use crate::pair::PAIR;
 
 on_both_databases!(
@@ -76,15 +76,7 @@ impl Desk {
     }
 
     async fn listed(&self, id: &SessionId) -> Vec<StoredSolution> {
-        let query = SolutionQuery {
-            from: None,
-            to: None,
-            status: None,
-            revisions: Revisions::All,
-            page_size: 10_000,
-            page_token: None,
-        };
-        self.sessions.solutions(id, &query).await.unwrap().items
+        self.sessions.solutions(id, &whole_session()).await.unwrap().items
     }
 }
 

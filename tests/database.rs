@@ -5,12 +5,24 @@
 
 use std::future::Future;
 
-use graphfix::store::Store;
+use graphfix::store::{Revisions, SolutionQuery, Store};
 use sqlx::{AssertSqlSafe, Connection, PgConnection, SqliteConnection};
 use tempfile::TempDir;
 use uuid::Uuid;
 
 use crate::data;
+
+/// All that a session has, revisions included, on one page.
+pub(crate) fn whole_session() -> SolutionQuery {
+    SolutionQuery {
+        from: None,
+        to: None,
+        status: None,
+        revisions: Revisions::All,
+        page_size: 10_000,
+        page_token: None,
+    }
+}
 
 /// An empty database for one test.
 pub(crate) struct Database {

@@ -17,10 +17,10 @@ use graphfix::session::{
     SessionUpdate, Sessions, SolveRequest,
 };
 use graphfix::simulation::{Motion, Scenario, Simulator};
-use graphfix::store::{Revisions, SolutionQuery, StoredSolution};
+use graphfix::store::StoredSolution;
 use serde_json::{Value, json};
 
-use crate::database::{Database, on_both_databases};
+use crate::database::{Database, on_both_databases, whole_session};
 use crate::doors::{Doors, code};
 
 on_both_databases!(
@@ -121,15 +121,7 @@ impl Desk {
     }
 
     async fn listed(&self, id: &SessionId) -> Vec<StoredSolution> {
-        let query = SolutionQuery {
-            from: None,
-            to: None,
-            status: None,
-            revisions: Revisions::All,
-            page_size: 10_000,
-            page_token: None,
-        };
-        self.sessions.solutions(id, &query).await.unwrap().items
+        self.sessions.solutions(id, &whole_session()).await.unwrap().items
     }
 }
 

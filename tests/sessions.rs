@@ -15,10 +15,10 @@ use graphfix::session::{
     Burst, EpochOutcome, EpochRefusal, NewSession, SequencedEpoch, SessionError, SessionId,
     SessionLimits, SessionUpdate, Sessions, SolveRequest,
 };
-use graphfix::store::{Revisions, SolutionQuery, Store, StoredSolution};
+use graphfix::store::{Store, StoredSolution};
 
 use crate::data;
-use crate::database::{Database, on_both_databases};
+use crate::database::{Database, on_both_databases, whole_session};
 
 on_both_databases!(
     what_is_acknowledged_survives,
@@ -98,19 +98,8 @@ fn batch(seqs: impl IntoIterator<Item = u64>) -> Vec<SequencedEpoch> {
     seqs.into_iter().map(|seq| epoch(seq, seq as f64)).collect()
 }
 
-fn all() -> SolutionQuery {
-    SolutionQuery {
-        from: None,
-        to: None,
-        status: None,
-        revisions: Revisions::All,
-        page_size: 1_000,
-        page_token: None,
-    }
-}
-
 async fn stored(sessions: &Sessions, id: &SessionId) -> Vec<StoredSolution> {
-    let page = sessions.solutions(id, &all()).await.unwrap();
+    let page = sessions.solutions(id, &whole_session()).await.unwrap();
     assert_eq!(page.next_page_token, None);
     page.items
 }
@@ -419,7 +408,7 @@ async fn corrupt_rows_are_errors(database: Database) {
     let error = sessions.submit(&id, batch([2])).await.unwrap_err();
     assert_eq!(error.code(), "STORED_DATA_CORRUPT");
     database.execute("UPDATE solutions SET content = '\\x' WHERE seq = 3").await;
-    let error = sessions.solutions(&id, &all()).await.unwrap_err();
+    let error = sessions.solutions(&id, &whole_session()).await.unwrap_err();
     assert_eq!(error.code(), "STORED_DATA_CORRUPT");
 }
 

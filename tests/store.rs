@@ -12,7 +12,7 @@ use graphfix::store::{
     Store, StoreError, StoredSolution,
 };
 
-use crate::database::{Database, on_both_databases};
+use crate::database::{Database, on_both_databases, whole_session};
 
 on_both_databases!(
     solutions_come_in_pages,
@@ -59,17 +59,6 @@ fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
     Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session) }
 }
 
-fn query() -> SolutionQuery {
-    SolutionQuery {
-        from: None,
-        to: None,
-        status: None,
-        revisions: Revisions::All,
-        page_size: 10_000,
-        page_token: None,
-    }
-}
-
 fn numbers(page: &Page<StoredSolution>) -> Vec<(u64, u32)> {
     page.items.iter().map(|solution| (solution.seq, solution.revision)).collect()
 }
@@ -86,7 +75,7 @@ async fn solutions_come_in_pages(database: Database) {
     let other = session(&store, "other").await;
     store.commit(batch(key, 1..=7)).await.unwrap();
     store.commit(batch(other, 3..=5)).await.unwrap();
-    let mut query = SolutionQuery { page_size: 3, ..query() };
+    let mut query = SolutionQuery { page_size: 3, ..whole_session() };
     let mut pages = Vec::new();
     loop {
         let page = store.solutions(key, &query).await.unwrap();
@@ -114,7 +103,7 @@ async fn a_span_of_time_includes_its_ends(database: Database) {
     let key = session(&store, "one").await;
     store.commit(batch(key, [10, 20, 30, 40])).await.unwrap();
     let between = async |from: Option<u64>, to: Option<u64>| {
-        let query = SolutionQuery { from: from.map(time), to: to.map(time), ..query() };
+        let query = SolutionQuery { from: from.map(time), to: to.map(time), ..whole_session() };
         stored(&store, key, &query).await.into_iter().map(|(seq, _)| seq).collect::<Vec<_>>()
     };
     assert_eq!(between(Some(20), Some(30)).await, [20, 30]);
@@ -135,7 +124,8 @@ async fn solutions_are_chosen_by_status_and_revision(database: Database) {
     database.execute("UPDATE solutions SET status = 10 WHERE seq = 3").await;
     let of = async |revisions, status, token: Option<&str>| {
         let page_token = token.map(str::to_owned);
-        stored(&store, key, &SolutionQuery { revisions, status, page_token, ..query() }).await
+        stored(&store, key, &SolutionQuery { revisions, status, page_token, ..whole_session() })
+            .await
     };
     assert_eq!(of(Revisions::First, None, None).await, [(1, 0), (2, 0), (3, 0), (4, 0)]);
     assert_eq!(of(Revisions::Last, None, None).await, [(1, 0), (2, 1), (3, 1), (4, 0)]);
@@ -152,7 +142,7 @@ async fn a_batch_is_stored_whole_or_not_at_all(database: Database) {
     store.commit(batch(key, [5])).await.unwrap();
     let error = store.commit(batch(key, 1..=300)).await.unwrap_err();
     assert!(matches!(error, StoreError::AlreadyStored), "{error}");
-    assert_eq!(stored(&store, key, &query()).await, [(5, 0)]);
+    assert_eq!(stored(&store, key, &whole_session()).await, [(5, 0)]);
     assert_eq!(store.epochs(key, &[4, 5, 6]).await.unwrap().len(), 1);
 }
 
@@ -168,8 +158,8 @@ async fn one_contradiction_fails_alone(database: Database) {
     );
     assert!(before.is_ok() && after.is_ok());
     assert!(matches!(contradiction, Err(StoreError::AlreadyStored)));
-    assert_eq!(stored(&store, one, &query()).await, [(1, 0), (2, 0), (3, 0)]);
-    assert_eq!(stored(&store, other, &query()).await.len(), 5);
+    assert_eq!(stored(&store, one, &whole_session()).await, [(1, 0), (2, 0), (3, 0)]);
+    assert_eq!(stored(&store, other, &whole_session()).await.len(), 5);
 }
 
 async fn large_batches_of_any_size_are_stored(database: Database) {
@@ -180,7 +170,7 @@ async fn large_batches_of_any_size_are_stored(database: Database) {
         store.commit(batch(key, first..first + size)).await.unwrap();
         first += size;
     }
-    let rows = stored(&store, key, &query()).await;
+    let rows = stored(&store, key, &whole_session()).await;
     assert_eq!(rows, (0..first).map(|seq| (seq, 0)).collect::<Vec<_>>());
     let last = store.last_epochs(key, 1).await.unwrap().pop().unwrap();
     assert_eq!(last.epoch().unwrap(), Epoch::new(time(first - 1)));
