@@ -1,7 +1,7 @@
 //! Four numbers at once: what the matrix of the border is worked on with.
 //!
-//! Four rows of a matrix, column by column, are a *panel*. Loops over `0..ROWS` have constant bounds
-//! and run over neighbours, so that they vectorise, and always in the same order.
+//! Four rows of a matrix, column by column, are a *panel*. Loops over `0..ROWS` have constant
+//! bounds and run over neighbours, so that they vectorise, and always in the same order.
 
 use nalgebra::SVector;
 

@@ -74,9 +74,10 @@ pub struct KnownScale {
 /// The same where the covariance is right but for a factor σ², of which something is known.
 ///
 /// P = (νs² + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (νs² + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the
-/// inverse chi-square density of ν degrees of freedom about s². A poor best (q₁ ≫ n) then speaks for
-/// a large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean density:
-/// with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from u_m to one.
+/// inverse chi-square density of ν degrees of freedom about s². A poor best (q₁ ≫ n) then speaks
+/// for a large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean
+/// density: with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from
+/// u_m to one.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
 pub fn scaled_posterior_probability(

@@ -27,7 +27,7 @@ snapshot_fields!(HeardRanges { list });
 
 impl HeardRanges {
     /// The share of a pseudorange's information that is new: what time has passed since the last
-    /// one, over the time `correlation_s` that errors last, and one where none was heard for so long.
+    /// one, over the time `correlation_s` that errors last; one where none was heard for so long.
     pub(super) fn share(
         &mut self,
         difference: &SingleDifference,

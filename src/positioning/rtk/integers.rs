@@ -65,8 +65,8 @@ pub(super) struct Resolution {
 }
 
 impl Resolution {
-    /// The same where integers are enough to place the rover: not where they leave it uncertain, nor
-    /// where they are of less than half of its ambiguities.
+    /// The same where integers are enough to place the rover: not where they leave it uncertain,
+    /// nor where they are of less than half of its ambiguities.
     pub(super) fn if_a_place(self) -> Self {
         let ambiguities = self.ambiguities;
         let place = |fixed: FixedPosition| {
@@ -150,8 +150,8 @@ impl Integers {
         }
     }
 
-    /// Looks for the integers of the arcs that are `present`, and labels them, by what is known of the
-    /// pseudoranges' noise.
+    /// Looks for the integers of the arcs that are `present`, and labels them, by what is known of
+    /// the pseudoranges' noise.
     pub(super) fn resolve(
         &mut self,
         arcs: &mut [Arc],

@@ -281,8 +281,8 @@ impl Tracking {
         groups
     }
 
-    /// The pseudoranges' residuals of a window that was solved. Position and offsets have determined
-    /// as many numbers; what phases tie together they determine once.
+    /// The pseudoranges' residuals of a window that was solved. They have determined each offset,
+    /// and one position for all epochs, which phases tie together.
     pub(super) fn residuals(&mut self, epochs: &[RtkEpoch], states: &[State]) -> Residuals {
         let scratch = &mut self.scratch;
         let (mut square, mut freedom) = (0.0, -3.0);
