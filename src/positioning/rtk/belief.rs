@@ -2,13 +2,14 @@
 
 use nalgebra::{DMatrix, SMatrix};
 
-use crate::graph::{Kernel, SharingRow, shared_offset};
+use crate::graph::{SharingRow, shared_offset};
 use crate::positioning::factors::{MotionWalk, VELOCITY};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::Arc;
 use super::epoch::{AmbiguityStart, STATE, State};
 use super::float::FloatSolution;
+use super::settings::OFFSET_KERNEL;
 
 /// Column of the offset that the rows of one group share.
 const OFFSET: usize = STATE;
@@ -169,7 +170,7 @@ impl Belief {
     /// of their standard deviations, those last that fail the test against that offset: the least
     /// suspect settle offset and position, against which the others are tested.
     pub(super) fn enter(&mut self, rows: &[SharingRow<3>], limit: f64, gains: &mut Gains) -> usize {
-        let offset_m = shared_offset(rows, &Kernel::huber(1.345), &mut gains.numbers);
+        let offset_m = shared_offset(rows, &OFFSET_KERNEL, &mut gains.numbers);
         self.renew(OFFSET, offset_m, 0.0);
         let mut order = std::mem::take(&mut gains.order);
         order.clear();

@@ -9,6 +9,8 @@ const HUBER: f64 = 1.345;
 /// Steps shorter than this many standard deviations of the answer end a solve.
 const TOLERANCE: f64 = 1e-2;
 
+/// By which the offset of a group is found.
+pub(super) const OFFSET_KERNEL: Kernel = Kernel::huber(HUBER);
 /// What carriers' kernel becomes.
 pub(super) const CARRIER_KERNEL: Kernel = Kernel::geman_mcclure(4.0);
 

@@ -19,7 +19,7 @@ use super::float::FloatSolution;
 use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
 use super::noise::{NoiseScale, Residuals};
-use super::settings::CARRIER_KERNEL;
+use super::settings::{CARRIER_KERNEL, OFFSET_KERNEL};
 use super::withheld::withheld_information;
 
 /// Deviation of an ambiguity about its start (cycles): 200 m.
@@ -148,7 +148,7 @@ impl Tracking {
         epoch.groups.push(rows);
         epoch.linearize_group(&rows, &[], &mut self.scratch);
         let Scratch { rows, numbers, .. } = &mut self.scratch;
-        Some(shared_offset(rows, &Kernel::huber(1.345), numbers))
+        Some(shared_offset(rows, &OFFSET_KERNEL, numbers))
     }
 
     /// Rows of the carriers of one group; arcs go on or begin.
@@ -241,10 +241,8 @@ impl Tracking {
             }
             epoch.linearize_group(group, &[], &mut self.scratch);
             let Scratch { rows, numbers, .. } = &mut self.scratch;
-            let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
-            for (factor, row) in factors.iter().zip(rows.iter()) {
+            for (factor, miss) in factors.iter().zip(misses(rows, &OFFSET_KERNEL, numbers)) {
                 let Some(place) = factor.bias else { continue };
-                let miss = row.row.residual + row.by_offset * offset_m;
                 let sigma_m = factor.inverse_sigma.recip();
                 self.biases.learn(place, -miss * sigma_m, sigma_m.powi(2), factor.share);
             }
@@ -260,8 +258,8 @@ impl Tracking {
         border: &[f64],
         is_carrier: bool,
     ) -> usize {
-        let Self { misses, scratch, arcs, .. } = self;
-        misses.clear();
+        let Self { misses: gathered, scratch, arcs, .. } = self;
+        gathered.clear();
         epoch.see(state, scratch);
         let mut groups = 0;
         for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {
@@ -273,9 +271,7 @@ impl Tracking {
             if rows.len() < 2 {
                 continue;
             }
-            let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
-            let miss = |row: &SharingRow<3>| row.row.residual + row.by_offset * offset_m;
-            misses.extend(rows.iter().map(|row| miss(row).abs()));
+            gathered.extend(misses(rows, &OFFSET_KERNEL, numbers).map(f64::abs));
             groups += 1;
         }
         groups
@@ -291,10 +287,8 @@ impl Tracking {
             for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
                 epoch.linearize_group(group, &[], scratch);
                 let Scratch { rows, numbers, .. } = &mut *scratch;
-                let offset_m = shared_offset(rows, &Kernel::huber(1.345), numbers);
                 let left = 1.0 - (rows.len() as f64).recip();
-                for row in rows.iter() {
-                    let miss = row.row.residual + row.by_offset * offset_m;
+                for (row, miss) in rows.iter().zip(misses(rows, &OFFSET_KERNEL, numbers)) {
                     square += row.share * miss * miss;
                     freedom += row.share * left;
                 }
@@ -351,9 +345,8 @@ impl Tracking {
         for group in epoch.groups.iter().filter(|group| group.is_carrier) {
             epoch.linearize_group(group, border, &mut self.scratch);
             let Scratch { rows, numbers, .. } = &mut self.scratch;
-            let offset_m = shared_offset(rows, kernel, numbers);
-            for (place, row) in (group.begin..group.end).zip(rows.iter()) {
-                let miss = row.row.residual + row.by_offset * offset_m;
+            let both = rows.iter().zip(misses(rows, kernel, numbers));
+            for (place, (row, miss)) in (group.begin..group.end).zip(both) {
                 if SLIP_SIGMAS < miss.abs() {
                     cut.push((place, miss / row.by_offset));
                 }
@@ -379,6 +372,16 @@ impl Tracking {
         }
         any
     }
+}
+
+/// Whitened residuals of the rows of a group, whose offset is the one that fits best.
+fn misses<'a>(
+    rows: &'a [SharingRow<3>],
+    kernel: &Kernel,
+    numbers: &mut Vec<f64>,
+) -> impl Iterator<Item = f64> + use<'a> {
+    let offset_m = shared_offset(rows, kernel, numbers);
+    rows.iter().map(move |row| row.row.residual + row.by_offset * offset_m)
 }
 
 /// Doppler shifts of the rover from the satellites that are differenced.
