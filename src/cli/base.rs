@@ -31,12 +31,7 @@ pub(crate) struct BaseArguments {
     /// Position of the base's marker, ECEF (m); its header's antenna offset is added. Of UBX and
     /// RTCM 3 data the position in messages 1005 and 1006 takes the header's place. Not given: from
     /// these, and where they tell none, the mean of the base's own single-point positions.
-    #[arg(
-        long,
-        value_name = "X,Y,Z|from-header",
-        allow_negative_numbers = true,
-        requires = "base"
-    )]
+    #[arg(long, value_name = "X,Y,Z|from-header", allow_hyphen_values = true, requires = "base")]
     base_position: Option<BasePosition>,
 }
 
