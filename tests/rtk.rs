@@ -204,6 +204,37 @@ fn a_walk_on_one_frequency_is_fixed_and_never_wrong() {
     }
 }
 
+/// Two static pairs on GPS's first frequency: fixed by the third and the second epoch, and never
+/// wrong. Of the first there is no truth but the position by both frequencies.
+#[test]
+fn the_first_fix_on_one_frequency_is_soon() {
+    let mut alone = general();
+    alone.set("frequencies", "L1").unwrap();
+    alone.set("systems", "G").unwrap();
+    if let Some(folder) = data::set("geonet") {
+        let at = Ecef::new(-3_978_241.958, 3_382_840.234, 3_649_900.853);
+        let pair = Pair::read(&folder, "07590920.05o", "30400920.05o", &["30400920.05n"], at);
+        let (both, solutions) = (pair.causal(&general()), pair.causal(&alone));
+        assert_eq!(fixed(&both), 120);
+        assert!(118 <= fixed(&solutions), "{} fixed", fixed(&solutions));
+        let place = |solution: &Solution| solution.estimate.as_ref().unwrap().position;
+        for (two, one) in both.iter().zip(&solutions).filter(|(_, s)| s.status == Status::Fixed) {
+            let apart = LocalFrame::at(place(two)).to_enu(place(one)).0;
+            assert!(apart.x.hypot(apart.y) < 0.05, "{:?}: {apart}", one.time);
+        }
+    }
+    if let Some(folder) = data::set("meijo-static") {
+        let base = Ecef::new(-3_817_681.121_3, 3_562_839.431_1, 3_650_159.159_3);
+        let truth = Ecef::new(-3_817_681.380_7, 3_562_839.978_5, 3_650_158.376_0);
+        let pair = Pair::read(&folder, "rover.obs", "base.obs", &["base.nav"], base);
+        let solutions = pair.causal(&alone);
+        assert!(298 <= fixed(&solutions), "{} fixed", fixed(&solutions));
+        let errors = errors_m(&solutions, |_| truth);
+        let fixes = solutions.iter().zip(&errors).filter(|(s, _)| s.status == Status::Fixed);
+        assert!(fixes.into_iter().all(|(_, e)| e[0].hypot(e[1]) < 0.03));
+    }
+}
+
 /// The filter on one frequency: as the graph, and nothing is wrong.
 #[test]
 fn the_filter_is_never_wrong_on_one_frequency() {

@@ -40,8 +40,10 @@ pub struct RtkOptions {
     pub resolve: bool,
     /// Least ratio of second-best to best squared norm, whatever the model's strength.
     pub ratio_min: f64,
-    /// Least posterior probability that what is fixed is right.
+    /// Least posterior probability that integers found are right.
     pub probability_min: f64,
+    /// Least probability of integers that are kept from one epoch to the next, or join such.
+    pub hold_probability_min: f64,
     /// Least bootstrapped success rate of what is fixed.
     pub success_rate_min: f64,
     /// Epochs in a row that must find the same integers before they are kept.
@@ -57,6 +59,15 @@ impl RtkOptions {
     /// nor can a slip in them end an ambiguity that still lives.
     pub const fn base_span_s(&self) -> f64 {
         self.base_age_max_s.max(self.arc_gap_s)
+    }
+
+    /// Least probability of integers that are found. Where ambiguities are forgotten after each
+    /// epoch no later one tests them, and they need what those that are kept need.
+    pub(crate) fn found_probability_min(&self) -> f64 {
+        match self.single_epoch {
+            true => self.probability_min.max(self.hold_probability_min),
+            false => self.probability_min,
+        }
     }
 
     /// The defaults of `profile`.
@@ -79,7 +90,8 @@ impl RtkOptions {
             single_epoch: false,
             resolve: true,
             ratio_min: 2.0,
-            probability_min: 0.996,
+            probability_min: 0.95,
+            hold_probability_min: 0.997,
             success_rate_min: 0.05,
             hold_epochs: 10,
             fixed_min: 4,

@@ -127,10 +127,17 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "ambiguity.probability_min", unit: "",
-        meaning: "least posterior probability that what is fixed is right",
+        meaning: "least posterior probability that integers found are right",
         allowed: "a number from 0 to 1",
         get: |o| o.rtk.probability_min.to_string(),
         set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.probability_min = v),
+    },
+    OptionSpecification {
+        name: "ambiguity.hold_probability_min", unit: "",
+        meaning: "least probability of integers kept, of those joining them, and of single epochs",
+        allowed: "a number from 0 to 1",
+        get: |o| o.rtk.hold_probability_min.to_string(),
+        set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.hold_probability_min = v),
     },
     OptionSpecification {
         name: "ambiguity.success_rate_min", unit: "",

@@ -26,7 +26,9 @@ pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};
 pub use search::{Search, SearchLimits, SearchOutcome};
 pub use success::{adop, bootstrapped_failure_rate, bootstrapped_success_rate};
 pub use thresholds::FailureRate;
-pub use validation::{KnownScale, RatioTest, posterior_probability, scaled_posterior_probability};
+pub use validation::{
+    KnownScale, RatioTest, odds_at_scale, posterior_probability, scaled_posterior_probability,
+};
 
 /// Why integers cannot even be looked for. All but the dimensions come from real data.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -71,6 +71,13 @@ pub struct KnownScale {
     pub variance: f64,
 }
 
+/// How much likelier integers of the first squared norm are than those of the second, of so many
+/// entries, by the same density as [`scaled_posterior_probability`].
+pub fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) -> f64 {
+    let [own, other] = norms.map(|norm| scale.freedom * scale.variance + norm);
+    (0.5 * (scale.freedom + entries as f64) * (other / own).ln()).exp()
+}
+
 /// The same where the covariance is right but for a factor σ², of which something is known.
 ///
 /// P = (νs² + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (νs² + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the
@@ -133,6 +140,16 @@ fn log_chi_squared_survival(n: usize, q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Known as well as by four residuals, two integers of squared norm 8 against 2 have
+    /// (6/12)^3 = 1/8 of their odds; with the scale certain it would be e^−3.
+    #[test]
+    fn odds_worked_by_hand() {
+        let scale = |freedom| KnownScale { freedom, variance: 1.0 };
+        assert!((odds_at_scale([8.0, 2.0], 2, scale(4.0)) - 0.125).abs() < 1e-15);
+        assert!((odds_at_scale([8.0, 2.0], 2, scale(1e9)) - (-3_f64).exp()).abs() < 1e-6);
+        assert_eq!(odds_at_scale([5.0, 5.0], 7, scale(4.0)), 1.0);
+    }
 
     /// The usual 95 % quantiles of χ²: n = 1, 2, 5, 10.
     #[test]

@@ -1,5 +1,7 @@
 //! The window of epochs in the graph: how it begins, grows and forgets.
 
+use nalgebra::Matrix3;
+
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
@@ -210,11 +212,11 @@ impl Chain {
         tracking.cut_slips(epoch, state, &mut estimate.border, &kernel, slipped)
     }
 
-    /// Learns from the newest epoch how noisy pseudoranges are.
-    pub(super) fn learn_noise(&mut self) {
+    /// Learns from the newest epoch how noisy pseudoranges are, by its position's covariance.
+    pub(super) fn learn_noise(&mut self, covariance: &Matrix3<f64>) {
         let Self { epochs, estimate, tracking, .. } = self;
         if let (Some(epoch), Some(state)) = (epochs.last(), estimate.states.last()) {
-            tracking.learn_noise(epoch, state, &estimate.border);
+            tracking.learn_noise(epoch, state, &estimate.border, covariance);
         }
     }
 

@@ -236,7 +236,8 @@ impl RtkFilter {
             }
             belief.clone_from(before);
         }
-        tracking.learn_noise(epoch, &belief.state(), border);
+        let covariance = belief.state_covariance().fixed_view::<3, 3>(0, 0).into_owned();
+        tracking.learn_noise(epoch, &belief.state(), border, &covariance);
         tracking.arcs.release(|_| false);
         let interval_s = epoch.motion.as_ref().map_or(0.0, MotionFactor::interval_s);
         let is_failing = 2 * passed.0 < passed.1;

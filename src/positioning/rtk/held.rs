@@ -7,9 +7,10 @@ use crate::positioning::differencing::DifferenceGroup;
 use super::arcs::Label;
 use super::float::FloatSolution;
 use super::history::Named;
-use super::integers::{DISAGREEMENT, FIXED_SIGMA_M, FixedPosition, fixed_position, lambda_options};
+use super::integers::{DISAGREEMENT, lambda_options};
 use super::joint::{Joint, condition, doubted};
 use super::noise::FREEDOM_LEAST;
+use super::placed::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 
 /// An ambiguity of an epoch.
 pub(super) struct Ambiguity<'a> {
@@ -57,7 +58,7 @@ pub(super) fn hold(
     let values: Vec<f64> = integers.iter().map(|&integer| integer as f64).collect();
     let (rest, squared_norm) = condition(&joint, &known, &values, &others)?;
     let probability = doubted(probability, &rest);
-    let agree = options.probability_min <= probability
+    let agree = options.hold_probability_min <= probability
         && (squared_norm <= DISAGREEMENT * held as f64
             || are_found(&joint.of(&known), &integers, resolver, options));
     let fixed = fixed_position(&rest, held, probability);

@@ -5,17 +5,20 @@
 //! conditioned on them anew, after a test of whether it still agrees, and they are dropped when it
 //! does not. What is not labelled is then looked for in what that leaves.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
-use crate::lambda::{KnownScale, Options, Outcome, Partial, RatioTest, Rejection, Resolver};
+use crate::lambda::{
+    KnownScale, Options, Outcome, Partial, RatioTest, Rejection, Resolver, odds_at_scale,
+};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Label};
 use super::float::FloatSolution;
-use super::joint::{Joint, chosen_of, condition, doubted};
+use super::joint::{Joint, at_odds, chosen_of, condition, doubted};
 use super::noise::KnownNoise;
+use super::placed::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
@@ -27,38 +30,18 @@ const NODES_MAX: usize = 20_000;
 const ATTEMPTS_MAX: usize = 12;
 /// The same of those that join integers kept: what is not found now is looked for at every epoch.
 const OTHERS_ATTEMPTS_MAX: usize = 3;
-/// Squared norm of kept integers, for each of them, at which they no longer agree: 2σ rms.
+/// Highest probability that integers are kept with: a slip may have passed unseen.
+const CERTAIN: f64 = 1.0 - 1e-6;
+/// Squared norm of kept integers, for each of them, up to which they agree beyond question: 2σ rms.
 pub(super) const DISAGREEMENT: f64 = 4.0;
-
-/// A position is within centimetres whose horizontal standard deviation is at most this in every
-/// direction (m): 95 % of its errors are within 12 cm.
-pub(super) const FIXED_SIGMA_M: f64 = 0.05;
-/// A position with integers held.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct FixedPosition {
-    /// Local (m).
-    pub(super) position: Vector3<f64>,
-    /// (m²).
-    pub(super) covariance: Matrix3<f64>,
-    /// Double differences held.
-    pub(super) held: usize,
-    /// Estimated probability that they are right.
-    pub(super) probability: f64,
-}
-
-impl FixedPosition {
-    /// Greatest horizontal standard deviation (m).
-    pub(super) fn horizontal_sigma_m(&self) -> f64 {
-        let horizontal = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        horizontal.symmetric_eigenvalues().max().sqrt()
-    }
-}
 
 /// What looking for integers came to.
 #[derive(Clone, Debug)]
 pub(super) struct Resolution {
     /// Double differences there were.
     pub(super) ambiguities: usize,
+    /// Those of them that began beside kept ones with this epoch and have no integer yet.
+    pub(super) begun: usize,
     pub(super) ratio: Option<f64>,
     pub(super) success_rate: Option<f64>,
     pub(super) outcome: Result<FixedPosition, Reason>,
@@ -66,15 +49,15 @@ pub(super) struct Resolution {
 
 impl Resolution {
     /// The same where integers are enough to place the rover: not where they leave it uncertain,
-    /// nor where they are of less than half of its ambiguities.
+    /// nor where they are of less than half of the ambiguities that could have any.
     pub(super) fn if_a_place(self) -> Self {
-        let ambiguities = self.ambiguities;
+        let expected = self.ambiguities - self.begun;
         let place = |fixed: FixedPosition| {
             let sigma_m = fixed.horizontal_sigma_m();
             if FIXED_SIGMA_M < sigma_m {
                 return Err(Reason::FixImprecise { sigma_m });
             }
-            if 2 * fixed.held < ambiguities { Err(Reason::FixRejected) } else { Ok(fixed) }
+            if 2 * fixed.held < expected { Err(Reason::FixRejected) } else { Ok(fixed) }
         };
         Self { outcome: self.outcome.and_then(place), ..self }
     }
@@ -176,11 +159,12 @@ impl Integers {
         let joint = self.joint(float);
         let (lambda, doubt) = (lambda_options(options, noise.scale), noise.doubt);
         let were_kept = options.hold_epochs <= trust.agreed;
-        if were_kept && let Some(resolution) = self.resolve_held(arcs, trust, &joint, &lambda) {
+        let kept = Options { probability_min: options.hold_probability_min, ..lambda };
+        if were_kept && let Some(resolution) = self.resolve_held(arcs, trust, &joint, &kept) {
             return resolution;
         }
-        let search =
-            Search { options: &lambda, doubt, hold_epochs: options.hold_epochs, were_kept };
+        let hold_epochs = options.hold_epochs;
+        let search = Search { options: &lambda, doubt, hold_epochs, were_kept };
         let resolution = self.resolve_anew(arcs, trust, &joint, &search);
         // What no longer agrees is not wrong before other integers are found.
         if were_kept && options.hold_epochs <= trust.agreed {
@@ -191,7 +175,8 @@ impl Integers {
 
     fn refused(&self, reason: Reason) -> Resolution {
         let ambiguities = self.pairs.len();
-        Resolution { ambiguities, ratio: None, success_rate: None, outcome: Err(reason) }
+        let (ratio, success_rate) = (None, None);
+        Resolution { ambiguities, begun: 0, ratio, success_rate, outcome: Err(reason) }
     }
 
     /// Conditions on the labels, then looks for the integers of the others. `None` where too few
@@ -211,10 +196,12 @@ impl Integers {
         let values: Vec<f64> =
             known.iter().map(|&i| self.pairs[i].known.unwrap_or(0) as f64).collect();
         let (mut rest, squared_norm) = condition(joint, &known, &values, &others)?;
-        if DISAGREEMENT * (known.len() as f64) < squared_norm {
-            return None;
-        }
-        let probability = doubted(trust.probability, &rest);
+        let odds = match DISAGREEMENT * (known.len() as f64) < squared_norm {
+            true => self.odds_against_the_best(arcs, joint, &known, squared_norm, options)?,
+            false => 1.0,
+        };
+        let believed = at_odds(odds, trust.probability);
+        let probability = doubted(believed, &rest);
         if probability < options.probability_min {
             return None;
         }
@@ -230,12 +217,39 @@ impl Integers {
                 rest = left;
             }
         }
+        let is_new = |arc: &Arc| arc.epochs == 1 && arc.label.is_none();
         Some(Resolution {
             ambiguities: self.pairs.len(),
+            begun: self.pairs.iter().filter(|pair| is_new(&arcs[pair.arc])).count(),
             ratio: trust.ratio,
             success_rate: trust.success_rate,
             outcome: Ok(fixed_position(&rest, held, probability)),
         })
+    }
+
+    /// How much likelier than the best integers those of the pairs `known` are, whose squared norm
+    /// is given: at most one. `None` where no search tells.
+    ///
+    /// Errors that last put float ambiguities further from their integers than these are uncertain,
+    /// which says nothing of the integers as long as no others fit better.
+    fn odds_against_the_best(
+        &mut self,
+        arcs: &[Arc],
+        joint: &Joint,
+        known: &[usize],
+        squared_norm: f64,
+        options: &Options,
+    ) -> Option<f64> {
+        let anything = Options {
+            success_rate_min: 0.0,
+            ratio_test: RatioTest::Constant(0.0),
+            probability_min: 0.0,
+            fixed_min: known.len(),
+            attempts_max: 1,
+            ..*options
+        };
+        let best = self.search(arcs, joint, known, known, &anything)?.squared_norm?;
+        Some(odds_at_scale([squared_norm, best.min(squared_norm)], known.len(), options.scale?))
     }
 
     /// Looks for all integers; labels must be found again until they are trusted. Of integers that
@@ -265,7 +279,8 @@ impl Integers {
             let Some(rest) = self.hold_found(joint, &wanted) else { continue };
             let probability = doubted(stated, &rest);
             if options.probability_min <= probability {
-                if self.contradict_labels(&wanted) {
+                let [agreeing, contradicting] = self.compare_with_labels(&wanted);
+                if 0 < contradicting {
                     if probability <= trust.probability {
                         continue;
                     }
@@ -278,7 +293,9 @@ impl Integers {
                 let held = self.label(arcs, trust, &wanted);
                 trust.agreed += 1;
                 trust.was_kept |= hold_epochs <= trust.agreed;
-                trust.probability = probability;
+                // What more satellites have told is not lost with them.
+                let kept = if agreeing < options.fixed_min { 0.0 } else { trust.probability };
+                trust.probability = probability.max(kept).min(CERTAIN);
                 (trust.ratio, trust.success_rate) = (outcome.ratio, Some(outcome.success_rate));
                 resolution.outcome = Ok(fixed_position(&rest, held, probability));
                 return resolution;
@@ -287,11 +304,15 @@ impl Integers {
         resolution
     }
 
-    /// Whether the integers the last search found among the pairs `wanted` are not those known.
-    fn contradict_labels(&self, wanted: &[usize]) -> bool {
+    /// How many of the integers the last search found among the pairs `wanted` are those known, and
+    /// how many are others.
+    fn compare_with_labels(&self, wanted: &[usize]) -> [usize; 2] {
         let found = wanted.iter().zip(self.resolver.fix().entries());
-        let mut both = found.filter_map(|(&i, entry)| self.pairs[i].known.zip(*entry));
-        both.any(|(known, found)| known != found)
+        let both = found.filter_map(|(&i, entry)| self.pairs[i].known.zip(*entry));
+        both.fold([0, 0], |[agreeing, contradicting], (known, found)| match known == found {
+            true => [agreeing + 1, contradicting],
+            false => [agreeing, contradicting + 1],
+        })
     }
 
     /// The pairs to look for together, one set after another until one is found: those of groups
@@ -439,7 +460,7 @@ pub(super) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options
     Options {
         success_rate_min: options.success_rate_min,
         ratio_test: RatioTest::Constant(options.ratio_min),
-        probability_min: options.probability_min,
+        probability_min: options.found_probability_min(),
         scale: Some(scale),
         fixed_min: options.fixed_min,
         candidates: CANDIDATES,
@@ -462,17 +483,10 @@ fn refusal(outcome: &Outcome) -> Option<Reason> {
     })
 }
 
-pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
-    FixedPosition {
-        position: joint.estimate.fixed_rows::<3>(0).into_owned(),
-        covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-        held,
-        probability,
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Matrix3, Vector3};
+
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
     use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
@@ -575,7 +589,7 @@ mod tests {
             for (arc, &integer) in arcs.iter_mut().zip(&others) {
                 arc.label = Some(Label { origin: 1, integer });
             }
-            let certain = Trust { agreed, probability: 1.0, era: 4, ..Trust::default() };
+            let certain = Trust { agreed, probability: CERTAIN, era: 4, ..Trust::default() };
             let (mut known, mut trust) = (arcs.clone(), certain);
             assert!(resolved(&mut known, &mut trust).outcome.is_err());
             assert_eq!(trust.refuted, None);
@@ -591,20 +605,42 @@ mod tests {
         }
     }
 
-    /// Four of eight ambiguities place the rover, four of nine do not, nor do eight that leave it
-    /// uncertain by more than 5 cm.
+    /// Kept integers that float ambiguities have wandered off by 3σ stay as long as no others fit
+    /// better.
+    #[test]
+    fn kept_integers_stay_while_none_fit_better() {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let noise = NoiseScale::stated().known(&Residuals::NONE);
+        let mut arcs = arcs(0);
+        for (k, arc) in arcs.iter_mut().enumerate() {
+            arc.label = Some(Label { origin: 1, integer: (k * k) as i64 });
+        }
+        let kept = Trust { agreed: 1000, probability: CERTAIN, era: 4, ..Trust::default() };
+        let mut off = float();
+        for (k, ambiguity) in off.ambiguities.iter_mut().enumerate() {
+            *ambiguity += 0.15 * (1.7 * k as f64).sin();
+        }
+        let mut trust = kept;
+        let resolution =
+            Integers::new().resolve(&mut arcs, &mut trust, |_| true, &off, &options.rtk, &noise);
+        assert_eq!(resolution.outcome.unwrap().held, N - 1);
+        assert_eq!((trust.era, trust.agreed), (4, 1000));
+    }
+
+    /// Four of eight ambiguities place the rover, four of nine do not unless one has just begun, nor do
+    /// eight that leave it uncertain by more than 5 cm.
     #[test]
     fn few_integers_or_rough_ones_are_no_place() {
-        let outcome = |ambiguities, held, sigma_m: f64| {
+        let outcome = |ambiguities, begun, held, sigma_m: f64| {
             let covariance = Matrix3::identity() * sigma_m.powi(2);
             let position = Vector3::zeros();
             let fixed = FixedPosition { position, covariance, held, probability: 0.999 };
-            let resolution =
-                Resolution { ambiguities, ratio: None, success_rate: None, outcome: Ok(fixed) };
-            resolution.if_a_place().outcome
+            let (ratio, success_rate) = (None, None);
+            let outcome = Ok(fixed);
+            Resolution { ambiguities, begun, ratio, success_rate, outcome }.if_a_place().outcome
         };
-        assert!(outcome(8, 4, 0.04).is_ok());
-        assert!(matches!(outcome(9, 4, 0.04), Err(Reason::FixRejected)));
-        assert!(matches!(outcome(8, 8, 0.06), Err(Reason::FixImprecise { .. })));
+        assert!(outcome(8, 0, 4, 0.04).is_ok() && outcome(9, 1, 4, 0.04).is_ok());
+        assert!(matches!(outcome(9, 0, 4, 0.04), Err(Reason::FixRejected)));
+        assert!(matches!(outcome(8, 0, 8, 0.06), Err(Reason::FixImprecise { .. })));
     }
 }

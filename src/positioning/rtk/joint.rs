@@ -63,6 +63,12 @@ impl Joint {
     }
 }
 
+/// A probability whose odds are multiplied.
+pub(super) fn at_odds(factor: f64, probability: f64) -> f64 {
+    // Rounded it may be above one, which the next factor would multiply.
+    (probability * factor / (probability * factor + 1.0 - probability)).min(1.0)
+}
+
 /// The probability of integers that were the first of `tried` subsets to pass: each had its chance
 /// to pass by chance (Bonferroni's bound on the odds). Other doubts are factors on `tried`.
 pub(super) fn chosen_of(tried: f64, probability: f64) -> f64 {
@@ -88,7 +94,7 @@ pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
         ((1.0 - ASTRAY) * density + ASTRAY).min(1.0)
     };
     let factor: f64 = (3..rest.estimate.len()).map(against).product();
-    probability * factor / (probability * factor + 1.0 - probability)
+    at_odds(factor, probability)
 }
 
 /// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and

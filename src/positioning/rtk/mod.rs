@@ -23,11 +23,11 @@ mod integers;
 mod joint;
 mod labels;
 mod noise;
+mod placed;
 mod revision;
 mod settings;
 mod tracking;
 mod window;
-mod withheld;
 
 pub(super) use filter::RtkFilter;
 pub(super) use history::Revises;

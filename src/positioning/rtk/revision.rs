@@ -14,8 +14,8 @@ use super::epoch::STATE;
 use super::float::FloatSolution;
 use super::held::{Ambiguity, hold};
 use super::history::{Answered, Named};
-use super::integers::FixedPosition;
 use super::labels::{Era, Labels};
+use super::placed::FixedPosition;
 
 /// What is known of an epoch by now.
 pub(super) struct Revision<'a> {

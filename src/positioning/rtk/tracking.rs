@@ -3,7 +3,7 @@
 //! Shared by the graph and the filter: what turns the differences of an epoch into rows, and what
 //! the residuals of an epoch that was solved say of noise and slips.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::config::{DopplerUse, PositioningOptions};
 use crate::gnss::{Enu, LocalFrame, Reason, SatelliteId};
@@ -19,8 +19,8 @@ use super::float::FloatSolution;
 use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
 use super::noise::{NoiseScale, Residuals};
+use super::placed::{Placed, place, take_common_cycles_out};
 use super::settings::{CARRIER_KERNEL, OFFSET_KERNEL};
-use super::withheld::withheld_information;
 
 /// Deviation of an ambiguity about its start (cycles): 200 m.
 const START_CYCLES: f64 = 1e3;
@@ -28,6 +28,8 @@ const START_CYCLES: f64 = 1e3;
 const SLIP_SIGMAS: f64 = 5.0;
 /// A fixed position whose phases miss by more (rms, in standard deviations) is none.
 const MISFIT_SIGMAS: f64 = 4.0;
+/// Nor is one that a satellite astray may have moved by more (m).
+const HIDDEN_SHIFT_MAX_M: f64 = 0.1;
 
 /// Arcs, integers and noise of the carriers that rover and base both follow.
 #[derive(Debug)]
@@ -204,26 +206,65 @@ impl Tracking {
     }
 
     /// Learns from an epoch how noisy pseudoranges are.
-    pub(super) fn learn_noise(&mut self, epoch: &RtkEpoch, state: &State, border: &[f64]) {
-        let groups = self.gather_misses(epoch, state, border, false);
-        self.pseudorange_noise.learn(&mut self.misses, 3 + groups);
-    }
-
-    /// Learns from a position with integers held how noisy carrier phases are; returns the rms of
-    /// the phases' whitened residuals there.
-    fn learn_carrier_noise(
+    ///
+    /// A pseudorange of leverage h = aᵀCa/σ² and share s, C the position's covariance, leaves a
+    /// residual of variance (1 − (2s − 1)·h)·σ²: the sum of (2s − 1)·h is what the epoch has
+    /// determined of its position. Where phases tie it to those before, that is little.
+    pub(super) fn learn_noise(
         &mut self,
         epoch: &RtkEpoch,
-        position: &Vector3<f64>,
+        state: &State,
         border: &[f64],
+        covariance: &Matrix3<f64>,
+    ) {
+        let groups = self.gather_misses(epoch, state, border, false);
+        let by_position = self.leverage(epoch, state, covariance, |share| 2.0 * share - 1.0);
+        self.pseudorange_noise.learn(&mut self.misses, groups as f64 + by_position);
+    }
+
+    /// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times what `of` makes
+    /// of its share.
+    fn leverage(
+        &mut self,
+        epoch: &RtkEpoch,
+        state: &State,
+        covariance: &Matrix3<f64>,
+        of: impl Fn(f64) -> f64,
     ) -> f64 {
+        epoch.see(state, &mut self.scratch);
+        let mut sum = 0.0;
+        for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+            epoch.linearize_group(group, &[], &mut self.scratch);
+            let rows = &self.scratch.rows;
+            let total: f64 = rows.iter().map(|row| row.by_offset.powi(2)).sum();
+            let weighted = |row: &SharingRow<3>| Vector3::from(row.row.jacobian) * row.by_offset;
+            let mean = rows.iter().map(weighted).sum::<Vector3<f64>>() / total;
+            for row in rows.iter().filter(|_| 1 < rows.len()) {
+                let slope = Vector3::from(row.row.jacobian) - mean * row.by_offset;
+                sum += of(row.share) * slope.dot(&(covariance * slope));
+            }
+        }
+        sum
+    }
+
+    /// Whether the phases bear out a position with integers held: they fit, and no satellite astray
+    /// may have moved it far. Learns from it how noisy carrier phases are; labels that do not fit
+    /// are dropped.
+    fn is_borne_out(&mut self, epoch: &RtkEpoch, placed: &Placed, border: &[f64]) -> bool {
         let mut state = State::zeros();
-        state.fixed_rows_mut::<3>(0).copy_from(position);
+        state.fixed_rows_mut::<3>(0).copy_from(&placed.position);
         let groups = self.gather_misses(epoch, &state, border, true);
-        let square: f64 = self.misses.iter().map(|miss| miss * miss).sum();
-        let rms = (square / self.misses.len().max(1) as f64).sqrt();
-        self.carrier_noise.learn(&mut self.misses, 3 + groups);
-        rms
+        let squares: f64 = self.misses.iter().map(|miss| miss * miss).sum();
+        let count = self.misses.len();
+        if HIDDEN_SHIFT_MAX_M < placed.hidden_shift_m(squares, count) {
+            return false;
+        }
+        self.carrier_noise.learn(&mut self.misses, (3 + groups) as f64);
+        let fits = squares <= MISFIT_SIGMAS.powi(2) * count as f64;
+        if !fits {
+            drop_labels(&mut self.arcs.list, &mut self.trust, true);
+        }
+        fits
     }
 
     /// Learns from a position with integers held what satellites delay codes that differ.
@@ -267,6 +308,7 @@ impl Tracking {
             let Scratch { rows, numbers, .. } = &mut *scratch;
             if is_carrier {
                 arcs.put_labels(border, rows);
+                take_common_cycles_out(rows);
             }
             if rows.len() < 2 {
                 continue;
@@ -278,11 +320,18 @@ impl Tracking {
     }
 
     /// The pseudoranges' residuals of a window that was solved. They have determined each offset,
-    /// and one position for all epochs, which phases tie together.
-    pub(super) fn residuals(&mut self, epochs: &[RtkEpoch], states: &[State]) -> Residuals {
-        let scratch = &mut self.scratch;
-        let (mut square, mut freedom) = (0.0, -3.0);
+    /// and their part of one position for all epochs, which phases tie together: the newest, of
+    /// which the covariance is.
+    pub(super) fn residuals(
+        &mut self,
+        epochs: &[RtkEpoch],
+        states: &[State],
+        covariance: &Matrix3<f64>,
+    ) -> Residuals {
+        let (mut square, mut freedom) = (0.0, 0.0);
         for (epoch, state) in epochs.iter().zip(states) {
+            freedom -= self.leverage(epoch, state, covariance, |share| share);
+            let scratch = &mut self.scratch;
             epoch.see(state, scratch);
             for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
                 epoch.linearize_group(group, &[], scratch);
@@ -312,21 +361,20 @@ impl Tracking {
         let is_present = |arc: &Arc| arc.last == epoch.time;
         let noise = self.pseudorange_noise.known(residuals);
         let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, &noise);
-        if let Ok(fixed) = &mut resolution.outcome {
-            let withheld =
-                withheld_information(epoch, &fixed.position, border, &self.arcs, &mut self.scratch);
-            fixed.covariance -= fixed.covariance * withheld * fixed.covariance;
+        let Ok(fixed) = &mut resolution.outcome else { return resolution };
+        let placed = place(epoch, &fixed.position, border, &self.arcs, &mut self.scratch);
+        let Some(placed) = placed else {
+            return Resolution { outcome: Err(Reason::FixRejected), ..resolution };
+        };
+        (fixed.position, fixed.covariance) = (placed.position, placed.covariance);
+        let resolution = resolution.if_a_place();
+        if resolution.outcome.is_err() {
+            return resolution;
         }
-        let mut resolution = resolution.if_a_place();
-        if let Ok(fixed) = &resolution.outcome
-            && MISFIT_SIGMAS < self.learn_carrier_noise(epoch, &fixed.position, border)
-        {
-            drop_labels(&mut self.arcs.list, &mut self.trust, true);
-            resolution.outcome = Err(Reason::FixRejected);
+        if !self.is_borne_out(epoch, &placed, border) {
+            return Resolution { outcome: Err(Reason::FixRejected), ..resolution };
         }
-        if let Ok(fixed) = &resolution.outcome {
-            self.learn_biases(epoch, &fixed.position);
-        }
+        self.learn_biases(epoch, &placed.position);
         resolution
     }
 

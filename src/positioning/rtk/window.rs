@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use nalgebra::Matrix3;
+
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Reason, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
@@ -184,6 +186,7 @@ impl RtkWindow {
             return Err(Reason::NotConverged);
         }
         self.covariances.newest(&self.workspace.elimination);
+        self.chain.learn_noise(&self.position_covariance());
         Ok(self.answer(base, options))
     }
 
@@ -228,18 +231,23 @@ impl RtkWindow {
                 break;
             }
         }
-        chain.learn_noise();
         Some(())
     }
 
+    /// Of the newest position (m²).
+    fn position_covariance(&self) -> Matrix3<f64> {
+        self.covariances.state().fixed_view::<3, 3>(0, 0).into_owned()
+    }
+
     fn answer(&mut self, base: UsableBase<'_>, options: &PositioningOptions) -> Solution {
+        let covariance = self.position_covariance();
         let Chain { tracking, estimate, epochs, frame, .. } = &mut self.chain;
         let epoch = epochs.last().expect("a window that was solved has an epoch");
         let state = estimate.states.last().expect("one state for each epoch");
         let variables = self.covariances.variables().iter();
         let ambiguities = variables.map(|&variable| estimate.border[variable]).collect();
         let float = FloatSolution::of_graph(state, ambiguities, &self.covariances);
-        let residuals = tracking.residuals(epochs, &estimate.states);
+        let residuals = tracking.residuals(epochs, &estimate.states, &covariance);
         let resolution = tracking.resolve(
             &mut self.integers,
             epoch,
