@@ -67,27 +67,23 @@ fn json(options: &PositioningOptions) -> String {
 }
 
 fn table(options: &PositioningOptions) -> String {
+    let shown = |value: &str| if value.is_empty() { "-".to_owned() } else { value.to_owned() };
+    let heads = ["option", "value in force", "default", "unit"].map(str::to_owned);
+    let mut rows = vec![(heads, "meaning (allowed)".to_owned())];
+    rows.extend(options.entries().into_iter().map(|entry| {
+        let cells = [entry.name, &entry.value, &entry.default, entry.unit].map(shown);
+        (cells, format!("{} ({})", entry.meaning, entry.allowed))
+    }));
+    let width = |column: usize| rows.iter().map(|(cells, _)| cells[column].len()).max();
+    let [name, value, default, unit] = [0, 1, 2, 3].map(|column| width(column).unwrap_or(0));
     let mut text = format!(
-        "mode {}, profile {}, configuration {}\n\n{:<24} {:<22} {:<22} {:<6} meaning (allowed)\n",
+        "mode {}, profile {}, configuration {}\n\n",
         options.mode.name(),
         options.profile.name(),
         options.configuration_hash(),
-        "option",
-        "value in force",
-        "default",
-        "unit",
     );
-    for entry in options.entries() {
-        let shown = |value: &str| if value.is_empty() { "-".to_owned() } else { value.to_owned() };
-        text += &format!(
-            "{:<24} {:<22} {:<22} {:<6} {} ({})\n",
-            entry.name,
-            shown(&entry.value),
-            shown(&entry.default),
-            shown(entry.unit),
-            entry.meaning,
-            entry.allowed,
-        );
+    for ([a, b, c, d], meaning) in &rows {
+        text += &format!("{a:<name$} {b:<value$} {c:<default$} {d:<unit$} {meaning}\n");
     }
     text
 }
