@@ -78,8 +78,8 @@ impl NoiseScale {
     /// What the odds of integers are divided by: noise beyond the stated is no noise but
     /// reflections, whose errors are neither normal nor new at each epoch.
     ///
-    /// Of what is stated at 80 to 90, 90 to 95 and 95 to 98 % in the simulated canyon 38, 30 and 28 %
-    /// are wrong without it; 21, 13 and 11 % with the fifth power.
+    /// Of what is stated at 80 to 90, 90 to 95 and 95 to 98 % in the simulated canyon, 38, 30 and
+    /// 28 % are wrong without it; 21, 13 and 11 % with the fifth power.
     fn doubt(&self) -> f64 {
         self.value.powi(5).max(1.0)
     }
