@@ -85,7 +85,8 @@ struct Phase {
 ///
 /// A graph gives a phase a share of its weight, since errors last, and what goes before has told
 /// the ambiguity the rest. With integers there is no ambiguity to be told: each phase counts in
-/// full here, by [`CARRIER_KERNEL`], which leaves out what is astray. Each group has its offset.
+/// full here, by [`CARRIER_KERNEL`], which leaves out what is astray. Each group has its offset
+/// and, where wavelengths differ, cycles common to all.
 pub(super) fn place(
     epoch: &RtkEpoch,
     start: &Vector3<f64>,
@@ -133,7 +134,7 @@ fn phases(
     groups
 }
 
-/// −Jᵀr and JᵀJ of the position, offsets eliminated, where it has `moved` (m).
+/// −Jᵀr and JᵀJ of the position, where it has `moved` (m); offsets and common cycles eliminated.
 fn normal_equations(
     groups: &[Vec<Phase>],
     moved: &Vector3<f64>,
@@ -218,7 +219,7 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// See [`Placed::hidden_m`].
+/// See [`Placed::hidden_m`]; of cycles common to all, as if they were known.
 fn hidden_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     let mut information = Matrix3::zeros();
     let mut sums = vec![(0.0, Vector3::zeros()); satellites];
