@@ -8,21 +8,23 @@ use super::ConfigError;
 
 /// Declares an enumeration whose values have names in the configuration.
 macro_rules! named_choice {
-    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $text:literal,)+ }) => {
+    ($(#[$meta:meta])* $name:ident {
+        $($(#[doc = $doc:literal])+ $(#[cfg($cfg:meta)])? $variant:ident = $text:literal,)+
+    }) => {
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum $name {
-            $($(#[$doc])* $variant,)+
+            $($(#[doc = $doc])+ $(#[cfg($cfg)])? $variant,)+
         }
 
         impl $name {
             /// Every value.
-            pub const ALL: &[Self] = &[$(Self::$variant,)+];
+            pub const ALL: &[Self] = &[$($(#[cfg($cfg)])? Self::$variant,)+];
 
             /// The name as users write it.
             pub const fn name(self) -> &'static str {
                 match self {
-                    $(Self::$variant => $text,)+
+                    $($(#[cfg($cfg)])? Self::$variant => $text,)+
                 }
             }
 
@@ -100,6 +102,7 @@ named_choice! {
         /// The broadcast Klobuchar model.
         Klobuchar = "klobuchar",
         /// The broadcast NeQuick-G model.
+        #[cfg(feature = "nequick")]
         NequickG = "nequick-g",
         /// By the combination of two frequencies that cancels it to first order.
         IonosphereFree = "ionosphere-free",

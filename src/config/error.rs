@@ -21,6 +21,16 @@ pub enum ConfigError {
         /// What it takes.
         allowed: &'static str,
     },
+    /// The option takes this value only where a Cargo feature is built in.
+    #[error("option {key:?} can be {value:?} only in a build with the feature {feature:?}")]
+    FeatureNotBuilt {
+        /// The option.
+        key: &'static str,
+        /// What was asked for.
+        value: String,
+        /// The feature, as `cargo build --features` takes it.
+        feature: &'static str,
+    },
     /// No mode has this name.
     #[error("mode {name:?} is not available; allowed: {allowed}")]
     UnknownMode {
@@ -45,6 +55,7 @@ impl ConfigError {
         match self {
             Self::UnknownKey { .. } => "UNKNOWN_OPTION",
             Self::InvalidValue { .. } => "INVALID_OPTION_VALUE",
+            Self::FeatureNotBuilt { .. } => "FEATURE_NOT_BUILT",
             Self::UnknownMode { .. } => "UNKNOWN_MODE",
             Self::UnknownProfile { .. } => "UNKNOWN_PROFILE",
         }

@@ -85,7 +85,7 @@ const TABLE: &[OptionSpecification] = &[
     OptionSpecification {
         name: "ionosphere", unit: "",
         meaning: "how the ionosphere's delay is corrected",
-        allowed: "none, klobuchar, nequick-g, ionosphere-free",
+        allowed: "none, klobuchar, nequick-g (feature nequick), ionosphere-free",
         get: |o| o.ionosphere.name().to_owned(),
         set: |o, text| IonosphereModel::from_name(text).map(|v| o.ionosphere = v),
     },
@@ -201,10 +201,12 @@ impl PositioningOptions {
                 nearest: nearest_name(key),
             });
         };
-        (option.set)(self, value.trim()).ok_or_else(|| ConfigError::InvalidValue {
-            key: option.name,
-            value: value.to_owned(),
-            allowed: option.allowed,
+        (option.set)(self, value.trim()).ok_or_else(|| {
+            let (key, value) = (option.name, value.trim().to_owned());
+            match missing_feature(key, &value) {
+                Some(feature) => ConfigError::FeatureNotBuilt { key, value, feature },
+                None => ConfigError::InvalidValue { key, value, allowed: option.allowed },
+            }
         })
     }
 
@@ -237,6 +239,12 @@ impl PositioningOptions {
         }
         hasher.finalize().to_hex().to_string()
     }
+}
+
+/// The Cargo feature that would let an option take a value that this build refuses.
+fn missing_feature(key: &str, value: &str) -> Option<&'static str> {
+    (key == "ionosphere" && value == "nequick-g" && cfg!(not(feature = "nequick")))
+        .then_some("nequick")
 }
 
 /// The options of all modes.
@@ -329,6 +337,20 @@ mod tests {
             assert!(error.to_string().contains("allowed: "), "{error}");
         }
         assert_eq!(options, general());
+    }
+
+    /// Without its feature the model is refused by name, and the refusal names the feature.
+    #[test]
+    fn nequick_g_needs_its_feature() {
+        let set = general().set("ionosphere", "nequick-g");
+        match cfg!(feature = "nequick") {
+            true => assert_eq!(set, Ok(())),
+            false => {
+                let error = set.unwrap_err();
+                assert_eq!(error.code(), "FEATURE_NOT_BUILT");
+                assert!(error.to_string().contains("feature \"nequick\""), "{error}");
+            }
+        }
     }
 
     #[test]

@@ -20,6 +20,9 @@ impl From<ConfigError> for Refusal {
             ConfigError::InvalidValue { key, .. } => {
                 (Code::InvalidOptionValue, format!("overrides.{key}"))
             }
+            ConfigError::FeatureNotBuilt { key, .. } => {
+                (Code::FeatureNotBuilt, format!("overrides.{key}"))
+            }
             ConfigError::UnknownMode { .. } => (Code::UnknownMode, "mode".to_owned()),
             ConfigError::UnknownProfile { .. } => (Code::UnknownProfile, "profile".to_owned()),
         };

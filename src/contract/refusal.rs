@@ -100,6 +100,9 @@ codes! {
     /// An option does not take this value.
     InvalidOptionValue = "INVALID_OPTION_VALUE", Malformed,
         "give a value that the message allows";
+    /// An option takes this value only where a Cargo feature is built in.
+    FeatureNotBuilt = "FEATURE_NOT_BUILT", Malformed,
+        "choose another value, or ask a server built with the feature that the message names";
     /// A push without an epoch.
     NoEpochs = "NO_EPOCHS", Malformed, "send at least one epoch";
     /// More epochs than one push may carry.

@@ -5,9 +5,11 @@
 //! by as much.
 
 mod klobuchar;
+#[cfg(feature = "nequick")]
 mod nequick;
 
 pub use klobuchar::{beidou_klobuchar_delay_m, klobuchar_delay_m};
+#[cfg(feature = "nequick")]
 pub use nequick::{nequick_delay_m, nequick_variance_m2};
 
 use super::LookAngles;

@@ -7,9 +7,10 @@ use crate::gnss::{
     Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
 };
 use crate::models::ionosphere::{
-    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, nequick_delay_m,
-    nequick_variance_m2, unmodelled_variance_m2,
+    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, unmodelled_variance_m2,
 };
+#[cfg(feature = "nequick")]
+use crate::models::ionosphere::{nequick_delay_m, nequick_variance_m2};
 use crate::models::look_angles;
 use crate::models::troposphere::{self, Mapping, Troposphere};
 use crate::models::weights::MeasurementWeights;
@@ -147,6 +148,7 @@ impl<'a> Atmosphere<'a> {
                 Delay { delay_m: 0.0, variance_m2: f64::INFINITY, fallback: None }
             }
             IonosphereModel::Klobuchar => self.klobuchar(measurement, options),
+            #[cfg(feature = "nequick")]
             IonosphereModel::NequickG => self.nequick(measurement).unwrap_or_else(|| {
                 let stand_in = self.klobuchar(measurement, options);
                 Delay { fallback: stand_in.fallback.or(Some("klobuchar")), ..stand_in }
@@ -155,6 +157,7 @@ impl<'a> Atmosphere<'a> {
     }
 
     /// `None` where Galileo broadcast no coefficients, or the model has no answer for this ray.
+    #[cfg(feature = "nequick")]
     fn nequick(&self, measurement: &Measurement) -> Option<Delay> {
         let delay_m = nequick_delay_m(
             self.navigation.nequick.as_ref()?,
