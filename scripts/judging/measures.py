@@ -1,0 +1,114 @@
+"""Percentiles, bootstrap intervals, recovery times, episodes."""
+
+import math
+import random
+from dataclasses import dataclass
+
+# A position counts as recovered when it and those of the next seconds are near (s).
+STAYS_S = 5.0
+# Length of an episode: errors within it are not independent of each other (s).
+EPISODE_S = 30.0
+# Chi-square of two degrees of freedom at 95 %.
+ELLIPSE_95 = -2.0 * math.log(0.05)
+ROUNDS = 1000
+
+
+def percentile(values, percent):
+    """Between order statistics, linearly; None of nothing."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    index = (len(ordered) - 1) * percent / 100.0
+    low = math.floor(index)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (ordered[high] - ordered[low]) * (index - low)
+
+
+def error_summary(errors):
+    """Mean, 50 %, 95 % and maximum; None of nothing."""
+    if not errors:
+        return None
+    middle, most = percentile(errors, 50.0), percentile(errors, 95.0)
+    mean = math.fsum(errors) / len(errors)
+    return {"n": len(errors), "mean": mean, "p50": middle, "p95": most, "max": max(errors)}
+
+
+def ratio_interval(clusters, seed, rounds=ROUNDS):
+    """Percentile-bootstrap interval (95 %) of Σa/Σb over clusters (a, b) drawn with replacement.
+
+    Clusters are what is independent: drives, or episodes of one drive. None where fewer than two
+    are left or a draw has Σb = 0.
+
+    Source: Efron & Tibshirani (1993), *An Introduction to the Bootstrap*, chapters 13 and 8.
+    """
+    filled = [cluster for cluster in clusters if any(cluster)]
+    if len(filled) < 2:
+        return None
+    stream, ratios = random.Random(seed), []
+    for _ in range(rounds):
+        drawn = stream.choices(filled, k=len(filled))
+        above, below = math.fsum(a for a, _ in drawn), math.fsum(b for _, b in drawn)
+        if below <= 0.0:
+            return None
+        ratios.append(above / below)
+    return percentile(ratios, 2.5), percentile(ratios, 97.5)
+
+
+def episode(time):
+    """The number of the episode that a time lies in."""
+    return math.floor(time / EPISODE_S)
+
+
+def runs_of(times, longest_gap_s):
+    """Stretches of times without a longer gap, as (first, last)."""
+    stretches = []
+    for time in sorted(times):
+        if stretches and time - stretches[-1][1] <= longest_gap_s:
+            stretches[-1] = stretches[-1][0], time
+        else:
+            stretches.append((time, time))
+    return stretches
+
+
+def normalised_square(east, north, covariance, truth_sigma_m):
+    """eᵀΣ⁻¹e of a horizontal error, truth's own variance per axis added; None of a singular Σ."""
+    own = truth_sigma_m**2
+    var_e, var_n, cov = covariance[0] + own, covariance[1] + own, covariance[2]
+    determinant = var_e * var_n - cov * cov
+    if determinant <= 0.0:
+        return None
+    return (var_n * east**2 - 2.0 * cov * east * north + var_e * north**2) / determinant
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One epoch after a fault's end: when, whether it counts, whether it is back (None: unknown)."""
+
+    time: float
+    counts: bool
+    is_back: bool | None
+
+
+def recovery_s(samples, end):
+    """Seconds from a fault's end until the answers are back, and stay so for 5 s.
+
+    Only the time before epochs that count (five satellites in view) is added up. `None` where
+    nothing is known after the end; infinite where they are never back.
+    """
+    later = [sample for sample in samples if end <= sample.time]
+    if all(sample.is_back is None for sample in later):
+        return None
+    passed, before = 0.0, end
+    for index, sample in enumerate(later):
+        if sample.counts:
+            passed += sample.time - before
+        before = sample.time
+        if sample.is_back and _stays_back(later, index):
+            return passed
+    return math.inf
+
+
+def _stays_back(samples, index):
+    end = samples[index].time + STAYS_S
+    following = [sample for sample in samples[index:] if sample.time <= end]
+    return all(sample.is_back is not False for sample in following)
