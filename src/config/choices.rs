@@ -18,17 +18,17 @@ macro_rules! named_choice {
         }
 
         impl $name {
-            /// Every value.
+            /// Every value, in the order of declaration.
             pub const ALL: &[Self] = &[$($(#[cfg($cfg)])? Self::$variant,)+];
 
-            /// The name as users write it.
+            /// The name in option values, on the command line and in the API.
             pub const fn name(self) -> &'static str {
                 match self {
                     $($(#[cfg($cfg)])? Self::$variant => $text,)+
                 }
             }
 
-            /// The value of a name as users write it.
+            /// The value with this name, or `None`.
             pub fn from_name(name: &str) -> Option<Self> {
                 Self::ALL.iter().copied().find(|value| value.name() == name)
             }
@@ -43,7 +43,8 @@ named_choice! {
         Spp = "spp",
         /// Extended Kalman filter on the factors of the graph, as its comparator.
         Ekf = "ekf",
-        /// Factor graph over a sliding window: pseudoranges, Doppler, phase in time, motion.
+        /// Factor graph over a sliding window: pseudoranges, Doppler, time-differenced phase,
+        /// motion.
         Fgo = "fgo",
         /// Extended Kalman filter on differences against a base, the comparator of `rtk-fgo`.
         RtkEkf = "rtk-ekf",
@@ -55,7 +56,7 @@ named_choice! {
 named_choice! {
     /// A robust kernel; formulas in `graph::kernel`.
     KernelLaw {
-        /// None: least squares.
+        /// No robust kernel: least squares.
         Quadratic = "quadratic",
         /// Huber's, convex.
         Huber = "huber",
@@ -67,60 +68,60 @@ named_choice! {
 }
 
 named_choice! {
-    /// How Doppler enters a factor graph.
+    /// How Doppler measurements enter the factor graph.
     DopplerUse {
-        /// Not at all.
+        /// Doppler is not used.
         None = "none",
-        /// Each satellite's on velocity and clock drift.
+        /// One factor a satellite, on velocity and clock drift.
         Satellites = "satellites",
-        /// Solved for a velocity first, as Wen & Hsu (2021), equations (11) and (12).
+        /// One velocity an epoch, solved first: Wen & Hsu (2021), equations (11) and (12).
         Velocity = "velocity",
     }
 }
 
 named_choice! {
-    /// A set of defaults.
+    /// A set of default values, chosen by the dynamics of the antenna.
     Profile {
-        /// Robust, without assumptions beyond what a walker, car, boat or drone can do.
+        /// Pedestrian, car, boat or drone: any motion within the velocity walk.
         General = "general",
         /// A road vehicle among buildings.
         UrbanVehicle = "urban-vehicle",
-        /// A receiver that stands still under an open sky.
+        /// A receiver at rest under open sky.
         Static = "static",
-        /// A telephone's antenna and receiver.
+        /// A smartphone: weak antenna, noisy pseudoranges and Doppler.
         Phone = "phone",
-        /// The comparator of Wen & Hsu (2021): RTKLIB's single mode as its authors call it.
+        /// The settings of Wen & Hsu (2021), whose single-point solution is RTKLIB's single mode.
         Paper = "paper",
     }
 }
 
 named_choice! {
-    /// How the ionosphere's delay is corrected.
+    /// How the ionospheric delay is corrected.
     IonosphereModel {
-        /// Not at all.
+        /// No correction.
         None = "none",
-        /// The broadcast Klobuchar model.
+        /// The broadcast Klobuchar model, IS-GPS-200.
         Klobuchar = "klobuchar",
         /// The broadcast NeQuick-G model.
         #[cfg(feature = "nequick")]
         NequickG = "nequick-g",
-        /// By the combination of two frequencies that cancels it to first order.
+        /// The ionosphere-free combination of two frequencies, which cancels the first-order delay.
         IonosphereFree = "ionosphere-free",
     }
 }
 
 named_choice! {
-    /// How the troposphere's delay is corrected.
+    /// How the tropospheric delay is corrected.
     TroposphereModel {
-        /// Not at all.
+        /// No correction.
         None = "none",
-        /// Saastamoinen's zenith delay in a standard atmosphere, mapped to the elevation.
+        /// Saastamoinen's zenith delay in a standard atmosphere, mapped to the slant path.
         Saastamoinen = "saastamoinen",
     }
 }
 
 named_choice! {
-    /// How a zenith delay becomes one along the signal's path.
+    /// How the zenith delay of the troposphere is mapped to the slant path.
     TroposphereMapping {
         /// Niell's functions of elevation, latitude, height and season.
         Niell = "niell",
@@ -130,19 +131,19 @@ named_choice! {
 }
 
 named_choice! {
-    /// How a pseudorange's variance is stated.
+    /// How the variance of a pseudorange is modelled.
     WeightModel {
         /// From C/N0 and elevation, see `positioning::measurements`.
         Cn0Elevation = "cn0-elevation",
         /// From elevation alone, as RTKLIB 2.4 does.
         Rtklib = "rtklib",
-        /// goGPS's: 1/sin²E times a factor of C/N0.
+        /// goGPS's function: 1/sin²E times a factor of C/N0.
         GoGps = "gogps",
     }
 }
 
 impl Mode {
-    /// Whether it keeps a window of epochs, which it answers again as they leave, or all at once.
+    /// Whether the mode keeps past epochs and answers them again, smoothed or in batch.
     pub const fn has_window(self) -> bool {
         match self {
             Self::Spp | Self::Ekf | Self::RtkEkf => false,
@@ -155,10 +156,10 @@ impl Mode {
         matches!(self, Self::RtkEkf | Self::RtkFgo)
     }
 
-    /// The mode of a name.
+    /// The mode with this name.
     ///
     /// # Errors
-    /// [`ConfigError::UnknownMode`] names those there are.
+    /// [`ConfigError::UnknownMode`] lists the modes there are.
     pub fn parse(name: &str) -> Result<Self, ConfigError> {
         Self::from_name(name).ok_or_else(|| ConfigError::UnknownMode {
             name: name.to_owned(),
@@ -168,10 +169,10 @@ impl Mode {
 }
 
 impl Profile {
-    /// The profile of a name.
+    /// The profile with this name.
     ///
     /// # Errors
-    /// [`ConfigError::UnknownProfile`] names those there are.
+    /// [`ConfigError::UnknownProfile`] lists the profiles there are.
     pub fn parse(name: &str) -> Result<Self, ConfigError> {
         Self::from_name(name).ok_or_else(|| ConfigError::UnknownProfile {
             name: name.to_owned(),
@@ -185,15 +186,15 @@ impl Profile {
 pub struct ConstellationSet(u8);
 
 impl ConstellationSet {
-    /// All of them.
+    /// All constellations.
     pub const ALL: Self = Self((1 << Constellation::COUNT) - 1);
 
-    /// Those given.
+    /// The set of the constellations given.
     pub fn of(constellations: &[Constellation]) -> Self {
         Self(constellations.iter().fold(0, |bits, c| bits | 1 << c.index()))
     }
 
-    /// From RINEX letters between commas, at least one.
+    /// Parses RINEX letters separated by commas, at least one.
     pub fn parse(text: &str) -> Option<Self> {
         let letter = |item: &str| {
             let mut letters = item.trim().chars();
@@ -204,7 +205,7 @@ impl ConstellationSet {
         list.map(|list| Self::of(&list))
     }
 
-    /// Whether `constellation` is among them.
+    /// Whether the set holds `constellation`.
     pub const fn contains(self, constellation: Constellation) -> bool {
         self.0 & 1 << constellation.index() != 0
     }
@@ -222,12 +223,12 @@ impl fmt::Display for ConstellationSet {
 pub struct BandSet(u8);
 
 impl BandSet {
-    /// Those given.
+    /// The set of the bands given.
     pub fn of(bands: &[Band]) -> Self {
         Self(bands.iter().fold(0, |bits, band| bits | 1 << *band as u8))
     }
 
-    /// From names between commas, at least one.
+    /// Parses band names separated by commas, at least one.
     pub fn parse(text: &str) -> Option<Self> {
         let band = |item: &str| {
             Band::ALL.into_iter().find(|band| band.name().eq_ignore_ascii_case(item.trim()))
@@ -236,7 +237,7 @@ impl BandSet {
         list.map(|list| Self::of(&list))
     }
 
-    /// Whether `band` is among them.
+    /// Whether the set holds `band`.
     pub const fn contains(self, band: Band) -> bool {
         self.0 & 1 << band as u8 != 0
     }

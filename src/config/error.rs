@@ -6,45 +6,45 @@ pub enum ConfigError {
     /// No option has this name.
     #[error("no option is called {key:?}; the nearest is {nearest:?}")]
     UnknownKey {
-        /// What was asked for.
+        /// The option name as given.
         key: String,
-        /// The option whose name differs least.
+        /// The option whose name is the fewest edits away.
         nearest: &'static str,
     },
     /// The option does not take this value.
     #[error("option {key:?} cannot be {value:?}; allowed: {allowed}")]
     InvalidValue {
-        /// The option.
+        /// The option's name.
         key: &'static str,
-        /// What was asked for.
+        /// The value as given.
         value: String,
-        /// What it takes.
+        /// The values that the option accepts.
         allowed: &'static str,
     },
     /// The option takes this value only where a Cargo feature is built in.
     #[error("option {key:?} can be {value:?} only in a build with the feature {feature:?}")]
     FeatureNotBuilt {
-        /// The option.
+        /// The option's name.
         key: &'static str,
-        /// What was asked for.
+        /// The value as given.
         value: String,
-        /// The feature, as `cargo build --features` takes it.
+        /// The feature's name, as `cargo build --features` takes it.
         feature: &'static str,
     },
     /// No mode has this name.
     #[error("mode {name:?} is not available; allowed: {allowed}")]
     UnknownMode {
-        /// What was asked for.
+        /// The mode name as given.
         name: String,
-        /// The modes there are.
+        /// The names of all modes, separated by commas.
         allowed: String,
     },
     /// No profile has this name.
     #[error("profile {name:?} is not available; allowed: {allowed}")]
     UnknownProfile {
-        /// What was asked for.
+        /// The profile name as given.
         name: String,
-        /// The profiles there are.
+        /// The names of all profiles, separated by commas.
         allowed: String,
     },
 }

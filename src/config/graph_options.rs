@@ -2,55 +2,56 @@
 
 use super::{DopplerUse, KernelLaw, Profile};
 
-/// What the modes with a factor graph are told beside the options of every mode.
+/// Options of the modes with a factor graph, beside those of every mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GraphOptions {
-    /// Length of the sliding window (s).
+    /// Length of the sliding window (s); older epochs are marginalised.
     pub window_s: f64,
-    /// Most epochs a window holds, however close they are.
+    /// Largest number of epochs in the window, at any rate.
     pub window_epochs_max: usize,
-    /// Standard deviation of what orbits and clocks broadcast put into a range, for the covariance
-    /// stated (m).
+    /// Standard deviation of the range error of broadcast orbits and clocks, used in the reported
+    /// covariance (m).
     pub orbit_clock_sigma_m: f64,
-    /// Kernel of pseudoranges.
+    /// Robust kernel of pseudoranges.
     pub pseudorange_kernel: KernelLaw,
-    /// Its width for signals that arrive early (standard deviations).
+    /// Kernel width for pseudoranges shorter than predicted (standard deviations).
     pub early_width: f64,
-    /// Its width for signals that arrive late, as reflections do (standard deviations).
+    /// Kernel width for pseudoranges longer than predicted, as reflected signals are (standard
+    /// deviations).
     pub late_width: f64,
-    /// Epochs closer than this share one epoch's pseudorange weight in the estimate (s).
+    /// Epochs closer than this share the pseudorange weight of one epoch in the estimate (s).
     pub independence_s: f64,
-    /// How long a pseudorange's error lasts, for the covariance stated (s).
+    /// Correlation time of pseudorange errors, used in the reported covariance (s).
     pub correlation_s: f64,
-    /// How Doppler enters.
+    /// How Doppler enters the graph.
     pub doppler: DopplerUse,
-    /// Width of Doppler's Cauchy kernel (standard deviations).
+    /// Width of the Cauchy kernel of Doppler (standard deviations).
     pub doppler_width: f64,
-    /// Standard deviation of the velocity from one epoch's Doppler, where that is used (m/s).
+    /// Standard deviation of the velocity solved from one epoch's Doppler, per axis (m/s).
     pub doppler_velocity_sigma_m_s: f64,
-    /// Whether carrier phase is differenced in time.
+    /// Whether time-differenced carrier phase is used.
     pub phase: bool,
-    /// Standard deviation of a strong signal's phase difference, multipath (m).
+    /// Standard deviation of a strong signal's phase difference, multipath included (m).
     pub phase_sigma_m: f64,
-    /// Width of the phase differences' Geman–McClure kernel (standard deviations).
+    /// Width of the Geman–McClure kernel of phase differences (standard deviations).
     pub phase_width: f64,
     /// Random walk of the horizontal velocity, per axis (m/s/√s).
     pub horizontal_walk_m_s: f64,
     /// Random walk of the vertical velocity (m/s/√s).
     pub vertical_walk_m_s: f64,
-    /// Standard deviation of the vertical velocity itself, infinite for none (m/s).
+    /// Standard deviation of the vertical velocity about zero (m/s); infinite: no such factor.
     pub vertical_velocity_m_s: f64,
-    /// Whether a standstill found in Doppler ties epochs at rest.
+    /// Whether epochs at rest, detected in Doppler, are tied by zero-velocity factors.
     pub zero_velocity: bool,
-    /// Whether velocity and clock tie epochs together; without, only Doppler velocity does.
+    /// Whether motion and clock factors tie epochs; if not, only the Doppler velocity does.
     pub motion: bool,
     /// Random walk of the receiver clock (m/√s).
     pub clock_walk_m: f64,
-    /// Random walk of its drift (m/s/√s).
+    /// Random walk of the receiver clock drift (m/s/√s).
     pub drift_walk_m_s: f64,
-    /// Random walk of the inter-system biases (m/√s).
+    /// Random walk of each inter-system bias (m/√s).
     pub bias_walk_m: f64,
-    /// A pause longer than this starts the graph anew (s).
+    /// A pause longer than this restarts the graph (s).
     pub gap_s: f64,
 }
 
@@ -74,8 +75,8 @@ impl GraphOptions {
                 ..general
             },
             Profile::Phone => Self { phase_sigma_m: 0.1, ..general },
-            // The paper prints neither; deviation and width are those of the program it names,
-            // GraphGNSSLib.
+            // The paper prints neither; both values are those of GraphGNSSLib, the program it
+            // names.
             Profile::Paper => Self {
                 doppler_velocity_sigma_m_s: 0.6,
                 pseudorange_kernel: KernelLaw::Huber,

@@ -1,7 +1,7 @@
 //! Configuration: one struct per concern, every value named, explained and echoed back.
 //!
 //! A configuration is a profile plus overrides by name. Nothing here reads a file, an argument or
-//! the environment; the doors do, and pass what they read as texts to [`PositioningOptions::set`].
+//! the environment: the doors do, and pass the texts to [`PositioningOptions::set`].
 
 mod choices;
 mod error;

@@ -1,13 +1,13 @@
-//! What a table of options is made of.
+//! One row of a table of options, and the parsers of option values.
 
 use super::PositioningOptions;
 
-/// Reads one option out of the options, as text.
+/// Formats the value of one option as text.
 pub(super) type Get = fn(&PositioningOptions) -> String;
-/// Puts a text into the options; `None` if the option does not take it.
+/// Parses a text and stores the value; `None` if the option does not accept it.
 pub(super) type Set = fn(&mut PositioningOptions, &str) -> Option<()>;
 
-/// One line of a table: an option's name, what it does, and how it is read and written.
+/// One row of a table: an option's name, unit, meaning, accepted values, getter and setter.
 pub(super) struct OptionSpecification {
     pub(super) name: &'static str,
     pub(super) unit: &'static str,
@@ -17,12 +17,12 @@ pub(super) struct OptionSpecification {
     pub(super) set: Set,
 }
 
-/// A number from `lowest` to `highest`.
+/// Parses a number from `lowest` to `highest`, bounds included.
 pub(super) fn number(text: &str, lowest: f64, highest: f64) -> Option<f64> {
     text.parse().ok().filter(|value| (lowest..=highest).contains(value))
 }
 
-/// `on` or `off`.
+/// Parses `on` or `off`.
 pub(super) fn switch(text: &str) -> Option<bool> {
     match text {
         "on" => Some(true),
@@ -31,7 +31,7 @@ pub(super) fn switch(text: &str) -> Option<bool> {
     }
 }
 
-/// What [`switch`] reads.
+/// The text that [`switch`] parses.
 pub(super) fn switch_text(on: bool) -> String {
     if on { "on" } else { "off" }.to_owned()
 }

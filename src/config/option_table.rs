@@ -1,4 +1,4 @@
-//! The table of positioning options: every name, unit and meaning in one place.
+//! The table of positioning options: name, unit, meaning and accepted values of each.
 
 use crate::gnss::SatelliteId;
 
@@ -13,17 +13,17 @@ use super::{
 /// One option with its value in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OptionEntry {
-    /// The name that [`PositioningOptions::set`] takes.
+    /// The name accepted by [`PositioningOptions::set`].
     pub name: &'static str,
-    /// Unit of the value; empty where it has none.
+    /// Unit of the value; empty if dimensionless.
     pub unit: &'static str,
-    /// The profile's value.
+    /// Default value in the profile.
     pub default: String,
-    /// The value in force.
+    /// Value in force: the default, or an override.
     pub value: String,
-    /// What it does, in one sentence.
+    /// The effect of the option, in one sentence.
     pub meaning: &'static str,
-    /// The values it takes.
+    /// The accepted values.
     pub allowed: &'static str,
 }
 
@@ -45,21 +45,21 @@ const TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "frequencies", unit: "",
-        meaning: "bands used; the first that a satellite offers is its main one",
+        meaning: "bands used; the first one with a signal of a satellite carries its main signal",
         allowed: "bands of L1,L2,L5,L6 between commas",
         get: |o| o.frequencies.to_string(),
         set: |o, text| BandSet::parse(text).map(|v| o.frequencies = v),
     },
     OptionSpecification {
         name: "elevation_mask_deg", unit: "deg",
-        meaning: "satellites lower than this are not used",
+        meaning: "satellites below this elevation are not used",
         allowed: "a number from 0 to 60",
         get: |o| degrees_text(o.elevation_mask_rad),
         set: |o, text| number(text, 0.0, 60.0).map(|v| o.elevation_mask_rad = v.to_radians()),
     },
     OptionSpecification {
         name: "sparse_elevation_mask_deg", unit: "deg",
-        meaning: "elevation mask, if lower, while few satellites stand above the other",
+        meaning: "lower elevation mask, used while few satellites are above elevation_mask_deg",
         allowed: "a number from 0 to 60",
         get: |o| degrees_text(o.sparse_elevation_mask_rad),
         set: |o, text| {
@@ -68,7 +68,7 @@ const TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "sparse_below", unit: "",
-        meaning: "satellites above elevation_mask_deg that are enough for it to hold",
+        meaning: "use sparse_elevation_mask_deg below this number of satellites",
         allowed: "a whole number from 0 to 300",
         get: |o| o.sparse_below.to_string(),
         set: |o, text| {
@@ -77,105 +77,105 @@ const TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "cn0_mask_db_hz", unit: "dB-Hz",
-        meaning: "signals weaker than this are not used; those without C/N0 are",
+        meaning: "signals with a lower C/N0 are not used; signals without C/N0 are",
         allowed: "a number from 0 to 60",
         get: |o| o.cn0_mask_db_hz.to_string(),
         set: |o, text| number(text, 0.0, 60.0).map(|v| o.cn0_mask_db_hz = v),
     },
     OptionSpecification {
         name: "ionosphere", unit: "",
-        meaning: "how the ionosphere's delay is corrected",
+        meaning: "model that corrects the ionospheric delay",
         allowed: "none, klobuchar, nequick-g (feature nequick), ionosphere-free",
         get: |o| o.ionosphere.name().to_owned(),
         set: |o, text| IonosphereModel::from_name(text).map(|v| o.ionosphere = v),
     },
     OptionSpecification {
         name: "dual_frequency", unit: "",
-        meaning: "whether a second frequency improves the modelled ionosphere, by their variances",
+        meaning: "whether a second frequency improves the modelled ionospheric delay",
         allowed: "on, off",
         get: |o| switch_text(o.dual_frequency),
         set: |o, text| switch(text).map(|v| o.dual_frequency = v),
     },
     OptionSpecification {
         name: "klobuchar_beidou", unit: "",
-        meaning: "whether BeiDou's own Klobuchar coefficients correct BeiDou, rather than GPS's",
+        meaning: "whether BeiDou is corrected by its own Klobuchar coefficients, not by GPS's",
         allowed: "on, off",
         get: |o| switch_text(o.klobuchar_beidou),
         set: |o, text| switch(text).map(|v| o.klobuchar_beidou = v),
     },
     OptionSpecification {
         name: "group_delay_beidou", unit: "",
-        meaning: "whether BeiDou's broadcast group delays are taken off its pseudoranges",
+        meaning: "whether BeiDou pseudoranges are corrected by the broadcast group delays (TGD)",
         allowed: "on, off",
         get: |o| switch_text(o.group_delay_beidou),
         set: |o, text| switch(text).map(|v| o.group_delay_beidou = v),
     },
     OptionSpecification {
         name: "ephemeris_beidou_h", unit: "h",
-        meaning: "how far from its time of ephemeris a BeiDou ephemeris is used",
+        meaning: "largest age of a BeiDou ephemeris, before or after its time of ephemeris (toe)",
         allowed: "a number from 1 to 24",
         get: |o| (o.ephemeris_beidou_s / 3_600.0).to_string(),
         set: |o, text| number(text, 1.0, 24.0).map(|v| o.ephemeris_beidou_s = v * 3_600.0),
     },
     OptionSpecification {
         name: "troposphere", unit: "",
-        meaning: "how the troposphere's delay is corrected",
+        meaning: "model that corrects the tropospheric delay",
         allowed: "none, saastamoinen",
         get: |o| o.troposphere.name().to_owned(),
         set: |o, text| TroposphereModel::from_name(text).map(|v| o.troposphere = v),
     },
     OptionSpecification {
         name: "troposphere_mapping", unit: "",
-        meaning: "how the troposphere's zenith delay is mapped to the elevation",
+        meaning: "mapping of the tropospheric zenith delay to the slant path",
         allowed: "niell, cosecant",
         get: |o| o.troposphere_mapping.name().to_owned(),
         set: |o, text| TroposphereMapping::from_name(text).map(|v| o.troposphere_mapping = v),
     },
     OptionSpecification {
         name: "weighting", unit: "",
-        meaning: "how a pseudorange's variance is stated",
+        meaning: "model of the pseudorange variance",
         allowed: "cn0-elevation, rtklib, gogps",
         get: |o| o.weighting.name().to_owned(),
         set: |o, text| WeightModel::from_name(text).map(|v| o.weighting = v),
     },
     OptionSpecification {
         name: "pseudorange_sigma_m", unit: "m",
-        meaning: "standard deviation of a strong signal's pseudorange at zenith",
+        meaning: "standard deviation of a strong signal's pseudorange, divided by sin(elevation)",
         allowed: "a number from 0.01 to 100",
         get: |o| o.pseudorange_sigma_m.to_string(),
         set: |o, text| number(text, 0.01, 100.0).map(|v| o.pseudorange_sigma_m = v),
     },
     OptionSpecification {
         name: "cn0_sigma_m", unit: "m",
-        meaning: "standard deviation that a signal of 42 dB-Hz adds; tenfold for 20 dB less",
+        meaning: "standard deviation added at 42 dB-Hz; ten times larger at 20 dB less",
         allowed: "a number from 0 to 100",
         get: |o| o.cn0_sigma_m.to_string(),
         set: |o, text| number(text, 0.0, 100.0).map(|v| o.cn0_sigma_m = v),
     },
     OptionSpecification {
         name: "doppler_sigma_m_s", unit: "m/s",
-        meaning: "standard deviation of a strong signal's Doppler, as range rate",
+        meaning: "standard deviation of a strong signal's Doppler, as a range rate",
         allowed: "a number from 0.001 to 10",
         get: |o| o.doppler_sigma_m_s.to_string(),
         set: |o, text| number(text, 0.001, 10.0).map(|v| o.doppler_sigma_m_s = v),
     },
     OptionSpecification {
         name: "fault_exclusion", unit: "",
-        meaning: "whether satellites that disagree with the others are left out",
+        meaning: "whether satellites that contradict the others are excluded",
         allowed: "on, off",
         get: |o| switch_text(o.fault_exclusion),
         set: |o, text| switch(text).map(|v| o.fault_exclusion = v),
     },
     OptionSpecification {
         name: "false_alarm_probability", unit: "",
-        meaning: "probability that the residual test rejects an epoch without a fault",
+        meaning: "probability that a residual test rejects fault-free measurements",
         allowed: "a number from 0.000001 to 0.5",
         get: |o| o.false_alarm_probability.to_string(),
         set: |o, text| number(text, 1e-6, 0.5).map(|v| o.false_alarm_probability = v),
     },
     OptionSpecification {
         name: "gdop_limit", unit: "",
-        meaning: "geometric dilution of precision above which no position is given",
+        meaning: "largest geometric dilution of precision (GDOP) of a position",
         allowed: "a number from 1, or inf",
         get: |o| o.gdop_limit.to_string(),
         set: |o, text| number(text, 1.0, f64::INFINITY).map(|v| o.gdop_limit = v),
@@ -210,7 +210,7 @@ impl PositioningOptions {
         })
     }
 
-    /// Every option of the mode: name, unit, default in this profile, value in force and meaning.
+    /// Every option of the mode, with default, value in force, unit and meaning.
     pub fn entries(&self) -> Vec<OptionEntry> {
         let defaults = Self::new(self.mode, self.profile);
         let entry = |option: &OptionSpecification| OptionEntry {
@@ -229,8 +229,8 @@ impl PositioningOptions {
         TABLE.iter().chain(graph).chain(rtk).map(entry).collect()
     }
 
-    /// BLAKE3 of the mode and every value in force, in hexadecimal: equal for equal estimators,
-    /// whichever profile and overrides led to them.
+    /// BLAKE3 hash of the mode and of every value in force, in hexadecimal. Equal estimators have
+    /// equal hashes, whichever profile and overrides led to them.
     pub fn configuration_hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("mode={}\n", self.mode.name()).as_bytes());
@@ -241,18 +241,18 @@ impl PositioningOptions {
     }
 }
 
-/// The Cargo feature that would let an option take a value that this build refuses.
+/// The Cargo feature that a build needs for an option to accept this value.
 fn missing_feature(key: &str, value: &str) -> Option<&'static str> {
     (key == "ionosphere" && value == "nequick-g" && cfg!(not(feature = "nequick")))
         .then_some("nequick")
 }
 
-/// The options of all modes.
+/// The options of all modes, in the order they are listed.
 fn all() -> impl Iterator<Item = &'static OptionSpecification> {
     TABLE.iter().chain(GRAPH_TABLE).chain(RTK_TABLE)
 }
 
-/// The option whose name is the fewest edits away; the first of equals.
+/// The option name with the smallest edit distance to `key`; the first of equals.
 fn nearest_name(key: &str) -> &'static str {
     let names = all().map(|option| option.name);
     names.min_by_key(|name| edit_distance(key, name)).expect("the table is not empty")
@@ -261,7 +261,7 @@ fn nearest_name(key: &str) -> &'static str {
 /// Levenshtein (1966) distance: insertions, deletions and substitutions from `a` to `b`.
 fn edit_distance(a: &str, b: &str) -> usize {
     let mut row: Vec<usize> = (0..=b.len()).collect();
-    // Names are short; a longer key is far from all of them after its first letters.
+    // Names are short: the first letters of a longer key already differ from all of them.
     for (i, byte) in a.bytes().take(64).enumerate() {
         let mut diagonal = std::mem::replace(&mut row[0], i + 1);
         for (j, other) in b.bytes().enumerate() {
@@ -273,7 +273,7 @@ fn edit_distance(a: &str, b: &str) -> usize {
     row[b.len()]
 }
 
-/// Degrees as the user wrote them: the conversion's rounding is hidden below a microdegree.
+/// Degrees as the user wrote them: rounding to a microdegree hides the conversion's error.
 fn degrees_text(angle_rad: f64) -> String {
     ((angle_rad.to_degrees() * 1e6).round() / 1e6).to_string()
 }

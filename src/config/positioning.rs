@@ -9,15 +9,15 @@ use super::{
 
 const HOUR_S: f64 = 3_600.0;
 
-/// What an estimator is told: a profile's values with overrides.
+/// The options of an estimator: a profile's values with overrides.
 ///
-/// The fields are in the units the estimator computes with; [`Self::entries`] shows them under
-/// the names and in the units users write.
+/// The fields are in the units that the estimator computes with; [`Self::entries`] shows them under
+/// the names and in the units that users write.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositioningOptions {
     /// The estimator.
     pub mode: Mode,
-    /// Where the values came from before overrides.
+    /// The profile that gave the default values.
     pub profile: Profile,
     /// Constellations used.
     pub systems: ConstellationSet,
@@ -25,43 +25,43 @@ pub struct PositioningOptions {
     pub excluded_satellites: Vec<SatelliteId>,
     /// Bands used.
     pub frequencies: BandSet,
-    /// Satellites lower than this are not used (rad).
+    /// Satellites below this elevation are not used (rad).
     pub elevation_mask_rad: f64,
-    /// Elevation mask in its place where few satellites stand above that (rad).
+    /// Elevation mask used in its place while few satellites are above it (rad).
     pub sparse_elevation_mask_rad: f64,
-    /// How many satellites above `elevation_mask_rad` are enough for it.
+    /// Number of satellites above `elevation_mask_rad` below which the sparse mask is used.
     pub sparse_below: usize,
-    /// Signals weaker than this are not used (dB-Hz); those without C/N0 are.
+    /// Signals with a lower C/N0 are not used (dB-Hz); signals without C/N0 are.
     pub cn0_mask_db_hz: f64,
     /// Ionosphere model.
     pub ionosphere: IonosphereModel,
-    /// Whether a second frequency improves the modelled ionosphere.
+    /// Whether a second frequency improves the modelled ionospheric delay.
     pub dual_frequency: bool,
-    /// Whether BeiDou's own Klobuchar coefficients correct BeiDou, rather than GPS's.
+    /// Whether BeiDou is corrected by its own Klobuchar coefficients, not by GPS's.
     pub klobuchar_beidou: bool,
-    /// Whether BeiDou's pseudoranges are corrected by the group delays it broadcasts.
+    /// Whether BeiDou pseudoranges are corrected by the broadcast group delays (TGD).
     pub group_delay_beidou: bool,
-    /// How far from toe an ephemeris of BeiDou is used (s).
+    /// Largest time between an epoch and the toe of its BeiDou ephemeris (s).
     pub ephemeris_beidou_s: f64,
-    /// Troposphere model.
+    /// Model of the tropospheric delay.
     pub troposphere: TroposphereModel,
-    /// How the zenith delay of the troposphere is mapped to the elevation.
+    /// Mapping of the tropospheric zenith delay to the slant path.
     pub troposphere_mapping: TroposphereMapping,
-    /// Variance model.
+    /// Model of the pseudorange variance.
     pub weighting: WeightModel,
-    /// Standard deviation of a strong signal's pseudorange at zenith (m).
+    /// Standard deviation of a strong signal's pseudorange, divided by sin(elevation) (m).
     pub pseudorange_sigma_m: f64,
-    /// Standard deviation that C/N0 adds to a pseudorange at 42 dB-Hz (m).
+    /// Standard deviation added to a pseudorange at 42 dB-Hz (m); ten times larger at 20 dB less.
     pub cn0_sigma_m: f64,
-    /// Standard deviation of a strong signal's Doppler as range rate (m/s).
+    /// Standard deviation of a strong signal's Doppler, as a range rate (m/s).
     pub doppler_sigma_m_s: f64,
-    /// Whether satellites that disagree with the others are left out.
+    /// Whether satellites that contradict the others are excluded.
     pub fault_exclusion: bool,
-    /// Probability that the residual test rejects an epoch without a fault.
+    /// Probability that a residual test rejects fault-free measurements.
     pub false_alarm_probability: f64,
-    /// Geometric dilution of precision above which no position is given.
+    /// Largest geometric dilution of precision (GDOP) of a position.
     pub gdop_limit: f64,
-    /// Whether the velocity is estimated.
+    /// Whether the velocity is estimated from Doppler.
     pub velocity: bool,
     /// Options of the modes with a factor graph.
     pub graph: GraphOptions,

@@ -2,67 +2,69 @@
 
 use super::Profile;
 
-/// What the modes that difference against a base are told beside the options of every mode.
+/// Options of the modes relative to a base, beside those of every mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RtkOptions {
-    /// Standard deviation of a strong signal's pseudorange at zenith (m); scaled by what is seen.
+    /// Initial standard deviation of a strong signal's pseudorange at zenith (m); a factor on it is
+    /// learnt.
     pub pseudorange_sigma_m: f64,
-    /// Standard deviation that C/N0 adds to a pseudorange at 42 dB-Hz (m).
+    /// Standard deviation added to a pseudorange at 42 dB-Hz (m); ten times larger at 20 dB less.
     pub pseudorange_cn0_sigma_m: f64,
-    /// Standard deviation of a carrier phase at the zenith, and of what grows to the horizon (m).
+    /// Standard deviation of a carrier phase: this, and this over sin(elevation), added in squares
+    /// (m).
     pub carrier_sigma_m: f64,
-    /// Standard deviation that C/N0 adds to a carrier phase at 42 dB-Hz (m).
+    /// Standard deviation added to a carrier phase at 42 dB-Hz (m); ten times larger at 20 dB less.
     pub carrier_cn0_sigma_m: f64,
-    /// Vertical gradient of the ionosphere's delay on L1 (m/m).
+    /// Horizontal gradient of the ionosphere's vertical delay on L1 (m/m).
     pub ionosphere_gradient: f64,
-    /// How long a pseudorange's error lasts (s).
+    /// Correlation time of pseudorange errors (s).
     pub pseudorange_correlation_s: f64,
-    /// How long a carrier phase's error lasts (s).
+    /// Correlation time of carrier-phase errors (s).
     pub carrier_correlation_s: f64,
-    /// A base epoch older than this is not used (s).
+    /// Largest age of a base epoch (s).
     pub base_age_max_s: f64,
-    /// A base further away is not used (m).
+    /// Longest baseline (m).
     pub baseline_max_m: f64,
-    /// Of several bases another is taken where it is nearer by this share of the present one's
-    /// distance (0 to 1) …
+    /// Handover to another base: it must be nearer by this share of the present distance (0 to 1),
     pub nearer_share: f64,
-    /// … and by this much (m) …
+    /// by this distance (m),
     pub nearer_m: f64,
-    /// … and has been heard for so long without a gap (s).
+    /// and its stream must be free of gaps for this long (s).
     pub steady_s: f64,
-    /// An ambiguity not seen for longer begins anew (s).
+    /// An ambiguity not observed for longer than this restarts (s).
     pub arc_gap_s: f64,
-    /// Epochs that stay nonlinear in the window.
+    /// Number of epochs that stay nonlinear in the window.
     pub window_epochs: usize,
-    /// Whether ambiguities are forgotten after each epoch.
+    /// Whether all ambiguities restart at each epoch.
     pub single_epoch: bool,
-    /// Whether integers are looked for.
+    /// Whether integer ambiguities are searched for.
     pub resolve: bool,
-    /// Least ratio of second-best to best squared norm, whatever the model's strength.
+    /// Smallest accepted ratio of second-best to best squared norm.
     pub ratio_min: f64,
-    /// Least posterior probability that integers found are right.
+    /// Smallest posterior probability of integers that a search finds.
     pub probability_min: f64,
-    /// Least probability of integers that are kept from one epoch to the next, or join such.
+    /// Smallest posterior probability of integers that are held over epochs, or that join held
+    /// ones.
     pub hold_probability_min: f64,
-    /// Least bootstrapped success rate of what is fixed.
+    /// Smallest bootstrapped success rate of the ambiguities to be fixed.
     pub success_rate_min: f64,
-    /// Epochs in a row that must find the same integers before they are kept.
+    /// Number of consecutive epochs that must find the same integers before they are held.
     pub hold_epochs: u32,
-    /// Fewest double differences a fix holds.
+    /// Smallest number of fixed double differences in a fix.
     pub fixed_min: usize,
-    /// Ambiguities of satellites lower than this stay real-valued (rad).
+    /// Ambiguities of satellites below this elevation stay real-valued (rad).
     pub elevation_mask_rad: f64,
 }
 
 impl RtkOptions {
-    /// How far back the epochs of a base matter (s): older ones are neither differenced against,
-    /// nor can a slip in them end an ambiguity that still lives.
+    /// How far back the epochs of a base matter (s). Older ones serve no differencing, and a slip
+    /// in them ends no ambiguity that is still alive.
     pub const fn base_span_s(&self) -> f64 {
         self.base_age_max_s.max(self.arc_gap_s)
     }
 
-    /// Least probability of integers that are found. Where ambiguities are forgotten after each
-    /// epoch no later one tests them, and they need what those that are kept need.
+    /// Smallest posterior probability of integers that a search finds. Where ambiguities restart at
+    /// each epoch no later epoch tests the integers, so the threshold is that of held ones.
     pub(crate) fn found_probability_min(&self) -> f64 {
         match self.single_epoch {
             true => self.probability_min.max(self.hold_probability_min),

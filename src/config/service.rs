@@ -1,7 +1,7 @@
-//! What the service is told: where it listens, where it stores, how much it takes.
+//! Options of the service: where it listens, where it stores, and its limits.
 //!
-//! Every value has a default here; a TOML file, `GRAPHFIX_…` variables and arguments override it,
-//! in this order. The command line reads them; a file's unknown key is refused by name.
+//! Every value has a default here. A TOML file, `GRAPHFIX_…` variables and arguments override it,
+//! in this order. The command line reads them; an unknown key in the file is refused by name.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -9,53 +9,55 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-/// Nobody needs ephemerides more often, and archives are for everybody (s).
+/// Shortest interval between requests (s): ephemerides change once an hour, and archives serve
+/// everybody.
 const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 
-/// What the service is told.
+/// Options of the service.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ServiceConfiguration {
-    /// Address and port to listen on; loopback only, as long as there are no keys and no TLS.
+    /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
+    /// TLS.
     pub listen: SocketAddr,
     /// `sqlite://FILE` or `postgres://…`.
     pub database: String,
-    /// How the log is written.
+    /// Format and filter of the log.
     pub log: LogConfiguration,
-    /// Whom the service may ask for data.
+    /// Hosts that the service may connect to at a client's request.
     pub fetch: FetchConfiguration,
-    /// What brings ephemerides.
+    /// Sources of ephemerides.
     pub navigation: NavigationConfiguration,
-    /// What brings bases.
+    /// Sources of base stations.
     pub bases: BasesConfiguration,
-    /// How much the service takes.
+    /// Limits on what the service accepts.
     pub limits: Limits,
 }
 
-/// What brings ephemerides beside uploads, bases and devices.
+/// Sources of ephemerides beside uploads, bases and devices.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NavigationConfiguration {
     /// Addresses of RINEX navigation files, plain or gzip, one a day: `{yyyy}`, `{yy}`, `{mm}`,
     /// `{dd}`, `{ddd}` and `{hh}` stand for year, month, day, day of year and hour of GPS time.
     pub archives: Vec<String>,
-    /// Seconds between requests for such a file.
+    /// Time between requests for one file (s).
     pub archive_interval_s: u64,
-    /// Streams of NTRIP casters with ephemerides.
+    /// NTRIP streams that carry ephemerides.
     pub casters: Vec<CasterConfiguration>,
 }
 
-/// What brings bases beside those that are created.
+/// Sources of base stations beside those that clients create.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BasesConfiguration {
-    /// Casters whose sourcetable says where bases stand: those nearest to rovers of sessions that
-    /// take the nearest of all are connected while they are needed. Their hosts must be among those
-    /// that may be asked.
+    /// Casters whose sourcetables give base positions. The streams nearest to rovers whose session
+    /// takes the nearest base are connected while needed. Their hosts must be listed in
+    /// `fetch.hosts`.
     pub networks: Vec<NetworkConfiguration>,
-    /// Seconds between requests for a sourcetable.
+    /// Time between requests for a sourcetable (s).
     pub table_interval_s: u64,
-    /// Seconds after which a stream that no rover has needed is disconnected.
+    /// Time without need after which a stream is disconnected (s).
     pub idle_s: u64,
 }
 
@@ -63,12 +65,12 @@ pub struct BasesConfiguration {
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfiguration {
-    /// Such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
+    /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
     /// The caster's user; empty for none.
     #[serde(default)]
     pub user: String,
-    /// The password.
+    /// The caster's password.
     #[serde(default)]
     pub password: String,
 }
@@ -79,18 +81,18 @@ impl fmt::Debug for NetworkConfiguration {
     }
 }
 
-/// A stream of an NTRIP caster.
+/// One stream of an NTRIP caster.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CasterConfiguration {
-    /// Such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
+    /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
-    /// The stream's name.
+    /// The mountpoint, without a slash.
     pub mountpoint: String,
     /// The caster's user; empty for none.
     #[serde(default)]
     pub user: String,
-    /// The password.
+    /// The caster's password.
     #[serde(default)]
     pub password: String,
 }
@@ -101,66 +103,67 @@ impl fmt::Debug for CasterConfiguration {
     }
 }
 
-/// Whom the service may ask for data by a client's wish, such as casters.
+/// Hosts that the service may connect to at a client's request, such as casters.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FetchConfiguration {
-    /// Hosts that may be asked: `host`, `host:port`, or `*.domain` for all below a domain.
+    /// Allowed hosts: `host`, `host:port`, or `*.domain` for all hosts below a domain.
     pub hosts: Vec<String>,
-    /// Whether they may be at addresses of private networks.
+    /// Whether these hosts may have addresses of private networks.
     pub private_addresses: bool,
-    /// PEM file of certificate authorities that are trusted beside the usual ones.
+    /// PEM file of certificate authorities trusted beside the system's.
     pub ca_file: Option<PathBuf>,
 }
 
-/// How the log is written.
+/// Format and filter of the log.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LogConfiguration {
-    /// One JSON object a line instead of text.
+    /// Whether each line is a JSON object, instead of text.
     pub json: bool,
-    /// What is logged, such as `info` or `graphfix=debug,tower_http=info`.
+    /// Filter directives, such as `info` or `graphfix=debug,tower_http=info`.
     pub filter: String,
 }
 
-/// How much the service takes; each is a refusal with its own code when exceeded.
+/// Limits on what the service accepts; each has its own refusal code.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Bytes of a request's body or message, after decompression in transit.
+    /// Bytes of a request body or message, after decompression in transit.
     pub body_bytes: usize,
-    /// Bytes of an upload once unpacked.
+    /// Bytes of an upload after unpacking.
     pub decompressed_bytes: u64,
     /// Epochs in one push.
     pub epochs_per_push: usize,
-    /// Bytes in one piece of a receiver's stream.
+    /// Bytes in one chunk of a receiver's stream.
     pub raw_piece_bytes: usize,
     /// Satellites in one epoch.
     pub satellites_per_epoch: usize,
     /// Observations in one epoch.
     pub observations_per_epoch: usize,
-    /// Sessions that hold an estimator in memory; idle ones are parked.
+    /// Sessions with an estimator in memory; idle ones are parked.
     pub active_sessions: usize,
-    /// Epochs that may wait in one session's mailbox.
+    /// Epochs that wait in the mailbox of one session.
     pub mailbox_epochs: usize,
-    /// Epochs that may wait in all mailboxes together.
+    /// Epochs that wait in all mailboxes together.
     pub waiting_epochs: usize,
-    /// Ephemerides held of one satellite.
+    /// Ephemerides kept in memory for one satellite.
     pub ephemerides_per_satellite: usize,
-    /// Base stations.
+    /// Number of base stations.
     pub bases: usize,
-    /// Epochs held of one base; further ones push out the oldest.
+    /// Epochs kept in memory for one base; newer ones push out the oldest.
     pub epochs_per_base: usize,
-    /// Bytes held of one base, about 26 a signal and epoch; further epochs push out the oldest.
+    /// Bytes kept in memory for one base, about 26 a signal and epoch; newer epochs push out the
+    /// oldest.
     pub bytes_per_base: usize,
-    /// Seconds for which a stopping service still serves while `/readyz` says no, so that a
-    /// balancer looks elsewhere.
+    /// Time for which a stopping service still serves while `/readyz` answers 503, so that a load
+    /// balancer looks elsewhere (s).
     pub drain_notice_s: u64,
-    /// Seconds that running requests have to finish when the service stops.
+    /// Time that running requests have to finish when the service stops (s).
     pub drain_s: u64,
 }
 
-/// The limits of what one push carries.
+/// Limits on the content of one push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IntakeLimits {
     /// Epochs in one push.
@@ -172,7 +175,7 @@ pub struct IntakeLimits {
 }
 
 impl Limits {
-    /// Those of one push.
+    /// The limits that apply to one push.
     pub const fn intake(&self) -> IntakeLimits {
         IntakeLimits {
             epochs_per_push: self.epochs_per_push,
@@ -185,19 +188,19 @@ impl Limits {
 /// Why the service does not start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ServiceConfigurationError {
-    /// The file is not the TOML it should be.
+    /// The file is not valid TOML, or holds an unknown key or a value of the wrong type.
     #[error("{0}")]
     Malformed(String),
-    /// An address that others can reach.
+    /// The address is not loopback.
     #[error("refusing to listen on {0}: without keys and TLS only this machine may be served")]
     NotLoopback(SocketAddr),
-    /// Archives would be asked all the time.
+    /// The interval between requests to archives is too short.
     #[error("navigation.archive_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
     ArchiveInterval,
-    /// Sourcetables would be asked for all the time.
+    /// The interval between requests for sourcetables is too short.
     #[error("bases.table_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
     TableInterval,
-    /// A limit that would refuse everything.
+    /// A limit of zero would refuse everything.
     #[error("limits.{0} must be at least 1")]
     ZeroLimit(&'static str),
 }
@@ -217,19 +220,19 @@ impl ServiceConfigurationError {
     /// What the operator can do about it.
     pub const fn remedy(&self) -> &'static str {
         match self {
-            Self::Malformed(_) => "correct the named line of the configuration file",
+            Self::Malformed(_) => "correct the line that the message names",
             Self::NotLoopback(_) => {
                 "listen on 127.0.0.1 or [::1], behind a proxy that authenticates if others need it"
             }
-            Self::ArchiveInterval => "ask archives seldom: an hour is usual",
-            Self::TableInterval => "ask for sourcetables seldom: an hour is usual",
-            Self::ZeroLimit(_) => "give a limit of at least 1, or leave it out",
+            Self::ArchiveInterval => "raise the interval; 3600 s is usual",
+            Self::TableInterval => "raise the interval; 3600 s is usual",
+            Self::ZeroLimit(_) => "set the limit to at least 1, or remove the line",
         }
     }
 }
 
 impl ServiceConfiguration {
-    /// What holds where nothing else is said.
+    /// The default configuration.
     pub fn standard() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
@@ -250,15 +253,15 @@ impl ServiceConfiguration {
         }
     }
 
-    /// From the text of a TOML file; what it does not name is standard.
+    /// Parses a TOML file; keys that it lacks keep their default.
     ///
     /// # Errors
-    /// [`ServiceConfigurationError::Malformed`] with line, key and what would be accepted.
+    /// [`ServiceConfigurationError::Malformed`] with the line, the key and the accepted values.
     pub fn from_toml(text: &str) -> Result<Self, ServiceConfigurationError> {
         toml::from_str(text).map_err(|e| ServiceConfigurationError::Malformed(e.to_string()))
     }
 
-    /// Checks what must hold before anything is opened.
+    /// Checks the values before anything is opened.
     ///
     /// # Errors
     /// An address that is not loopback, or a limit of zero.
@@ -321,7 +324,7 @@ impl Limits {
     }
 }
 
-// `serde(default)` asks for `Default`: here it is the standard, and nothing else uses it.
+// `serde(default)` asks for `Default`. Nothing else uses it.
 impl Default for ServiceConfiguration {
     fn default() -> Self {
         Self::standard()
