@@ -1,9 +1,9 @@
-//! Antennas: where their phase centres are.
+//! Antennas and their phase centres.
 //!
-//! The *antenna reference point* (ARP) is a place on the antenna's body, most often the bottom of
-//! its mount; a *marker* is what stands in the ground below it. The mean phase centre is off the
-//! ARP by an offset, and a phase is longer than the range from that centre by a variation that
-//! depends on direction, both per frequency.
+//! The *antenna reference point* (ARP) is a point of the antenna's body, usually the bottom of its
+//! mount. A *marker* is a point in the ground below the antenna. The mean phase centre has an
+//! offset (PCO) from the ARP. The phase exceeds the range to the mean phase centre by a variation
+//! (PCV) that depends on the direction. Both depend on the frequency.
 
 use nalgebra::Vector3;
 
@@ -12,66 +12,66 @@ use super::{Constellation, GpsTime, SatelliteId};
 /// Phase centre of an antenna on one frequency.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PhaseCentrePattern {
-    /// Whose frequency.
+    /// Constellation whose frequency this is.
     pub constellation: Constellation,
-    /// Its band, the first digit of RINEX 3 codes.
+    /// Band: the first digit of RINEX 3 observation codes.
     pub band_digit: u8,
-    /// Mean phase centre (m): from the ARP towards north, east and up; of a satellite from its
-    /// centre of mass along its body's x, y and z.
+    /// Mean phase centre (m). Of a receiver antenna: from the ARP towards north, east and up. Of a
+    /// satellite: from the centre of mass along the body axes x, y and z.
     pub offset_m: Vector3<f64>,
-    /// First zenith angle of the grid (rad); nadir angle of a satellite.
+    /// First zenith angle of the grid (rad); of a satellite the nadir angle.
     pub first_zenith_rad: f64,
-    /// Between zenith angles (rad).
+    /// Step between zenith angles (rad).
     pub zenith_step_rad: f64,
-    /// Variations by zenith angle, whatever the azimuth (m).
+    /// Variations by zenith angle, averaged over azimuth (m).
     pub variations_m: Vec<f64>,
-    /// Variations by azimuth, clockwise from north in equal steps from 0 to 360° inclusive, each by
-    /// zenith angle (m); empty where only the mean over azimuth is known.
+    /// Variations by azimuth, then by zenith angle (m). Azimuths are clockwise from north in equal
+    /// steps from 0 to 360°, both included; empty where only the mean over azimuth is known.
     pub azimuth_variations_m: Vec<Vec<f64>>,
 }
 
-/// A receiver's antenna that was calibrated.
+/// The calibration of a receiver antenna.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AntennaCalibration {
-    /// Type, as the IGS names it: `TRM59800.00`.
+    /// Antenna type in the IGS's notation, such as `TRM59800.00`.
     pub antenna: String,
-    /// Radome, `NONE` where there is none.
+    /// Radome code, `NONE` without a radome.
     pub radome: String,
-    /// Serial number of this one antenna; empty for the mean of its type.
+    /// Serial number of the calibrated antenna; empty for the mean of its type.
     pub serial: String,
-    /// One for each frequency.
+    /// One pattern for each frequency.
     pub patterns: Vec<PhaseCentrePattern>,
 }
 
 /// A satellite's antenna.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SatelliteAntenna {
-    /// The satellite that had the number at the time.
+    /// The satellite that had this number from `valid_from` to `valid_until`.
     pub satellite: SatelliteId,
-    /// Its type, such as `BLOCK IIF`.
+    /// Satellite block, such as `BLOCK IIF`.
     pub kind: String,
-    /// From when it had that number.
+    /// First instant of validity; `None`: unbounded.
     pub valid_from: Option<GpsTime>,
-    /// Until when.
+    /// Last instant of validity; `None`: unbounded.
     pub valid_until: Option<GpsTime>,
-    /// One for each frequency.
+    /// One pattern for each frequency.
     pub patterns: Vec<PhaseCentrePattern>,
 }
 
 /// Calibrated antennas.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AntennaCatalogue {
-    /// Of receivers.
+    /// Calibrations of receiver antennas.
     pub receivers: Vec<AntennaCalibration>,
-    /// Of satellites.
+    /// Calibrations of satellite antennas.
     pub satellites: Vec<SatelliteAntenna>,
 }
 
 impl AntennaCatalogue {
-    /// The calibration of a receiver's antenna, named as in RINEX headers: type and radome in 16
-    /// and 4 columns, or apart by blanks; no radome is `NONE`. The antenna's own calibration comes
-    /// before that of its type. `None` where type and radome are not known together: another
-    /// radome moves the phase centre by millimetres.
+    /// The calibration of a receiver antenna, named as in RINEX headers: type and radome in 16 and
+    /// 4 columns, or separated by blanks; without a radome code it is `NONE`. The calibration of
+    /// the serial number comes before that of the type. `None` unless type and radome are both
+    /// found: another radome moves the phase centre by millimetres.
     pub fn receiver(&self, name: &str, serial: &str) -> Option<&AntennaCalibration> {
         let (antenna, radome) = split_antenna_name(name);
         let mut same = self.receivers.iter().filter(|one| {
@@ -81,7 +81,7 @@ impl AntennaCatalogue {
         own.or_else(|| same.find(|one| one.serial.is_empty()))
     }
 
-    /// The antenna of the satellite that had a number at a time.
+    /// The antenna of the satellite that has this number at `time`.
     pub fn satellite(&self, satellite: SatelliteId, time: GpsTime) -> Option<&SatelliteAntenna> {
         self.satellites.iter().find(|one| {
             one.satellite == satellite
@@ -91,12 +91,12 @@ impl AntennaCatalogue {
     }
 }
 
-/// Type and radome of an antenna's name of 20 columns.
+/// Antenna type and radome code of a name of 20 columns.
 pub fn split_antenna_name(name: &str) -> (&str, &str) {
     const TYPE_COLUMNS: usize = 16;
     let in_columns = name.split_at_checked(TYPE_COLUMNS);
     let (antenna, radome) = match in_columns {
-        // A type of 16 columns without a blank runs on only if the columns were not kept.
+        // A type of 16 columns without a blank touches the radome only if the columns are not kept.
         Some((antenna, radome)) if !radome.trim().contains(' ') => (antenna.trim(), radome.trim()),
         _ => (name.trim(), ""),
     };

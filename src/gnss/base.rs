@@ -1,39 +1,39 @@
-//! Base stations: receivers at known places.
+//! Base stations: receivers at known positions.
 //!
-//! A position stated for a base is that of its *marker*; what its receiver observes, and so every
-//! position relative to it, is of the *antenna reference point*.
+//! The position stated for a base is that of its *marker*. The observations of its receiver, and
+//! every position relative to it, refer to its *antenna reference point*.
 
 use nalgebra::Vector3;
 
 use super::{Ecef, Enu, LocalFrame};
 
-/// A receiver at a known place, against which others are positioned.
+/// A receiver at a known position, which rovers are positioned against.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseStation {
-    /// Its name, for messages.
+    /// The base's name, for messages.
     pub name: String,
-    /// Its antenna reference point, ECEF (m); a marker's position with the antenna's offset added.
+    /// Antenna reference point, ECEF (m): the marker plus the antenna's offset.
     pub antenna_reference_point: Ecef,
 }
 
-/// How the place of a base became known.
+/// The source of a base position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PositionSource {
-    /// Its owner stated it.
+    /// Coordinates given by the owner of the base.
     Given,
     /// The header of its observation file.
     Header,
     /// Messages 1005 and 1006 of RTCM 3.
     Message,
-    /// The mean of its own single-point positions, where nothing tells it.
+    /// The mean of the base's own single-point positions, if no other source gives any.
     SinglePoints,
 }
 
 impl PositionSource {
-    /// Every source.
+    /// All sources.
     pub const ALL: [Self; 4] = [Self::Given, Self::Header, Self::Message, Self::SinglePoints];
 
-    /// The name as the API writes it.
+    /// The name in the API.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Given => "given",
@@ -43,22 +43,22 @@ impl PositionSource {
         }
     }
 
-    /// The source of a name as the API writes it.
+    /// The source with this name in the API, or `None`.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|source| source.name() == name)
     }
 }
 
-/// Where a base stands: its marker, and its antenna above it.
+/// The position of a base: its marker and its antenna above it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseSite {
     /// Position of the marker, ECEF (m).
     pub marker: Ecef,
     /// Antenna reference point above, east and north of the marker (m).
     pub antenna_delta_hen_m: [f64; 3],
-    /// Type and radome of the antenna; empty where not told.
+    /// Antenna type and radome; empty if unknown.
     pub antenna: String,
-    /// How the marker's position became known.
+    /// Source of the marker's position.
     pub source: PositionSource,
 }
 
@@ -69,7 +69,7 @@ impl BaseSite {
         LocalFrame::at(self.marker).to_ecef(Enu(Vector3::new(east, north, height)))
     }
 
-    /// The station that stands there.
+    /// The base station at this position, with the name given.
     pub fn station(&self, name: String) -> BaseStation {
         BaseStation { name, antenna_reference_point: self.antenna_reference_point() }
     }

@@ -19,12 +19,12 @@ pub struct Geodetic {
     pub height_m: f64,
 }
 
-/// East, north, up (m) in a local frame that the context names.
+/// East, north, up (m) in a local frame that the caller names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Enu(pub Vector3<f64>);
 
 impl Ecef {
-    /// From coordinates x, y, z (m).
+    /// The position with these ECEF coordinates (m).
     pub const fn new(x: f64, y: f64, z: f64) -> Self {
         Self(Vector3::new(x, y, z))
     }
@@ -61,7 +61,7 @@ impl Ecef {
 }
 
 impl Geodetic {
-    /// From degrees, degrees and metres.
+    /// The position at a latitude (degrees), longitude (degrees) and height (m).
     pub const fn from_degrees(latitude: f64, longitude: f64, height_m: f64) -> Self {
         Self {
             latitude_rad: latitude.to_radians(),
@@ -87,14 +87,14 @@ impl Geodetic {
 /// The local east, north, up frame at an origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
-    /// Where east, north and up are zero.
+    /// Origin of east, north and up, ECEF (m).
     pub origin: Ecef,
-    /// Rows east, north, up: turns an ECEF difference into ENU, 3×3.
+    /// Rotation from ECEF differences to ENU, 3×3, with rows east, north, up.
     pub rotation: Matrix3<f64>,
 }
 
 impl LocalFrame {
-    /// The frame at `origin`, up being the ellipsoid's normal.
+    /// The frame at `origin`, with up along the ellipsoid's normal.
     pub fn at(origin: Ecef) -> Self {
         let geodetic = origin.to_geodetic();
         let (sin_lat, cos_lat) = geodetic.latitude_rad.sin_cos();
@@ -108,17 +108,17 @@ impl LocalFrame {
         Self { origin, rotation }
     }
 
-    /// A position relative to the origin.
+    /// Local coordinates of an ECEF position (m).
     pub fn to_enu(&self, position: Ecef) -> Enu {
         Enu(self.rotation * (position.0 - self.origin.0))
     }
 
-    /// The position of local coordinates.
+    /// ECEF position of local coordinates (m).
     pub fn to_ecef(&self, enu: Enu) -> Ecef {
         Ecef(self.origin.0 + self.rotation.transpose() * enu.0)
     }
 
-    /// An ECEF covariance in this frame, 3×3 (m²).
+    /// An ECEF covariance rotated into this frame, 3×3 (m²).
     pub fn covariance_to_enu(&self, covariance: &Matrix3<f64>) -> Matrix3<f64> {
         self.rotation * covariance * self.rotation.transpose()
     }

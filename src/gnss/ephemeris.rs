@@ -1,4 +1,4 @@
-//! Broadcast ephemerides as their messages give them, in SI units.
+//! Broadcast ephemerides with the parameters of their messages, in SI units.
 
 use nalgebra::Vector3;
 
@@ -14,7 +14,7 @@ pub enum Ephemeris {
 }
 
 impl Ephemeris {
-    /// The satellite it describes.
+    /// The satellite that the ephemeris describes.
     pub const fn satellite(&self) -> SatelliteId {
         match self {
             Self::Keplerian(e) => e.satellite,
@@ -38,7 +38,7 @@ impl Ephemeris {
         }
     }
 
-    /// Issue of data: what tells two ephemerides of one satellite apart, beside `toe`.
+    /// Issue of data; with `toe` it identifies an ephemeris of a satellite.
     pub const fn issue(&self) -> u32 {
         match self {
             Self::Keplerian(e) => e.iode,
@@ -46,7 +46,7 @@ impl Ephemeris {
         }
     }
 
-    /// FDMA channel, for GLONASS.
+    /// FDMA channel of a GLONASS satellite, otherwise `None`.
     pub const fn glonass_channel(&self) -> Option<i8> {
         match self {
             Self::Keplerian(_) => None,
@@ -55,7 +55,7 @@ impl Ephemeris {
     }
 }
 
-/// Which navigation message an ephemeris came in; it decides clock reference and validity.
+/// The navigation message of an ephemeris; it defines the clock's signals and the validity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum NavigationMessage {
     /// GPS or QZSS legacy (L1 C/A).
@@ -82,7 +82,7 @@ pub enum NavigationMessage {
     Fdma,
 }
 
-/// Group delays that a message gives for its constellation's signals (s).
+/// Group delays of a message, by constellation (s).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GroupDelays {
     /// GPS and QZSS: T_GD, and inter-signal corrections where the message is CNAV or CNAV-2.
@@ -138,13 +138,13 @@ pub enum GroupDelays {
 /// A_0 + ΔA is stored as its square root; its rates are zero in legacy messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KeplerianEphemeris {
-    /// The satellite.
+    /// The satellite that broadcast the message.
     pub satellite: SatelliteId,
-    /// The message it came in.
+    /// The navigation message that carried the ephemeris.
     pub message: NavigationMessage,
-    /// Time of clock.
+    /// Time of clock toc: reference time of the clock polynomial.
     pub toc: GpsTime,
-    /// Time of ephemeris.
+    /// Time of ephemeris toe: reference time of the orbit.
     pub toe: GpsTime,
     /// Time of transmission of the message, where known.
     pub transmission_time: Option<GpsTime>,
@@ -168,17 +168,17 @@ pub struct KeplerianEphemeris {
     pub m0_rad: f64,
     /// Mean motion difference Δn (rad/s).
     pub delta_n_rad_s: f64,
-    /// Its rate Δṅ (rad/s²).
+    /// Rate of the mean motion difference Δṅ (rad/s²).
     pub delta_n_dot_rad_s2: f64,
     /// Argument of perigee ω (rad).
     pub omega_rad: f64,
     /// Longitude of the ascending node at weekly epoch Ω_0 (rad).
     pub omega0_rad: f64,
-    /// Its rate Ω̇ (rad/s).
+    /// Rate of the right ascension Ω̇ (rad/s).
     pub omega_dot_rad_s: f64,
     /// Inclination at toe i_0 (rad).
     pub i0_rad: f64,
-    /// Its rate IDOT (rad/s).
+    /// Rate of the inclination IDOT (rad/s).
     pub idot_rad_s: f64,
     /// Harmonic correction of the argument of latitude, cosine C_uc (rad).
     pub cuc_rad: f64,
@@ -192,20 +192,21 @@ pub struct KeplerianEphemeris {
     pub cic_rad: f64,
     /// Harmonic correction of the inclination, sine C_is (rad).
     pub cis_rad: f64,
-    /// Stated accuracy: URA or SISA (m); `None` where the message warns against use or gives none.
+    /// Broadcast accuracy, URA or SISA (m); `None` where the message warns against use or gives
+    /// none.
     pub accuracy_m: Option<f64>,
     /// Health word as broadcast; zero is healthy.
     pub health: u32,
-    /// Fit interval (h), where the message states one.
+    /// Fit interval (h), where the message gives one.
     pub fit_interval_h: Option<f64>,
-    /// Group delays.
+    /// Group delays of the message (s).
     pub group_delays: GroupDelays,
 }
 
-/// GLONASS broadcast ephemeris; GLONASS ICD 5.1, table 4.5. PZ-90.02 is taken as WGS 84.
+/// GLONASS broadcast ephemeris; GLONASS ICD 5.1, table 4.5. PZ-90.02 is treated as WGS 84.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GlonassEphemeris {
-    /// The satellite.
+    /// The satellite that broadcast the message.
     pub satellite: SatelliteId,
     /// Reference time t_b.
     pub toe: GpsTime,
@@ -217,7 +218,7 @@ pub struct GlonassEphemeris {
     pub velocity_m_s: Vector3<f64>,
     /// Acceleration of Sun and Moon (m/s²).
     pub acceleration_m_s2: Vector3<f64>,
-    /// Clock bias −τ_n (s): the satellite's clock is ahead by this.
+    /// Clock bias −τ_n (s), positive if the satellite's clock is ahead.
     pub clock_bias_s: f64,
     /// Relative frequency offset γ_n.
     pub gamma: f64,
@@ -227,7 +228,7 @@ pub struct GlonassEphemeris {
     pub channel: i8,
     /// Health word as broadcast; zero is healthy.
     pub health: u32,
-    /// Stated accuracy F_T (m), where given.
+    /// Broadcast accuracy F_T (m), where given.
     pub accuracy_m: Option<f64>,
     /// Age of the information E_n (days).
     pub age_days: u8,

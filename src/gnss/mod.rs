@@ -1,8 +1,8 @@
-//! The vocabulary: plain data that every other module speaks.
+//! The vocabulary: plain data that all other modules use.
 //!
 //! Time, coordinates, satellites, signals, observations, odometry, ephemerides, base stations and
-//! solutions. Nothing here computes a model, reads a byte or waits. Inside the service everything
-//! is ECEF, metres, seconds and radians; clocks are metres (c·δt); time is GPS time.
+//! solutions. Nothing here computes a model, reads a byte or waits. Inside the service positions
+//! are ECEF, lengths metres, times seconds of GPS time, angles radians, and clocks metres (c·δt).
 
 mod antenna;
 mod base;

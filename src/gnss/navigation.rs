@@ -1,4 +1,4 @@
-//! What satellites broadcast, gathered: ephemerides, ionosphere coefficients, leap seconds.
+//! Broadcast data of all satellites: ephemerides, ionosphere coefficients, leap seconds.
 
 use std::collections::BTreeMap;
 
@@ -20,10 +20,10 @@ pub struct NeQuickCoefficients {
     pub ai: [f64; 3],
 }
 
-/// Everything broadcast that positioning needs, for all satellites and times it is held for.
+/// Broadcast data that positioning needs, for all satellites.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Navigation {
-    /// By satellite, each list in order of `toe`.
+    /// Ephemerides of each satellite, in order of `toe`.
     ephemerides: BTreeMap<SatelliteId, Vec<Ephemeris>>,
     /// Klobuchar coefficients that GPS broadcast.
     pub klobuchar_gps: Option<KlobucharCoefficients>,
@@ -33,13 +33,13 @@ pub struct Navigation {
     pub klobuchar_qzss: Option<KlobucharCoefficients>,
     /// NeQuick-G coefficients that Galileo broadcast.
     pub nequick: Option<NeQuickCoefficients>,
-    /// Leap seconds, as far as broadcast.
+    /// Leap seconds, with the broadcast value if there is one.
     pub leap_seconds: LeapSeconds,
 }
 
 impl Navigation {
-    /// Adds an ephemeris; returns whether it is new. One with the same message, `toe`, `toc` and
-    /// issue replaces the old one only if it differs.
+    /// Adds an ephemeris and returns whether it is new. An ephemeris with the same message, `toe`,
+    /// `toc` and issue is replaced only if the content differs.
     pub fn insert(&mut self, ephemeris: Ephemeris) -> bool {
         let list = self.ephemerides.entry(ephemeris.satellite()).or_default();
         let key = |e: &Ephemeris| {
@@ -62,27 +62,27 @@ impl Navigation {
         }
     }
 
-    /// Ephemerides of one satellite in order of `toe`.
+    /// Ephemerides of one satellite, in order of `toe`.
     pub fn of(&self, satellite: SatelliteId) -> &[Ephemeris] {
         self.ephemerides.get(&satellite).map_or(&[], Vec::as_slice)
     }
 
-    /// All satellites that have an ephemeris, with them.
+    /// All satellites with an ephemeris, and their ephemerides.
     pub fn satellites(&self) -> impl Iterator<Item = (SatelliteId, &[Ephemeris])> {
         self.ephemerides.iter().map(|(satellite, list)| (*satellite, list.as_slice()))
     }
 
-    /// How many ephemerides are held.
+    /// Number of ephemerides.
     pub fn len(&self) -> usize {
         self.ephemerides.values().map(Vec::len).sum()
     }
 
-    /// Whether no ephemeris is held.
+    /// Whether there is no ephemeris.
     pub fn is_empty(&self) -> bool {
         self.ephemerides.is_empty()
     }
 
-    /// Forgets the ephemerides that `keep` refuses.
+    /// Removes the ephemerides for which `keep` is false.
     pub fn retain(&mut self, mut keep: impl FnMut(&Ephemeris) -> bool) {
         self.ephemerides.retain(|_, list| {
             list.retain(&mut keep);
@@ -90,8 +90,8 @@ impl Navigation {
         });
     }
 
-    /// Takes over all of `other`; its coefficients and leap seconds win where it has them.
-    /// Returns how many ephemerides were new.
+    /// Adds all of `other`; its coefficients and leap seconds replace those here. Returns the
+    /// number of new ephemerides.
     pub fn merge(&mut self, other: Self) -> usize {
         self.klobuchar_gps = other.klobuchar_gps.or(self.klobuchar_gps);
         self.klobuchar_beidou = other.klobuchar_beidou.or(self.klobuchar_beidou);

@@ -1,12 +1,12 @@
-//! What a receiver measured.
+//! Observations of a receiver.
 
 use super::{GpsTime, ObservationCode, Odometry, SatelliteId, Signal};
 
-/// A length (m), where metres and cycles could be swapped.
+/// A length (m): a type of its own where metres and cycles could be swapped.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Meters(pub f64);
 
-/// Carrier phase (cycles): receivers give cycles, estimators want metres.
+/// Carrier phase (cycles): receivers give cycles, estimators use metres.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Cycles(pub f64);
 
@@ -19,12 +19,12 @@ impl Cycles {
 
 /// One signal of one satellite at one epoch.
 ///
-/// Signs are RINEX's: a satellite that approaches has positive Doppler and falling phase.
+/// Signs as in RINEX: for an approaching satellite Doppler is positive and the phase falls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// The satellite.
+    /// The observed satellite.
     pub satellite: SatelliteId,
-    /// Band and tracking attribute.
+    /// Observation code: band and tracking attribute.
     pub code: ObservationCode,
     /// Loss-of-lock indicator: a cycle slip was possible since the previous epoch.
     pub loss_of_lock: bool,
@@ -32,16 +32,16 @@ pub struct Observation {
     pub half_cycle: bool,
     /// Pseudorange (m).
     pub pseudorange_m: Option<f64>,
-    /// Carrier phase.
+    /// Carrier phase (cycles).
     pub carrier_phase: Option<Cycles>,
-    /// Doppler (Hz).
+    /// Doppler (Hz), positive for an approaching satellite.
     pub doppler_hz: Option<f64>,
     /// Carrier-to-noise density C/N0 (dB-Hz).
     pub cn0_db_hz: Option<f64>,
 }
 
 impl Observation {
-    /// An observation of `satellite` under `code` with nothing measured yet.
+    /// An observation of `satellite` under `code` without measurements.
     pub const fn empty(satellite: SatelliteId, code: ObservationCode) -> Self {
         Self {
             satellite,
@@ -55,12 +55,12 @@ impl Observation {
         }
     }
 
-    /// The signal observed.
+    /// The observed signal: constellation and code.
     pub const fn signal(&self) -> Signal {
         Signal::of(self.satellite, self.code)
     }
 
-    /// Whether nothing was measured.
+    /// Whether there is no measurement.
     pub const fn is_empty(&self) -> bool {
         self.pseudorange_m.is_none()
             && self.carrier_phase.is_none()
@@ -72,13 +72,13 @@ impl Observation {
 /// All observations of one receiver at one receiver time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Epoch {
-    /// The receiver's own tag, which its clock error shifts from the true time of reception.
+    /// The receiver's time tag: the true time of reception plus the receiver's clock error.
     pub time: GpsTime,
     /// The receiver lost power since the previous epoch (RINEX epoch flag 1).
     pub power_failure: bool,
-    /// Observations; those of one satellite stand together. A signal appears at most once.
+    /// Observations, grouped by satellite. A signal appears at most once.
     pub observations: Vec<Observation>,
-    /// What another sensor says of the way since the epoch before.
+    /// Displacement since the previous epoch, measured by another sensor.
     pub odometry: Option<Odometry>,
 }
 
@@ -88,7 +88,7 @@ impl Epoch {
         Self { time, power_failure: false, observations: Vec::new(), odometry: None }
     }
 
-    /// Observations satellite by satellite.
+    /// The observations of each satellite, in the epoch's order.
     pub fn by_satellite(&self) -> impl Iterator<Item = (SatelliteId, &[Observation])> {
         self.observations.chunk_by(|a, b| a.satellite == b.satellite).map(|c| (c[0].satellite, c))
     }

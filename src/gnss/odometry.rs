@@ -1,25 +1,26 @@
-//! What another sensor says of the way between two epochs.
+//! Displacements between epochs, measured by another sensor.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Axes along which a displacement is given.
+/// Axes of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OdometryFrame {
-    /// Earth-centred, Earth-fixed.
+    /// Earth-centred, Earth-fixed axes.
     Ecef,
     /// East, north, up at the antenna.
     Enu,
-    /// Forward, left and up of a body that stands level: x, y, z of ISO 8855.
+    /// Forward, left and up of a level body: x, y, z of ISO 8855.
     Body {
-        /// Heading of the forward axis from north over east, midway of the displacement (rad).
+        /// Heading of the forward axis, clockwise from north, midway through the displacement
+        /// (rad).
         heading_rad: f64,
-        /// Its standard deviation (rad).
+        /// Standard deviation of the heading (rad).
         heading_sigma_rad: f64,
     },
 }
 
 impl OdometryFrame {
-    /// The name as API and files write it.
+    /// The name in the API and in files.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Ecef => "ecef",
@@ -29,41 +30,42 @@ impl OdometryFrame {
     }
 }
 
-/// A displacement of the antenna since the epoch before.
+/// A displacement of the antenna since the previous epoch.
 ///
-/// Its errors are taken for normal and independent from one displacement to the next.
+/// Its errors are modelled as normal and independent between displacements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Odometry {
-    /// How long the displacement took, up to the epoch's time (s): it ties two epochs that are just
-    /// so far apart.
+    /// Duration of the displacement, up to the epoch's time (s). It is used only if the epochs are
+    /// this far apart.
     pub interval_s: f64,
-    /// The axes of what follows.
+    /// Axes of displacement and covariance.
     pub frame: OdometryFrame,
-    /// From where the antenna was to where it is (m).
+    /// Vector from the antenna's previous position to its present one (m).
     pub displacement_m: Vector3<f64>,
-    /// Its covariance, 3×3, symmetric and positive definite (m²); the heading's is apart.
+    /// Covariance of the displacement, 3×3, symmetric and positive definite (m²), without the
+    /// heading's error.
     pub covariance: Matrix3<f64>,
 }
 
-/// What is wrong with a displacement.
+/// Why a displacement is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum OdometryError {
-    /// No time passed, or a time that is no number.
+    /// The interval is outside its range, or not a number.
     #[error("an interval of {interval_s} s is not in {INTERVAL_MIN_S} to {INTERVAL_MAX_S} s")]
     Interval {
-        /// The interval (s).
+        /// The interval given (s).
         interval_s: f64,
     },
-    /// Not a number, or farther than anything moves.
-    #[error("a displacement of {value_m} m is none: at most {DISPLACEMENT_MAX_M} m an axis")]
+    /// A component is too large, or not a number.
+    #[error("a displacement of {value_m} m is invalid: at most {DISPLACEMENT_MAX_M} m an axis")]
     Displacement {
-        /// Along one axis (m).
+        /// The component along one axis (m).
         value_m: f64,
     },
-    /// A covariance that no random vector has.
+    /// The covariance is not symmetric and positive definite.
     #[error("the covariance is not positive definite")]
     Covariance,
-    /// A heading or its deviation is no number, or the deviation is negative.
+    /// The heading or its deviation is not a number, or the deviation is negative.
     #[error("a heading is needed with a deviation of zero or more")]
     Heading,
 }
@@ -71,19 +73,19 @@ pub enum OdometryError {
 const INTERVAL_MIN_S: f64 = 1e-3;
 const INTERVAL_MAX_S: f64 = 3_600.0;
 const DISPLACEMENT_MAX_M: f64 = 1e6;
-/// Least share of a variance that the components before leave open.
+/// Smallest ratio of a component's conditional variance, given the previous ones, to its variance.
 const PIVOT_RATIO_MIN: f64 = 1e-9;
 
 impl Odometry {
-    /// The same, if it can be.
+    /// The displacement, if it is valid.
     ///
     /// # Errors
-    /// The first thing that is wrong with it.
+    /// The first value that is invalid.
     pub fn checked(self) -> Result<Self, OdometryError> {
         if !(INTERVAL_MIN_S..=INTERVAL_MAX_S).contains(&self.interval_s) {
             return Err(OdometryError::Interval { interval_s: self.interval_s });
         }
-        // NaN is in no range.
+        // NaN is in no range, so it is refused.
         let allowed_m = -DISPLACEMENT_MAX_M..=DISPLACEMENT_MAX_M;
         if let Some(value_m) = self.displacement_m.iter().find(|v| !allowed_m.contains(v)) {
             return Err(OdometryError::Displacement { value_m: *value_m });
@@ -102,7 +104,7 @@ impl Odometry {
     }
 }
 
-/// Whether a matrix is symmetric and positive definite, and not by rounding alone.
+/// Whether a matrix is symmetric and positive definite beyond rounding errors.
 fn is_covariance(matrix: &Matrix3<f64>) -> bool {
     let is_finite = matrix.iter().all(|value| value.is_finite());
     let Some(factor) = matrix.cholesky().filter(|_| is_finite && *matrix == matrix.transpose())
@@ -113,7 +115,7 @@ fn is_covariance(matrix: &Matrix3<f64>) -> bool {
     (0..3).all(|axis| PIVOT_RATIO_MIN * matrix[(axis, axis)] < pivots[axis] * pivots[axis])
 }
 
-/// A symmetric matrix from xx, yy, zz, xy, xz, yz.
+/// The symmetric matrix with the elements xx, yy, zz, xy, xz, yz.
 pub fn symmetric_of([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> Matrix3<f64> {
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// A satellite navigation system that Graphfix positions with.
+/// A satellite navigation system that Graphfix supports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Constellation {
@@ -22,7 +22,7 @@ pub enum Constellation {
 impl Constellation {
     /// Every constellation, in the order of RINEX tables.
     pub const ALL: [Self; 5] = [Self::Gps, Self::Glonass, Self::Galileo, Self::BeiDou, Self::Qzss];
-    /// How many there are, for tables indexed by constellation.
+    /// Number of constellations, for tables indexed by constellation.
     pub const COUNT: usize = Self::ALL.len();
 
     /// The RINEX letter.
@@ -36,7 +36,7 @@ impl Constellation {
         }
     }
 
-    /// The constellation of a RINEX letter, if Graphfix knows it.
+    /// The constellation with this RINEX letter, or `None` if it is not supported.
     pub const fn from_letter(letter: char) -> Option<Self> {
         match letter {
             'G' => Some(Self::Gps),
@@ -48,12 +48,12 @@ impl Constellation {
         }
     }
 
-    /// Place in a table indexed by constellation.
+    /// Index in a table with one entry for each constellation.
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// The name as users write it.
+    /// The system's name in messages and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Gps => "GPS",
@@ -65,12 +65,12 @@ impl Constellation {
     }
 }
 
-/// One satellite: its constellation and its number there, as RINEX 3 prints it (`G05`, `J02`).
+/// One satellite: constellation and number, as in RINEX 3 (`G05`, `J02`).
 ///
 /// For QZSS the number is the PRN less 192, for GLONASS the slot.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SatelliteId {
-    /// Its constellation.
+    /// The satellite's constellation.
     pub constellation: Constellation,
     /// PRN or slot, 1 … 99.
     pub number: u8,
@@ -108,7 +108,7 @@ impl fmt::Debug for SatelliteId {
     }
 }
 
-/// A text that names no satellite.
+/// A text that is not a satellite number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a satellite such as G05")]
 pub struct SatelliteIdError(pub String);

@@ -11,7 +11,7 @@ use super::{Constellation, SatelliteId};
 pub struct ObservationCode([u8; 2]);
 
 impl ObservationCode {
-    /// From an ASCII band digit 1 … 9 and an ASCII upper-case attribute.
+    /// The code of an ASCII band digit 1 … 9 and an ASCII upper-case attribute.
     pub const fn new(band: u8, attribute: u8) -> Option<Self> {
         if matches!(band, b'1'..=b'9') && attribute.is_ascii_uppercase() {
             Some(Self([band, attribute]))
@@ -20,7 +20,7 @@ impl ObservationCode {
         }
     }
 
-    /// From a text such as `1C`.
+    /// Parses a text such as `1C`.
     pub fn parse(text: &str) -> Option<Self> {
         match text.as_bytes() {
             [band, attribute] => Self::new(*band, *attribute),
@@ -56,7 +56,7 @@ impl fmt::Debug for ObservationCode {
     }
 }
 
-/// A frequency band as users choose it, across constellations.
+/// A frequency band across constellations, as options name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Band {
@@ -74,7 +74,7 @@ impl Band {
     /// Every band.
     pub const ALL: [Self; 4] = [Self::L1, Self::L2, Self::L5, Self::L6];
 
-    /// The name as users write it.
+    /// The name in options.
     pub const fn name(self) -> &'static str {
         match self {
             Self::L1 => "L1",
@@ -85,17 +85,17 @@ impl Band {
     }
 }
 
-/// A kind of signal: who sends it and how it is tracked.
+/// A signal: the constellation that broadcasts it, and its observation code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Signal {
-    /// The constellation that sends it.
+    /// The constellation that broadcasts the signal.
     pub constellation: Constellation,
     /// Band and tracking attribute.
     pub code: ObservationCode,
 }
 
 impl Signal {
-    /// The signal that `satellite` sends under `code`.
+    /// The signal of `satellite` with the observation code `code`.
     pub const fn of(satellite: SatelliteId, code: ObservationCode) -> Self {
         Self { constellation: satellite.constellation, code }
     }
@@ -125,7 +125,7 @@ impl Signal {
         Some(mhz * 1e6)
     }
 
-    /// The band users know the signal by, or `None` where the constellation has no such band.
+    /// The band of the signal, or `None` where the constellation has no such band.
     pub fn band(self) -> Option<Band> {
         use Constellation as C;
         match (self.constellation, self.code.band_digit()) {

@@ -1,4 +1,4 @@
-//! What the service answers: a position, how good it is, and why it is no better.
+//! The answer to an epoch: a position, its quality, and the reasons that limit it.
 
 use std::fmt;
 
@@ -6,20 +6,20 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{Constellation, Ecef, GpsTime, SatelliteId};
 
-/// How a position was obtained, from none to best.
+/// The method that gave the position, from none to best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Status {
-    /// No position; the reasons say why.
+    /// No position; the reasons tell the cause.
     None,
-    /// Single-point positioning from one epoch.
+    /// Single-point position from one epoch.
     Single,
-    /// An extended Kalman filter over all epochs so far.
+    /// Extended Kalman filter over all epochs so far.
     Ekf,
-    /// A factor graph over a window of epochs.
+    /// Factor graph over a window of epochs.
     Fgo,
-    /// Relative to a base, ambiguities real-valued.
+    /// Relative to a base, with real-valued ambiguities.
     Float,
-    /// Relative to a base, ambiguities held at integers.
+    /// Relative to a base, with integer ambiguities.
     Fixed,
 }
 
@@ -28,7 +28,7 @@ impl Status {
     pub const ALL: [Self; 6] =
         [Self::None, Self::Single, Self::Ekf, Self::Fgo, Self::Float, Self::Fixed];
 
-    /// The name as the API writes it.
+    /// The name in the API.
     pub const fn name(self) -> &'static str {
         match self {
             Self::None => "NONE",
@@ -40,191 +40,191 @@ impl Status {
         }
     }
 
-    /// The status of a name as the API writes it.
+    /// The status with this name in the API, or `None`.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|status| status.name() == name)
     }
 }
 
-/// Dilutions of precision of the satellites used, each system's clock being unknown.
+/// Dilutions of precision of the satellites used, with one unknown clock a constellation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dops {
-    /// Geometric: position and the first clock.
+    /// Geometric: position and first clock.
     pub gdop: f64,
-    /// Position.
+    /// Position, three-dimensional.
     pub pdop: f64,
-    /// Horizontal.
+    /// Horizontal position.
     pub hdop: f64,
-    /// Vertical.
+    /// Vertical position.
     pub vdop: f64,
-    /// Time: the first clock.
+    /// Time: first clock.
     pub tdop: f64,
 }
 
-/// Velocity of the receiver.
+/// The receiver's velocity and clock drift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Velocity {
     /// ECEF velocity (m/s).
     pub velocity_m_s: Vector3<f64>,
-    /// Its covariance, ECEF, 3×3 (m²/s²).
+    /// Covariance of the velocity, ECEF, 3×3 (m²/s²).
     pub covariance: Matrix3<f64>,
     /// Receiver clock drift c·δṫ (m/s).
     pub clock_drift_m_s: f64,
 }
 
-/// A position with what is known of its quality.
+/// A position with its quality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SolutionEstimate {
     /// Antenna position at the estimated time of reception, ECEF (m).
     pub position: Ecef,
-    /// Its covariance, ECEF, 3×3 (m²).
+    /// Covariance of the position, ECEF, 3×3 (m²).
     pub covariance: Matrix3<f64>,
-    /// The velocity, where it could be had.
+    /// The velocity, where it is observable.
     pub velocity: Option<Velocity>,
-    /// Receiver clock error against GPS time (m), or against the first constellation present.
+    /// Receiver clock error against GPS time, or against the first constellation present (m).
     pub clock_m: f64,
-    /// Clock of each further constellation less `clock_m` (m).
+    /// Clock of each further constellation minus `clock_m` (m).
     pub inter_system_biases_m: Vec<(Constellation, f64)>,
-    /// True time of reception: the receiver's tag less its clock error.
+    /// True time of reception: the receiver's time tag minus its clock error.
     pub reception_time: GpsTime,
-    /// Dilutions of precision.
+    /// Dilutions of precision of the satellites used.
     pub dops: Dops,
-    /// Satellites that determined the position, sorted.
+    /// Satellites whose measurements determine the position, sorted.
     pub satellites_used: Vec<SatelliteId>,
-    /// What differencing against a base adds; `None` without one.
+    /// Values of a position relative to a base; `None` without a base.
     pub relative: Option<RelativeEstimate>,
 }
 
-/// What is known of a position that was found relative to a base.
+/// Values of a position relative to a base.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RelativeEstimate {
-    /// From the base's antenna reference point to the rover's, ECEF (m).
+    /// Vector from the base's antenna reference point to the rover's, ECEF (m).
     pub baseline_m: Vector3<f64>,
-    /// The rover's tag less that of the base epoch (s).
+    /// The rover's time tag minus that of the base epoch (s).
     pub age_s: f64,
-    /// Ambiguities estimated.
+    /// Number of estimated ambiguities.
     pub ambiguities: usize,
-    /// How many of them are held at integers; zero unless the status is [`Status::Fixed`].
+    /// Number of them fixed to integers; zero unless the status is [`Status::Fixed`].
     pub fixed_ambiguities: usize,
-    /// Second-best over best squared norm of the integers, where they were looked for.
+    /// Ratio of second-best to best squared norm of the integers, if they were searched for.
     pub ratio: Option<f64>,
-    /// Bootstrapped success rate of these integers, 0 to 1.
+    /// Bootstrapped success rate of the integers, 0 to 1.
     pub success_rate: Option<f64>,
-    /// Estimated probability that the integers held are right, 0 to 1.
+    /// Estimated probability that the fixed integers are right, 0 to 1.
     pub fix_probability: Option<f64>,
 }
 
-/// What kept a solution from a better status or quality, with the values one needs to act.
+/// What limits the status or quality of a solution, with the values one needs to act.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reason {
-    /// Satellites were observed for which no valid healthy ephemeris is held.
+    /// Observed satellites lack a valid healthy ephemeris.
     EphemerisMissing {
-        /// Which.
+        /// The satellites without ephemeris.
         satellites: Vec<SatelliteId>,
     },
-    /// Fewer usable satellites than unknowns.
+    /// There are fewer usable satellites than unknowns.
     TooFewSatellites {
-        /// Usable satellites.
+        /// Number of usable satellites.
         used: usize,
-        /// Needed, one more for each further constellation.
+        /// Number of satellites needed; one more for each further constellation.
         needed: usize,
     },
-    /// The satellites' geometry is too weak to trust a position.
+    /// The satellite geometry is too weak for a position.
     GeometryTooWeak {
-        /// Geometric dilution of precision.
+        /// Geometric dilution of precision (GDOP).
         gdop: f64,
     },
-    /// Exactly as many satellites as unknowns: errors cannot be detected.
+    /// There are exactly as many satellites as unknowns, so errors cannot be detected.
     NoRedundancy,
-    /// The residuals contradict the stated errors; the covariance was widened to match.
+    /// The residuals contradict the modelled variances; the covariance is widened to match.
     ResidualsTooLarge {
-        /// Sum of squared whitened residuals over its threshold.
+        /// Sum of squared whitened residuals, divided by its limit.
         ratio: f64,
     },
-    /// Satellites were left out because they disagreed with the others.
+    /// Satellites were excluded because they contradict the others.
     SatellitesExcluded {
-        /// Which.
+        /// The excluded satellites.
         satellites: Vec<SatelliteId>,
     },
-    /// The iteration did not settle.
+    /// The iteration did not converge.
     NotConverged,
-    /// No broadcast coefficients for the ionosphere model asked for; the one named was used.
+    /// The ionosphere model asked for lacks its broadcast coefficients; another was used.
     IonosphereFallback {
-        /// The model used instead.
+        /// The model that was used.
         used: &'static str,
     },
-    /// No base epoch is at hand for a mode that needs one.
+    /// The mode needs a base epoch, and there is none.
     BaseMissing,
     /// The newest base epoch is too old.
     BaseStale {
-        /// The rover's tag less the base epoch's (s).
+        /// The rover's time tag minus the base epoch's (s).
         age_s: f64,
     },
-    /// The base's stated position contradicts what the base observes.
+    /// The base's stated position contradicts its own observations.
     BasePositionDoubtful {
-        /// From the stated position to its single-point solution (m).
+        /// Distance from the stated position to the single-point position (m).
         distance_m: f64,
     },
-    /// The base stands elsewhere than at the epoch before, so that all ambiguities began anew.
+    /// The base position changed since the previous epoch; all ambiguities restarted.
     BaseMoved {
-        /// From the place before to the place now (m).
+        /// Distance from the previous base position to the present one (m).
         distance_m: f64,
     },
-    /// The position is relative to another base than the one before, so that all that was known
-    /// relative to that one began anew.
+    /// The base is another one than at the previous epoch; all values relative to the previous base
+    /// restarted.
     BaseChanged {
-        /// From the base before to this one (m).
+        /// Distance from the previous base to this one (m).
         distance_m: f64,
     },
-    /// The base is too far away for differences to cancel the atmosphere.
+    /// The base is too far away: differences do not cancel the atmosphere.
     BaselineTooLong {
         /// Length of the baseline (m).
         length_m: f64,
     },
-    /// Fewer satellites common to rover and base than unknowns.
+    /// Rover and base have fewer satellites in common than there are unknowns.
     TooFewCommonSatellites {
-        /// Common satellites that can be used.
+        /// Number of usable common satellites.
         used: usize,
-        /// Needed, one more for each further constellation.
+        /// Number of satellites needed; one more for each further constellation.
         needed: usize,
     },
-    /// Integers were found, but others explain the ambiguities nearly as well.
+    /// Integers were found, but the second-best ones fit nearly as well.
     RatioBelowThreshold {
-        /// Second-best over best squared norm.
+        /// Ratio of second-best to best squared norm.
         ratio: f64,
-        /// What it had to reach.
+        /// Smallest accepted ratio.
         threshold: f64,
     },
-    /// The ambiguities are not precise enough to look for integers.
+    /// The float ambiguities are too imprecise for a search.
     SuccessRateTooLow {
         /// Bootstrapped success rate, 0 to 1.
         success_rate: f64,
     },
-    /// Integers were found and contradict the measurements.
+    /// Integers were found, but they contradict the measurements.
     FixRejected,
-    /// Integers are held, but too few to place the rover within centimetres.
+    /// Integers are fixed, but too few for a position within centimetres.
     FixImprecise {
-        /// Greatest horizontal standard deviation of the position they give (m).
+        /// Largest horizontal standard deviation of the position with these integers (m).
         sigma_m: f64,
     },
-    /// Phases that may be off by half a cycle were left out of the integers.
+    /// Phases with a possible half-cycle error keep real-valued ambiguities.
     HalfCycleUnresolved {
-        /// Of which satellites.
+        /// The satellites of these phases.
         satellites: Vec<SatelliteId>,
     },
-    /// Phases slipped, so that their ambiguities began anew.
+    /// Cycle slips were detected; the ambiguities of these phases restarted.
     CycleSlips {
-        /// Of which satellites.
+        /// The satellites of these phases.
         satellites: Vec<SatelliteId>,
     },
-    /// The window is young, and what it saw so far may be reflections: expect a wrong start.
+    /// The window is young, and all its pseudoranges may be reflections: the start may be wrong.
     StartUnproven {
-        /// Since the window began (s).
+        /// Time since the window began (s).
         age_s: f64,
     },
-    /// The epoch's odometry does not lead from the epoch before to this one.
+    /// The epoch's odometry does not start at the previous epoch, so it was not used.
     OdometryUnused {
-        /// How long its displacement took (s).
+        /// Duration of its displacement (s).
         interval_s: f64,
     },
 }
@@ -259,7 +259,7 @@ impl Reason {
         }
     }
 
-    /// What the user can do about it.
+    /// What the user can do.
     pub const fn remedy(&self) -> &'static str {
         match self {
             Self::EphemerisMissing { .. } => "push current navigation data for these satellites",
@@ -304,19 +304,19 @@ impl Reason {
     }
 }
 
-/// A value of a [`Reason`].
+/// A value of a [`Reason`], as the API reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ReasonValue {
-    /// A count or measure.
+    /// A count or a measure.
     Number(f64),
-    /// A name.
+    /// A name of the API.
     Text(&'static str),
-    /// Satellites.
+    /// A list of satellites.
     Satellites(Vec<SatelliteId>),
 }
 
 impl Reason {
-    /// The values of the case by name, lower camel case as the API writes them.
+    /// The values of the reason with their names in the API, in lower camel case.
     pub fn values(&self) -> Vec<(&'static str, ReasonValue)> {
         use ReasonValue as V;
         match self {
@@ -401,49 +401,49 @@ impl fmt::Display for Reason {
 /// An ephemeris that a solution used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EphemerisIssue {
-    /// The satellite.
+    /// The satellite of the ephemeris.
     pub satellite: SatelliteId,
-    /// Its time of ephemeris.
+    /// Time of ephemeris (toe).
     pub toe: GpsTime,
-    /// Its issue of data.
+    /// Issue of data.
     pub issue: u32,
 }
 
-/// The epoch of a base that a solution was differenced against.
+/// The base epoch that a solution was differenced against.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BaseEpochIssue {
     /// The base's name.
     pub base: String,
-    /// The base's tag of the epoch.
+    /// The base's time tag of the epoch.
     pub time: GpsTime,
 }
 
-/// Where a solution came from: enough to compute it again.
+/// The inputs of a solution that identify how to compute it again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Provenance {
-    /// Ephemerides used, one for each satellite used.
+    /// The ephemeris of each satellite used.
     pub ephemerides: Vec<EphemerisIssue>,
-    /// The base epoch used, of a position relative to one.
+    /// The base epoch, if the position is relative to a base.
     pub base: Option<BaseEpochIssue>,
 }
 
 /// The answer to one epoch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    /// The receiver's tag, as received: it names the epoch.
+    /// The receiver's time tag as received; it identifies the epoch.
     pub time: GpsTime,
-    /// How the position was obtained.
+    /// The method that gave the position.
     pub status: Status,
     /// The position; present unless the status is [`Status::None`].
     pub estimate: Option<SolutionEstimate>,
-    /// What kept it from being better.
+    /// What limits the status or quality.
     pub reasons: Vec<Reason>,
-    /// What it came from.
+    /// The ephemerides and the base epoch that were used.
     pub provenance: Provenance,
 }
 
 impl Solution {
-    /// The answer that there is no position, and why.
+    /// The answer without a position, with its reasons.
     pub fn none(time: GpsTime, reasons: Vec<Reason>) -> Self {
         let provenance = Provenance::default();
         Self { time, status: Status::None, estimate: None, reasons, provenance }

@@ -45,34 +45,35 @@ impl GpsTime {
         self.0
     }
 
-    /// From GPS week (no roll-over) and nanoseconds of week.
+    /// The instant of a GPS week (without roll-over) and nanoseconds of week.
     ///
-    /// `None` outside weeks −15 000 … 15 000 or beyond one week of nanoseconds.
+    /// `None` outside weeks −15 000 … 15 000, or if the nanoseconds exceed one week.
     pub fn from_week_ns(week: i32, ns_of_week: i64) -> Option<Self> {
         let sane = (-15_000..=15_000).contains(&week) && (0..NS_PER_WEEK).contains(&ns_of_week);
         sane.then(|| Self(i64::from(week) * NS_PER_WEEK + ns_of_week))
     }
 
-    /// From GPS week and seconds of week (s), rounded to the nanosecond; seconds may be negative
-    /// or run past the week.
+    /// The instant of a GPS week and seconds of week (s), rounded to the nanosecond. Seconds may be
+    /// negative or exceed one week.
     pub fn from_week_seconds(week: i32, seconds: f64) -> Self {
         Self(i64::from(week) * NS_PER_WEEK) + seconds
     }
 
-    /// From Galileo system time: week since 1999-08-22 and seconds of week (s).
+    /// The instant of Galileo system time: week since 1999-08-22 and seconds of week (s).
     pub fn from_galileo(week: i32, seconds: f64) -> Self {
         Self::from_week_seconds(week + GALILEO_WEEK_OFFSET, seconds)
     }
 
-    /// From BeiDou time: week since 2006-01-01 and seconds of week (s).
+    /// The instant of BeiDou time: week since 2006-01-01 and seconds of week (s).
     pub fn from_beidou(week: i32, seconds: f64) -> Self {
         let same_label = Self::from_week_seconds(week + BEIDOU_WEEK_OFFSET, seconds);
         Self(same_label.0 + BEIDOU_LAG_NS)
     }
 
-    /// From a calendar date and time of day in `scale`; `None` for a date that does not exist.
+    /// The instant of a calendar date and time of day in `scale`; `None` for a date that does not
+    /// exist.
     ///
-    /// `leap` serves UTC and GLONASS only.
+    /// `leap` is used for UTC and GLONASS only.
     pub fn from_civil(civil: &CivilTime, scale: TimeScale, leap: &LeapSeconds) -> Option<Self> {
         let label = civil.ns_since_gps_epoch_label()?;
         Some(match scale {
@@ -186,7 +187,7 @@ fn seconds(nanoseconds: i64) -> f64 {
     nanoseconds as f64 * 1e-9
 }
 
-/// The scale in which a calendar date is meant.
+/// The time scale of a calendar date.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TimeScale {
     /// GPS time.
@@ -203,7 +204,7 @@ pub enum TimeScale {
     Utc,
 }
 
-/// A calendar date and time of day in a scale that the context names.
+/// A calendar date and time of day, in a scale that the caller names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CivilTime {
     /// Year of the proleptic Gregorian calendar.
@@ -257,14 +258,14 @@ impl CivilTime {
     }
 }
 
-/// Leap seconds between GPS time and UTC: the IERS table, and what a satellite has broadcast since.
+/// Leap seconds between GPS time and UTC: the IERS table, then the broadcast value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeapSeconds {
-    /// Broadcast leap seconds, in force after the table's last entry.
+    /// Broadcast leap seconds, valid after the table's last entry.
     broadcast: Option<i64>,
 }
 
-/// First UTC second (seconds since the GPS epoch as a calendar label) with that many leap seconds.
+/// First UTC second with this number of leap seconds (year, month, day, leap seconds).
 const LEAP_TABLE: [(i32, u8, u8, i64); 18] = [
     (1981, 7, 1, 1),
     (1982, 7, 1, 2),
@@ -287,14 +288,14 @@ const LEAP_TABLE: [(i32, u8, u8, i64); 18] = [
 ];
 
 impl LeapSeconds {
-    /// The IERS table alone, valid while no leap second follows that of 2016-12-31.
+    /// The IERS table alone, valid as long as no leap second follows that of 2016-12-31.
     pub const fn table() -> Self {
         Self { broadcast: None }
     }
 
-    /// The table, with a satellite's value for the time after its last entry.
+    /// The IERS table, and a broadcast value for the time after its last entry.
     ///
-    /// A value below the table's last is from before the table ended and changes nothing.
+    /// A value below the table's last one is older than the table and has no effect.
     pub fn with_broadcast(leap_seconds: i64) -> Self {
         let newest = LEAP_TABLE[LEAP_TABLE.len() - 1].3;
         Self { broadcast: (newest < leap_seconds).then_some(leap_seconds) }
@@ -377,7 +378,7 @@ fn days_in_month(year: i32, month: u8) -> u8 {
     }
 }
 
-/// Difference of two times of week brought into half a week around zero (s).
+/// Difference of two times of week, wrapped to half a week around zero (s).
 ///
 /// IS-GPS-200N, 20.3.3.4.3.
 pub fn wrap_half_week(seconds: f64) -> f64 {
