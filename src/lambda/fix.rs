@@ -1,4 +1,4 @@
-//! What was fixed: integer combinations of the original entries and the integers they equal.
+//! The result of a fix: integer combinations of the original entries, and their integers.
 
 use crate::lambda::EXACT_MAX;
 use crate::lambda::reduction::Reduction;
@@ -15,7 +15,7 @@ pub struct Fix {
 }
 
 impl Fix {
-    /// Nothing fixed, with room for `size` entries.
+    /// An empty fix with room for `size` entries.
     pub fn with_capacity(size: usize) -> Self {
         Self {
             size: 0,
@@ -30,7 +30,7 @@ impl Fix {
         self.values.len()
     }
 
-    /// Whether nothing is fixed.
+    /// Whether no combination is fixed.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
@@ -40,7 +40,7 @@ impl Fix {
         &self.combinations[i * self.size..(i + 1) * self.size]
     }
 
-    /// The integers h, one per combination.
+    /// The integers h, one for each combination.
     pub fn values(&self) -> &[i64] {
         &self.values
     }
@@ -60,10 +60,10 @@ impl Fix {
         self.entries.resize(size, None);
     }
 
-    /// Takes the decorrelated integers `z` of the entries from `start` on.
+    /// Stores the decorrelated integers `z` of the entries from `start` on.
     ///
-    /// `members` are the original entries the reduction was made of; `base` their integer parts,
-    /// taken off before decorrelation. Returns whether all integers are exact in an `f64`.
+    /// `members` are the original entries of the reduction; `base` are their integer parts,
+    /// subtracted before decorrelation. Returns whether all integers are exact in an `f64`.
     pub(in crate::lambda) fn hold(
         &mut self,
         reduction: &Reduction,

@@ -1,11 +1,11 @@
-//! Integer least squares: a real-valued estimate with its covariance in, integers out.
+//! Integer least squares: from a real-valued estimate with its covariance to integers.
 //!
 //! ǎ = argmin over z ∈ ℤⁿ of ‖â − z‖²_Q = (â − z)ᵀ Q⁻¹ (â − z)
 //!
-//! `reduction` makes Q nearly diagonal by a unimodular Z, `search` walks the ellipsoid for the best
-//! integers, `success` and `validation` say how far to trust them, `resolver` joins these and
-//! settles for a part when the whole is too weak. What the integers mean, and what they say of
-//! real-valued parameters, is the caller's business.
+//! `reduction` decorrelates Q by a unimodular Z, `search` enumerates the ellipsoid for the best
+//! integers, `success` and `validation` give their reliability, `resolver` combines these and fixes
+//! a subset when the full set is too weak. The physical meaning of the integers, and their effect
+//! on real-valued parameters, is the caller's concern.
 //!
 //! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*;
 //! de Jonge & Tiberius (1996), *The LAMBDA method for integer ambiguity estimation: implementation
@@ -30,47 +30,47 @@ pub use validation::{
     KnownScale, RatioTest, odds_at_scale, posterior_probability, scaled_posterior_probability,
 };
 
-/// Why integers cannot even be looked for. All but the dimensions come from real data.
+/// Why integers cannot be searched for. Real data causes all but the dimension errors.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LambdaError {
-    /// Nothing to resolve.
+    /// The estimate has no entries.
     #[error("the float estimate is empty")]
     Empty,
-    /// Sizes that must agree do not.
+    /// The sizes of two arguments disagree.
     #[error("{what} has size {actual}, expected {expected}")]
     Dimension {
-        /// Which argument.
+        /// Name of the argument.
         what: &'static str,
-        /// The size it has.
+        /// Its size.
         actual: usize,
-        /// The size it needs.
+        /// The size that the other arguments need.
         expected: usize,
     },
-    /// An index of a subset lies outside the estimate, or stands twice.
-    #[error("index {index} is outside 0..{size} or stands twice")]
+    /// An index of a subset is outside the estimate, or occurs twice.
+    #[error("index {index} is outside 0..{size} or occurs twice")]
     Index {
-        /// The index.
+        /// The invalid index.
         index: usize,
-        /// Size of the estimate.
+        /// Number of entries of the estimate.
         size: usize,
     },
-    /// A float estimate is not finite or too large to be rounded exactly.
+    /// A float estimate is not finite, or too large for exact rounding.
     #[error("float estimate {index} is {value}, not within ±2⁵²")]
     Float {
-        /// Position in the estimate.
+        /// Index of the entry.
         index: usize,
-        /// The value.
+        /// Its value.
         value: f64,
     },
     /// The covariance is not positive definite (to working precision) or not finite.
     #[error("covariance is not positive definite: conditional variance {pivot} of entry {index}")]
     NotPositiveDefinite {
-        /// Entry whose conditional variance fails.
+        /// Index of the entry whose conditional variance fails.
         index: usize,
-        /// That conditional variance.
+        /// Its conditional variance.
         pivot: f64,
     },
-    /// The decorrelating integers outgrew what an `f64` holds exactly.
+    /// The entries of the transformation exceed the integers that an `f64` represents exactly.
     #[error("covariance is too badly conditioned: a transformation entry exceeds 2⁵²")]
     Overflow,
 }

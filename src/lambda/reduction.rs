@@ -10,19 +10,19 @@ use nalgebra::DMatrix;
 use crate::lambda::EXACT_MAX;
 use crate::lambda::LambdaError;
 
-/// A swap must shrink the leading variance by this factor: Lovász' condition with δ just below 1,
-/// so that rounding cannot make two neighbours swap for ever.
+/// A swap must reduce the leading variance by this factor: Lovász' condition with δ just below 1,
+/// so that rounding cannot swap two neighbours endlessly.
 const SWAP_GAIN: f64 = 1.0 - 1e-6;
 
-/// Swaps allowed per entry; what is left unswapped costs search time, never correctness.
+/// Largest number of swaps per entry; entries left unswapped cost search time only.
 const SWAPS_PER_ENTRY_MAX: usize = 60;
 
 /// A conditional variance below this fraction of its variance is rounding noise.
 const PIVOT_FRACTION_MIN: f64 = 1e-14;
 
-/// A decorrelated covariance, and the workspace to make the next one without allocating.
+/// A decorrelated covariance, and the workspace that computes the next one without allocation.
 ///
-/// Matrices are flat, column by column; entry (i, j) stands at i + j·n.
+/// Matrices are flat and column-major; entry (i, j) is at i + j·n.
 #[derive(Clone, Debug)]
 pub struct Reduction {
     size: usize,
@@ -52,7 +52,7 @@ impl Reduction {
         }
     }
 
-    /// Decorrelates `covariance` (n×n, only read), replacing what was here.
+    /// Decorrelates `covariance` (n×n, read only) and replaces the previous result.
     ///
     /// # Errors
     /// `Empty`, `Dimension` (not square), `NotPositiveDefinite`, `Overflow`.
@@ -65,7 +65,7 @@ impl Reduction {
         self.reduce_flat(size, covariance.as_slice().iter().copied())
     }
 
-    /// [`Self::reduce`] of n² entries column by column.
+    /// [`Self::reduce`] of n² entries, column-major.
     pub(in crate::lambda) fn reduce_flat(
         &mut self,
         size: usize,
@@ -96,12 +96,12 @@ impl Reduction {
         &self.variances
     }
 
-    /// Column `j` of Z: the integer combination of original entries that makes ẑ_j.
+    /// Column `j` of Z: the integer combination of original entries that equals ẑ_j.
     pub fn combination(&self, j: usize) -> &[f64] {
         &self.transformation[j * self.size..(j + 1) * self.size]
     }
 
-    /// Column `j` of Z⁻ᵀ: what one unit of z_j adds to the original integers.
+    /// Column `j` of Z⁻ᵀ: the change of the original integers for one unit of z_j.
     pub fn restoration(&self, j: usize) -> &[f64] {
         &self.inverse_transpose[j * self.size..(j + 1) * self.size]
     }
@@ -111,7 +111,7 @@ impl Reduction {
         &self.factor_rows[i * self.size..i * self.size + i + 1]
     }
 
-    /// ẑ = Zᵀâ into `decorrelated`.
+    /// Computes ẑ = Zᵀâ into `decorrelated`.
     ///
     /// # Panics
     /// When `float` is shorter than the reduction.
@@ -120,10 +120,10 @@ impl Reduction {
         decorrelated.extend((0..self.size).map(|j| dot(self.combination(j), float)));
     }
 
-    /// a = Z⁻ᵀz into `original`, the way back.
+    /// Computes a = Z⁻ᵀz into `original`.
     ///
     /// # Panics
-    /// When `decorrelated` is not of the reduction's size.
+    /// When `decorrelated` does not have the reduction's size.
     pub fn restore(&self, decorrelated: &[f64], original: &mut Vec<f64>) {
         assert_eq!(decorrelated.len(), self.size, "one value per decorrelated entry");
         original.clear();
@@ -170,7 +170,7 @@ impl Reduction {
         Ok(())
     }
 
-    /// Divides row `i` by its pivot and takes its part out of the leading block.
+    /// Divides row `i` by its pivot and subtracts its contribution from the leading block.
     fn eliminate(&mut self, i: usize, variance: f64) {
         let n = self.size;
         self.row.clear();
@@ -204,7 +204,7 @@ impl Reduction {
         column.iter().position(|&z| z != 0.0).expect("a permutation has a one in each column")
     }
 
-    /// Swaps neighbours while that moves the smaller variance to the later place.
+    /// Swaps neighbours as long as this moves the smaller variance to the later position.
     fn decorrelate(&mut self) {
         let n = self.size;
         let mut swaps_left = SWAPS_PER_ENTRY_MAX * n;

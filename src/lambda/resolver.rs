@@ -1,4 +1,4 @@
-//! From a float estimate to integers one accepts: all of them, a part, or none and why.
+//! From a float estimate to accepted integers: all of them, a subset, or none with the reason.
 
 use nalgebra::DMatrix;
 
@@ -17,34 +17,34 @@ use crate::lambda::validation::posterior_probability;
 use crate::lambda::validation::ratio;
 use crate::lambda::validation::{KnownScale, scaled_posterior_probability};
 
-/// What must hold for integers to be accepted, and how much may be spent on them.
+/// Conditions for accepting integers, and limits of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Least bootstrapped success rate of what is fixed; 0 asks nothing.
+    /// Smallest bootstrapped success rate of the fixed entries; 0: no condition.
     pub success_rate_min: f64,
     /// Acceptance test of the best against the second best.
     pub ratio_test: RatioTest,
-    /// Least posterior probability of the best; 0 asks nothing. If the covariance is right, no test
-    /// accepts more at the same rate of accepted wrong integers.
+    /// Smallest posterior probability of the best candidate; 0: no condition. If the covariance is
+    /// right, no other test accepts more at the same rate of accepted wrong integers.
     pub probability_min: f64,
-    /// What is known of the covariance's scale, for that probability; `None` where it is certain.
+    /// Prior of the covariance's scale, for that probability; `None`: the scale is exact.
     pub scale: Option<KnownScale>,
-    /// Fewest entries (or combinations) a fix must hold.
+    /// Smallest number of entries (or combinations) in a fix.
     pub fixed_min: usize,
-    /// Candidates kept for the posterior, at least 2.
+    /// Number of candidates in the posterior, at least 2.
     pub candidates: usize,
-    /// Integers tried in all searches of one call together.
+    /// Largest number of integers tried, in all searches of one call together.
     pub nodes_max: usize,
-    /// Subsets tried in one call, the whole included.
+    /// Largest number of subsets tried in one call, the full set included.
     pub attempts_max: usize,
 }
 
-/// What to do when the whole is not accepted.
+/// What to try when the full set is not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Partial<'a> {
     /// Nothing: all or none.
     None,
-    /// Fix the decorrelated entries of least variance only, as many as the success rate allows.
+    /// Fix only the decorrelated entries of smallest variance, as many as the success rate allows.
     Decorrelated,
     /// Leave out original entries one by one, in this order, weakest first.
     Ordered(&'a [usize]),
@@ -52,49 +52,49 @@ pub enum Partial<'a> {
     LeaveOneOut,
 }
 
-/// Why no integers are held.
+/// Why the integers are rejected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rejection {
     /// Fewer entries than `fixed_min`.
     TooFew,
-    /// The bootstrapped success rate is below the least.
+    /// The bootstrapped success rate is below its minimum.
     SuccessRate,
     /// The second best is too close to the best.
     Ratio,
-    /// The posterior probability of the best is below the least.
+    /// The posterior probability of the best candidate is below its minimum.
     Probability,
-    /// The search met its limit of nodes.
+    /// The search reached its limit of nodes.
     SearchLimit,
-    /// The integers are too large to be exact.
+    /// The integers are too large to be exact in an `f64`.
     Magnitude,
 }
 
-/// What an attempt came to: the accepted one, or else the first, of all entries.
+/// The outcome of the accepted attempt, or of the first one (all entries) if none is accepted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// `None` when the integers are accepted.
+    /// `None` if the integers are accepted.
     pub rejection: Option<Rejection>,
-    /// Combinations tried together; held when accepted.
+    /// Number of combinations tried together, and fixed if accepted.
     pub size: usize,
-    /// Bootstrapped success rate of these.
+    /// Bootstrapped success rate of these combinations.
     pub success_rate: f64,
-    /// Ambiguity dilution of precision of these, in the unit of the entries.
+    /// Ambiguity dilution of precision of these combinations, in the unit of the entries.
     pub adop: f64,
-    /// Second-best over best squared norm, when searched.
+    /// Ratio of second-best to best squared norm, if searched.
     pub ratio: Option<f64>,
-    /// What the ratio had to reach.
+    /// Smallest accepted ratio.
     pub ratio_threshold: f64,
-    /// Posterior probability that the best integers are right, when searched.
+    /// Posterior probability that the best integers are right, if searched.
     pub probability: Option<f64>,
-    /// Best squared norm ‖â − ǎ‖²_Q, when searched.
+    /// Best squared norm ‖â − ǎ‖²_Q, if searched.
     pub squared_norm: Option<f64>,
-    /// Integers tried, in all searches of the call.
+    /// Number of integers tried, in all searches of the call.
     pub nodes: usize,
-    /// Subsets tried in the call.
+    /// Number of subsets tried in the call.
     pub attempts: usize,
 }
 
-/// Resolves integers; its buffers are reused, so that a warm one allocates nothing.
+/// Resolves integers. Its buffers are reused, so that only the first calls allocate.
 #[derive(Clone, Debug)]
 pub struct Resolver {
     reduction: Reduction,
@@ -109,7 +109,7 @@ pub struct Resolver {
 }
 
 impl Resolver {
-    /// A resolver with room for `size` entries; more are allowed and then allocated.
+    /// A resolver with room for `size` entries; it grows for more.
     pub fn with_capacity(size: usize) -> Self {
         Self {
             reduction: Reduction::with_capacity(size),
@@ -124,11 +124,12 @@ impl Resolver {
         }
     }
 
-    /// Resolves `float` (n) with `covariance` (n×n); what is held then stands in [`Self::fix`].
+    /// Resolves `float` (n) with `covariance` (n×n); [`Self::fix`] then holds the accepted
+    /// integers.
     ///
     /// # Errors
-    /// Arguments that do not fit each other, floats beyond ±2⁵², a covariance that is not positive
-    /// definite. Integers that are not accepted are no error: see [`Outcome::rejection`].
+    /// Sizes that disagree, floats beyond ±2⁵², a covariance that is not positive definite.
+    /// Rejected integers are no error: see [`Outcome::rejection`].
     pub fn resolve(
         &mut self,
         float: &[f64],
@@ -159,14 +160,14 @@ impl Resolver {
         Ok(Outcome { nodes: self.nodes, attempts: self.attempts, ..outcome })
     }
 
-    /// The integers held since the last call; empty when they were rejected.
+    /// The integers accepted by the last call; empty if they were rejected.
     pub fn fix(&self) -> &Fix {
         &self.fix
     }
 
     /// Decorrelates the block of `covariance` of the present members, and their floats.
     ///
-    /// The nearest integers are taken off first: what is left is small and keeps its digits.
+    /// The nearest integers are subtracted first: the remainders are small and keep their digits.
     fn load(&mut self, float: &[f64], covariance: &DMatrix<f64>) -> Result<(), LambdaError> {
         let members = &self.members;
         let entries = members.iter().flat_map(|&j| members.iter().map(move |&i| (i, j)));
@@ -179,7 +180,7 @@ impl Resolver {
         Ok(())
     }
 
-    /// Tests the decorrelated entries from `start` on and holds them when accepted.
+    /// Tests the decorrelated entries from `start` on and stores them if accepted.
     fn attempt(&mut self, start: usize, size: usize, options: &Options) -> Outcome {
         self.attempts += 1;
         let variances = &self.reduction.variances()[start..];
@@ -212,7 +213,7 @@ impl Resolver {
         outcome
     }
 
-    /// Searches with half of the nodes left, so that a smaller subset still has some.
+    /// Searches with half of the remaining nodes, so that a smaller subset still has some.
     fn search(
         &mut self,
         start: usize,
@@ -246,7 +247,7 @@ impl Resolver {
         self.attempts < options.attempts_max && self.nodes < options.nodes_max
     }
 
-    /// Leaves decorrelated entries real from the least precise on, an eighth of the rest at a time.
+    /// Leaves the least precise decorrelated entries real-valued, an eighth of the rest at a time.
     fn shrink(&mut self, size: usize, options: &Options) -> Option<Outcome> {
         let mut start = self.first_strong(options.success_rate_min).max(1);
         while start < size && options.fixed_min <= size - start && self.has_budget(options) {
@@ -259,7 +260,7 @@ impl Resolver {
         None
     }
 
-    /// First entry from which on the success rate reaches the least.
+    /// First entry from which on the success rate reaches its minimum.
     fn first_strong(&self, success_rate_min: f64) -> usize {
         let variances = self.reduction.variances();
         let mut log_rate = 0.0;

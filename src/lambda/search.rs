@@ -2,39 +2,39 @@
 //!
 //! ‖ẑ − z‖² = Σ_k (z̄_k − z_k)²/d_k, z̄_k = ẑ_k + Σ_{j>k} (z_j − z̄_j) l_jk
 //!
-//! From the last entry to the first, nearest integers first, the ellipsoid shrinking to the worst
-//! candidate kept.
+//! From the last entry to the first, nearest integers first; the ellipsoid shrinks to the norm of
+//! the worst stored candidate.
 //!
 //! Source: Chang, Yang & Zhou (2005), whose search is Schnorr & Euchner's enumeration.
 
 use crate::lambda::reduction::Reduction;
 
-/// How much a search may keep and do.
+/// Limits of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SearchLimits {
-    /// Integer vectors to keep, the best ones.
+    /// Number of best integer vectors to store.
     pub candidates: usize,
-    /// Integers tried before the search gives up.
+    /// Number of integers tried before the search stops.
     pub nodes: usize,
 }
 
-/// How a search ended.
+/// How a search ended, with the number of integers tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchOutcome {
-    /// The candidates are the best there are.
+    /// The candidates are the best of all integers.
     Complete {
-        /// Integers tried.
+        /// Number of integers tried.
         nodes: usize,
     },
-    /// The limit came first: better candidates than those found may exist.
+    /// The limit was reached: better candidates may exist.
     LimitReached {
-        /// Integers tried.
+        /// Number of integers tried.
         nodes: usize,
     },
 }
 
 impl SearchOutcome {
-    /// Integers tried.
+    /// Number of integers tried.
     pub fn nodes(self) -> usize {
         match self {
             Self::Complete { nodes } | Self::LimitReached { nodes } => nodes,
@@ -52,7 +52,7 @@ pub struct Search {
     candidates: Vec<f64>,
 }
 
-/// One entry's state on the way down: conditional centre, integer tried, next step, norm so far.
+/// State of one level: conditional centre, integer tried, next step, norm so far.
 #[derive(Clone, Copy, Debug)]
 struct Level {
     center: f64,
@@ -87,11 +87,11 @@ impl Search {
     }
 
     /// Finds the best integers for the decorrelated entries from `start` on.
-    ///
+    /// The entries before `start` stay real-valued. `float` is all of ẑ.
     /// The entries before `start` are left real. `float` is ẑ, all of it.
     ///
     /// # Panics
-    /// When `start` leaves no entry, `float` has another size, or no candidate is asked for.
+    /// When `start` leaves no entry, `float` has another size, or no candidate is requested.
     pub fn run(
         &mut self,
         reduction: &Reduction,
@@ -134,7 +134,7 @@ impl Search {
         &self.norms
     }
 
-    /// Candidate `i`'s integers, of the entries from `start` on; integral values.
+    /// The integers of candidate `i`, for the entries from `start` on, as integral values.
     pub fn candidate(&self, i: usize) -> &[f64] {
         &self.candidates[i * self.length..(i + 1) * self.length]
     }

@@ -1,4 +1,4 @@
-//! How often integers from a covariance are right, before any data is seen.
+//! Success rates of integers from their covariance, before any data.
 //!
 //! P_s = Π_i (2Φ(1/(2σ_i)) − 1) with the conditional standard deviations σ_i of the decorrelated
 //! entries: exact for bootstrapping, a lower bound for integer least squares.
@@ -8,7 +8,7 @@
 use std::f64::consts::FRAC_2_SQRT_PI;
 use std::f64::consts::SQRT_2;
 
-/// Where the series of erf gives way to the continued fraction of erfc.
+/// Argument above which erf is computed by the continued fraction of erfc.
 const SERIES_MAX: f64 = 2.0;
 
 /// Bootstrapped success rate from conditional variances.
@@ -65,8 +65,8 @@ fn erfc_fraction(x: f64) -> f64 {
 
 /// √π e^(x²) erfc(x) = 1/(x + ½/(x + 1/(x + 3⁄2/(x + …)))), over √π.
 ///
-/// From the level up that no longer shows in a double: the 53rd at x = 2, the 28th at 3, the 9th
-/// at 10.
+/// Evaluated upwards from the first level that has no effect in double precision: the 53rd at x =
+/// 2, the 28th at 3, the 9th at 10.
 fn fraction(x: f64) -> f64 {
     let levels = 12 + (200.0 / (x * x)) as u32;
     let tail = (1..=levels).rev().fold(x, |tail, k| x + 0.5 * f64::from(k) / tail);

@@ -1,4 +1,4 @@
-//! Whether the best integers are good enough: ratio tests and the integers' posterior.
+//! Reliability of the best integers: ratio tests and posterior probabilities.
 
 use std::f64::consts::PI;
 use std::f64::consts::TAU;
@@ -11,7 +11,7 @@ use crate::lambda::thresholds::FailureRate;
 /// Intervals of Simpson's rule for a tail, even.
 const TAIL_STEPS: i32 = 64;
 
-/// Acceptance by R = ‖â − a₂‖² / ‖â − a₁‖² ≥ threshold, second best over best.
+/// Accepts if R = ‖â − a₂‖² / ‖â − a₁‖² ≥ threshold, second best over best.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RatioTest {
     /// The same threshold for every model.
@@ -36,7 +36,7 @@ impl RatioTest {
     }
 }
 
-/// Second-best over best squared norm; infinite when the best is exact.
+/// Ratio of second-best to best squared norm; infinite if the best is zero.
 pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
     match norms {
         [best, second, ..] if *best == 0.0 && 0.0 < *second => Some(f64::INFINITY),
@@ -47,9 +47,9 @@ pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
 
 /// Posterior probability of the best candidate under a flat prior over all integers.
 ///
-/// P = e^(−q₁/2) / Σ_{z ∈ ℤⁿ} e^(−‖â−z‖²/2). The sum is over the candidates' squared norms q_i;
-/// what lies beyond the last, q_m, is taken at the mean density |Q|^½ of integers in the metric:
-/// (2π)^(n/2) |Q|^½ P(χ²_n > q_m). Presumes that Q is right.
+/// P = e^(−q₁/2) / Σ_{z ∈ ℤⁿ} e^(−‖â−z‖²/2). The candidates' squared norms q_i enter the sum one by
+/// one. The integers beyond the last one, q_m, enter with their mean density |Q|^½: (2π)^(n/2)
+/// |Q|^½ P(χ²_n > q_m). Presumes that Q is right.
 ///
 /// Source: Betti, Crespi & Sansò (1993), Manuscripta Geodaetica 18, 317–330, for the posterior; the
 /// tail is ours.
@@ -62,29 +62,29 @@ pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f6
     1.0 / (found + tail)
 }
 
-/// What is known of the factor σ² that a covariance is right but for.
+/// Prior of the variance factor σ² by which the covariance is scaled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownScale {
-    /// ν: as much as so many residuals would tell.
+    /// ν: degrees of freedom of the scaled inverse-χ² prior.
     pub freedom: f64,
-    /// s²: their mean square, were they whitened by that covariance.
+    /// s²: scale of the prior, the mean square of residuals whitened by the covariance.
     pub variance: f64,
 }
 
-/// How much likelier integers of the first squared norm are than those of the second, of so many
-/// entries, by the same density as [`scaled_posterior_probability`].
+/// Odds of integers with the first squared norm against those with the second, both of `entries`
+/// entries, under the density of [`scaled_posterior_probability`].
 pub fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) -> f64 {
     let [own, other] = norms.map(|norm| scale.freedom * scale.variance + norm);
     (0.5 * (scale.freedom + entries as f64) * (other / own).ln()).exp()
 }
 
-/// The same where the covariance is right but for a factor σ², of which something is known.
+/// Posterior probability of the best candidate when the covariance has an unknown scale σ².
 ///
 /// P = (νs² + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (νs² + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the
-/// inverse chi-square density of ν degrees of freedom about s². A poor best (q₁ ≫ n) then speaks
-/// for a large σ², and with it for doubt. The tail beyond q_m is again at the integers' mean
-/// density: with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1) (1−u)^(ν/2−1) du from
-/// u_m to one.
+/// scaled inverse-χ² density with ν degrees of freedom and scale s². A best candidate that fits
+/// poorly (q₁ ≫ n) suggests a large σ² and so a lower probability. The tail beyond q_m again has
+/// the integers' mean density: with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1)
+/// (1−u)^(ν/2−1) du from u_m to one.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
 pub fn scaled_posterior_probability(
@@ -110,7 +110,7 @@ pub fn scaled_posterior_probability(
     1.0 / (found + log_factor.exp() * integral)
 }
 
-/// ln Γ(n/2), n at least one, by Γ(a + 1) = a·Γ(a).
+/// ln Γ(n/2) for n of at least one, by Γ(a + 1) = a·Γ(a).
 fn log_gamma_of_half(n: usize) -> f64 {
     let (mut a, mut log) = if n % 2 == 1 { (0.5, 0.5 * PI.ln()) } else { (1.0, 0.0) };
     while a + 0.5 < 0.5 * n as f64 {
@@ -123,7 +123,7 @@ fn log_gamma_of_half(n: usize) -> f64 {
 /// ln P(χ²_n > q), by Γ(a+1, x)/Γ(a+1) = Γ(a, x)/Γ(a) + xᵃe⁻ˣ/Γ(a+1) with a = n/2, x = q/2.
 fn log_chi_squared_survival(n: usize, q: f64) -> f64 {
     let x = 0.5 * q;
-    // All terms carry e⁻ˣ, which underflows: it is taken out.
+    // All terms have the factor e⁻ˣ, which underflows, so it is left out.
     let (mut a, mut sum, mut term) = if n % 2 == 1 {
         (0.5, scaled_erfc(x.sqrt()), 2.0 * (x / PI).sqrt())
     } else {

@@ -1,12 +1,13 @@
-//! What an antenna adds to ranges from its reference point.
+//! Phase-centre corrections of antennas.
 //!
-//! A phase (in metres) is the range from the mean phase centre plus the variation of its direction
-//! (ANTEX 1.4, section 3): seen from the antenna reference point, with e the unit vector towards
-//! the satellite in north, east and up, o the offset and z = 90° − elevation,
+//! A phase (in metres) is the range from the mean phase centre plus the variation in its direction
+//! (ANTEX 1.4, section 3). Seen from the antenna reference point, with e the unit vector towards
+//! the satellite in north, east and up, o the phase-centre offset and z = 90° − elevation:
 //!
 //! λφ − ρ_ARP = −eᵀo + v(azimuth, z).
 //!
-//! Broadcast ephemerides give satellites' phase centres; their antennas need no such correction.
+//! Broadcast ephemerides describe the satellites' phase centres, so satellite antennas need no
+//! correction.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -15,13 +16,13 @@ use nalgebra::Vector3;
 use super::LookAngles;
 use crate::gnss::{AntennaCalibration, ObservationCode, PhaseCentrePattern, Signal};
 
-/// Where an antenna was not calibrated on a frequency, the nearest one serves if it is no further
-/// away (Hz): B1I takes that of GPS L1, G1 likewise, E5b that of L2, but L5 none.
+/// Largest distance to a calibrated frequency that replaces a missing one (Hz): B1I and G1 take the
+/// calibration of GPS L1, E5b that of L2; L5 has no replacement.
 const NEAREST_HZ: f64 = 40e6;
 
-/// What the antenna adds to a range from its reference point (m).
+/// Phase-centre correction of a range from the antenna reference point (m).
 ///
-/// Directions below the lowest of the grid take its last value.
+/// Directions below the lowest elevation of the grid take its value.
 pub fn phase_centre_correction_m(pattern: &PhaseCentrePattern, look: &LookAngles) -> f64 {
     let (sin_azimuth, cos_azimuth) = look.azimuth_rad.sin_cos();
     let (sin, cos) = look.elevation_rad.sin_cos();
@@ -30,7 +31,8 @@ pub fn phase_centre_correction_m(pattern: &PhaseCentrePattern, look: &LookAngles
         - direction.dot(&pattern.offset_m)
 }
 
-/// Variation in a direction (m), between the grid's points linear in zenith angle and azimuth.
+/// Phase-centre variation in a direction (m), linear between grid points in zenith angle and
+/// azimuth.
 fn variation_m(pattern: &PhaseCentrePattern, azimuth_rad: f64, zenith_rad: f64) -> f64 {
     let along = |row: &[f64]| {
         interpolated(row, (zenith_rad - pattern.first_zenith_rad) / pattern.zenith_step_rad)
@@ -45,7 +47,7 @@ fn variation_m(pattern: &PhaseCentrePattern, azimuth_rad: f64, zenith_rad: f64) 
     (1.0 - share) * along(&rows[before]) + share * along(&rows[before + 1])
 }
 
-/// The value of a row at a place between its points; at its ends beyond them.
+/// Linear interpolation of a row at a fractional index, constant beyond its ends.
 fn interpolated(row: &[f64], place: f64) -> f64 {
     let Some(last) = row.len().checked_sub(1) else { return 0.0 };
     let place = place.clamp(0.0, last as f64);
@@ -55,7 +57,7 @@ fn interpolated(row: &[f64], place: f64) -> f64 {
     (1.0 - share) * row[before] + share * row[after]
 }
 
-/// The pattern for a signal of that frequency: its own, or the nearest within 40 MHz.
+/// The pattern of a signal's frequency, or the nearest one within 40 MHz.
 pub fn pattern_of(
     antenna: &AntennaCalibration,
     signal: Signal,
@@ -76,7 +78,7 @@ pub fn pattern_of(
     })
 }
 
-/// Carrier frequency of a pattern (Hz); GLONASS in the middle of its channels.
+/// Carrier frequency of a pattern (Hz); for GLONASS that of channel 0.
 fn pattern_frequency_hz(pattern: &PhaseCentrePattern) -> Option<f64> {
     let code = ObservationCode::new(b'0' + pattern.band_digit, b'C')?;
     Signal { constellation: pattern.constellation, code }.frequency_hz(Some(0))

@@ -5,7 +5,7 @@ use nalgebra::{RowVector3, Vector3};
 use crate::gnss::constants::{EARTH_ROTATION_RATE, SPEED_OF_LIGHT};
 use crate::gnss::{Ecef, LocalFrame};
 
-/// Turn of the Earth while light travels a metre (rad/m).
+/// Rotation of the Earth while light travels one metre (rad/m).
 const ROTATION_PER_METER: f64 = EARTH_ROTATION_RATE / SPEED_OF_LIGHT;
 
 /// Geometric range from receiver to satellite with the Sagnac term (m).
@@ -21,10 +21,10 @@ pub fn geometric_range(satellite: Ecef, receiver: Ecef) -> (f64, RowVector3<f64>
     (range, RowVector3::new(-k * s.y, k * s.x, 0.0) - line.transpose() / distance)
 }
 
-/// Rate of the geometric range, and how it changes with the receiver's velocity.
+/// Rate of the geometric range and its derivative by the receiver's velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeRate {
-    /// dρ/dt by the receiver's time (m/s).
+    /// dρ/dt in the receiver's time (m/s).
     pub rate_m_s: f64,
     /// ∂(dρ/dt)/∂v, 1×3.
     pub by_velocity: RowVector3<f64>,
@@ -57,7 +57,7 @@ pub fn range_rate(
 /// Direction from a receiver to a satellite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LookAngles {
-    /// Azimuth from north over east (rad), 0 … 2π.
+    /// Azimuth, clockwise from north (rad), 0 … 2π.
     pub azimuth_rad: f64,
     /// Elevation above the ellipsoid's horizon (rad).
     pub elevation_rad: f64,
@@ -65,7 +65,7 @@ pub struct LookAngles {
 
 /// Azimuth and elevation of a satellite from the origin of `frame`.
 ///
-/// The Earth's turn during the signal's travel (5 µrad) is left out.
+/// The Earth's rotation during the signal's travel (5 µrad) is neglected.
 pub fn look_angles(frame: &LocalFrame, satellite: Ecef) -> LookAngles {
     let enu = frame.to_enu(satellite).0;
     let azimuth = enu.x.atan2(enu.y);

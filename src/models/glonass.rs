@@ -21,10 +21,10 @@ const OBLATENESS: f64 = 1.5 * J2 * GRAVITATION * EQUATORIAL_RADIUS * EQUATORIAL_
 
 /// Longest integration step (s).
 const STEP_MAX_S: f64 = 60.0;
-/// Steps at most, so that a wrong time costs no more than 12 hours of orbit.
+/// Largest number of steps: a wrong time costs at most 12 hours of orbit.
 const STEPS_MAX: f64 = 720.0;
 
-/// Orbit at `time`, in as many equal steps from toe as their greatest length asks.
+/// Orbit at `time`, integrated from toe in equal steps no longer than `STEP_MAX_S`.
 pub(super) fn orbit(e: &GlonassEphemeris, time: GpsTime) -> Orbit {
     let span = time - e.toe;
     let steps = (span.abs() / STEP_MAX_S).ceil().min(STEPS_MAX);
@@ -41,7 +41,7 @@ pub(super) fn clock(e: &GlonassEphemeris, time: GpsTime) -> Clock {
     Clock { bias_s: e.clock_bias_s + e.gamma * (time - e.toe), drift: e.gamma }
 }
 
-/// Position (m) and velocity (m/s); also their derivatives.
+/// Position (m) and velocity (m/s), or their time derivatives.
 #[derive(Clone, Copy)]
 struct Motion {
     position: Vector3<f64>,

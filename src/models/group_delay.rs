@@ -1,4 +1,4 @@
-//! Delays of a satellite's signals against its broadcast clock.
+//! Group delays of a satellite's signals relative to its broadcast clock.
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Ephemeris, GroupDelays, NavigationMessage, ObservationCode, Signal};
@@ -10,8 +10,8 @@ const GAMMA_E5A: f64 = (154.0 / 115.0) * (154.0 / 115.0);
 /// (f_E1/f_E5b)² = (154/118)².
 const GAMMA_E5B: f64 = (154.0 / 118.0) * (154.0 / 118.0);
 
-/// Group delay τ of a signal (m): it leaves that much later than the broadcast clock says, so its
-/// pseudorange is longer by τ. `None` where the message does not tell.
+/// Group delay τ of a signal (m): the signal leaves later than the broadcast clock by τ, so its
+/// pseudorange is longer by τ. `None` where the message has no value for the signal.
 ///
 /// - GPS, QZSS: T_GD for L1, γ·T_GD for L2 P(Y); L2C too, whose inter-signal correction LNAV does
 ///   not carry; T_GD − ISC with CNAV (IS-GPS-200N, 20.3.3.3.3.2 and 30.3.3.3.1.1; IS-GPS-705J,
@@ -84,7 +84,7 @@ fn galileo_s(
     e5b_s: Option<f64>,
     code: ObservationCode,
 ) -> Option<f64> {
-    // Delay of E1 against this message's clock; E5a and E5b hang on it by their own BGD.
+    // Delay of E1 against this message's clock; E5a and E5b follow from it by their own BGD.
     let e1_s = if message == NavigationMessage::Fnav { e5a_s } else { e5b_s? };
     match code.band_digit() {
         1 => Some(e1_s),
@@ -94,7 +94,7 @@ fn galileo_s(
     }
 }
 
-/// A combined data and pilot channel (`X`) is taken as its pilot, which has most of the power.
+/// A combined data and pilot channel (`X`) is treated as its pilot, which has most of the power.
 fn beidou_cnav_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
     let &GroupDelays::BeiDouCnav { tgd_b1cp_s, tgd_b2ap_s, tgd_b2bi_s, isc_b1cd_s, isc_b2ad_s } =
         delays

@@ -19,7 +19,7 @@ use crate::gnss::{Constellation, GpsTime, KeplerianEphemeris};
 const GEO_TILT_SIN: f64 = -0.087_155_742_747_658_17;
 const GEO_TILT_COS: f64 = 0.996_194_698_091_745_5;
 
-/// More iterations than any eccentricity of an Earth satellite needs.
+/// Iteration limit, above what any elliptical orbit needs.
 const ITERATIONS_MAX: usize = 12;
 
 /// Orbit and clock at `time`.
@@ -54,7 +54,7 @@ fn clock(e: &KeplerianEphemeris, time: GpsTime, constants: &Constants, anomaly: 
     }
 }
 
-/// What a constellation's interface document fixes for its orbits.
+/// Constants of an orbit that the constellation's interface document defines.
 struct Constants {
     /// µ (m³/s²).
     gravitation: f64,
@@ -80,13 +80,13 @@ impl Constants {
         Self { gravitation, rotation, relativity, beidou }
     }
 
-    /// Seconds of week in the system's own time (s): Ω_0 is the node at the start of that week.
+    /// Seconds of week in the system's own time (s); Ω_0 refers to the start of that week.
     fn seconds_of_week(&self, time: GpsTime) -> f64 {
         if self.beidou { time.to_beidou().1 } else { time.seconds_of_week() }
     }
 }
 
-/// Eccentric anomaly E and its surroundings.
+/// Eccentric anomaly E and the quantities derived from it.
 struct Anomaly {
     sin: f64,
     cos: f64,
@@ -104,14 +104,14 @@ impl Anomaly {
         let mean = e.m0_rad + (n + 0.5 * e.delta_n_dot_rad_s2 * t) * t;
         let mean_rate = n + e.delta_n_dot_rad_s2 * t;
         let (mut sin, mut cos) = mean.sin_cos();
-        // The series' first two terms leave an error of order e³.
+        // The first two terms of the series leave an error of order e³.
         let mut eccentric = mean + e.eccentricity * sin * (1.0 + e.eccentricity * cos);
         for _ in 0..ITERATIONS_MAX {
             (sin, cos) = eccentric.sin_cos();
             let step = (mean - eccentric + e.eccentricity * sin) / (1.0 - e.eccentricity * cos);
             eccentric += step;
             (sin, cos) = (sin + step * cos, cos - step * sin);
-            // What a further step would change is of order step², below 1e-15.
+            // A further step would change E by the order of step², below 1e-15.
             if step.abs() < 3e-8 {
                 break;
             }
@@ -121,7 +121,7 @@ impl Anomaly {
     }
 }
 
-/// The satellite in its orbital plane, and the plane's inclination.
+/// Coordinates in the orbital plane, and the plane's inclination.
 struct OrbitalPlane {
     x_m: f64,
     y_m: f64,
@@ -140,7 +140,7 @@ impl OrbitalPlane {
         let (perigee_sin, perigee_cos) = e.omega_rad.sin_cos();
         let true_sin = root * anomaly.sin / anomaly.distance;
         let true_cos = (anomaly.cos - e.eccentricity) / anomaly.distance;
-        // φ = ν + ω without ever forming ν.
+        // φ = ν + ω, without computing ν itself.
         let sin = true_sin * perigee_cos + true_cos * perigee_sin;
         let cos = true_cos * perigee_cos - true_sin * perigee_sin;
         let rate = root * anomaly.rate / anomaly.distance;
@@ -173,11 +173,11 @@ impl OrbitalPlane {
     }
 }
 
-/// Turns the orbital plane by its inclination and by the node's longitude.
+/// Rotates the orbital plane by its inclination and by the longitude of its node.
 fn earth_fixed(plane: &OrbitalPlane, node: f64, node_rate: f64) -> Orbit {
     let (node_sin, node_cos) = node.sin_cos();
     let (sin, cos) = (plane.inclination_sin, plane.inclination_cos);
-    // Along the node, across it in the equator, and up.
+    // Components along the node, perpendicular to it in the equator, and up.
     let (along, across, up) = (plane.x_m, plane.y_m * cos, plane.y_m * sin);
     let across_rate = plane.y_rate_m_s * cos - up * plane.inclination_rate;
     let up_rate = plane.y_rate_m_s * sin + across * plane.inclination_rate;
@@ -193,7 +193,7 @@ fn earth_fixed(plane: &OrbitalPlane, node: f64, node_rate: f64) -> Orbit {
     }
 }
 
-/// R_z(ω_e·t)·R_x(−5°) of the orbit in the inertial-like frame; BDS-SIS-ICD-B1I-3.0, table 5-11.
+/// R_z(ω_e·t)·R_x(−5°) of the orbit before rotation; BDS-SIS-ICD-B1I-3.0, table 5-11.
 fn geostationary_orbit(
     e: &KeplerianEphemeris,
     plane: &OrbitalPlane,

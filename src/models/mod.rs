@@ -1,16 +1,16 @@
-//! The physics between a satellite and a receiver.
+//! Models of what lies between a satellite and a receiver.
 //!
-//! Ephemeris and time become a [`SatelliteState`]; positions become ranges, range rates and angles;
-//! the atmosphere, the satellite's electronics and the quality of a measurement become metres and
-//! variances. All are pure functions of their arguments, in SI units, ECEF and GPS time.
+//! [`SatelliteState`] from ephemeris and time; ranges, range rates and angles from positions;
+//! delays of the atmosphere and of the satellite's electronics (m); variances of measurements (m²).
+//! All are pure functions of their arguments, in SI units, ECEF and GPS time.
 //!
 //! A pseudorange P of satellite s by receiver r is modelled as
 //!
 //! P = ρ(s, p) + c·δt_r − c·δtˢ + τ + T + I·(f_L1/f)²
 //!
 //! with ρ from [`geometric_range`], c·δtˢ in [`SatelliteState::clock_m`], τ from [`group_delay_m`],
-//! T from [`troposphere`] and I from [`ionosphere`]. Which measurements to use and what to do with
-//! their residuals is not decided here.
+//! T from [`troposphere`] and I from [`ionosphere`]. The choice of measurements and the use of
+//! residuals belong to `positioning`.
 
 pub mod antenna;
 pub mod ionosphere;

@@ -1,4 +1,4 @@
-//! Invented ephemerides of every constellation for the tests of this module.
+//! Invented ephemerides of every constellation, for the tests of this module.
 
 use nalgebra::Vector3;
 
@@ -6,12 +6,12 @@ use crate::gnss::{
     Ephemeris, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage,
 };
 
-/// Reference time of all of them: week 2244, 388 800 s.
+/// Reference time of all ephemerides: week 2244, 388 800 s.
 pub(super) fn toe() -> GpsTime {
     GpsTime::from_week_seconds(2244, 388_800.0)
 }
 
-/// G05, with the rates that only CNAV has.
+/// G05, with the rates that only CNAV broadcasts.
 pub(super) fn gps() -> KeplerianEphemeris {
     KeplerianEphemeris {
         satellite: "G05".parse().unwrap(),
@@ -97,7 +97,7 @@ pub(super) fn beidou() -> KeplerianEphemeris {
     }
 }
 
-/// J02, as eccentric as these are.
+/// J02, with the eccentricity of a QZSS orbit.
 pub(super) fn qzss() -> KeplerianEphemeris {
     KeplerianEphemeris {
         satellite: "J02".parse().unwrap(),
@@ -126,7 +126,7 @@ pub(super) fn glonass() -> GlonassEphemeris {
     }
 }
 
-/// One of each.
+/// One ephemeris of each kind.
 pub(super) fn all() -> Vec<Ephemeris> {
     vec![
         Ephemeris::Keplerian(gps()),

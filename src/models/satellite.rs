@@ -1,4 +1,4 @@
-//! Satellite states from broadcast ephemerides, whatever the constellation.
+//! Satellite states from broadcast ephemerides of any constellation.
 
 use nalgebra::Vector3;
 
@@ -6,16 +6,16 @@ use super::{glonass, kepler, weights};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Ecef, Ephemeris, GpsTime};
 
-/// Where a satellite's antenna is, how it moves, and how its clock runs.
+/// Position, velocity and clock of a satellite at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SatelliteState {
-    /// Antenna phase centre, ECEF of the state's own time (m).
+    /// Antenna phase centre, ECEF at that instant (m).
     pub position: Ecef,
-    /// Velocity in that rotating frame (m/s).
+    /// Velocity in ECEF (m/s).
     pub velocity_m_s: Vector3<f64>,
-    /// Clock offset from system time c·δtˢ (m): relativity included, group delays not.
+    /// Clock offset from system time c·δtˢ (m), with relativity, without group delays.
     pub clock_m: f64,
-    /// Its rate c·δṫˢ (m/s), relativity included.
+    /// Clock drift c·δṫˢ (m/s), with relativity.
     pub clock_drift_m_s: f64,
     /// Variance of the range due to orbit and clock errors (m²).
     pub variance_m2: f64,
@@ -35,12 +35,12 @@ pub fn satellite_state(ephemeris: &Ephemeris, time: GpsTime) -> SatelliteState {
     }
 }
 
-/// State of the satellite when it sent what was received at `tag` with that pseudorange.
+/// State of the satellite at the transmission of a signal received at `tag` with that pseudorange.
 ///
-/// t = tag − P/c − δtˢ; the receiver's clock error is in tag and P alike and cancels. The
-/// satellite's frame is that of transmission: the Earth's rotation on the way is in
-/// [`geometric_range`](super::geometric_range). The group delay (some 10 ns, 0.04 mm of orbit)
-/// is left out of t.
+/// t = tag − P/c − δtˢ: the receiver's clock error is in tag and P alike and cancels. The result is
+/// in the Earth-fixed frame of the time of transmission;
+/// [`geometric_range`](super::geometric_range) applies the Earth's rotation during the signal's
+/// travel. The group delay (some 10 ns, 0.04 mm of orbit) is neglected in t.
 pub fn state_at_transmission(
     ephemeris: &Ephemeris,
     tag: GpsTime,
@@ -52,7 +52,7 @@ pub fn state_at_transmission(
         Ephemeris::Glonass(e) => glonass::clock(e, sent).bias_s,
     };
     let mut state = satellite_state(ephemeris, sent - polynomial_s);
-    // Relativity (below 0.1 µs) is known only now; the satellite moves that little in a line.
+    // Relativity (below 0.1 µs) is known only now; over that time the orbit is a straight line.
     let relativity_s = state.clock_m / SPEED_OF_LIGHT - polynomial_s;
     state.position.0 -= state.velocity_m_s * relativity_s;
     state

@@ -1,21 +1,21 @@
-//! Which broadcast ephemeris to use.
+//! Selection of the broadcast ephemeris of a satellite.
 
 use crate::gnss::{Constellation, Ephemeris, GpsTime, Navigation, NavigationMessage, SatelliteId};
 
 const HOUR_S: f64 = 3_600.0;
-/// Longest span on either side of toe that any message is used for (s).
+/// Largest distance from toe at which any message is used (s).
 const LONGEST_S: f64 = 24.0 * HOUR_S;
-/// How far from toe BeiDou's are valid: an hour, as they change, and one of margin (s).
+/// Validity of BeiDou ephemerides around toe (s): updated hourly, plus one hour of margin.
 const BEIDOU_S: f64 = 2.0 * HOUR_S;
 
 /// The ephemeris to use for `satellite` at `time`: healthy, valid, and closest in time.
 ///
 /// *Healthy*: the health bits of the message's own signals are zero. *Valid*: no further from toe
-/// than half the stated fit interval, or else GPS and QZSS 2 h (CNAV 1.5 h), Galileo 4 h, BeiDou
-/// 2 h (an hour's validity and one of margin), GLONASS 30 min; its orbit must be one of an Earth
-/// satellite. *Message*: the one that every satellite of the system sends comes first, LNAV before
-/// CNAV before CNAV-2, I/NAV before F/NAV, D1 and D2 before B-CNAV1, 2 and 3; another is used only
-/// where that has nothing valid. *Closest*: by |time − toe|; of two as close, the later toe, then
+/// than half the broadcast fit interval; without one GPS and QZSS 2 h (CNAV 1.5 h), Galileo 4 h,
+/// BeiDou 2 h (one hour of validity, one of margin), GLONASS 30 min. The orbit must be one of an
+/// Earth satellite. *Message*: in the order LNAV, CNAV, CNAV-2; I/NAV, F/NAV; D1 or D2, B-CNAV1, 2,
+/// 3: the first is what every satellite of the system sends, and a later one is used only if the
+/// earlier ones have nothing valid. *Closest*: by |time − toe|; among equals the later toe, then
 /// the later toc, then the later entry of the list.
 pub fn select_ephemeris(
     navigation: &Navigation,
@@ -25,7 +25,7 @@ pub fn select_ephemeris(
     select_ephemeris_within(navigation, satellite, time, BEIDOU_S)
 }
 
-/// As [`select_ephemeris`], BeiDou's being valid to `beidou_s` from toe (s).
+/// As [`select_ephemeris`], with BeiDou ephemerides valid to `beidou_s` from toe (s).
 pub fn select_ephemeris_within(
     navigation: &Navigation,
     satellite: SatelliteId,
@@ -53,7 +53,7 @@ pub fn select_ephemeris_within(
     best.map(|(_, _, ephemeris)| ephemeris)
 }
 
-/// Place of the message in the order of preference, 0 first.
+/// Rank of the message in the order of preference, 0 first.
 fn preference(ephemeris: &Ephemeris) -> u8 {
     use NavigationMessage as M;
     match ephemeris {
@@ -67,7 +67,7 @@ fn preference(ephemeris: &Ephemeris) -> u8 {
     }
 }
 
-/// How far from toe an ephemeris may be used (s).
+/// Largest distance from toe at which an ephemeris is used (s).
 ///
 /// IS-GPS-200N 20.3.4.4 (4 h fit interval or a stated longer one, toe in its middle) and 30.3.4.4
 /// (3 h); Galileo OS SDD 1.3, C.4.4.1 (4 h); BDS-SIS-ICD-B1I-3.0 (hourly); GLONASS ICD 5.1, 4.4
@@ -92,7 +92,7 @@ pub fn validity_s(ephemeris: &Ephemeris) -> f64 {
     }
 }
 
-/// Whether an ephemeris is healthy and its orbit one of an Earth satellite.
+/// Whether an ephemeris is healthy and its orbit is one of an Earth satellite.
 pub fn is_usable(ephemeris: &Ephemeris) -> bool {
     is_healthy(ephemeris) && is_orbit(ephemeris)
 }
@@ -112,10 +112,10 @@ fn is_healthy(ephemeris: &Ephemeris) -> bool {
     }
 }
 
-/// Whether the numbers can be an orbit at all, so that a damaged record yields no position.
+/// Whether the elements describe an orbit at all, so that a damaged record gives no position.
 fn is_orbit(ephemeris: &Ephemeris) -> bool {
     match ephemeris {
-        // From low orbits to beyond the geosynchronous ones: 6 400 to 50 000 km.
+        // From low orbits to above the geosynchronous ones: 6 400 to 50 000 km.
         Ephemeris::Keplerian(e) => {
             (2_530.0..7_072.0).contains(&e.sqrt_a) && (0.0..0.9).contains(&e.eccentricity)
         }

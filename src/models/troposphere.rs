@@ -1,4 +1,4 @@
-//! Delay of the neutral atmosphere.
+//! Tropospheric delay.
 //!
 //! T(E) = m_h(E)·Z_h + m_w(E)·Z_w: zenith delays of Saastamoinen (1972), *Atmospheric correction
 //! for the troposphere and stratosphere in radio ranging of satellites*, with the gravity term of
@@ -11,16 +11,16 @@ use std::f64::consts::{PI, TAU};
 
 use crate::gnss::{Geodetic, GpsTime};
 
-/// How a zenith delay becomes one along the signal's path.
+/// Mapping of a zenith delay to the slant path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mapping {
     /// Niell's functions of elevation, latitude, height and season.
     Niell,
-    /// 1/sin E: a flat atmosphere.
+    /// 1/sin E, the mapping of a flat atmosphere.
     Cosecant,
 }
 
-/// Pressure, temperature and water vapour at a place.
+/// Pressure, temperature and water vapour at the receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weather {
     /// Pressure (hPa).
@@ -32,9 +32,9 @@ pub struct Weather {
 }
 
 impl Weather {
-    /// The standard atmosphere at a height above the sea (m): 1013.25 hPa and 15 °C at the sea,
-    /// 6.5 K less per kilometre; ISO 2533:1975, vapour from relative humidity 0 … 1 by the
-    /// Magnus-type formula of RTKLIB's manual 2.4.2, (E.5.1)–(E.5.3).
+    /// The standard atmosphere at a height above the sea (m): 1013.25 hPa and 15 °C at sea level,
+    /// 6.5 K less per kilometre; ISO 2533:1975. The vapour pressure follows from relative humidity
+    /// (0 … 1) by the Magnus-type formula of RTKLIB's manual 2.4.2, (E.5.1)–(E.5.3).
     ///
     /// Heights below zero count as zero.
     pub fn standard(height_m: f64, relative_humidity: f64) -> Self {
@@ -50,7 +50,7 @@ impl Weather {
     }
 }
 
-/// The troposphere over one receiver at one time: slant delays for any elevation.
+/// The troposphere above one receiver at one time, for slant delays at any elevation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Troposphere {
     hydrostatic_m: f64,
@@ -58,13 +58,13 @@ pub struct Troposphere {
     mapping: PreparedMapping,
 }
 
-/// Heights beyond which there is no standard atmosphere to speak of (m).
+/// Range of heights with a standard atmosphere (m).
 const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1_000.0..=20_000.0;
 
 impl Troposphere {
-    /// Saastamoinen's delays at `receiver` in a standard atmosphere of that relative humidity.
+    /// Saastamoinen's delays at `receiver` in a standard atmosphere with this relative humidity.
     ///
-    /// `None` where no receiver of ours can be: below −1 km or above 20 km.
+    /// `None` for heights below −1 km or above 20 km.
     pub fn saastamoinen(
         receiver: &Geodetic,
         time: GpsTime,
@@ -82,7 +82,7 @@ impl Troposphere {
         })
     }
 
-    /// Zenith delay, hydrostatic and wet together (m).
+    /// Zenith delay, hydrostatic plus wet (m).
     pub fn zenith_delay_m(&self) -> f64 {
         self.hydrostatic_m + self.wet_m
     }

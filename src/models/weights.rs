@@ -1,39 +1,39 @@
-//! How uncertain a measurement is.
+//! Variances of measurements.
 //!
-//! One function, [`MeasurementWeights::variance_m2`], of elevation and C/N0; published models are
-//! choices of its parameters. It covers the receiver's noise and multipath only: orbit and clock
-//! ([`ephemeris_variance_m2`]), troposphere and ionosphere add theirs.
+//! One function of elevation and C/N0, [`MeasurementWeights::variance_m2`]; published models are
+//! choices of its parameters. It covers the receiver's noise and multipath only. Orbit and clock
+//! ([`ephemeris_variance_m2`]), troposphere and ionosphere add their variances.
 
 use crate::gnss::{Ephemeris, NavigationMessage};
 
-/// How the variance grows towards the horizon.
+/// Dependence of the variance on elevation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ElevationTerm {
-    /// No dependence: 1.
+    /// None: the term is 1.
     None,
     /// a² + b²/sin²E (m²): the cosecant model.
     InverseSineSquared {
-        /// Part that does not depend on elevation (m).
+        /// Part independent of elevation (m).
         a_m: f64,
         /// Part at the zenith that grows towards the horizon (m).
         b_m: f64,
     },
-    /// a² + b²/sin E (m²): RTKLIB's, whose manual 2.4.2 has it in (E.6.24).
+    /// a² + b²/sin E (m²): RTKLIB's model, manual 2.4.2, (E.6.24).
     ///
-    /// RTKLIB's code variance with its defaults is a = b = 0.3 m: 100 (the code/phase ratio)
-    /// times 0.003 m, both; GLONASS 1.5 times that in σ.
+    /// RTKLIB's defaults for pseudoranges are a = b = 0.3 m: 0.003 m times the code/phase ratio of
+    /// 100; for GLONASS σ is 1.5 times that.
     InverseSine {
-        /// Part that does not depend on elevation (m).
+        /// Part independent of elevation (m).
         a_m: f64,
         /// Part at the zenith that grows towards the horizon (m).
         b_m: f64,
     },
 }
 
-/// How the variance grows with falling C/N0.
+/// Dependence of the variance on C/N0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cn0Term {
-    /// No dependence: factor 1, or 0 m² where it is added.
+    /// None: factor 1, or 0 m² where it is added.
     None,
     /// V + C·10^(−S/10) (m²): Hartinger & Brunner (1999), *Variances of GPS phase observations: the
     /// SIGMA-ε model*, GPS Solutions 2(4); Wieser (2007) with V. Added to the elevation term.
@@ -50,7 +50,7 @@ pub enum Cn0Term {
     /// low-cost receivers by single-frequency relative kinematic positioning*, Meas. Sci. Technol.
     /// 24; Herrera et al. (2016), *goGPS: open-source MATLAB software*, GPS Solutions 20.
     GoGps {
-        /// T: C/N0 from which on no signal is weighted down (dB-Hz).
+        /// T: C/N0 above which the factor is 1 (dB-Hz).
         threshold_db_hz: f64,
         /// F: C/N0 at which the factor is A (dB-Hz).
         reference_db_hz: f64,
@@ -62,8 +62,8 @@ pub enum Cn0Term {
 }
 
 impl Cn0Term {
-    /// goGPS's own parameters, which its variants for Hong Kong's streets kept: T = 50, F = 10,
-    /// A = 30, a = 30.
+    /// goGPS's own parameters: T = 50, F = 10, A = 30, a = 30. Its variants for Hong Kong use them
+    /// too.
     pub const fn gogps() -> Self {
         Self::GoGps {
             threshold_db_hz: 50.0,
@@ -74,18 +74,18 @@ impl Cn0Term {
     }
 }
 
-/// Variance of a measurement from its elevation and C/N0.
+/// Model of a measurement's variance by elevation and C/N0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementWeights {
-    /// Elevation's part.
+    /// Term that depends on elevation.
     pub elevation: ElevationTerm,
-    /// C/N0's part.
+    /// Term that depends on C/N0.
     pub cn0: Cn0Term,
-    /// C/N0 taken where a receiver reports none (dB-Hz).
+    /// C/N0 assumed where a receiver reports none (dB-Hz).
     pub cn0_if_missing_db_hz: f64,
 }
 
-/// Elevations below this count as this (rad): 1/sin has no bound at the horizon.
+/// Lowest elevation of the model (rad), 1°: 1/sin E is unbounded at the horizon.
 const ELEVATION_MIN_RAD: f64 = 0.017_453_292_519_943_295;
 
 impl MeasurementWeights {
@@ -132,7 +132,7 @@ const URA_BOUNDS_M: [f64; 15] = [
     2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1_536.0, 3_072.0,
     6_144.0,
 ];
-/// Accuracy taken where a message states none or warns: the URA's last bound (m).
+/// Accuracy assumed where a message has none or warns against use: the URA's last bound (m).
 const UNSTATED_M: f64 = 6_144.0;
 /// Galileo's `no accuracy prediction available` (m), as RTKLIB's `STD_GAL_NAPA`.
 const UNSTATED_GALILEO_M: f64 = 500.0;
@@ -141,8 +141,8 @@ const UNSTATED_GLONASS_M: f64 = 5.0;
 
 /// Variance of a range due to the broadcast orbit and clock (m²).
 ///
-/// The square of the stated accuracy; where that is a URA index's nominal value (LNAV, D1, D2), of
-/// the upper bound of its interval.
+/// The square of the broadcast accuracy; for a URA index (LNAV, D1, D2) the square of the upper
+/// bound of its interval.
 pub fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
     use NavigationMessage as M;
     let sigma_m = match ephemeris {

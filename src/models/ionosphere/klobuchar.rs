@@ -1,4 +1,4 @@
-//! Klobuchar's model as GPS and as BeiDou broadcast it.
+//! The Klobuchar model, as GPS and as BeiDou define it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -23,7 +23,7 @@ pub fn klobuchar_delay_m(
     look: &LookAngles,
     time: GpsTime,
 ) -> f64 {
-    // Semicircles from here on, as the document has them.
+    // From here on angles are in semicircles, as in the document.
     let elevation = look.elevation_rad / PI;
     let (azimuth_sin, azimuth_cos) = look.azimuth_rad.sin_cos();
     let earth_angle = 0.0137 / (elevation + 0.11) - 0.022;

@@ -1,8 +1,8 @@
-//! Delay of the ionosphere.
+//! Ionospheric delay.
 //!
-//! To first order it falls with the square of the frequency, I(f) = I(f_0)·(f_0/f)²; every model
-//! here gives the delay of a pseudorange on the frequency asked for. Carrier phases are advanced
-//! by as much.
+//! The first-order delay is inverse to the square of the frequency, I(f) = I(f_0)·(f_0/f)². Every
+//! model here gives the delay of a pseudorange on the frequency asked for; a carrier phase is
+//! advanced by the same amount.
 
 mod klobuchar;
 #[cfg(feature = "nequick")]
@@ -15,10 +15,10 @@ pub use nequick::{nequick_delay_m, nequick_variance_m2};
 use super::LookAngles;
 use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
 
-/// Broadcast Klobuchar delay of a signal (m), or `None` where no coefficients were broadcast.
+/// Broadcast Klobuchar delay of a signal (m), or `None` without broadcast coefficients.
 ///
-/// BeiDou's own model with its own coefficients for BeiDou; GPS's for all others, and for BeiDou
-/// where it broadcast none.
+/// BeiDou takes its own model and coefficients, all others those of GPS; BeiDou also, if its own
+/// coefficients are missing.
 pub fn broadcast_delay_m(
     navigation: &Navigation,
     constellation: Constellation,
@@ -44,7 +44,7 @@ pub fn klobuchar_variance_m2(delay_m: f64) -> f64 {
     0.25 * delay_m * delay_m
 }
 
-/// Variance where no ionosphere is modelled (m²): 5 m on L1, scaled by frequency.
+/// Variance of the delay without an ionosphere model (m²): 5 m on L1, scaled by frequency.
 ///
 /// RTKLIB manual 2.4.2, constant `ERR_ION`.
 pub fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {

@@ -1,8 +1,8 @@
 //! The ionosphere of NeQuick-G: a three-dimensional electron density integrated along the ray.
 //!
-//! Model and tables are those of the `sidereon-core` library; here its degrees, hours and months
-//! are met. Source: European GNSS (Galileo) Open Service (2016), *Ionospheric Correction Algorithm
-//! for Galileo Single Frequency Users*, issue 1.2.
+//! Model and tables are those of the `sidereon-core` library; this file converts to its degrees,
+//! hours and months. Source: European GNSS (Galileo) Open Service (2016), *Ionospheric Correction
+//! Algorithm for Galileo Single Frequency Users*, issue 1.2.
 
 use sidereon_core::atmosphere::{GalileoNequickCoeffs, NequickGRayEval, nequick_g_delay_m};
 
@@ -10,7 +10,7 @@ use crate::gnss::{Ecef, Geodetic, GpsTime, LeapSeconds, NeQuickCoefficients, Tim
 
 /// Delay of a pseudorange on `frequency_hz` between `receiver` and `satellite` at `time` (m).
 ///
-/// `None` where the model has no answer: a ray that meets the Earth, or coordinates without sense.
+/// `None` where the model has no value: the ray meets the Earth, or a coordinate is not finite.
 pub fn nequick_delay_m(
     coefficients: &NeQuickCoefficients,
     frequency_hz: f64,
@@ -38,8 +38,8 @@ pub fn nequick_delay_m(
 
 /// Variance of a NeQuick-G delay (m²): 30 % of the delay as its standard deviation.
 ///
-/// A choice, not a published figure: less than Klobuchar's half, as the model follows the
-/// ionosphere in three dimensions.
+/// This 30 % is an assumption, not a published figure: less than Klobuchar's half, since the model
+/// describes the ionosphere in three dimensions.
 pub fn nequick_variance_m2(delay_m: f64) -> f64 {
     0.09 * delay_m * delay_m
 }
