@@ -1,9 +1,9 @@
 //! ANTEX 1.3 and 1.4: phase centres of antennas.
 //!
 //! Rothacher & Schmid (2010), *ANTEX: The Antenna Exchange Format, Version 1.4*. Offsets and
-//! variations are millimetres in the file. Sections of standard deviations are passed over, and so
-//! are frequencies of systems that Graphfix does not know. Calibrations relative to a reference
-//! antenna cannot be mixed with absolute ones and are refused.
+//! variations are millimetres in the file. Sections of standard deviations and frequencies of
+//! unknown systems are skipped. Calibrations relative to a reference antenna cannot be mixed with
+//! absolute ones and are refused.
 
 use std::io::{self, BufRead};
 
@@ -20,15 +20,15 @@ const MILLIMETRE_M: f64 = 1e-3;
 const LINE_LIMIT: usize = 4_096;
 const ANTENNAS_LIMIT: usize = 50_000;
 const FREQUENCIES_LIMIT: usize = 32;
-/// Grids no finer than half a degree.
+/// Largest number of zenith angles: a grid of half a degree.
 const ZENITHS_LIMIT: usize = 361;
 const AZIMUTHS_LIMIT: usize = 721;
-/// Nadir angles of satellites end below this (deg); zenith angles of receivers do not.
+/// Nadir angles of satellites end below this (deg), zenith angles of receivers above.
 const NADIR_LIMIT_DEG: f64 = 45.0;
-/// Largest offset of an antenna (m): satellites' are below 3 m.
+/// Largest offset of an antenna (m); those of satellites are below 3 m.
 const OFFSET_LIMIT_M: f64 = 100.0;
 
-/// Why an ANTEX file is refused, with the line (from 1) where it showed.
+/// Why an ANTEX file is refused, with the number of the line (from 1).
 #[derive(Debug, thiserror::Error)]
 pub enum AntexError {
     /// The reader failed.
@@ -36,45 +36,45 @@ pub enum AntexError {
     Read {
         /// Number of the last line read.
         line: u64,
-        /// What the reader said.
+        /// The reader's error.
         source: io::Error,
     },
-    /// The first line is not ANTEX's.
+    /// The first line is not that of an ANTEX file.
     #[error("line 1: not an ANTEX file: {found:?} where ANTEX VERSION / SYST should be")]
     NotAntex {
-        /// What stands there, shortened.
+        /// The text found instead, shortened.
         found: String,
     },
-    /// A version that is not read.
+    /// The version is not supported.
     #[error("line 1: ANTEX version {version:?} is not supported")]
     UnsupportedVersion {
-        /// The version as written.
+        /// The version as written in the file.
         version: String,
     },
-    /// Phase centres relative to those of another antenna.
+    /// The phase centres are relative to those of another antenna.
     #[error(
         "line {line}: calibrations relative to an antenna are not supported, only absolute ones"
     )]
     Relative {
-        /// Line number.
+        /// Number of the line.
         line: u64,
     },
-    /// A record whose contents are not what its label says.
+    /// The content of a record does not fit its label.
     #[error("line {line}: {label:?}: {reason}")]
     Malformed {
-        /// Line number.
+        /// Number of the line.
         line: u64,
         /// Label of the record, or of the section it belongs to.
         label: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the record.
         reason: &'static str,
     },
-    /// A record that has no place there.
+    /// A record is not allowed at this point.
     #[error("line {line}: unexpected record {found:?}")]
     Unexpected {
-        /// Line number.
+        /// Number of the line.
         line: u64,
-        /// Its label, shortened.
+        /// The label found, shortened.
         found: String,
     },
     /// The file ends inside an antenna or its header.
@@ -82,7 +82,7 @@ pub enum AntexError {
     Truncated {
         /// Number of the last line.
         line: u64,
-        /// What was not ended.
+        /// The section that has no end.
         section: &'static str,
     },
 }
@@ -90,8 +90,8 @@ pub enum AntexError {
 /// Reads a whole file.
 ///
 /// # Errors
-/// Where any record of header or antennas is not understood: a calibration that is half read would
-/// move positions.
+/// Any record of the header or of an antenna that is not understood: a partly read calibration
+/// would shift positions.
 pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
     let mut lines = Lines { input, bytes: Vec::new(), line: String::new(), number: 0 };
     read_header(&mut lines)?;
@@ -117,17 +117,17 @@ pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
     Ok(catalogue)
 }
 
-/// The lines of a file, one at a time.
+/// Reads the lines of a file one at a time.
 struct Lines<R> {
     input: R,
     bytes: Vec<u8>,
-    /// The line, without its end; what is not UTF-8 is replaced.
+    /// The current line without its end; bytes that are not UTF-8 are replaced.
     line: String,
     number: u64,
 }
 
 impl<R: BufRead> Lines<R> {
-    /// Goes to the next line; `false` at the end.
+    /// Goes to the next line; `false` at the end of the file.
     fn next(&mut self) -> Result<bool, AntexError> {
         self.bytes.clear();
         let mut limited = io::Read::take(&mut self.input, LINE_LIMIT as u64 + 1);
@@ -140,7 +140,7 @@ impl<R: BufRead> Lines<R> {
         if LINE_LIMIT < self.bytes.len() {
             return Err(self.malformed("line", "it is longer than 4096 bytes"));
         }
-        // Columns count bytes; a name with other letters keeps its columns as question marks.
+        // Columns count bytes: other letters become question marks, one a byte.
         let ascii = self.bytes.iter().map(|b| if b.is_ascii() { char::from(*b) } else { '?' });
         self.line.clear();
         self.line.extend(ascii);
@@ -149,7 +149,7 @@ impl<R: BufRead> Lines<R> {
         Ok(true)
     }
 
-    /// The next line inside a section.
+    /// Goes to the next line inside a section.
     fn next_of(&mut self, section: &'static str) -> Result<(), AntexError> {
         match self.next()? {
             true => Ok(()),
@@ -211,7 +211,7 @@ enum Antenna {
     Satellite(SatelliteAntenna),
 }
 
-/// What the records of an antenna say before and between its frequencies.
+/// The records of an antenna before and between its frequencies.
 #[derive(Default)]
 struct Description {
     /// Type and radome, columns 1 to 20.
@@ -223,11 +223,11 @@ struct Description {
     frequencies: Option<usize>,
     valid: [Option<GpsTime>; 2],
     patterns: Vec<PhaseCentrePattern>,
-    /// Frequencies read, those of unknown systems too.
+    /// Number of frequencies read, unknown systems included.
     read: usize,
 }
 
-/// Reads up to the end of the antenna; `None` for a satellite of an unknown system.
+/// Reads an antenna to its end; `None` for a satellite of an unknown system.
 fn read_antenna<R: BufRead>(lines: &mut Lines<R>) -> Result<Option<Antenna>, AntexError> {
     let mut description = Description::default();
     loop {
@@ -265,7 +265,7 @@ fn finish<R: BufRead>(
     let zeniths = description.zeniths_deg;
     let zeniths = zeniths.ok_or(lines.malformed(LABEL, "ZEN1 / ZEN2 / DZEN is missing"))?;
     if description.frequencies.is_some_and(|count| count != description.read) {
-        return Err(lines.malformed(LABEL, "it has not as many frequencies as it says"));
+        return Err(lines.malformed(LABEL, "the number of frequencies differs from the stated one"));
     }
     let patterns = description.patterns;
     if zeniths[1] < NADIR_LIMIT_DEG {
@@ -287,7 +287,7 @@ fn finish<R: BufRead>(
     Ok(Some(Antenna::Receiver(calibration)))
 }
 
-/// Step of the azimuth grid (deg); zero where there is none.
+/// Step of the azimuth grid (deg); zero without a grid.
 fn azimuth_step_deg<R: BufRead>(lines: &Lines<R>) -> Result<f64, AntexError> {
     let step = lines.number_in(2, 8).ok_or(lines.malformed("DAZI", "not a number"))?;
     let steps = 360.0 / step;
@@ -296,7 +296,7 @@ fn azimuth_step_deg<R: BufRead>(lines: &Lines<R>) -> Result<f64, AntexError> {
     if is_grid { Ok(step) } else { Err(lines.malformed("DAZI", "it does not divide 360 degrees")) }
 }
 
-/// First and last zenith angle and the step between (deg).
+/// First and last zenith angle and their step (deg).
 fn zeniths_deg<R: BufRead>(lines: &Lines<R>) -> Result<[f64; 3], AntexError> {
     const LABEL: &str = "ZEN1 / ZEN2 / DZEN";
     let number = |at: usize| {
@@ -334,7 +334,7 @@ fn time<R: BufRead>(lines: &Lines<R>, label: &'static str) -> Result<GpsTime, An
     read().ok_or(lines.malformed(label, "not a date and time"))
 }
 
-/// Passes over a section that is not wanted.
+/// Skips a section.
 fn pass_over<R: BufRead>(lines: &mut Lines<R>, end: &str) -> Result<(), AntexError> {
     loop {
         lines.next_of("a frequency")?;
@@ -364,7 +364,7 @@ fn read_frequency<R: BufRead>(
         match lines.label() {
             "END OF FREQUENCY" if lines.columns(3, 6) == code => break,
             "END OF FREQUENCY" => {
-                return Err(lines.malformed("END OF FREQUENCY", "of another than was begun"));
+                return Err(lines.malformed("END OF FREQUENCY", "it ends another frequency"));
             }
             "NORTH / EAST / UP" => grid.offset_m = Some(offset_m(lines)?),
             "COMMENT" => {}
@@ -377,7 +377,7 @@ fn read_frequency<R: BufRead>(
             (other.constellation, other.band_digit) == (pattern.constellation, pattern.band_digit)
         };
         if description.patterns.iter().any(same) {
-            return Err(lines.malformed("END OF FREQUENCY", "the frequency is there twice"));
+            return Err(lines.malformed("END OF FREQUENCY", "the frequency appears twice"));
         }
         description.patterns.push(pattern);
     }
@@ -391,7 +391,7 @@ fn offset_m<R: BufRead>(lines: &Lines<R>) -> Result<Vector3<f64>, AntexError> {
     offset_m.ok_or(lines.malformed("NORTH / EAST / UP", "not three numbers of millimetres"))
 }
 
-/// The numbers of one frequency.
+/// The offset and variations of one frequency.
 struct Grid {
     zeniths: usize,
     first_zenith_rad: f64,
@@ -417,11 +417,11 @@ impl Grid {
         }
     }
 
-    /// Reads `NOAZI` or an azimuth, eight columns, and the variations behind it.
+    /// Reads `NOAZI` or an azimuth in eight columns, and the variations that follow.
     fn read_row<R: BufRead>(&mut self, lines: &Lines<R>) -> Result<(), AntexError> {
         let head = lines.columns(0, 8);
         if head == "NOAZI" {
-            let twice = lines.malformed(Self::LABEL, "NOAZI is there twice");
+            let twice = lines.malformed(Self::LABEL, "NOAZI appears twice");
             return match self.variations_m.replace(self.values(lines)?) {
                 None => Ok(()),
                 Some(_) => Err(twice),
@@ -458,7 +458,7 @@ impl Grid {
             step => (360.0 / step).round() as usize + 1,
         };
         if self.azimuth_variations_m.len() != rows {
-            return Err(missing("azimuths are missing"));
+            return Err(missing("some azimuths are missing"));
         }
         let mut letters = code.chars();
         let letter = letters.next().unwrap_or(' ');
@@ -592,7 +592,7 @@ mod tests {
         );
         assert!(refused("   120.0", "    90.0").contains("neither NOAZI nor the next azimuth"));
         assert!(refused("  14.0   7.0", "  14.0   4.0").contains("ZEN1"));
-        assert!(refused("     3     ", "     2     ").contains("not as many frequencies"));
+        assert!(refused("     3     ", "     2     ").contains("differs from the stated one"));
         assert!(refused("  2008     3    24", "  2008     2    31").contains("not a date"));
         assert!(refused("SYST\n", "SYST\nwhat\n").contains("line 2: unexpected record \"what\""));
         let cut = &text[..text.len() - record("", "END OF ANTENNA").len()];

@@ -1,11 +1,11 @@
-//! Units and indices of broadcast messages, for every format that carries them.
+//! Units and indices of broadcast messages, common to all formats.
 
 use crate::gnss::{
     Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, SatelliteId,
     wrap_half_week,
 };
 
-/// A semicircle in radians with the π that the messages are made with; IS-GPS-200N, 20.3.3.4.3.3;
+/// A semicircle (rad), with the value of π that the messages use; IS-GPS-200N, 20.3.3.4.3.3;
 /// Galileo OS SIS ICD 2.1, 5.1.1; BDS-SIS-ICD-B1I-3.0, 5.2.4.
 #[expect(clippy::approx_constant, reason = "the messages are made with these digits")]
 pub(super) const SEMICIRCLE_RAD: f64 = 3.141_592_653_589_8;
@@ -15,20 +15,20 @@ pub(super) const fn per_power(n: u32) -> f64 {
     1.0 / (1_u64 << n) as f64
 }
 
-/// F_T by its index (m), 15 being unused; GLONASS ICD 5.1, table 4.4.
+/// F_T by its index (m); index 15 is unused; GLONASS ICD 5.1, table 4.4.
 pub(super) const GLONASS_ACCURACY_M: [f64; 15] =
     [1.0, 2.0, 2.5, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
 
 /// Units of GLONASS positions, velocities and accelerations (m, m/s, m/s²).
 pub(super) const GLONASS_UNITS: [f64; 3] =
     [1e3 * per_power(11), 1e3 * per_power(20), 1e3 * per_power(30)];
-/// Square roots of semi-major axes (√m) of any satellite that navigates, with a wide margin.
+/// Valid square roots of semi-major axes of navigation satellites (√m), with a wide margin.
 const SQRT_A_LIMITS: std::ops::Range<f64> = 4000.0..8000.0;
 const ECCENTRICITY_LIMIT: f64 = 0.5;
-/// Farther than any GLONASS orbit (m), which is 25 500 km from the geocentre.
+/// Valid distances of GLONASS satellites from the geocentre (m); the orbit is at 25 500 km.
 const GLONASS_RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
 
-/// Whether the orbit is one of a satellite that navigates.
+/// Whether the orbit is one of a navigation satellite.
 pub(super) fn is_plausible(ephemeris: &Ephemeris) -> bool {
     match ephemeris {
         Ephemeris::Keplerian(e) => {
@@ -40,8 +40,8 @@ pub(super) fn is_plausible(ephemeris: &Ephemeris) -> bool {
     }
 }
 
-/// Nominal URA_ED (m) of its index, `None` for 15, which predicts nothing, and beyond;
-/// IS-GPS-200N, 30.3.3.1.1.4.
+/// Nominal URA_ED (m) of an index; `None` for 15 (no prediction) and above; IS-GPS-200N,
+/// 30.3.3.1.1.4.
 pub(super) fn ura_m(index: f64) -> Option<f64> {
     match index {
         -15.0..=6.0 => Some((1.0 + index / 2.0).exp2()),
@@ -50,7 +50,7 @@ pub(super) fn ura_m(index: f64) -> Option<f64> {
     }
 }
 
-/// URA (m) of a legacy message's index, with the roundings of IS-GPS-200N, 20.3.3.3.1.3.
+/// URA (m) of the index in a legacy message, rounded as in IS-GPS-200N, 20.3.3.3.1.3.
 pub(super) fn legacy_ura_m(index: u64) -> Option<f64> {
     match index {
         1 => Some(2.8),
@@ -60,8 +60,8 @@ pub(super) fn legacy_ura_m(index: u64) -> Option<f64> {
     }
 }
 
-/// SISA (m) of its index, `None` for spare indices and 255, no prediction; Galileo OS SIS ICD
-/// 2.1, table 92.
+/// SISA (m) of an index; `None` for spare indices and 255 (no prediction); Galileo OS SIS ICD 2.1,
+/// table 92.
 pub(super) fn sisa_m(index: u64) -> Option<f64> {
     let step = index as f64;
     match index {
@@ -73,13 +73,13 @@ pub(super) fn sisa_m(index: u64) -> Option<f64> {
     }
 }
 
-/// The instant nearest to `near` with that second of the week (s), counted in a week that begins
-/// `lag_s` after the GPS week: 0, or 14 for BeiDou.
+/// The instant nearest to `near` with this second of the week (s). The week begins `lag_s` after
+/// the GPS week: 0, or 14 for BeiDou.
 pub(super) fn nearest_second(near: GpsTime, second_of_week: f64, lag_s: f64) -> GpsTime {
     near + wrap_half_week(second_of_week - (near - lag_s).seconds_of_week())
 }
 
-/// GPS's and QZSS's group delay as their legacy message has it.
+/// Group delay T_GD of a legacy message of GPS or QZSS.
 pub(super) fn legacy_delay(tgd_s: f64) -> GroupDelays {
     GroupDelays::Gps {
         tgd_s,
@@ -92,7 +92,7 @@ pub(super) fn legacy_delay(tgd_s: f64) -> GroupDelays {
     }
 }
 
-/// An ephemeris whose numbers are still to be filled in.
+/// An ephemeris whose elements are zero, to be filled in.
 pub(super) fn blank(
     satellite: SatelliteId,
     message: NavigationMessage,

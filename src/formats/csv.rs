@@ -1,26 +1,26 @@
-//! Solutions as comma-separated values, every epoch a row, those without a position included.
+//! Solutions as comma-separated values: one row for each epoch, also without a position.
 //!
-//! | column | is |
+//! | column | content |
 //! |---|---|
-//! | `gps_week`, `tow_s` | the receiver's tag: GPS week and seconds of week (s) |
+//! | `gps_week`, `tow_s` | receiver's time tag: GPS week and seconds of week (s) |
 //! | `status` | as in the API: `NONE`, `SINGLE`, … |
 //! | `x_m`, `y_m`, `z_m` | antenna position, ECEF (m) |
-//! | `latitude_deg`, `longitude_deg`, `height_m` | the same, WGS 84, ellipsoidal height |
-//! | `var_e_m2` … `cov_nu_m2` | its covariance, east, north, up (m²) |
+//! | `latitude_deg`, `longitude_deg`, `height_m` | antenna position, WGS 84, ellipsoidal height |
+//! | `var_e_m2` … `cov_nu_m2` | covariance of the position, east, north, up (m²) |
 //! | `ve_m_s`, `vn_m_s`, `vu_m_s` | velocity, east, north, up (m/s) |
-//! | `var_ve_m2_s2` … `cov_vnvu_m2_s2` | its covariance, east, north, up (m²/s²) |
+//! | `var_ve_m2_s2` … `cov_vnvu_m2_s2` | covariance of the velocity, east, north, up (m²/s²) |
 //! | `clock_m`, `clock_drift_m_s` | receiver clock error (m) and drift (m/s) |
 //! | `reception_tow_s` | estimated true time of reception, seconds of GPS week (s) |
 //! | `gdop`, `pdop`, `hdop`, `vdop`, `tdop` | dilutions of precision |
-//! | `satellites` | number used |
-//! | `satellite_list` | which, separated by blanks |
+//! | `satellites` | number of satellites used |
+//! | `satellite_list` | satellites used, separated by blanks |
 //! | `baseline_e_m`, `baseline_n_m`, `baseline_u_m` | from the base, east, north, up (m) |
 //! | `age_s` | age of the base epoch (s) |
-//! | `ambiguities`, `fixed_ambiguities` | how many, and how many held at integers |
-//! | `ratio`, `success_rate`, `fix_probability` | of the integers |
-//! | `reasons` | what kept it from being better, separated by `; `, in quotes |
+//! | `ambiguities`, `fixed_ambiguities` | number of ambiguities, and of those fixed to integers |
+//! | `ratio`, `success_rate`, `fix_probability` | quality of the integers |
+//! | `reasons` | what limits the solution, separated by `; `, in quotes |
 //!
-//! A field that is not known is empty.
+//! Unknown values are empty fields.
 
 use std::io::{self, Write};
 
@@ -35,11 +35,11 @@ const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_
      clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
      satellite_list,baseline_e_m,baseline_n_m,baseline_u_m,age_s,ambiguities,\
      fixed_ambiguities,ratio,success_rate,fix_probability,reasons";
-/// Columns between `status` and `reasons`.
+/// Number of columns between `status` and `reasons`.
 const ESTIMATE_COLUMNS: usize = 40;
-/// Columns from `baseline_e_m` to `fix_probability`.
+/// Number of columns from `baseline_e_m` to `fix_probability`.
 const RELATIVE_COLUMNS: usize = 9;
-/// Columns from `ve_m_s` to `cov_vnvu_m2_s2`.
+/// Number of columns from `ve_m_s` to `cov_vnvu_m2_s2`.
 const VELOCITY_COLUMNS: usize = 9;
 
 /// Writes solutions as CSV rows, one at a time, to a buffered writer.
@@ -55,7 +55,7 @@ impl<W: Write> Writer<W> {
         Ok(Self { output, line: Vec::with_capacity(512) })
     }
 
-    /// Writes one row.
+    /// Writes one row for a solution.
     pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let line = &mut self.line;
         line.clear();
@@ -74,7 +74,7 @@ impl<W: Write> Writer<W> {
         self.output.write_all(line)
     }
 
-    /// Flushes and gives the writer back.
+    /// Flushes and returns the output.
     pub fn finish(mut self) -> io::Result<W> {
         self.output.flush()?;
         Ok(self.output)
@@ -141,7 +141,7 @@ fn push_velocity(line: &mut Vec<u8>, velocity: &Velocity, frame: &LocalFrame) {
     push_covariance(line, &frame.covariance_to_enu(&velocity.covariance));
 }
 
-/// Variances, then covariances 12, 13, 23.
+/// Appends the variances, then the covariances 12, 13 and 23.
 fn push_covariance(line: &mut Vec<u8>, covariance: &Matrix3<f64>) {
     for (row, column) in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] {
         push_field(line, covariance[(row, column)], 8);
@@ -161,7 +161,7 @@ fn push_reasons(line: &mut Vec<u8>, solution: &Solution) {
     line.push(b'"');
 }
 
-/// A comma and a number.
+/// Appends a comma and a number.
 fn push_field(line: &mut Vec<u8>, value: f64, decimals: usize) {
     line.push(b',');
     push_fixed(line, value, decimals, 0);

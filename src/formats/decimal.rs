@@ -1,18 +1,18 @@
 //! Numbers as fixed-point decimal text, written digit by digit.
 //!
-//! A solution row has fourteen numbers, and `write!` is exact for every float at a price. Here a
-//! value is scaled to an integer first, which is right to half a unit of the last digit as long as
-//! the scaled value stays below 2⁵³.
+//! A solution row has fourteen numbers, and `write!` is exact for every float but slow. Here a
+//! value is scaled to an integer first. The result is right to half a unit of the last digit as
+//! long as the scaled value is below 2⁵³.
 
 use std::io::Write;
 
 const POWERS_OF_TEN: [f64; 10] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9];
-/// Beyond this a scaled value no longer fits an integer exactly: 2⁵³.
+/// Largest scaled value that is exact as an integer: 2⁵³.
 const LARGEST_EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// Appends `value` with `decimals` digits (0 … 9) after the point, right-aligned in `width`.
 ///
-/// A zero has no sign. What is not finite is written as `nan`; readers leave such rows out.
+/// Zero has no sign. A value that is not finite is written as `nan`; readers skip such rows.
 pub(crate) fn push_fixed(out: &mut Vec<u8>, value: f64, decimals: usize, width: usize) {
     let scaled = (value.abs() * POWERS_OF_TEN[decimals]).round();
     if !value.is_finite() {
@@ -29,8 +29,8 @@ pub(crate) fn push_integer(out: &mut Vec<u8>, value: i64, width: usize) {
     push_digits(out, value.unsigned_abs(), value < 0, 0, width);
 }
 
-/// Appends nanoseconds as seconds, with at least `decimals` and at most nine digits after the
-/// point: as many as the value needs.
+/// Appends nanoseconds as seconds. The value gets as many digits after the point as it needs, at
+/// least `decimals` and at most nine.
 pub(crate) fn push_seconds(out: &mut Vec<u8>, ns: i64, decimals: usize, width: usize) {
     let (mut digits, mut value) = (9, ns.unsigned_abs());
     while decimals < digits && value.is_multiple_of(10) {

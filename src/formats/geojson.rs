@@ -2,15 +2,15 @@
 //!
 //! Coordinates are longitude and latitude (degrees) and ellipsoidal height (m) on WGS 84. A point
 //! has the properties `time` (UTC), `gpsWeek`, `tow` (s), `status`, `satellites`, `sdEastM`,
-//! `sdNorthM`, `sdUpM`, and, where known, `speedMS` and `reasons`. The track is broken where an
-//! epoch has no position, and into pieces of [`POINTS_PER_LINE`] so that writing needs no memory.
+//! `sdNorthM`, `sdUpM`, and, where known, `speedMS` and `reasons`. The track ends where an epoch
+//! has no position, and after [`POINTS_PER_LINE`] points, so that writing needs little memory.
 
 use std::io::{self, Write};
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
 use crate::gnss::{LeapSeconds, LocalFrame, Solution, SolutionEstimate};
 
-/// Points of one piece of the track.
+/// Largest number of points in one line of the track.
 pub const POINTS_PER_LINE: usize = 1000;
 
 /// Writes solutions as one feature collection, one at a time, to a buffered writer.
@@ -20,21 +20,21 @@ pub struct Writer<W> {
     output: W,
     leap: LeapSeconds,
     buffer: Vec<u8>,
-    /// Coordinates of the piece of track under way, as text.
+    /// Coordinates of the current line of the track, as text.
     track: Vec<u8>,
     points_of_track: usize,
     features: usize,
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins the collection; `leap` turns GPS time into UTC.
+    /// Begins the collection; `leap` converts GPS time to UTC.
     pub fn new(mut output: W, leap: LeapSeconds) -> io::Result<Self> {
         output.write_all(b"{\"type\":\"FeatureCollection\",\"features\":[")?;
         let (buffer, track) = (Vec::new(), Vec::new());
         Ok(Self { output, leap, buffer, track, points_of_track: 0, features: 0 })
     }
 
-    /// Writes one point; a solution without position ends the piece of track.
+    /// Writes one point; a solution without position ends the current line of the track.
     pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let Some(estimate) = &solution.estimate else {
             return self.end_track(false);
@@ -54,7 +54,7 @@ impl<W: Write> Writer<W> {
         if POINTS_PER_LINE <= self.points_of_track { self.end_track(true) } else { Ok(()) }
     }
 
-    /// Writes the last piece of track, ends the document, flushes and gives the writer back.
+    /// Writes the last line of the track, ends the document, flushes and returns the output.
     pub fn finish(mut self) -> io::Result<W> {
         self.end_track(false)?;
         self.output.write_all(b"\n]}\n")?;
@@ -72,7 +72,7 @@ impl<W: Write> Writer<W> {
         )
     }
 
-    /// Writes the piece of track under way; the next begins at its last point if `continued`.
+    /// Writes the current line of the track; the next one begins at its last point if `continued`.
     fn end_track(&mut self, continued: bool) -> io::Result<()> {
         if 2 <= self.points_of_track {
             self.begin_feature("LineString")?;
@@ -131,7 +131,7 @@ fn push_properties(
     out.extend_from_slice(b"}}");
 }
 
-/// A member with a number; JSON has no NaN, so what is not finite is `null`.
+/// Appends a member with a number; JSON has no NaN, so other values become `null`.
 fn push_number(out: &mut Vec<u8>, name: &str, value: f64) {
     out.extend_from_slice(b",\"");
     out.extend_from_slice(name.as_bytes());

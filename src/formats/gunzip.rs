@@ -1,40 +1,40 @@
-//! Gzip that comes in pieces, split anywhere. Source: RFC 1952, section 2.2 (members).
+//! Gzip data that arrives in chunks of any size. Source: RFC 1952, section 2.2 (members).
 
 use flate2::{Decompress, FlushDecompress, Status};
 
-/// Window of deflate as a power of two (bytes), the largest there is.
+/// Size of deflate's window as a power of two (bytes), the largest one.
 const WINDOW_BITS: u8 = 15;
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Bytes that are no gzip, or damaged.
+/// The bytes are not gzip, or damaged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("gzip: {why}")]
 pub struct GunzipError {
-    /// What is wrong.
+    /// What is wrong with the data.
     pub why: String,
 }
 
-/// Unpacks gzip as far as it has come, one member after the other.
+/// Unpacks gzip data as it arrives, one member after another.
 ///
-/// How the bytes are split changes nothing: what so many packed bytes give is given with the last
-/// of them.
+/// The result is independent of the size of the chunks: the output of the first n packed bytes is
+/// complete once byte n has arrived.
 #[derive(Debug)]
 pub struct Gunzip {
     member: Decompress,
-    /// Nothing of the next member has come.
+    /// Whether no byte of the next member has arrived.
     is_between: bool,
 }
 
 impl Gunzip {
-    /// Before the first byte.
+    /// A decoder before the first byte.
     pub fn new() -> Self {
         Self { member: Decompress::new_gzip(WINDOW_BITS), is_between: true }
     }
 
-    /// Unpacks the next bytes and hands over what they give, in blocks of up to 64 kB.
+    /// Unpacks the next bytes and passes the output to `take`, in blocks of up to 64 kB.
     ///
     /// # Errors
-    /// Damaged bytes, and what `take` refuses.
+    /// Damaged bytes, and the errors of `take`.
     pub fn push<E: From<GunzipError>>(
         &mut self,
         mut packed: &[u8],
@@ -56,17 +56,17 @@ impl Gunzip {
             let length = (self.member.total_out() - written) as usize;
             take(&block[..length])?;
             self.is_between = status == Status::StreamEnd;
-            // Where the block is not full, nothing more can be made of what has come.
+            // A block that is not full means that the bytes so far give no more output.
             if !self.is_between && packed.is_empty() && length < block.len() {
                 return Ok(());
             }
             if !self.is_between && packed.len() == before && length == 0 {
-                return Err(GunzipError { why: "no bytes can be made of it".to_owned() }.into());
+                return Err(GunzipError { why: "its content cannot be unpacked".to_owned() }.into());
             }
         }
     }
 
-    /// Whether it ends where a member ends.
+    /// Whether the data so far ends at the end of a member.
     pub const fn is_whole(&self) -> bool {
         self.is_between
     }

@@ -1,4 +1,4 @@
-//! Bytes to vocabulary and back; takes readers and writers, opens nothing.
+//! Conversion between bytes and the vocabulary; takes readers and writers, opens nothing.
 
 pub mod antex;
 mod binary;
@@ -26,12 +26,12 @@ pub use gunzip::{Gunzip, GunzipError};
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 const INFLATED_BUFFER_BYTES: usize = 1 << 16;
 
-/// The bytes of `input`, inflated where they begin as gzip does, else as they are.
+/// The bytes of `input`, inflated if they begin as gzip does.
 ///
-/// Told by content, not by name. Nothing is held but two buffers, so any length streams through.
+/// The content decides, not the file name. Only two buffers are held, for input of any length.
 pub fn decompress<R: BufRead>(mut input: R) -> impl BufRead {
     let mut head = Vec::with_capacity(GZIP_MAGIC.len());
-    // An error met here is met again, and reported, by whoever reads on.
+    // An error here occurs again, and is reported, when the caller reads on.
     let _ = input.by_ref().take(GZIP_MAGIC.len() as u64).read_to_end(&mut head);
     let is_gzip = head == GZIP_MAGIC;
     let whole = Cursor::new(head).chain(input);

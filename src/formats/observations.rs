@@ -1,5 +1,5 @@
-//! Files of observations and of navigation data, whatever their format: RINEX, CRINEX, or the raw
-//! bytes of receivers. Which it is the content tells, not the name.
+//! Files of observations and navigation data in any format: RINEX, CRINEX, or raw bytes of
+//! receivers. The content decides on the format, not the file name.
 
 use std::fmt;
 use std::io::{BufRead, Chain, Cursor, Read};
@@ -12,10 +12,10 @@ use super::receiver::{
 };
 use super::rinex::{self, ObservationReader, RinexError, Skipped};
 
-/// How many of a file's first bytes tell its format.
+/// Number of leading bytes from which the format is recognised.
 const HEAD_BYTES: u64 = 1 << 16;
 
-/// A file whose format is known, from its first byte.
+/// A file with recognised format, from its first byte.
 #[derive(Debug)]
 pub struct Recognised<R> {
     input: Chain<Cursor<Vec<u8>>, R>,
@@ -23,16 +23,16 @@ pub struct Recognised<R> {
 }
 
 impl<R: BufRead> Recognised<R> {
-    /// Looks at the first bytes: receiver data where they hold a whole frame, else RINEX.
+    /// Recognises the format: receiver data if the first bytes hold a whole frame, else RINEX.
     pub fn new(mut input: R) -> Self {
         let mut head = Vec::new();
-        // An error met here is met again, and reported, by whoever reads on.
+        // An error here occurs again, and is reported, when the caller reads on.
         let _ = input.by_ref().take(HEAD_BYTES).read_to_end(&mut head);
         let is_receiver_data = is_receiver_data(&head);
         Self { input: Cursor::new(head).chain(input), is_receiver_data }
     }
 
-    /// Whether it holds the raw bytes of a receiver.
+    /// Whether the file holds raw bytes of a receiver.
     pub const fn is_receiver_data(&self) -> bool {
         self.is_receiver_data
     }
@@ -41,10 +41,10 @@ impl<R: BufRead> Recognised<R> {
 /// Why a file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// As RINEX.
+    /// The file was recognised as RINEX.
     #[error(transparent)]
     Rinex(#[from] RinexError),
-    /// As receiver data.
+    /// The file was recognised as receiver data.
     #[error(transparent)]
     Receiver(#[from] ReceiverError),
 }
@@ -52,15 +52,15 @@ pub enum FileError {
 /// Reads the observations of a file epoch by epoch.
 #[derive(Debug)]
 pub enum Observations<R> {
-    /// Of a RINEX or CRINEX file.
+    /// A RINEX or CRINEX file.
     Rinex(Box<ObservationReader<Chain<Cursor<Vec<u8>>, R>>>),
-    /// Of receiver data.
+    /// Receiver data.
     Receiver(Box<ReceiverReader<Chain<Cursor<Vec<u8>>, R>>>),
 }
 
 impl<R: BufRead> Observations<R> {
-    /// Reads the header, where there is one. `reference` and the GLONASS channels of `navigation`
-    /// serve receiver data that do not tell them.
+    /// Reads the header, if the format has one. `reference` and the GLONASS channels of
+    /// `navigation` are used for receiver data without them.
     ///
     /// # Errors
     /// The header cannot be read.
@@ -80,7 +80,7 @@ impl<R: BufRead> Observations<R> {
     /// Reads the next epoch into `epoch`; false at the end.
     ///
     /// # Errors
-    /// The file cannot be read on.
+    /// The rest of the file cannot be read.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, FileError> {
         Ok(match self {
             Self::Rinex(reader) => reader.read_epoch(epoch)?,
@@ -88,7 +88,7 @@ impl<R: BufRead> Observations<R> {
         })
     }
 
-    /// The station, as far as the messages read so far have told; `None` for RINEX.
+    /// The station as described by the messages read so far; `None` for RINEX.
     pub fn station(&self) -> Option<&Station> {
         match self {
             Self::Rinex(_) => None,
@@ -108,7 +108,7 @@ impl<R: BufRead> Observations<R> {
 /// Reads all navigation data of a file.
 ///
 /// # Errors
-/// The file as a whole cannot be read; broken records and messages are left out and told.
+/// The file as a whole cannot be read. Damaged records and messages are left out and listed.
 pub fn read_navigation<R: BufRead>(
     file: Recognised<R>,
     reference: Option<TimeReference>,
@@ -125,10 +125,10 @@ pub fn read_navigation<R: BufRead>(
     Ok((navigation, LeftOut::Receiver(reader.statistics().clone())))
 }
 
-/// The first time that receiver data tell in full; `None` where they tell none, and for RINEX.
+/// The first complete time of receiver data; `None` if it has none, and for RINEX.
 ///
 /// # Errors
-/// The file cannot be read on.
+/// The rest of the file cannot be read.
 pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, FileError> {
     if !file.is_receiver_data {
         return Ok(None);
@@ -138,11 +138,11 @@ pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, Fi
     Ok(reader.decoder().time())
 }
 
-/// The station of receiver data: all that its messages tell until position and antenna are known,
-/// or to the end; of positions that change the first. `None` where they tell nothing, and of RINEX.
+/// The station of receiver data. Messages are read until position and antenna are known, or to the
+/// end; if the position changes, the first one counts. `None` without such messages, and for RINEX.
 ///
 /// # Errors
-/// The file cannot be read on.
+/// The rest of the file cannot be read.
 pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
     if !file.is_receiver_data {
         return Ok(None);
@@ -157,16 +157,16 @@ pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileE
     Ok(station.map(|station| Station { antenna_reference_point: first, ..station }))
 }
 
-/// What of a file was left out.
+/// The parts of a file that were left out.
 #[derive(Clone, Debug)]
 pub enum LeftOut {
-    /// Of a RINEX file, by line.
+    /// Parts of a RINEX file, by line.
     Rinex(Skipped),
-    /// Of receiver data, by byte.
+    /// Parts of receiver data, by byte.
     Receiver(Statistics),
 }
 
-/// One line for each reason: how often, why, and where first.
+/// One line for each reason: count, reason, and first positions.
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -193,7 +193,7 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// The first of many places.
+/// The first positions of one reason, for display.
 struct Places<'a> {
     unit: &'static str,
     first: &'a [u64],

@@ -1,17 +1,17 @@
-//! Displacements of another sensor as CSV, one a line, in the order of their times.
+//! Displacements measured by another sensor, as CSV: one a line, in order of time.
 //!
-//! A title line names the columns, in any order; others are ignored, as are empty lines and those
-//! that start with `#` or `%`:
+//! A title line names the columns, in any order. Other columns are ignored, as are empty lines and
+//! lines that start with `#` or `%`:
 //!
-//! | column | what |
+//! | column | content |
 //! |---|---|
-//! | `gps_week`, `tow` | GPS time at the displacement's end, week and seconds |
-//! | `interval_s` | how long it took (s) |
+//! | `gps_week`, `tow` | GPS time at the end of the displacement, week and seconds |
+//! | `interval_s` | duration of the displacement (s) |
 //! | `frame` | `ecef`, `enu` or `body` (forward, left, up) |
-//! | `x_m`, `y_m`, `z_m` | the displacement (m) |
-//! | `var_x_m2`, `var_y_m2`, `var_z_m2` | its variances (m²) |
-//! | `cov_xy_m2`, `cov_xz_m2`, `cov_yz_m2` | its covariances (m²); zero where there is no column |
-//! | `heading_deg`, `heading_sigma_deg` | of a body, from north over east; else empty or absent |
+//! | `x_m`, `y_m`, `z_m` | displacement (m) |
+//! | `var_x_m2`, `var_y_m2`, `var_z_m2` | variances of the displacement (m²) |
+//! | `cov_xy_m2`, `cov_xz_m2`, `cov_yz_m2` | covariances (m²); zero without such a column |
+//! | `heading_deg`, `heading_sigma_deg` | of a body, clockwise from north; else empty |
 
 use std::io::{self, BufRead, Write};
 
@@ -35,67 +35,67 @@ const COLUMNS: [&str; 15] = [
     "heading_deg",
     "heading_sigma_deg",
 ];
-/// How many of the columns a file must have.
+/// Number of columns that a file must have.
 const NEEDED: usize = 10;
 const WEEK_MAX: f64 = 9_999.0;
 const WEEK_S: f64 = 604_800.0;
 
-/// A displacement and when it ended.
+/// A displacement and the time of its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryRow {
-    /// GPS time.
+    /// GPS time at the end of the displacement.
     pub time: GpsTime,
-    /// The displacement.
+    /// Displacement with its covariance.
     pub odometry: Odometry,
 }
 
-/// Why a file of odometry is refused.
+/// Why an odometry file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum OdometryFileError {
     /// The reader failed.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
-    /// The title line does not name a column that is needed.
+    /// The title line lacks a required column.
     #[error("line {line}: no column is named {column}")]
     MissingColumn {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// The column.
+        /// Name of the column.
         column: &'static str,
     },
-    /// A field is no number, or out of its range.
+    /// A field is not a number, or out of its range.
     #[error("line {line}: {column} is {text:?}")]
     Field {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// The column.
+        /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// Content of the field.
         text: String,
     },
-    /// A displacement that cannot be.
+    /// The displacement is invalid.
     #[error("line {line}: {error}")]
     Impossible {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// Why the displacement is invalid.
         error: OdometryError,
     },
-    /// A row is not after the one before.
-    #[error("line {line}: its time is not after the one before")]
+    /// The time of a row is not after that of the previous row.
+    #[error("line {line}: its time is not after that of the previous row")]
     OutOfOrder {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
     },
-    /// It has no rows.
-    #[error("there is no row in it")]
+    /// The file has no rows.
+    #[error("the file has no rows")]
     Empty,
 }
 
 /// Reads all displacements of a file.
 ///
 /// # Errors
-/// The first line that cannot be read, and why.
+/// The first line that cannot be read, with the reason.
 pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileError> {
     let (mut rows, mut places) = (Vec::<OdometryRow>::new(), None);
     let (mut bytes, mut line) = (Vec::new(), 0);
@@ -124,7 +124,7 @@ pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileErr
     if rows.is_empty() { Err(OdometryFileError::Empty) } else { Ok(rows) }
 }
 
-/// Where each column stands, as the title line says.
+/// Index of each column in the title line.
 fn places_of(
     title: &str,
     line: usize,
@@ -197,7 +197,7 @@ impl Fields<'_> {
         value.filter(|value: &f64| value.is_finite()).ok_or_else(|| self.refused(column))
     }
 
-    /// The number of a column that may be absent or empty.
+    /// The number in a column that may be absent or empty.
     fn optional(&self, column: usize) -> Result<Option<f64>, OdometryFileError> {
         if self.text(column).is_empty() { Ok(None) } else { self.number(column).map(Some) }
     }
@@ -208,7 +208,7 @@ impl Fields<'_> {
     }
 }
 
-/// Writes a file of odometry, lengths to a hundredth of a millimetre.
+/// Writes an odometry file, lengths to a hundredth of a millimetre.
 pub fn write(mut output: impl Write, rows: &[OdometryRow]) -> io::Result<()> {
     writeln!(output, "{}", COLUMNS.join(","))?;
     let mut line = Vec::new();
@@ -268,7 +268,7 @@ mod tests {
         let refused =
             |rows: &str| read(format!("{TITLE}\n{rows}").as_bytes()).unwrap_err().to_string();
         for (rows, message) in [
-            ("", "there is no row in it"),
+            ("", "the file has no rows"),
             ("1,2051,enu,1,x,0,0,1,1,1", "line 2: x_m is \"x\""),
             ("1,2051,enu,1", "line 2: x_m is \"\""),
             ("1,2051,ned,1,0,0,0,1,1,1", "line 2: frame is \"ned\""),
@@ -278,7 +278,7 @@ mod tests {
             ("1,2051,enu,1,0,0,0,1,0,1", "line 2: the covariance is not positive definite"),
             (
                 "1,2051,enu,1,0,0,0,1,1,1\n\n1,2051,enu,1,0,0,0,1,1,1",
-                "line 4: its time is not after the one before",
+                "line 4: its time is not after that of the previous row",
             ),
         ] {
             assert_eq!(refused(rows), message);

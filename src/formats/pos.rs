@@ -20,10 +20,10 @@ const CONVENTIONS: &str = "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3
      5:single,6:ppp,ns=# of satellites)";
 /// Coordinates above this are metres from the Earth's centre, not degrees.
 const LARGEST_ANGLE: f64 = 1000.0;
-/// Ratios are cut here, as RTKLIB does, to fit their column.
+/// Larger ratios are written as this, as RTKLIB does, to fit their column.
 const RATIO_MAX: f64 = 999.9;
 
-/// RTKLIB's quality number of a status; `None` for a status that has no row.
+/// RTKLIB's quality number of a status; `None` for a status without row.
 pub const fn quality(status: Status) -> Option<u8> {
     match status {
         Status::None => None,
@@ -49,7 +49,7 @@ impl<W: Write> Writer<W> {
         Ok(Self { output, line: Vec::with_capacity(256) })
     }
 
-    /// Writes one row, under the receiver's tag; a solution without position writes none.
+    /// Writes one row with the receiver's time tag; none for a solution without position.
     pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let (Some(quality), Some(estimate)) = (quality(solution.status), &solution.estimate) else {
             return Ok(());
@@ -79,20 +79,20 @@ impl<W: Write> Writer<W> {
         self.output.write_all(line)
     }
 
-    /// Flushes and gives the writer back.
+    /// Flushes and returns the output.
     pub fn finish(mut self) -> io::Result<W> {
         self.output.flush()?;
         Ok(self.output)
     }
 }
 
-/// A blank and a number.
+/// Appends a blank and a number.
 fn push_column(line: &mut Vec<u8>, value: f64, decimals: usize, width: usize) {
     line.push(b' ');
     push_fixed(line, value, decimals, width);
 }
 
-/// sign(c)·√|c|: how RTKLIB prints a covariance c.
+/// sign(c)·√|c|: RTKLIB's text of a covariance c.
 fn signed_root(covariance: f64) -> f64 {
     covariance.abs().sqrt().copysign(covariance)
 }
@@ -102,18 +102,18 @@ fn signed_root(covariance: f64) -> f64 {
 pub struct PosRow {
     /// GPS time of the row.
     pub time: GpsTime,
-    /// The position.
+    /// Position, ECEF (m).
     pub position: Ecef,
     /// RTKLIB's quality number: 1 fixed, 2 float, 5 single, …
     pub quality: i64,
-    /// Number of satellites, where the row has it.
+    /// Number of satellites, if the row has it.
     pub satellites: Option<u32>,
-    /// ECEF covariance, 3×3 (m²), where the row has standard deviations.
+    /// ECEF covariance, 3×3 (m²), if the row has standard deviations.
     pub covariance: Option<Matrix3<f64>>,
 }
 
 impl PosRow {
-    /// The row that a solution makes, its digits not cut; `None` for one without position.
+    /// The row of a solution, with all digits; `None` without a position.
     pub fn of(solution: &Solution) -> Option<Self> {
         let estimate = solution.estimate.as_ref()?;
         Some(Self {
@@ -126,12 +126,12 @@ impl PosRow {
     }
 }
 
-/// What a solution file holds.
+/// The content of a solution file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PosFile {
-    /// Its readable rows, in the file's order.
+    /// The readable rows, in the file's order.
     pub rows: Vec<PosRow>,
-    /// Line numbers, from 1, of rows that could not be read and were left out.
+    /// Numbers (from 1) of the lines that were left out because they cannot be read.
     pub unreadable: Vec<usize>,
 }
 
@@ -141,17 +141,17 @@ pub enum PosError {
     /// The reader failed.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
-    /// Its coordinates or times are of a kind that is not read.
-    #[error("line {line}: {what} is not read")]
+    /// The kind of coordinates or times is not supported.
+    #[error("line {line}: {what} is not supported")]
     Unsupported {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What it holds.
+        /// Name of the coordinates or times.
         what: &'static str,
     },
 }
 
-/// What the header, or else the first row, says of the coordinates.
+/// The kind of coordinates, from the header or else from the first row.
 #[derive(Clone, Copy, PartialEq)]
 enum Coordinates {
     Unknown,
@@ -163,7 +163,7 @@ enum Coordinates {
 ///
 /// # Errors
 /// Baselines, degrees with minutes, heights above the geoid and times other than GPS time are
-/// refused, since they would be judged wrongly.
+/// refused, since they would be evaluated wrongly.
 pub fn read(mut input: impl BufRead) -> Result<PosFile, PosError> {
     let mut file = PosFile { rows: Vec::new(), unreadable: Vec::new() };
     let mut coordinates = Coordinates::Unknown;
@@ -187,7 +187,7 @@ pub fn read(mut input: impl BufRead) -> Result<PosFile, PosError> {
     }
 }
 
-/// The kind of coordinates a header line names, if it does.
+/// The kind of coordinates that a header line names, if any.
 fn read_header(line: &str, number: usize) -> Result<Option<Coordinates>, PosError> {
     let low = line.to_lowercase();
     let refuse = |what| Err(PosError::Unsupported { line: number, what });
@@ -237,7 +237,7 @@ fn read_row(line: &str, coordinates: &mut Coordinates) -> Option<PosRow> {
     Some(PosRow { time, position, quality, satellites, covariance })
 }
 
-/// Week and seconds of week, or `yyyy/mm/dd` and `hh:mm:ss.s`.
+/// Parses week and seconds of week, or `yyyy/mm/dd` and `hh:mm:ss.s`.
 fn read_time(first: &str, second: &str) -> Option<GpsTime> {
     if !first.contains('/') {
         let (week, seconds) = (first.parse::<i32>().ok()?, second.parse::<f64>().ok()?);
@@ -260,7 +260,7 @@ fn read_time(first: &str, second: &str) -> Option<GpsTime> {
     seconds.is_finite().then(|| minute + seconds)
 }
 
-/// The ECEF covariance of six signed roots: n, e, u, ne, eu, un or x, y, z, xy, yz, zx.
+/// The ECEF covariance from six signed roots: n, e, u, ne, eu, un or x, y, z, xy, yz, zx.
 fn covariance_of(roots: &[f64; 6], is_ecef: bool, position: Ecef) -> Matrix3<f64> {
     let c = roots.map(|root| root * root.abs());
     #[rustfmt::skip]

@@ -1,8 +1,8 @@
 //! Reference trajectories as CSV: `gps_week,tow,lat_deg,lon_deg,height_m` or
 //! `gps_week,tow,x_m,y_m,z_m`.
 //!
-//! Lines that start with `#` or `%` and one title line are skipped, further columns ignored. Week
-//! −1 stands for a week the file does not know: the reader is told which to take.
+//! Lines that start with `#` or `%` and one title line are skipped, further columns are ignored.
+//! Week −1 means an unknown week, which the caller gives.
 
 use std::io::{self, BufRead, Write};
 
@@ -15,12 +15,12 @@ use crate::gnss::{Ecef, Geodetic, GpsTime};
 const LARGEST_ANGLE: f64 = 1000.0;
 const LARGEST_WEEK: f64 = 9999.0;
 
-/// Where the antenna truly was at a time.
+/// The true antenna position at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthRow {
-    /// GPS time.
+    /// GPS time of the position.
     pub time: GpsTime,
-    /// The true position.
+    /// True antenna position, ECEF (m).
     pub position: Ecef,
 }
 
@@ -30,28 +30,28 @@ pub enum TruthError {
     /// The reader failed.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
-    /// A line is not five numbers.
+    /// A line does not begin with five numbers.
     #[error("line {line}: {text:?} does not begin with five numbers")]
     Malformed {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// The line.
+        /// Text of the line.
         text: String,
     },
-    /// The first column holds something else.
-    #[error("line {line}: column 1 is no GPS week ({value}); use -1 if it is unknown")]
+    /// The first column is not a GPS week.
+    #[error("line {line}: column 1 is not a GPS week ({value}); use -1 if it is unknown")]
     NoWeek {
-        /// Line number, from 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What stands there.
+        /// Value of the first column.
         value: f64,
     },
-    /// It has no rows.
-    #[error("there is no row in it")]
+    /// The file has no rows.
+    #[error("the file has no rows")]
     Empty,
 }
 
-/// Reads a truth file, in the file's order; rows of week −1 are put into `unknown_week`.
+/// Reads a truth file in its order; rows of week −1 get the week `unknown_week`.
 pub fn read(mut input: impl BufRead, unknown_week: i32) -> Result<Vec<TruthRow>, TruthError> {
     let (mut rows, mut is_ecef, mut titled) = (Vec::new(), None, false);
     let (mut bytes, mut number) = (Vec::new(), 0);
@@ -92,7 +92,7 @@ fn read_numbers(line: &str) -> Option<[f64; 5]> {
     Some(values)
 }
 
-/// Whether a title line names ECEF coordinates; `None` if it names neither kind.
+/// Whether a title line names ECEF coordinates; `None` if it names no coordinates.
 fn coordinates_of_titles(line: &str) -> Option<bool> {
     let low = line.to_lowercase();
     let mut names = low.split([',', ';']).map(str::trim);

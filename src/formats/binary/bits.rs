@@ -2,17 +2,17 @@
 
 use super::Refusal;
 
-/// Widest field that is read at once (bits).
+/// Widest field that is read in one step (bits).
 const WIDTH_LIMIT: u32 = 56;
 
 /// Reads the fields of a message one after another.
 ///
-/// Behind the end all fields are zero; [`Bits::require_sound`] tells at the end that it came to
-/// that, so that a message is judged once and not field by field.
+/// Fields beyond the end of the message are zero. [`Bits::require_sound`] checks at the end whether
+/// a field exceeded it, so that a message is checked once instead of field by field.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Bits<'a> {
     bytes: &'a [u8],
-    /// Next bit, from the first.
+    /// Index of the next bit.
     at: usize,
 }
 
@@ -21,7 +21,7 @@ impl<'a> Bits<'a> {
         Self { bytes, at: 0 }
     }
 
-    /// The same bytes from bit `at`.
+    /// A reader of the same bytes from bit `at` on.
     pub(in crate::formats) const fn starting_at(bytes: &'a [u8], at: usize) -> Self {
         Self { bytes, at }
     }
@@ -39,14 +39,14 @@ impl<'a> Bits<'a> {
         (word << shift) >> (u64::BITS - width)
     }
 
-    /// A field in two's complement.
+    /// A signed field in two's complement.
     #[inline]
     pub(in crate::formats) fn signed(&mut self, width: u32) -> i64 {
         let unused = i64::BITS - width;
         ((self.unsigned(width) << unused) as i64) >> unused
     }
 
-    /// A field of a sign bit and a magnitude, as GLONASS has them.
+    /// A signed field with sign bit and magnitude, as in GLONASS.
     pub(in crate::formats) fn sign_magnitude(&mut self, width: u32) -> i64 {
         let is_negative = self.flag();
         let magnitude = self.unsigned(width - 1) as i64;
@@ -66,12 +66,12 @@ impl<'a> Bits<'a> {
         self.unsigned(width) as f64 * unit
     }
 
-    /// A field in two's complement times a unit.
+    /// A signed field in two's complement times a unit.
     pub(in crate::formats) fn signed_scaled(&mut self, width: u32, unit: f64) -> f64 {
         self.signed(width) as f64 * unit
     }
 
-    /// Refuses a message whose fields ran behind its end.
+    /// Refuses a message whose fields exceeded its end.
     pub(in crate::formats) const fn require_sound(&self) -> Result<(), Refusal> {
         if self.at <= self.bytes.len() * 8 { Ok(()) } else { Err(Refusal::Truncated) }
     }

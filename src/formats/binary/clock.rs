@@ -1,7 +1,8 @@
-//! The clock that completes truncated times.
+//! Completes truncated times.
 //!
-//! RTCM 3 gives milliseconds of the week or of GLONASS's day, broadcast messages weeks modulo 1024.
-//! What is missing is taken from the newest time known; each epoch decoded becomes the newest.
+//! RTCM 3 gives milliseconds of the week or of the GLONASS day, broadcast messages give weeks
+//! modulo 1024. The missing part is that nearest to the newest known time; each decoded epoch
+//! becomes the newest.
 
 use super::Refusal;
 use crate::gnss::{GpsTime, LeapSeconds};
@@ -10,26 +11,26 @@ const NS_PER_MS: i64 = 1_000_000;
 const NS_PER_DAY: i64 = 86_400_000 * NS_PER_MS;
 const NS_PER_WEEK: i64 = 7 * NS_PER_DAY;
 const MS_PER_WEEK: u64 = 604_800_000;
-/// GLONASS counts on through a leap second (RTCM 10403.3, DF034).
+/// Milliseconds of a GLONASS day, with a leap second (RTCM 10403.3, DF034).
 const MS_PER_GLONASS_DAY: u64 = 86_401_000;
-/// Days from 1980-01-06, where GPS time starts, to 1996-01-01, where GLONASS counts from.
+/// Days from 1980-01-06, the GPS epoch, to 1996-01-01, the GLONASS epoch.
 const GLONASS_FIRST_DAY: i64 = 5839;
-/// Weeks that a stream can be of, to the year 2171: whatever damaged messages say, times stay far
-/// from where their count ends.
+/// Valid GPS weeks, up to the year 2171. Damaged messages cannot produce times near the limits of
+/// the type.
 const WEEKS: std::ops::RangeInclusive<i32> = 0..=9999;
 /// GLONASS time is UTC + 3 h.
 const GLONASS_AHEAD_OF_UTC_NS: i64 = 3 * 3_600_000 * NS_PER_MS;
 
-/// A time that the caller knows, to complete the truncated times of a stream.
+/// A known time that completes the truncated times of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeReference {
-    /// Within half a week of the stream's first message.
+    /// A time within half a week of the stream's first message.
     Week(GpsTime),
-    /// Within half a day of the stream's first message.
+    /// A time within half a day of the stream's first message.
     Day(GpsTime),
 }
 
-/// The newest time known.
+/// The newest known time of a stream.
 #[derive(Clone, Debug)]
 pub(in crate::formats) struct Clock {
     newest: Option<TimeReference>,
@@ -37,7 +38,7 @@ pub(in crate::formats) struct Clock {
 }
 
 impl Clock {
-    /// A clock that knows the reference, if any; one outside the weeks it counts is none.
+    /// A clock with the reference, if there is one and its week is valid.
     pub(in crate::formats) fn new(reference: Option<TimeReference>) -> Self {
         let newest = reference.filter(|reference| match reference {
             TimeReference::Week(time) | TimeReference::Day(time) => WEEKS.contains(&time.week()),
@@ -45,7 +46,7 @@ impl Clock {
         Self { newest, leap_seconds: LeapSeconds::table() }
     }
 
-    /// Takes over a time decoded, unless it is outside the weeks it counts.
+    /// Sets the newest known time, unless its week is invalid.
     pub(in crate::formats) fn set(&mut self, time: GpsTime) {
         if WEEKS.contains(&time.week()) {
             self.newest = Some(TimeReference::Day(time));
@@ -60,7 +61,7 @@ impl Clock {
         &self.leap_seconds
     }
 
-    /// The newest time known, if any.
+    /// The newest known time, if any.
     pub(in crate::formats) const fn time(&self) -> Option<GpsTime> {
         match self.newest {
             Some(TimeReference::Week(time) | TimeReference::Day(time)) => Some(time),
@@ -68,7 +69,7 @@ impl Clock {
         }
     }
 
-    /// The newest time, where the day is certain.
+    /// The newest known time, if its day is certain.
     const fn day(&self) -> Option<GpsTime> {
         match self.newest {
             Some(TimeReference::Day(time)) => Some(time),
@@ -76,7 +77,7 @@ impl Clock {
         }
     }
 
-    /// The instant with that millisecond of the GPS week.
+    /// The instant with this millisecond of the GPS week.
     pub(in crate::formats) fn of_week(&self, ms: u64) -> Result<GpsTime, Refusal> {
         if MS_PER_WEEK <= ms {
             return Err(Refusal::InvalidTime);
@@ -85,7 +86,7 @@ impl Clock {
         Ok(nearest(near, near.as_ns(), ms as i64 * NS_PER_MS, NS_PER_WEEK))
     }
 
-    /// The instant with that millisecond of GLONASS's day, `day_of_week` from Sunday where known.
+    /// The instant with this millisecond of the GLONASS day; `day_of_week` counts from Sunday.
     pub(in crate::formats) fn of_glonass_day(
         &self,
         ms: u64,
@@ -111,7 +112,7 @@ impl Clock {
         let label = |leap: i64| near.as_ns() - leap * seconds_ns + GLONASS_AHEAD_OF_UTC_NS;
         let leap = self.leap_seconds.at(near);
         let found = nearest(near, label(leap), target_ns, period_ns);
-        // Across a leap second the other value holds.
+        // On the other side of a leap second its other value is in force.
         let leap_there = self.leap_seconds.at(found);
         if leap_there == leap {
             found
@@ -120,8 +121,8 @@ impl Clock {
         }
     }
 
-    /// The instant of a GLONASS date: four years since 1996 (from 1), day of them (from 1), second
-    /// of the day; GLONASS ICD 5.1, 4.4 and table 4.6.
+    /// The instant of a GLONASS date: four-year interval since 1996 (from 1), day in it (from 1),
+    /// second of the day; GLONASS ICD 5.1, 4.4 and table 4.6.
     pub(in crate::formats) fn of_glonass_date(
         &self,
         four_years: i64,
@@ -131,11 +132,11 @@ impl Clock {
         let days = GLONASS_FIRST_DAY + (four_years - 1) * 1461 + day - 1;
         let label = days * NS_PER_DAY + second * 1_000 * NS_PER_MS - GLONASS_AHEAD_OF_UTC_NS;
         let leap = |near_ns| self.leap_seconds.at(GpsTime::from_ns(near_ns)) * 1_000 * NS_PER_MS;
-        // The leap seconds at the label are those at the instant but for the leap second itself.
+        // The leap seconds at the label equal those at the instant, except within a leap second.
         GpsTime::from_ns(label + leap(label + leap(label)))
     }
 
-    /// The week nearest to the clock's that is `truncated` modulo `modulus`.
+    /// The week nearest to the clock's that equals `truncated` modulo `modulus`.
     pub(in crate::formats) fn week(&self, truncated: u64, modulus: i32) -> Result<i32, Refusal> {
         let near = self.time().ok_or(Refusal::NoReferenceTime)?.week();
         let ahead = (truncated as i32 - near).rem_euclid(modulus);
@@ -143,8 +144,7 @@ impl Clock {
     }
 }
 
-/// The instant nearest to `near` whose label is `target_ns` into a period, where `near` has
-/// `label_ns`.
+/// The instant nearest to `near` whose label is `target_ns` into a period; `near` has `label_ns`.
 fn nearest(near: GpsTime, label_ns: i64, target_ns: i64, period_ns: i64) -> GpsTime {
     let ahead_ns = (target_ns - label_ns).rem_euclid(period_ns);
     let back_ns = if period_ns / 2 < ahead_ns { period_ns } else { 0 };

@@ -3,7 +3,7 @@
 /// x²⁴ + x²³ + x¹⁸ + x¹⁷ + x¹⁴ + x¹¹ + x¹⁰ + x⁷ + x⁶ + x⁵ + x⁴ + x³ + x + 1.
 const POLYNOMIAL: u32 = 0x186_4cfb;
 
-/// Remainders of a byte with one, two, … more bytes behind it.
+/// CRCs of one byte followed by 0, 1, 2 and 3 zero bytes.
 const TABLES: [[u32; 256]; 4] = tables();
 
 const fn tables() -> [[u32; 256]; 4] {
@@ -35,7 +35,7 @@ const fn tables() -> [[u32; 256]; 4] {
     tables
 }
 
-/// The CRC of `bytes`; zero for bytes with their CRC behind them.
+/// The CRC of `bytes`; zero if their own CRC follows them.
 pub(in crate::formats) fn crc24q(bytes: &[u8]) -> u32 {
     let (fours, rest) = bytes.as_chunks::<4>();
     let mut crc = 0;

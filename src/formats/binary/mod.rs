@@ -1,5 +1,5 @@
-//! What the binary formats of receivers share: bit fields, CRC-24Q, the clock that completes
-//! truncated times, and the reasons for which something is refused.
+//! Common parts of the receivers' binary formats: bit fields, CRC-24Q, the clock that completes
+//! truncated times, and reasons for refusals.
 
 mod bits;
 mod clock;
@@ -14,21 +14,21 @@ pub use refusal::Refusal;
 
 use crate::gnss::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
 
-/// Ionosphere coefficients of a satellite's message.
+/// Ionosphere coefficients of a navigation message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ionosphere {
-    /// Klobuchar's of GPS.
+    /// Klobuchar coefficients of GPS.
     Gps(KlobucharCoefficients),
-    /// Klobuchar's of BeiDou D1 and D2.
+    /// Klobuchar coefficients of BeiDou D1 and D2.
     BeiDou(KlobucharCoefficients),
-    /// Klobuchar's of QZSS.
+    /// Klobuchar coefficients of QZSS.
     Qzss(KlobucharCoefficients),
-    /// NeQuick-G's of Galileo.
+    /// NeQuick-G coefficients of Galileo.
     Galileo(NeQuickCoefficients),
 }
 
 impl Ionosphere {
-    /// Takes the place of the coefficients of its kind.
+    /// Replaces the coefficients of its kind.
     pub fn apply_to(self, navigation: &mut Navigation) {
         match self {
             Self::Gps(coefficients) => navigation.klobuchar_gps = Some(coefficients),

@@ -1,61 +1,61 @@
-//! Why something in a receiver's bytes is left out.
+//! Reasons for refusing a part of a receiver's data.
 
 use crate::gnss::Constellation;
 
-/// Why a message or a part of one is left out.
+/// Why a message, or a part of one, is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum Refusal {
-    /// A frame whose checksum differs from its bytes.
+    /// The checksum of a frame differs from its bytes.
     #[error("checksum differs")]
     Checksum,
-    /// A message shorter than what it announces.
+    /// The message is shorter than its header states.
     #[error("message ends before its contents")]
     Truncated,
-    /// A version of the message that is not decoded.
+    /// The version of the message is not decoded.
     #[error("version {0} of the message is not decoded")]
     UnknownVersion(u8),
-    /// The week or the day cannot be told, because no time was known when the message came.
-    #[error("no reference time tells the week or the day")]
+    /// No reference time was known, so week or day are ambiguous.
+    #[error("week or day unknown: no reference time")]
     NoReferenceTime,
-    /// A time outside its range.
+    /// A time is outside its range.
     #[error("time is outside its range")]
     InvalidTime,
-    /// A message with more satellites times signals than the format allows.
+    /// The message states more satellites times signals than the format allows.
     #[error("more satellites and signals than a message holds")]
     TooManyCells,
-    /// A signal without a place in the format's table; the other signals are taken.
+    /// A signal number is not in the format's table; the other signals are used.
     #[error("signal {index} of {} is not known", constellation.name())]
     UnknownSignal {
-        /// Its constellation.
+        /// The constellation of the signal.
         constellation: Constellation,
-        /// Its number in the message.
+        /// The number of the signal in the message.
         index: u8,
     },
-    /// A satellite number the constellation does not have.
+    /// The constellation has no satellite with this number.
     #[error("satellite number is not known")]
     UnknownSatellite,
-    /// A satellite of a system that is not decoded.
+    /// The satellite system is not decoded.
     #[error("satellite system is not decoded")]
     OtherConstellation,
-    /// A signal that the epoch already has.
+    /// The epoch already holds this signal.
     #[error("signal appears twice in the epoch")]
     DuplicateSignal,
-    /// Ranges without their whole light-milliseconds.
+    /// The whole light-milliseconds of the ranges are missing.
     #[error("pseudoranges lack their whole light-milliseconds")]
     AmbiguousPseudorange,
-    /// A GLONASS signal whose channel no message has told: pseudorange without carrier phase.
-    #[error("no message tells the GLONASS channel: no carrier phase and Doppler")]
+    /// The GLONASS channel is unknown, so the signal has a pseudorange but no carrier phase.
+    #[error("GLONASS channel unknown: no carrier phase and Doppler")]
     UnknownChannel,
-    /// A subframe, page or string that fails its parity, CRC or Hamming code.
+    /// A subframe, page or string fails its parity, CRC or Hamming code.
     #[error("subframe fails its parity")]
     Parity,
-    /// An ephemeris that no satellite can have.
+    /// The orbit is not one of a navigation satellite.
     #[error("ephemeris is out of bounds")]
     ImplausibleEphemeris,
-    /// Observations of an epoch that a better message of the same stream gives.
-    #[error("observations stand better in another message of the stream")]
+    /// Another message type of the same stream has better observations of the epoch.
+    #[error("another message of the stream has better observations")]
     Superseded,
-    /// Observations of an epoch that was complete by the stream's own word.
+    /// The stream had declared the epoch complete.
     #[error("observations came after the end of their epoch")]
     Late,
 }

@@ -1,25 +1,25 @@
-//! From messages to epochs.
+//! Assembles messages into epochs.
 
 use crate::formats::binary::Refusal;
 use crate::gnss::{Epoch, GpsTime, Observation};
 
-/// Tags this close are of one epoch (s); no receiver measures every five milliseconds.
+/// Time tags this close belong to one epoch (s); no receiver measures at 200 Hz.
 const SAME_EPOCH_S: f64 = 0.004;
-/// Most observations of an epoch: MSM of five systems has 320.
+/// Largest number of observations in an epoch; MSM of five systems has 320.
 const OBSERVATIONS_LIMIT: usize = 1024;
 
-/// Who says it, the better the greater.
+/// Quality of a source of observations, in ascending order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Rank {
-    /// RTCM 3, older messages.
+    /// The older messages of RTCM 3.
     Legacy,
-    /// RTCM 3, multiple signal messages.
+    /// Multiple signal messages (MSM) of RTCM 3.
     Msm,
-    /// RXM-RAWX, which holds the whole epoch.
+    /// RXM-RAWX, one message for the whole epoch.
     Rawx,
 }
 
-/// Observations of one epoch, perhaps not all of them.
+/// Observations of one epoch, possibly incomplete.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) rank: Rank,
@@ -29,23 +29,23 @@ pub(super) struct Part {
     pub(super) observations: Vec<Observation>,
 }
 
-/// Gathers the messages of an epoch.
+/// Collects the messages of an epoch.
 ///
-/// An epoch ends where the message says that no more follow. Two things call for waiting for the
-/// next epoch instead: better messages have been seen, which may follow; or messages came after the
-/// end of their epoch, so that the stream's word is not to be relied on.
+/// An epoch ends where a message states that no more follow. The assembly waits for the next epoch
+/// instead if messages of a better source have been seen, since they may follow, or if messages
+/// came after the end of their epoch, since the stream's statement is then unreliable.
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
     pending: Option<Part>,
     best: Option<Rank>,
-    /// Time and rank of the epoch given last.
+    /// Time and source of the last epoch passed on.
     last: Option<(GpsTime, Rank)>,
     ends_are_wrong: bool,
-    /// UBX has been seen, so that RXM-RAWX may come.
+    /// Whether UBX has been seen, so that RXM-RAWX may follow.
     expects_rawx: bool,
 }
 
-/// What became of a part: epochs that are complete, and why it was left out if it was.
+/// The effect of a message: completed epochs, and the reason if it was left out.
 #[derive(Debug, Default)]
 pub(super) struct Assembled {
     pub(super) epochs: [Option<Epoch>; 2],
@@ -54,7 +54,7 @@ pub(super) struct Assembled {
 }
 
 impl Assembly {
-    /// Tells that UBX is in the stream.
+    /// Notes that the stream holds UBX.
     pub(super) const fn expect_rawx(&mut self) {
         self.expects_rawx = true;
     }
@@ -95,12 +95,12 @@ impl Assembly {
         assembled
     }
 
-    /// The epoch in the making, where a message without observations says that it is complete.
+    /// The pending epoch, when a message without observations states that it is complete.
     pub(super) fn end(&mut self) -> Option<Epoch> {
         if self.waits() { None } else { self.finish() }
     }
 
-    /// The epoch in the making, the stream being at its end.
+    /// The pending epoch, at the end of the stream.
     pub(super) fn finish(&mut self) -> Option<Epoch> {
         self.flush(&mut 0)
     }
@@ -126,7 +126,7 @@ impl Assembly {
         }
     }
 
-    /// The pending epoch: satellites in order, each signal once.
+    /// The pending epoch, sorted by satellite, each signal once.
     fn flush(&mut self, duplicates: &mut usize) -> Option<Epoch> {
         let Part { rank, time, mut observations, .. } = self.pending.take()?;
         self.last = Some((time, rank));

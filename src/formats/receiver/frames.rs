@@ -1,4 +1,4 @@
-//! From bytes to frames: where they begin, and whether they are whole.
+//! Finds frames in a byte stream and checks that they are complete.
 
 use memchr::memchr3;
 
@@ -7,40 +7,40 @@ use crate::formats::binary::crc24q;
 const RTCM_PREAMBLE: u8 = 0xd3;
 const RTCM_HEADER_BYTES: usize = 3;
 const RTCM_CRC_BYTES: usize = 3;
-/// The six reserved bits between preamble and length.
+/// The six reserved bits between preamble and length, which are zero.
 const RTCM_RESERVED: u8 = 0xfc;
 const UBX_SYNC: [u8; 2] = [0xb5, 0x62];
 const UBX_HEADER_BYTES: usize = 6;
 const UBX_CHECKSUM_BYTES: usize = 2;
-/// Longest payload that is taken: RXM-RAWX with 255 measurements has 8176 bytes. A damaged length
-/// would else hold back a stream for 64 kB.
+/// Longest accepted UBX payload: RXM-RAWX with 255 measurements has 8176 bytes. Without the limit a
+/// damaged length would stop a stream for 64 kB.
 const UBX_PAYLOAD_LIMIT: usize = 8192;
-/// Longest NMEA sentence that is recognised; the standard allows 82, receivers exceed it.
+/// Longest recognised NMEA sentence; the standard allows 82 characters, receivers exceed it.
 const NMEA_LIMIT: usize = 256;
 
-/// A whole frame with a right checksum.
+/// A complete frame with a valid checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Frame<'a> {
-    /// Payload of a RTCM 3 frame.
+    /// Payload of an RTCM 3 frame.
     Rtcm(&'a [u8]),
-    /// A UBX message.
+    /// A UBX message with class, id and payload.
     Ubx { class: u8, id: u8, payload: &'a [u8] },
-    /// A sentence, which says nothing that is used.
+    /// An NMEA sentence, whose content is not used.
     Nmea,
 }
 
-/// What stands at a place of the stream.
+/// The content of the stream from a position on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scan<'a> {
-    /// A frame, `at` so many bytes from the stream's start.
+    /// A frame that begins `at` bytes after the stream's start.
     Frame { at: u64, frame: Frame<'a> },
-    /// What began as a frame has a wrong checksum; its bytes are looked through again.
+    /// A frame with a wrong checksum; its bytes are scanned again.
     Broken { at: u64, is_ubx: bool },
-    /// Bytes of no frame.
+    /// Bytes outside frames.
     Garbage { at: u64, length: usize },
 }
 
-/// What a candidate turned out to be.
+/// The result of checking a possible start of a frame.
 enum Candidate {
     Whole(usize),
     WrongChecksum,
@@ -48,13 +48,13 @@ enum Candidate {
     NoFrame,
 }
 
-/// Bytes that are not yet frames.
+/// Bytes that have not been split into frames yet.
 #[derive(Debug)]
 pub(super) struct FrameBuffer {
     bytes: Vec<u8>,
-    /// Where the next frame may begin.
+    /// Index of the first byte where the next frame may begin.
     start: usize,
-    /// Bytes of the stream before `bytes`.
+    /// Number of bytes of the stream before `bytes`.
     dropped: u64,
 }
 
@@ -63,7 +63,7 @@ impl FrameBuffer {
         Self { bytes: Vec::new(), start: 0, dropped: 0 }
     }
 
-    /// Takes over bytes; those of frames passed are forgotten.
+    /// Appends bytes and drops those of previous frames.
     pub(super) fn push(&mut self, bytes: &[u8]) {
         self.dropped += self.start as u64;
         self.bytes.drain(..self.start);
@@ -71,9 +71,9 @@ impl FrameBuffer {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// The next frame or garbage; `None` where more bytes must come, or all are used up.
+    /// The next frame or garbage; `None` if more bytes are needed.
     ///
-    /// `is_end` says that none will come, so that an incomplete frame is garbage.
+    /// With `is_end` no bytes follow, so that an incomplete frame is garbage.
     pub(super) fn next(&mut self, is_end: bool) -> Option<Scan<'_>> {
         let from = self.start;
         let rest = self.bytes.get(from..).filter(|rest| !rest.is_empty())?;
@@ -152,7 +152,7 @@ fn is_ubx_sound(frame: &[u8]) -> bool {
     checksum == [a, b]
 }
 
-/// `$` … `*hh` and a line end.
+/// Checks for a sentence `$` … `*hh` with its line end.
 fn nmea(rest: &[u8]) -> Candidate {
     let sentence = &rest[1..rest.len().min(NMEA_LIMIT)];
     let Some(star) = sentence.iter().position(|byte| *byte == b'*' || !is_text(*byte)) else {

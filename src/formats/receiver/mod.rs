@@ -1,14 +1,14 @@
-//! Receivers' raw bytes: RTCM 3, UBX and NMEA, alone or interleaved, split anywhere.
+//! Raw bytes of receivers: RTCM 3, UBX and NMEA, alone or interleaved, in chunks of any size.
 //!
-//! [`Decoder`] takes bytes as they come and yields epochs, ephemerides, ionosphere coefficients,
-//! leap seconds and what is told of the station. Garbage is passed over byte by byte until a frame
-//! with a right checksum begins. Memory is bounded: one frame, one epoch and the satellites' latest
-//! subframes. Nothing is lost silently: [`Statistics`] counts messages by type and what was left
-//! out by reason, with the first places in the stream.
+//! [`Decoder`] takes bytes as they arrive and yields epochs, ephemerides, ionosphere coefficients,
+//! leap seconds and data of the station. Bytes that do not begin a frame with a valid checksum are
+//! skipped one by one. Memory is bounded: one frame, one epoch and the satellites' latest
+//! subframes. [`Statistics`] counts messages by type and everything left out by reason, with its
+//! first positions in the stream.
 //!
-//! Where a stream gives one epoch more than once, RXM-RAWX is preferred to MSM and MSM to the older
-//! messages of RTCM 3. Beside RXM-RAWX observations of RTCM 3 are never taken: in a rover's log
-//! they are its base's.
+//! If a stream has an epoch more than once, RXM-RAWX comes before MSM, and MSM before the older
+//! messages of RTCM 3. In a stream with RXM-RAWX, observations of RTCM 3 are never used: in a
+//! rover's log they are those of its base.
 
 mod assembly;
 mod frames;
@@ -25,7 +25,7 @@ pub use crate::formats::rtcm::Station;
 
 use frames::{Frame, FrameBuffer, Scan};
 
-/// Whether the first bytes of a file hold a whole frame of UBX or RTCM 3.
+/// Whether the first bytes of a file hold a complete frame of UBX or RTCM 3.
 pub fn is_receiver_data(head: &[u8]) -> bool {
     let mut frames = FrameBuffer::new();
     frames.push(head);

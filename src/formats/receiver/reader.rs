@@ -1,4 +1,4 @@
-//! Files of receivers' bytes, read epoch by epoch.
+//! Reads files of receivers' raw bytes epoch by epoch.
 
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
@@ -8,20 +8,20 @@ use crate::gnss::{Epoch, Navigation};
 use super::stream::{Decoder, Event};
 use super::{Station, Statistics, TimeReference};
 
-/// Why a file cannot be read on.
+/// Why the rest of a file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReceiverError {
-    /// The bytes could not be read or inflated.
+    /// The bytes cannot be read or inflated.
     #[error("byte {offset}: reading failed: {source}")]
     ReadFailed {
-        /// Bytes read before.
+        /// Number of bytes read before.
         offset: u64,
-        /// What the reader said.
+        /// The reader's error.
         source: io::Error,
     },
 }
 
-/// Reads the events of a file one at a time.
+/// Reads the events of a file one by one.
 #[derive(Debug)]
 pub struct ReceiverReader<R> {
     input: R,
@@ -40,7 +40,7 @@ impl<R: BufRead> ReceiverReader<R> {
         Self { input, decoder, events, offset: 0, is_at_end: false, station: None }
     }
 
-    /// Tells the FDMA channels of GLONASS satellites; see [`Decoder::learn_channels`].
+    /// Adds known FDMA channels of GLONASS satellites; see [`Decoder::learn_channels`].
     pub fn learn_channels(&mut self, navigation: &Navigation) {
         self.decoder.learn_channels(navigation);
     }
@@ -48,7 +48,7 @@ impl<R: BufRead> ReceiverReader<R> {
     /// The next event; `None` at the end.
     ///
     /// # Errors
-    /// The bytes cannot be read on; what they hold is no reason.
+    /// The bytes cannot be read. Their content is never an error.
     pub fn read_event(&mut self) -> Result<Option<Event>, ReceiverError> {
         let mut found = Vec::new();
         while self.events.is_empty() && !self.is_at_end {
@@ -75,7 +75,7 @@ impl<R: BufRead> ReceiverReader<R> {
         Ok(event)
     }
 
-    /// Reads the next epoch into `epoch`, passing over other events; false at the end.
+    /// Reads the next epoch into `epoch` and skips other events; false at the end.
     ///
     /// # Errors
     /// As [`Self::read_event`].
@@ -89,17 +89,17 @@ impl<R: BufRead> ReceiverReader<R> {
         Ok(false)
     }
 
-    /// The station, as far as the events read have told.
+    /// The station as described by the events read so far.
     pub const fn station(&self) -> Option<&Station> {
         self.station.as_ref()
     }
 
-    /// What the file held so far.
+    /// Counts of what was read so far.
     pub const fn statistics(&self) -> &Statistics {
         self.decoder.statistics()
     }
 
-    /// The decoder, with what it has learnt so far.
+    /// The decoder with its present state.
     pub const fn decoder(&self) -> &Decoder {
         &self.decoder
     }

@@ -1,29 +1,29 @@
-//! What a stream held, and what of it was left out.
+//! Counts of a stream's messages, and of what was left out.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::formats::binary::Refusal;
 
-/// How many places are kept for one reason.
+/// Number of positions stored for one reason.
 const PLACES_LIMIT: usize = 10;
-/// How many different types and reasons are kept; damaged streams could else make many.
+/// Number of types and reasons stored; a damaged stream could produce many.
 const KINDS_LIMIT: usize = 512;
 const REASONS_LIMIT: usize = 128;
 
-/// A type of message.
+/// Type of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum MessageKind {
-    /// RTCM 3, by number.
+    /// RTCM 3 message by number.
     Rtcm(u16),
-    /// UBX, by class and id.
+    /// UBX message by class and id.
     Ubx {
-        /// Class.
+        /// Message class.
         class: u8,
-        /// Identity in the class.
+        /// Message id within the class.
         id: u8,
     },
-    /// NMEA sentences.
+    /// Any NMEA sentence.
     Nmea,
 }
 
@@ -37,38 +37,38 @@ impl fmt::Display for MessageKind {
     }
 }
 
-/// What became of the messages of a type.
+/// Counts of the messages of one type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageCount {
-    /// Understood; parts of them may have been left out.
+    /// Messages decoded, possibly with parts left out.
     pub decoded: u64,
-    /// Of a type that is not decoded.
+    /// Messages of a type that is not decoded.
     pub passed_over: u64,
-    /// Refused as a whole.
+    /// Messages refused as a whole.
     pub refused: u64,
 }
 
 impl MessageCount {
-    /// All of them.
+    /// Number of all messages of the type.
     pub const fn total(&self) -> u64 {
         self.decoded + self.passed_over + self.refused
     }
 }
 
-/// One reason, for one type of message: how often and where.
+/// One reason for leaving out data of one message type, with count and positions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RefusalEntry {
-    /// The type of message, where a message it is.
+    /// The message type; `None` for bytes outside messages.
     pub kind: Option<MessageKind>,
-    /// Why.
+    /// Why the data was left out.
     pub reason: Refusal,
-    /// How often.
+    /// How often this happened.
     pub count: u64,
-    /// The first places, bytes from the stream's start, at most ten.
+    /// The first positions, at most ten, in bytes from the stream's start.
     pub offsets: Vec<u64>,
 }
 
-/// Messages by type, what was left out by reason, and bytes of no frame.
+/// Counts of messages by type, of refusals by reason, and of bytes outside frames.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     messages: BTreeMap<MessageKind, MessageCount>,
@@ -77,7 +77,7 @@ pub struct Statistics {
     first_garbage: Vec<u64>,
 }
 
-/// What became of a message.
+/// The result of decoding a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
     Decoded,
@@ -86,32 +86,32 @@ pub(super) enum Outcome {
 }
 
 impl Statistics {
-    /// Messages with a right checksum, by type.
+    /// Messages with a valid checksum, by type.
     pub fn messages(&self) -> impl Iterator<Item = (MessageKind, MessageCount)> {
         self.messages.iter().map(|(kind, count)| (*kind, *count))
     }
 
-    /// The messages of a type.
+    /// The counts of one message type.
     pub fn of(&self, kind: MessageKind) -> MessageCount {
         self.messages.get(&kind).copied().unwrap_or_default()
     }
 
-    /// What was left out, in order of first appearance.
+    /// Refusals by message type and reason, in order of first appearance.
     pub fn refusals(&self) -> &[RefusalEntry] {
         &self.refusals
     }
 
-    /// How often a reason was met, in all types of messages.
+    /// Number of refusals for a reason, over all message types.
     pub fn refused_for(&self, reason: Refusal) -> u64 {
         self.refusals.iter().filter(|e| e.reason == reason).map(|e| e.count).sum()
     }
 
-    /// Bytes that belong to no frame.
+    /// Number of bytes outside frames.
     pub const fn garbage_bytes(&self) -> u64 {
         self.garbage_bytes
     }
 
-    /// The first places where such bytes begin, at most ten.
+    /// The first positions of such bytes, at most ten.
     pub fn first_garbage(&self) -> &[u64] {
         &self.first_garbage
     }
@@ -140,7 +140,7 @@ impl Statistics {
         }
     }
 
-    /// `length` bytes of no frame; `begins` where the ones before were of a frame.
+    /// Counts `length` bytes outside frames; `begins` if the bytes before them belong to a frame.
     pub(super) fn garbage(&mut self, at: u64, length: u64, begins: bool) {
         self.garbage_bytes += length;
         if begins && self.first_garbage.len() < PLACES_LIMIT {

@@ -1,4 +1,4 @@
-//! The decoder of a stream.
+//! The decoder of a byte stream.
 
 use crate::formats::binary::{Clock, Ionosphere, Refusal, TimeReference};
 use crate::formats::rtcm;
@@ -10,26 +10,26 @@ use super::assembly::{Assembly, Part, Rank};
 use super::frames::{Frame, FrameBuffer, Scan};
 use super::statistics::{MessageKind, Outcome, Statistics};
 
-/// How much is looked at together, which bounds what is held beside a frame (bytes).
+/// Number of bytes decoded in one step, which bounds the memory beside one frame.
 const PIECE_BYTES: usize = 1 << 16;
 
-/// What a stream told.
+/// Something that the stream has completed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// Observations of one epoch.
     Epoch(Epoch),
-    /// An ephemeris, each issue once for as long as it is the satellite's latest.
+    /// An ephemeris; one issue is reported once, as long as it is the satellite's latest.
     Ephemeris(Ephemeris),
-    /// Ionosphere coefficients, where they are not those told before.
+    /// Ionosphere coefficients that differ from the last reported ones.
     Ionosphere(Ionosphere),
-    /// GPS time minus UTC (s), where it is not what was told before.
+    /// GPS time minus UTC (s), if it differs from the last reported value.
     LeapSeconds(i64),
-    /// The station, each time that more or something else is known of it.
+    /// The station, each time a message adds to it or changes it.
     Station(Station),
 }
 
 impl Event {
-    /// Adds to navigation data what the event has for them; returns whether it has.
+    /// Adds the event to navigation data, if it holds any; returns whether it does.
     pub fn apply_to(&self, navigation: &mut Navigation) -> bool {
         match self {
             Self::Ephemeris(ephemeris) => navigation.insert(ephemeris.clone()),
@@ -46,7 +46,7 @@ impl Event {
     }
 }
 
-/// Decodes a stream of RTCM 3, UBX and NMEA, piece by piece.
+/// Decodes a stream of RTCM 3, UBX and NMEA in chunks.
 #[derive(Debug)]
 pub struct Decoder {
     frames: FrameBuffer,
@@ -59,7 +59,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder at the start of a stream; `reference` serves streams that do not tell the week.
+    /// A decoder at the start of a stream; `reference` is used for streams without week number.
     pub fn new(reference: Option<TimeReference>) -> Self {
         Self {
             frames: FrameBuffer::new(),
@@ -72,7 +72,7 @@ impl Decoder {
         }
     }
 
-    /// Tells the FDMA channels of GLONASS satellites, which some messages presuppose.
+    /// Adds known FDMA channels of GLONASS satellites, which some messages need.
     pub fn learn_channels(&mut self, navigation: &Navigation) {
         for (satellite, ephemerides) in navigation.satellites() {
             let channel = ephemerides.last().and_then(Ephemeris::glonass_channel);
@@ -82,7 +82,7 @@ impl Decoder {
         }
     }
 
-    /// Decodes the next bytes; what they complete is added to `events`.
+    /// Decodes the next bytes and appends the completed events to `events`.
     pub fn push(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
         for piece in bytes.chunks(PIECE_BYTES) {
             self.frames.push(piece);
@@ -90,34 +90,34 @@ impl Decoder {
         }
     }
 
-    /// Ends the stream: what is incomplete is taken as it is.
+    /// Ends the stream and passes on what is incomplete.
     pub fn finish(&mut self, events: &mut Vec<Event>) {
         self.drain(true, events);
         events.extend(self.assembly.finish().map(Event::Epoch));
     }
 
-    /// What the stream held so far.
+    /// Counts of the stream so far.
     pub const fn statistics(&self) -> &Statistics {
         &self.statistics
     }
 
-    /// What the stream held since this was last asked for.
+    /// Counts of the stream since the last call.
     pub fn take_statistics(&mut self) -> Statistics {
         std::mem::take(&mut self.statistics)
     }
 
-    /// Tells a time within half a day of what comes, as after a gap that the stream does not tell.
+    /// Sets a time within half a day of what follows, as after a gap without dated messages.
     pub fn date(&mut self, time: GpsTime) {
         self.clock.set(time);
     }
 
-    /// The newest time known: the reference's, or one the stream told.
+    /// The newest known time, from the reference or from the stream.
     pub const fn time(&self) -> Option<GpsTime> {
         self.clock.time()
     }
 
     fn drain(&mut self, is_end: bool, events: &mut Vec<Event>) {
-        // The frames' bytes are read while the rest of the decoder changes.
+        // The frames' bytes stay borrowed while the rest of the decoder changes.
         let mut frames = std::mem::replace(&mut self.frames, FrameBuffer::new());
         while let Some(scan) = frames.next(is_end) {
             match scan {
@@ -126,7 +126,7 @@ impl Decoder {
                     self.decode(at, frame, events);
                 }
                 Scan::Broken { at, is_ubx } => {
-                    // A preamble of RTCM 3 is one byte, common in what is none of its frames.
+                    // The preamble of RTCM 3 is one byte and frequent outside its frames.
                     if is_ubx || !self.is_in_garbage {
                         self.statistics.refuse(None, Refusal::Checksum, at);
                     }
@@ -155,7 +155,7 @@ impl Decoder {
     }
 
     fn decode_rtcm(&mut self, at: u64, payload: &[u8], events: &mut Vec<Event>) {
-        // A frame without a message fills time where nothing is to be said.
+        // A frame without a message is a filler.
         let Some(number) = rtcm::message_number(payload) else { return };
         let kind = MessageKind::Rtcm(number);
         let Self { rtcm, clock, statistics, .. } = self;
@@ -220,7 +220,7 @@ impl Decoder {
         }
     }
 
-    /// Counts a message; what it says, if it was decoded.
+    /// Counts a message and returns its content if it was decoded.
     fn judge<M>(
         &mut self,
         kind: MessageKind,

@@ -1,8 +1,7 @@
-//! Which column holds what: from declared observation types to slots of observations.
+//! Maps the columns of observation records to observations.
 //!
-//! RINEX 2 types name band and quantity but not always the tracking, so that each is given the
-//! RINEX 3 code it most likely is (RINEX 2.11 and 3.05):
-//!
+//! RINEX 2 types name band and quantity but not always the tracking. Each gets its most likely
+//! RINEX 3 code (RINEX 2.11 and 3.05):
 //! | type | GPS | GLONASS | Galileo | BeiDou | QZSS |
 //! |---|---|---|---|---|---|
 //! | C1 | 1C | 1C | 1X | 2I | 1C |
@@ -12,11 +11,11 @@
 //! | C5 | 5X | – | 5X | 5X | 5X |
 //! | C6, C7, C8 | – | – | 6X, 7X, 8X | 6I, 7I, – | 6X, –, – |
 //!
-//! P1 and P2 of GPS are taken as semi-codeless W, not P: anti-spoofing has been on since 1994.
-//! A phase, Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band: on band 1 to C1
-//! where that is declared, else to P1; on band 2 to P2, else to C2, because the P(Y) carrier was
-//! the only one there when the format was made. Where the preferred pseudorange is blank in a
-//! record and the other is not, the phase goes with the one present.
+//! P1 and P2 of GPS become semi-codeless W, not P: anti-spoofing has been on since 1994. A phase,
+//! Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band. On band 1 that is C1 if
+//! declared, else P1. On band 2 it is P2, else C2, since the format was made when P(Y) was the only
+//! carrier there. If the preferred pseudorange is blank in a record and the other is not, the phase
+//! belongs to the other.
 
 use super::RinexVersion;
 use super::fields::{Value, observation_value};
@@ -26,7 +25,7 @@ use crate::gnss::{Constellation, Cycles, Observation, ObservationCode};
 const FIELD_WIDTH: usize = 16;
 const NUMBER_WIDTH: usize = 14;
 
-/// What a column measures.
+/// The quantity of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
     Ignored,
@@ -48,17 +47,17 @@ impl Quantity {
     }
 }
 
-/// Where a column's number goes.
+/// The destination of a column's number.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Column {
     quantity: Quantity,
     /// Index into the table's codes.
     slot: u8,
-    /// `SYS / SCALE FACTOR`.
+    /// Divisor from `SYS / SCALE FACTOR`.
     divisor: f64,
 }
 
-/// A scale factor of some or (if empty) all types of a constellation.
+/// A scale factor of some types of a constellation, or of all if the list is empty.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ScaleFactor {
     pub(super) constellation: Constellation,
@@ -71,7 +70,8 @@ pub(super) struct ScaleFactor {
 pub(super) struct ColumnTable {
     pub(super) codes: Vec<ObservationCode>,
     pub(super) columns: Vec<Column>,
-    /// Slots (preferred, other) of one band: RINEX 2 phases move to where the pseudorange is.
+    /// Slots (preferred, other) of one band: RINEX 2 phases move to the pseudorange that is
+    /// present.
     handovers: Vec<(u8, u8)>,
     /// Types that are unknown or repeated.
     pub(super) unknown_types: usize,
@@ -153,7 +153,7 @@ impl ColumnTable {
         }
     }
 
-    /// Moves phase, Doppler and C/N0 to the pseudorange of their band that is there.
+    /// Moves phase, Doppler and C/N0 to the pseudorange of their band that is present.
     pub(super) fn hand_over(&self, slots: &mut [Observation]) {
         for &(preferred, other) in &self.handovers {
             let from = slots[usize::from(preferred)];
@@ -182,7 +182,7 @@ fn rinex3_code(
     ObservationCode::new(renamed, attribute)
 }
 
-/// The pseudoranges of a band in RINEX 2, the one that carries the phase first.
+/// The pseudoranges of a band in RINEX 2, first the one that the phase belongs to.
 fn rinex2_pseudoranges(
     constellation: Constellation,
     band: u8,
@@ -210,7 +210,7 @@ fn rinex2_pseudoranges(
     kinds.map(|kind| kind.and_then(|(name, [b, a])| Some((*name, ObservationCode::new(b, a)?))))
 }
 
-/// Puts the fields of a line into their slots; returns whether each was a number or blank.
+/// Stores the fields of a line in their slots; returns whether each was a number or blank.
 pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observation]) -> bool {
     let mut sound = true;
     for column in columns {
@@ -223,7 +223,7 @@ pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observati
             None if fields.is_empty() => break,
             None => {
                 padded[..fields.len()].copy_from_slice(fields);
-                // A number that is cut short would pass for another one.
+                // A truncated number would be read as another number.
                 let cut = fields.len() < NUMBER_WIDTH && !fields.trim_ascii().is_empty();
                 sound &= !cut;
                 if cut {
@@ -250,7 +250,7 @@ pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observati
     sound
 }
 
-/// Puts a number into its slot.
+/// Stores a number in its slot.
 #[inline]
 pub(super) fn set_value(column: &Column, value: Option<f64>, slots: &mut [Observation]) {
     let Some(slot) = slots.get_mut(usize::from(column.slot)) else { return };
@@ -264,7 +264,7 @@ pub(super) fn set_value(column: &Column, value: Option<f64>, slots: &mut [Observ
     }
 }
 
-/// Puts the loss-of-lock indicator of a carrier into its slot; those of others say nothing.
+/// Stores the loss-of-lock indicator of a carrier phase; those of other quantities are unused.
 #[inline]
 pub(super) fn set_loss_of_lock(column: &Column, lli: u8, slots: &mut [Observation]) {
     if column.quantity == Quantity::CarrierPhase && lli.is_ascii_digit() {
@@ -274,7 +274,7 @@ pub(super) fn set_loss_of_lock(column: &Column, lli: u8, slots: &mut [Observatio
     }
 }
 
-/// Drops what stayed empty behind `start`, keeping order.
+/// Removes empty observations from `start` on, keeping the order.
 pub(super) fn drop_empty(observations: &mut Vec<Observation>, start: usize) {
     let mut kept = start;
     for index in start..observations.len() {

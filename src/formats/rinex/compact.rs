@@ -1,9 +1,9 @@
 //! CRINEX, Hatanaka's compact form of observation files, versions 1 (RINEX 2) and 3.
 //!
-//! An epoch is its line with all satellites, a line for the receiver clock, and one line per
-//! satellite. Epoch lines and indicator columns are differences of text: blank keeps a character,
-//! `&` makes it blank, others replace it. Numbers are in thousandths: `3&value` begins an arc of
-//! order 3, what follows are differences of rising order, at most the arc's.
+//! An epoch is a line with all satellites, a line for the receiver clock, and one line per
+//! satellite. Epoch lines and indicator columns are text differences: blank keeps a character, `&`
+//! blanks it, others replace it. Numbers are in thousandths: `3&value` begins an arc of order 3;
+//! the following fields are differences of rising order up to that of the arc.
 //!
 //! Source: Hatanaka (2008), *A compression format and tools for GNSS observation data*, Bulletin of
 //! the Geographical Survey Institute 55.
@@ -18,48 +18,48 @@ use super::observation::{SATELLITES_LIMIT, SeenSatellites};
 use super::{ObservationReader, RinexError, SkipReason};
 use crate::gnss::{Constellation, Epoch, Observation, SatelliteId};
 
-/// Highest order of differences that CRINEX has.
+/// Highest order of differences in CRINEX.
 const ORDER_LIMIT: usize = 9;
 const SATELLITES_COLUMN_2: usize = 32;
 const SATELLITES_COLUMN_3: usize = 41;
 const NUMBERS: usize = 100;
 
-/// What the differences refer to.
+/// The values that the differences refer to.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CompactState {
-    /// The epoch line in full, empty where the next must be given in full.
+    /// The complete epoch line; empty if the next one must be complete.
     epoch_line: Vec<u8>,
-    /// Ordinal of the epoch.
+    /// Running number of the epoch.
     ordinal: u64,
-    /// By constellation and number.
+    /// States by constellation and number.
     satellites: Vec<SatelliteState>,
 }
 
 #[derive(Clone, Debug, Default)]
 struct SatelliteState {
-    /// The epoch it was last in.
+    /// Running number of the last epoch with this satellite.
     ordinal: u64,
     arcs: Vec<Arc>,
     /// Loss-of-lock indicator and signal strength of each column.
     indicators: Vec<u8>,
 }
 
-/// The differences of one column.
+/// The difference state of one column.
 #[derive(Clone, Copy, Debug, Default)]
 struct Arc {
-    /// Order of the arc; `None` where there is none.
+    /// Order of the arc; `None` without an arc.
     order: Option<usize>,
-    /// Order reached so far.
+    /// Highest order of differences so far.
     reached: usize,
-    /// Value and its differences (thousandths).
+    /// Value and its differences, in thousandths.
     differences: [i64; ORDER_LIMIT + 1],
 }
 
-/// A field that does not fit the arc.
+/// The field does not continue its arc.
 struct BrokenArc;
 
 impl Arc {
-    /// Takes a field in; gives the value (thousandths), `None` where it is missing.
+    /// Applies a field and returns the value in thousandths; `None` for a missing value.
     fn advance(&mut self, field: &[u8]) -> Result<Option<i64>, BrokenArc> {
         if field.is_empty() {
             self.order = None;
@@ -84,7 +84,7 @@ impl Arc {
         Ok(Some(self.differences[0]))
     }
 
-    /// A whole number of up to 18 digits; the arc ends where it is none.
+    /// Parses a whole number of up to 18 digits; anything else ends the arc.
     fn integer(&mut self, text: &[u8]) -> Result<i64, BrokenArc> {
         let digits = text.strip_prefix(b"-").unwrap_or(text);
         if digits.is_empty() || 18 < digits.len() || !digits.iter().all(u8::is_ascii_digit) {
@@ -96,7 +96,7 @@ impl Arc {
     }
 }
 
-/// Applies a difference of text.
+/// Applies a text difference.
 fn apply_difference(text: &mut Vec<u8>, difference: &[u8]) {
     if text.len() < difference.len() {
         text.resize(difference.len(), b' ');
@@ -110,7 +110,7 @@ fn apply_difference(text: &mut Vec<u8>, difference: &[u8]) {
     }
 }
 
-/// Whether a line gives its epoch in full.
+/// Whether the line is a complete epoch line.
 fn is_full(line: &[u8]) -> bool {
     matches!(line.first(), Some(b'&' | b'>'))
 }
@@ -153,7 +153,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// The epoch line that the line last read stands for.
+    /// The complete epoch line that corresponds to the line last read.
     fn compact_epoch_line(&self, state: &mut CompactState) -> Option<EpochLine> {
         let line = self.lines.current();
         let rinex2 = self.state.header.version.major == 2;
@@ -175,7 +175,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// Passes over lines up to the next epoch given in full.
+    /// Skips lines up to the next complete epoch line.
     fn skip_compact(&mut self, state: &mut CompactState) -> Result<(), RinexError> {
         self.note(SkipReason::BrokenDifferences);
         state.epoch_line.clear();
@@ -188,7 +188,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(())
     }
 
-    /// Reads a line per satellite; `false` if the file ends before.
+    /// Reads one line per satellite; `false` if the file ends before.
     fn read_compact_satellites(
         &mut self,
         state: &mut CompactState,
@@ -241,7 +241,7 @@ impl<R: BufRead> ObservationReader<R> {
 }
 
 impl CompactState {
-    /// The differences of a satellite, fresh where it was not in the epoch before.
+    /// The difference state of a satellite, empty if it was not in the previous epoch.
     fn of(&mut self, satellite: SatelliteId, table: &ColumnTable) -> &mut SatelliteState {
         if self.satellites.is_empty() {
             self.satellites = vec![SatelliteState::default(); Constellation::COUNT * NUMBERS];
@@ -260,7 +260,7 @@ impl CompactState {
 }
 
 impl SatelliteState {
-    /// Takes a line in and fills the slots; returns how many fields were broken.
+    /// Applies a line and fills the slots; returns the number of invalid fields.
     fn advance(&mut self, line: &[u8], table: &ColumnTable, slots: &mut [Observation]) -> usize {
         let mut rest = line;
         let mut broken = 0;

@@ -16,7 +16,7 @@ const LINE_COLUMNS: usize = 80;
 
 /// ` 18 01 01 00 00 00.0000000  0  9G05G16…`; RINEX 2.11.
 ///
-/// There is no mark that tells an epoch line from data, so every column must be as it should.
+/// No mark distinguishes an epoch line from data, so every column must be valid.
 pub(super) fn parse_epoch_line(line: &[u8]) -> Option<EpochLine> {
     let flag = match columns(line, 26, 29) {
         [b' ', b' ', flag @ b'0'..=b'6'] => flag - b'0',
@@ -41,12 +41,12 @@ fn is_epoch_line(line: &[u8]) -> bool {
     })
 }
 
-/// How a satellite's lines ended.
+/// How the lines of a satellite ended.
 enum Record {
     Whole,
-    /// The next epoch came first.
+    /// The next epoch came before the last line.
     Short,
-    /// The file ended first.
+    /// The file ended before the last line.
     Cut,
 }
 
@@ -84,7 +84,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// Passes over lines up to one that looks like an epoch's.
+    /// Skips lines up to one with the form of an epoch line.
     fn skip_to_epoch2(&mut self) -> Result<(), RinexError> {
         self.note(SkipReason::MalformedEpoch);
         while let Some(line) = self.lines.next()? {
@@ -96,7 +96,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(())
     }
 
-    /// Reads the satellites of an epoch, from its line and the following ones.
+    /// Reads the satellites of an epoch from its line and the continuation lines.
     fn read_satellite_list(&mut self, count: usize) -> Result<bool, RinexError> {
         self.satellites.clear();
         self.seen = SeenSatellites::default();
@@ -123,7 +123,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(true)
     }
 
-    /// Passes over repaired cycle slips, which have the lines of observations.
+    /// Skips records of repaired cycle slips, which have the form of observations.
     fn skip_cycle_slips2(&mut self) -> Result<(), RinexError> {
         self.note(SkipReason::CycleSlipRecords);
         let lines_each = self.state.types2.len().div_ceil(FIELDS_PER_LINE);
@@ -140,14 +140,14 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(())
     }
 
-    /// Reads the lines of all satellites listed; `false` if the epoch is to be dropped.
+    /// Reads the lines of all listed satellites; `false` if the epoch must be dropped.
     fn read_satellites2(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
         epoch.observations.clear();
         for index in 0..self.satellites.len() {
             let start = epoch.observations.len();
             match self.read_satellite2(self.satellites[index], epoch)? {
                 Record::Whole => {}
-                // A line is missing somewhere: numbers may stand under the wrong satellite.
+                // A line is missing: numbers may be assigned to the wrong satellite.
                 Record::Short => return Ok(false),
                 Record::Cut => {
                     epoch.observations.truncate(start);

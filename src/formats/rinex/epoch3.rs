@@ -8,15 +8,15 @@ use super::observation::{SATELLITES_LIMIT, SeenSatellites};
 use super::{ObservationReader, RinexError, SkipReason};
 use crate::gnss::{CivilTime, Epoch, Observation};
 
-/// Width of the satellite that begins a line.
+/// Width of the satellite number at the start of a line.
 const SATELLITE_WIDTH: usize = 3;
 
 /// An epoch line.
 pub(super) struct EpochLine {
-    /// `None` where blank or wrong, which only events may have.
+    /// Date and time; `None` if blank or invalid, which is allowed for events only.
     pub(super) civil: Option<CivilTime>,
     pub(super) flag: u8,
-    /// Satellites, or special records of an event.
+    /// Number of satellites, or of special records of an event.
     pub(super) count: usize,
 }
 
@@ -68,7 +68,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// Passes over the lines up to the next epoch.
+    /// Skips the lines up to the next epoch.
     fn skip_epoch3(&mut self, reason: SkipReason) -> Result<(), RinexError> {
         self.note(reason);
         while let Some(line) = self.lines.next()? {
@@ -80,7 +80,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(())
     }
 
-    /// Reads satellites until the next epoch line; `false` if the epoch is to be dropped.
+    /// Reads satellites up to the next epoch line; `false` if the epoch must be dropped.
     fn read_satellites3(&mut self, count: usize, epoch: &mut Epoch) -> Result<bool, RinexError> {
         if SATELLITES_LIMIT < count {
             self.skip_epoch3(SkipReason::TooManySatellites)?;
@@ -90,7 +90,7 @@ impl<R: BufRead> ObservationReader<R> {
         self.seen = SeenSatellites::default();
         for _ in 0..count {
             let Some(line) = self.lines.next()? else {
-                // A number that is cut is left out by itself, so what is there can be used.
+                // A truncated number is left out by itself, so the rest is usable.
                 self.note(SkipReason::TruncatedEpoch);
                 return Ok(true);
             };
@@ -104,7 +104,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(true)
     }
 
-    /// Reads the line last given as a satellite's.
+    /// Parses the current line as that of a satellite.
     fn read_satellite3(&mut self, epoch: &mut Epoch) {
         let line = self.lines.current();
         let mut field = [b' '; SATELLITE_WIDTH];

@@ -1,80 +1,80 @@
-//! Why a RINEX file is refused as a whole.
+//! Reasons for refusing a RINEX file as a whole.
 
 use std::io;
 
-/// What makes a file unreadable, with the line (from 1) where it showed.
+/// Why a file cannot be read, with the number of the line (from 1).
 #[derive(Debug, thiserror::Error)]
 pub enum RinexError {
-    /// The first line is not a RINEX or CRINEX first line.
+    /// The first line is not that of a RINEX or CRINEX file.
     #[error("line {line}: not a RINEX file: {found:?} where RINEX VERSION / TYPE should be")]
     NotRinex {
-        /// Line number.
+        /// Number of the line.
         line: u64,
-        /// What stands there, shortened.
+        /// The text found instead, shortened.
         found: String,
     },
-    /// RINEX, but of another kind than asked for.
+    /// The file is RINEX of another kind than expected.
     #[error("line {line}: this is a RINEX {found} file, {expected} data was expected")]
     WrongKind {
-        /// Line number.
+        /// Number of the line.
         line: u64,
-        /// The file's kind.
+        /// The kind of the file.
         found: String,
-        /// The kind asked for.
+        /// The kind expected.
         expected: &'static str,
     },
-    /// A version that is not read.
+    /// The version is not supported.
     #[error("line {line}: {format} version {version} is not supported")]
     UnsupportedVersion {
-        /// Line number.
+        /// Number of the line.
         line: u64,
-        /// RINEX or CRINEX.
+        /// Name of the format: RINEX or CRINEX.
         format: &'static str,
-        /// The version as written.
+        /// The version as written in the file.
         version: String,
     },
-    /// A header record without which the data cannot be understood is missing or wrong.
+    /// A required header record is missing or invalid.
     #[error("line {line}: header record {label:?}: {reason}")]
     HeaderInvalid {
-        /// Line number.
+        /// Number of the line.
         line: u64,
         /// Label of the record.
         label: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the record.
         reason: String,
     },
-    /// The file ends inside its header.
+    /// The file ends before the end of its header.
     #[error("line {line}: the file ends inside its header")]
     Truncated {
         /// Number of the last line.
         line: u64,
     },
-    /// Compressed by a method that is not read.
+    /// The compression method is not supported.
     #[error("line 1: the file is compressed with {method}, which is not supported")]
     CompressionUnsupported {
         /// Name of the method.
         method: &'static str,
     },
-    /// A line longer than any RINEX line can be.
+    /// A line is longer than any valid line.
     #[error("line {line}: the line is longer than {limit} bytes")]
     LineTooLong {
-        /// Line number.
+        /// Number of the line.
         line: u64,
         /// The limit (bytes).
         limit: usize,
     },
-    /// The bytes could not be read or inflated.
+    /// The bytes cannot be read or inflated.
     #[error("line {line}: reading failed: {source}")]
     ReadFailed {
         /// Number of the last line read.
         line: u64,
-        /// What the reader said.
+        /// The reader's error.
         source: io::Error,
     },
 }
 
 impl RinexError {
-    /// Stable name for interfaces.
+    /// Stable code, upper snake case.
     pub const fn code(&self) -> &'static str {
         match self {
             Self::NotRinex { .. } => "RINEX_NOT_RINEX",
@@ -88,7 +88,7 @@ impl RinexError {
         }
     }
 
-    /// The line (from 1) where it showed.
+    /// Number (from 1) of the line with the error.
     pub const fn line(&self) -> u64 {
         match self {
             Self::NotRinex { line, .. }
@@ -102,11 +102,11 @@ impl RinexError {
         }
     }
 
-    /// What the sender can do about it.
+    /// What the sender can do.
     pub const fn remedy(&self) -> &'static str {
         match self {
             Self::NotRinex { .. } => "send a RINEX or CRINEX file, plain or gzip-compressed",
-            Self::WrongKind { .. } => "send observation and navigation files each in their place",
+            Self::WrongKind { .. } => "send observation and navigation data as separate files",
             Self::UnsupportedVersion { .. } => {
                 "convert the file to RINEX 2, 3 or 4, or CRINEX 1 or 3"
             }

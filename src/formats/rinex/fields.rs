@@ -2,28 +2,28 @@
 
 use crate::gnss::{CivilTime, Constellation};
 
-/// What a numeric field holds.
+/// Content of a numeric field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Value {
     /// Blank or zero.
     Missing,
     /// A finite number that is not zero.
     Number(f64),
-    /// Something else.
+    /// Anything else.
     Malformed,
 }
 
 const SPACES: u128 = u128::from_le_bytes([b' '; 16]);
 const ZEROS: u128 = u128::from_le_bytes([b'0'; 16]);
-/// The 14 columns of the number in an observation's 16.
+/// Mask of the number's 14 columns in an observation field of 16.
 const NUMBER: u128 = (1 << 112) - 1;
 const HIGH_NIBBLES: u64 = 0xf0f0_f0f0_f0f0_f0f0;
 const DIGITS: u64 = 0x3030_3030_3030_3030;
 
 /// The number of an observation field, format F14.3, followed by two indicator columns.
 ///
-/// Digits around the point are read as one integer m, eight at a time; m < 2⁵³ and 10³ are exact,
-/// so m / 10³ is the correctly rounded value. Anything laid out otherwise takes the slow way.
+/// The digits are read as one integer m, eight at a time; m < 2⁵³ and 10³ are exact, so m / 10³ is
+/// the correctly rounded value. Other layouts are parsed by [`general_value`].
 pub(super) fn observation_value(field: &[u8; 16]) -> Value {
     let number = u128::from_le_bytes(*field) & NUMBER;
     let not_blank = number ^ (SPACES & NUMBER);
@@ -35,7 +35,7 @@ pub(super) fn observation_value(field: &[u8; 16]) -> Value {
     let before_digits = (1_u128 << (leading_bits + u32::from(negative) * 8)) - 1;
     let digits = (number & !before_digits) | (ZEROS & before_digits);
     let (low, high) = (digits as u64, (digits >> 64) as u64);
-    // Columns 9 and 10, then those behind the point in column 11, to the end of eight digits.
+    // Columns 9 and 10, then those after the point in column 11: the last eight digits.
     let tail = ((high & 0xffff) | (high >> 8 & 0xff_ffff_0000)) << 24 | (DIGITS & 0xff_ffff);
     if (high >> 16) as u8 != b'.' || !all_digits(low) || !all_digits(tail) {
         return general_value(&field[..14]);
@@ -60,7 +60,7 @@ const fn eight_digits(bytes: u64) -> u64 {
     (fours & 0x0000_ffff_0000_ffff).wrapping_mul(42_949_672_960_001) >> 32
 }
 
-/// A number in any layout, `D` allowed as exponent letter.
+/// Parses a number in any layout; `D` is accepted as exponent letter.
 pub(super) fn general_value(field: &[u8]) -> Value {
     match decimal(field) {
         Some(Some(number)) if number != 0.0 => Value::Number(number),
@@ -69,11 +69,11 @@ pub(super) fn general_value(field: &[u8]) -> Value {
     }
 }
 
-/// A number in any layout, zero included: `Some(None)` if blank, `None` if it is no number.
+/// Parses a number in any layout, zero included: `Some(None)` if blank, `None` if invalid.
 ///
-/// Up to 19 digits are gathered into an integer; where it stays below 2⁵³ and the power of ten
-/// within 10²², one multiplication or division gives the correctly rounded value (Clinger 1990,
-/// *How to read floating point numbers accurately*). The rest goes to the standard library.
+/// Up to 19 digits form an integer. If it is below 2⁵³ and the power of ten within 10²², one
+/// multiplication or division gives the correctly rounded value (Clinger 1990, *How to read
+/// floating point numbers accurately*). Other numbers are parsed by the standard library.
 pub(super) fn decimal(field: &[u8]) -> Option<Option<f64>> {
     let text = field.trim_ascii();
     let Some(&first) = text.first() else { return Some(None) };
@@ -120,7 +120,7 @@ const POWERS: [f64; 23] = [
 ];
 
 fn exponent(text: &[u8]) -> Option<i32> {
-    // Some writers leave the plus sign's column blank.
+    // Some writers leave the column of the plus sign blank.
     let value = integer(text)?;
     (-400..=400).contains(&value).then_some(value as i32)
 }
@@ -131,7 +131,7 @@ fn slow_decimal(mantissa: &[u8], exponent: i32) -> Option<f64> {
     number.is_finite().then_some(number)
 }
 
-/// An integer of at most nine digits, sign and blanks around it allowed.
+/// Parses an integer of at most nine digits; sign and blanks around it are allowed.
 pub(super) fn integer(field: &[u8]) -> Option<i64> {
     let text = field.trim_ascii();
     let (negative, digits) = match text {
@@ -163,9 +163,10 @@ pub(super) fn text(line: &[u8], from: usize, to: usize) -> String {
     String::from_utf8_lossy(columns(line, from, to)).trim().to_owned()
 }
 
-/// A satellite system's letter and number, as in `G05`, `G 5`; a blank letter is `default`.
+/// Parses a satellite such as `G05` or `G 5` into letter and number; a blank letter means
+/// `default`.
 ///
-/// `None` if it is no satellite at all. The letter may be of a system that is not decoded.
+/// `None` if it is not a satellite. The letter may be of a system that is not decoded.
 pub(super) fn satellite(field: &[u8], default: u8) -> Option<(u8, u8)> {
     let [letter, tens, ones] = *field else { return None };
     let tens = if tens == b' ' { b'0' } else { tens };
@@ -177,14 +178,14 @@ pub(super) fn satellite(field: &[u8], default: u8) -> Option<(u8, u8)> {
     (letter.is_ascii_uppercase() && 0 < number).then_some((letter, number))
 }
 
-/// The constellation of a letter, if it is decoded.
+/// The constellation of a letter; `None` if it is not decoded.
 pub(super) const fn constellation(letter: u8) -> Option<Constellation> {
     Constellation::from_letter(letter as char)
 }
 
-/// A date `year month day hour minute` in the given column starts, and seconds with decimals.
+/// Parses a date `year month day hour minute` at the given columns, and seconds with decimals.
 ///
-/// Two-digit years below 80 are of this century (RINEX 2.11).
+/// Two-digit years below 80 belong to this century (RINEX 2.11).
 pub(super) fn date(
     year: &[u8],
     [month, day, hour, minute]: [&[u8]; 4],
@@ -209,7 +210,7 @@ pub(super) fn date(
     })
 }
 
-/// Seconds with up to twelve decimals, cut at the nanosecond.
+/// Seconds with up to twelve decimals, truncated to the nanosecond.
 fn seconds_and_ns(field: &[u8]) -> Option<(u8, u32)> {
     let text = field.trim_ascii();
     let point = text.iter().position(|b| *b == b'.').unwrap_or(text.len());

@@ -1,4 +1,4 @@
-//! What the header of an observation file says.
+//! The content of the header of an observation file.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,14 +8,14 @@ use crate::gnss::{Constellation, Ecef, GpsTime, ObservationCode, TimeScale};
 /// A RINEX version, such as 3.05.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RinexVersion {
-    /// Before the point.
+    /// Number before the point.
     pub major: u8,
-    /// The two digits behind the point.
+    /// The two digits after the point.
     pub minor: u8,
 }
 
 impl RinexVersion {
-    /// A version by its parts.
+    /// The version with these parts.
     pub const fn new(major: u8, minor: u8) -> Self {
         Self { major, minor }
     }
@@ -34,23 +34,23 @@ pub struct ObservationHeader {
     pub version: RinexVersion,
     /// The one constellation of the file, or `None` for a mixed one.
     pub constellation: Option<Constellation>,
-    /// Name of the marker, empty where not stated.
+    /// Name of the marker; empty if not given.
     pub marker: String,
-    /// Receiver type, empty where not stated.
+    /// Receiver type; empty if not given.
     pub receiver: String,
-    /// Antenna type and radome, empty where not stated.
+    /// Antenna type and radome; empty if not given.
     pub antenna: String,
-    /// Position of the marker as the header has it; `None` where absent or zero.
+    /// Approximate position of the marker, ECEF (m); `None` if absent or zero.
     pub approximate_position: Option<Ecef>,
     /// Antenna reference point above, east and north of the marker (m).
     pub antenna_delta_hen_m: [f64; 3],
     /// Observation interval (s).
     pub interval_s: Option<f64>,
-    /// The scale of the file's epoch tags.
+    /// Time scale of the file's epochs.
     pub time_scale: TimeScale,
     /// Time of the first observation.
     pub first_observation: Option<GpsTime>,
-    /// GPS time minus UTC (s), where stated.
+    /// GPS time minus UTC (s), if given.
     pub leap_seconds: Option<i64>,
     /// FDMA channel by GLONASS slot.
     pub glonass_channels: BTreeMap<u8, i8>,
@@ -59,7 +59,7 @@ pub struct ObservationHeader {
 }
 
 impl ObservationHeader {
-    /// A header that states nothing but its version; epochs are in GPS time.
+    /// A header with nothing but its version; epochs are in GPS time.
     pub const fn new(version: RinexVersion) -> Self {
         Self {
             version,
@@ -78,7 +78,7 @@ impl ObservationHeader {
         }
     }
 
-    /// Codes observed of a constellation, in order of first appearance.
+    /// Observation codes of a constellation, in order of first appearance.
     pub fn codes_of(&self, constellation: Constellation) -> &[ObservationCode] {
         &self.codes[constellation.index()]
     }

@@ -1,4 +1,4 @@
-//! Header records of observation files, at the start and in mid-file events.
+//! Header records of observation files, at the start of the file and in events.
 
 use super::columns::{ColumnTable, ScaleFactor};
 use super::fields::{columns, constellation, date, decimal, integer, text};
@@ -9,7 +9,7 @@ use crate::gnss::{Constellation, Ecef, GpsTime, LeapSeconds, Observation, Satell
 
 const LABEL_COLUMN: usize = 60;
 const LABEL_END: usize = 80;
-/// Header lines of any sane file, comments included.
+/// Largest number of header lines, comments included.
 const HEADER_LINES_LIMIT: u64 = 20_000;
 const LABEL_VERSION: &str = "RINEX VERSION / TYPE";
 const LABEL_COMPACT: &[u8] = b"CRINEX VERS   / TYPE";
@@ -21,20 +21,20 @@ const TYPES_LABEL_3: &str = "SYS / # / OBS TYPES";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FirstLine {
     pub(super) version: RinexVersion,
-    /// Upper-case letter of the file's kind.
+    /// Upper-case letter of the file type.
     pub(super) kind: u8,
-    /// Upper-case letter of its satellite system, blank where not stated.
+    /// Upper-case letter of the satellite system; blank if not given.
     pub(super) system: u8,
     /// Whether the file is CRINEX.
     pub(super) compact: bool,
 }
 
-/// The label of a header line.
+/// The label in columns 61 to 80 of a header line.
 pub(super) fn label(line: &[u8]) -> &[u8] {
     columns(line, LABEL_COLUMN, LABEL_END).trim_ascii()
 }
 
-/// Reads the first line, passing over blank ones before it.
+/// Reads the first line that is not blank.
 pub(super) fn first_line<R: std::io::Read>(lines: &mut Lines<R>) -> Result<FirstLine, RinexError> {
     refuse_compressed(lines.peek_start()?)?;
     let mut compact = false;
@@ -101,11 +101,11 @@ fn parse_version(text: &str) -> Option<RinexVersion> {
     Some(RinexVersion::new(major.trim().parse().ok()?, minor))
 }
 
-/// Header of an observation file as it stands now, with what the columns need.
+/// The present header of an observation file, with what the columns need.
 #[derive(Clone, Debug)]
 pub(super) struct HeaderState {
     pub(super) header: ObservationHeader,
-    /// Letter that a blank system letter means.
+    /// System letter that a blank letter means.
     pub(super) default_system: u8,
     pub(super) types2: Vec<[u8; 2]>,
     types3: [Vec<[u8; 3]>; Constellation::COUNT],
@@ -114,9 +114,9 @@ pub(super) struct HeaderState {
     /// single satellites; RINEX 2.11.
     pub(super) half_cycles: [bool; 2],
     pub(super) half_cycles_of: Vec<(SatelliteId, [bool; 2])>,
-    /// System letter of the last type record, for its continuation.
+    /// System letter of the last type record, for its continuation lines.
     types_of: u8,
-    /// Types stated so far by system letter, and the line.
+    /// Stated number of types and line, by system letter.
     stated: Vec<(u8, usize, u64)>,
 }
 
@@ -145,7 +145,7 @@ impl HeaderState {
         }
     }
 
-    /// Reads the header up to its end, `first` being read already.
+    /// Reads the header to its end; `first` is its first line.
     pub(super) fn read<R: std::io::Read>(
         first: FirstLine,
         lines: &mut Lines<R>,
@@ -181,7 +181,7 @@ impl HeaderState {
         RinexError::HeaderInvalid { line, label, reason: reason.to_owned() }
     }
 
-    /// What must be right for columns to be found.
+    /// Checks the records that define the columns.
     pub(super) fn check(&self, line: u64, skipped: &mut Skipped) -> Result<(), RinexError> {
         let rinex2 = self.header.version.major == 2;
         let label = if rinex2 { TYPES_LABEL_2 } else { TYPES_LABEL_3 };
@@ -206,7 +206,7 @@ impl HeaderState {
         Ok(())
     }
 
-    /// Tables of the columns, by constellation; `None` where no types are declared.
+    /// Column tables by constellation; `None` where no types are declared.
     pub(super) fn tables(&mut self) -> [Option<ColumnTable>; Constellation::COUNT] {
         let tables = Constellation::ALL.map(|c| {
             if self.header.version.major == 2 {
@@ -222,7 +222,7 @@ impl HeaderState {
         tables
     }
 
-    /// Applies one record; `None` if it cannot be read. Unknown labels are passed over.
+    /// Applies one record; `None` if it is malformed. Unknown labels are skipped.
     pub(super) fn apply(&mut self, line: &[u8], number: u64) -> Option<()> {
         let header = &mut self.header;
         match label(line) {
@@ -247,7 +247,7 @@ impl HeaderState {
         Some(())
     }
 
-    /// Forgets declared types before a mid-file record declares them anew.
+    /// Clears the declared types before the header records of an event.
     pub(super) fn begin_event(&mut self) {
         self.stated.clear();
     }
@@ -257,13 +257,13 @@ impl HeaderState {
         !self.stated.is_empty()
     }
 
-    /// What the meaning of columns rests on.
+    /// The part of the header that defines the meaning of the columns.
     pub(super) fn layout(&self) -> impl PartialEq + use<'_> {
         let Self { header, types2, types3, scales, half_cycles, half_cycles_of, .. } = self;
         (header.time_scale, types2, types3, scales, half_cycles, half_cycles_of)
     }
 
-    /// The refusal of a layout that changes inside the file.
+    /// The error for a layout that changes inside the file.
     pub(super) fn changed_inside(&self, line: u64) -> RinexError {
         let reason = "it changes inside the stream: end the stream, begin another with this header";
         let rinex2 = self.header.version.major == 2;
@@ -319,7 +319,7 @@ impl HeaderState {
             match *kind.trim_ascii() {
                 [] => {}
                 [letter, band] => self.types2.push([letter, band]),
-                // Its column counts all the same.
+                // The column of an unknown type still counts.
                 _ => self.types2.push(*b"??"),
             }
         }
@@ -355,8 +355,8 @@ impl HeaderState {
         Some(())
     }
 
-    /// Marks carriers tracked with wavelength factor 2; bit 1 of the indicator means the opposite
-    /// of the factor then (RINEX 2.11).
+    /// Marks carrier phases with wavelength factor 2; bit 1 of the indicator then means the
+    /// opposite of the factor (RINEX 2.11).
     pub(super) fn mark_half_cycles(&self, satellite: SatelliteId, slots: &mut [Observation]) {
         let single = self.half_cycles_of.iter().rev().find(|(s, _)| *s == satellite);
         let [first, second] = single.map_or(self.half_cycles, |(_, factors)| *factors);
@@ -404,7 +404,7 @@ fn types_in(fields: &[u8]) -> impl Iterator<Item = [u8; 3]> {
     })
 }
 
-/// Three numbers of fourteen columns; where a writer kept other columns, those between blanks.
+/// Parses three numbers of fourteen columns, or separated by blanks if a writer used other columns.
 fn three_numbers(line: &[u8]) -> Option<[f64; 3]> {
     let number = |from| decimal(columns(line, from, from + 14)).map(|value| value.unwrap_or(0.0));
     let in_columns = || Some([number(0)?, number(14)?, number(28)?]);
@@ -417,11 +417,11 @@ fn three_numbers(line: &[u8]) -> Option<[f64; 3]> {
     in_columns().or_else(between_blanks)
 }
 
-/// GPS time minus UTC (s) of a `LEAP SECONDS` record, `Some(None)` where it states nothing.
+/// GPS time minus UTC (s) of a `LEAP SECONDS` record; `Some(None)` if it is blank.
 ///
-/// A count that starts with BeiDou time is 14 s smaller (RINEX 3.05, field "time system
-/// identifier"). Some BeiDou files leave the identifier out; since GPS − UTC was 14 s when BeiDou
-/// time began, a smaller count in such a file can only be BeiDou's.
+/// A count relative to BeiDou time is 14 s smaller (RINEX 3.05, field "time system identifier").
+/// Some BeiDou files lack the identifier. GPS − UTC was 14 s when BeiDou time began, so a smaller
+/// count in such a file is relative to BeiDou time.
 pub(super) fn leap_seconds(line: &[u8], file: Option<Constellation>) -> Option<Option<i64>> {
     let count = match columns(line, 0, 6).trim_ascii() {
         b"" => return Some(None),

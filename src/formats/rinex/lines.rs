@@ -8,16 +8,16 @@ use super::RinexError;
 pub(super) const LINE_LIMIT: usize = 1 << 15;
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// Splits what `input` gives into lines at `\n` or `\r\n`.
+/// Splits the bytes of `input` into lines at `\n` or `\r\n`.
 #[derive(Clone, Debug)]
 pub(super) struct Lines<R> {
     input: R,
     buffer: Vec<u8>,
-    /// Where the current line starts; kept for [`Lines::unread`].
+    /// Index of the current line's first byte, for [`Lines::unread`].
     current: usize,
-    /// Where the next line starts.
+    /// Index of the next line's first byte.
     next: usize,
-    /// Where valid bytes end.
+    /// Index after the last valid byte.
     end: usize,
     number: u64,
     at_end: bool,
@@ -29,22 +29,22 @@ impl<R: Read> Lines<R> {
         Self { input, buffer, current: 0, next: 0, end: 0, number: 0, at_end: false }
     }
 
-    /// Number (from 1) of the line last given, 0 before the first.
+    /// Number (from 1) of the current line, 0 before the first.
     pub(super) const fn number(&self) -> u64 {
         self.number
     }
 
-    /// What gives the bytes.
+    /// The source of the bytes.
     pub(super) const fn input(&self) -> &R {
         &self.input
     }
 
-    /// The same, to give it more.
+    /// The source of the bytes, to append to it.
     pub(super) const fn input_mut(&mut self) -> &mut R {
         &mut self.input
     }
 
-    /// Bytes that `input` gave and no line has taken.
+    /// Number of bytes read from `input` that belong to no line yet.
     pub(super) const fn untaken(&self) -> usize {
         self.end - self.next
     }
@@ -60,7 +60,7 @@ impl<R: Read> Lines<R> {
             }
             searched = unread.len();
             if self.at_end {
-                // Behind the end there is no line to give again.
+                // After the end there is no line to return again.
                 self.current = self.next;
                 return if searched == 0 { Ok(None) } else { self.take(searched, searched) };
             }
@@ -71,14 +71,14 @@ impl<R: Read> Lines<R> {
         }
     }
 
-    /// The line last given; empty before the first and after the end.
+    /// The current line; empty before the first and after the last.
     pub(super) fn current(&self) -> &[u8] {
         let line = &self.buffer[self.current..self.next];
         let line = line.strip_suffix(b"\n").unwrap_or(line);
         line.strip_suffix(b"\r").unwrap_or(line)
     }
 
-    /// Gives the line last given once more.
+    /// Makes `next` return the current line once more.
     pub(super) fn unread(&mut self) {
         if self.current < self.next {
             self.next = self.current;
@@ -86,7 +86,7 @@ impl<R: Read> Lines<R> {
         }
     }
 
-    /// The first bytes of the stream, fewer only if it is shorter.
+    /// The first bytes of the stream; fewer only if the stream is shorter.
     pub(super) fn peek_start(&mut self) -> Result<&[u8], RinexError> {
         while self.end < 4 && !self.at_end {
             self.refill()?;
@@ -109,7 +109,7 @@ impl<R: Read> Lines<R> {
         RinexError::LineTooLong { line: self.number + 1, limit: LINE_LIMIT }
     }
 
-    /// Moves what is left to the front and reads more behind it.
+    /// Moves the remaining bytes to the front and reads more after them.
     fn refill(&mut self) -> Result<(), RinexError> {
         self.buffer.copy_within(self.next..self.end, 0);
         self.end -= self.next;

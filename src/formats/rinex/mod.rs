@@ -4,19 +4,19 @@
 //! observation files (CRINEX 1 and 3). Written: version 3.05. GPS, GLONASS, Galileo, BeiDou and
 //! QZSS are decoded; other systems are skipped and counted in [`Skipped`].
 //!
-//! A reader streams: it holds one buffer of 64 kB and one epoch. What a file gets wrong inside its
-//! data is skipped with line and reason, so that a half good file yields its good half; what makes
-//! the whole unreadable is a [`RinexError`].
+//! A reader holds one buffer of 64 kB and one epoch. Errors inside the data are skipped with line
+//! and reason, so that the valid rest of the file is read; what makes the whole file unreadable is
+//! a [`RinexError`].
 //!
-//! Choices where the format leaves one:
+//! Interpretation where the format is ambiguous:
 //! - Blank and zero observations are missing (RINEX 3.05).
-//! - `SYS / PHASE SHIFT` states corrections already applied to align carriers (RINEX 3.05):
-//!   nothing is added or undone.
-//! - `SYS / SCALE FACTOR` is divided out.
+//! - `SYS / PHASE SHIFT` lists corrections already applied to align carriers (RINEX 3.05), so the
+//! phases are used as they are.
+//! - Observations are divided by `SYS / SCALE FACTOR`.
 //! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2
 //!   (anti-spoofing in RINEX 2, BOC tracking later) is ignored.
-//! - RINEX 2 observation types are mapped to RINEX 3 codes as the `columns` module says.
-//! - Receiver clock offsets on epoch lines are not applied: tags stay the receiver's.
+//! - RINEX 2 observation types are mapped to RINEX 3 codes as in the `columns` module.
+//! - Receiver clock offsets on epoch lines are not applied: epochs keep the receiver's time tags.
 //!
 //! Sources: RINEX 2.11 (Gurtner & Estey 2007); RINEX 3.05 (IGS/RTCM 2020); RINEX 4.01 (2023);
 //! Hatanaka (2008), *A compression format and tools for GNSS observation data*, Bulletin of the

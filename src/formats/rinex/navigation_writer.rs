@@ -12,13 +12,13 @@ use crate::gnss::{
 };
 
 const KM_PER_METRE: f64 = 1e-3;
-/// A week after any leap second known today, to ask for the newest count.
+/// A week after all known leap seconds, at which the newest count is in force.
 const FAR_WEEK: i32 = 10_000;
 /// Galileo data sources: I/NAV of E1-B and E5b-I, clock of E5b and E1.
 const SOURCES_INAV: f64 = 517.0;
 /// Galileo data sources: F/NAV of E5a-I, clock of E5a and E1.
 const SOURCES_FNAV: f64 = 258.0;
-/// The same with I/NAV merged in, whence BGD(E1, E5b) is.
+/// Galileo data sources: F/NAV with I/NAV merged in, which has BGD(E1, E5b).
 const SOURCES_MERGED: f64 = 263.0;
 const UNKNOWN_DELTA_TAU_S: f64 = 0.999_999_999_999e9;
 const UNUSED_ACCURACY_INDEX: f64 = 15.0;
@@ -30,7 +30,7 @@ type Rows = [[Option<f64>; 4]; 7];
 /// Elements keep 13 significant digits, ionosphere coefficients five.
 ///
 /// # Errors
-/// Civil messages (CNAV, B-CNAV) have no form in version 3.
+/// Civil messages (CNAV, B-CNAV) have no record in version 3.
 pub fn write_navigation<W: Write>(
     mut output: W,
     navigation: &Navigation,
@@ -81,7 +81,7 @@ fn write_coefficients(text: &mut String, name: &str, values: &[f64]) {
     header_line(text, &format!("{name} {numbers}"), Label("IONOSPHERIC CORR"));
 }
 
-/// A number with a two-digit exponent; what is too small for one is zero.
+/// A number with a two-digit exponent; values too small for one become zero.
 fn scientific(value: f64, width: usize, decimals: usize) -> String {
     let value = if value.abs() < 1e-99 { 0.0 } else { value };
     let text = format!("{value:.decimals$e}");
@@ -135,7 +135,7 @@ fn write_keplerian(text: &mut String, e: &KeplerianEphemeris) -> Result<(), Rine
     let start = [Some(e.af0_s), Some(e.af1), Some(e.af2_per_s)];
     let leap = LeapSeconds::table();
     write_start(text, &Ephemeris::Keplerian(e.clone()), (scale, &leap), start);
-    // A last row that is all blank would not be seen as one.
+    // A last row that is all blank would not be recognised as a row.
     let shown = if rows[6].iter().all(Option::is_none) { &rows[..6] } else { &rows[..] };
     write_rows(text, shown);
     Ok(())
@@ -148,7 +148,7 @@ fn tail(e: &KeplerianEphemeris) -> Result<(Option<f64>, [Option<f64>; 3]), Rinex
     Ok(match (e.message, e.group_delays) {
         (M::Lnav, GroupDelays::Gps { tgd_s, .. }) => {
             let qzss = e.satellite.constellation == Constellation::Qzss;
-            // QZSS has a flag there: zero is two hours.
+            // QZSS writes a flag: zero means two hours.
             let fit = e.fit_interval_h.map(|hours| if qzss && hours == 2.0 { 0.0 } else { hours });
             (None, [Some(tgd_s), iodc, fit])
         }

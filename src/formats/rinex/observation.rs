@@ -1,4 +1,4 @@
-//! The reader of observation files, whatever their version.
+//! The reader of observation files of any version.
 
 use std::io::BufRead;
 
@@ -10,7 +10,7 @@ use super::lines::Lines;
 use super::{RinexError, SkipReason, Skipped};
 use crate::gnss::{CivilTime, Constellation, Epoch, GpsTime, LeapSeconds, SatelliteId};
 
-/// Most satellites of one epoch; more than all systems together have in orbit.
+/// Largest number of satellites in an epoch, above the number in orbit.
 pub(super) const SATELLITES_LIMIT: usize = 300;
 
 /// Reads epochs of observations one at a time.
@@ -21,9 +21,9 @@ pub struct ObservationReader<R> {
     pub(super) tables: [Option<ColumnTable>; Constellation::COUNT],
     pub(super) skipped: Skipped,
     pub(super) seen: SeenSatellites,
-    /// Satellites of the epoch at hand, `None` for those passed over (RINEX 2).
+    /// Satellites of the current epoch; `None` for skipped ones (RINEX 2).
     pub(super) satellites: Vec<Option<SatelliteId>>,
-    /// What the differences of a CRINEX file refer to.
+    /// The values that the differences of a CRINEX file refer to.
     compact: Option<CompactState>,
     leap_seconds: LeapSeconds,
 }
@@ -51,7 +51,7 @@ impl<R: BufRead> ObservationReader<R> {
         Ok(reader)
     }
 
-    /// The header, with what mid-file records have changed so far.
+    /// The header, with the changes of events read so far.
     pub const fn header(&self) -> &ObservationHeader {
         &self.state.header
     }
@@ -61,12 +61,12 @@ impl<R: BufRead> ObservationReader<R> {
         &self.skipped
     }
 
-    /// Reads the next epoch into `epoch`, whose memory is used again; `false` at the end.
+    /// Reads the next epoch into `epoch`, reusing its memory; `false` at the end.
     ///
-    /// Observations stand as in the file, those of one satellite together.
+    /// Observations are in the file's order, grouped by satellite.
     ///
     /// # Errors
-    /// Only where nothing behind can be read. What is broken by itself is skipped and noted.
+    /// Only if the rest of the file cannot be read. Damaged records are skipped and noted.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
         if let Some(mut state) = self.compact.take() {
             let outcome = self.read_compact_epoch(&mut state, epoch);
@@ -79,7 +79,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// Whether it is CRINEX.
+    /// Whether the file is CRINEX.
     pub(super) const fn is_compact(&self) -> bool {
         self.compact.is_some()
     }
@@ -92,7 +92,7 @@ impl<R: BufRead> ObservationReader<R> {
         GpsTime::from_civil(civil, self.state.header.time_scale, &self.leap_seconds)
     }
 
-    /// Applies the header records of an event; they end early where `is_epoch` sees an epoch line.
+    /// Applies the header records of an event; they end early where `is_epoch` accepts a line.
     pub(super) fn read_event(
         &mut self,
         flag: u8,
@@ -130,7 +130,7 @@ impl<R: BufRead> ObservationReader<R> {
     fn note_unknown_types(&mut self) {
         let rinex2 = self.state.header.version.major == 2;
         let count = |c: Constellation, table: &Option<ColumnTable>| match table {
-            // A RINEX 2 list serves all systems, so that some types are foreign to each.
+            // A RINEX 2 list applies to all systems, so each system lacks some of its types.
             Some(table) if !rinex2 || c == Constellation::Gps => table.unknown_types,
             _ => 0,
         };
@@ -141,7 +141,7 @@ impl<R: BufRead> ObservationReader<R> {
         }
     }
 
-    /// The satellite of a field: `None` if it is to be passed over, which is noted.
+    /// The satellite of a field; `None` if it is skipped, which is noted.
     pub(super) fn decoded_satellite(&mut self, field: &[u8]) -> Option<SatelliteId> {
         let Some((letter, number)) = super::fields::satellite(field, self.state.default_system)
         else {
@@ -165,7 +165,7 @@ impl<R: BufRead> ObservationReader<R> {
     }
 }
 
-/// The satellites of an epoch met so far.
+/// The satellites of an epoch read so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SeenSatellites([u128; Constellation::COUNT]);
 

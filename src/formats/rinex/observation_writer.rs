@@ -12,7 +12,7 @@ use crate::gnss::{
 
 const TYPES_PER_LINE: usize = 13;
 const CHANNELS_PER_LINE: usize = 8;
-/// What is written of each signal, in this order.
+/// The quantities of a signal, in the order of their columns.
 const QUANTITIES: [char; 4] = ['C', 'L', 'D', 'S'];
 const FIELD_WIDTH: usize = 16;
 const SATELLITES_LIMIT: usize = 999;
@@ -21,8 +21,8 @@ const TICK_NS: i64 = 100;
 
 /// Writes epochs of observations, tagged in GPS time, as RINEX 3.05.
 ///
-/// A value that rounds to zero reads as missing: RINEX has no other sign for that. Pseudoranges,
-/// phases, Dopplers and C/N0 keep three decimals, tags 100 ns.
+/// A value that rounds to zero is read as missing: RINEX has no zero. Pseudoranges, phases,
+/// Dopplers and C/N0 have three decimals, time tags a resolution of 100 ns.
 #[derive(Debug)]
 pub struct ObservationWriter<W> {
     output: W,
@@ -40,8 +40,8 @@ impl<W: Write> ObservationWriter<W> {
     /// Writes one epoch.
     ///
     /// # Errors
-    /// A signal that the header does not list, or a number too large for its columns; nothing of
-    /// the epoch is written then.
+    /// A signal that the header does not list, or a number too large for its columns. Then nothing
+    /// of the epoch is written.
     pub fn write_epoch(&mut self, epoch: &Epoch) -> Result<(), RinexWriteError> {
         self.text.clear();
         let satellites = epoch.by_satellite().count();
@@ -74,7 +74,7 @@ impl<W: Write> ObservationWriter<W> {
         Ok(())
     }
 
-    /// Flushes and gives the output back.
+    /// Flushes and returns the output.
     pub fn finish(mut self) -> Result<W, RinexWriteError> {
         self.output.flush()?;
         Ok(self.output)

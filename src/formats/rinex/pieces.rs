@@ -1,4 +1,4 @@
-//! Observation files that come in pieces, split anywhere.
+//! Observation files that arrive in chunks of any size.
 
 use std::io::{self, BufRead, ErrorKind, Read};
 use std::sync::Arc;
@@ -6,24 +6,24 @@ use std::sync::Arc;
 use super::{ObservationReader, RinexError, Skipped};
 use crate::gnss::Epoch;
 
-/// Longest header that is waited for (bytes).
+/// Longest accepted header (bytes).
 const HEADER_LIMIT: usize = 1 << 16;
 
-/// Reads a file as far as it has come. What is not whole yet waits for the pieces that follow.
+/// Reads a file as it arrives. Incomplete records wait for the chunks that follow.
 #[derive(Debug, Default)]
 pub struct PieceReader {
-    /// Once the header is whole.
+    /// The reader, once the header is complete.
     reader: Option<Box<ObservationReader<Arrived>>>,
-    /// The header, as long as it is not.
+    /// The bytes of the header while it is incomplete.
     head: Vec<u8>,
     header_bytes: usize,
 }
 
 impl PieceReader {
-    /// Takes over bytes.
+    /// Appends bytes.
     ///
     /// # Errors
-    /// A header that cannot be read.
+    /// The header cannot be read.
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), RinexError> {
         if let Some(reader) = &mut self.reader {
             reader.lines.input_mut().extend(bytes);
@@ -46,21 +46,21 @@ impl PieceReader {
         }
     }
 
-    /// Tells that no more bytes come: what is incomplete is taken as it is.
+    /// Ends the file: incomplete records are used as they are.
     pub fn finish(&mut self) {
         if let Some(reader) = &mut self.reader {
             reader.lines.input_mut().is_end = true;
         }
     }
 
-    /// Reads the next epoch into `epoch`; `false` where it has not come yet, or not whole.
+    /// Reads the next epoch into `epoch`; `false` if it has not arrived completely.
     ///
     /// # Errors
-    /// As [`ObservationReader::read_epoch`], and observation types that change inside the file:
-    /// who reads on later has only the header to go by.
+    /// As [`ObservationReader::read_epoch`], and observation types that change inside the file: a
+    /// reader that resumes later knows the header only.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
         let Some(reader) = &mut self.reader else { return Ok(false) };
-        // Taken back where the bytes end inside the epoch.
+        // Discarded if the bytes end inside the epoch.
         let mut attempt = reader.clone();
         match attempt.read_epoch(epoch) {
             Ok(is_read) => {
@@ -75,22 +75,22 @@ impl PieceReader {
         }
     }
 
-    /// Length of the header, zero before it is whole.
+    /// Length of the header (bytes); zero before it is complete.
     pub const fn header_bytes(&self) -> usize {
         self.header_bytes
     }
 
-    /// Whether it is CRINEX, which says of an epoch how it differs from all those before.
+    /// Whether the file is CRINEX, in which an epoch depends on all previous ones.
     pub fn is_compact(&self) -> bool {
         self.reader.as_ref().is_some_and(|reader| reader.is_compact())
     }
 
-    /// Bytes at the end that no epoch has taken.
+    /// Number of bytes at the end that belong to no epoch yet.
     pub fn untaken_bytes(&self) -> usize {
         self.reader.as_ref().map_or(self.head.len(), |reader| untaken(reader))
     }
 
-    /// What was left out since this was last asked for.
+    /// What was left out since the last call.
     pub fn take_skipped(&mut self) -> Skipped {
         self.reader.as_mut().map(|r| std::mem::take(&mut r.skipped)).unwrap_or_default()
     }
@@ -100,12 +100,12 @@ fn untaken(reader: &ObservationReader<Arrived>) -> usize {
     reader.lines.untaken() + reader.lines.input().rest()
 }
 
-/// Whether a reader stopped for want of bytes that may still come.
+/// Whether a reader stopped because bytes are missing that may still arrive.
 fn is_waiting(error: &RinexError) -> bool {
     matches!(error, RinexError::ReadFailed { source, .. } if source.kind() == ErrorKind::WouldBlock)
 }
 
-/// The bytes that have come. Clones share them and read on by themselves.
+/// The bytes that have arrived. Clones share them and have their own position.
 #[derive(Clone, Debug)]
 pub(super) struct Arrived {
     bytes: Arc<[u8]>,

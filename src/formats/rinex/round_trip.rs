@@ -1,4 +1,4 @@
-//! What is written reads back equal.
+//! Written files read back equal.
 
 use proptest::prelude::*;
 
@@ -66,7 +66,7 @@ fn observation() -> impl Strategy<Value = Observation> {
     )
 }
 
-/// Observations as a file has them: by satellite, then in the header's order, each once.
+/// Observations in file order: by satellite, then in the header's order, each once.
 fn epoch() -> impl Strategy<Value = Epoch> {
     let ticks = 0_i64..2_500_000_000_000_000;
     (ticks, any::<bool>(), proptest::collection::vec(observation(), 0..60)).prop_map(
@@ -103,7 +103,7 @@ fn read_back(bytes: &[u8]) -> (ObservationHeader, Vec<Epoch>, Skipped) {
     (reader.header().clone(), epochs, reader.skipped().clone())
 }
 
-/// A number as thirteen digits keep it.
+/// A number with thirteen significant digits.
 fn digits() -> impl Strategy<Value = f64> {
     (-9.99_f64..9.99, -14_i32..3)
         .prop_map(|(m, e)| format!("{:.12e}", m * 10_f64.powi(e)).parse().unwrap())
@@ -279,7 +279,7 @@ impl Random {
     }
 }
 
-/// Overwrites, removes, repeats and cuts bytes, with those that mean something more often.
+/// Overwrites, removes, repeats and cuts bytes, preferring bytes with a meaning.
 fn mutate(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     const LOADED: &[u8] = b"\n\r >&-.0123456789GRECJSDXEN\xff\x00";
     let mut mutated = bytes.to_vec();
@@ -303,7 +303,7 @@ fn mutate(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     mutated
 }
 
-/// Reads as both kinds; at most one epoch per line can come out of anything.
+/// Reads the bytes as both kinds; no more epochs than lines may result.
 fn survives(bytes: &[u8]) {
     let lines = bytes.iter().filter(|b| **b == b'\n').count() + 1;
     if let Ok(mut reader) = ObservationReader::new(bytes) {
@@ -372,7 +372,7 @@ E02 2019 06 06 22 40 00 6.366008892655E-05 1.733724275255E-12 0.000000000000E+00
      1.310720000000e+05
 ";
 
-/// Broken files of every form end, without a panic.
+/// Damaged files of every form are read without a panic.
 #[test]
 fn mutations_never_panic_nor_loop() {
     let observation = Observation {

@@ -1,35 +1,35 @@
-//! What a reader left out, counted, with the first places.
+//! Counts of what a reader left out, with the first lines.
 
-/// How many line numbers are kept for one reason.
+/// Number of line numbers stored for one reason.
 const PLACES_LIMIT: usize = 10;
-/// How many different reasons are kept; system letters could otherwise make many.
+/// Number of reasons stored; unknown system letters could produce many.
 const REASONS_LIMIT: usize = 64;
 
-/// Why something was left out.
+/// Why a part of a file was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SkipReason {
-    /// A satellite of a system that is not decoded.
+    /// The satellite system is not decoded.
     #[error("satellite system {0:?} is not decoded")]
     OtherConstellation(char),
-    /// A declared observation type that is unknown; its column is passed over.
-    #[error("unknown observation type, its column is passed over")]
+    /// An observation type is unknown; its column is skipped.
+    #[error("unknown observation type, its column is skipped")]
     UnknownObservationType,
-    /// A field that is no number.
+    /// A field is not a number.
     #[error("field is not a number")]
     MalformedValue,
-    /// A record whose satellite cannot be read.
-    #[error("record names no satellite")]
+    /// The satellite of a record cannot be read.
+    #[error("record without a valid satellite")]
     MalformedSatellite,
-    /// A satellite that the epoch already has.
+    /// The epoch already holds the satellite.
     #[error("satellite appears twice in the epoch")]
     DuplicateSatellite,
-    /// A satellite of a system for which the header declares no observation types.
+    /// The header declares no observation types for the satellite's system.
     #[error("no observation types are declared for the satellite's system")]
     UndeclaredConstellation,
-    /// An epoch line that cannot be read.
+    /// An epoch line cannot be read.
     #[error("malformed epoch line")]
     MalformedEpoch,
-    /// An epoch that states more satellites than there are.
+    /// An epoch states more satellites than exist.
     #[error("epoch states too many satellites")]
     TooManySatellites,
     /// The number of satellites differs from the stated one; those present are used.
@@ -38,53 +38,53 @@ pub enum SkipReason {
     /// The file ends inside the epoch.
     #[error("file ends inside the epoch")]
     TruncatedEpoch,
-    /// An event without observations (flags 2 to 5); its header records are applied.
+    /// An event without observations (flags 2 to 5). Its header records are applied.
     #[error("event record, flag {0}")]
     Event(u8),
     /// Records of repaired cycle slips (flag 6).
     #[error("cycle slip records, flag 6")]
     CycleSlipRecords,
-    /// A header record that cannot be read and is not needed to go on.
+    /// A header record cannot be read and is not required.
     #[error("malformed header record")]
     MalformedHeaderRecord,
-    /// A line that belongs to no epoch or record.
+    /// A line belongs to no epoch or record.
     #[error("line belongs to no record")]
     StrayLine,
-    /// A compact epoch whose differences lack what they refer to.
-    #[error("compact record refers to data that is not there")]
+    /// A compact epoch refers to a previous one that is missing.
+    #[error("compact record refers to missing data")]
     BrokenDifferences,
-    /// A navigation record that is incomplete or implausible.
+    /// A navigation record is incomplete or implausible.
     #[error("malformed navigation record")]
     MalformedEphemeris,
-    /// A navigation message that is not decoded.
+    /// The navigation message is not decoded.
     #[error("navigation message is not decoded")]
     OtherMessage,
 }
 
-/// One reason, how often and where.
+/// One reason, with count and first lines.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SkippedEntry {
-    /// Why.
+    /// Why parts were left out.
     pub reason: SkipReason,
-    /// How often.
+    /// How often this happened.
     pub count: u64,
     /// The first lines (from 1), at most ten.
     pub lines: Vec<u64>,
 }
 
-/// What a reader left out.
+/// Counts of what a reader left out, by reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Skipped {
     entries: Vec<SkippedEntry>,
 }
 
 impl Skipped {
-    /// All reasons met, in order of first appearance.
+    /// All reasons, in order of first appearance.
     pub fn entries(&self) -> &[SkippedEntry] {
         &self.entries
     }
 
-    /// How often a reason was met.
+    /// How often parts were left out for this reason.
     pub fn count(&self, reason: SkipReason) -> u64 {
         self.entries.iter().find(|e| e.reason == reason).map_or(0, |e| e.count)
     }

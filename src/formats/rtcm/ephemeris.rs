@@ -16,19 +16,19 @@ use crate::gnss::{
 /// FDMA channel by GLONASS slot, where known.
 pub(super) type GlonassChannels = [Option<i8>; 64];
 
-/// Weeks after which each system's count starts anew.
+/// Weeks after which the week counts of GPS, Galileo and BeiDou roll over.
 const WEEKS_GPS: i32 = 1024;
 const WEEKS_GALILEO: i32 = 4096;
 const WEEKS_BEIDOU: i32 = 8192;
-/// GPS weeks of the other counts' starts.
+/// GPS weeks in which the counts of Galileo and BeiDou start.
 const GALILEO_START: i32 = 1024;
 const BEIDOU_START: i32 = 1356;
 const HALF_WEEK_S: f64 = 302_400.0;
 const SECONDS_PER_WEEK: f64 = 604_800.0;
-/// An ephemeris is no further from the clock than this where a week is in doubt (s).
+/// Largest distance between an ephemeris and the clock, where the week is ambiguous (s).
 const NEAR_S: f64 = 86_400.0;
 
-/// Decodes the message behind its number.
+/// Decodes the message that follows its number.
 pub(super) fn decode(number: u16, mut bits: Bits<'_>, clock: &Clock) -> Result<Ephemeris, Refusal> {
     let ephemeris = match number {
         1019 => gps(&mut bits, clock).map(Ephemeris::Keplerian),
@@ -37,16 +37,16 @@ pub(super) fn decode(number: u16, mut bits: Bits<'_>, clock: &Clock) -> Result<E
         1044 => qzss(&mut bits, clock).map(Ephemeris::Keplerian),
         _ => galileo(&mut bits, clock, number == 1046).map(Ephemeris::Keplerian),
     };
-    // A message cut short is that before anything else.
+    // A truncated message is refused as such, whatever its content.
     bits.require_sound()?;
     let ephemeris = ephemeris?;
     if is_plausible(&ephemeris) { Ok(ephemeris) } else { Err(Refusal::ImplausibleEphemeris) }
 }
 
-/// The instant in a GPS week at a second of it (s).
+/// The instant of a GPS week and second of week (s).
 ///
-/// Messages give one week for transmission, toc and toe, so that near its end a week may be meant
-/// that is next to the one given: then the instant close to the clock is.
+/// A message has one week for transmission, toc and toe. Near the end of the week the instant may
+/// belong to the neighbouring one; then the instant close to the clock is taken.
 fn dated(week: i32, second: f64, clock: &Clock) -> GpsTime {
     let given = GpsTime::from_week_seconds(week, second);
     let Some(now) = clock.time() else { return given };
@@ -56,7 +56,7 @@ fn dated(week: i32, second: f64, clock: &Clock) -> GpsTime {
     if is_a_week_off { given + turn_s } else { given }
 }
 
-/// The GPS week of a count long enough to be unique without a clock.
+/// The GPS week of a count that is unique without a clock.
 fn long_week(count: u64, start: i32, modulus: i32, clock: &Clock) -> i32 {
     let week = count as i32 + start;
     clock.week(week as u64, modulus).unwrap_or(week)
@@ -103,7 +103,7 @@ fn qzss(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusa
     let af1 = bits.signed_scaled(16, per_power(43));
     let af0_s = bits.signed_scaled(22, per_power(31));
     let iode = bits.unsigned(8) as u32;
-    // The week stands behind the orbit, whose toe needs it.
+    // The week follows the orbit, whose toe needs it.
     let mut ahead = Bits::clone(bits);
     ahead.skip(QZSS_BITS_BEFORE_WEEK);
     let week = clock.week(ahead.unsigned(10), WEEKS_GPS)?;
@@ -132,10 +132,10 @@ fn qzss(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusa
     })
 }
 
-/// Orbit, its rates of node and inclination, and the codes on L2.
+/// Bits of the orbit, the rates of node and inclination, and the codes on L2.
 const QZSS_BITS_BEFORE_WEEK: usize = 8 * 16 + 6 * 32 + 24 + 14 + 2;
 
-/// C_rs to ω of GPS and QZSS, which have them in one order.
+/// Reads C_rs to ω, which GPS and QZSS have in the same order.
 fn orbit_gps(
     bits: &mut Bits<'_>,
     week: i32,
@@ -200,7 +200,7 @@ fn galileo(
     };
     let bgd_e5a_s = bits.signed_scaled(10, per_power(32));
     let bgd_e5b_s = is_inav.then(|| bits.signed_scaled(10, per_power(32)));
-    // The health word is RINEX's: data validity, then signal health, of E1-B, E5a and E5b.
+    // Health word as in RINEX: data validity, then signal health, of E1-B, E5a and E5b.
     let mut status = |place: u32| {
         let health = bits.unsigned(2) as u32;
         (health << 1 | bits.unsigned(1) as u32) << place
@@ -254,13 +254,13 @@ fn beidou(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refu
 /// BeiDou time is 14 s behind GPS time.
 const BEIDOU_LAG_S: f64 = 14.0;
 
-/// Days of four years, from which N_T counts.
+/// Number of days in four years; N_T counts in such intervals.
 const DAYS_OF_FOUR_YEARS: i64 = 1461;
 
 fn glonass(bits: &mut Bits<'_>, clock: &Clock) -> Result<GlonassEphemeris, Refusal> {
     let satellite = super::satellite(Constellation::Glonass, bits.unsigned(6))?;
     let channel = bits.unsigned(5) as i8 - 7;
-    // Almanac health, P1, t_k.
+    // Almanac health, P1 and t_k.
     bits.skip(2 + 2 + 12);
     let health = bits.unsigned(1) as u32;
     bits.skip(1);

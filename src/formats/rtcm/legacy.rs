@@ -9,28 +9,28 @@ use super::ephemeris::GlonassChannels;
 use super::lock::{LockTable, LockTime};
 use super::{Notes, ObservationMessage};
 
-/// A light-millisecond (m): the unit of GPS's whole part, of which GLONASS takes two.
+/// One light-millisecond (m), the unit of the whole part in GPS; GLONASS uses two.
 const LIGHT_MS_M: f64 = SPEED_OF_LIGHT * 1e-3;
 const RANGE_UNIT_M: f64 = 0.02;
 const PHASE_UNIT_M: f64 = 0.0005;
 const CN0_UNIT_DB_HZ: f64 = 0.25;
-/// Where the difference of phase and range rolls over (cycles); DF012.
+/// Roll-over of the difference of phase and range (cycles); DF012.
 const ROLLOVER_CYCLES: f64 = 1500.0;
-/// Least significant value of the 20-bit phase differences: none (DF012).
+/// Smallest value of the 20-bit phase difference: no phase (DF012).
 const NO_PHASE: i64 = -(1 << 19);
-/// Least value of the 14-bit range differences: none (DF017).
+/// Smallest value of the 14-bit range difference: no range (DF017).
 const NO_RANGE: i64 = -(1 << 13);
-/// Most satellites that are told apart, and the bands of each.
+/// Largest number of satellites, with two bands each.
 const SATELLITES: usize = 64;
 const BANDS: usize = 2;
-/// Numbers of SBAS satellites in GPS messages (DF009).
+/// Satellite numbers of SBAS in GPS messages (DF009).
 const SBAS: std::ops::RangeInclusive<u64> = 40..=58;
 
-/// What each signal's last message said.
+/// The last message of each signal.
 #[derive(Debug)]
 pub(super) struct LegacyState {
     locks: LockTable,
-    /// Phase less range (cycles), roll-overs undone.
+    /// Phase minus range (cycles), without roll-overs.
     differences: Vec<Option<f64>>,
 }
 
@@ -40,7 +40,7 @@ impl LegacyState {
         Self { locks: LockTable::new(places), differences: vec![None; places] }
     }
 
-    /// 1002, and 1004 where there is an L2.
+    /// Decodes 1002 and 1004, the latter with L2.
     pub(super) fn decode_gps(
         &mut self,
         mut bits: Bits<'_>,
@@ -68,7 +68,7 @@ impl LegacyState {
         Ok(ObservationMessage { station, time, more, is_msm: false, observations })
     }
 
-    /// 1010, and 1012 where there is an L2.
+    /// Decodes 1010 and 1012, the latter with L2.
     pub(super) fn decode_glonass(
         &mut self,
         mut bits: Bits<'_>,
@@ -140,7 +140,7 @@ impl LegacyState {
         observations
     }
 
-    /// The phase: range plus difference, carried on across roll-overs.
+    /// The phase: range plus difference, continuous across roll-overs.
     fn phase(
         &mut self,
         satellite: SatelliteId,
@@ -163,16 +163,16 @@ fn place(satellite: SatelliteId, band: usize) -> usize {
     (system * SATELLITES + usize::from(satellite.number) % SATELLITES) * BANDS + band
 }
 
-/// Whether more messages of the epoch follow, and how many satellites this one has.
+/// Whether more messages of the epoch follow, and the number of satellites in this one.
 fn tail(bits: &mut Bits<'_>) -> (bool, usize) {
     let more = bits.flag();
     let satellites = bits.unsigned(5) as usize;
-    // Smoothing.
+    // Smoothing indicator and interval.
     bits.skip(1 + 3);
     (more, satellites)
 }
 
-/// A satellite's part of a message.
+/// One satellite of a message.
 struct Record {
     satellite: Result<SatelliteId, Refusal>,
     channel: Option<i8>,
@@ -180,19 +180,19 @@ struct Record {
     l2: Option<Second>,
 }
 
-/// One signal, what it refers to resolved.
+/// One signal, with its references resolved.
 struct Part {
     code: ObservationCode,
     range_m: Option<f64>,
-    /// The L1 pseudorange, which phases of both bands refer to (m).
+    /// The L1 pseudorange, to which the phases of both bands refer (m).
     reference_m: f64,
-    /// Phase less that pseudorange (m).
+    /// Phase minus that pseudorange (m).
     difference_m: Option<f64>,
     lock: u64,
     cn0: u64,
 }
 
-/// The L1 fields.
+/// Fields of L1.
 struct First {
     part: Part,
     channel: Option<i8>,
@@ -225,7 +225,7 @@ impl First {
     }
 }
 
-/// The L2 fields, which refer to the L1 pseudorange.
+/// Fields of L2, which refer to the L1 pseudorange.
 struct Second {
     code: ObservationCode,
     range_difference: i64,

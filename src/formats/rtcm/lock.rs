@@ -1,8 +1,8 @@
-//! From lock time indicators to loss of lock.
+//! Loss of lock from lock time indicators.
 
 use crate::gnss::GpsTime;
 
-/// Lock times that an indicator stands for: from `least_ms` to below `below_ms`.
+/// Range of lock times of an indicator: from `least_ms` to below `below_ms`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct LockTime {
     pub(super) least_ms: u64,
@@ -10,7 +10,7 @@ pub(super) struct LockTime {
 }
 
 impl LockTime {
-    /// DF013 and its likes, seven bits in seconds.
+    /// The seven-bit indicator of DF013 and similar fields, in seconds.
     pub(super) const fn of_legacy(indicator: u64) -> Self {
         let least_s = Self::legacy_s(indicator);
         let below_ms =
@@ -30,14 +30,14 @@ impl LockTime {
         }
     }
 
-    /// DF402, four bits: 0, then 32 ms doubling.
+    /// The four-bit indicator of DF402: 0, then powers of two from 32 ms.
     pub(super) const fn of_four_bits(indicator: u64) -> Self {
         let least_ms = if indicator == 0 { 0 } else { 16 << indicator };
         let below_ms = if 15 <= indicator { u64::MAX } else { 32 << indicator };
         Self { least_ms, below_ms }
     }
 
-    /// DF407, ten bits: steps of 1 ms to 64 ms, then of a power of two for each 32 indicators.
+    /// The ten-bit indicator of DF407: 1 ms up to 64 ms, then steps that double every 32 values.
     pub(super) const fn of_ten_bits(indicator: u64) -> Self {
         let below_ms = if 704 <= indicator { u64::MAX } else { Self::ten_bits_ms(indicator + 1) };
         Self { least_ms: Self::ten_bits_ms(indicator), below_ms }
@@ -47,7 +47,7 @@ impl LockTime {
         if indicator < 64 {
             return indicator;
         }
-        // 704 is the last; 705 to 1023 are reserved and taken as it.
+        // 704 is the last value; 705 to 1023 are reserved and treated as 704.
         let indicator = if 704 < indicator { 704 } else { indicator };
         let power = (indicator - 32) / 32;
         (indicator - 32 * power) << power
@@ -65,8 +65,8 @@ impl LockTable {
         Self { last: vec![None; signals] }
     }
 
-    /// Whether lock may have been lost since the last phase of this signal, which this one becomes;
-    /// so it may for the first.
+    /// Whether lock may have been lost since the last phase of the signal, and stores this phase;
+    /// true for its first phase.
     pub(super) fn is_lost(&mut self, signal: usize, time: GpsTime, now: LockTime) -> bool {
         match self.last[signal].replace((time, now)) {
             None => true,

@@ -1,21 +1,22 @@
-//! RTCM 3 messages, told apart and decoded one by one; frames are the `receiver` module's matter.
+//! Decodes RTCM 3 messages. Frames belong to the `receiver` module.
 //!
 //! Decoded: observations 1002, 1004, 1010, 1012 and MSM4 to MSM7 of GPS, GLONASS, Galileo, QZSS and
 //! BeiDou; ephemerides 1019, 1020, 1042, 1044, 1045, 1046; stations 1005 to 1008, 1033, 1230; the
 //! times of 1013 and 1029. Refused, with a reason: 1001, 1003, 1009, 1011 and MSM1 to MSM3, whose
-//! ranges lack their whole light-milliseconds, and MSM of other systems. The rest is passed over.
+//! ranges lack their whole light-milliseconds, and MSM of other systems. All other messages are
+//! skipped.
 //!
-//! This decoder is Graphfix's own: the messages are a closed set, while `rtcm-rs` 0.11 refuses a
-//! whole MSM for one signal that its table lacks and costs every build 79 s.
+//! This decoder is Graphfix's own. The crate `rtcm-rs` 0.11 refuses a whole MSM if its table lacks
+//! one signal, and adds 79 s to every build.
 //!
-//! Choices where the standard leaves one:
-//! - *Loss of lock* is told where a signal appears first, where its lock time fell below the last
-//!   one, and where it cannot reach back to that. That it grows slower than the clock tells
-//!   nothing: receivers let it saturate.
-//! - The code-phase difference of 1002, 1004, 1010 and 1012 rolls over by 1500 cycles (DF012); the
-//!   phase is carried on across it.
-//! - BeiDou epochs are given in BeiDou time. A message labelled just as an epoch that announced
-//!   more messages is of that epoch: receivers from before the standard label it in GPS time.
+//! Interpretation where the standard is ambiguous:
+//! - *Loss of lock* is reported when a signal first appears, when its lock time is below the
+//! previous one, and when the lock time is shorter than the interval since the previous phase. A
+//! lock time that grows more slowly than time is no sign: receivers let it saturate.
+//! - The phase difference of 1002, 1004, 1010 and 1012 rolls over by 1500 cycles (DF012); the
+//! decoded phase is continuous across it.
+//! - BeiDou epochs are in BeiDou time. A message with the same time tag as an epoch that announced
+//! more messages belongs to that epoch: older receivers use GPS time.
 //! - GLONASS phase and Doppler need the channel, from MSM5, MSM7, 1010, 1012, 1020 or the caller.
 //!
 //! Source: RTCM 10403.3 (2016), with the BeiDou and QZSS signals of its amendments as RINEX 3.05
@@ -38,18 +39,18 @@ use legacy::LegacyState;
 use lock::LockTable;
 use msm::{Memory, MsmKind};
 
-/// What a message says.
+/// The content of a message.
 #[derive(Debug)]
 pub(in crate::formats) enum Message {
     Observations(ObservationMessage),
     Ephemeris(Ephemeris),
-    /// The station is not what it was.
+    /// The station's description changed.
     Station(Station),
     /// Observations of a system that is not decoded.
     OtherSystem {
         ends_epoch: bool,
     },
-    /// Nothing that was not known.
+    /// No new content.
     Nothing,
 }
 
@@ -58,24 +59,24 @@ pub(in crate::formats) enum Message {
 pub(in crate::formats) struct ObservationMessage {
     pub(in crate::formats) station: u16,
     pub(in crate::formats) time: GpsTime,
-    /// More messages of the epoch follow.
+    /// Whether more messages of the epoch follow.
     pub(in crate::formats) more: bool,
-    /// MSM rather than one of the older messages.
+    /// Whether the source is MSM, not one of the older messages.
     pub(in crate::formats) is_msm: bool,
     pub(in crate::formats) observations: Vec<Observation>,
 }
 
-/// Where parts of a message that are left out are told.
+/// Receives the reason for each part of a message that is left out.
 pub(in crate::formats) type Notes<'a> = &'a mut dyn FnMut(Refusal);
 
-/// What messages need of those before them.
+/// State of the decoder between messages.
 #[derive(Debug)]
 pub(in crate::formats) struct Decoder {
     locks: LockTable,
     legacy: LegacyState,
     channels: GlonassChannels,
     station: Station,
-    /// The epoch whose last message announced more.
+    /// The epoch for which the last message announced more messages.
     open_epoch: Option<GpsTime>,
 }
 
@@ -90,7 +91,7 @@ impl Decoder {
         }
     }
 
-    /// Tells the channel of a GLONASS slot.
+    /// Sets the channel of a GLONASS slot.
     pub(in crate::formats) fn set_glonass_channel(&mut self, slot: u8, channel: i8) {
         if let Some(known) = self.channels.get_mut(usize::from(slot)) {
             *known = Some(channel);
@@ -154,7 +155,7 @@ impl Decoder {
         Ok(Some(message))
     }
 
-    /// The message, its time having become the newest known.
+    /// Completes the message and makes its time the newest known one.
     fn observed(&mut self, message: ObservationMessage, clock: &mut Clock) -> Message {
         clock.set(message.time);
         self.open_epoch = message.more.then_some(message.time);
@@ -168,7 +169,7 @@ pub(in crate::formats) fn message_number(payload: &[u8]) -> Option<u16> {
     Some(u16::from(first) << 4 | u16::from(second) >> 4)
 }
 
-/// The satellite of a number, where the constellation has one so numbered.
+/// The satellite with this number, if the constellation has it.
 fn satellite(
     constellation: Constellation,
     number: u64,

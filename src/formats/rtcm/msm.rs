@@ -1,7 +1,7 @@
 //! Multiple signal messages, MSM4 to MSM7; RTCM 10403.3, 3.5.16.
 //!
-//! Ranges are sums: whole light-milliseconds and their 1024ths of the satellite, and a fine part of
-//! the signal. A value is missing where its field is the most negative one.
+//! A range is a sum: whole light-milliseconds and 1024ths of one for the satellite, and a fine part
+//! for the signal. A value is missing if its field has the most negative value.
 
 use crate::formats::binary::{Bits, Clock, Refusal};
 use crate::gnss::constants::SPEED_OF_LIGHT;
@@ -12,51 +12,51 @@ use super::lock::{LockTable, LockTime};
 use super::msm_signals::code;
 use super::{Notes, ObservationMessage};
 
-/// Satellite numbers of a mask.
+/// Number of satellites in a mask.
 const SATELLITES: usize = 64;
-/// Signal numbers of a mask.
+/// Number of signals in a mask.
 const SIGNALS: usize = 32;
-/// Most cells of a message.
+/// Largest number of cells in a message.
 const CELLS: usize = 64;
-/// Places of a table of lock times.
+/// Size of a table of lock times.
 pub(super) const LOCKS: usize = Constellation::COUNT * SATELLITES * SIGNALS;
 
 const MESSAGE_BITS: usize = 12;
-/// A light-millisecond (m).
+/// One light-millisecond (m).
 const LIGHT_MS_M: f64 = SPEED_OF_LIGHT * 1e-3;
 /// BeiDou time is 14 s behind GPS time.
 const BEIDOU_LAG_S: f64 = 14.0;
-/// Day of the week that is not stated (DF416).
+/// Value of an unknown day of week (DF416).
 const UNKNOWN_DAY: u64 = 7;
-/// Whole light-milliseconds that are missing (DF397).
+/// Value of missing whole light-milliseconds (DF397).
 const NO_ROUGH_RANGE: i64 = 255;
-/// Extended information without a channel (DF419); channels −7 … 6 are 0 … 13.
+/// Value of the extended information without a channel (DF419); 0 … 13 are channels −7 … 6.
 const NO_CHANNEL: i64 = 15;
 
-/// Which multiple signal message.
+/// Type of a multiple signal message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MsmKind {
     constellation: Constellation,
     fields: &'static SignalFields,
-    /// Extended information and range rates: MSM5 and MSM7.
+    /// Whether the message has extended information and range rates: MSM5 and MSM7.
     has_rates: bool,
 }
 
-/// Widths and units of signal data.
+/// Widths and units of the signal fields.
 #[derive(Debug)]
 struct SignalFields {
     range_bits: u32,
-    /// Units in a light-millisecond.
+    /// Number of units in one light-millisecond.
     range_units: f64,
     phase_bits: u32,
     phase_units: f64,
     lock_bits: u32,
     cn0_bits: u32,
-    /// dB-Hz.
+    /// Unit of C/N0 (dB-Hz).
     cn0_unit: f64,
 }
 
-/// DF400 to DF403.
+/// Fields DF400 to DF403.
 const STANDARD: SignalFields = SignalFields {
     range_bits: 15,
     range_units: (1_u64 << 24) as f64,
@@ -67,7 +67,7 @@ const STANDARD: SignalFields = SignalFields {
     cn0_unit: 1.0,
 };
 
-/// DF405 to DF408.
+/// Fields DF405 to DF408.
 const EXTENDED: SignalFields = SignalFields {
     range_bits: 20,
     range_units: (1_u64 << 29) as f64,
@@ -79,11 +79,11 @@ const EXTENDED: SignalFields = SignalFields {
 };
 
 const RATE_BITS: u32 = 15;
-/// DF404 (m/s).
+/// Unit of DF404 (m/s).
 const FINE_RATE_M_S: f64 = 1e-4;
 
 impl MsmKind {
-    /// The kind of a message number; `None` for other messages.
+    /// The type of a message number; `None` for other messages.
     pub(super) const fn of(number: u16) -> Option<Result<Self, Refusal>> {
         if !matches!(number, 1071..=1137) {
             return None;
@@ -108,8 +108,8 @@ impl MsmKind {
     }
 }
 
-/// Whether a message is the MSM of a system that is not decoded, SBAS or NavIC; and if so, whether
-/// it is the last of its epoch, which then is complete.
+/// Whether a message is the MSM of a system that is not decoded (SBAS, NavIC); if so, whether it is
+/// the last message of its epoch.
 pub(super) fn of_other_system(number: u16, mut bits: Bits<'_>) -> Option<bool> {
     let is_other = matches!(number / 10, 110 | 113) && matches!(number % 10, 1..=7);
     bits.skip(12 + 30);
@@ -117,7 +117,7 @@ pub(super) fn of_other_system(number: u16, mut bits: Bits<'_>) -> Option<bool> {
     is_other.then_some(!more && bits.require_sound().is_ok())
 }
 
-/// What stands before the masks.
+/// The fields before the masks.
 struct Header {
     station: u16,
     time: GpsTime,
@@ -145,7 +145,7 @@ impl Header {
             _ => clock.of_week(bits.unsigned(30))?,
         };
         let more = bits.flag();
-        // Issue of station, reserved, clock steering, external clock, smoothing.
+        // Issue of station, reserved, clock steering, external clock and smoothing.
         bits.skip(3 + 7 + 2 + 2 + 1 + 3);
         Ok(Self { station, time, more })
     }
@@ -154,15 +154,15 @@ impl Header {
 /// One signal of one satellite.
 #[derive(Clone, Copy, Default)]
 struct Cell {
-    /// Row of the satellite data.
+    /// Index of its satellite in the satellite data.
     row: u8,
-    /// Number of the signal.
+    /// Number of the signal in the mask.
     signal: u8,
 }
 
-/// Who is in the message.
+/// Satellites and signals of the message.
 struct Masks {
-    /// Numbers of the satellites, by row.
+    /// Satellite numbers by index.
     satellites: [u8; SATELLITES],
     rows: usize,
     cells: [Cell; CELLS],
@@ -193,7 +193,7 @@ impl Masks {
     }
 }
 
-/// The numbers (from 1) of the bits that are set, from the most significant on; how many.
+/// Writes the numbers (from 1) of the set bits, from the most significant one; returns their count.
 fn numbers(mask: u64, out: &mut [u8]) -> usize {
     let mut left = mask;
     let mut count = 0;
@@ -206,7 +206,7 @@ fn numbers(mask: u64, out: &mut [u8]) -> usize {
     count
 }
 
-/// The parts that the signals of a satellite have in common, by row.
+/// The fields common to the signals of a satellite, by index.
 struct SatelliteData {
     rough_ms: [i64; SATELLITES],
     extended: [i64; SATELLITES],
@@ -229,7 +229,7 @@ impl SatelliteData {
         }
     }
 
-    /// Range (light-milliseconds).
+    /// Rough range (light-milliseconds).
     fn rough_range_ms(&self, row: usize) -> Option<f64> {
         let whole = self.rough_ms[row];
         (whole != NO_ROUGH_RANGE).then(|| whole as f64 + self.rough_1024th_ms[row] as f64 / 1024.0)
@@ -240,7 +240,7 @@ impl SatelliteData {
     }
 }
 
-/// The parts of each signal, by cell.
+/// The fields of each signal, by cell.
 struct CellData {
     fine_range: [i64; CELLS],
     fine_phase: [i64; CELLS],
@@ -268,7 +268,7 @@ impl CellData {
     }
 }
 
-/// One field of all rows or cells, which stand together.
+/// Reads one field of all satellites or cells, which are consecutive.
 fn column<const N: usize>(
     bits: &mut Bits<'_>,
     count: usize,
@@ -281,12 +281,12 @@ fn column<const N: usize>(
     values
 }
 
-/// A field's value, unless it is the most negative one of its width.
+/// The value of a field; `None` for the most negative one of its width.
 const fn present(value: i64, width: u32) -> Option<i64> {
     if value == -1 << (width - 1) { None } else { Some(value) }
 }
 
-/// A message in the making.
+/// The data of a message while its observations are built.
 struct Measurements<'a> {
     kind: MsmKind,
     satellites: &'a SatelliteData,
@@ -294,7 +294,7 @@ struct Measurements<'a> {
 }
 
 impl Measurements<'_> {
-    /// What the signal of a cell measured; nothing of its lock.
+    /// The observation of a cell, without its loss of lock.
     fn observation(
         &self,
         (row, cell): (usize, usize),
@@ -341,7 +341,7 @@ impl Measurements<'_> {
     }
 }
 
-/// Decodes a message, its number included in `payload`.
+/// Decodes a message; `payload` includes the message number.
 pub(super) fn decode(
     payload: &[u8],
     kind: MsmKind,
@@ -392,11 +392,11 @@ pub(super) fn decode(
     Ok(ObservationMessage { station, time, more, is_msm: true, observations })
 }
 
-/// What messages tell those after them.
+/// State of the decoder between messages.
 pub(super) struct Memory<'a> {
     pub(super) locks: &'a mut LockTable,
     pub(super) channels: &'a mut GlonassChannels,
-    /// The epoch whose last message announced more.
+    /// The epoch for which the last message announced more messages.
     pub(super) open_epoch: Option<GpsTime>,
 }
 

@@ -1,11 +1,11 @@
-//! The signals of MSM: number in the signal mask to RINEX code.
+//! Signals of MSM: number in the signal mask to RINEX code.
 //!
 //! RTCM 10403.3, tables 3.5-91 (GPS), 3.5-96 (GLONASS), 3.5-99 (Galileo), 3.5-105 (QZSS), 3.5-108
 //! (BeiDou), with the BeiDou-3 signals of the standard's later amendments.
 
 use crate::gnss::{Constellation, ObservationCode};
 
-/// Codes by number, 1 … 32; blank where the number is reserved.
+/// Codes by number, 1 … 32; blank for reserved numbers.
 type Table = [&'static [u8; 2]; 32];
 
 const NONE: &[u8; 2] = b"  ";
@@ -98,7 +98,7 @@ const fn table(entries: &[(usize, &'static [u8; 2])]) -> Table {
     table
 }
 
-/// The code of signal `number` (1 … 32), if the table has it.
+/// The code of signal `number` (1 … 32), if the table has one.
 pub(super) const fn code(constellation: Constellation, number: u8) -> Option<ObservationCode> {
     let table = match constellation {
         Constellation::Gps => &GPS,

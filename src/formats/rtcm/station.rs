@@ -1,4 +1,4 @@
-//! What messages tell of the station: 1005 to 1008, 1033, 1230, and the times of 1013 and 1029.
+//! Station messages 1005 to 1008, 1033 and 1230, and the times of 1013 and 1029.
 
 use crate::formats::binary::{Bits, Clock, Refusal};
 use nalgebra::Vector3;
@@ -7,7 +7,7 @@ use crate::gnss::{BaseSite, Ecef, Enu, GpsTime, LocalFrame, PositionSource};
 
 const COORDINATE_UNIT_M: f64 = 1e-4;
 const BIAS_UNIT_M: f64 = 0.02;
-/// A GLONASS bias that is not given.
+/// Value of a missing GLONASS bias.
 const NO_BIAS: i64 = -(1 << 15);
 /// Longest descriptor (characters); DF029.
 const DESCRIPTOR_LIMIT: u64 = 31;
@@ -15,33 +15,33 @@ const DESCRIPTOR_LIMIT: u64 = 31;
 const GPS_EPOCH_MJD: i64 = 44_244;
 const SECONDS_PER_DAY: i64 = 86_400;
 
-/// The station that sends, as far as its messages have told.
+/// The transmitting station, as described by its messages so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Station {
-    /// Its number.
+    /// Reference station number.
     pub id: u16,
     /// Antenna reference point, ECEF (m).
     pub antenna_reference_point: Option<Ecef>,
-    /// The point does not exist but stands for a network's data (DF141).
+    /// Whether the station is virtual: a point for which a network computes data (DF141).
     pub is_virtual: bool,
     /// Antenna reference point above the marker (m), from 1006.
     pub antenna_height_m: Option<f64>,
-    /// IGS name of antenna and radome, empty where not told.
+    /// IGS name of antenna and radome; empty if unknown.
     pub antenna: String,
-    /// Serial number of the antenna, empty where not told.
+    /// Serial number of the antenna; empty if unknown.
     pub antenna_serial: String,
-    /// Type of the receiver, empty where not told.
+    /// Receiver type; empty if unknown.
     pub receiver: String,
-    /// Firmware of the receiver, empty where not told.
+    /// Firmware of the receiver; empty if unknown.
     pub receiver_firmware: String,
-    /// Serial number of the receiver, empty where not told.
+    /// Serial number of the receiver; empty if unknown.
     pub receiver_serial: String,
-    /// GLONASS code-phase biases of 1C, 1P, 2C and 2P (m), where 1230 tells them.
+    /// GLONASS code-phase biases of 1C, 1P, 2C and 2P (m), from 1230.
     pub glonass_biases_m: [Option<f64>; 4],
 }
 
 impl Station {
-    /// Where it stands, once a message has told.
+    /// The station's position, once a message has given it.
     pub fn site(&self) -> Option<BaseSite> {
         let point = self.antenna_reference_point?;
         let height_m = self.antenna_height_m.unwrap_or(0.0);
@@ -54,7 +54,7 @@ impl Station {
         })
     }
 
-    /// Takes over a message; another station's number starts anew.
+    /// Applies a message; another station number clears the description.
     pub(super) fn update(&mut self, number: u16, mut bits: Bits<'_>) -> Result<(), Refusal> {
         let id = bits.unsigned(12) as u16;
         let mut updated = if id == self.id { self.clone() } else { Self::default() };
@@ -70,7 +70,7 @@ impl Station {
     }
 
     fn read_position(&mut self, bits: &mut Bits<'_>, has_height: bool) {
-        // Realisation year and the constellations served.
+        // Realisation year and the constellations in use.
         bits.skip(6 + 3);
         self.is_virtual = bits.flag();
         let x = bits.signed_scaled(38, COORDINATE_UNIT_M);
@@ -78,7 +78,7 @@ impl Station {
         let y = bits.signed_scaled(38, COORDINATE_UNIT_M);
         bits.skip(2);
         let z = bits.signed_scaled(38, COORDINATE_UNIT_M);
-        // A station that does not know its place sends the geocentre.
+        // A station that does not know its position sends zeros.
         let is_known = [x, y, z] != [0.0; 3];
         self.antenna_reference_point = is_known.then(|| Ecef::new(x, y, z));
         if has_height {
@@ -88,7 +88,7 @@ impl Station {
 
     fn read_descriptors(&mut self, bits: &mut Bits<'_>, number: u16) -> Result<(), Refusal> {
         self.antenna = text(bits)?;
-        // Setup.
+        // Antenna setup number.
         bits.skip(8);
         if number != 1007 {
             self.antenna_serial = text(bits)?;
@@ -111,7 +111,7 @@ impl Station {
     }
 }
 
-/// A count and that many characters of ISO 8859-1, blanks around them dropped.
+/// Reads a count and that many characters of ISO 8859-1, without surrounding blanks.
 fn text(bits: &mut Bits<'_>) -> Result<String, Refusal> {
     let length = bits.unsigned(8);
     if DESCRIPTOR_LIMIT < length {
@@ -121,8 +121,8 @@ fn text(bits: &mut Bits<'_>) -> Result<String, Refusal> {
     Ok(text.trim_matches(|c: char| c.is_whitespace() || c == '\0').to_owned())
 }
 
-/// Takes over the time of 1013 or 1029, which give it in full, where none is known yet: modified
-/// Julian day and second of day, UTC.
+/// Sets the clock from 1013 or 1029, which carry a complete time (modified Julian day and second of
+/// day, UTC), if no time is known yet.
 pub(super) fn take_time(mut bits: Bits<'_>, clock: &mut Clock) -> Result<(), Refusal> {
     bits.skip(12);
     let (day, second) = (bits.unsigned(16) as i64, bits.unsigned(17) as i64);

@@ -1,7 +1,7 @@
 //! D1 and D2 subframes of BeiDou on B1I, B2I and B3I; BDS-SIS-ICD-B1I-3.0, 5.
 //!
-//! The receiver gives ten words of 30 bits, their interleaving undone. Neither message has an issue
-//! that ties its parts together; the seconds of week of their starts do.
+//! The receiver gives ten deinterleaved words of 30 bits. Neither message has an issue that
+//! connects its parts; their times (seconds of week) do.
 
 use crate::formats::binary::{Bits, Clock, Ionosphere, Refusal};
 use crate::formats::broadcast::{SEMICIRCLE_RAD, blank, legacy_ura_m, nearest_second, per_power};
@@ -11,15 +11,15 @@ use crate::gnss::{
 
 use super::broadcast::{Broadcast, klobuchar};
 
-/// Data of a subframe without parity: 26 bits of the first word, 22 of nine others.
+/// Bytes of a subframe without parity: 26 bits of the first word, 22 of each other word.
 const DATA_BYTES: usize = 28;
-/// Preamble, reserved bits.
+/// Bits of preamble and reserved field.
 const BEFORE_NUMBER: usize = 15;
-/// Behind preamble, reserved bits, number and second of week.
+/// Bits before the data: preamble, reserved field, subframe number and second of week.
 const AFTER_SECOND: usize = 38;
-/// Behind the page number of D2.
+/// Bits before the data of a D2 page: also the page number.
 const AFTER_PAGE: usize = 42;
-/// From a subframe of D1, and from a page of D2, to the next (s).
+/// Interval between subframes of D1 and between pages of D2 (s).
 const D1_STEP_S: u64 = 6;
 const D2_STEP_S: u64 = 3;
 const PAGES: usize = 10;
@@ -32,7 +32,7 @@ const BCH: u32 = 0b1_0011;
 
 type Data = [u8; DATA_BYTES];
 
-/// The subframes, or pages of subframe 1, of one satellite.
+/// The subframes, or the pages of subframe 1, of one satellite.
 #[derive(Debug, Default)]
 pub(super) struct Collector {
     parts: [Option<Data>; PAGES],
@@ -62,7 +62,7 @@ impl Collector {
         Ok(self.of_d1(satellite, clock))
     }
 
-    /// The parts from the first on, where they were sent one after another.
+    /// The parts from the first on, if they were sent consecutively.
     fn consecutive<const N: usize>(&self, step_s: u64) -> Option<[Data; N]> {
         let first = self.parts[0].as_ref()?;
         let mut joined = [*first; N];
@@ -110,7 +110,7 @@ impl Collector {
         Broadcast { ephemeris, ionosphere, leap_seconds: None }
     }
 
-    /// Figures 5-18-1 to 5-18-10: pages 3 to 10 continue one another.
+    /// Figures 5-18-1 to 5-18-10; pages 3 to 10 form one sequence.
     fn of_d2(&self, satellite: SatelliteId, clock: &Clock) -> Broadcast {
         let Some(pages) = self.consecutive::<PAGES>(D2_STEP_S) else {
             return Broadcast::default();
@@ -156,7 +156,7 @@ impl Collector {
     }
 }
 
-/// The words' data bits one behind the other; `None` if one fails its parity.
+/// The data bits of the words, joined; `None` if a word fails its parity.
 fn data(words: &[u32; 10]) -> Option<Data> {
     let mut joined = [0; DATA_BYTES];
     let mut place = 0;
@@ -169,13 +169,13 @@ fn data(words: &[u32; 10]) -> Option<Data> {
     for (index, word) in words.iter().enumerate() {
         let word = word & 0x3fff_ffff;
         if index == 0 {
-            // The first 15 bits of a subframe are not coded.
+            // The first 15 bits of a subframe have no code.
             if !is_codeword(word & 0x7fff) {
                 return None;
             }
             push(word >> 4, 26);
         } else {
-            // Two code words, their interleaving undone: data of both, then parity of both.
+            // Two code words, deinterleaved: data of both, then parity of both.
             let first = word >> 15 & 0x7ff0 | word >> 4 & 0xf;
             let second = word >> 4 & 0x7ff0 | word & 0xf;
             if !is_codeword(first) || !is_codeword(second) {
@@ -187,7 +187,7 @@ fn data(words: &[u32; 10]) -> Option<Data> {
     Some(joined)
 }
 
-/// Whether the 15 bits are a word of BCH(15, 11, 1).
+/// Whether the 15 bits are a code word of BCH(15, 11, 1).
 fn is_codeword(word: u32) -> bool {
     let remainder = (4..15)
         .rev()
@@ -195,7 +195,7 @@ fn is_codeword(word: u32) -> bool {
     remainder == 0
 }
 
-/// Second of the BeiDou week at which a subframe began.
+/// Second of the BeiDou week at the start of a subframe.
 fn second(data: &Data) -> u64 {
     Bits::starting_at(data, BEFORE_NUMBER + 3).unsigned(20)
 }
@@ -208,12 +208,12 @@ fn rate() -> f64 {
     per_power(43) * SEMICIRCLE_RAD
 }
 
-/// In units of 2⁻⁶⁶.
+/// Reads a_f2, in units of 2⁻⁶⁶.
 fn af2_per_s(bits: &mut Bits<'_>) -> f64 {
     bits.signed(11) as f64 * (per_power(33) * per_power(33))
 }
 
-/// Health, age of clock, accuracy.
+/// Reads health, age of clock and accuracy.
 fn status(
     satellite: SatelliteId,
     message: NavigationMessage,
@@ -225,7 +225,7 @@ fn status(
     KeplerianEphemeris { health, iodc, accuracy_m, ..blank(satellite, message, GpsTime::EPOCH) }
 }
 
-/// Week, toc and group delays. The count of weeks is unique to 2163, so that no clock is needed.
+/// Reads week, toc and group delays. The week count is unique until 2163, so no clock is needed.
 fn dated(ephemeris: &mut KeplerianEphemeris, first: &Data, bits: &mut Bits<'_>, clock: &Clock) {
     let week = bits.unsigned(13) as i32 + FIRST_WEEK;
     let week = clock.week(week as u64, WEEKS).unwrap_or(week);
@@ -238,13 +238,13 @@ fn dated(ephemeris: &mut KeplerianEphemeris, first: &Data, bits: &mut Bits<'_>, 
     };
 }
 
-/// Fields that run on from one part into the next.
+/// A bit reader for fields that continue in the next part.
 struct Joined {
     bytes: [u8; 64],
 }
 
 impl Joined {
-    /// So many bits from a place of each part.
+    /// Joins a number of bits from a position of each part.
     fn new<const N: usize>(parts: [(&Data, usize, usize); N]) -> Self {
         let mut bytes = [0; 64];
         let mut place = 0;

@@ -1,4 +1,4 @@
-//! What satellites' messages say, and the fields that several of them have.
+//! Content of navigation messages, and fields that several of them share.
 
 use crate::formats::binary::{Bits, Clock, Ionosphere};
 use crate::formats::broadcast::per_power;
@@ -6,7 +6,7 @@ use crate::gnss::{Ephemeris, GpsTime, KlobucharCoefficients};
 
 const SECONDS_PER_DAY: f64 = 86_400.0;
 
-/// What a subframe, page or string made known.
+/// The result of a subframe, page or string.
 #[derive(Debug, Default)]
 pub(in crate::formats) struct Broadcast {
     pub(in crate::formats) ephemeris: Option<Ephemeris>,
@@ -16,14 +16,14 @@ pub(in crate::formats) struct Broadcast {
 }
 
 impl Broadcast {
-    /// An ephemeris and nothing else.
+    /// A result that holds an ephemeris only.
     pub(super) fn of(ephemeris: Ephemeris) -> Self {
         Self { ephemeris: Some(ephemeris), ..Self::default() }
     }
 }
 
-/// Eight bits each of α_0 … α_3 and β_0 … β_3; IS-GPS-200N, table 20-X; BDS-SIS-ICD-B1I-3.0, table
-/// 5-7. All zero means that none are broadcast.
+/// Reads eight bits each of α_0 … α_3 and β_0 … β_3; IS-GPS-200N, table 20-X; BDS-SIS-ICD-B1I-3.0,
+/// table 5-7. All zero means that none are broadcast.
 pub(super) fn klobuchar(bits: &mut Bits<'_>) -> Option<KlobucharCoefficients> {
     let mut four = |units: [f64; 4]| units.map(|unit| bits.signed_scaled(8, unit));
     let alpha = four([per_power(30), per_power(27), per_power(24), per_power(24)]);
@@ -31,10 +31,11 @@ pub(super) fn klobuchar(bits: &mut Bits<'_>) -> Option<KlobucharCoefficients> {
     ([alpha, beta] != [[0.0; 4]; 2]).then_some(KlobucharCoefficients { alpha, beta })
 }
 
-/// Leap seconds in force: Δt_LS, the week (modulo 256) and day at whose end Δt_LSF follows, and
-/// Δt_LSF, in fields of `widths`; IS-GPS-200N, 20.3.3.5.2.4; Galileo OS SIS ICD 2.1, 5.1.7.
+/// Reads the leap seconds in force from Δt_LS, the week (modulo 256) and day at whose end Δt_LSF
+/// takes effect, and Δt_LSF, in fields of `widths`; IS-GPS-200N, 20.3.3.5.2.4; Galileo OS SIS ICD
+/// 2.1, 5.1.7.
 ///
-/// `None` where the clock cannot tell which of two different values holds.
+/// `None` if the values differ and the clock cannot decide between them.
 pub(super) fn leap_seconds(bits: &mut Bits<'_>, clock: &Clock, widths: [u32; 4]) -> Option<i64> {
     let before = bits.signed(widths[0]);
     let week = bits.unsigned(widths[1]);

@@ -11,7 +11,7 @@ use crate::gnss::{
 
 use super::broadcast::{Broadcast, leap_seconds};
 
-/// Bits of a half page before its tail, and of what its second half's CRC covers there.
+/// Bits of an even half page without its tail, and of the odd half covered by the CRC.
 const EVEN_BITS: usize = 114;
 const ODD_BITS: usize = 82;
 const HALF_BYTES: usize = 16;
@@ -26,7 +26,7 @@ const ISSUE_BITS: u32 = 10;
 /// The words of one satellite.
 #[derive(Debug, Default)]
 pub(super) struct Collector {
-    /// Words 1 to 5.
+    /// Words 1 to 5, by number.
     words: [Option<[u8; DATA_BYTES]>; 5],
 }
 
@@ -47,7 +47,7 @@ impl Collector {
                 Ok(Broadcast { ephemeris, ionosphere, leap_seconds: None })
             }
             6 => {
-                // A_0, A_1; then t_0t and WN_0t behind Δt_LS.
+                // A_0 and A_1; t_0t and WN_0t follow Δt_LS.
                 bits.skip(32 + 24);
                 let leap_seconds = utc(&mut bits, clock);
                 Ok(Broadcast { leap_seconds, ..Broadcast::default() })
@@ -56,7 +56,7 @@ impl Collector {
         }
     }
 
-    /// The ephemeris, where words 1 to 4 are of one issue and word 5 is there.
+    /// The ephemeris, if words 1 to 4 are of one issue and word 5 is present.
     fn ephemeris(
         &self,
         satellite: SatelliteId,
@@ -99,7 +99,7 @@ fn data(words: &[u32; 8]) -> Result<Option<[u8; DATA_BYTES]>, Refusal> {
     if even[0] & 0x80 != 0 || odd[0] & 0x80 == 0 {
         return Err(Refusal::Parity);
     }
-    // Zeros in front do not change the CRC, so that the bits are aligned to their end.
+    // Leading zeros do not change the CRC, so the bits are aligned to their end.
     let mut covered = [0; (EVEN_BITS + ODD_BITS).div_ceil(8)];
     let unused = covered.len() * 8 - EVEN_BITS - ODD_BITS;
     copy_bits(even, 0, &mut covered, unused, EVEN_BITS);
@@ -123,7 +123,7 @@ fn copy_bits(from: &[u8], start: usize, to: &mut [u8], place: usize, count: usiz
     }
 }
 
-/// Word 4.
+/// Reads word 4: clock.
 fn clock_part(
     satellite: SatelliteId,
     fourth: &[u8; DATA_BYTES],
@@ -144,7 +144,7 @@ fn clock_part(
     }
 }
 
-/// Words 1 to 3.
+/// Reads words 1 to 3: orbit.
 fn orbit_part(
     first: &[u8; DATA_BYTES],
     second: &[u8; DATA_BYTES],
@@ -173,8 +173,8 @@ fn orbit_part(
     ephemeris.accuracy_m = sisa_m(bits.unsigned(8));
 }
 
-/// Group delays and health of word 5. The health word is RINEX's: data validity, then signal
-/// health, of E1-B from bit 0 and of E5b from bit 6.
+/// Reads group delays and health from word 5. The health word is that of RINEX: data validity, then
+/// signal health, of E1-B from bit 0 and of E5b from bit 6.
 fn status_part(fifth: &[u8; DATA_BYTES], ephemeris: &mut KeplerianEphemeris) {
     let mut bits = Bits::starting_at(fifth, 47);
     ephemeris.group_delays = GroupDelays::Galileo {
@@ -186,7 +186,7 @@ fn status_part(fifth: &[u8; DATA_BYTES], ephemeris: &mut KeplerianEphemeris) {
     ephemeris.health = e1b_validity | e1b << 1 | e5b_validity << 6 | e5b << 7;
 }
 
-/// Week and second of word 5. The count of weeks is unique to 2078, so that no clock is needed.
+/// Week and second of word 5. The week count is unique until 2078, so no clock is needed.
 fn transmission_time(fifth: &[u8; DATA_BYTES], clock: &Clock) -> GpsTime {
     let mut bits = Bits::starting_at(fifth, 73);
     let week = bits.unsigned(12) as i32 + FIRST_WEEK;
@@ -194,7 +194,7 @@ fn transmission_time(fifth: &[u8; DATA_BYTES], clock: &Clock) -> GpsTime {
     GpsTime::from_week_seconds(week, bits.scaled(20, 1.0))
 }
 
-/// Word 5; all zero means that none are broadcast.
+/// The coefficients of word 5; `None` if all are zero, which means that none are broadcast.
 fn ionosphere(fifth: &[u8; DATA_BYTES]) -> Option<Ionosphere> {
     let mut bits = Bits::starting_at(fifth, WORD_TYPE_BITS);
     let ai = [
@@ -205,9 +205,9 @@ fn ionosphere(fifth: &[u8; DATA_BYTES]) -> Option<Ionosphere> {
     (ai != [0.0; 3]).then_some(Ionosphere::Galileo(NeQuickCoefficients { ai }))
 }
 
-/// Leap seconds of word 6, from Δt_LS on; its reference time stands between the values.
+/// Leap seconds of word 6 from Δt_LS on; the reference time lies between the values.
 fn utc(bits: &mut Bits<'_>, clock: &Clock) -> Option<i64> {
-    // One run of fields: Δt_LS, then WN_LSF, DN and Δt_LSF.
+    // The fields, joined: Δt_LS, then WN_LSF, DN and Δt_LSF.
     let before = bits.unsigned(8);
     bits.skip(8 + 8);
     let rest = bits.unsigned(8 + 3 + 8);

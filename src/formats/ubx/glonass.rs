@@ -1,7 +1,7 @@
 //! GLONASS strings; GLONASS ICD 5.1, 4.4 to 4.7.
 //!
-//! The receiver gives 85 bits from bit 85 on, and a fourth word with the numbers of superframe and
-//! frame.
+//! The receiver gives the 85 bits of a string from bit 85 on, and a fourth word with the numbers of
+//! superframe and frame.
 
 use nalgebra::Vector3;
 
@@ -13,11 +13,11 @@ use super::broadcast::Broadcast;
 
 const STRING_BYTES: usize = 12;
 const STRING_BITS: usize = 85;
-/// Check bits, the last ones of a string.
+/// Number of check bits at the end of a string.
 const CHECK_BITS: usize = 8;
-/// The idle bit and the number of the string.
+/// Bits of the idle bit and the string number.
 const AFTER_NUMBER: usize = 5;
-/// Seconds of an hour, a minute and the unit of t_k's last bit.
+/// Units of t_k (s): hours, minutes and half minutes.
 const FRAME_TIME_UNITS_S: [u64; 3] = [3600, 60, 30];
 
 type Strings = [u8; STRING_BYTES];
@@ -25,9 +25,9 @@ type Strings = [u8; STRING_BYTES];
 /// The strings of one satellite.
 #[derive(Debug, Default)]
 pub(super) struct Collector {
-    /// Frame and superframe that the strings are of.
+    /// Superframe and frame of the strings.
     frame: u32,
-    /// Strings 1 to 4.
+    /// Strings 1 to 4, by number.
     strings: [Option<Strings>; 4],
 }
 
@@ -62,8 +62,8 @@ impl Collector {
     }
 }
 
-/// Whether the Hamming code holds: of bits 9 to 85, numbered 3, 5, 6, 7, 9, … past the powers of
-/// two, check bit i sums those whose number has bit i; the eighth sums all.
+/// Whether the Hamming code is valid. Bits 9 to 85 have the numbers 3, 5, 6, 7, 9, …, without the
+/// powers of two; check bit i is the sum of those whose number has bit i; the eighth sums all.
 fn is_sound(string: &Strings) -> bool {
     let bit = |number: usize| {
         let place = STRING_BITS - number;
@@ -132,7 +132,7 @@ fn ephemeris(
     })
 }
 
-/// Position, velocity and acceleration on one axis, which end strings 1 to 3.
+/// Reads position, velocity and acceleration of one axis, the last fields of strings 1 to 3.
 fn axis(bits: &mut Bits<'_>) -> [f64; 3] {
     let velocity = bits.sign_magnitude(24) as f64 * GLONASS_UNITS[1];
     let acceleration = bits.sign_magnitude(5) as f64 * GLONASS_UNITS[2];

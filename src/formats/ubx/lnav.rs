@@ -1,7 +1,7 @@
 //! LNAV subframes of GPS and QZSS; IS-GPS-200N, 20.3.3 to 20.3.5; IS-QZSS-PNT-005, 4.
 //!
-//! The receiver gives ten words of 30 bits; where the last bit of the word before inverts a word's
-//! data, it has inverted the whole word back.
+//! The receiver gives ten words of 30 bits. It has already undone the inversion of a word's data by
+//! the last bit of the previous word, for the whole word.
 
 use crate::formats::binary::{Bits, Clock, Ionosphere, Refusal};
 use crate::formats::broadcast::{
@@ -13,16 +13,16 @@ use crate::gnss::{
 
 use super::broadcast::{Broadcast, klobuchar, leap_seconds};
 
-/// Data of a subframe without parity: ten words of 24 bits.
+/// Bytes of a subframe without parity: ten words of 24 bits.
 const DATA_BYTES: usize = 30;
-/// First bit of the third word's data.
+/// Index of the first data bit of word 3.
 const THIRD_WORD: usize = 48;
 const WEEKS: i32 = 1024;
-/// Subframe 4's page with ionosphere and UTC, by its satellite number.
+/// Satellite number of subframe 4's page with ionosphere and UTC.
 const IONOSPHERE_PAGE: u64 = 56;
 
-/// Which data bits (d1 the most significant of 24) and which of D29* (2) and D30* (1) each of the
-/// parity bits D25 to D30 sums; IS-GPS-200N, table 20-XIV.
+/// For each parity bit D25 to D30: the data bits (d1 is the most significant of 24), and whether
+/// D29* (2) and D30* (1), that it sums; IS-GPS-200N, table 20-XIV.
 const PARITY: [(u32, u32); 6] = [
     (0b1110_1100_0111_1100_1101_0010, 2),
     (0b0111_0110_0011_1110_0110_1001, 1),
@@ -35,7 +35,7 @@ const PARITY: [(u32, u32); 6] = [
 /// The subframes of one satellite.
 #[derive(Debug, Default)]
 pub(super) struct Collector {
-    /// Subframes 1 to 3.
+    /// Subframes 1 to 3, by number.
     subframes: [Option<[u8; DATA_BYTES]>; 3],
 }
 
@@ -58,14 +58,14 @@ impl Collector {
         }
     }
 
-    /// The ephemeris, where the subframes held are of one issue.
+    /// The ephemeris, if the stored subframes are of one issue.
     fn ephemeris(&self, satellite: SatelliteId, clock: &Clock) -> Result<Broadcast, Refusal> {
         let [Some(first), Some(second), Some(third)] = &self.subframes else {
             return Ok(Broadcast::default());
         };
         let issue_of = |data, at| Bits::starting_at(data, at).unsigned(8);
         let issue = issue_of(second, THIRD_WORD);
-        // Of IODC eight bits stand in word 8, of IODE of subframe 3 all in word 10.
+        // Word 8 holds eight bits of IODC; word 10 of subframe 3 holds all of IODE.
         if issue_of(first, 7 * 24) != issue || issue_of(third, 9 * 24) != issue {
             return Ok(Broadcast::default());
         }
@@ -75,10 +75,10 @@ impl Collector {
     }
 }
 
-/// The words' data bits one behind the other; `None` if one fails its parity.
+/// The data bits of the words, joined; `None` if a word fails its parity.
 fn data(words: &[u32; 10]) -> Option<[u8; DATA_BYTES]> {
     let mut data = [0; DATA_BYTES];
-    // The last word before has zeros in D29 and D30.
+    // The last word of the previous subframe has zeros in D29 and D30.
     let mut before = 0;
     for (word, bytes) in words.iter().zip(data.as_chunks_mut::<3>().0) {
         let (bits, parity) = (word >> 6 & 0xff_ffff, word & 0x3f);
@@ -86,7 +86,7 @@ fn data(words: &[u32; 10]) -> Option<[u8; DATA_BYTES]> {
             let sum = (bits & mask).count_ones() + (before & star).count_ones();
             parity << 1 | sum & 1
         });
-        // The receiver inverts parity with the data.
+        // The receiver inverts the parity with the data.
         let sent = if before & 1 == 1 { parity ^ 0x3f } else { parity };
         if expected != sent {
             return None;
@@ -97,12 +97,12 @@ fn data(words: &[u32; 10]) -> Option<[u8; DATA_BYTES]> {
     Some(data)
 }
 
-/// The start of the subframe: the count in the hand-over word is that of the next one.
+/// Start of the subframe: the count in the hand-over word is that of the next subframe.
 fn start(data: &[u8; DATA_BYTES]) -> f64 {
     Bits::starting_at(data, 24).scaled(17, 6.0) - 6.0
 }
 
-/// Subframe 1.
+/// Reads subframe 1: clock.
 fn clock_part(
     satellite: SatelliteId,
     data: &[u8; DATA_BYTES],
@@ -134,7 +134,7 @@ fn clock_part(
     })
 }
 
-/// Subframes 2 and 3.
+/// Reads subframes 2 and 3: orbit.
 fn orbit_part(
     second: &[u8; DATA_BYTES],
     third: &[u8; DATA_BYTES],
@@ -170,7 +170,7 @@ fn orbit_part(
     ephemeris.idot_rad_s = bits.signed_scaled(14, rate);
 }
 
-/// Subframe 4, page 18: Klobuchar's coefficients and leap seconds.
+/// Reads subframe 4, page 18: Klobuchar coefficients and leap seconds.
 fn ionosphere_and_utc(
     satellite: SatelliteId,
     data: &[u8; DATA_BYTES],
@@ -181,7 +181,7 @@ fn ionosphere_and_utc(
         return None;
     }
     let coefficients = klobuchar(&mut bits);
-    // A_1, A_0, t_ot, WN_t.
+    // A_1, A_0, t_ot and WN_t.
     bits.skip(24 + 32 + 8 + 8);
     let leap_seconds = leap_seconds(&mut bits, clock, [8, 8, 8, 8]);
     let ionosphere = coefficients.map(|coefficients| match satellite.constellation {

@@ -1,13 +1,13 @@
-//! UBX messages of u-blox receivers: RXM-RAWX, RXM-SFRBX, and the times of NAV-PVT and
-//! NAV-TIMEGPS. Frames are the `receiver` module's matter; all other messages are passed over.
+//! UBX messages of u-blox receivers: RXM-RAWX, RXM-SFRBX, and the times of NAV-PVT and NAV-TIMEGPS.
+//! Frames belong to the `receiver` module; all other messages are skipped.
 //!
-//! Subframes are Graphfix's own decoding: LNAV of GPS and QZSS, I/NAV of Galileo, D1 and D2 of
-//! BeiDou, strings of GLONASS. Each is checked by its own code before it is believed, and an
-//! ephemeris is given once all of its parts are there and agree on their issue. F/NAV, CNAV and
-//! B-CNAV subframes are passed over: the same satellites send what is decoded.
+//! Subframes are decoded here: LNAV of GPS and QZSS, I/NAV of Galileo, D1 and D2 of BeiDou, strings
+//! of GLONASS. Each is checked by its own code. An ephemeris is complete once all of its parts are
+//! present and agree on their issue. F/NAV, CNAV and B-CNAV subframes are skipped: the same
+//! satellites send the decoded messages.
 //!
-//! Framing and two fixed layouts are some three hundred lines, so that the crate `ublox`, whose
-//! part would be those, is not taken.
+//! The crate `ublox` would replace only the framing and two fixed layouts, some three hundred
+//! lines, so it is not used.
 //!
 //! Sources: u-blox, *ZED-F9P Interface Description*, UBX-22008968, 3.17; *u-blox 8 / M8 Receiver
 //! description*, UBX-13003221, 10 and 32; the signals' ICDs where they are decoded.
@@ -27,7 +27,7 @@ pub(in crate::formats) use broadcast::Broadcast;
 use rawx::RawxState;
 use sfrbx::Subframes;
 
-/// What a message says.
+/// The content of a message.
 #[derive(Debug)]
 pub(in crate::formats) enum Message {
     Epoch {
@@ -35,14 +35,14 @@ pub(in crate::formats) enum Message {
         observations: Vec<Observation>,
     },
     Broadcast(Box<Broadcast>),
-    /// Nothing that was not known.
+    /// No new content.
     Nothing,
 }
 
-/// Where parts of a message that are left out are told.
+/// Receives the reason for each part of a message that is left out.
 pub(in crate::formats) type Notes<'a> = &'a mut dyn FnMut(Refusal);
 
-/// What messages need of those before them.
+/// State of the decoder between messages.
 #[derive(Debug)]
 pub(in crate::formats) struct Decoder {
     rawx: RawxState,
@@ -66,7 +66,7 @@ impl Decoder {
             (0x02, 0x15) => {
                 let (time, observations) = self.rawx.decode(payload, notes)?;
                 clock.set(time);
-                // Before the first lock a receiver sends epochs without measurements.
+                // Before its first lock a receiver sends epochs without measurements.
                 Ok(Some(match observations.is_empty() {
                     true => Message::Nothing,
                     false => Message::Epoch { time, observations },
@@ -93,13 +93,13 @@ impl Decoder {
     }
 }
 
-/// `N` bytes of a payload.
+/// Reads `N` bytes of a payload.
 fn field<const N: usize>(payload: &[u8], at: usize) -> Result<[u8; N], Refusal> {
     let field = payload.get(at..).and_then(|rest| rest.first_chunk::<N>());
     field.copied().ok_or(Refusal::Truncated)
 }
 
-/// The time of NAV-PVT, where date and time of day are valid and fully resolved.
+/// The time of NAV-PVT, if date and time of day are valid and fully resolved.
 fn time_of_pvt(payload: &[u8]) -> Result<Option<GpsTime>, Refusal> {
     const VALID: u8 = 0b111;
     let [month, day, hour, minute, second, valid] = field(payload, 6)?;
@@ -112,7 +112,7 @@ fn time_of_pvt(payload: &[u8]) -> Result<Option<GpsTime>, Refusal> {
     time.ok_or(Refusal::InvalidTime).map(Some)
 }
 
-/// The time of NAV-TIMEGPS, where week and time of week are valid.
+/// The time of NAV-TIMEGPS, if week and time of week are valid.
 fn time_of_timegps(payload: &[u8]) -> Result<Option<GpsTime>, Refusal> {
     const VALID: u8 = 0b011;
     let ms = u32::from_le_bytes(field(payload, 0)?);

@@ -1,9 +1,9 @@
 //! RXM-RAWX: pseudorange, carrier phase, Doppler and C/N0 of all signals at one epoch.
 //!
-//! Loss of lock is told where a signal appears first, where the lock time is zero or fell, where
-//! half a cycle is taken out of the phase or no longer (`subHalfCyc` changed), and where the
-//! receiver gives the phase the greatest standard deviation it can state; what happens while there
-//! is no phase is told with the next one. Half-cycle ambiguity is told where `halfCyc` is not set.
+//! Loss of lock is reported if a signal first appears, if its lock time is zero or decreases, if
+//! the half-cycle correction of the phase changes (`subHalfCyc`), and if the receiver states the
+//! largest phase standard deviation. A loss of lock without a phase is reported with the next
+//! phase. A half-cycle ambiguity is reported if `halfCyc` is not set.
 
 use std::collections::BTreeMap;
 
@@ -15,11 +15,11 @@ use super::{Notes, field};
 const HEADER_BYTES: usize = 16;
 const MEASUREMENT_BYTES: usize = 32;
 const VERSION_LIMIT: u8 = 1;
-/// Weeks that a log can be of, to the year 2171.
+/// Valid GPS weeks of a log, up to the year 2171.
 const WEEKS: std::ops::RangeInclusive<i32> = 1..=9999;
-/// `cpStdev` of 15 stands for 0.06 cycles or more.
+/// Value of `cpStdev` for 0.06 cycles or more.
 const WORST_PHASE: u8 = 15;
-/// GLONASS satellites whose slot is not known.
+/// Slot of GLONASS satellites whose slot is unknown.
 const UNKNOWN_SLOT: u8 = 255;
 
 const PSEUDORANGE_VALID: u8 = 1;
@@ -27,16 +27,16 @@ const PHASE_VALID: u8 = 2;
 const HALF_CYCLE_RESOLVED: u8 = 4;
 const HALF_CYCLE_SUBTRACTED: u8 = 8;
 
-/// What was last said of a signal's lock.
+/// The last lock state of a signal.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lock {
     time_ms: u16,
     is_half_subtracted: bool,
-    /// A slip that is not told yet.
+    /// Whether a loss of lock has not been reported yet.
     is_lost: bool,
 }
 
-/// The signals' locks.
+/// Lock states of all signals.
 #[derive(Debug)]
 pub(super) struct RawxState {
     locks: BTreeMap<(SatelliteId, ObservationCode), Lock>,
@@ -47,7 +47,7 @@ impl RawxState {
         Self { locks: BTreeMap::new() }
     }
 
-    /// The epoch of a payload.
+    /// Decodes the epoch of a payload.
     pub(super) fn decode(
         &mut self,
         payload: &[u8],
@@ -64,7 +64,7 @@ impl RawxState {
         if measurements.len() < usize::from(count) * MEASUREMENT_BYTES {
             return Err(Refusal::Truncated);
         }
-        // Before the week is known it is zero.
+        // The week is zero until the receiver knows it.
         if !WEEKS.contains(&week) || !(0.0..604_801.0).contains(&second) {
             return Err(Refusal::InvalidTime);
         }
@@ -118,7 +118,7 @@ impl RawxState {
     }
 }
 
-/// Satellite and signal of the receiver's numbers; without a signal number the first.
+/// Satellite and signal of the receiver's numbers; without a signal number the first signal.
 fn identify(
     system: u8,
     number: u8,

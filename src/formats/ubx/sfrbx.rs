@@ -1,4 +1,4 @@
-//! RXM-SFRBX: subframes, pages and strings, handed to the decoder of their message.
+//! RXM-SFRBX: passes subframes, pages and strings to the decoder of their message.
 
 use std::collections::BTreeMap;
 
@@ -12,10 +12,10 @@ use super::{beidou, field, galileo, glonass, lnav};
 
 const HEADER_BYTES: usize = 8;
 const VERSIONS: std::ops::RangeInclusive<u8> = 1..=2;
-/// Words of LNAV, D1 and D2 subframes.
+/// Number of words in LNAV, D1 and D2 subframes.
 const TEN: usize = 10;
 
-/// What the satellites have sent.
+/// The navigation messages of all satellites.
 #[derive(Debug, Default)]
 pub(super) struct Subframes {
     lnav: BTreeMap<SatelliteId, lnav::Collector>,
@@ -25,7 +25,7 @@ pub(super) struct Subframes {
     told: Told,
 }
 
-/// What was told already, so that repetitions are not told again.
+/// Content already reported, which is not repeated.
 #[derive(Debug, Default)]
 struct Told {
     ephemerides: BTreeMap<SatelliteId, Ephemeris>,
@@ -34,7 +34,7 @@ struct Told {
 }
 
 impl Subframes {
-    /// Decodes a payload; `None` for messages of satellites that are not decoded.
+    /// Decodes a payload; `None` for messages that are not decoded.
     pub(super) fn decode(
         &mut self,
         payload: &[u8],
@@ -65,7 +65,7 @@ impl Subframes {
             (Constellation::BeiDou, 0..=3, Some(words)) => {
                 self.beidou.entry(satellite).or_default().add(satellite, words, clock)?
             }
-            // E1-B, which the first receivers do not name, and E5b-I.
+            // E5b-I, and E1-B, to which the first receivers give no signal number.
             (Constellation::Galileo, 0 | 1 | 5, _) => {
                 let words = words.first_chunk::<8>().ok_or(Refusal::Truncated)?;
                 self.galileo.entry(satellite).or_default().add(satellite, words, clock)?
@@ -83,7 +83,7 @@ impl Subframes {
 }
 
 impl Told {
-    /// What was not told already.
+    /// The content that has not been reported yet.
     fn judge(&mut self, mut broadcast: Broadcast) -> Result<Broadcast, Refusal> {
         if let Some(ephemeris) = &broadcast.ephemeris {
             if !is_plausible(ephemeris) {

@@ -8,10 +8,10 @@ use crate::formats::rinex::RinexVersion;
 use crate::gnss::{Constellation, GlonassEphemeris, GpsTime, LeapSeconds, SatelliteId, TimeScale};
 
 const METRES_PER_KM: f64 = 1000.0;
-/// Farther than any GLONASS orbit (m), which is 25 500 km from the geocentre.
+/// Valid distances of GLONASS satellites from the geocentre (m); the orbit is at 25 500 km.
 const RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
 const SECONDS_PER_DAY: f64 = 86_400.0;
-/// What stands for an unknown Δτ_n in RINEX 3.05.
+/// Value of an unknown Δτ_n in RINEX 3.05.
 const UNKNOWN_DELTA_TAU: f64 = 0.999_999_999_999e9;
 
 /// The ephemeris of a record; RINEX 2.11 and 3.05.
@@ -48,9 +48,9 @@ pub(super) fn ephemeris(
     })
 }
 
-/// Message frame time (seconds of the UTC week, or of its day in RINEX 2) nearest to `toe`.
+/// Message frame time nearest to `toe`, from seconds of the UTC week, or of its day in RINEX 2.
 fn frame_time(toe: GpsTime, seconds: f64, leap: &LeapSeconds) -> Option<GpsTime> {
-    // Weeks are whole days, so seconds of the day are what both forms share.
+    // A week has whole days, so both forms agree in the seconds of the day.
     let toe_of_day_s = (toe - leap.at(toe) as f64).seconds_of_week() % SECONDS_PER_DAY;
     let ahead_s = seconds - toe_of_day_s;
     let nearest_s = ahead_s - SECONDS_PER_DAY * (ahead_s / SECONDS_PER_DAY).round();
@@ -66,7 +66,7 @@ fn accuracy_m(record: &Record) -> Option<Option<f64>> {
     Some(index.map(|index| GLONASS_ACCURACY_M[index as usize]))
 }
 
-/// The index of the least F_T that is no smaller.
+/// The index of the smallest F_T that is not below this accuracy (m).
 pub(in crate::formats::rinex) fn accuracy_index(metres: f64) -> f64 {
     GLONASS_ACCURACY_M.iter().position(|step| metres <= *step).unwrap_or(GLONASS_ACCURACY_M.len())
         as f64

@@ -11,7 +11,7 @@ use crate::gnss::{Constellation, KlobucharCoefficients, LeapSeconds, Navigation}
 
 const COEFFICIENT_WIDTH: usize = 12;
 
-/// What the header broadcasts; each record is one line, so that pairs are joined at the end.
+/// Broadcast data of the header; α and β are separate lines and are paired at the end.
 #[derive(Debug)]
 pub(super) struct NavigationHeader {
     pub(super) version: RinexVersion,
@@ -92,7 +92,7 @@ fn pair([alpha, beta]: [Option<[f64; 4]>; 2]) -> Option<KlobucharCoefficients> {
     ionosphere::klobuchar(alpha?, beta?)
 }
 
-/// Four numbers of twelve columns, blank ones being zero.
+/// Parses four numbers of twelve columns; blank ones are zero.
 fn coefficients(line: &[u8], from: usize) -> Option<[f64; 4]> {
     let mut values = [0.0; 4];
     for (index, value) in values.iter_mut().enumerate() {

@@ -4,19 +4,19 @@ use super::record::Record;
 use crate::formats::rinex::SkipReason;
 use crate::gnss::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
 
-/// Klobuchar coefficients; all zero means that none are broadcast.
+/// Klobuchar coefficients; `None` if all are zero, which means that none are broadcast.
 pub(super) fn klobuchar(alpha: [f64; 4], beta: [f64; 4]) -> Option<KlobucharCoefficients> {
     ([alpha, beta] != [[0.0; 4]; 2]).then_some(KlobucharCoefficients { alpha, beta })
 }
 
-/// NeQuick-G coefficients; all zero means that none are broadcast (Galileo OS SIS ICD, 5.1.6).
+/// NeQuick-G coefficients; `None` if all are zero: none are broadcast (Galileo OS SIS ICD, 5.1.6).
 pub(super) fn nequick(ai: [f64; 3]) -> Option<NeQuickCoefficients> {
     (ai != [0.0; 3]).then_some(NeQuickCoefficients { ai })
 }
 
-/// Takes over a `> ION` record of version 4. A later record replaces an earlier one.
+/// Applies a `> ION` record of version 4; a later record replaces an earlier one.
 ///
-/// BeiDou's BDGIM (`CNVX`) is not decoded, nor is QZSS's model for Japan alone (region code 1).
+/// BeiDou's BDGIM (`CNVX`) and QZSS's model for Japan (region code 1) are not decoded.
 pub(super) fn apply(
     letter: u8,
     message: &[u8; 4],

@@ -1,8 +1,8 @@
 //! Records of orbital elements: GPS, QZSS, Galileo and BeiDou, legacy and civil messages.
 //!
-//! Rows 1 to 4 and the first number of row 5 are laid out alike in all of them, but for the first
-//! numbers of rows 1 and 3 (issue or Ȧ; toe or top). Sources: RINEX 2.11 and
-//! 4.01, tables of navigation records.
+//! Rows 1 to 4 and the first number of row 5 have the same layout in all of them, except for the
+//! first numbers of rows 1 and 3 (issue or Ȧ; toe or top). Sources: RINEX 2.11 and 4.01, tables of
+//! navigation records.
 
 use super::record::Record;
 use crate::formats::broadcast::ura_m;
@@ -12,25 +12,25 @@ use crate::gnss::{
     SatelliteId, TimeScale, wrap_half_week,
 };
 
-/// Square roots of semi-major axes (√m) of any satellite that navigates, with a wide margin.
+/// Valid square roots of semi-major axes of navigation satellites (√m), with a wide margin.
 const SQRT_A_LIMITS: std::ops::Range<f64> = 4000.0..8000.0;
 const ECCENTRICITY_LIMIT: f64 = 0.5;
-/// Transmission farther from toe than this (s) is a filler: zero, or 0.9999e9 for unknown.
+/// A transmission time farther from toe than this (s) is a filler: zero, or 0.9999e9 for unknown.
 const TRANSMISSION_LIMIT_S: f64 = 86_400.0;
 /// URA of index 15 (m): use at own risk; IS-GPS-200N, 20.3.3.3.1.3.
 const NO_PREDICTION_M: f64 = 6144.0;
 
-/// Data sources of a Galileo record, zero where blank or wrong.
+/// Data sources of a Galileo record; zero if blank or invalid.
 pub(super) fn galileo_data_sources(record: &Record) -> u32 {
     record.word(5, 1).unwrap_or(0)
 }
 
-/// Whether the record is of a BeiDou satellite in geostationary orbit.
+/// Whether the record belongs to a BeiDou satellite in geostationary orbit.
 pub(super) fn is_geostationary(record: &Record) -> bool {
     SatelliteId::new(Constellation::BeiDou, record.number).is_some_and(SatelliteId::is_beidou_geo)
 }
 
-/// The ephemeris of a record, or `None` if a number is missing or out of bounds.
+/// The ephemeris of a record; `None` if a number is missing or out of bounds.
 pub(super) fn ephemeris(
     record: &Record,
     message: NavigationMessage,
@@ -43,7 +43,7 @@ pub(super) fn ephemeris(
     };
     let toc = GpsTime::from_civil(&record.civil?, scale, leap)?;
     let civil_message = is_civil(message);
-    // GPS and QZSS civil messages give top in toe's place; their toe equals toc.
+    // Civil messages of GPS and QZSS have top instead of toe; their toe equals toc.
     let toe = match message {
         NavigationMessage::Cnav | NavigationMessage::Cnav2 => toc,
         _ => near(toc, record.need(3, 0)?, constellation)?,
@@ -96,7 +96,7 @@ const fn is_civil(message: NavigationMessage) -> bool {
     matches!(message, M::Cnav | M::Cnav2 | M::Cnv1 | M::Cnv2 | M::Cnv3)
 }
 
-/// What differs from message to message.
+/// Reads the fields that differ between messages.
 fn read_tail(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> {
     use NavigationMessage as M;
     match ephemeris.message {
@@ -127,9 +127,9 @@ fn read_lnav(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> 
     };
     ephemeris.transmission_time = transmission_time(record, 7, ephemeris)?;
     ephemeris.fit_interval_h = match (ephemeris.satellite.constellation, record.optional(7, 1)?) {
-        // QZSS states a flag: zero is two hours (RINEX 3.05), one is more.
+        // QZSS writes a flag: zero means two hours (RINEX 3.05), one more than two.
         (Constellation::Qzss, Some(0.0)) => Some(2.0),
-        // Below two hours it is the flag of the message, not hours.
+        // A value below two hours is the flag of the message, not hours.
         (_, hours) => hours.filter(|hours| 2.0 <= *hours),
     };
     Some(())
@@ -157,7 +157,7 @@ fn read_galileo(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<(
     ephemeris.iodc = ephemeris.iode;
     ephemeris.accuracy_m = stated_accuracy(record.optional(6, 0)?);
     ephemeris.health = record.word(6, 1)?;
-    // An F/NAV record carries BGD(E1, E5b) only where I/NAV was merged into it (bits 0 and 2).
+    // An F/NAV record has BGD(E1, E5b) only if I/NAV was merged into it (bits 0 and 2).
     let from_inav =
         ephemeris.message == NavigationMessage::Inav || galileo_data_sources(record) & 5 != 0;
     ephemeris.group_delays = GroupDelays::Galileo {
@@ -179,7 +179,7 @@ fn read_beidou(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()
     Some(())
 }
 
-/// B-CNAV1 and B-CNAV2. Their accuracy indices stand for no published lengths.
+/// Reads B-CNAV1 and B-CNAV2. No document gives lengths for their accuracy indices.
 fn read_beidou_cnav(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> {
     let cnv1 = ephemeris.message == NavigationMessage::Cnv1;
     ephemeris.health = record.word(8, 1)?;
@@ -209,7 +209,7 @@ fn read_beidou_cnav3(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Opt
     Some(())
 }
 
-/// The instant with that second of the constellation's week (s) nearest to `reference`.
+/// The instant nearest to `reference` with this second of the constellation's week (s).
 fn near(reference: GpsTime, second_of_week: f64, constellation: Constellation) -> Option<GpsTime> {
     let reference_second = match constellation {
         Constellation::BeiDou => reference.to_beidou().1,
@@ -233,7 +233,7 @@ fn transmission_time(
     )
 }
 
-/// Accuracy in metres as stated; zero, negative (no prediction) and index 15's are none.
+/// Accuracy as written (m); `None` for zero, negative values (no prediction) and URA index 15.
 fn stated_accuracy(metres: Option<f64>) -> Option<f64> {
     metres.filter(|metres| 0.0 < *metres && *metres < NO_PREDICTION_M)
 }

@@ -1,7 +1,7 @@
 //! Navigation files: ephemerides, ionosphere coefficients, leap seconds.
 //!
-//! The week of an ephemeris is taken from its clock reference date, not from the week field: the
-//! two times are never half a week apart, and files disagree on whether the field rolls over.
+//! The week of an ephemeris follows from its clock reference date, not from the week field: the two
+//! times are never half a week apart, and files disagree on whether the field rolls over.
 
 mod glonass;
 mod header;
@@ -25,7 +25,7 @@ use crate::gnss::{Constellation, Ephemeris, Navigation, NavigationMessage};
 /// Reads a navigation file of version 2, 3 or 4 to its end.
 ///
 /// # Errors
-/// What makes the whole unreadable; a broken record alone is skipped and noted.
+/// What makes the whole file unreadable. A damaged record is skipped and noted.
 pub fn read_navigation(input: impl BufRead) -> Result<(Navigation, Skipped), RinexError> {
     let mut lines = Lines::new(input);
     let first = first_line(&mut lines)?;
@@ -53,7 +53,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Versions 2 and 3: one ephemeris after another.
+    /// Reads a file of version 2 or 3: one ephemeris after another.
     fn read_records<R: BufRead>(&mut self, lines: &mut Lines<R>) -> Result<(), RinexError> {
         while lines.next()?.is_some() {
             let (line, number) = (lines.current(), lines.number());
@@ -78,7 +78,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Version 4: each record behind a line that names its kind.
+    /// Reads a file of version 4: each record follows a line with its type.
     fn read_typed_records<R: BufRead>(&mut self, lines: &mut Lines<R>) -> Result<(), RinexError> {
         while lines.next()?.is_some() {
             let (line, number) = (lines.current(), lines.number());
@@ -93,7 +93,7 @@ impl Reader {
                 Kind::Ionosphere => self.read_ionosphere(&title, lines)?,
                 Kind::Other => self.skipped.note(SkipReason::OtherMessage, number),
             }
-            // Whatever is left of the record.
+            // Skips the rest of the record.
             while let Some(line) = lines.next()? {
                 if line.first() == Some(&b'>') {
                     lines.unread();
@@ -173,7 +173,7 @@ impl Reader {
     }
 }
 
-/// What a version 4 record is, `> EPH G01 LNAV`.
+/// The type of a version 4 record, such as `> EPH G01 LNAV`.
 struct Title {
     kind: Kind,
     letter: u8,
@@ -183,7 +183,7 @@ struct Title {
 enum Kind {
     Ephemeris,
     Ionosphere,
-    /// System time offsets and Earth orientation, which positioning does not use.
+    /// System time offsets and Earth orientation parameters, which are not used.
     Other,
 }
 
@@ -205,10 +205,10 @@ impl Title {
     }
 }
 
-/// The message of a version 2 or 3 record.
+/// The message type of a version 2 or 3 record.
 ///
-/// Galileo: RINEX 3.05, data sources: bit 8 says that the clock is of E5a and E1 (F/NAV),
-/// bit 9 of E5b and E1 (I/NAV); without either the message bits decide, and I/NAV by default.
+/// Galileo: RINEX 3.05, data sources: bit 8 means the clock of E5a and E1 (F/NAV), bit 9 that of
+/// E5b and E1 (I/NAV). Without either the message bits decide, and I/NAV is the default.
 fn legacy_message(system: Constellation, record: &Record) -> NavigationMessage {
     match system {
         Constellation::Gps | Constellation::Qzss => NavigationMessage::Lnav,
@@ -224,7 +224,7 @@ fn legacy_message(system: Constellation, record: &Record) -> NavigationMessage {
     }
 }
 
-/// The message a version 4 title names; RINEX 4.01.
+/// The message type in a version 4 title; RINEX 4.01.
 fn typed_message(system: Constellation, name: &[u8; 4]) -> Option<NavigationMessage> {
     use Constellation as C;
     use NavigationMessage as M;

@@ -1,4 +1,4 @@
-//! The grid of numbers that a navigation record is.
+//! The fields of a navigation record.
 
 use std::io::Read;
 
@@ -8,11 +8,11 @@ use crate::formats::rinex::header_lines::FirstLine;
 use crate::formats::rinex::lines::Lines;
 use crate::gnss::CivilTime;
 
-/// Lines of the longest record: CNAV-2 has ten.
+/// Number of lines of the longest record: CNAV-2 has ten.
 const ROWS: usize = 10;
 const VALUE_WIDTH: usize = 19;
 
-/// One field.
+/// The content of one field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Field {
     Blank,
@@ -23,22 +23,22 @@ enum Field {
 /// One record; row 0 holds three numbers in columns 1 to 3, the others four.
 #[derive(Debug)]
 pub(super) struct Record {
-    /// System letter, blank for an ionosphere record.
+    /// System letter; blank for an ionosphere record.
     pub(super) letter: u8,
     pub(super) number: u8,
-    /// The date of its first line, where there is one.
+    /// Date of the first line, if it has one.
     pub(super) civil: Option<CivilTime>,
     rows: [[Field; 4]; ROWS],
     row_count: usize,
 }
 
 impl Record {
-    /// A number that must be there.
+    /// A number that must be present.
     pub(super) fn need(&self, row: usize, column: usize) -> Option<f64> {
         self.optional(row, column)?
     }
 
-    /// A number that may be blank: `None` if it is malformed, `Some(None)` if blank.
+    /// A number that may be blank: `None` if malformed, `Some(None)` if blank.
     pub(super) fn optional(&self, row: usize, column: usize) -> Option<Option<f64>> {
         match self.rows[row][column] {
             Field::Blank => Some(None),
@@ -47,33 +47,33 @@ impl Record {
         }
     }
 
-    /// A number, zero where blank.
+    /// A number; zero if blank.
     pub(super) fn or_zero(&self, row: usize, column: usize) -> Option<f64> {
         self.optional(row, column).map(|value| value.unwrap_or(0.0))
     }
 
-    /// A count or bit field, zero where blank.
+    /// A count or bit field; zero if blank.
     pub(super) fn word(&self, row: usize, column: usize) -> Option<u32> {
         let value = self.or_zero(row, column)?;
         (0.0..=f64::from(u32::MAX)).contains(&value).then_some(value as u32)
     }
 
-    /// How many lines it had.
+    /// Number of lines of the record.
     pub(super) const fn row_count(&self) -> usize {
         self.row_count
     }
 }
 
-/// How the records of a file are laid out.
+/// Layout of the records of a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RecordLayout {
     rinex2: bool,
-    /// Letter where the file is of one system.
+    /// System letter of a file of one system.
     system: u8,
 }
 
 impl RecordLayout {
-    /// The layout a first line announces.
+    /// The layout that the first line of the file defines.
     pub(super) fn of(first: FirstLine, line: u64) -> Result<Self, RinexError> {
         let system = match (first.version.major, first.kind, first.system) {
             (2, b'N', system @ (b'E' | b'J' | b'C')) => system,
@@ -96,7 +96,7 @@ impl RecordLayout {
         if self.rinex2 { 3 } else { 4 }
     }
 
-    /// A record's first line.
+    /// Parses the first line of a record.
     pub(super) fn parse_start(self, line: &[u8]) -> Option<Record> {
         if self.rinex2 { self.parse_start2(line) } else { self.parse_start3(line) }
     }
@@ -119,12 +119,12 @@ impl RecordLayout {
         Some(start(letter, number, Some(civil), columns(line, 23, usize::MAX)))
     }
 
-    /// First line of a version 4 record that is of no single satellite; its date is not needed.
+    /// First line of a version 4 record for no single satellite; its date is not used.
     pub(super) fn parse_undated(self, line: &[u8]) -> Record {
         start(b' ', 0, None, columns(line, 23, usize::MAX))
     }
 
-    /// Reads the indented lines that follow.
+    /// Reads the indented lines that follow the first one.
     pub(super) fn read_continuation<R: Read>(
         self,
         record: &mut Record,
@@ -144,7 +144,7 @@ impl RecordLayout {
         Ok(())
     }
 
-    /// Passes over the rest of a record whose first line could not be read.
+    /// Skips the rest of a record whose first line cannot be read.
     pub(super) fn skip_continuation<R: Read>(self, lines: &mut Lines<R>) -> Result<(), RinexError> {
         while let Some(line) = lines.next()? {
             if !self.is_continuation(line) {
