@@ -1,14 +1,14 @@
-//! One solution row beside its reference.
+//! A solution row with its reference position.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::formats::pos::PosRow;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
 
-/// A solution row beside its reference.
+/// A solution row with its reference position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JudgedEpoch {
-    /// GPS time, shifted as asked.
+    /// GPS time with the shift of the criteria.
     pub time: GpsTime,
     /// RTKLIB's quality number.
     pub quality: i64,
@@ -16,14 +16,14 @@ pub struct JudgedEpoch {
     pub reference: Ecef,
     /// Solution minus reference in the reference's frame (m).
     pub error: Enu,
-    /// Standard deviations stated, east, north, up (m), where the row states its covariance.
+    /// Stated standard deviations, east, north, up (m), if the row has a covariance.
     pub stated_sigma_m: Option<Vector3<f64>>,
-    /// Normalised squared errors eᵀC⁻¹e in 2D and 3D, where the covariance can be inverted.
+    /// Normalised squared errors eᵀC⁻¹e in 2D and 3D, if the covariance is invertible.
     pub normalised_squares: Option<(f64, f64)>,
 }
 
 impl JudgedEpoch {
-    /// Judges a row that counts for `time` against where the antenna was then.
+    /// Judges a row at `time` against the reference position.
     pub(super) fn of(time: GpsTime, row: &PosRow, reference: Ecef) -> Self {
         let frame = LocalFrame::at(reference);
         let error = frame.to_enu(row.position);
@@ -44,7 +44,7 @@ impl JudgedEpoch {
         self.error.0.xy().norm()
     }
 
-    /// Error in space (m).
+    /// Three-dimensional error (m).
     pub fn error_3d_m(&self) -> f64 {
         self.error.0.norm()
     }

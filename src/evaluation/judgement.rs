@@ -1,4 +1,4 @@
-//! Every solution row against its reference, and by which limits.
+//! Judges every solution row against its reference.
 
 use std::collections::BTreeMap;
 
@@ -9,52 +9,52 @@ use crate::formats::pos::PosRow;
 use crate::formats::truth::TruthRow;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
 
-/// Slack of the window's limits (s).
+/// Tolerance at the ends of the time window (s).
 const WINDOW_SLACK_S: f64 = 1e-6;
 
-/// Where the antenna truly was.
+/// The true antenna position.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Truth {
-    /// One place.
+    /// One fixed position.
     Static(Ecef),
-    /// A trajectory, in any order.
+    /// A trajectory; rows in any order.
     Trajectory(Vec<TruthRow>),
 }
 
-/// How many epochs ought to have a solution.
+/// The number of epochs that should have a solution.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Expected {
-    /// As many as the reference has in the window; of a static truth, as many as are judged.
+    /// The number of reference rows in the window; for a static truth, of judged rows.
     Reference,
-    /// The rover's epochs in the window, as far as they have a reference.
+    /// The rover's epochs in the window that have a reference.
     RoverEpochs(Vec<GpsTime>),
-    /// A number.
+    /// A number given by the caller.
     Count(usize),
 }
 
-/// What is judged, and by which limits.
+/// What is judged, and the limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Criteria {
-    /// First and last second of week judged (s).
+    /// First and last second of week in the window (s).
     pub window_tow_s: (f64, f64),
-    /// Distance to the nearest reference where there is none to interpolate (s).
+    /// Largest time difference to the nearest reference row, where interpolation is impossible (s).
     pub tolerance_s: f64,
-    /// Widest gap of the reference interpolated over (s).
+    /// Longest gap of the reference that is interpolated (s).
     pub max_gap_s: f64,
-    /// Added to the times of solutions and rover epochs (s).
+    /// Shift added to the times of solutions and rover epochs (s).
     pub shift_s: f64,
-    /// From the reference point to the antenna, east, north, up (m).
+    /// Vector from the reference point to the antenna, east, north, up (m).
     pub lever: Option<Enu>,
-    /// Only these quality numbers are judged; empty means all.
+    /// Quality numbers that are judged; empty: all.
     pub qualities: Vec<i64>,
-    /// A fix within this is correct (m).
+    /// Largest error of a correct fix, in 2D or in 3D (m).
     pub fix_tolerance_m: f64,
-    /// How many epochs ought to have a solution.
+    /// The number of epochs that should have a solution.
     pub expected: Expected,
 }
 
 impl Criteria {
-    /// The whole file, 20 ms tolerance, gaps to 1.5 s, fixes right within 10 cm.
+    /// The whole file, 20 ms tolerance, gaps up to 1.5 s, fixes correct within 10 cm.
     pub const fn whole_file() -> Self {
         Self {
             window_tow_s: (f64::NEG_INFINITY, f64::INFINITY),
@@ -78,15 +78,15 @@ impl Criteria {
 /// The outcome of [`judge`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judgement {
-    /// The numbers.
+    /// Statistics over all judged rows.
     pub report: Report,
-    /// What they were made of, in order of time.
+    /// The judged rows, in order of time.
     pub epochs: Vec<JudgedEpoch>,
-    /// The reference in the window; one row of the first epoch's time where it is static.
+    /// The reference in the window; one row at the first epoch's time if it is static.
     pub reference: Vec<TruthRow>,
 }
 
-/// Judges `rows`, in any order, against `truth`; of several rows at one time the last counts.
+/// Judges `rows`, in any order, against `truth`; of several rows at one time the last one counts.
 pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
     let reference = Reference::new(truth, criteria);
     let mut in_window: BTreeMap<GpsTime, &PosRow> = BTreeMap::new();
@@ -115,7 +115,7 @@ pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
     Judgement { report, epochs, reference }
 }
 
-/// The truth, as the criteria want it asked.
+/// The truth, with the limits of the criteria.
 struct Reference<'a> {
     place: Place,
     criteria: &'a Criteria,

@@ -1,22 +1,22 @@
-//! The reference position of a time.
+//! The reference position at a time.
 
 use crate::formats::truth::TruthRow;
 use crate::gnss::{Ecef, GpsTime};
 
-/// A reference trajectory in order of time, each time once.
+/// A reference trajectory in order of time, without repeated times.
 pub(super) struct Trajectory {
     rows: Vec<TruthRow>,
 }
 
 impl Trajectory {
-    /// Sorts the rows; of several at one time the first counts.
+    /// Sorts the rows; of several at one time the first one counts.
     pub(super) fn new(mut rows: Vec<TruthRow>) -> Self {
         rows.sort_by_key(|row| row.time);
         rows.dedup_by_key(|row| row.time);
         Self { rows }
     }
 
-    /// Its rows.
+    /// The rows in order of time.
     pub(super) fn rows(&self) -> &[TruthRow] {
         &self.rows
     }

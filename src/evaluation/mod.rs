@@ -1,10 +1,10 @@
-//! Solutions against truth: errors, availability, fixes, honesty of the stated covariance, plots.
+//! Solutions against truth: errors, availability, fixes, consistency of the covariance, plots.
 //!
-//! Each solution row gets the reference position of its time, by linear interpolation in ECEF
-//! between two neighbours that are close enough, else the nearest within a tolerance. Errors are
-//! solution minus reference in the local east, north, up frame of the reference; 2D is
-//! √(E² + N²), 3D √(E² + N² + U²). Reading files is [`formats`](crate::formats)' work, choosing
-//! them the caller's.
+//! Each solution row gets the reference position at its time: by linear interpolation in ECEF
+//! between two rows that are close enough, else the nearest row within a tolerance. Errors are
+//! solution minus reference in the reference's local east, north, up frame; 2D is √(E² + N²), 3D
+//! √(E² + N² + U²). Reading files is the task of [`formats`](crate::formats), choosing them that of
+//! the caller.
 
 pub mod comparison;
 mod epoch;

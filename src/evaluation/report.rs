@@ -1,4 +1,4 @@
-//! What follows from all judged epochs together: the numbers of an answer.
+//! Statistics over all judged epochs.
 
 use std::collections::BTreeMap;
 
@@ -11,32 +11,32 @@ use crate::gnss::GpsTime;
 
 /// RTKLIB's quality number of a fixed solution.
 const FIXED: i64 = 1;
-/// Limits (m) whose shares are told, and their names in JSON.
+/// Limits (m) whose shares are reported, and their names in JSON.
 const LIMITS: [(&str, f64); 5] = [("0.1", 0.1), ("0.5", 0.5), ("1", 1.0), ("3", 3.0), ("10", 10.0)];
 /// 95 % quantile of χ² with two degrees of freedom, −2 ln 0.05.
 const CHI_SQUARE_2_95: f64 = 5.991_464_547_107_98;
 /// 95 % quantile of χ² with three degrees of freedom; Abramowitz & Stegun (1964), table 26.8.
 const CHI_SQUARE_3_95: f64 = 7.814_73;
-/// A wrong fix further off than this is told apart (m).
+/// 3D error above which a wrong fix is counted separately (m).
 const GROSSLY_WRONG_M: f64 = 0.5;
 
-/// The numbers of a judgement; serialises with the keys of the JSON answer.
+/// Statistics of a judgement; the keys of its JSON form are the field names.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Epochs that ought to have a solution.
+    /// Number of epochs that should have a solution.
     pub expected: usize,
-    /// Solutions judged.
+    /// Number of judged solutions.
     pub matched: usize,
-    /// Solutions in the window without reference.
+    /// Number of solutions in the window without reference.
     pub unmatched_solutions: usize,
-    /// Judged over expected; `None` where nothing is expected.
+    /// Judged over expected; `None` if nothing is expected.
     pub availability: Option<f64>,
-    /// What only judged solutions give.
+    /// Statistics that need judged solutions.
     #[serde(flatten)]
     pub errors: Option<MatchedReport>,
 }
 
-/// The numbers of at least one judged solution.
+/// Statistics of at least one judged solution.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MatchedReport {
     /// Seconds of week of the first judged solution (s).
@@ -51,69 +51,69 @@ pub struct MatchedReport {
     pub err2d: ErrorStatistics,
     /// Absolute vertical error (m).
     pub err_up: ErrorStatistics,
-    /// Error in space (m).
+    /// Three-dimensional error (m).
     pub err3d: ErrorStatistics,
-    /// Solutions by quality number.
+    /// Number of solutions by quality number.
     pub q_counts: BTreeMap<i64, usize>,
-    /// Fixes.
+    /// Statistics of the fixes.
     pub fix: FixReport,
-    /// Shares within limits (m), 2D and 3D.
+    /// Shares within limits, 2D and 3D, by limit (m).
     pub within: BTreeMap<&'static str, [f64; 2]>,
-    /// Errors over what was stated; `None` where no row states a covariance.
+    /// Errors relative to the stated covariances; `None` if no row has one.
     pub uncertainty: Option<Uncertainty>,
 }
 
-/// How many solutions are fixed, and how many of these rightly.
+/// Number and correctness of fixed solutions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FixReport {
-    /// Fixed solutions.
+    /// Number of fixed solutions.
     pub n: usize,
-    /// Share of the judged solutions.
+    /// Fixed over judged solutions.
     pub rate_of_solutions: f64,
-    /// Share of the expected epochs.
+    /// Fixed solutions over expected epochs.
     pub rate_of_expected: Option<f64>,
-    /// What only fixes give.
+    /// Statistics that need fixes.
     #[serde(flatten)]
     pub errors: Option<FixedErrors>,
 }
 
-/// The quality of at least one fix.
+/// Statistics of at least one fix.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FixedErrors {
-    /// Share within the limit in 3D.
+    /// Share within the limit, 3D.
     pub correct_3d: f64,
-    /// Share within the limit in 2D.
+    /// Share within the limit, 2D.
     pub correct_2d: f64,
-    /// Share beyond the limit in 3D.
+    /// Share beyond the limit, 3D.
     pub wrong_3d_gt_tol: f64,
-    /// Share more than 0.5 m off in 3D.
+    /// Share with a 3D error above 0.5 m.
     pub wrong_3d_gt_0p5: f64,
     /// Fixes correct in 3D over expected epochs.
     pub correct_fix_of_expected: Option<f64>,
-    /// From the first judged solution to the first fix (s).
+    /// Time from the first judged solution to the first fix (s).
     pub ttff_s: f64,
-    /// Horizontal error of fixes (m).
+    /// Horizontal error of the fixes (m).
     pub err2d: ErrorStatistics,
-    /// Error in space of fixes (m).
+    /// Three-dimensional error of the fixes (m).
     pub err3d: ErrorStatistics,
 }
 
-/// Whether the stated covariances are honest.
+/// Consistency of the stated covariances with the errors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Uncertainty {
-    /// Judged solutions that state a covariance.
+    /// Number of judged solutions with a covariance.
     pub n: usize,
-    /// Share inside the stated 95 % ellipse (2D); honest is 0.95.
+    /// Share inside the stated 95 % ellipse (2D); 0.95 if consistent.
     pub inside_95_2d: f64,
-    /// Share inside the stated 95 % ellipsoid (3D).
+    /// Share inside the stated 95 % ellipsoid (3D); 0.95 if consistent.
     pub inside_95_3d: f64,
-    /// √ of the mean of eᵀC⁻¹e/2; honest is 1, above it the covariance is too small.
+    /// √ of the mean of eᵀC⁻¹e/2; 1 if consistent, above it the covariance is too small.
     pub normalised_rms_2d: f64,
-    /// √ of the mean of eᵀC⁻¹e/3.
+    /// √ of the mean of eᵀC⁻¹e/3; 1 if consistent.
     pub normalised_rms_3d: f64,
 }
 
-/// The numbers of `epochs`, in order of time; `None` where there are none.
+/// Statistics of `epochs`, in order of time; `None` without epochs.
 pub(super) fn matched_report(
     epochs: &[JudgedEpoch],
     expected: usize,
@@ -193,7 +193,7 @@ fn uncertainty(epochs: &[JudgedEpoch]) -> Option<Uncertainty> {
     })
 }
 
-/// `part` of `whole`; `None` of nothing.
+/// `part` over `whole`; `None` if `whole` is zero.
 pub(super) fn share(part: usize, whole: usize) -> Option<f64> {
     (whole != 0).then(|| part as f64 / whole as f64)
 }

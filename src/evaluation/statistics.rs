@@ -5,26 +5,26 @@ use serde::Serialize;
 /// Moments and percentiles of error magnitudes (m).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ErrorStatistics {
-    /// How many.
+    /// Number of values.
     pub n: usize,
-    /// Mean.
+    /// Mean (m).
     pub mean: f64,
-    /// Sample standard deviation (n − 1), 0 of a single value.
+    /// Sample standard deviation with n − 1 (m); 0 for a single value.
     pub std: f64,
-    /// Root mean square.
+    /// Root mean square (m).
     pub rms: f64,
-    /// Median.
+    /// Median (m).
     pub p50: f64,
-    /// 68th percentile.
+    /// 68th percentile (m).
     pub p68: f64,
-    /// 95th percentile.
+    /// 95th percentile (m).
     pub p95: f64,
-    /// Largest.
+    /// Largest value (m).
     pub max: f64,
 }
 
 impl ErrorStatistics {
-    /// Of a sample; `None` of an empty one.
+    /// Statistics of a sample; `None` if it is empty.
     pub fn of(values: &[f64]) -> Option<Self> {
         let sorted = sorted(values);
         let n = values.len();
@@ -44,20 +44,20 @@ impl ErrorStatistics {
     }
 }
 
-/// √(Σx²/n).
+/// Root mean square √(Σx²/n).
 pub(super) fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// A copy in rising order.
+/// A sorted copy.
 pub(super) fn sorted(values: &[f64]) -> Vec<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     sorted
 }
 
-/// The percentile (0 … 100) of a non-empty sample in rising order, linear between its values:
-/// definition 7 of Hyndman & Fan (1996), rank p/100·(n − 1).
+/// Percentile (0 … 100) of a sorted sample that is not empty, linear between values: definition 7
+/// of Hyndman & Fan (1996), rank p/100·(n − 1).
 pub fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let rank = percent / 100.0 * (sorted.len() - 1) as f64;
     let below = rank.floor() as usize;

@@ -1,50 +1,50 @@
-//! A city of blocks and streets, and what its walls do to signals.
+//! A city of blocks and streets, and the effect of its walls on signals.
 //!
-//! Streets form a square grid; between them stand blocks, each of one height. Signals are plane
-//! waves: a wall that stands in their way blocks them, one that is rightly placed reflects them,
-//! and what passes close below a roof's edge is bent over it, weak but hardly late. A wall reflects
-//! in panes, some of which do not: reflections persist along a pane and end at its border.
-//! City axes: x along the first street, y to its left, origin at a crossing.
+//! Streets form a square grid with blocks between them; each block has one height. Signals are
+//! plane waves. A wall in the path blocks a signal, a wall at the right position reflects it, and a
+//! signal that passes just below a roof's edge is diffracted: weak, with little delay. A wall
+//! consists of panes, some of which do not reflect, so a reflection lasts along a pane and ends at
+//! its border. City axes: x along the first street, y to its left, origin at a crossing.
 
 use nalgebra::{Vector2, Vector3};
 
 use super::place::Place;
 use super::random::of_place;
 
-/// Cells of the grid looked through for a wall.
+/// Largest number of grid cells searched for a wall.
 const LONGEST_LOOK: usize = 40;
-/// Step away from a wall before looking on from it (m).
+/// Distance from a wall at which the search continues (m).
 const OFF_THE_WALL_M: f64 = 1e-3;
 /// Wavelength for which diffraction is computed (m): L1.
 const WAVELENGTH_M: f64 = 0.19;
-/// Losses beyond are as good as blocked (dB).
+/// Larger diffraction losses count as blocked (dB).
 const DIFFRACTION_LIMIT_DB: f64 = 25.0;
 
-/// The measures of a city.
+/// Dimensions of a city.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CityPlan {
     /// Azimuth of the streets along x (rad).
     pub street_azimuth_rad: f64,
-    /// From wall to wall (m).
+    /// Street width from wall to wall (m).
     pub street_width_m: f64,
-    /// Length and depth of a block (m).
+    /// Side length of a block (m).
     pub block_m: f64,
     /// Lowest and highest building (m).
     pub heights_m: (f64, f64),
     /// Share of blocks without a building.
     pub open_share: f64,
-    /// Loss of a reflection, least and most (dB): metal and coated glass to rough concrete.
+    /// Smallest and largest loss of a reflection (dB): metal and coated glass to rough concrete.
     pub reflection_loss_db: (f64, f64),
-    /// Width of a pane, the part of a wall that reflects alike (m).
+    /// Width of a pane, a part of a wall with constant reflection (m).
     pub pane_m: f64,
-    /// Share of panes that reflect at all.
+    /// Share of panes that reflect.
     pub reflecting_share: f64,
-    /// Reflections longer than the direct path by more are too diffuse to be tracked (m).
+    /// Largest excess path of a reflection that a receiver tracks (m).
     pub longest_excess_m: f64,
 }
 
 impl CityPlan {
-    /// Streets of 22 m between buildings of 15 to 60 m, a block in eight being open.
+    /// Streets of 22 m between buildings of 15 to 60 m; one block in eight is open.
     pub const fn dense() -> Self {
         Self {
             street_azimuth_rad: 0.6,
@@ -60,7 +60,7 @@ impl CityPlan {
     }
 }
 
-/// A city: a plan, and the seed of its buildings.
+/// A city: its dimensions and the seed of its buildings.
 #[derive(Clone, Debug)]
 pub(super) struct City {
     plan: CityPlan,
@@ -71,40 +71,40 @@ pub(super) struct City {
 /// How a satellite's signal reaches the rover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Arrival {
-    /// Directly; `reflected` tells whether a reflection comes with it.
+    /// Directly; `reflected` if a reflection arrives too.
     Direct { reflected: bool },
     /// By one reflection only.
     Reflected(Reflection),
-    /// Bent over the edge of a roof.
+    /// Diffracted at the edge of a roof.
     Diffracted(Diffraction),
-    /// Not at all.
+    /// The signal does not reach the rover.
     Blocked,
 }
 
-/// What a reflection adds to the direct path.
+/// A reflection relative to the direct path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Reflection {
-    /// Length (m).
+    /// Excess path length (m).
     pub(super) excess_m: f64,
-    /// Its rate as the rover moves (m/s).
+    /// Rate of the excess path as the rover moves (m/s).
     pub(super) excess_rate_m_s: f64,
-    /// Loss of strength (dB).
+    /// Loss of signal strength (dB).
     pub(super) loss_db: f64,
 }
 
-/// What bending over an edge does to the direct path.
+/// A diffraction relative to the direct path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Diffraction {
-    /// Length added (m).
+    /// Excess path length (m).
     pub(super) excess_m: f64,
-    /// Loss of strength (dB).
+    /// Loss of signal strength (dB).
     pub(super) loss_db: f64,
 }
 
 impl Diffraction {
-    /// Over an edge `above_m` over the ray, at a right angle, and `distance_m` along it from the
-    /// antenna, the satellite being far: ν = h·√(2/(λd)), J(ν) = 6.9 + 20·log(√((ν − 0.1)² + 1) +
-    /// ν − 0.1) dB.
+    /// Diffraction at an edge that is `above_m` above the ray, perpendicular to it, and
+    /// `distance_m` along it from the antenna, for a distant satellite: ν = h·√(2/(λd)), J(ν) = 6.9
+    /// + 20·log(√((ν − 0.1)² + 1) + ν − 0.1) dB.
     ///
     /// Source: ITU-R P.526, single knife-edge obstacle.
     fn over_edge(above_m: f64, distance_m: f64) -> Self {
@@ -114,10 +114,10 @@ impl Diffraction {
     }
 }
 
-/// Where a ray first meets a wall.
+/// The first point where a ray meets a wall.
 struct Hit {
     point: Vector3<f64>,
-    /// Out of the wall, horizontal.
+    /// Normal of the wall, outwards, horizontal.
     normal: Vector2<f64>,
     block: (i64, i64),
 }
@@ -127,12 +127,12 @@ impl City {
         Self { plan, street_azimuth_rad: plan.street_azimuth_rad, seed }
     }
 
-    /// From crossing to crossing (m).
+    /// Distance between crossings (m).
     pub(super) fn pitch_m(&self) -> f64 {
         self.plan.block_m + self.plan.street_width_m
     }
 
-    /// Height of a block's building (m); 0 where there is none.
+    /// Height of a block's building (m); 0 without building.
     pub(super) fn height_m(&self, block: (i64, i64)) -> f64 {
         if of_place(self.seed, block.0, block.1, 0) < self.plan.open_share {
             return 0.0;
@@ -141,8 +141,8 @@ impl City {
         low + (high - low) * of_place(self.seed, block.0, block.1, 1)
     }
 
-    /// How a signal from azimuth and elevation reaches an antenna at `place`, its height above the
-    /// street being the third coordinate.
+    /// How a signal from azimuth and elevation reaches an antenna at `place`, whose third
+    /// coordinate is the height above the street.
     pub(super) fn arrival(&self, place: &Place, azimuth_rad: f64, elevation_rad: f64) -> Arrival {
         let (from, velocity) =
             (self.to_streets(&place.position_m), self.to_streets(&place.velocity_m_s));
@@ -153,7 +153,7 @@ impl City {
         let Some(hit) = self.first_wall(&from, &ray) else {
             return Arrival::Direct { reflected: reflection.is_some() };
         };
-        // The receiver follows the stronger of the two.
+        // The receiver tracks the stronger of the two.
         match (self.diffraction(&from, &ray, &hit), reflection) {
             (Some(bent), Some(reflection)) if bent.loss_db < reflection.loss_db => {
                 Arrival::Diffracted(bent)
@@ -164,7 +164,7 @@ impl City {
         }
     }
 
-    /// How the ray gets over the roof of the wall it hits, if nothing stands behind it.
+    /// Diffraction at the roof of the wall that the ray hits, if nothing else blocks the ray.
     fn diffraction(
         &self,
         from: &Vector3<f64>,
@@ -178,15 +178,14 @@ impl City {
         is_heard.then_some(bent)
     }
 
-    /// East, north, up as along the streets: (sin, cos) of their azimuth, and what lies left of it.
+    /// Rotates east, north, up into the city axes.
     fn to_streets(&self, enu: &Vector3<f64>) -> Vector3<f64> {
         let (sin, cos) = self.street_azimuth_rad.sin_cos();
         Vector3::new(enu.x * sin + enu.y * cos, enu.y * sin - enu.x * cos, enu.z)
     }
 
     /// The shorter of the single reflections on walls along x and along y. For a plane wave from
-    /// direction u and a wall with normal n at distance p it is 2·p·(u·n) longer than the direct
-    /// path.
+    /// direction u and a wall with normal n at distance p, the excess path is 2·p·(u·n).
     fn shortest_reflection(
         &self,
         from: &Vector3<f64>,
@@ -205,7 +204,7 @@ impl City {
                 return None;
             }
             let (low, high) = self.plan.reflection_loss_db;
-            // Panes are counted along the wall; each of a block's four walls has its own.
+            // Panes are numbered along the wall; each of a block's four walls has its own.
             let pane = (hit.point[1 - axis] / self.plan.pane_m).floor() as i64;
             let side = 2 * axis as u64 + u64::from(0.0 < hit.normal[axis]);
             let drawn = |what| {
@@ -235,7 +234,7 @@ impl City {
             if let Some(hit) = self.wall_of((i, j), from, ray) {
                 return Some(hit);
             }
-            // On to the cell whose border the ray crosses first.
+            // Continue in the cell whose border the ray crosses first.
             let border = |cell: i64, start: f64, slope: f64| match slope {
                 s if 0.0 < s => ((cell + 1) as f64 * pitch - start) / s,
                 s if s < 0.0 => (cell as f64 * pitch - start) / s,
@@ -255,7 +254,7 @@ impl City {
         None
     }
 
-    /// The ray's entry into the block of a cell, if it lies below the roof.
+    /// The point where the ray enters the block of a cell, if it is below the roof.
     fn wall_of(&self, cell: (i64, i64), from: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Hit> {
         let (pitch, half_street) = (self.pitch_m(), 0.5 * self.plan.street_width_m);
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);

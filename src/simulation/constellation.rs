@@ -1,9 +1,9 @@
-//! The satellites: nominal constellations as the broadcast ephemerides that describe them.
+//! Nominal constellations, as the broadcast ephemerides that describe them.
 //!
-//! Walker constellations as their operators publish them (GPS SPS PS 2020, 3.2; Galileo OS SDD 1.3,
-//! 2.2; BeiDou OS PS 3.0, 3.1; GLONASS ICD 5.1, 3.3.1), with invented clocks and group delays that
-//! depend on the satellite alone: every simulation of the same time has the same sky. The elements
-//! of successive issues continue one another, so that a change of issue moves nothing.
+//! Walker constellations as published by their operators (GPS SPS PS 2020, 3.2; Galileo OS SDD 1.3,
+//! 2.2; BeiDou OS PS 3.0, 3.1; GLONASS ICD 5.1, 3.3.1). Clocks and group delays are invented and
+//! depend on the satellite alone, so simulations of the same time have the same sky. The elements
+//! of successive issues describe one orbit: a change of issue causes no step.
 
 use nalgebra::Vector3;
 
@@ -19,7 +19,7 @@ use crate::gnss::{
 };
 use crate::models::satellite_state;
 
-/// Seed of what belongs to a satellite.
+/// Seed of the random properties of satellites.
 const SATELLITE_SEED: u64 = 0x6772_6170_6866_6978;
 const HOUR_S: f64 = 3_600.0;
 /// Semi-major axis of a geosynchronous orbit (m).
@@ -27,13 +27,13 @@ const GEOSYNCHRONOUS_AXIS: f64 = 42_164_170.0;
 const GLONASS_AXIS: f64 = 25_510_000.0;
 const GLONASS_INCLINATION_DEG: f64 = 64.8;
 const GLONASS_INTERVAL_S: f64 = 1_800.0;
-/// Channels of the slots; antipodal satellites share one.
+/// Channels of the slots; antipodal satellites have the same one.
 const GLONASS_CHANNELS: [i8; 24] =
     [1, -4, 5, 6, 1, -4, 5, 6, -2, -7, 0, -1, -2, -7, 0, -1, 4, -3, 3, 2, 4, -3, 3, 2];
 /// Tilt of the frame in which GEO elements are given; BDS-SIS-ICD-B1I-3.0, table 5-12 (deg).
 const GEO_TILT_DEG: f64 = 5.0;
 
-/// The orbit of one satellite: angles at [`reference_time`], in degrees.
+/// The orbit of one satellite; angles at [`reference_time`], in degrees.
 struct Orbit {
     satellite: SatelliteId,
     axis_m: f64,
@@ -43,16 +43,16 @@ struct Orbit {
     node_deg: f64,
     perigee_deg: f64,
     mean_anomaly_deg: f64,
-    /// Rate of the node in space (rad/s).
+    /// Rate of the node in inertial space (rad/s).
     node_rate: f64,
 }
 
-/// When the angles of the orbits hold.
+/// Reference time of the orbits' angles.
 fn reference_time() -> GpsTime {
     GpsTime::from_week_seconds(2300, 0.0)
 }
 
-/// All that is broadcast for positioning between two times.
+/// The broadcast data for positioning between two times.
 pub(super) fn navigation(
     constellations: &[Constellation],
     start: GpsTime,
@@ -102,7 +102,8 @@ fn orbits(constellation: Constellation) -> Vec<Orbit> {
     }
 }
 
-/// Walker t/p/f: t satellites in p planes, neighbours f·360°/t apart in phase; Walker (1984).
+/// Walker constellation t/p/f: t satellites in p planes, phase difference f·360°/t between
+/// neighbouring planes; Walker (1984).
 fn walker(
     constellation: Constellation,
     numbers: std::ops::RangeInclusive<u8>,
@@ -123,7 +124,7 @@ fn walker(
             axis_m,
             eccentricity,
             inclination_deg,
-            // Constellations are turned against one another so that they fill each other's gaps.
+            // Constellations are rotated against one another so that they fill each other's gaps.
             node_deg: 360.0 * plane as f64 / planes as f64 + 17.0 * constellation.index() as f64,
             perigee_deg: 0.0,
             mean_anomaly_deg: phase,
@@ -133,7 +134,7 @@ fn walker(
     numbers.enumerate().map(orbit).collect()
 }
 
-/// One of three on a common figure of eight around a longitude.
+/// One of three satellites on a common figure of eight around a longitude.
 fn geosynchronous(
     constellation: Constellation,
     number: u8,
@@ -154,8 +155,8 @@ fn geosynchronous(
     }
 }
 
-/// A BeiDou satellite over the equator, its elements in the tilted frame of the ICD, where the
-/// equator's node lies at 180° and the argument of latitude is the longitude plus 180°.
+/// A geostationary BeiDou satellite, with elements in the tilted frame of the ICD: the node of the
+/// equator is at 180°, and the argument of latitude is the longitude plus 180°.
 fn geostationary(number: u8, longitude_deg: f64) -> Orbit {
     Orbit {
         satellite: satellite(Constellation::BeiDou, number),
@@ -173,7 +174,7 @@ fn satellite(constellation: Constellation, number: u8) -> SatelliteId {
     SatelliteId::new(constellation, number).expect("the tables hold numbers from 1 to 99")
 }
 
-/// A number in −1 … 1 that belongs to a satellite.
+/// A random number in −1 … 1 that depends on the satellite only.
 fn trait_of(satellite: SatelliteId, what: u64) -> f64 {
     let (index, number) = (satellite.constellation.index() as i64, i64::from(satellite.number));
     2.0 * of_place(SATELLITE_SEED, index, number, what) - 1.0
@@ -193,7 +194,7 @@ fn keplerian(orbit: &Orbit, toe: GpsTime, interval_s: f64) -> KeplerianEphemeris
     };
     let elapsed_s = toe - reference_time();
     let motion = (gravity / orbit.axis_m.powi(3)).sqrt();
-    // A geostationary satellite's elements are the same at every toe, seen from the Earth.
+    // In the Earth-fixed frame a geostationary satellite has the same elements at every toe.
     let (turned, moved) = match is_geo {
         true => (0.0, 0.0),
         false => ((orbit.node_rate - earth_rate) * elapsed_s, motion * elapsed_s),
@@ -236,7 +237,7 @@ fn keplerian(orbit: &Orbit, toe: GpsTime, interval_s: f64) -> KeplerianEphemeris
     }
 }
 
-/// Into −π … π.
+/// Wraps an angle to −π … π.
 fn wrap(angle_rad: f64) -> f64 {
     angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
 }
@@ -268,9 +269,9 @@ fn message_of(satellite: SatelliteId) -> (NavigationMessage, GroupDelays) {
     }
 }
 
-/// GLONASS 24/3/1, each issue being the motion of the one before.
+/// GLONASS 24/3/1; each issue is the propagated previous one.
 fn glonass(start: GpsTime, end: GpsTime, navigation: &mut Navigation) {
-    // t_b lies at the quarters and three quarters of UTC's hours; a day has a whole number of them.
+    // t_b is at the quarters and three quarters of UTC hours; a day has a whole number of them.
     let leap_s = LeapSeconds::table().at(start) as f64;
     let label_s = start.seconds_of_week() - leap_s - 0.5 * GLONASS_INTERVAL_S;
     let first = start - label_s.rem_euclid(GLONASS_INTERVAL_S);
@@ -292,7 +293,7 @@ fn glonass(start: GpsTime, end: GpsTime, navigation: &mut Navigation) {
     }
 }
 
-/// The circular orbit of a slot (0 … 23) as position and velocity at a time.
+/// Position and velocity on the circular orbit of a slot (0 … 23) at a time.
 fn glonass_at(slot: u8, toe: GpsTime) -> GlonassEphemeris {
     let satellite = satellite(Constellation::Glonass, slot + 1);
     let elapsed_s = toe - reference_time();

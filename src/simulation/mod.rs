@@ -1,16 +1,16 @@
 //! Observations with known truth, from a seed.
 //!
-//! [`Simulator`] makes one epoch after the other: where the rover is, what it and its base measure.
-//! Satellites move as their generated broadcast [`Navigation`] says, evaluated by
-//! [`models`](crate::models), so that the truth is exact: a measurement is
+//! [`Simulator`] makes one epoch after another: the position of the rover and the measurements of
+//! rover and base. Satellites follow their generated broadcast [`Navigation`], evaluated by
+//! [`models`](crate::models), so that the truth is exact. A measurement is
 //!
 //! P = ρ + c·δt_r − c·δtˢ + τ + T + I + ε + reflection + multipath + noise,
-//! λφ = ρ + c·δt_r − c·δtˢ + T − I + λN + ε + reflection + multipath + noise,
+//! λφ = ρ + c·δt_r − c·δtˢ + T − I + λN + ε + reflection + multipath + noise.
 //!
-//! each term of which [`Scenario`] can switch off; ε is what orbit and clock broadcast err, one
+//! [`Scenario`] can switch off each term. ε is the range error of broadcast orbit and clock, one
 //! number for a satellite and seed. The same scenario and seed give the same bits. The navigation
-//! depends on the scenario alone: a fleet of many seeds shares one. Not modelled: antenna phase
-//! patterns.
+//! data depends on the scenario alone, so that a fleet of many seeds shares it. Antenna phase
+//! patterns are not modelled.
 
 mod city;
 mod constellation;
@@ -44,28 +44,28 @@ const BASE_STREAM: u64 = 2;
 const ODOMETRY_STREAM: u64 = 3;
 const IONOSPHERE_STREAM: u64 = 21;
 
-/// One instant of a simulation.
+/// One epoch of a simulation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedEpoch {
-    /// What the rover measured.
+    /// Observations of the rover.
     pub rover: Epoch,
-    /// What the base measured at the same tag; `None` without base.
+    /// Observations of the base at the same time tag; `None` without base.
     pub base: Option<Epoch>,
-    /// The truth of the phase of each of the rover's observations, in their order.
+    /// The truth of the rover's carrier phases, in the order of its observations.
     pub rover_phases: Vec<PhaseTruth>,
-    /// Likewise of the base's; empty without base.
+    /// The truth of the base's carrier phases; empty without base.
     pub base_phases: Vec<PhaseTruth>,
-    /// What its wheels and compass say of the way since the epoch before; `None` at the first.
+    /// Displacement since the previous epoch, from wheels and compass; `None` at the first epoch.
     pub odometry: Option<Odometry>,
-    /// Where the rover's antenna was when GPS time was the tag.
+    /// True position of the rover's antenna at the GPS time that equals the tag, ECEF (m).
     pub position: Ecef,
-    /// Its velocity then, ECEF (m/s).
+    /// True velocity at that time, ECEF (m/s).
     pub velocity_m_s: Vector3<f64>,
-    /// Offset of the rover's clock (m).
+    /// True offset of the rover's clock (m).
     pub clock_m: f64,
 }
 
-/// A simulation under way: an iterator over its epochs.
+/// A running simulation: an iterator over its epochs.
 #[derive(Clone, Debug)]
 pub struct Simulator {
     scenario: Scenario,
@@ -80,7 +80,7 @@ pub struct Simulator {
     next_index: u64,
 }
 
-/// The broadcast navigation of a scenario, from its start to its end.
+/// The broadcast navigation data of a scenario, from its start to its end.
 pub fn navigation(scenario: &Scenario) -> Navigation {
     let end = scenario.start + scenario.duration_s;
     let klobuchar = scenario.atmosphere.map(|atmosphere| atmosphere.klobuchar);
@@ -88,13 +88,13 @@ pub fn navigation(scenario: &Scenario) -> Navigation {
 }
 
 impl Simulator {
-    /// A simulation of its own navigation.
+    /// A simulation with its own navigation data.
     pub fn new(scenario: Scenario, seed: u64) -> Self {
         let navigation = Arc::new(navigation(&scenario));
         Self::with_navigation(scenario, seed, navigation)
     }
 
-    /// One of several simulations under the same sky: `navigation` is that of their scenario.
+    /// One of several simulations under the same sky; `navigation` belongs to their scenario.
     pub fn with_navigation(mut scenario: Scenario, seed: u64, navigation: Arc<Navigation>) -> Self {
         if let Some(atmosphere) = &mut scenario.atmosphere {
             let drawn = Random::new(seed, IONOSPHERE_STREAM).normal();
@@ -114,17 +114,17 @@ impl Simulator {
         Self { scenario, seed, navigation, frame, path, city, rover, base, odometer, next_index: 0 }
     }
 
-    /// What the satellites broadcast.
+    /// The broadcast navigation data.
     pub fn navigation(&self) -> &Arc<Navigation> {
         &self.navigation
     }
 
-    /// The base's antenna; `None` without base.
+    /// True position of the base's antenna; `None` without base.
     pub fn base_position(&self) -> Option<Ecef> {
         self.base.as_ref().map(|(_, position)| *position)
     }
 
-    /// The rover's antenna and its velocity at an instant, in ECEF and in the local frame.
+    /// The rover's antenna position and velocity at an instant, in ECEF and in the local frame.
     fn rover_at(&self, time: GpsTime) -> (Ecef, Vector3<f64>, Place) {
         let mut place = self.path.at(time - self.scenario.start);
         place.position_m.z += self.scenario.antenna_height_m;

@@ -1,4 +1,4 @@
-//! How the rover moves: smooth paths with position and velocity at any time.
+//! Motion of the rover: smooth paths with position and velocity at any time.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -6,7 +6,7 @@ use super::city::City;
 use super::place::Place;
 use super::random::Random;
 
-/// Acceleration and braking of a car in town (m/s²).
+/// Acceleration and deceleration of a car in town (m/s²).
 const ACCELERATION_M_S2: f64 = 2.0;
 /// Speed between the turns (m/s).
 const CRUISE_M_S: f64 = 12.0;
@@ -14,22 +14,22 @@ const CRUISE_M_S: f64 = 12.0;
 const TURN_M_S: f64 = 4.0;
 /// Radius of a turn (m).
 const TURN_RADIUS_M: f64 = 8.0;
-/// From the street's middle to the car's lane, right of it (m).
+/// Distance from the street's centre to the car's lane, to its right (m).
 const LANE_M: f64 = 3.0;
-/// Probability that a light is red, and how long one waits (s).
+/// Probability that a traffic light is red; below, the range of waiting times (s).
 const RED_PROBABILITY: f64 = 0.35;
 const RED_S: (f64, f64) = (8.0, 35.0);
-/// Corners the car stays within, counted from where it starts.
+/// Number of crossings that the car stays within, counted from its start.
 const TOWN_CORNERS: i64 = 5;
 
-/// How the rover moves.
+/// The kind of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
-    /// Not at all.
+    /// At rest.
     Static,
     /// Along a figure of eight.
     Loop {
-        /// Half its length, east (m).
+        /// Half its length, towards east (m).
         half_length_m: f64,
         /// Mean speed (m/s).
         speed_m_s: f64,
@@ -38,7 +38,7 @@ pub enum Motion {
     Streets,
 }
 
-/// A path made ready for a duration.
+/// A path for a given duration.
 #[derive(Clone, Debug)]
 pub(super) enum Path {
     Static,
@@ -46,7 +46,7 @@ pub(super) enum Path {
     Drive { pieces: Vec<Piece>, phases: Vec<Phase>, heading: Vector2<f64> },
 }
 
-/// A part of a drive's line: straight, or an arc to the left (positive curvature) or right.
+/// A segment of a drive: straight, or an arc to the left (positive curvature) or right.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Piece {
     from_m: f64,
@@ -55,7 +55,7 @@ pub(super) struct Piece {
     curvature_per_m: f64,
 }
 
-/// A part of a drive's time, of constant acceleration.
+/// A time interval of a drive with constant acceleration.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Phase {
     from_s: f64,
@@ -68,7 +68,7 @@ pub(super) struct Phase {
 const EIGHT_LENGTH: f64 = 6.097_223_470_104_917;
 
 impl Path {
-    /// The path of a motion for that long; streets are those of `city`.
+    /// The path of a motion for a duration (s); streets are those of `city`.
     pub(super) fn new(motion: Motion, city: Option<&City>, duration_s: f64, seed: u64) -> Self {
         match (motion, city) {
             (Motion::Loop { half_length_m, speed_m_s }, _) => Self::Eight {
@@ -80,14 +80,14 @@ impl Path {
         }
     }
 
-    /// Where it leads at a time after the start (s).
+    /// Position and velocity at a time after the start (s).
     pub(super) fn at(&self, elapsed_s: f64) -> Place {
         match self {
             Self::Static => Place { position_m: Vector3::zeros(), velocity_m_s: Vector3::zeros() },
             Self::Eight { half_length_m, rate_rad_s } => {
                 let (a, w) = (*half_length_m, *rate_rad_s);
                 let phase = w * elapsed_s;
-                // Up: a gentle slope along the way.
+                // Up: a gentle slope along the path.
                 let position = Vector3::new(phase.sin(), 0.5 * (2.0 * phase).sin(), 0.0);
                 let slope = Vector3::new(phase.cos(), (2.0 * phase).cos(), 0.0);
                 let up = Vector3::new(0.0, 0.0, 0.02 * a);
@@ -101,7 +101,7 @@ impl Path {
     }
 }
 
-/// `heading` is the direction of the first street: the city's axes turned into east and north.
+/// `heading` is the direction of the first street, which rotates city axes into east and north.
 fn drive_at(pieces: &[Piece], phases: &[Phase], heading: &Vector2<f64>, elapsed_s: f64) -> Place {
     let phase = &phases[phases.partition_point(|p| p.from_s <= elapsed_s).max(1) - 1];
     let dt = elapsed_s - phase.from_s;
@@ -129,7 +129,7 @@ struct Drive {
     pieces: Vec<Piece>,
     phases: Vec<Phase>,
     heading: Vector2<f64>,
-    /// Where its line and its time end.
+    /// End of the segments so far.
     end: Vector2<f64>,
     length_m: f64,
     time_s: f64,
@@ -160,7 +160,7 @@ impl Drive {
         drive
     }
 
-    /// Drives to a crossing, waits if the light is red, and leaves in the direction `next`.
+    /// Drives to a crossing, waits at a red light, and leaves in the direction `next`.
     fn drive_to(
         &mut self,
         corner: (i64, i64),
@@ -230,7 +230,7 @@ impl Drive {
         self.time_s += duration_s;
     }
 
-    /// Where the phases so far end.
+    /// Distance at the end of the time intervals so far (m).
     fn phases_end_m(&self) -> f64 {
         self.phases.last().map_or(0.0, |last| {
             let dt = self.time_s - last.from_s;
@@ -238,10 +238,10 @@ impl Drive {
         })
     }
 
-    /// Covers a length and ends with a speed: accelerates, cruises, brakes.
+    /// Covers a distance and ends with a given speed: accelerates, cruises, brakes.
     fn travel(&mut self, length_m: f64, leaving_m_s: f64, limit_m_s: f64) {
         let (v0, v1, a) = (self.speed_m_s, leaving_m_s, ACCELERATION_M_S2);
-        // v² of the peak where acceleration and braking alone cover the length.
+        // v² of the highest speed if acceleration and braking alone cover the distance.
         let peak = (a * length_m + 0.5 * (v0 * v0 + v1 * v1)).max(0.0).sqrt();
         let top = peak.min(limit_m_s).max(v0.max(v1));
         let speeding = (top * top - v0 * v0) / (2.0 * a);

@@ -1,9 +1,9 @@
-//! Wheels and a compass: what a car itself says of its way.
+//! Wheels and compass of a car.
 //!
-//! Wheels count the way driven, with one scale error for the whole drive, a noise that grows with
-//! the square root of the way as slips do, and the rounding of their ticks; they do not move aside.
-//! The heading is off by one angle for the whole drive and by noise. What is stated treats all of
-//! it as independent from one displacement to the next.
+//! Wheels measure the distance driven. Their errors are one scale error for the whole drive, a
+//! noise that grows with the square root of the distance as slips do, and the rounding to ticks;
+//! lateral motion is zero. The heading has one constant error for the whole drive and noise. The
+//! stated covariance treats all errors as independent between displacements.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,21 +11,21 @@ use super::motion::Path;
 use super::random::Random;
 use crate::gnss::{Odometry, OdometryFrame};
 
-/// Deviation of the scale, of one drive.
+/// Standard deviation of the scale error of a drive.
 const SCALE_SIGMA: f64 = 0.01;
-/// Deviation of slips (m/√m).
+/// Standard deviation of slips (m/√m).
 const SLIP_M: f64 = 0.01;
-/// Way from one tick to the next (m).
+/// Distance between ticks (m).
 const TICK_M: f64 = 0.02;
-/// Deviation of the heading of one drive, and of its noise (rad): 1° and 0.5°.
+/// Standard deviations of the constant error and of the noise of the heading (rad): 1° and 0.5°.
 const HEADING_BIAS_RAD: f64 = 0.017_453;
 const HEADING_NOISE_RAD: f64 = 0.008_727;
-/// Deviation aside and upwards, as a share of the way: turns and slopes.
+/// Standard deviation of lateral and vertical motion, as a share of the distance: turns, slopes.
 const ASIDE: f64 = 0.02;
 const SLOPE: f64 = 0.05;
-/// Parts into which the way is cut to measure it.
+/// Number of parts in which the distance is integrated.
 const PARTS: usize = 16;
-/// Slower than this there is no direction (m/s).
+/// Speed below which the heading is undefined (m/s).
 const STANDING_M_S: f64 = 0.01;
 
 /// The wheels and compass of one drive.
@@ -45,8 +45,8 @@ impl Odometer {
         Self { random, scale, bias_rad, heading_rad: 0.0, last_s: None }
     }
 
-    /// The displacement along `path` since the last call up to a time after the start (s); `None`
-    /// the first time.
+    /// The displacement along `path` since the last call, up to a time after the start (s); `None`
+    /// at the first call.
     pub(super) fn measure(&mut self, path: &Path, elapsed_s: f64) -> Option<Odometry> {
         let last_s = self.last_s.replace(elapsed_s)?;
         let interval_s = elapsed_s - last_s;
@@ -74,7 +74,7 @@ impl Odometer {
     }
 }
 
-/// Length of the path from a time on for an interval (m), by the trapezoid rule.
+/// Length of the path over a time interval (m), by the trapezoid rule.
 fn way_m(path: &Path, from_s: f64, interval_s: f64) -> f64 {
     let speed_m_s =
         |part: usize| path.at(from_s + interval_s * part as f64 / PARTS as f64).velocity_m_s.norm();

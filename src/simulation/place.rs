@@ -1,8 +1,8 @@
-//! Where a rover is and how it moves.
+//! Position and velocity of a rover.
 
 use nalgebra::Vector3;
 
-/// Where the rover is and how it moves, east, north, up of the scenario's origin (m, m/s).
+/// Position (m) and velocity (m/s) of the rover, east, north, up of the scenario's origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
     pub(super) position_m: Vector3<f64>,

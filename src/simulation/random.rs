@@ -24,7 +24,7 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A number in 0 … 1 that belongs to a place, whatever was drawn before.
+/// A number in 0 … 1 that depends on its arguments only, not on previous draws.
 pub(super) fn of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     let mut state = seed;
     for part in [x as u64, y as u64, what] {
@@ -34,14 +34,14 @@ pub(super) fn of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     unit(split_mix(&mut state))
 }
 
-/// Standard normal, likewise.
+/// A standard normal number that depends on its arguments only.
 pub(super) fn normal_of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     let radius = (-2.0 * (1.0 - of_place(seed, x, y, what)).ln()).sqrt();
     radius * (std::f64::consts::TAU * of_place(seed, x, y, !what)).cos()
 }
 
 impl Random {
-    /// The stream number `stream` of a seed.
+    /// Stream number `stream` of a seed.
     pub(super) fn new(seed: u64, stream: u64) -> Self {
         let mut filler = seed;
         filler = split_mix(&mut filler) ^ stream;
@@ -62,17 +62,17 @@ impl Random {
         result
     }
 
-    /// Uniform in `low` … `high`.
+    /// A uniform number in `low` … `high`.
     pub(super) fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * unit(self.next_bits())
     }
 
-    /// Whether something of that probability happens.
+    /// Draws an event of this probability.
     pub(super) fn chance(&mut self, probability: f64) -> bool {
         unit(self.next_bits()) < probability
     }
 
-    /// Standard normal.
+    /// A standard normal number.
     pub(super) fn normal(&mut self) -> f64 {
         if let Some(spare) = self.spare_normal.take() {
             return spare;
@@ -90,12 +90,12 @@ impl Random {
 pub(super) struct GaussMarkov(f64);
 
 impl GaussMarkov {
-    /// Begins in its steady state.
+    /// A process in its steady state.
     pub(super) fn new(random: &mut Random) -> Self {
         Self(random.normal())
     }
 
-    /// Its value `elapsed_s` later, for a correlation time (s).
+    /// The value `elapsed_s` later, for a correlation time (s).
     pub(super) fn advance(
         &mut self,
         elapsed_s: f64,
@@ -107,7 +107,7 @@ impl GaussMarkov {
         self.0
     }
 
-    /// Its present value.
+    /// The present value.
     pub(super) const fn value(&self) -> f64 {
         self.0
     }

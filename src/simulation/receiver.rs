@@ -1,4 +1,4 @@
-//! A receiver: its clock, what it tracks, and the measurements it makes of it.
+//! A receiver: its clock, the signals that it tracks, and their measurements.
 
 use std::collections::BTreeMap;
 
@@ -22,22 +22,22 @@ use crate::models::{
     range_rate, satellite_state, select_ephemeris,
 };
 
-/// The second signal is received weaker (dB).
+/// The second signal is weaker by this (dB).
 const SECOND_SIGNAL_LOSS_DB: f64 = 2.0;
-/// A satellite this far below the mask is looked at again only after a while (rad, s).
+/// A satellite this far below the mask is checked again only after a while (rad, s).
 const FAR_BELOW_RAD: f64 = 0.07;
 const LOOK_AGAIN_S: f64 = 120.0;
-/// Over less than this a satellite moves on a line and keeps its velocity, to 0.01 mm/s (s).
+/// Over a shorter time a satellite moves on a straight line at constant velocity, to 0.01 mm/s (s).
 const STRAIGHT_S: f64 = 1e-5;
 const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
-/// What is drawn of a satellite's number for its signal-in-space error.
+/// Number of the random property of a satellite that is its signal-in-space error.
 const SIGNAL_IN_SPACE: u64 = 32;
-/// The thin ionosphere above a mean Earth (m).
+/// Height of the thin ionospheric shell above a mean Earth (m).
 const SHELL_HEIGHT_M: f64 = 350e3;
 const EARTH_RADIUS_M: f64 = 6_371e3;
 const L1_HZ: f64 = 1_575.42e6;
 
-/// Signals received of a constellation, in order of preference.
+/// Observation codes received of a constellation, in order of preference.
 pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
     let names = match constellation {
         Constellation::Gps | Constellation::Qzss => ["1C", "2L"],
@@ -48,7 +48,7 @@ pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
     names.map(|name| ObservationCode::parse(name).expect("the codes are RINEX 3's"))
 }
 
-/// A receiver and all that its next epoch depends on.
+/// A receiver and the state on which its next epoch depends.
 #[derive(Clone, Debug)]
 pub(super) struct Receiver {
     errors: Option<ReceiverErrors>,
@@ -60,31 +60,31 @@ pub(super) struct Receiver {
     tracks: BTreeMap<SatelliteId, Track>,
 }
 
-/// What is true of a carrier phase.
+/// The true values of a carrier phase.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhaseTruth {
-    /// Its ambiguity N (cycles): an integer, or off by a half while the half cycle is unresolved.
-    /// It changes where the phase slips.
+    /// Its ambiguity N (cycles): an integer, or a half-integer while the half cycle is unresolved.
+    /// A slip changes it.
     pub ambiguity_cycles: f64,
     /// Elevation of the satellite (rad).
     pub elevation_rad: f64,
-    /// The phase is that of a reflection, whose path changes as the rover moves.
+    /// Whether the phase is that of a reflection, whose path changes as the rover moves.
     pub is_reflected: bool,
 }
 
-/// What surrounds an antenna at an instant.
+/// Surroundings of an antenna at an instant.
 pub(super) struct Surroundings<'a> {
     pub(super) navigation: &'a Navigation,
     pub(super) atmosphere: Option<&'a Atmosphere>,
-    /// The city, and the antenna in it.
+    /// The city, and the antenna's position in it.
     pub(super) city: Option<(&'a City, Place)>,
     pub(super) scenario: &'a Scenario,
-    /// Seed of what the satellites broadcast wrongly.
+    /// Seed of the errors of broadcast orbits and clocks.
     pub(super) seed: u64,
 }
 
 impl Surroundings<'_> {
-    /// What a satellite's broadcast orbit and clock put into every range to it (m).
+    /// Range error of a satellite's broadcast orbit and clock (m).
     fn signal_in_space_m(&self, satellite: SatelliteId) -> f64 {
         if !self.scenario.broadcast_errors {
             return 0.0;
@@ -95,7 +95,7 @@ impl Surroundings<'_> {
             * normal_of_place(self.seed, place.0, place.1, SIGNAL_IN_SPACE)
     }
 
-    /// What the ionosphere's gradient adds to the zenith delay at a place (m on L1).
+    /// Zenith delay due to the ionosphere's gradient at a position (m on L1).
     fn gradient_m(&self, position: Ecef) -> f64 {
         let gradient = self.atmosphere.map_or([0.0; 2], |a| a.ionosphere_gradient);
         if gradient == [0.0; 2] {
@@ -106,7 +106,7 @@ impl Surroundings<'_> {
     }
 }
 
-/// The geometry and delays of one satellite's direct path.
+/// Geometry and delays of a satellite's direct path.
 struct DirectPath {
     state: SatelliteState,
     range_m: f64,
@@ -115,12 +115,12 @@ struct DirectPath {
     troposphere_m: f64,
 }
 
-/// The delays that all satellites of an epoch share.
+/// Quantities common to all satellites of an epoch.
 struct Sky<'a> {
     receiver: Geodetic,
     frame: LocalFrame,
     troposphere: Option<Troposphere>,
-    /// What the ionosphere's gradient adds to the zenith delay on L1 (m).
+    /// Zenith delay due to the ionosphere's gradient (m on L1).
     gradient_m: f64,
     surroundings: &'a Surroundings<'a>,
     velocity_m_s: Vector3<f64>,
@@ -140,7 +140,7 @@ impl Receiver {
         Self { errors, clock_options, random, clock_m, drift_m_s, last: None, tracks }
     }
 
-    /// Moves the clock on to an epoch's tag; returns the true time of reception.
+    /// Propagates the clock to an epoch's tag; returns the true time of reception.
     pub(super) fn advance_clock(&mut self, tag: GpsTime) -> GpsTime {
         if let Some(last) = self.last {
             let dt = tag - last;
@@ -165,8 +165,8 @@ impl Receiver {
         self.drift_m_s
     }
 
-    /// What is measured at `tag`, the antenna being at `position` at the true time of reception,
-    /// and the truth of each observation's phase.
+    /// The observations at `tag`, with the antenna at `position` at the true time of reception, and
+    /// the truth of each observation's phase.
     pub(super) fn observe(
         &mut self,
         tag: GpsTime,
@@ -263,8 +263,8 @@ impl Receiver {
 }
 
 impl Sky<'_> {
-    /// Solves for the time of transmission: t − (ρ + T)/c; the ionosphere's metres move a satellite
-    /// by some 10 µm and are left out of it.
+    /// Solves for the time of transmission, t − (ρ + T)/c. The ionosphere's delay moves a satellite
+    /// by some 10 µm and is neglected.
     fn direct_path(&self, ephemeris: &Ephemeris) -> DirectPath {
         let mut travel_s = 0.075;
         let mut state = satellite_state(ephemeris, self.time - travel_s);
@@ -272,7 +272,7 @@ impl Sky<'_> {
         let mut troposphere_m = 0.0;
         for _ in 0..3 {
             look = look_angles(&self.frame, state.position);
-            // Below the horizon there is no mapping function; nothing is received there.
+            // Below the horizon there is no mapping function, and nothing is received.
             let elevation = look.elevation_rad;
             let above = self.troposphere.filter(|_| 0.0 < elevation);
             troposphere_m = above.map_or(0.0, |model| model.slant_delay_m(elevation));
@@ -293,7 +293,7 @@ impl Sky<'_> {
         DirectPath { state, range_m, rate_m_s: rate.rate_m_s, look, troposphere_m }
     }
 
-    /// What a perfect receiver measures of a direct signal.
+    /// The measurements of an error-free receiver on the direct path.
     fn ideal(
         &self,
         ephemeris: &Ephemeris,

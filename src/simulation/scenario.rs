@@ -1,64 +1,64 @@
-//! What is simulated: sky, surroundings, rover, receivers and atmosphere, each with its numbers.
+//! Scenarios: sky, surroundings, rover, receivers and atmosphere, with their parameters.
 
 use super::city::CityPlan;
 use super::motion::Motion;
 use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients};
 
-/// Everything that shapes a simulation, except its seed.
+/// All parameters of a simulation except its seed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario {
-    /// Tag of the first epoch.
+    /// Time tag of the first epoch.
     pub start: GpsTime,
-    /// From the first epoch to the last (s).
+    /// Time from the first epoch to the last (s).
     pub duration_s: f64,
-    /// Between epochs (s).
+    /// Interval of the epochs (s).
     pub interval_s: f64,
-    /// Where the rover starts: street level, or the ground.
+    /// Start of the rover, at street level or on the ground.
     pub origin: Geodetic,
-    /// Height of the rover's antenna above it (m).
+    /// Height of the rover's antenna above the ground (m).
     pub antenna_height_m: f64,
-    /// How the rover moves.
+    /// Motion of the rover.
     pub motion: Motion,
-    /// The city around the rover; `None` is open sky.
+    /// The city around the rover; `None`: open sky.
     pub city: Option<CityPlan>,
-    /// Base station, relative to the origin, under open sky; `None` is no base.
+    /// Base station relative to the origin, under open sky; `None`: no base.
     pub base: Option<Enu>,
     /// Constellations received.
     pub constellations: Vec<Constellation>,
-    /// Signals received of each satellite: 1 or 2.
+    /// Number of signals received of each satellite, 1 or 2.
     pub frequencies: usize,
-    /// Satellites below are not received (rad).
+    /// Satellites below this elevation are not received (rad).
     pub elevation_mask_rad: f64,
-    /// Whether orbits and clocks broadcast err, by [`signal_in_space_sigma_m`].
+    /// Whether broadcast orbits and clocks have errors of [`signal_in_space_sigma_m`].
     pub broadcast_errors: bool,
-    /// Atmosphere; `None` is vacuum.
+    /// Atmosphere; `None`: vacuum.
     pub atmosphere: Option<Atmosphere>,
-    /// Errors of the rover's receiver; `None` is a perfect one.
+    /// Errors of the rover's receiver; `None`: error-free.
     pub rover_errors: Option<ReceiverErrors>,
-    /// Errors of the base's receiver; `None` is a perfect one.
+    /// Errors of the base's receiver; `None`: error-free.
     pub base_errors: Option<ReceiverErrors>,
-    /// Receiver clocks.
+    /// Clocks of both receivers.
     pub clock: ReceiverClock,
 }
 
-/// Delays on the way.
+/// Delays in the atmosphere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Atmosphere {
-    /// Broadcast coefficients.
+    /// Broadcast Klobuchar coefficients.
     pub klobuchar: KlobucharCoefficients,
-    /// True ionosphere over broadcast ionosphere, mean of all seeds.
+    /// True over broadcast ionospheric delay, mean of all seeds.
     pub ionosphere_ratio: f64,
-    /// Its standard deviation from seed to seed.
+    /// Standard deviation of this ratio between seeds.
     pub ionosphere_spread: f64,
-    /// Growth of the zenith delay on L1 towards east and north of the origin (m/m): 1 mm/km is
-    /// 1e-6. Base and rover differ by it in proportion to their distance.
+    /// Gradient of the zenith delay on L1 towards east and north of the origin (m/m; 1 mm/km is
+    /// 1e-6). The delays of base and rover differ in proportion to their distance.
     pub ionosphere_gradient: [f64; 2],
     /// Relative humidity, 0 … 1.
     pub relative_humidity: f64,
 }
 
-/// What a receiver and its surroundings do to measurements; standard deviations at 45 dB-Hz,
-/// growing by 10^(−(S − 45)/20) with C/N0 S as tracking loops' thermal noise does.
+/// Measurement errors of a receiver and its surroundings. Standard deviations refer to 45 dB-Hz and
+/// grow by 10^(−(S − 45)/20) with C/N0 S, as thermal noise of tracking loops does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReceiverErrors {
     /// Thermal noise of pseudoranges (m).
@@ -67,32 +67,32 @@ pub struct ReceiverErrors {
     pub phase_m: f64,
     /// Thermal noise of Doppler as range rate (m/s).
     pub doppler_m_s: f64,
-    /// Multipath of pseudoranges at the horizon, falling with the elevation's cosine (m).
+    /// Multipath of pseudoranges at the horizon, proportional to the cosine of elevation (m).
     pub code_multipath_m: f64,
-    /// Multipath of carrier phases, likewise (m).
+    /// Multipath of carrier phases at the horizon, proportional to the cosine of elevation (m).
     pub phase_multipath_m: f64,
-    /// Correlation time of multipath while the antenna stands (s): satellites move slowly.
+    /// Correlation time of multipath at rest (s): satellites move slowly.
     pub multipath_correlation_s: f64,
-    /// Way over which multipath changes as much (m).
+    /// Distance over which multipath decorrelates (m).
     pub multipath_correlation_m: f64,
     /// Standard deviation of slow fading of C/N0 (dB).
     pub fading_db: f64,
     /// Correlation time of fading (s).
     pub fading_correlation_s: f64,
-    /// Cycle slips per satellite and hour at 45 dB-Hz; ten times as many 10 dB below.
+    /// Cycle slips per satellite and hour at 45 dB-Hz; ten times more at 10 dB less.
     pub slips_per_hour: f64,
     /// Share of slips that the receiver reports.
     pub slips_reported: f64,
-    /// Fewest and most cycles of a slip.
+    /// Smallest and largest slip (cycles).
     pub slip_cycles: (f64, f64),
-    /// Both signals of a satellite slip at once and by as many cycles; else each by itself.
+    /// Whether both signals of a satellite slip together, by the same number of cycles.
     pub slips_together: bool,
-    /// Mean time until a receiver that lost lock knows the half cycle, flagged until then (s); 0
-    /// is at once.
+    /// Mean time to resolve the half cycle after a loss of lock, flagged until then (s); 0: at
+    /// once.
     pub half_cycle_s: f64,
-    /// Weaker signals are lost (dB-Hz).
+    /// C/N0 below which signals are lost (dB-Hz).
     pub tracking_threshold_db_hz: f64,
-    /// From a signal's return to its measurements (s).
+    /// Time from a signal's return to its first measurements (s).
     pub reacquisition_s: f64,
 }
 
@@ -107,12 +107,12 @@ pub struct ReceiverClock {
     pub offset_walk_m: f64,
     /// Random walk of the drift (m/s/√s).
     pub drift_walk_m_s: f64,
-    /// Offsets beyond half a millisecond are set back by one.
+    /// Whether an offset beyond half a millisecond is corrected by one millisecond.
     pub millisecond_jumps: bool,
 }
 
-/// Standard deviation of what orbits and clocks broadcast put into a range (m): a choice, of the
-/// size the constellations' operators and monitors report.
+/// Standard deviation of the range error of broadcast orbits and clocks (m): an assumption, of the
+/// size that operators and monitors report.
 pub const fn signal_in_space_sigma_m(constellation: Constellation) -> f64 {
     match constellation {
         Constellation::Gps | Constellation::Qzss => 0.6,
@@ -126,7 +126,7 @@ pub const fn signal_in_space_sigma_m(constellation: Constellation) -> f64 {
 const ANTENNA_HEIGHT_M: f64 = 1.6;
 
 impl ReceiverErrors {
-    /// A receiver with a good antenna in the open.
+    /// A receiver with a good antenna under open sky.
     pub const fn open_sky() -> Self {
         Self {
             code_m: 0.25,
@@ -172,7 +172,7 @@ impl ReceiverErrors {
 }
 
 impl Scenario {
-    /// Scenarios by name, with what each is.
+    /// Names and descriptions of the scenarios.
     pub const NAMES: [(&'static str, &'static str); 5] = [
         ("open-sky", "a car on a figure of eight under open sky, base 2.5 km away"),
         (
@@ -190,7 +190,7 @@ impl Scenario {
         ("clean", "the figure of eight without noise and without atmosphere"),
     ];
 
-    /// The scenario of a name; `None` for a name that [`Scenario::NAMES`] does not have.
+    /// The scenario with this name; `None` if [`Scenario::NAMES`] lacks it.
     pub fn by_name(name: &str) -> Option<Self> {
         match name {
             "open-sky" => Some(Self::open_sky()),
@@ -205,7 +205,7 @@ impl Scenario {
     /// Five minutes at 1 Hz on a figure of eight under open sky, two frequencies, with base.
     pub fn open_sky() -> Self {
         Self {
-            // 2026-01-01 in the afternoon, when the ionosphere is strong.
+            // An afternoon (2026-01-01), when the ionosphere is strong.
             start: GpsTime::from_week_seconds(2399, 4.0 * 86_400.0 + 6.0 * 3_600.0),
             duration_s: 300.0,
             interval_s: 1.0,
@@ -258,18 +258,19 @@ impl Scenario {
     }
 
     /// Ten minutes under open sky for relative positioning: base 8 km away, ionosphere with a
-    /// gradient of 2 mm/km, each signal slipping by itself.
+    /// gradient of 2 mm/km, independent slips of each signal.
     pub fn rtk_open() -> Self {
         Self { duration_s: 600.0, ..Self::open_sky().for_rtk() }.with_baseline(8_000.0)
     }
 
-    /// The streets of [`urban_canyon`](Self::urban_canyon) for relative positioning, likewise.
+    /// The streets of [`urban_canyon`](Self::urban_canyon), with the errors of relative
+    /// positioning.
     pub fn rtk_canyon() -> Self {
         Self::urban_canyon().for_rtk()
     }
 
-    /// The same with the base this far from the origin (m), in the direction it has; due north
-    /// where there was none. It keeps its height.
+    /// The scenario with the base at this distance from the origin (m), in its present direction,
+    /// or due north if there is none. The height is kept.
     pub fn with_baseline(self, baseline_m: f64) -> Self {
         let Enu(before) = self.base.unwrap_or(Enu(nalgebra::Vector3::zeros()));
         let horizontal_m = before.xy().norm();
@@ -281,7 +282,7 @@ impl Scenario {
         Self { base: Some(Enu(nalgebra::Vector3::new(flat.x, flat.y, before.z))), ..self }
     }
 
-    /// The same with what resolving ambiguities must cope with.
+    /// The scenario with slips, half cycles and an ionospheric gradient.
     ///
     /// The gradient is 2 mm/km, towards the north-east.
     fn for_rtk(self) -> Self {
@@ -302,7 +303,7 @@ impl Scenario {
         }
     }
 
-    /// The open sky with perfect receivers in a vacuum: what is left is geometry and clocks.
+    /// Open sky with error-free receivers in a vacuum: geometry and clocks only.
     pub fn clean() -> Self {
         Self {
             broadcast_errors: false,

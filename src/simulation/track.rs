@@ -1,4 +1,4 @@
-//! A signal being tracked: its strength, its slips and what disturbs it.
+//! A tracked signal: its strength, its slips and its errors.
 
 use super::city::Arrival;
 use super::random::{GaussMarkov, Random};
@@ -6,27 +6,27 @@ use super::scenario::ReceiverErrors;
 use crate::gnss::GpsTime;
 use crate::models::LookAngles;
 
-/// C/N0 at which standard deviations of errors are stated (dB-Hz).
+/// C/N0 to which the standard deviations of errors refer (dB-Hz).
 const REFERENCE_CN0: f64 = 45.0;
-/// C/N0 in the zenith, and what is lost towards the horizon (dB-Hz, dB).
+/// C/N0 at the zenith (dB-Hz), and the loss towards the horizon (dB).
 const ZENITH_CN0: f64 = 48.0;
 const HORIZON_LOSS_DB: f64 = 14.0;
-/// Share of the error of a direct signal's multipath when no wall reflects the satellite.
+/// Share of the multipath error of a direct signal without a reflection.
 const CALM_SHARE: f64 = 0.25;
-/// Carrier multipath cannot exceed a quarter of a wavelength.
+/// Largest carrier multipath: a quarter of a wavelength.
 const PHASE_MULTIPATH_LIMIT: f64 = 0.25;
 
-/// What is kept of a satellite between epochs.
+/// State of a satellite between epochs.
 #[derive(Clone, Debug)]
 pub(super) struct Track {
-    /// Not looked at before.
+    /// Time before which the satellite is not checked again.
     pub(super) asleep_until: GpsTime,
-    /// Since when it is received in the present manner; `None` while it is not.
+    /// Start of the present kind of reception; `None` without reception.
     pub(super) since: Option<GpsTime>,
     pub(super) is_reflected: bool,
     /// Integer ambiguity of each signal (cycles).
     pub(super) ambiguities: [f64; 2],
-    /// What the receiver does not yet know of each: 0 or ½ (cycles), and until when.
+    /// Unresolved half cycle of each signal, 0 or ½ (cycles), and until when.
     pub(super) half_cycles: [f64; 2],
     pub(super) resolved_at: [GpsTime; 2],
     pub(super) lost_lock: [bool; 2],
@@ -35,7 +35,7 @@ pub(super) struct Track {
     pub(super) fading: GaussMarkov,
 }
 
-/// Measurements of one signal in metres; the Doppler with RINEX's sign, positive on approach.
+/// Measurements of one signal in metres; Doppler positive on approach, as in RINEX.
 pub(super) struct Measured {
     pub(super) wavelength_m: f64,
     pub(super) pseudorange_m: f64,
@@ -60,7 +60,7 @@ impl Track {
         }
     }
 
-    /// Moves the slow processes on; returns the C/N0 of the first signal (dB-Hz).
+    /// Propagates the slow processes; returns the C/N0 of the first signal (dB-Hz).
     pub(super) fn advance(
         &mut self,
         (elapsed_s, way_m): (f64, f64),
@@ -88,7 +88,7 @@ impl Track {
         clear_db + errors.fading_db * fading
     }
 
-    /// Whether there are measurements; a new way of arrival begins new ambiguities.
+    /// Whether there are measurements; a change of reception starts new ambiguities.
     pub(super) fn is_received(
         &mut self,
         time: GpsTime,
@@ -108,8 +108,8 @@ impl Track {
         if !continues {
             let was_tracked = self.since.is_some();
             self.begin_arc(time, errors, random);
-            // A signal that only changes its way stays in the loops; others are acquired anew.
-            // So does what the receiver tracked before the simulation began.
+            // The loops keep a signal whose path changes only, and one tracked before the
+            // simulation began. Other signals are acquired again.
             let stays = was_tracked || is_first;
             self.since = Some(if stays { GpsTime::EPOCH } else { time });
             self.is_reflected = is_reflected;
@@ -128,7 +128,7 @@ impl Track {
         }
     }
 
-    /// After a loss of lock the receiver does not know for a while whether it is half a cycle off.
+    /// After a loss of lock the half cycle is unresolved for a while.
     fn lose_half_cycle(
         &mut self,
         index: usize,
@@ -141,7 +141,7 @@ impl Track {
         self.half_cycles[index] = if random.chance(0.5) { 0.5 } else { 0.0 };
     }
 
-    /// Slips now and then by some cycles, more often when the signal is weak.
+    /// Adds random slips, more often for weak signals.
     fn slip(&mut self, time: GpsTime, cn0: f64, errors: &ReceiverErrors, random: &mut Random) {
         let per_second =
             errors.slips_per_hour / 3_600.0 * 10_f64.powf((REFERENCE_CN0 - cn0) / 10.0);
@@ -182,7 +182,7 @@ impl Track {
     ) -> Measured {
         let (excess_m, excess_rate_m_s) = match arrival {
             Arrival::Reflected(reflection) => (reflection.excess_m, reflection.excess_rate_m_s),
-            // Centimetres, whose rate is within the noise.
+            // The excess is centimetres; its rate is below the noise.
             Arrival::Diffracted(bent) => (bent.excess_m, 0.0),
             Arrival::Direct { .. } | Arrival::Blocked => (0.0, 0.0),
         };
@@ -220,7 +220,7 @@ impl Track {
     }
 }
 
-/// How many cycles a signal slips.
+/// Number of cycles of a slip.
 fn slip_cycles(errors: &ReceiverErrors, random: &mut Random) -> f64 {
     let cycles = random.uniform(errors.slip_cycles.0, errors.slip_cycles.1).round();
     if random.chance(0.5) { cycles } else { -cycles }

@@ -1,4 +1,4 @@
-//! How far two methods' positions are apart.
+//! Distances between the positions of two methods.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +9,18 @@ use crate::gnss::{Ecef, GpsTime, LocalFrame, Solution, Status};
 /// Horizontal distance between the positions of two methods, epoch by epoch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Agreement {
-    /// Places of the two in the comparison.
+    /// Indices of the two methods in the comparison.
     pub pair: (usize, usize),
-    /// Of the epochs that both answered (m).
+    /// Distances over the epochs that both answer (m).
     pub all: ErrorStatistics,
-    /// Of the epochs that both fixed (m), if there are any.
+    /// Distances over the epochs that both fix (m), if there are any.
     pub fixed: Option<ErrorStatistics>,
-    /// Share of the epochs that both fixed within 5 and within 10 cm.
+    /// Of the epochs that both fix, the shares within 5 cm and within 10 cm.
     pub fixed_within_5_and_10_cm: Option<(f64, f64)>,
 }
 
 impl Agreement {
-    /// Of two methods; `None` where no epoch has an answer of both.
+    /// The agreement of two methods; `None` if no epoch has answers of both.
     pub(super) fn of(methods: &[Method], pair: (usize, usize)) -> Option<Self> {
         let of_first: BTreeMap<GpsTime, &Solution> =
             methods[pair.0].with_position().map(|solution| (solution.time, solution)).collect();

@@ -1,4 +1,4 @@
-//! The drawings of a report.
+//! The figures of a report.
 
 use super::Comparison;
 use crate::evaluation::JudgedEpoch;
@@ -7,19 +7,19 @@ use crate::evaluation::plot::series::{Axes, Series, Stretch, lines, plane, strip
 use crate::formats::pos::quality;
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Solution};
 
-/// A longer pause breaks a line (s).
+/// A longer pause interrupts a line (s).
 const GAP_S: f64 = 60.0;
-/// Neighbours further apart are not joined in the plane (m).
+/// Consecutive positions further apart are not connected (m).
 const GAP_M: f64 = 200.0;
-/// Errors are drawn on a logarithmic axis where those of methods differ by more.
+/// Ratio of the methods' errors above which the axis is logarithmic.
 const LARGE_RATIO: f64 = 30.0;
-/// Smaller errors are drawn at it (m).
+/// Smaller errors are drawn at this value (m).
 const SMALLEST_M: f64 = 1e-4;
-/// Ratios are drawn up to it.
+/// Larger ratios are drawn at this value.
 const RATIO_MAX: f64 = 1e3;
 const TIME_AXIS: &str = "GPS seconds of week (s)";
 
-/// Figure 5 (or 6) of the paper: where each method was, over the truth.
+/// The positions of each method over the true track; figures 5 and 6 of the paper.
 pub(super) fn tracks(comparison: &Comparison) -> Result<String, PlotError> {
     let reference = comparison.judgements.first().map_or(&[][..], |j| &j.reference);
     let first = comparison.methods.iter().flat_map(|m| m.with_position()).next();
@@ -90,7 +90,7 @@ fn typical_m(series: &Series) -> Option<f64> {
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Satellites used by each method over time.
+/// Number of satellites used by each method over time.
 pub(super) fn satellites(comparison: &Comparison) -> Result<String, PlotError> {
     let value = |solution: &Solution| {
         let estimate = solution.estimate.as_ref();
@@ -99,7 +99,7 @@ pub(super) fn satellites(comparison: &Comparison) -> Result<String, PlotError> {
     over_time(comparison, "satellites used", false, value)
 }
 
-/// The ratio of the integers over time.
+/// Ratio of the integers over time.
 pub(super) fn ratios(comparison: &Comparison) -> Result<String, PlotError> {
     let value = |solution: &Solution| {
         let relative = solution.estimate.as_ref()?.relative.as_ref()?;
@@ -125,7 +125,7 @@ fn over_time(
     lines(&Axes { x: TIME_AXIS, y, is_logarithmic, gap: GAP_S }, &series)
 }
 
-/// Each method's status over time as a coloured strip.
+/// Status of each method over time, as a coloured strip.
 pub(super) fn statuses(comparison: &Comparison) -> Result<String, PlotError> {
     let start = start_of(comparison);
     let pieces = |solutions: &[Solution]| {
@@ -152,7 +152,7 @@ fn start_of(comparison: &Comparison) -> GpsTime {
     first.unwrap_or(GpsTime::EPOCH)
 }
 
-/// Seconds of week, going on past the week's end.
+/// Seconds of week of `start`, continuing after the end of the week.
 fn at(time: GpsTime, start: GpsTime) -> f64 {
     start.seconds_of_week() + (time - start)
 }

@@ -1,4 +1,4 @@
-//! The report: one HTML page that needs nothing else.
+//! The report as one self-contained HTML page.
 
 use std::fmt::Write as _;
 
@@ -21,7 +21,7 @@ thead th{border-bottom:2px solid #222;vertical-align:bottom}\
 .legend span{margin-right:1.4rem;white-space:nowrap}figure{margin:1rem 0;overflow-x:auto}\
 svg{max-width:100%;height:auto}figcaption{color:#606060}.wide{overflow-x:auto}";
 
-/// The page.
+/// The whole page.
 pub(super) fn page(comparison: &Comparison) -> Result<String, PlotError> {
     let title = escape(&comparison.title);
     let mut page = format!(
@@ -78,7 +78,7 @@ fn row(name: &str, cells: impl IntoIterator<Item = String>) -> Row {
     (name.to_owned(), cells.into_iter().collect())
 }
 
-/// Table 1 of Wen & Hsu (2021), and below it what that table leaves out.
+/// Table 1 of Wen & Hsu (2021), followed by further figures.
 fn error_rows(comparison: &Comparison) -> Vec<Row> {
     let judgements = &comparison.judgements;
     let number = |value: fn(&MatchedReport) -> f64| {
@@ -108,7 +108,7 @@ fn error_rows(comparison: &Comparison) -> Vec<Row> {
     ]
 }
 
-/// What Table 2 of the paper calls the fixed rate, and whether the fixes are right.
+/// The fixed rate, as in table 2 of the paper, and the correctness of the fixes.
 fn integer_rows(comparison: &Comparison) -> Vec<Row> {
     let methods = &comparison.methods;
     let share = |status| methods.iter().map(move |method| percent(Some(method.share_with(status))));
@@ -206,7 +206,7 @@ fn agreement(comparison: &Comparison) -> String {
     text + "</tbody></table></div>\n"
 }
 
-/// A drawing with its legend; one without anything to show says so.
+/// A figure with its legend, or a note if it has no data.
 fn figure(
     title: &str,
     legend: &str,
@@ -285,7 +285,7 @@ fn percent(share: Option<f64>) -> String {
     share.map_or_else(|| "–".to_owned(), |share| format!("{:.1} %", 100.0 * share))
 }
 
-/// Text as HTML has it.
+/// Escapes text for HTML.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,8 +1,8 @@
-//! Several estimators on one recording: what each answered, how far they agree, and a report.
+//! Several estimators on one recording: their answers, their agreement, and a report.
 //!
-//! [`Comparison`] holds the solutions of each [`Method`], judged where a truth is at hand. `html`
-//! makes one self-contained page of it, `figures` its drawings, `agreement` the distances between
-//! methods, which is all there is to say without a truth.
+//! [`Comparison`] holds the solutions of each [`Method`], judged if there is a truth. `html` makes
+//! a self-contained page of it, `figures` its figures, `agreement` the distances between methods,
+//! the only measure without a truth.
 
 mod agreement;
 mod figures;
@@ -17,27 +17,27 @@ use super::{Criteria, Expected, Judgement, Truth, judge};
 use crate::formats::pos::PosRow;
 use crate::gnss::{GpsTime, Solution, Status};
 
-/// One estimator's answers to a recording.
+/// The answers of one estimator to a recording.
 #[derive(Clone, Debug)]
 pub struct Method {
-    /// Estimator, as users write it.
+    /// Name of the mode, such as `fgo`.
     pub mode: String,
-    /// Which of its answers: `causal`, `smoothed` or `batch`.
+    /// Kind of answer: `causal`, `smoothed` or `batch`.
     pub answer: String,
-    /// Profile, as users write it.
+    /// Name of the profile.
     pub profile: String,
     /// Hash of the configuration in force.
     pub configuration_hash: String,
     /// Options that differ from the profile's, name and value.
     pub overrides: Vec<(String, String)>,
-    /// In order of time.
+    /// Solutions in order of time.
     pub solutions: Vec<Solution>,
-    /// Time the run took on the clock, files read included (s).
+    /// Elapsed time of the run, files included (s).
     pub elapsed_s: f64,
 }
 
 impl Method {
-    /// Mode and answer in one line.
+    /// Mode and kind of answer, for titles.
     pub fn name(&self) -> String {
         format!("{} {}", self.mode.to_uppercase(), self.answer)
     }
@@ -51,7 +51,7 @@ impl Method {
         count as f64 / self.solutions.len().max(1) as f64
     }
 
-    /// Epochs by the code of a reason their answer gave.
+    /// Number of epochs by the code of each reason.
     fn reasons(&self) -> BTreeMap<&'static str, usize> {
         let mut counts = BTreeMap::new();
         for reason in self.solutions.iter().flat_map(|solution| &solution.reasons) {
@@ -61,23 +61,23 @@ impl Method {
     }
 }
 
-/// Methods on one recording.
+/// Several methods on one recording.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// What was compared, such as the name of the rover's file.
+    /// Title of the report, such as the name of the rover's file.
     pub title: String,
-    /// The command that made it.
+    /// The command that made the report.
     pub command: String,
-    /// The methods, in the order asked.
+    /// The methods, in the order given.
     pub methods: Vec<Method>,
-    /// Each against the truth; empty where there is none.
+    /// The judgement of each method; empty without truth.
     pub judgements: Vec<Judgement>,
 }
 
 impl Comparison {
-    /// Compares `methods`, and judges each where there is a `truth`.
+    /// Compares `methods`, and judges each if there is a `truth`.
     ///
-    /// An epoch counts as expected if any method was given it and the truth covers it.
+    /// An epoch is expected if any method was given it and the truth covers it.
     pub fn new(
         title: String,
         command: String,
@@ -110,7 +110,7 @@ impl Comparison {
         Self { title, command, methods, judgements }
     }
 
-    /// The distance between each pair of methods, the earlier one first.
+    /// The distances between each pair of methods, in the methods' order.
     pub fn agreements(&self) -> Vec<Agreement> {
         let pairs = (0..self.methods.len())
             .flat_map(|first| (first + 1..self.methods.len()).map(move |second| (first, second)));
@@ -125,7 +125,7 @@ impl Comparison {
         })
     }
 
-    /// The report as one HTML page that needs nothing else.
+    /// The report as one self-contained HTML page.
     ///
     /// # Errors
     /// A figure cannot be drawn.

@@ -1,4 +1,4 @@
-//! How the errors are distributed: cumulative shares of 2D, vertical and 3D errors.
+//! Distribution of the errors: cumulative shares of 2D, vertical and 3D errors.
 
 use plotters::coord::Shift;
 use plotters::element::DashedPathElement;
@@ -10,19 +10,19 @@ use super::{Judgement, PlotError};
 use crate::evaluation::statistics::{ErrorStatistics, percentile, sorted};
 use crate::evaluation::{JudgedEpoch, MatchedReport};
 
-/// Room for the axis' name, and for its labels.
+/// Margin for the name and the labels of the axis (pixels).
 const MARGIN_LEFT: u32 = 24;
 const LABELS: u32 = 60;
 const LEFT: u32 = MARGIN_LEFT + LABELS;
-/// Room for the table beside the curves.
+/// Width of the table beside the curves (pixels).
 const RIGHT: u32 = 330;
 const TOP: u32 = 34;
 const BOTTOM: u32 = 60;
-/// Shares told in the table (%).
+/// Shares listed in the table (%).
 const MARKED: [f64; 3] = [50.0, 68.0, 95.0];
-/// Points of a curve.
+/// Number of points of a curve.
 const CURVE_POINTS: usize = 400;
-/// Errors below this are shown at it (m).
+/// Smaller errors are drawn at this value (m).
 const SMALLEST_M: f64 = 1e-4;
 const COLUMN_WIDTH: i32 = 60;
 const ROW_HEIGHT: i32 = 22;
@@ -56,7 +56,7 @@ const CURVES: [Curve; 3] = [
     },
 ];
 
-/// Draws the curves over a logarithmic axis of metres, and their percentiles as a table.
+/// Draws the curves over a logarithmic axis (m), and a table of their percentiles.
 pub(super) fn draw<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     judgement: &Judgement,
@@ -106,7 +106,7 @@ pub(super) fn draw<DB: DrawingBackend>(
     draw_title(area, "Distribution of the errors", LEFT as i32)
 }
 
-/// Where the axes lie in the panel, for what is not drawn through the chart.
+/// Position of the axes in the panel, for drawing outside the chart.
 struct Plane {
     start: f64,
     pixels_per_decade: f64,
@@ -123,7 +123,7 @@ impl Plane {
         }
     }
 
-    /// The pixel of log10 of an error and a share (%).
+    /// The pixel of an error (log10 of metres) and a share (%).
     fn place(&self, log_error: f64, share: f64) -> (i32, i32) {
         let across = f64::from(LEFT) + (log_error - self.start) * self.pixels_per_decade;
         let down = f64::from(TOP) + (100.0 - share) * self.pixels_per_percent;
@@ -131,7 +131,7 @@ impl Plane {
     }
 }
 
-/// Lines at round errors and at the marked shares, with their names.
+/// Draws lines at round errors and at the marked shares, with labels.
 fn draw_grid<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     plane: &Plane,
@@ -152,7 +152,7 @@ fn draw_grid<DB: DrawingBackend>(
     Ok(())
 }
 
-/// Points (log10 of error, share) of a rising sample's cumulative share.
+/// Points (log10 of error, share) of the cumulative share of a sorted sample.
 fn curve_points(sample: &[f64], lowest: f64) -> Vec<(f64, f64)> {
     let step = 100.0 / CURVE_POINTS as f64;
     let shares = (0..=CURVE_POINTS).map(|index| index as f64 * step);
@@ -160,7 +160,7 @@ fn curve_points(sample: &[f64], lowest: f64) -> Vec<(f64, f64)> {
     shares.map(point).filter(|(x, _)| lowest <= *x).collect()
 }
 
-/// 1, 2 and 5 times the powers of ten inside a range of log10; only powers where it is wide.
+/// 1, 2 and 5 times the powers of ten in a range of log10; only the powers in a wide range.
 fn ticks(range: &std::ops::Range<f64>) -> Vec<f64> {
     let steps: &[f64] = if range.end - range.start < 3.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
     let decades = range.start.floor() as i32..=range.end.ceil() as i32;
@@ -173,7 +173,7 @@ fn rounded(step: f64, decade: i32) -> f64 {
     format!("{step}e{decade}").parse().expect("the text is a float")
 }
 
-/// The percentiles, right of and below `corner` (pixels).
+/// Draws the table of percentiles, right of and below `corner` (pixels).
 fn draw_table<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     errors: &MatchedReport,
@@ -204,7 +204,7 @@ fn draw_table<DB: DrawingBackend>(
     Ok(())
 }
 
-/// A length with three significant digits or whole millimetres.
+/// A length with three significant digits, or in whole millimetres.
 fn metres(value: f64) -> String {
     match value {
         v if v < 10.0 => format!("{v:.3}"),

@@ -22,13 +22,13 @@ const TRACK_WIDTH: u32 = 780;
 const TRACK_HEIGHT: u32 = 660;
 const MARGIN: i32 = 28;
 
-/// Why a figure could not be drawn.
+/// Why a figure cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
-    /// There is nothing to show.
+    /// There is no data to draw.
     #[error("no solution matches the truth, so there is nothing to draw")]
     Empty,
-    /// The drawing failed.
+    /// The drawing library failed.
     #[error("drawing failed: {0}")]
     Draw(String),
     /// The file's name ends in neither `.svg` nor `.png`.
@@ -37,9 +37,9 @@ pub enum PlotError {
     /// The file cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {
-        /// Where to.
+        /// Path of the file.
         path: String,
-        /// Why not.
+        /// The error of the system.
         source: std::io::Error,
     },
 }
@@ -50,7 +50,7 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotE
     }
 }
 
-/// Writes the figure as SVG or PNG, by the path's ending.
+/// Writes the figure as SVG or PNG, by the extension of the path.
 pub fn write(path: &Path, title: &str, judgement: &Judgement) -> Result<(), PlotError> {
     let ending = path.extension().and_then(|ending| ending.to_str()).map(str::to_lowercase);
     match ending.as_deref() {

@@ -1,4 +1,4 @@
-//! Figures of several series on common axes: lines over time, lines in a plane, strips of kinds.
+//! Figures of several series: lines over time, lines in a plane, strips of states.
 
 use plotters::coord::ranged1d::ValueFormatter;
 use plotters::prelude::*;
@@ -14,43 +14,43 @@ use super::track::equal_ranges;
 const LINES: (u32, u32) = (1120, 360);
 /// Width and height of a figure in a plane (pixels).
 const PLANE: (u32, u32) = (1120, 760);
-/// Height of one strip, and of what is around all of them (pixels).
+/// Height of one strip, and of the margins of all strips (pixels).
 const STRIP: (u32, u32) = (34, 62);
 const MARGIN: u32 = 12;
 const LABELS_LEFT: u32 = 64;
 const LABELS_BELOW: u32 = 48;
-/// Room for the names of strips (pixels).
+/// Width of the names of strips (pixels).
 const NAMES: i32 = 170;
-/// Colours of series, in order; told apart with every colour vision.
+/// Colours of series, in order; distinguishable with every kind of colour vision.
 const COLORS: [RGBColor; 7] = [VERMILION, GREEN, BLUE, ORANGE, PURPLE, SKY, REFERENCE];
 
-/// Points to be joined, cut where two neighbours are too far apart in x.
+/// Points to be connected, except where neighbours are too far apart in x.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// In the order in which they are joined.
+    /// The points, in the order in which they are connected.
     pub points: Vec<(f64, f64)>,
 }
 
-/// What the axes of a line figure say.
+/// Labels and scale of the axes of a line figure.
 #[derive(Clone, Copy, Debug)]
 pub struct Axes<'a> {
-    /// Below.
+    /// Label of the x axis.
     pub x: &'a str,
-    /// On the left.
+    /// Label of the y axis.
     pub y: &'a str,
     /// Whether y is logarithmic.
     pub is_logarithmic: bool,
-    /// Neighbours further apart in x are not joined.
+    /// Neighbours further apart in x are not connected.
     pub gap: f64,
 }
 
-/// The colour of series number `index`, as CSS has it.
+/// The CSS colour of series number `index`.
 pub fn css_color(index: usize) -> String {
     let RGBColor(red, green, blue) = COLORS[index % COLORS.len()];
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// The colour of one of RTKLIB's quality numbers, as CSS has it, and its name.
+/// The CSS colour and the name of one of RTKLIB's quality numbers.
 pub fn css_quality(quality: i64) -> (String, &'static str) {
     let QualityStyle { name, color: RGBColor(red, green, blue) } = QualityStyle::of(quality);
     (format!("#{red:02x}{green:02x}{blue:02x}"), name)
@@ -59,7 +59,7 @@ pub fn css_quality(quality: i64) -> (String, &'static str) {
 /// Lines over a common x axis, as an SVG document.
 ///
 /// # Errors
-/// There is no point, or drawing fails.
+/// No points, or the drawing fails.
 pub fn lines(axes: &Axes<'_>, series: &[Series]) -> Result<String, PlotError> {
     register_fonts();
     let points = || series.iter().flat_map(|series| series.points.iter().copied());
@@ -125,11 +125,11 @@ where
     Ok(())
 }
 
-/// Lines in a plane where a metre is as long on both axes, with the true line in black below
-/// them, as an SVG document. Points follow one another by time: `gap_m` apart they are not joined.
+/// Lines in a plane with equal scales, and the true line in black below them, as an SVG document.
+/// Points are in order of time; those more than `gap_m` apart are not connected.
 ///
 /// # Errors
-/// There is no point, or drawing fails.
+/// No points, or the drawing fails.
 pub fn plane(reference: &[(f64, f64)], series: &[Series], gap_m: f64) -> Result<String, PlotError> {
     register_fonts();
     let points = || series.iter().flat_map(|series| series.points.iter().copied());
@@ -179,13 +179,13 @@ pub fn plane(reference: &[(f64, f64)], series: &[Series], gap_m: f64) -> Result<
     Ok(text)
 }
 
-/// A stretch of a strip: start and end on the x axis, and one of RTKLIB's quality numbers.
+/// An interval of a strip: start and end on the x axis, and one of RTKLIB's quality numbers.
 pub type Stretch = (f64, f64, i64);
 
 /// One named strip a row, coloured by quality over time, as an SVG document.
 ///
 /// # Errors
-/// There is no piece, or drawing fails.
+/// No intervals, or the drawing fails.
 pub fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotError> {
     register_fonts();
     let times = rows.iter().flat_map(|(_, pieces)| pieces.iter().flat_map(|p| [p.0, p.1]));
@@ -224,13 +224,13 @@ pub fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotError> {
     Ok(text)
 }
 
-/// A number without needless digits.
+/// A number without superfluous digits.
 fn short(value: f64) -> String {
     let text = format!("{value:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// The least and the greatest; `None` of nothing.
+/// The smallest and the largest value; `None` without values.
 fn span(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let finite = values.filter(|value| value.is_finite());
     finite.fold(None, |span, value| match span {

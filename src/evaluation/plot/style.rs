@@ -1,4 +1,4 @@
-//! Colours, fonts and the thinning of points, shared by the panels.
+//! Colours, fonts and the thinning of points, common to the panels.
 
 use std::collections::HashSet;
 use std::sync::Once;
@@ -9,18 +9,18 @@ use plotters::style::{FontStyle, TextStyle, register_font};
 
 use super::PlotError;
 
-/// Text and axes.
+/// Colour of text and axes.
 pub(super) const INK: RGBColor = RGBColor(34, 34, 34);
-/// Secondary text.
+/// Colour of secondary text.
 pub(super) const MUTED: RGBColor = RGBColor(96, 96, 96);
-/// Grid lines.
+/// Colour of grid lines.
 pub(super) const GRID: RGBColor = RGBColor(225, 225, 225);
-/// The reference track.
+/// Colour of the reference track.
 pub(super) const REFERENCE: RGBColor = RGBColor(90, 90, 90);
-/// Stated 95 % intervals.
+/// Colour of stated 95 % intervals.
 pub(super) const BAND: RGBColor = RGBColor(222, 228, 236);
 
-// The palette of Okabe & Ito (2008), told apart with every colour vision.
+// The palette of Okabe & Ito (2008), distinguishable with every kind of colour vision.
 pub(super) const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub(super) const VERMILION: RGBColor = RGBColor(213, 94, 0);
 pub(super) const GREEN: RGBColor = RGBColor(0, 158, 115);
@@ -30,14 +30,14 @@ pub(super) const PURPLE: RGBColor = RGBColor(204, 121, 167);
 
 const FONT: &str = "sans-serif";
 
-/// How solutions of a quality number are shown.
+/// Style of solutions with one quality number.
 pub(super) struct QualityStyle {
     pub(super) name: &'static str,
     pub(super) color: RGBColor,
 }
 
 impl QualityStyle {
-    /// Of one of RTKLIB's quality numbers.
+    /// The style of one of RTKLIB's quality numbers.
     pub(super) const fn of(quality: i64) -> Self {
         let (name, color) = match quality {
             1 => ("fixed", GREEN),
@@ -52,7 +52,7 @@ impl QualityStyle {
     }
 }
 
-/// Makes the embedded font known to the backends; once is enough.
+/// Registers the embedded font; repeated calls have no effect.
 pub(super) fn register_fonts() {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
@@ -62,12 +62,12 @@ pub(super) fn register_fonts() {
     });
 }
 
-/// Text of a height (pixels) and colour.
+/// Text style of a height (pixels) and a colour.
 pub(super) fn label(height: u32, color: &RGBColor) -> TextStyle<'static> {
     (FONT, height).into_font().color(color)
 }
 
-/// A panel's title, in its upper left corner.
+/// Draws a panel's title in its upper left corner.
 pub(super) fn draw_title<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     title: &str,
@@ -76,7 +76,7 @@ pub(super) fn draw_title<DB: DrawingBackend>(
     Ok(area.draw_text(title, &label(19, &INK), (x, 4))?)
 }
 
-/// Drops points that would be drawn onto one another: the cost of a figure is bounded by its
+/// Drops points that fall on pixels already drawn, so that the cost of a figure is bounded by its
 /// pixels, not by the length of the file.
 pub(super) struct Thinning {
     pixels: (f64, f64),
@@ -84,13 +84,13 @@ pub(super) struct Thinning {
 }
 
 impl Thinning {
-    /// For an axis range of `spans` (x, y) shown on `pixels`.
+    /// Thinning for an axis range of `spans` (x, y) shown on `pixels`.
     pub(super) fn new(spans: (f64, f64), pixels: (u32, u32)) -> Self {
         let per_unit = (f64::from(pixels.0) / spans.0, f64::from(pixels.1) / spans.1);
         Self { pixels: per_unit, seen: HashSet::new() }
     }
 
-    /// Whether nothing of this kind was drawn at the point's pixel before.
+    /// Whether the point's pixel has no point of this kind yet.
     pub(super) fn is_new(&mut self, point: (f64, f64), kind: i64) -> bool {
         let pixel = |value: f64, per_unit: f64| (value * per_unit).round() as i64;
         self.seen.insert((pixel(point.0, self.pixels.0), pixel(point.1, self.pixels.1), kind))

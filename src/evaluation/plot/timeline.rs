@@ -1,4 +1,4 @@
-//! Error over time: east, north, up and 2D, one above the other on one time axis.
+//! Error over time: east, north, up and 2D, in panels on one time axis.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -7,7 +7,7 @@ use super::style::{BAND, GRID, INK, MUTED, QualityStyle, Thinning, draw_title, l
 use super::{Judgement, PlotError};
 use crate::evaluation::JudgedEpoch;
 
-/// Room for the axis' name, and for its labels.
+/// Margin for the name and the labels of the axis (pixels).
 const MARGIN_LEFT: u32 = 24;
 const LABELS: u32 = 60;
 const LEFT: u32 = MARGIN_LEFT + LABELS;
@@ -17,11 +17,11 @@ const BOTTOM: u32 = 30;
 const BOTTOM_OF_LAST: u32 = 54;
 /// Two-sided 95 % of a normal distribution, in standard deviations.
 const NORMAL_95: f64 = 1.959_964;
-/// Pieces the band of stated errors is drawn in, at most.
+/// Largest number of segments in the band of stated errors.
 const BAND_PIECES: usize = 400;
-/// A gap longer than this breaks the band (s).
+/// A longer gap interrupts the band (s).
 const BAND_GAP_S: f64 = 60.0;
-/// The smallest span shown (m).
+/// Smallest range of the axis (m).
 const SMALLEST_SPAN_M: f64 = 0.02;
 
 /// One of the panels.
@@ -54,7 +54,7 @@ const PANELS: [Panel; 4] = [
     Panel { title: "2D error", axis: "2D (m)", value: JudgedEpoch::error_2d_m, sigma: None },
 ];
 
-/// Draws the panels.
+/// Draws the four panels.
 pub(super) fn draw<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     judgement: &Judgement,
@@ -119,15 +119,15 @@ fn draw_panel<DB: DrawingBackend>(
     draw_title(area, panel.title, LEFT as i32)
 }
 
-/// From the smallest to the largest value and zero, with a margin.
+/// The range of the values and zero, with a margin.
 fn value_range(values: impl Iterator<Item = f64>) -> std::ops::Range<f64> {
     let (low, high) = values.fold((0.0_f64, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
     let margin = (0.06 * (high - low)).max(SMALLEST_SPAN_M / 2.0);
     low - margin..high + margin
 }
 
-/// Time and standard deviation (s, m) of pieces without gap, thinned to the largest deviation of
-/// each bucket.
+/// Time (s) and standard deviation (m) of segments without gaps, thinned to the largest deviation
+/// in each bucket.
 fn band_pieces(
     epochs: &[JudgedEpoch],
     point: impl Fn(&JudgedEpoch) -> Option<(f64, f64)>,
@@ -145,7 +145,7 @@ fn band_pieces(
     thinned.collect()
 }
 
-/// The outline of ±1.96 σ, cut at the panel's limits.
+/// Outline of ±1.96 σ, cut at the panel's limits.
 fn band_polygon(band: &[(f64, f64)], y: &std::ops::Range<f64>) -> Vec<(f64, f64)> {
     let upper = band.iter().map(|(t, sigma)| (*t, (NORMAL_95 * sigma).min(y.end)));
     let lower = band.iter().rev().map(|(t, sigma)| (*t, (-NORMAL_95 * sigma).max(y.start)));

@@ -1,4 +1,4 @@
-//! The track seen from above, with equal axes.
+//! The track from above, with equal scales.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -7,16 +7,16 @@ use super::style::{GRID, INK, MUTED, QualityStyle, REFERENCE, Thinning, draw_tit
 use super::{Judgement, PlotError};
 use crate::gnss::{Ecef, LocalFrame};
 
-/// Room for the axis' name, and for its labels.
+/// Margin for the name and the labels of the axis (pixels).
 const MARGIN_LEFT: u32 = 24;
 const LABELS: u32 = 60;
 const LEFT: u32 = MARGIN_LEFT + LABELS;
 const BOTTOM: u32 = 54;
 const TOP: u32 = 34;
 const RIGHT: u32 = 24;
-/// A reference gap longer than this breaks the line (s).
+/// A longer gap of the reference interrupts the line (s).
 const REFERENCE_GAP_S: f64 = 10.0;
-/// The smallest span shown (m).
+/// Smallest range of the axes (m).
 const SMALLEST_SPAN_M: f64 = 0.02;
 
 /// Draws reference and solutions, east and north of the reference's first point (m).
@@ -83,7 +83,7 @@ pub(super) fn draw<DB: DrawingBackend>(
     draw_title(area, &format!("Track from above ({what})"), LEFT as i32)
 }
 
-/// Ranges of x and y around the points that show a metre in the same length on both axes.
+/// Ranges of x and y around the points, with equal scales.
 pub(super) fn equal_ranges(
     points: impl Iterator<Item = (f64, f64)>,
     pixels: (u32, u32),
