@@ -1,6 +1,6 @@
-//! How fast receivers' bytes decode: real logs in memory, where they are there.
+//! Decoding speed of receivers' bytes: real logs in memory, where available.
 //!
-//! `cargo bench --bench decoders`; the bytes per second of one core are printed.
+//! `cargo bench --bench decoders` prints the bytes per second of one core.
 
 use std::fs;
 use std::hint::black_box;
@@ -17,7 +17,7 @@ fn main() {
     divan::main();
 }
 
-/// The bytes of a file of the data folder, unpacked; `None` where it is not there.
+/// The bytes of a file of the data folder, unpacked; `None` if it is absent.
 fn real(name: &str) -> Option<Vec<u8>> {
     let root = std::env::var_os("GRAPHFIX_DATA").unwrap_or_else(|| "../shared/data".into());
     let packed = fs::read(Path::new(&root).join(name)).ok()?;

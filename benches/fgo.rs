@@ -1,12 +1,12 @@
 //! Cost of the factor graph: `cargo bench --bench fgo`.
 //!
 //! One causal update, from observations to solution, of a warm window of 30 epochs on an urban
-//! drive; the same in the first and in the tenth hour of a simulated one; the batch. An epoch's
-//! time is its least of several passes, which leaves out what else the machine does. That a warm
-//! window allocates nothing but its answer is asserted.
+//! drive; the same in the first and in the tenth hour of a simulated one; the batch. The time of an
+//! epoch is its minimum over several passes, which excludes other load of the machine. Asserted: a
+//! warm window allocates nothing but its answer.
 //!
 //! The drive is `tst-2019` of the data folder (`GRAPHFIX_DATA`, else `../shared/data`); without it
-//! only the simulated ones are measured.
+//! only the simulated drives are measured.
 
 use std::fs::File;
 use std::hint::black_box;
@@ -22,10 +22,10 @@ use graphfix::gnss::{Constellation, Epoch, GpsTime, Navigation, Observation};
 use graphfix::positioning::{Aiding, Batch, Estimator};
 use graphfix::simulation::{Scenario, Simulator};
 
-/// Epochs until storage has grown to what the window needs.
+/// Number of epochs until the storage has its final size.
 const WARM: usize = 200;
 const PASSES: usize = 15;
-/// What the paper's authors score of the recording (seconds of week).
+/// The part of the recording that the paper evaluates (seconds of week).
 const SCORED_S: std::ops::RangeInclusive<f64> = 46_701.0..=47_185.5;
 
 struct Drive {
@@ -34,13 +34,13 @@ struct Drive {
 }
 
 impl Drive {
-    /// Satellites observed in the mean epoch.
+    /// Mean number of satellites observed in an epoch.
     fn satellites(&self) -> f64 {
         let seen: usize = self.epochs.iter().map(|epoch| epoch.by_satellite().count()).sum();
         seen as f64 / self.epochs.len() as f64
     }
 
-    /// Its first epochs with some constellations alone.
+    /// The first epochs of the drive, with some constellations only.
     fn of(&self, constellations: &[Constellation], count: usize) -> Self {
         let mut epochs = self.epochs[..count].to_vec();
         let is_kept = |o: &Observation| constellations.contains(&o.satellite.constellation);
@@ -92,10 +92,10 @@ fn options(settings: &[(&str, &str)]) -> PositioningOptions {
 const HUBER: [(&str, &str); 3] =
     [("pseudorange_kernel", "huber"), ("phase", "off"), ("window_s", "30")];
 const ANNEALED: [(&str, &str); 1] = [("window_s", "30")];
-/// Two constellations, of which the simulated car sees about ten satellites.
+/// Two constellations, with about ten satellites in view of the simulated car.
 const TWO: [Constellation; 2] = [Constellation::Gps, Constellation::Galileo];
 
-/// Each epoch's least time (µs), from a fresh estimator on.
+/// The minimum time of each epoch (µs), from a fresh estimator on.
 fn update_times_us(drive: &Drive, settings: &[(&str, &str)], passes: usize) -> Vec<f64> {
     let aiding = Aiding::alone(&drive.navigation);
     let mut least = vec![f64::INFINITY; drive.epochs.len()];
@@ -121,9 +121,9 @@ fn print_updates(name: &str, times_us: &[f64]) {
     println!("| {name} | {median:.1} | {late:.1} | {:.2} |", late / median);
 }
 
-/// A warm update allocates the lists of its answer and nothing else, and keeps nothing more.
+/// A warm update allocates the lists of its answer only, and releases the rest.
 ///
-/// As in a session, a spare copy of the estimator goes on with lent memory and takes its place.
+/// As in a session, a spare copy of the estimator advances with lent memory and replaces it.
 fn assert_no_allocation(drive: &Drive, settings: &[(&str, &str)]) {
     let aiding = Aiding::alone(&drive.navigation);
     let mut estimator = Estimator::new(options(settings));
@@ -146,7 +146,7 @@ fn assert_no_allocation(drive: &Drive, settings: &[(&str, &str)]) {
     }
 }
 
-/// What a session at rest holds of its estimator (bytes), and how many satellites its epochs see.
+/// Memory of an estimator at rest (bytes), and the mean number of satellites in its epochs.
 fn held(drive: &Drive) -> (i64, f64) {
     let aiding = Aiding::alone(&drive.navigation);
     let mut estimator = Estimator::new(options(&ANNEALED));
@@ -159,7 +159,7 @@ fn held(drive: &Drive) -> (i64, f64) {
     (held, seen as f64 / WARM as f64)
 }
 
-/// The whole batch, and its part after the last epoch was pushed: solution and answers (ms).
+/// Time of the whole batch, and of its part after the last epoch: solution and answers (ms).
 fn batch_ms(epochs: &[Epoch], navigation: &Navigation, passes: usize) -> [f64; 2] {
     let aiding = Aiding::alone(navigation);
     let mut least = [f64::INFINITY; 2];

@@ -1,9 +1,9 @@
 //! Cost of the factor-graph core: `cargo bench --bench graph`.
 //!
-//! The problem has the shape of a receiver's window: states of 8 (position, velocity, offset,
-//! drift), each with ten ranges to far anchors and ten range rates, linked to the next by eight
-//! rows. Ranges are nonlinear and linearised anew in every iteration; one in seven is late by 30 to
-//! 60 sigma.
+//! The problem has the form of a receiver's window: states of 8 (position, velocity, offset,
+//! drift), each with ten ranges to distant anchors and ten range rates, linked to the next by eight
+//! rows. Ranges are nonlinear and linearised in every iteration; one in seven is late by 30 to 60
+//! sigma.
 
 use std::hint::black_box;
 
@@ -24,7 +24,7 @@ const ANCHORS: usize = 10;
 const STREAM: usize = 2000;
 const START: [f64; S] = [100.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.5];
 
-/// One anchor's readings at one instant: range and range rate.
+/// Range and range rate to one anchor at one instant.
 #[derive(Clone, Copy)]
 struct Reading {
     anchor: Vector3<f64>,
@@ -44,7 +44,7 @@ impl Numbers {
     }
 }
 
-/// Readings of a receiver going in a circle of 100 m, its offset drifting by 0.5 a step.
+/// Measurements of a receiver on a circle of 100 m, with an offset drift of 0.5 a step.
 fn stream(length: usize) -> Vec<Epoch> {
     let mut numbers = Numbers(1);
     let anchors = [0.0; ANCHORS].map(|_| {
@@ -63,7 +63,7 @@ fn stream(length: usize) -> Vec<Epoch> {
     (0..length).map(|k| anchors.map(|anchor| reading(k, anchor))).collect()
 }
 
-/// A window over a stream: readings of the states held, the prior, the kernel of ranges.
+/// A window over a stream: the measurements of its states, the prior, the kernel of ranges.
 struct Window {
     epochs: Vec<Epoch>,
     prior: Prior<S>,
@@ -132,7 +132,7 @@ impl Problem<S> for Window {
     }
 }
 
-/// A causal estimator: one epoch in, the newest state with its covariance out.
+/// A causal estimator: takes one epoch and returns the newest state with its covariance.
 struct Causal {
     window: Window,
     estimate: Estimate<S>,
@@ -191,7 +191,7 @@ impl Causal {
     }
 }
 
-/// Updates of a warm window, one a sample, along a long stream.
+/// Updates of a warm window along a long stream, one a sample.
 fn bench_causal(bencher: Bencher, kernel: AnnealedKernel, schedule: Schedule) {
     let epochs = stream(STREAM);
     let mut causal = Causal::new(kernel, schedule);
@@ -215,7 +215,7 @@ fn causal_update_huber(bencher: Bencher) {
     bench_causal(bencher, kernel, Schedule::direct(10));
 }
 
-/// The same, annealed from Huber to Geman–McClure. Goal: 200 µs median.
+/// One causal update, annealed from Huber to Geman–McClure. Goal: 200 µs median.
 #[divan::bench(sample_count = 1000, sample_size = 1)]
 fn causal_update_annealed(bencher: Bencher) {
     let target = Kernel::geman_mcclure(4.0).one_sided(4.0, 2.0);
@@ -292,7 +292,7 @@ fn batch(bencher: Bencher, length: usize) {
     println!("{iterations} linearisations");
 }
 
-/// A chain with a border: `alive` variables at any time, each read at every state of its life.
+/// A chain with a border: `alive` variables at any time, each measured at every state of its life.
 fn bordered(states: usize, alive: usize, life: usize, border_life: BorderLife) -> System<S> {
     let mut system = System::new(border_life);
     let (window, estimate) = filled(states);
@@ -316,7 +316,7 @@ fn bordered(states: usize, alive: usize, life: usize, border_life: BorderLife) -
     system
 }
 
-/// Factor and solve 30 × 8 with a border that lives all along.
+/// Factor and solve 30 × 8 with a border that lives for the whole chain.
 #[divan::bench(args = [8, 24, 40, 80])]
 fn window_with_border(bencher: Bencher, alive: usize) {
     let system = bordered(WINDOW, alive, 1000, BorderLife::WholeChain);
@@ -327,8 +327,8 @@ fn window_with_border(bencher: Bencher, alive: usize) {
     });
 }
 
-/// Factor and solve chains of 8 with 24 variables alive, each for 100 states, in all some hundreds
-/// to thousands.
+/// Factor and solve chains of 8 with 24 variables alive, each for 100 states, hundreds to thousands
+/// in all.
 #[divan::bench(args = [1000, 10_000], sample_count = 3, sample_size = 1)]
 fn batch_with_arcs(bencher: Bencher, states: usize) {
     let system = bordered(states, 24, 100, BorderLife::WhileTouched);

@@ -1,7 +1,8 @@
 //! Time of one call of the integer resolver, decorrelation included.
 //!
-//! Covariances: differences of `n` + 1 fine measurements of three real parameters, held by
-//! measurements 100 times coarser; `weak` cannot be fixed whole, `singular` is conditioned at 10¹².
+//! Covariances: differences of `n` + 1 precise measurements of three real parameters, with
+//! measurements 100 times coarser; `weak` cannot be fixed completely, `singular` has condition
+//! 10¹².
 
 use divan::Bencher;
 use graphfix::lambda::FailureRate;
@@ -49,7 +50,7 @@ fn resolve(bencher: Bencher<'_, '_>, covariance: &DMatrix<f64>) {
     bencher.bench_local(|| resolver.resolve(&float, covariance, Partial::Decorrelated, &options));
 }
 
-/// Q = s² (I + 11ᵀ + k² AAᵀ), A of pseudo-random entries.
+/// Q = s² (I + 11ᵀ + k² AAᵀ), A with pseudo-random entries.
 fn covariance(size: usize, sigma: f64, coarseness: f64) -> DMatrix<f64> {
     let design = DMatrix::from_fn(size, 3, |i, j| pseudo(3 * i + j) - pseudo(3 * size + j));
     let differencing = DMatrix::from_fn(size, size, |i, j| if i == j { 2.0 } else { 1.0 });

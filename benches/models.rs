@@ -1,4 +1,4 @@
-//! How long the models of one satellite take.
+//! Time of the models of one satellite.
 
 use divan::{Bencher, black_box};
 use graphfix::gnss::{

@@ -1,6 +1,6 @@
-//! How fast RINEX reads: a simulated RINEX 3 file in memory, and real files where they are there.
+//! Reading speed of RINEX: a simulated RINEX 3 file in memory, and real files where available.
 //!
-//! `cargo bench --bench rinex`; the bytes per second of one core are printed.
+//! `cargo bench --bench rinex` prints the bytes per second of one core.
 
 use std::fs;
 use std::hint::black_box;
@@ -62,7 +62,7 @@ fn simulated_observations(bencher: Bencher) {
     bencher.counter(BytesCount::of_slice(&bytes)).bench(|| read_observations(black_box(&bytes)));
 }
 
-/// A file of the data folder, or `None` where it is not there.
+/// A file of the data folder; `None` if it is absent.
 fn real(name: &str) -> Option<Vec<u8>> {
     let root = std::env::var_os("GRAPHFIX_DATA").unwrap_or_else(|| "../shared/data".into());
     fs::read(Path::new(&root).join(name)).ok()

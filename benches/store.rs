@@ -1,6 +1,5 @@
-//! Durable epochs per second: what the store alone commits, and what the desk does with sessions
-//! that send batches, on SQLite in a temporary folder or on the database that
-//! `GRAPHFIX_BENCH_DATABASE` names.
+//! Durable epochs per second: commits of the store alone, and sessions that send batches to the
+//! desk, on SQLite in a temporary folder or on the database in `GRAPHFIX_BENCH_DATABASE`.
 //!
 //! `cargo bench --bench store`
 
@@ -42,7 +41,7 @@ fn main() {
     });
 }
 
-/// Runs one future for each session at the same time and prints the epochs per second.
+/// Runs one future for each session concurrently and prints the epochs per second.
 async fn measure<F>(what: &str, size: u64, epochs: u64, run: impl Fn(usize) -> F)
 where
     F: Future<Output = ()> + Send + 'static,

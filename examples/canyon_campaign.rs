@@ -1,12 +1,12 @@
-//! Many simulated drives, every mode on each: who errs by how much, who wins, who is honest.
+//! Simulated drives with every mode without a base: errors, wins and consistency of covariances.
 //!
 //! `cargo run --release --example canyon_campaign -- [--scenario urban-canyon] [--seeds 100]
 //! [--set KEY=VALUE]…`
 //!
-//! Options given by `--set` change profile `urban-vehicle`, not the comparators. Errors are
-//! horizontal (m). `inside` is the share of epochs inside the stated 95 % ellipse; `silent` counts
-//! epochs at over twice the 99.9 % ellipse's axes that carry no reason to doubt them. A run is won
-//! by the smaller mean error.
+//! Options given by `--set` change the profile under test, not the comparators. Errors are
+//! horizontal (m). `inside` is the share of epochs inside the stated 95 % ellipse. `silent` counts
+//! epochs whose error exceeds twice the axes of the 99.9 % ellipse without a reason that announces
+//! it. The run with the smaller mean error wins.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -19,10 +19,10 @@ use graphfix::gnss::{LocalFrame, Reason, Solution};
 use graphfix::positioning::{Aiding, Batch, Estimator};
 use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator, navigation};
 
-/// χ² of two degrees of freedom at 95 % and at 99.9 %.
+/// χ² quantiles of two degrees of freedom at 95 % and at 99.9 %.
 const INSIDE_95: f64 = 5.991;
 const INSIDE_999: f64 = 13.816;
-/// Axes of the ellipse outside which an error is far.
+/// Factor on the 99.9 % ellipse beyond which an error counts as far.
 const FAR: f64 = 2.0;
 
 #[derive(Debug, Parser)]
@@ -39,12 +39,12 @@ struct Arguments {
     /// Option of the profile under test
     #[arg(long = "set", value_name = "KEY=VALUE")]
     settings: Vec<String>,
-    /// Whether each run is printed
+    /// Prints each run
     #[arg(long)]
     runs: bool,
 }
 
-/// When an epoch is answered.
+/// The kind of answer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Way {
     Causal,
@@ -52,14 +52,14 @@ enum Way {
     Batch,
 }
 
-/// An estimator under comparison.
+/// An estimator in the comparison.
 struct Method {
     name: &'static str,
     way: Way,
     options: PositioningOptions,
 }
 
-/// One method on one drive.
+/// The results of one method on one drive.
 #[derive(Clone)]
 struct Run {
     errors_m: Vec<f64>,
@@ -87,7 +87,7 @@ fn methods(arguments: &Arguments) -> Result<Vec<Method>, String> {
     {
         let mut method = method(name, Mode::Fgo, profile, way);
         for setting in &arguments.settings {
-            let (key, value) = setting.split_once('=').ok_or("--set wants KEY=VALUE")?;
+            let (key, value) = setting.split_once('=').ok_or("--set needs KEY=VALUE")?;
             method.options.set(key, value).map_err(|error| error.to_string())?;
         }
         methods.push(method);
@@ -159,7 +159,7 @@ fn mean_m(run: &Run) -> f64 {
     run.errors_m.iter().sum::<f64>() / run.errors_m.len() as f64
 }
 
-/// All methods on the drives of seeds 1 to `seeds`, in that order.
+/// Runs all methods on the drives of seeds 1 to `seeds`, in that order.
 fn campaign(scenario: &Scenario, methods: &[Method], seeds: u64) -> Vec<Vec<Run>> {
     let sky = Arc::new(navigation(scenario));
     let next = AtomicU64::new(1);

@@ -1,13 +1,13 @@
-//! Many simulated drives against a base, every relative mode and RTKLIB on each: how much is fixed,
-//! how much of that is wrong, and whether the stated probability of a right fix holds.
+//! Simulated drives with every mode relative to a base, and with RTKLIB: the share of fixes, the
+//! share of wrong ones, and the reliability of the stated probability.
 //!
 //! `cargo run --release --example rtk_campaign -- [--scenario rtk-canyon] [--seeds 100] [--first 1]
 //! [--set KEY=VALUE]… [--without-peer]`
 //!
-//! A fix is wrong that is over 10 cm off horizontally. The peer is `rnx2rtkp` (Debian's package
+//! A fix is wrong if its horizontal error exceeds 10 cm. The peer is `rnx2rtkp` (Debian's package
 //! `rtklib`) on the same drives, written as RINEX: kinematic, continuous resolution, its default
 //! ratio of 3, the bands and constellations of the scenario. Options given by `--set` change the
-//! profile of ours.
+//! profile of Graphfix.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -29,9 +29,9 @@ use graphfix::gnss::{
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
 use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator, navigation, signals};
 
-/// A fix further off is wrong (m).
+/// Horizontal error above which a fix is wrong (m).
 const WRONG_M: f64 = 0.1;
-/// Lower ends of the classes of stated probability.
+/// Lower bounds of the classes of stated probability.
 const CLASSES: [f64; 6] = [0.0, 0.9, 0.99, 0.999, 0.9999, 0.999_99];
 
 type Fault = Box<dyn std::error::Error + Send + Sync>;
@@ -41,10 +41,10 @@ struct Arguments {
     /// Scenario simulated
     #[arg(long, default_value = "rtk-canyon")]
     scenario: String,
-    /// Drives
+    /// Number of drives
     #[arg(long, default_value_t = 100)]
     seeds: u64,
-    /// Seed of the first
+    /// Seed of the first drive
     #[arg(long, default_value_t = 1)]
     first: u64,
     /// Profile under test
@@ -56,17 +56,17 @@ struct Arguments {
     /// Leaves RTKLIB out
     #[arg(long)]
     without_peer: bool,
-    /// Whether each run is printed
+    /// Prints each run
     #[arg(long)]
     runs: bool,
 }
 
-/// One epoch that was answered.
+/// One epoch with an answer.
 #[derive(Clone, Copy)]
 struct Judged {
     error_m: f64,
     is_fixed: bool,
-    /// Stated, of a fix.
+    /// Stated probability of the fix.
     probability: Option<f64>,
 }
 
@@ -76,15 +76,15 @@ impl Judged {
     }
 }
 
-/// One method's answer to an epoch.
+/// The answer of one method to an epoch.
 struct Answer {
     position: Ecef,
     is_fixed: bool,
-    /// Stated, of a fix.
+    /// Stated probability of the fix.
     probability: Option<f64>,
 }
 
-/// One method on one drive.
+/// The results of one method on one drive.
 struct Run {
     epochs: usize,
     judged: Vec<Judged>,
@@ -96,7 +96,7 @@ fn methods(arguments: &Arguments) -> Result<Vec<PositioningOptions>, Fault> {
     let mut methods: Vec<_> =
         relative.map(|mode| PositioningOptions::new(*mode, profile)).collect();
     for setting in &arguments.settings {
-        let (key, value) = setting.split_once('=').ok_or("--set wants KEY=VALUE")?;
+        let (key, value) = setting.split_once('=').ok_or("--set needs KEY=VALUE")?;
         for options in &mut methods {
             options.set(key, value)?;
         }
@@ -104,7 +104,7 @@ fn methods(arguments: &Arguments) -> Result<Vec<PositioningOptions>, Fault> {
     Ok(methods)
 }
 
-/// A drive, and where its base stands.
+/// A drive and the position of its base.
 struct Drive {
     epochs: Vec<SimulatedEpoch>,
     station: BaseStation,
@@ -179,7 +179,7 @@ fn write_observations<'a>(
     Ok(())
 }
 
-/// `rnx2rtkp` on the drive written as RINEX.
+/// Runs `rnx2rtkp` on the drive, written as RINEX.
 fn peer(
     scenario: &Scenario,
     drive: &Drive,
@@ -217,7 +217,7 @@ fn peer(
     Ok(drive.run(drive.epochs.iter().map(near)))
 }
 
-/// All methods on all drives, in the order of the seeds.
+/// Runs all methods on all drives, in the order of the seeds.
 fn campaign(
     scenario: &Scenario,
     methods: &[PositioningOptions],
