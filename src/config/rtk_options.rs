@@ -48,7 +48,7 @@ pub struct RtkOptions {
     pub hold_probability_min: f64,
     /// Smallest bootstrapped success rate of the ambiguities to be fixed.
     pub success_rate_min: f64,
-    /// Number of consecutive epochs that must find the same integers before they are held.
+    /// Number of epochs that must find the same integers before they are held.
     pub hold_epochs: u32,
     /// Smallest number of fixed double differences in a fix.
     pub fixed_min: usize,
