@@ -5,6 +5,8 @@
 pub mod clock;
 pub mod config;
 pub mod gnss;
+pub mod id;
+pub mod refusal;
 pub mod snapshot;
 
 pub mod formats;

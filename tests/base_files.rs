@@ -260,11 +260,11 @@ async fn archives_that_may_not_be_asked_are_refused() {
     let allowed = "http://127.0.0.1/{yy}{ddd}";
     for (template, ntrip, expected, field) in [
         ("https://archive.example.org/{yy}{ddd}", Value::Null, "HOST_NOT_ALLOWED", "template"),
-        ("http://127.0.0.1:80@evil.example/{yy}{ddd}", Value::Null, "INVALID_FIELD", "template"),
-        ("http://127.0.0.1/latest.rnx", Value::Null, "INVALID_FIELD", "template"),
-        ("http://127.0.0.1/{yy}{ddd}{what}", Value::Null, "INVALID_FIELD", "template"),
-        ("file:///etc/passwd", Value::Null, "INVALID_FIELD", "template"),
-        ("", Value::Null, "INVALID_FIELD", "template"),
+        ("http://127.0.0.1:80@evil.example/{yy}{ddd}", Value::Null, "LOCATION_INVALID", "template"),
+        ("http://127.0.0.1/latest.rnx", Value::Null, "LOCATION_INVALID", "template"),
+        ("http://127.0.0.1/{yy}{ddd}{what}", Value::Null, "LOCATION_INVALID", "template"),
+        ("file:///etc/passwd", Value::Null, "LOCATION_INVALID", "template"),
+        ("", Value::Null, "LOCATION_INVALID", "template"),
         (allowed, ntrip, "INVALID_FIELD", ""),
     ] {
         let request = json!({"archive": {"template": template}, "ntrip": ntrip});

@@ -4,46 +4,116 @@ use std::collections::BTreeSet;
 
 use axum::body::Body;
 use axum::http::Request;
-use graphfix::contract::{Code, Refusal};
+use graphfix::contract::Refusal;
 use graphfix::grpc::grpc_code;
 use graphfix::http::http_status;
+use graphfix::refusal::{Class, Code};
 use serde_json::{Value, json};
 
 use crate::doors::{Doors, code, epoch};
 use crate::http::navigation::navigation;
 
-/// Codes that only a failing database, a load, a fault or an observation file brings about: the
-/// tests of their origin hold them.
-const NOT_BY_REQUEST: [Code; 13] = [
-    Code::RawStreamTooLong,
-    Code::DatabaseFailed,
-    Code::WrittenElsewhere,
-    Code::StoredDataCorrupt,
-    Code::MailboxFull,
-    Code::Overloaded,
-    Code::TooManyActiveSessions,
-    Code::EstimatorFailed,
-    Code::Interrupted,
-    Code::RinexHeaderInvalid,
-    Code::BasePositionRefused,
-    Code::RinexTruncated,
-    Code::Internal,
+/// Codes that no request of this file brings about, each with the test file that reaches it.
+const REACHED_BY: &[(Code, &str)] = &[
+    (Code::FeatureNotBuilt, "src/config/option_table.rs"),
+    (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
+    (Code::DatabaseFailed, "tests/store.rs"),
+    (Code::DatabaseSchemaNewer, "tests/store.rs"),
+    (Code::DatabaseMigrationFailed, "tests/store.rs"),
+    (Code::WrittenElsewhere, "tests/sessions.rs"),
+    (Code::StoredDataCorrupt, "tests/sessions.rs"),
+    (Code::MailboxFull, "tests/sessions.rs"),
+    (Code::Overloaded, "tests/sessions.rs"),
+    (Code::TooManyActiveSessions, "tests/sessions.rs"),
+    (Code::EstimatorFailed, "src/session/solvers.rs"),
+    (Code::BasePositionRefused, "tests/bases.rs"),
+    (Code::BaseForgotten, "tests/bases.rs"),
+    (Code::NavigationForgotten, "tests/windows.rs"),
+    (Code::Internal, "src/http/server.rs"),
+    (Code::HostUnresolved, "src/feeds/address.rs"),
+    (Code::AddressRefused, "src/feeds/address.rs"),
+    (Code::HostUnreachable, "tests/casters.rs"),
+    (Code::TlsFailed, "tests/casters.rs"),
+    (Code::CasterUnauthorised, "tests/casters.rs"),
+    (Code::NoSuchMountpoint, "tests/casters.rs"),
+    (Code::CasterTryLater, "tests/casters.rs"),
+    (Code::CasterRedirects, "tests/casters.rs"),
+    (Code::CasterProtocol, "tests/casters.rs"),
+    (Code::CasterSilent, "tests/casters.rs"),
+    (Code::CasterNoEpochs, "tests/feeds.rs"),
+    (Code::CasterClosed, "tests/feeds.rs"),
+    (Code::FileNotFound, "tests/archives.rs"),
+    (Code::FileUnreadable, "tests/archives.rs"),
+    (Code::FileOfOtherTime, "tests/base_files.rs"),
+    (Code::FileCut, "tests/archives.rs"),
+    (Code::FileTooLarge, "tests/archives.rs"),
+    (Code::HostSlow, "tests/archives.rs"),
+    (Code::HostRefuses, "tests/archives.rs"),
+    (Code::HostRedirects, "tests/archives.rs"),
+    (Code::HostProtocol, "tests/archives.rs"),
 ];
 
+/// Codes that no test reaches, each with the reason.
+const UNREACHED: &[(Code, &str)] = &[
+    (Code::Interrupted, "a session's task ends early only if it panics outside the solver pool"),
+    (Code::ListenerFailed, "a listening socket does not fail on request"),
+];
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(format!("{}/{path}", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
 #[test]
-fn the_table_has_every_code_with_its_statuses() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/errors.md");
-    let table = std::fs::read_to_string(path).unwrap();
-    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| `")).collect();
+fn the_document_and_the_table_are_one_set() {
+    let document = read("docs/errors.md");
+    let rows: Vec<&str> = document.lines().filter(|line| line.starts_with("| `")).collect();
     for code in Code::ALL {
-        let http = http_status(code.class()).as_u16();
-        let grpc = format!("{:?}", grpc_code(code.class()));
-        let row = rows.iter().find(|row| row.starts_with(&format!("| `{code}` |")));
-        let row = row.unwrap_or_else(|| panic!("{code} is not in docs/errors.md"));
-        assert!(row.contains(&format!("| {http} | {grpc} |")), "{code}: {http}, {grpc}; {row}");
-        assert!(row.contains(code.remedy()), "{code}: {}", code.remedy());
+        let of_code = |row: &&&str| row.starts_with(&format!("| `{code}` |"));
+        let [row] = rows.iter().filter(of_code).collect::<Vec<_>>()[..] else {
+            panic!("docs/errors.md must have one row of {code}");
+        };
+        let remedy = code.remedy();
+        let (http, grpc) = (http_status(code.class()).as_u16(), grpc_code(code.class()));
+        let expected = match code.class() {
+            Class::NoCall => format!("| {remedy} |"),
+            _ => format!("| {remedy} | {http} | {grpc:?} |"),
+        };
+        assert!(row.contains(&expected), "{code}: {expected:?} is not in {row:?}");
     }
-    assert_eq!(rows.len(), Code::ALL.len(), "a row of the table is no code");
+    assert_eq!(rows.len(), Code::ALL.len(), "docs/errors.md has a row that is no code");
+}
+
+/// What is sent takes its code from the table: no other room spells one.
+#[test]
+fn no_room_spells_a_code_again() {
+    const ROOMS: [&str; 11] = [
+        "aiding",
+        "config",
+        "contract",
+        "feeds",
+        "formats",
+        "grpc",
+        "http",
+        "reception",
+        "session",
+        "store",
+        "positioning",
+    ];
+    let mut files: Vec<_> = ROOMS.iter().map(|room| format!("src/{room}").into()).collect();
+    while let Some(path) = files.pop() {
+        let path: std::path::PathBuf = path;
+        if path.is_dir() {
+            let inside = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
+            files.extend(inside);
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        let text = text.split("#[cfg(test)]\nmod tests").next().unwrap();
+        for code in Code::ALL {
+            let spelt = text.contains(&format!("\"{code}\""));
+            assert!(!spelt, "{} spells {code}", path.display());
+        }
+    }
 }
 
 /// A push of one epoch in which `change` was made.
@@ -229,6 +299,13 @@ fn base_requests(
             Code::InvalidField,
             "ntrip.user",
         ),
+        (
+            "POST",
+            bases.clone(),
+            json!({"archive": {"template": "file:///{yyyy}/{ddd}"}}),
+            Code::LocationInvalid,
+            "archive.template",
+        ),
         ("GET", format!("{bases}/bas_1"), json!({}), Code::BaseNotFound, "base"),
         ("POST", "/v1/sessions".into(), json!({"mode": "rtk-fgo"}), Code::BaseRequired, "base"),
         ("DELETE", format!("{bases}/{used}"), json!({}), Code::BaseInUse, "base"),
@@ -268,6 +345,7 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
         (path, raw, rinex("not a navigation file"), Code::RinexNotRinex),
         (path, raw, nav("3.05", "OBSERVATION DATA"), Code::RinexWrongKind),
         (path, raw, nav("9.00", "N: GNSS NAV DATA"), Code::RinexUnsupportedVersion),
+        (path, raw, nav("3.05", "N: GNSS NAV DATA"), Code::RinexTruncated),
         (path, raw, vec![0x1f, 0x9d, 0x90, 0, 0, 0], Code::RinexCompressionUnsupported),
         (path, raw, truncated, Code::RinexReadFailed),
         (path, raw, vec![b'x'; 90_000], Code::RinexLineTooLong),
@@ -275,7 +353,14 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     ]
 }
 
-/// Pieces of raw bytes: query, body, code, field. What is stored is one byte.
+/// A RINEX observation file whose header does not say what the columns are.
+fn header_without_types() -> Vec<u8> {
+    let first =
+        format!("{:>9}{:11}{:<20}{:20}RINEX VERSION / TYPE\n", "3.05", "", "OBSERVATION DATA", "G");
+    format!("{first}{:60}END OF HEADER\n", "").into_bytes()
+}
+
+/// Chunks of raw bytes: query, body, code, field. What is stored is one byte.
 fn pieces() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
     vec![
         ("", vec![0; 50_001], Code::PieceTooLarge, "content"),
@@ -342,6 +427,9 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
         let (status, answer) = doors.ask(request.body(Body::from(body)).unwrap()).await;
         check(format!("{path} {expected}"), expected, "", status.as_u16(), &answer);
     }
+    let path = format!("/v1/bases/{}/observations", bases[0]);
+    let (status, answer) = doors.upload(&path, header_without_types()).await;
+    check(path, Code::RinexHeaderInvalid, "", status.as_u16(), &answer);
     let path = format!("/v1/sessions/{}/raw", doors.session().await);
     doors.upload(&path, vec![b'$']).await;
     for (query, body, expected, field) in pieces() {
@@ -354,9 +442,62 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
     check("draining".into(), Code::Draining, "", status.as_u16(), &answer);
 
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    seen.extend(NOT_BY_REQUEST.map(Code::name));
+    seen.extend(refused_starts().into_iter().map(|(_, _, code)| code.name()));
+    for (code, file) in REACHED_BY {
+        let text = read(file);
+        let tested =
+            &text[if file.starts_with("src") { text.find("mod tests").unwrap() } else { 0 }..];
+        let names_it = |name: String| tested.contains(&name);
+        assert!(
+            names_it(format!("\"{code}\"")) || names_it(format!("Code::{code:?}")),
+            "{code}: {file}"
+        );
+        assert!(seen.insert(code.name()), "{code} is listed, and reached here");
+    }
+    for (code, why) in UNREACHED {
+        assert!(seen.insert(code.name()), "{code} is reached, though {why}");
+    }
     let all: BTreeSet<_> = Code::ALL.iter().map(|code| code.name()).collect();
     assert_eq!(seen, all, "a code has no test");
+}
+
+/// Starts of the service that must fail: an argument, the configuration, the code.
+fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
+    let nothing = "--log=info";
+    vec![
+        ("--listen=0.0.0.0:80", "", Code::ListenNotLoopback),
+        ("--log=[", "", Code::LogFilterInvalid),
+        (nothing, "[limits]\nepochs = 7", Code::ConfigurationMalformed),
+        (nothing, "[limits]\nmailbox_epochs = 0", Code::LimitZero),
+        (nothing, "[navigation]\narchive_interval_s = 9", Code::ArchiveIntervalTooShort),
+        (nothing, "[bases]\ntable_interval_s = 9", Code::TableIntervalTooShort),
+        (nothing, "[fetch]\nhosts = [\"a b\"]", Code::FetchHostInvalid),
+        (nothing, "[fetch]\nca_file = \"/no/such/file\"", Code::CertificatesInvalid),
+        ("--database=mysql://x/y", "", Code::DatabaseUrlInvalid),
+        ("--listen=TAKEN", "", Code::AddressUnavailable),
+    ]
+}
+
+#[test]
+fn a_refused_start_has_its_code_and_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = listener.local_addr().unwrap().to_string();
+    for (argument, configuration, code) in refused_starts() {
+        let file = folder.path().join("graphfix.toml");
+        std::fs::write(&file, configuration).unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        command.current_dir(&folder).arg("serve").arg("--config").arg(&file);
+        if !argument.starts_with("--listen") {
+            command.arg("--listen=127.0.0.1:0");
+        }
+        let output = command.arg(argument.replace("TAKEN", &taken)).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{code}: {said}");
+        let line = said.lines().last().unwrap_or_default();
+        assert!(line.starts_with(&format!("error[{code}]: ")), "{code}: {line}");
+        assert!(line.ends_with(&format!("({})", code.remedy())), "{code}: {line}");
+    }
 }
 
 /// What time cures says when to come back.

@@ -387,8 +387,9 @@ async fn candidates_in_use_stay(database: Database) {
     let [west, east] = desk.bases().await;
     let both = BaseChoice::NearestOf(vec![east.clone(), west.clone()]);
     let session = desk.session(both.clone()).await;
-    let refused =
-        async |base: &BaseId| desk.aiding.bases.delete(base).await.err().map(|error| error.code());
+    let refused = async |base: &BaseId| {
+        desk.aiding.bases.delete(base).await.err().map(|error| error.code().name())
+    };
     assert_eq!(refused(&west).await, Some("BASE_IN_USE"));
     // The order in which they were named is kept; so are they over a change of something else.
     let label = SessionUpdate { label: Some("x".to_owned()), ..SessionUpdate::default() };
@@ -405,9 +406,9 @@ async fn candidates_in_use_stay(database: Database) {
     desk.sessions.update(&session, change(BaseChoice::Nearest)).await.unwrap();
     assert_eq!(refused(&east).await, None, "nobody names it");
     let error = desk.sessions.update(&session, change(both)).await.unwrap_err();
-    assert_eq!(error.code(), "BASE_NOT_FOUND");
+    assert_eq!(error.code().name(), "BASE_NOT_FOUND");
     let error = desk.sessions.update(&session, change(BaseChoice::NearestOf(vec![]))).await;
-    assert_eq!(error.unwrap_err().code(), "BASE_REQUIRED");
+    assert_eq!(error.unwrap_err().code().name(), "BASE_REQUIRED");
 }
 
 /// Doors of a service with the two bases, filled.

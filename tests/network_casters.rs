@@ -173,7 +173,7 @@ async fn epochs_keep_the_place_of_their_virtual_base() {
     let mut seen = Vec::new();
     for number in 1..=held.epochs as u64 {
         let used = BaseUse { base: held.name.key, after: number - 1, through: number };
-        let given = doors.service.bases().used(&[used])[0].again(used).unwrap();
+        let given = doors.service.bases().used(&[used])[0].replayed_input(used).unwrap();
         let aiding = given.aiding().unwrap();
         let (time, point) = (aiding.epochs[0].time, aiding.station.antenna_reference_point);
         let (_, place) = expected.iter().find(|(other, _)| *other == time).unwrap();

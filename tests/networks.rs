@@ -199,7 +199,7 @@ async fn casters_without_a_table_are_said() {
     let mut elsewhere = network(2101);
     elsewhere.caster = "ntrip://caster.example.org".parse().unwrap();
     let refused = doors.service.feeds().bring_bases(vec![elsewhere]).unwrap_err();
-    assert_eq!(refused.code(), "HOST_NOT_ALLOWED");
+    assert_eq!(refused.code().name(), "HOST_NOT_ALLOWED");
     assert_eq!(listed(&doors).await["networks"], Value::from(Vec::<Value>::new()));
     let caster = HostileCaster::answering("HTTP/1.1 503 Busy\r\n\r\n").await;
     doors.service.feeds().bring_bases(vec![network(caster.port)]).unwrap();

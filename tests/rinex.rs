@@ -49,9 +49,9 @@ fn outcome(path: &Path) -> String {
                 let named = named.collect::<Vec<_>>().join(" ");
                 (format!("{} ephemerides, ionosphere [{named}]", navigation.len()), skipped)
             }
-            Err(error) => return format!("{} at line {}", error.code(), error.line()),
+            Err(error) => return format!("{} at line {}", error.code().name(), error.line()),
         },
-        Err(error) => return format!("{} at line {}", error.code(), error.line()),
+        Err(error) => return format!("{} at line {}", error.code().name(), error.line()),
     };
     for entry in skipped.entries() {
         write!(text, "; {} × {} from line {}", entry.count, entry.reason, entry.lines[0]).unwrap();

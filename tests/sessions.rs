@@ -33,6 +33,7 @@ on_both_databases!(
     a_full_mailbox_asks_to_wait,
     all_mailboxes_together_are_bounded,
     parked_sessions_go_on,
+    active_sessions_are_bounded,
     many_sessions_at_once,
     pipelined_batches_keep_their_order,
     a_client_that_hangs_up_stops_nothing,
@@ -174,7 +175,7 @@ async fn other_content_under_a_number_is_a_conflict(database: Database) {
     let mut changed = epoch(2, 2.0);
     changed.epoch.observations[0].half_cycle = true;
     let outcomes = sessions.submit(&id, vec![changed, epoch(4, 4.0)]).await.unwrap().outcomes;
-    assert_eq!(refusal(&outcomes[0]).code(), "SEQUENCE_CONFLICT");
+    assert_eq!(refusal(&outcomes[0]).code().name(), "SEQUENCE_CONFLICT");
     assert!(outcomes[1].result.is_ok(), "one refusal stops no other epoch");
 }
 
@@ -196,7 +197,7 @@ async fn an_epoch_not_later_in_time_is_refused(database: Database) {
     for desk in [&sessions, &desk(&store).await] {
         let epochs = vec![epoch(2, 100.0), epoch(3, 99.0)];
         let outcomes = desk.submit(&id, epochs).await.unwrap().outcomes;
-        assert_eq!(refusal(&outcomes[0]).code(), "OUT_OF_ORDER");
+        assert_eq!(refusal(&outcomes[0]).code().name(), "OUT_OF_ORDER");
         assert_eq!(refusal(&outcomes[1]).field(), "time");
     }
     let later = sessions.submit(&id, vec![epoch(2, 101.0)]).await.unwrap();
@@ -213,8 +214,8 @@ async fn an_epoch_beyond_the_limits_is_refused(database: Database) {
     let expected = EpochRefusal::TooManyObservations { seq: 1, observations: 9, limit: 8 };
     assert_eq!(*refusal(&outcomes[0]), expected);
     assert!(outcomes[1].result.is_ok());
-    assert_eq!(refusal(&outcomes[2]).code(), "SEQUENCE_TOO_LARGE");
-    let code = |answer: Result<_, SessionError>| answer.map(drop).unwrap_err().code();
+    assert_eq!(refusal(&outcomes[2]).code().name(), "INVALID_SEQUENCE");
+    let code = |answer: Result<_, SessionError>| answer.map(drop).unwrap_err().code().name();
     assert_eq!(code(sessions.submit(&id, batch(10..43)).await), "TOO_MANY_EPOCHS");
     assert_eq!(code(sessions.submit(&id, vec![]).await), "NO_EPOCHS");
     let unknown = SessionId::parse(&format!("ses_{}", "0".repeat(32))).unwrap();
@@ -227,9 +228,9 @@ async fn a_closed_session_is_readable(database: Database) {
     sessions.submit(&id, batch(1..=3)).await.unwrap();
     let closed = sessions.close(&id).await.unwrap();
     assert!(closed.created_unix_ms <= closed.closed_unix_ms.unwrap());
-    assert_eq!(sessions.submit(&id, batch([4])).await.unwrap_err().code(), "SESSION_CLOSED");
+    assert_eq!(sessions.submit(&id, batch([4])).await.unwrap_err().code().name(), "SESSION_CLOSED");
     let update = sessions.update(&id, SessionUpdate::default()).await;
-    assert_eq!(update.unwrap_err().code(), "SESSION_CLOSED");
+    assert_eq!(update.unwrap_err().code().name(), "SESSION_CLOSED");
     assert_eq!(sessions.close(&id).await.unwrap().closed_unix_ms, closed.closed_unix_ms);
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 2, 3]);
 }
@@ -274,12 +275,22 @@ async fn a_full_mailbox_asks_to_wait(database: Database) {
     let second = sessions.enqueue(&id, batch(34..66)).await.unwrap();
     let error = sessions.enqueue(&id, batch([66])).await.unwrap_err();
     assert!(matches!(error, SessionError::MailboxFull { waiting: 64, limit: 64, .. }), "{error}");
+    assert_eq!(error.code().name(), "MAILBOX_FULL");
     assert_eq!(error.retry_after(), Some(limits().retry_after));
     assert_eq!(first.answer().await.unwrap().outcomes.len(), 32);
     second.answer().await.unwrap();
     let retried = sessions.submit(&id, batch([66])).await.unwrap();
     assert_eq!(retried.durable_through, Some(66));
     assert_eq!(stored_numbers(&sessions, &id).await, (1..=66).collect::<Vec<_>>());
+}
+
+async fn active_sessions_are_bounded(database: Database) {
+    let none = SessionLimits { active_sessions: 0, ..limits() };
+    let sessions = desk_with(&database.store().await, none).await;
+    let id = created(&sessions).await;
+    let error = sessions.submit(&id, batch([1])).await.unwrap_err();
+    assert_eq!(error.code().name(), "TOO_MANY_ACTIVE_SESSIONS", "{error}");
+    assert_eq!(error.retry_after(), Some(limits().retry_after));
 }
 
 async fn all_mailboxes_together_are_bounded(database: Database) {
@@ -292,6 +303,7 @@ async fn all_mailboxes_together_are_bounded(database: Database) {
     let waiting = sessions.enqueue(&one, batch(2..34)).await.unwrap();
     let error = sessions.enqueue(&other, batch(2..11)).await.unwrap_err();
     assert!(matches!(error, SessionError::Overloaded { waiting: 32, limit: 40, .. }), "{error}");
+    assert_eq!(error.code().name(), "OVERLOADED");
     waiting.answer().await.unwrap();
     sessions.submit(&other, batch(2..11)).await.unwrap();
 }
@@ -367,7 +379,7 @@ async fn draining_answers_what_was_accepted(database: Database) {
     sessions.drain().await;
     assert!(sessions.is_draining());
     assert_eq!(accepted.answer().await.unwrap().durable_through, Some(3));
-    assert_eq!(sessions.submit(&id, batch([4])).await.unwrap_err().code(), "DRAINING");
+    assert_eq!(sessions.submit(&id, batch([4])).await.unwrap_err().code().name(), "DRAINING");
     store.close().await;
     let sessions = desk(&database.store().await).await;
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 2, 3]);
@@ -393,7 +405,7 @@ async fn another_writer_is_noticed(database: Database) {
     other.submit(&id, batch([2])).await.unwrap();
     // `one` does not know of 2 until the store refuses its own.
     let error = one.submit(&id, batch([2])).await.unwrap_err();
-    assert_eq!(error.code(), "WRITTEN_ELSEWHERE");
+    assert_eq!(error.code().name(), "WRITTEN_ELSEWHERE");
     let again = one.submit(&id, batch([2, 3])).await.unwrap();
     assert!(again.outcomes[0].result.as_ref().unwrap().resent);
     assert_eq!(again.durable_through, Some(3));
@@ -406,10 +418,10 @@ async fn corrupt_rows_are_errors(database: Database) {
     sessions.submit(&id, batch(1..=3)).await.unwrap();
     database.execute("UPDATE epochs SET content = '\\x' WHERE seq = 2").await;
     let error = sessions.submit(&id, batch([2])).await.unwrap_err();
-    assert_eq!(error.code(), "STORED_DATA_CORRUPT");
+    assert_eq!(error.code().name(), "STORED_DATA_CORRUPT");
     database.execute("UPDATE solutions SET content = '\\x' WHERE seq = 3").await;
     let error = sessions.solutions(&id, &whole_session()).await.unwrap_err();
-    assert_eq!(error.code(), "STORED_DATA_CORRUPT");
+    assert_eq!(error.code().name(), "STORED_DATA_CORRUPT");
 }
 
 async fn sessions_are_listed_in_pages(database: Database) {
@@ -430,7 +442,7 @@ async fn sessions_are_listed_in_pages(database: Database) {
         }
     }
     assert_eq!(listed, newest_first);
-    let code = |error: SessionError| error.code();
+    let code = |error: SessionError| error.code().name();
     assert_eq!(sessions.list(2, Some("x")).await.map_err(code), Err("PAGE_TOKEN_INVALID"));
     assert_eq!(sessions.list(0, None).await.map_err(code), Err("PAGE_SIZE_INVALID"));
 }
@@ -440,7 +452,7 @@ async fn configurations_that_do_not_exist_are_refused(database: Database) {
     let refused = async |change: fn(&mut NewSession)| {
         let mut new = new_session();
         change(&mut new);
-        sessions.create(new).await.unwrap_err().code()
+        sessions.create(new).await.unwrap_err().code().name()
     };
     assert_eq!(refused(|new| new.mode = "teleport".to_owned()).await, "UNKNOWN_MODE");
     assert_eq!(refused(|new| new.profile = "x".to_owned()).await, "UNKNOWN_PROFILE");
@@ -455,7 +467,7 @@ async fn requests_are_solved_without_a_trace(database: Database) {
     let sessions = desk(&database.store().await).await;
     let id = created(&sessions).await;
     let request = SolveRequest::default();
-    assert_eq!(sessions.solve(&id, &request).await.unwrap_err().code(), "SESSION_EMPTY");
+    assert_eq!(sessions.solve(&id, &request).await.unwrap_err().code().name(), "SESSION_EMPTY");
     sessions.submit(&id, batch(1..=3)).await.unwrap();
     let solved = sessions.solve(&id, &request).await.unwrap();
     let last = stored(&sessions, &id).await.pop().unwrap();

@@ -22,6 +22,7 @@ on_both_databases!(
     one_contradiction_fails_alone,
     large_batches_of_any_size_are_stored,
     a_newer_schema_is_refused,
+    a_schema_that_cannot_be_migrated_is_refused,
     navigation_survives_a_restart,
     old_ephemerides_make_room,
     coverage_is_told,
@@ -89,7 +90,7 @@ async fn solutions_come_in_pages(database: Database) {
     for token in ["", "7", "x.0", "-1.0", "1.0.0"] {
         let query = SolutionQuery { page_token: Some(token.to_owned()), ..query.clone() };
         let error = store.solutions(key, &query).await.unwrap_err();
-        assert_eq!(error.code(), "PAGE_TOKEN_INVALID", "{token}");
+        assert_eq!(error.code().name(), "PAGE_TOKEN_INVALID", "{token}");
     }
     for page_size in [0, 10_001] {
         let query = SolutionQuery { page_size, ..query.clone() };
@@ -186,7 +187,15 @@ async fn a_newer_schema_is_refused(database: Database) {
         error.to_string(),
         "the database has schema 9000, this Graphfix knows schemas up to 8"
     );
-    assert_eq!(error.code(), "DATABASE_SCHEMA_NEWER");
+    assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
+}
+
+/// Nobody knows what the schema is where the list of migrations was lost.
+async fn a_schema_that_cannot_be_migrated_is_refused(database: Database) {
+    database.store().await.close().await;
+    database.execute("DELETE FROM _sqlx_migrations").await;
+    let error = Store::open(&database.url).await.unwrap_err();
+    assert_eq!(error.code().name(), "DATABASE_MIGRATION_FAILED", "{error}");
 }
 
 #[tokio::test]
@@ -195,10 +204,10 @@ async fn urls_of_other_kinds_are_refused() {
         ["mysql://x/y", "graphfix.db", "sqlite://", "sqlite://:memory:", "sqlite://a?mode=memory"]
     {
         let error = Store::open(url).await.unwrap_err();
-        assert_eq!(error.code(), "DATABASE_URL_INVALID", "{url}: {error}");
+        assert_eq!(error.code().name(), "DATABASE_URL_INVALID", "{url}: {error}");
     }
     let error = Store::open("sqlite:///no/such/folder/graphfix.db").await.unwrap_err();
-    assert_eq!(error.code(), "DATABASE_FAILED", "{error}");
+    assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
 }
 
 fn ephemeris(satellite: &str, toe: u64, health: u32) -> Ephemeris {
@@ -265,16 +274,16 @@ async fn navigation_survives_a_restart(database: Database) {
     pushed.leap_seconds = LeapSeconds::with_broadcast(19);
     let before = broker.current().navigation;
     let first = broker.push(pushed.clone(), "upload").await.unwrap();
-    assert_eq!((first.received, first.new, first.dropped, first.held), (2, 2, 0, 2));
+    assert_eq!((first.received, first.new, first.dropped, first.in_force), (2, 2, 0, 2));
     assert!(before.is_empty(), "a snapshot does not change under its reader");
 
     let more = navigation([ephemeris("G05", 0, 0), ephemeris("G05", 7_200, 0)]);
     let second = broker.push(more.clone(), "upload").await.unwrap();
-    assert_eq!((second.received, second.new, second.held), (2, 1, 3));
+    assert_eq!((second.received, second.new, second.in_force), (2, 1, 3));
     pushed.merge(more);
     assert_eq!(*broker.current().navigation, pushed);
     let replaced = navigation([ephemeris("G07", 0, 1)]);
-    assert_eq!(broker.push(replaced.clone(), "upload").await.unwrap().held, 3);
+    assert_eq!(broker.push(replaced.clone(), "upload").await.unwrap().in_force, 3);
     pushed.merge(replaced);
 
     let restarted = NavigationBroker::open(database.store().await, AidingLimits::service());
@@ -293,13 +302,13 @@ async fn old_ephemerides_make_room(database: Database) {
     push(&[7_200, 14_400]).await.unwrap();
     // What comes is wanted, though it be older than what is held.
     let counts = push(&[0]).await.unwrap();
-    assert_eq!((counts.new, counts.dropped, counts.held), (1, 1, 2));
+    assert_eq!((counts.new, counts.dropped, counts.in_force), (1, 1, 2));
     let held = |navigation: &Navigation| -> Vec<GpsTime> {
         navigation.of("G05".parse().unwrap()).iter().map(Ephemeris::toe).collect()
     };
     assert_eq!(held(&broker.current().navigation), [time(0), time(14_400)]);
     let error = push(&[0, 1, 2]).await.unwrap_err();
-    assert_eq!(error.code(), "TOO_MANY_EPHEMERIDES");
+    assert_eq!(error.code().name(), "TOO_MANY_EPHEMERIDES");
     let restarted = NavigationBroker::open(database.store().await, limits).await.unwrap();
     assert_eq!(held(&restarted.current().navigation), [time(0), time(14_400)]);
 }

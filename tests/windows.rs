@@ -274,6 +274,6 @@ async fn forgotten_navigation_data_is_said(database: Database) {
     let pushed = aiding.navigation.push(kept(1), "second").await.unwrap();
     assert!(3 < pushed.dropped, "{pushed:?}");
     let again = Recomputation::open(store.clone(), broker(&store).await, &id, None).await.unwrap();
-    assert_eq!(again.check().await.unwrap_err().code(), "NAVIGATION_FORGOTTEN");
+    assert_eq!(again.check().await.unwrap_err().code().name(), "NAVIGATION_FORGOTTEN");
     submit(&desk(&database).await, &id, &DRIVE.epochs[5..10]).await;
 }

@@ -1,77 +1,78 @@
 //! Why navigation data, bases or their epochs are refused.
 
 use crate::gnss::SatelliteId;
+use crate::refusal::Code;
 use crate::store::StoreError;
 
-/// Why navigation data, bases or their epochs are refused; nothing of the push is then kept.
+/// Why navigation data, bases or their epochs are refused. Nothing of the push is then kept.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum AidingError {
-    /// One push brings more ephemerides of a satellite than are held.
-    #[error("{count} ephemerides of {satellite} in one push, held are at most {limit}")]
+    /// One push has more ephemerides of one satellite than are kept.
+    #[error("one push has {count} ephemerides of {satellite}, at most {limit} are kept")]
     TooManyEphemerides {
         /// The satellite.
         satellite: SatelliteId,
-        /// How many it brings.
+        /// Its ephemerides in the push.
         count: usize,
-        /// How many are held of one satellite.
+        /// Most ephemerides of one satellite that are kept.
         limit: usize,
     },
-    /// No such base.
+    /// No base has this id.
     #[error("there is no base {id:?}")]
     BaseNotFound {
-        /// What was asked for.
+        /// The id as given.
         id: String,
     },
-    /// As many bases as there may be.
-    #[error("there are {limit} bases, which are all that may be")]
+    /// There are as many bases as allowed.
+    #[error("there are {limit} bases already, as many as allowed")]
     TooManyBases {
-        /// How many there may be.
+        /// Number of bases allowed.
         limit: usize,
     },
     /// The label is too long.
-    #[error("the label has {length} characters, allowed are {limit}")]
+    #[error("the label has {length} characters, at most {limit} are allowed")]
     LabelTooLong {
-        /// Its length.
+        /// Length of the label (characters).
         length: usize,
-        /// The length allowed.
+        /// Length allowed (characters).
         limit: usize,
     },
-    /// An open session names the base.
-    #[error("open sessions name base {id}")]
+    /// An open session uses the base.
+    #[error("an open session uses base {id}")]
     BaseInUse {
-        /// Its id.
+        /// Id of the base.
         id: String,
     },
-    /// Nobody has told where the base stands.
-    #[error("the position of base {id} is not known")]
+    /// The position of the base is unknown.
+    #[error("the position of base {id} is unknown")]
     BasePositionMissing {
-        /// Its id.
+        /// Id of the base.
         id: String,
     },
-    /// The base's position contradicts what it observes.
+    /// The stated position of the base contradicts its observations.
     #[error(
         "the base's position is {distance_m:.0} m from its own single-point position (mean of \
          {epochs} epochs)"
     )]
     BasePositionRefused {
-        /// From the position stated to the one observed (m).
+        /// Distance from the stated position to the mean single-point position (m).
         distance_m: f64,
-        /// Epochs that it was observed in.
+        /// Number of epochs in the mean.
         epochs: u32,
     },
-    /// One push brings more than a base holds.
+    /// One push has more than a base may store.
     #[error(
-        "{epochs} epochs of {bytes} bytes in one push; a base holds {epochs_max} epochs and \
+        "one push has {epochs} epochs of {bytes} bytes; a base takes at most {epochs_max} epochs and \
          {bytes_max} bytes"
     )]
     BaseTooLarge {
-        /// Epochs it brings.
+        /// Number of epochs in the push.
         epochs: usize,
-        /// Epochs held of one base.
+        /// Number of epochs allowed in one base.
         epochs_max: usize,
-        /// Bytes they take.
+        /// Size of the encoded epochs (bytes).
         bytes: usize,
-        /// Bytes held of one base.
+        /// Size allowed for one base (bytes).
         bytes_max: usize,
     },
     /// The store failed.
@@ -80,33 +81,18 @@ pub enum AidingError {
 }
 
 impl AidingError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::TooManyEphemerides { .. } => "TOO_MANY_EPHEMERIDES",
-            Self::BaseNotFound { .. } => "BASE_NOT_FOUND",
-            Self::TooManyBases { .. } => "TOO_MANY_BASES",
-            Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
-            Self::BaseInUse { .. } => "BASE_IN_USE",
-            Self::BasePositionMissing { .. } => "BASE_POSITION_MISSING",
-            Self::BasePositionRefused { .. } => "BASE_POSITION_REFUSED",
-            Self::BaseTooLarge { .. } => "BASE_TOO_LARGE",
+            Self::TooManyEphemerides { .. } => Code::TooManyEphemerides,
+            Self::BaseNotFound { .. } => Code::BaseNotFound,
+            Self::TooManyBases { .. } => Code::TooManyBases,
+            Self::LabelTooLong { .. } => Code::LabelTooLong,
+            Self::BaseInUse { .. } => Code::BaseInUse,
+            Self::BasePositionMissing { .. } => Code::BasePositionMissing,
+            Self::BasePositionRefused { .. } => Code::BasePositionRefused,
+            Self::BaseTooLarge { .. } => Code::BaseTooLarge,
             Self::Store(error) => error.code(),
-        }
-    }
-
-    /// What the user can do about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::TooManyEphemerides { .. } => "push a shorter span of time",
-            Self::BaseNotFound { .. } => "create the base first, or check its id",
-            Self::TooManyBases { .. } => "delete a base that is no longer used",
-            Self::LabelTooLong { .. } => "shorten the label",
-            Self::BaseInUse { .. } => "close these sessions, or let them use another base",
-            Self::BasePositionMissing { .. } => "create the base with the position of its marker",
-            Self::BasePositionRefused { .. } => "create the base anew with its right position",
-            Self::BaseTooLarge { .. } => "push a shorter span of time",
-            Self::Store(error) => error.remedy(),
         }
     }
 }

@@ -1,29 +1,29 @@
 //! Limits of the brokers.
 
-/// Limits of the brokers; with the number of satellites they bound their memory.
+/// Limits of the brokers. Together with the number of satellites they bound the memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AidingLimits {
-    /// Ephemerides held of one satellite: further ones push out those of the oldest `toe`, but
-    /// never one that came with them.
+    /// Ephemerides in force per satellite. Beyond it the oldest by `toe` are dropped, but none that
+    /// came in the same push.
     pub ephemerides_per_satellite: usize,
-    /// Ephemerides no longer in force that are stored for replay: the oldest are forgotten first.
+    /// Superseded ephemerides that are stored for replay. Beyond it the oldest are deleted.
     pub superseded_ephemerides: usize,
-    /// Bases.
+    /// Number of bases.
     pub bases: usize,
-    /// Epochs held of one base: further ones push out the oldest.
+    /// Epochs per base. Beyond it the oldest are deleted.
     pub epochs_per_base: usize,
-    /// Bytes that the epochs of one base take: further ones push out the oldest.
+    /// Bytes of the encoded epochs of one base. Beyond it the oldest are deleted.
     pub bytes_per_base: usize,
-    /// Observations of one epoch of a base.
+    /// Observations in one epoch of a base.
     pub observations_per_epoch: usize,
     /// Characters of a base's label.
     pub label_characters: usize,
 }
 
 impl AidingLimits {
-    /// Limits of a service: ten days of half-hourly ephemerides of each satellite, and for replay
-    /// about another month of 120 satellites; of 64 bases about four hours of 80 signals a second,
-    /// or a day of 15 s epochs.
+    /// Limits of a service: ten days of half-hourly ephemerides per satellite, and for replay about
+    /// one more month of 120 satellites; 64 bases, each with about four hours of 80 signals at 1
+    /// Hz, or a day of epochs at 15 s.
     pub fn service() -> Self {
         Self {
             ephemerides_per_satellite: 480,

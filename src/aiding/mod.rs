@@ -1,35 +1,35 @@
-//! The desk for what positions need beside the rover's own observations: uploads and feeds fill
-//! it, sessions ask it.
+//! The desk for aiding: the ephemerides and base stations that positioning needs besides the
+//! rover's own observations. Uploads and feeds fill it; sessions read it.
 //!
-//! [`NavigationBroker`] holds all navigation data in memory as one snapshot that readers share and
-//! never wait for; a push builds the next snapshot, commits what is new, and only then shows it.
-//! [`BaseBroker`] does the same for base stations and their epochs.
+//! [`NavigationBroker`] keeps all navigation data in memory. Readers share the present state and
+//! never wait. A push builds the next state, commits what is new, and then replaces the present
+//! state. [`BaseBroker`] does the same for base stations and their epochs.
 
 pub mod bases;
-mod broker;
 mod error;
 mod limits;
+mod navigation;
 
 pub use bases::BaseBroker;
-pub use broker::{
-    NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation, SatelliteCoverage,
-};
 pub use error::AidingError;
 pub use limits::AidingLimits;
+pub use navigation::{
+    NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation, SatelliteCoverage,
+};
 
 use crate::store::Store;
 
-/// Both brokers. Clones share them.
+/// Both brokers. All clones share them.
 #[derive(Clone)]
 pub struct AidingDesk {
-    /// Of broadcast ephemerides.
+    /// Broadcast ephemerides.
     pub navigation: NavigationBroker,
-    /// Of base stations.
+    /// Base stations.
     pub bases: BaseBroker,
 }
 
 impl AidingDesk {
-    /// Opens the desk with what the store holds.
+    /// Opens the desk with what the store has.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::config::ConfigError;
+use crate::refusal::Code;
 
 /// Why a command failed: a stable code, what is wrong and what to do, in one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,6 +17,11 @@ impl Failure {
     /// From a stable upper-snake-case code, what is wrong, and what the user can do.
     pub fn new(code: &'static str, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
         Self { code, message: message.to_string(), remedy: remedy.to_string() }
+    }
+
+    /// From a code of the service, with its remedy.
+    pub fn of(code: Code, message: impl fmt::Display) -> Self {
+        Self::new(code.name(), message, code.remedy())
     }
 
     /// The stable code.
@@ -33,7 +39,7 @@ impl fmt::Display for Failure {
 
 impl From<ConfigError> for Failure {
     fn from(error: ConfigError) -> Self {
-        Self::new(error.code(), error, "see graphfix config")
+        Self::new(error.code().name(), error, "see graphfix config")
     }
 }
 

@@ -19,6 +19,7 @@ use crate::feeds::{
     NetworkRequest, Patience,
 };
 use crate::http::{self, ServerError};
+use crate::refusal::Code;
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
 
@@ -170,7 +171,7 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
     use tracing_subscriber::EnvFilter;
     let filter = EnvFilter::try_new(&configuration.log.filter).map_err(|error| {
         let message = format!("log filter {:?}: {error}", configuration.log.filter);
-        Failure::new("LOG_FILTER_INVALID", message, "write a filter such as info")
+        Failure::of(Code::LogFilterInvalid, message)
     })?;
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     if configuration.log.json {
@@ -183,30 +184,30 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
 
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
-        Self::new(error.code(), &error, error.remedy())
+        Self::of(error.code(), &error)
     }
 }
 
 impl From<AidingError> for Failure {
     fn from(error: AidingError) -> Self {
-        Self::new(error.code(), &error, error.remedy())
+        Self::of(error.code(), &error)
     }
 }
 
 impl From<FetchError> for Failure {
     fn from(error: FetchError) -> Self {
-        Self::new(error.code(), &error, error.remedy())
+        Self::of(error.code(), &error)
     }
 }
 
 impl From<ServerError> for Failure {
     fn from(error: ServerError) -> Self {
-        Self::new("LISTENER_FAILED", error, "see the log, and start again")
+        Self::of(Code::ListenerFailed, error)
     }
 }
 
 impl From<ServiceConfigurationError> for Failure {
     fn from(error: ServiceConfigurationError) -> Self {
-        Self::new(error.code(), &error, error.remedy())
+        Self::of(error.code(), &error)
     }
 }

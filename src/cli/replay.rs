@@ -137,6 +137,6 @@ async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<
 
 impl From<SessionError> for Failure {
     fn from(error: SessionError) -> Self {
-        Self::new(error.code(), &error, error.remedy())
+        Self::of(error.code(), &error)
     }
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use tokio::net::TcpListener;
 
 use crate::config::ServiceConfiguration;
+use crate::refusal::Code;
 
 use super::Failure;
 use super::host::{self, Host};
@@ -81,7 +82,7 @@ pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
 async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
     let listener = TcpListener::bind(configuration.listen).await.map_err(|error| {
         let message = format!("{}: {error}", configuration.listen);
-        Failure::new("ADDRESS_UNAVAILABLE", message, "choose another with --listen")
+        Failure::of(Code::AddressUnavailable, message)
     })?;
     let ServiceConfiguration { database, limits, fetch, navigation, bases, .. } = &configuration;
     let host = Host::open(database, limits, fetch, navigation).await?;

@@ -193,5 +193,5 @@ impl Rover {
 }
 
 fn unreadable(path: &Path, error: &crate::formats::rinex::RinexError) -> Failure {
-    Failure::new(error.code(), format!("{}: {error}", path.display()), error.remedy())
+    Failure::of(error.code(), format!("{}: {error}", path.display()))
 }

@@ -1,5 +1,7 @@
 //! Why a configuration is refused.
 
+use crate::refusal::Code;
+
 /// Why a configuration is refused, with what would be accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
@@ -50,14 +52,14 @@ pub enum ConfigError {
 }
 
 impl ConfigError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::UnknownKey { .. } => "UNKNOWN_OPTION",
-            Self::InvalidValue { .. } => "INVALID_OPTION_VALUE",
-            Self::FeatureNotBuilt { .. } => "FEATURE_NOT_BUILT",
-            Self::UnknownMode { .. } => "UNKNOWN_MODE",
-            Self::UnknownProfile { .. } => "UNKNOWN_PROFILE",
+            Self::UnknownKey { .. } => Code::UnknownOption,
+            Self::InvalidValue { .. } => Code::InvalidOptionValue,
+            Self::FeatureNotBuilt { .. } => Code::FeatureNotBuilt,
+            Self::UnknownMode { .. } => Code::UnknownMode,
+            Self::UnknownProfile { .. } => Code::UnknownProfile,
         }
     }
 }

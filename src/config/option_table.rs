@@ -294,6 +294,7 @@ fn parse_satellites(text: &str) -> Option<Vec<SatelliteId>> {
 mod tests {
     use super::super::Profile;
     use super::*;
+    use crate::refusal::Code;
 
     fn general() -> PositioningOptions {
         PositioningOptions::new(Mode::Spp, Profile::General)
@@ -347,7 +348,7 @@ mod tests {
             true => assert_eq!(set, Ok(())),
             false => {
                 let error = set.unwrap_err();
-                assert_eq!(error.code(), "FEATURE_NOT_BUILT");
+                assert_eq!(error.code(), Code::FeatureNotBuilt);
                 assert!(error.to_string().contains("feature \"nequick\""), "{error}");
             }
         }

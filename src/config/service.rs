@@ -9,6 +9,8 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
+use crate::refusal::Code;
+
 /// Shortest interval between requests (s): ephemerides change once an hour, and archives serve
 /// everybody.
 const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
@@ -206,27 +208,14 @@ pub enum ServiceConfigurationError {
 }
 
 impl ServiceConfigurationError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::Malformed(_) => "CONFIGURATION_MALFORMED",
-            Self::NotLoopback(_) => "LISTEN_NOT_LOOPBACK",
-            Self::ArchiveInterval => "ARCHIVE_INTERVAL_TOO_SHORT",
-            Self::TableInterval => "TABLE_INTERVAL_TOO_SHORT",
-            Self::ZeroLimit(_) => "LIMIT_ZERO",
-        }
-    }
-
-    /// What the operator can do about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::Malformed(_) => "correct the line that the message names",
-            Self::NotLoopback(_) => {
-                "listen on 127.0.0.1 or [::1], behind a proxy that authenticates if others need it"
-            }
-            Self::ArchiveInterval => "raise the interval; 3600 s is usual",
-            Self::TableInterval => "raise the interval; 3600 s is usual",
-            Self::ZeroLimit(_) => "set the limit to at least 1, or remove the line",
+            Self::Malformed(_) => Code::ConfigurationMalformed,
+            Self::NotLoopback(_) => Code::ListenNotLoopback,
+            Self::ArchiveInterval => Code::ArchiveIntervalTooShort,
+            Self::TableInterval => Code::TableIntervalTooShort,
+            Self::ZeroLimit(_) => Code::LimitZero,
         }
     }
 }

@@ -1,19 +1,18 @@
 //! Protobuf ↔ vocabulary.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Matrix3, Vector3};
 
 use crate::config::IntakeLimits;
 use crate::gnss::{
-    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame, Provenance, Reason,
-    ReasonValue, RelativeEstimate, Solution, SolutionEstimate, Status,
+    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame, Provenance,
+    RelativeEstimate, Solution, SolutionEstimate, Status,
 };
-
+use crate::refusal::Code;
 use crate::store::{Revisions, StoredSolution};
 
 use super::intake::{self, RawObservation, RawOdometry};
-use super::{Code, Refusal, v1};
+use super::reason::reason;
+use super::{Refusal, v1};
 
 /// A solution with what the store knows about it.
 #[derive(Clone, Copy, Debug)]
@@ -254,29 +253,6 @@ const fn covariance(matrix: &Matrix3<f64>) -> v1::Covariance {
         second_second: yy,
         second_third: yz,
         third_third: zz,
-    }
-}
-
-/// A reason as the wire has it.
-pub fn reason(reason: &Reason) -> v1::Reason {
-    use prost_types::value::Kind;
-    let text = |text: String| prost_types::Value { kind: Some(Kind::StringValue(text)) };
-    let value = |value| match value {
-        ReasonValue::Number(number) => prost_types::Value { kind: Some(Kind::NumberValue(number)) },
-        ReasonValue::Text(name) => text(name.to_owned()),
-        ReasonValue::Satellites(list) => {
-            let values = list.iter().map(|satellite| text(satellite.to_string())).collect();
-            let list = prost_types::ListValue { values };
-            prost_types::Value { kind: Some(Kind::ListValue(list)) }
-        }
-    };
-    let fields: BTreeMap<_, _> =
-        reason.values().into_iter().map(|(name, v)| (name.to_owned(), value(v))).collect();
-    v1::Reason {
-        code: reason.code().to_owned(),
-        message: reason.to_string(),
-        remedy: reason.remedy().to_owned(),
-        values: Some(prost_types::Struct { fields }),
     }
 }
 

@@ -9,8 +9,9 @@ use crate::gnss::{
     Cycles, Epoch, GpsTime, Observation, ObservationCode, Odometry, OdometryError, OdometryFrame,
     SatelliteId, Signal, Status, symmetric_of,
 };
+use crate::refusal::Code;
 
-use super::{Code, Refusal};
+use super::Refusal;
 
 /// The largest sequence number: the largest integer that every JSON reader keeps exactly.
 pub const SEQUENCE_MAX: u64 = (1 << 53) - 1;

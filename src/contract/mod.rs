@@ -9,10 +9,11 @@ pub mod convert;
 pub mod intake;
 pub mod json;
 mod origin;
+pub mod reason;
 mod refusal;
 mod service;
 
-pub use refusal::{Class, Code, Refusal};
+pub use refusal::Refusal;
 pub use service::Service;
 
 /// The messages of `proto/graphfix/v1`; their documentation is the comments there.

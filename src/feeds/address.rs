@@ -1,9 +1,9 @@
-//! Which hosts may be asked for data, and at which of their addresses.
+//! Which hosts may be contacted, and at which of their addresses.
 //!
-//! What is fetched by a client's wish must not lead into the operator's own network. A host is
-//! asked only where the operator has listed it; its name is resolved once, each address is checked,
-//! and the connection goes to the address that was checked, so that a name which resolves otherwise
-//! a moment later leads nowhere.
+//! A client's choice of host must not lead into the operator's own network. Only hosts that the
+//! operator lists are contacted. The host's name is resolved once, each address is checked, and the
+//! connection uses a checked address. So it does not help an attacker to change the name's address
+//! a moment later.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -11,19 +11,19 @@ use std::time::Duration;
 
 use super::FetchError;
 
-/// How long a name may take to be resolved.
+/// Longest time for resolving a name.
 const RESOLVING: Duration = Duration::from_secs(10);
-/// Addresses of one name that are looked at.
+/// Most addresses of one name that are checked.
 const ADDRESSES_LIMIT: usize = 16;
 
-/// What may be asked.
+/// The hosts that may be contacted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FetchPolicy {
     hosts: Vec<HostPattern>,
     allows_private: bool,
 }
 
-/// A host that may be asked: `host`, `host:port`, or `*.domain` for all below a domain.
+/// A pattern of allowed hosts: `host`, `host:port`, or `*.domain` for all hosts below a domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct HostPattern {
     host: String,
@@ -32,19 +32,19 @@ struct HostPattern {
 }
 
 impl FetchPolicy {
-    /// A policy that allows the hosts listed, and their private addresses if told so.
+    /// A policy that allows the listed hosts. `allows_private` also allows private addresses.
     ///
     /// # Errors
-    /// A text that names no host.
+    /// A text is not a host.
     pub fn new(hosts: &[String], allows_private: bool) -> Result<Self, FetchError> {
         let hosts = hosts.iter().map(|text| HostPattern::parse(text)).collect::<Result<_, _>>()?;
         Ok(Self { hosts, allows_private })
     }
 
-    /// Whether a host may be asked at a port.
+    /// Checks whether a host may be contacted at a port.
     ///
     /// # Errors
-    /// It is not listed.
+    /// The host is not listed.
     pub fn check(&self, host: &str, port: u16) -> Result<(), FetchError> {
         let name = plain(host);
         if self.hosts.iter().any(|pattern| pattern.allows(&name, port)) {
@@ -53,10 +53,10 @@ impl FetchPolicy {
         Err(FetchError::HostNotAllowed { host: host.to_owned(), port })
     }
 
-    /// The addresses at which a host may be asked. Who connects must connect to one of these.
+    /// The addresses at which a host may be contacted. Connect to no other ones.
     ///
     /// # Errors
-    /// A host that is not listed or cannot be resolved, or all of whose addresses are refused.
+    /// The host is not listed, cannot be resolved, or all its addresses are refused.
     pub async fn resolve(&self, host: &str, port: u16) -> Result<Vec<SocketAddr>, FetchError> {
         self.check(host, port)?;
         let unresolved = |why: String| FetchError::Unresolved { host: host.to_owned(), why };
@@ -85,7 +85,7 @@ impl HostPattern {
     fn parse(text: &str) -> Result<Self, FetchError> {
         let refused = || FetchError::PatternInvalid { text: text.to_owned() };
         let (host, port) = match text.rsplit_once(':') {
-            // The colons of a bare IPv6 address are no port's.
+            // The colons of a bare IPv6 address do not begin a port.
             Some((host, port)) if !host.contains(':') || host.ends_with(']') => {
                 (host, Some(port.parse::<u16>().map_err(|_| refused())?))
             }
@@ -120,13 +120,13 @@ impl fmt::Display for HostPattern {
     }
 }
 
-/// A host without what does not tell hosts apart.
+/// The host in a form in which equal hosts are equal texts.
 fn plain(host: &str) -> String {
     let bare = host.trim_start_matches('[').trim_end_matches(']');
     bare.trim_end_matches('.').to_ascii_lowercase()
 }
 
-/// Whether an address is one of the public internet; IANA's registries of special-purpose
+/// Whether an address belongs to the public internet, by IANA's registries of special-purpose
 /// addresses (RFC 6890).
 pub fn is_public(address: IpAddr) -> bool {
     match address {
@@ -163,7 +163,7 @@ fn is_public_v6(address: Ipv6Addr) -> bool {
     }
 }
 
-/// The IPv4 address that an IPv6 one stands for: mapped, compatible, NAT64 or 6to4.
+/// The IPv4 address inside an IPv6 address: mapped, compatible, NAT64 or 6to4.
 fn embedded_v4(address: Ipv6Addr) -> Option<Ipv4Addr> {
     let pair = |high: u16, low: u16| {
         let ([a, b], [c, d]) = (high.to_be_bytes(), low.to_be_bytes());
@@ -180,6 +180,7 @@ fn embedded_v4(address: Ipv6Addr) -> Option<Ipv4Addr> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refusal::Code;
 
     fn policy(hosts: &[&str], allows_private: bool) -> FetchPolicy {
         let hosts: Vec<String> = hosts.iter().map(|host| (*host).to_owned()).collect();
@@ -253,12 +254,18 @@ mod tests {
         let refused = policy(&["localhost", "127.0.0.1", "[::1]"], false);
         for host in ["localhost", "127.0.0.1", "[::1]"] {
             let error = refused.resolve(host, 80).await.unwrap_err();
-            assert_eq!(error.code(), "ADDRESS_REFUSED", "{host}: {error}");
+            assert_eq!(error.code(), Code::AddressRefused, "{host}: {error}");
         }
         let allowed = policy(&["localhost"], true).resolve("localhost", 80).await.unwrap();
         assert!(allowed.iter().all(|address| address.ip().is_loopback()));
         let error = refused.resolve("example.org", 80).await.unwrap_err();
-        assert_eq!(error.code(), "HOST_NOT_ALLOWED");
+        assert_eq!(error.code(), Code::HostNotAllowed);
+    }
+
+    #[test]
+    fn a_name_without_an_address_is_not_resolved() {
+        let error = policy(&["x"], false).permitted("x", Vec::new()).unwrap_err();
+        assert_eq!(error.code(), Code::HostUnresolved);
     }
 
     /// A name with one address here and one there is asked there alone.

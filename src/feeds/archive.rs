@@ -1,5 +1,5 @@
-//! Archives of ephemerides: a file a day, fetched again as long as it grows. And how archives name
-//! their files.
+//! Archives of ephemerides: one file per day, fetched again while it grows. Also the file addresses
+//! of all archives.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,45 +15,47 @@ use crate::clock::{gps_time, unix_ms};
 use crate::formats::decompress;
 use crate::formats::rinex::read_navigation;
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Navigation, TimeScale};
+use crate::refusal::Code;
 
 use super::health::{FeedProblem, SourceHealth, SourceState};
 use super::stop::stopped;
-use super::web::{self, Fetched, Location, Validators, WebError};
+use super::web::{self, Fetched, Url, Validators, WebError};
 use super::{Backoff, Connector, FetchError};
 
-/// Largest file, packed and unpacked: those of a day with all systems have 3 and 12 MB.
+/// Largest file, packed and unpacked. Files of one day with all systems have 3 MB and 12 MB.
 pub(super) const PACKED_LIMIT: usize = 32 << 20;
 const UNPACKED_LIMIT: u64 = 128 << 20;
-/// Days whose files are asked for: today's grows, yesterday's may have been completed.
+/// Days whose files are fetched: today's file still grows, yesterday's may have been completed.
 const DAYS: i64 = 2;
 /// First and longest delay after a failure.
 const DELAY: Duration = Duration::from_secs(30);
 const DELAY_CEILING: Duration = Duration::from_secs(3600);
 
-/// The address of an archive's files, such as
+/// The address of an archive's files with placeholders for their time, such as
 /// `https://archive.example.org/{yyyy}/{ddd}/BRDC00WRD_R_{yyyy}{ddd}0000_01D_MN.rnx.gz`.
 ///
-/// `{yyyy}`, `{yy}`, `{mm}`, `{dd}`, `{ddd}` and `{hh}` are year, its last digits, month, day of
-/// the month, day of the year and hour of GPS time; `{h}` is the hour as the letter `a` to `x` that
-/// RINEX 2 has, `{min}` the quarter of the hour in minutes, `00` to `45`.
+/// `{yyyy}`, `{yy}`, `{mm}`, `{dd}`, `{ddd}` and `{hh}` are the year, its last two digits, the
+/// month, the day of the month, the day of the year and the hour, all of GPS time. `{h}` is the
+/// hour as a letter `a` to `x`, as in RINEX 2 file names; `{min}` is the start of the quarter of an
+/// hour, `00` to `45`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArchiveTemplate(String);
 
 impl ArchiveTemplate {
-    /// The template of a text.
+    /// Reads a template.
     ///
     /// # Errors
-    /// What it stands for is no address.
+    /// The address without its placeholders is not a valid URL.
     pub fn new(text: &str) -> Result<Self, FetchError> {
         let template = Self(text.to_owned());
         template.at(GpsTime::EPOCH).map(|_| template)
     }
 
-    /// The address of the file of a time.
+    /// The URL of the file that contains `time`.
     ///
     /// # Errors
-    /// It is none, which [`Self::new`] has excluded.
-    pub fn at(&self, time: GpsTime) -> Result<Location, FetchError> {
+    /// It is not a valid URL; [`Self::new`] has excluded this.
+    pub fn at(&self, time: GpsTime) -> Result<Url, FetchError> {
         let civil = time.to_civil(TimeScale::Gps, &LeapSeconds::table());
         let CivilTime { year, month, day, hour, minute, .. } = civil;
         let text = self.0.replace("{yyyy}", &format!("{year:04}"));
@@ -65,13 +67,13 @@ impl ArchiveTemplate {
         let text = text.replace("{h}", &char::from(b'a' + hour).to_string());
         let text = text.replace("{min}", &format!("{:02}", minute / 15 * 15));
         if text.contains(['{', '}']) {
-            return Err(FetchError::LocationInvalid { text: self.0.clone() });
+            return Err(FetchError::UrlInvalid { text: self.0.clone() });
         }
         text.parse()
     }
 
-    /// How long the time of one file is (s), by the finest placeholder; `None` where the address
-    /// names no day of a year.
+    /// The time that one file covers (s), from the finest placeholder. `None` if the address does
+    /// not identify a day of a year.
     pub fn period_s(&self) -> Option<i64> {
         let has = |placeholder| self.0.contains(placeholder);
         let has_day =
@@ -84,7 +86,7 @@ impl ArchiveTemplate {
         }
     }
 
-    /// From when until before when the file of a time holds epochs.
+    /// The start of the time that the file with `time` covers, and its end, which is not included.
     pub fn span(&self, time: GpsTime) -> Option<(GpsTime, GpsTime)> {
         let period_ns = self.period_s()? * 1_000_000_000;
         let start_ns = time.as_ns().div_euclid(period_ns) * period_ns;
@@ -107,7 +109,7 @@ fn day_of_year(civil: &CivilTime) -> i64 {
     since.unwrap_or_default() / (86_400 * 1_000_000_000) + 1
 }
 
-/// Fetches an archive's files.
+/// The task that fetches an archive of ephemerides.
 pub(super) struct Archive {
     pub(super) template: ArchiveTemplate,
     pub(super) interval: Duration,
@@ -118,19 +120,19 @@ pub(super) struct Archive {
 }
 
 impl Archive {
-    /// Runs until it is stopped, between files.
+    /// Runs until stopped. A file being read is finished first.
     pub(super) async fn run(mut self) {
-        let mut known: BTreeMap<Location, Validators> = BTreeMap::new();
+        let mut known: BTreeMap<Url, Validators> = BTreeMap::new();
         let mut failing = Backoff::new(DELAY, DELAY_CEILING);
         let mut waiting = Backoff::new(self.interval, self.interval);
         loop {
             self.health.enter(SourceState::Fetching, unix_ms());
             let mut stopping = self.stopped.clone();
-            let rounds = tokio::select! {
+            let fetched = tokio::select! {
                 () = stopped(&mut stopping) => return,
                 fetched = self.fetch(&mut known) => fetched,
             };
-            let delay = match rounds {
+            let delay = match fetched {
                 Ok(()) => {
                     failing.reset();
                     self.health.succeeded(unix_ms());
@@ -149,30 +151,30 @@ impl Archive {
         }
     }
 
-    /// Asks for the files of the last days; an older one is enough where today's has not begun.
+    /// Fetches the files of the last days. One of them is enough: today's file may not exist yet.
     async fn fetch(
         &self,
-        known: &mut BTreeMap<Location, Validators>,
+        known: &mut BTreeMap<Url, Validators>,
     ) -> Result<(), (FeedProblem, Option<Duration>)> {
         let now = gps_time(unix_ms());
-        let mut places = Vec::new();
+        let mut urls = Vec::new();
         for days in 0..DAYS {
-            let place = self.template.at(now - 86_400.0 * days as f64);
-            let place = place.map_err(|error| (FeedProblem::from(&WebError::from(error)), None))?;
-            if !places.contains(&place) {
-                places.push(place);
+            let url = self.template.at(now - 86_400.0 * days as f64);
+            let url = url.map_err(|error| (FeedProblem::from(&WebError::from(error)), None))?;
+            if !urls.contains(&url) {
+                urls.push(url);
             }
         }
-        known.retain(|place, _| places.contains(place));
+        known.retain(|url, _| urls.contains(url));
         let mut missing = None;
         let mut found = false;
-        for place in places {
-            let before = known.get(&place).cloned().unwrap_or_default();
-            match web::fetch(&self.connector, &place, &before, PACKED_LIMIT).await {
+        for url in urls {
+            let before = known.get(&url).cloned().unwrap_or_default();
+            match web::fetch(&self.connector, &url, &before, PACKED_LIMIT).await {
                 Ok(Fetched::Unchanged) => found = true,
                 Ok(Fetched::New { content, validators }) => {
-                    self.take(&place, content).await.map_err(|problem| (problem, None))?;
-                    known.insert(place, validators);
+                    self.take(&url, content).await.map_err(|problem| (problem, None))?;
+                    known.insert(url, validators);
                     found = true;
                 }
                 Err(error @ WebError::NotFound { .. }) => {
@@ -184,19 +186,18 @@ impl Archive {
         missing.filter(|_| !found).map_or(Ok(()), Err)
     }
 
-    async fn take(&self, place: &Location, content: Vec<u8>) -> Result<(), FeedProblem> {
+    async fn take(&self, url: &Url, content: Vec<u8>) -> Result<(), FeedProblem> {
         let reading = tokio::task::spawn_blocking(move || read(&content));
         let read = reading.await.unwrap_or_else(|panic| Err(panic.to_string()));
         let navigation = read.map_err(|message| FeedProblem {
-            code: "FILE_UNREADABLE",
-            message: format!("{place}: {message}"),
-            remedy: "check that the address is of RINEX navigation files, plain or gzip",
+            code: Code::FileUnreadable,
+            message: format!("{url}: {message}"),
         })?;
-        let source = place.to_string();
+        let source = url.to_string();
         let pushed = self.navigation.push(navigation, &source).await;
         let pushed = pushed.map_err(|error| FeedProblem::from(&error))?;
-        self.health.brought(pushed.new as u64);
-        tracing::info!(%place, received = pushed.received, new = pushed.new, "ephemerides fetched");
+        self.health.add(pushed.new as u64);
+        tracing::info!(%url, received = pushed.received, new = pushed.new, "ephemerides fetched");
         Ok(())
     }
 }
@@ -206,13 +207,13 @@ fn read(content: &[u8]) -> Result<Navigation, String> {
     read_navigation(text.as_slice()).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
 }
 
-/// A file's text, plain or gzip.
+/// A file's content, unpacked if it is gzip.
 pub(super) fn unpacked(content: &[u8]) -> Result<Vec<u8>, String> {
     let mut text = Vec::new();
     let unpacked = decompress(content).take(UNPACKED_LIMIT + 1).read_to_end(&mut text);
     unpacked.map_err(|error| error.to_string())?;
     if UNPACKED_LIMIT < text.len() as u64 {
-        return Err(format!("unpacked, it exceeds {UNPACKED_LIMIT} bytes"));
+        return Err(format!("the unpacked file exceeds {UNPACKED_LIMIT} bytes"));
     }
     Ok(text)
 }
@@ -227,15 +228,15 @@ mod tests {
             ArchiveTemplate::new("https://a.example/{yyyy}/{ddd}/b{ddd}{hh}.{yy}n?{mm}-{dd}");
         // 2024-12-31T23:59:42, day 366 of a leap year: week 2347, Tuesday.
         let time = GpsTime::from_week_seconds(2347, 3.0 * 86_400.0 - 18.0);
-        let place = template.unwrap().at(time).unwrap();
-        assert_eq!(place.to_string(), "https://a.example:443/2024/366/b36623.24n?12-31");
+        let url = template.unwrap().at(time).unwrap();
+        assert_eq!(url.to_string(), "https://a.example:443/2024/366/b36623.24n?12-31");
         for wrong in ["https://a.example/{year}", "file:///etc/passwd", "https://a.example/{yyyy"] {
             assert!(ArchiveTemplate::new(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
-    fn templates_tell_how_long_a_file_is() {
+    fn templates_know_the_time_of_one_file() {
         let template =
             |path: &str| ArchiveTemplate::new(&format!("https://a.example/{path}")).unwrap();
         // 2024-12-31T23:59:42.

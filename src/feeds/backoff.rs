@@ -1,11 +1,12 @@
-//! When to try again.
+//! Delays between attempts.
 
 use std::time::Duration;
 
 use uuid::Uuid;
 
-/// Delays between attempts: each twice the one before up to a ceiling, and each drawn from half of
-/// it to all of it, so that those who lost the same caster at once do not come back at once.
+/// Delays between attempts. Each is twice the previous one, up to a ceiling, and is drawn at random
+/// from half of it to all of it, so that clients that lost the same caster do not return at the
+/// same moment.
 #[derive(Clone, Debug)]
 pub struct Backoff {
     first: Duration,
@@ -19,16 +20,16 @@ impl Backoff {
         Self { first, ceiling, next: first }
     }
 
-    /// The next delay, at least `asked`.
+    /// The next delay, but at least the delay `asked` for by the host.
     pub fn next(&mut self, asked: Option<Duration>) -> Duration {
-        // Random bits that are there anyway; nobody gains by guessing them.
+        // The quality of these random bits does not matter.
         let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
         let delay = self.next.mul_f64(0.5 + 0.5 * fraction);
         self.next = (self.next * 2).min(self.ceiling);
         asked.map_or(delay, |asked| asked + delay.min(asked))
     }
 
-    /// Begins anew, after a success that lasted.
+    /// Starts again with the first delay. Call it after a success that lasted.
     pub const fn reset(&mut self) {
         self.next = self.first;
     }

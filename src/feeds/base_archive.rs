@@ -1,4 +1,4 @@
-//! An archive that fills a base: files that are fetched when rovers need them.
+//! An archive that fills a base: its files are fetched when rovers need them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,9 +8,10 @@ use tokio::sync::{Semaphore, watch};
 use tokio::time::sleep;
 
 use crate::aiding::BaseBroker;
-use crate::aiding::bases::{BaseFile, BaseId, HeldEpoch, Reach};
+use crate::aiding::bases::{BaseFile, BaseId, CommittedEpoch, Coverage};
 use crate::clock::{gps_time, unix_ms};
 use crate::gnss::{Epoch, GpsTime};
+use crate::refusal::Code;
 
 use super::archive::{PACKED_LIMIT, unpacked};
 use super::health::{BaseArchiveHealth, FeedProblem, SourceState};
@@ -18,19 +19,20 @@ use super::stop::stopped;
 use super::web::{self, Fetched, Validators, WebError};
 use super::{ArchiveTemplate, Backoff, Connector, FeedOptions};
 
-/// A file that came so long after its time has ended grows no more (ms).
-const SETTLED_MS: i64 = 3_600_000;
-/// Behind a file that fails so often no later one waits, with which it cannot come any more.
-const HOLDING_FAILURES: u32 = 4;
-/// What rovers need no more is forgotten after so long at the latest.
-const LOOKING_AGAIN: Duration = Duration::from_secs(3600);
-/// Receivers tag epochs so near to the second that they mean (s).
-const TOLERANCE_S: f64 = 0.5;
+/// A file that is fetched this long after the end of its time is complete (ms).
+const COMPLETE_AFTER_MS: i64 = 3_600_000;
+/// After this many failures in a row a file no longer delays newer ones. The base takes epochs in
+/// order of time, so the file can no longer be added once a newer one is.
+const BLOCKING_FAILURES: u32 = 4;
+/// Longest time between two looks at the requested times.
+const LOOK_INTERVAL: Duration = Duration::from_secs(3600);
+/// Tolerance of epoch tags to the nominal second (s).
+const TAG_TOLERANCE_S: f64 = 0.5;
 
-/// How an archive is doing, as the desk and its task share it.
-pub(super) struct Note(Mutex<BaseArchiveHealth>);
+/// The archive's health, shared between its task and the desk.
+pub(super) struct ArchiveStatus(Mutex<BaseArchiveHealth>);
 
-impl Note {
+impl ArchiveStatus {
     pub(super) fn new() -> Self {
         Self(Mutex::new(BaseArchiveHealth::new(unix_ms())))
     }
@@ -46,74 +48,76 @@ impl Note {
 
 /// A file that rovers need.
 struct File {
-    /// When it is to be asked for (ms since 1970-01-01 UTC).
+    /// When to fetch it next (ms since 1970-01-01 UTC).
     due_unix_ms: i64,
     failing: Backoff,
     known: Validators,
-    /// All that can come of it has come.
+    /// No more epochs can come from it.
     is_done: bool,
     problem: Option<FeedProblem>,
-    /// How often it failed in a row.
+    /// Failures in a row.
     failures: u32,
 }
 
 impl File {
-    /// Whether later files wait for it: it is there, but did not come whole.
-    fn holds_up(&self) -> bool {
-        let is_there = |problem: &FeedProblem| problem.code != "FILE_NOT_FOUND";
-        let may_come = self.problem.as_ref().is_some_and(is_there);
-        !self.is_done && may_come && self.failures < HOLDING_FAILURES
+    /// Whether newer files wait for this one: the archive has it, but it could not be fetched
+    /// whole.
+    fn blocks_newer(&self) -> bool {
+        let exists = |problem: &FeedProblem| problem.code != Code::FileNotFound;
+        let may_come = self.problem.as_ref().is_some_and(exists);
+        !self.is_done && may_come && self.failures < BLOCKING_FAILURES
     }
 }
 
-/// Fetches the files of a base.
+/// The task that fetches a base's files.
 pub(super) struct BaseArchive {
     pub(super) base: BaseId,
     pub(super) template: ArchiveTemplate,
     pub(super) connector: Connector,
     pub(super) bases: BaseBroker,
     pub(super) options: FeedOptions,
-    pub(super) note: Arc<Note>,
-    /// Lets few files at a time be unpacked, of however many bases.
+    pub(super) status: Arc<ArchiveStatus>,
+    /// Limits how many files are unpacked at the same time, for all bases together.
     pub(super) reading: Arc<Semaphore>,
     pub(super) stopped: watch::Receiver<bool>,
 }
 
 impl BaseArchive {
-    /// Runs until it is stopped, between files, or the base is gone.
+    /// Runs until stopped or until the base is deleted. A file being read is finished first.
     pub(super) async fn run(mut self) {
         let mut files: BTreeMap<GpsTime, File> = BTreeMap::new();
         while self.list(&mut files) {
             let now = unix_ms();
-            let held_up = files.iter().find(|(_, file)| file.holds_up()).map(|(start, _)| *start);
-            let comes = |start: &GpsTime| held_up.is_none_or(|held_up| *start <= held_up);
-            let open = files.iter_mut().filter(|(start, file)| !file.is_done && comes(start));
+            let blocking =
+                files.iter().find(|(_, file)| file.blocks_newer()).map(|(start, _)| *start);
+            let is_allowed = |start: &GpsTime| blocking.is_none_or(|blocking| *start <= blocking);
+            let open = files.iter_mut().filter(|(start, file)| !file.is_done && is_allowed(start));
             let next = open.min_by_key(|(start, file)| (file.due_unix_ms.max(now), **start));
             let delay = match next {
                 Some((start, file)) if file.due_unix_ms <= now => {
-                    self.note.write().enter(SourceState::Fetching, None, now);
+                    self.status.write().enter(SourceState::Fetching, None, now);
                     if self.fetch(*start, file).await.is_none() {
                         return;
                     }
-                    self.tell(&files);
+                    self.report(&files);
                     continue;
                 }
                 Some((_, file)) => Duration::from_millis((file.due_unix_ms - now) as u64),
-                None => LOOKING_AGAIN,
+                None => LOOK_INTERVAL,
             };
-            self.tell(&files);
+            self.report(&files);
             tokio::select! {
                 () = stopped(&mut self.stopped) => return,
-                // Err: the base is gone, which the list tells.
-                _ = self.bases.need(&self.base) => {}
-                () = sleep(delay.min(LOOKING_AGAIN)) => {}
+                // Err: the base is deleted; `list` returns false then.
+                _ = self.bases.wait_for_request(&self.base) => {}
+                () = sleep(delay.min(LOOK_INTERVAL)) => {}
             }
         }
     }
 
-    /// Lists the files that rovers need; whether there is such a base.
+    /// Updates the list of files that rovers need. Returns false if the base no longer exists.
     fn list(&self, files: &mut BTreeMap<GpsTime, File>) -> bool {
-        let Ok(needed) = self.bases.needed(&self.base) else { return false };
+        let Ok(needed) = self.bases.requested_times(&self.base) else { return false };
         let now = gps_time(unix_ms());
         let start = |time: GpsTime| Some(self.template.span(time)?.0);
         let starts: BTreeSet<GpsTime> =
@@ -132,127 +136,119 @@ impl BaseArchive {
         true
     }
 
-    /// Fetches a file, if something of it can be taken; `None` once it is stopped.
+    /// Fetches a file if the base can still take epochs of its time. `None` once stopped.
     async fn fetch(&mut self, start: GpsTime, file: &mut File) -> Option<()> {
         let (from, until) = self.template.span(start)?;
-        match self.bases.reach(&self.base, from, until) {
-            Ok(Reach::Open) => {}
-            reach => {
+        match self.bases.coverage(&self.base, from, until) {
+            Ok(Coverage::Incomplete) => {}
+            coverage => {
                 file.is_done = true;
-                if matches!(reach, Ok(Reach::Passed)) {
-                    self.note.write().refusal = Some(passed(from));
+                if matches!(coverage, Ok(Coverage::Missed)) {
+                    self.status.write().refusal = Some(too_old(from));
                 }
                 return Some(());
             }
         }
-        let place = self.template.at(start);
-        let fetched = match &place {
-            Ok(place) => tokio::select! {
+        let url = self.template.at(start);
+        let fetched = match &url {
+            Ok(url) => tokio::select! {
                 () = stopped(&mut self.stopped) => return None,
-                fetched = web::fetch(&self.connector, place, &file.known, PACKED_LIMIT) => fetched,
+                fetched = web::fetch(&self.connector, url, &file.known, PACKED_LIMIT) => fetched,
             },
             Err(error) => Err(WebError::from(error.clone())),
         };
-        self.note.write().requests += 1;
-        let place = place.map_or_else(|_| self.template.to_string(), |place| place.to_string());
+        self.status.write().requests += 1;
+        let url = url.map_or_else(|_| self.template.to_string(), |url| url.to_string());
         let taken = match fetched {
             Ok(Fetched::Unchanged) => Ok(()),
             Ok(Fetched::New { content, validators }) => {
                 file.known = validators;
-                self.take(&place, content, from, until).await.map_err(|problem| (problem, None))
+                self.take(&url, content, from, until).await.map_err(|problem| (problem, None))
             }
             Err(error) => Err((FeedProblem::from(&error), error.retry_after())),
         };
         let now = unix_ms();
         match taken {
             Ok(()) => {
-                let is_settled = until < gps_time(now - SETTLED_MS);
-                let reach = self.bases.reach(&self.base, from, until);
-                file.is_done = is_settled || !matches!(reach, Ok(Reach::Open));
+                let is_complete = until < gps_time(now - COMPLETE_AFTER_MS);
+                let coverage = self.bases.coverage(&self.base, from, until);
+                file.is_done = is_complete || !matches!(coverage, Ok(Coverage::Incomplete));
                 file.due_unix_ms = now + self.options.file_refresh.as_millis() as i64;
                 (file.problem, file.failures) = (None, 0);
                 file.failing.reset();
             }
             Err((problem, retry_after)) => {
-                let FeedProblem { code, message, remedy } = problem;
+                let FeedProblem { code, message } = problem;
                 if file.problem.as_ref().is_none_or(|before| before.code != code) {
-                    tracing::warn!(code, base = %self.base, %place, %message, "no file of a base");
+                    tracing::warn!(%code, base = %self.base, %url, %message, "a file of a base is missing");
                 }
                 file.failures += 1;
-                // What was wrong with it is looked at again, even if it is the same.
+                // Fetch it again even if unchanged: the failure may have been on this side.
                 file.known = Validators::default();
                 file.due_unix_ms = now + file.failing.next(retry_after).as_millis() as i64;
-                let message = format!("{place}: {message}");
-                file.problem = Some(FeedProblem { code, message, remedy });
+                let message = format!("{url}: {message}");
+                file.problem = Some(FeedProblem { code, message });
             }
         }
         Some(())
     }
 
-    /// Gives the base the epochs of a file.
+    /// Uploads the epochs of a file to the base.
     async fn take(
         &self,
-        place: &str,
+        url: &str,
         content: Vec<u8>,
         from: GpsTime,
         until: GpsTime,
     ) -> Result<(), FeedProblem> {
-        // Err: never, for nobody closes it.
+        // Err: never, because the semaphore is never closed.
         let _turn = self.reading.acquire().await.ok();
         let (bytes, epochs_max) = (content.len(), self.bases.epochs_max());
         let reading = tokio::task::spawn_blocking(move || read(&content, epochs_max));
         let read = reading.await.unwrap_or_else(|panic| Err(panic.to_string()));
-        let BaseFile { mut epochs, site, .. } = read.map_err(|message| FeedProblem {
-            code: "FILE_UNREADABLE",
-            message,
-            remedy: "check that the address is of RINEX observation files, plain or gzip",
-        })?;
+        let BaseFile { mut epochs, site, .. } =
+            read.map_err(|message| FeedProblem { code: Code::FileUnreadable, message })?;
         epochs.retain(|epoch: &Epoch| {
-            from - TOLERANCE_S <= epoch.time && epoch.time < until - TOLERANCE_S
+            from - TAG_TOLERANCE_S <= epoch.time && epoch.time < until - TAG_TOLERANCE_S
         });
         if epochs.is_empty() {
             return Err(FeedProblem {
-                code: "FILE_OF_OTHER_TIME",
-                message: format!("it has no epoch from {from} until {until}"),
-                remedy: "check the placeholders of the address",
+                code: Code::FileOfOtherTime,
+                message: format!("the file has no epoch from {from} until {until}"),
             });
         }
         let pushed = self.bases.upload(&self.base, epochs, site.as_ref()).await;
         let outcomes = pushed.map_err(|error| FeedProblem::from(&error))?.outcomes;
-        let is_new = |held: &&HeldEpoch| !held.resent;
+        let is_new = |epoch: &&CommittedEpoch| !epoch.resent;
         let new = outcomes.iter().flatten().filter(is_new).count() as u64;
         let refusal = outcomes.iter().find_map(|outcome| outcome.as_ref().err());
-        tracing::info!(base = %self.base, %place, epochs = new, "a file of a base came");
-        let mut health = self.note.write();
+        tracing::info!(base = %self.base, %url, epochs = new, "a file of a base was fetched");
+        let mut health = self.status.write();
         health.files += 1;
         health.bytes += bytes as u64;
         health.epochs += new;
-        health.last_file = Some(place.to_owned());
-        health.refusal = refusal.map(|refusal| FeedProblem {
-            code: refusal.code(),
-            message: refusal.to_string(),
-            remedy: "the other epochs of the file are taken",
-        });
+        health.last_file = Some(url.to_owned());
+        health.refusal = refusal
+            .map(|refusal| FeedProblem { code: refusal.code(), message: refusal.to_string() });
         Ok(())
     }
 
-    /// Tells how it is doing, between files.
-    fn tell(&self, files: &BTreeMap<GpsTime, File>) {
+    /// Updates the health between two files.
+    fn report(&self, files: &BTreeMap<GpsTime, File>) {
         let open = || files.values().filter(|file| !file.is_done);
         let retry = open().map(|file| file.due_unix_ms).min();
         let problem = open().find_map(|file| file.problem.clone());
         let state = if problem.is_some() { SourceState::Waiting } else { SourceState::Current };
-        let mut health = self.note.write();
+        let mut health = self.status.write();
         health.enter(state, retry, unix_ms());
         (health.problem, health.missing) = (problem, open().count());
     }
 }
 
-fn passed(from: GpsTime) -> FeedProblem {
+fn too_old(from: GpsTime) -> FeedProblem {
     FeedProblem {
-        code: "BASE_OUT_OF_ORDER",
-        message: format!("the file of {from} is not asked for: the base's epochs are later"),
-        remedy: "create another base of this archive for older data",
+        code: Code::BaseOutOfOrder,
+        message: format!("the file of {from} is not fetched: the base already has newer epochs"),
     }
 }
 

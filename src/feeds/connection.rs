@@ -1,4 +1,4 @@
-//! A connection to a host that may be asked, plain or encrypted.
+//! Plain and encrypted connections to allowed hosts.
 
 use std::fmt;
 use std::io::ErrorKind;
@@ -20,19 +20,19 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
 use super::{FetchError, FetchPolicy};
 
-/// How long a host may take.
+/// Time limits for a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Patience {
-    /// To accept at one address, and to agree on TLS.
+    /// To accept a connection at one address, and for the TLS handshake.
     pub connecting: Duration,
-    /// To give the head of its answer, however slowly the bytes come.
+    /// To send the whole head of its answer.
     pub answering: Duration,
-    /// To give a whole list or file.
+    /// To send a whole list or file.
     pub listing: Duration,
 }
 
 impl Patience {
-    /// What hosts of the internet need at their worst.
+    /// Suitable for slow public hosts.
     pub const fn standard() -> Self {
         Self {
             connecting: Duration::from_secs(10),
@@ -42,7 +42,7 @@ impl Patience {
     }
 }
 
-/// Connects to hosts that may be asked. Clones share it.
+/// Connects to allowed hosts. All clones share it.
 #[derive(Clone)]
 pub struct Connector {
     policy: Arc<FetchPolicy>,
@@ -51,11 +51,11 @@ pub struct Connector {
 }
 
 impl Connector {
-    /// A connector under a policy. It trusts Mozilla's certificate authorities, and those of the
+    /// A connector under a policy. It trusts Mozilla's certificate authorities, and those in the
     /// PEM file `authorities`.
     ///
     /// # Errors
-    /// Certificates that cannot be read.
+    /// The file of certificates cannot be read.
     pub fn new(
         policy: FetchPolicy,
         patience: Patience,
@@ -81,20 +81,20 @@ impl Connector {
         Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), patience })
     }
 
-    /// The policy.
+    /// The hosts that may be contacted.
     pub fn policy(&self) -> &FetchPolicy {
         &self.policy
     }
 
-    /// How long a host may take.
+    /// The time limits.
     pub const fn patience(&self) -> &Patience {
         &self.patience
     }
 
-    /// Connects to a host at an address that was checked.
+    /// Connects to a host at a checked address.
     ///
     /// # Errors
-    /// The policy refuses it, or it does not answer.
+    /// The policy refuses the host, or it does not answer.
     pub async fn connect(
         &self,
         host: &str,
@@ -104,7 +104,7 @@ impl Connector {
         let addresses = self.policy.resolve(host, port).await?;
         let connecting = self.patience.connecting;
         let stream = plain(host, &addresses, connecting).await?;
-        // Err: small pieces may wait for one another, no more.
+        // Err: only latency is lost.
         stream.set_nodelay(true).ok();
         if !is_tls {
             return Ok(Connection::Plain(stream));
@@ -140,12 +140,12 @@ async fn plain(
     Err(FetchError::Unreachable { host: host.to_owned(), why })
 }
 
-/// A connection.
+/// An open connection.
 #[derive(Debug)]
 pub enum Connection {
-    /// As it is.
+    /// Without encryption.
     Plain(TcpStream),
-    /// Encrypted.
+    /// With TLS.
     Tls(Box<TlsStream<TcpStream>>),
 }
 
@@ -158,7 +158,7 @@ impl AsyncRead for Connection {
         match self.get_mut() {
             Self::Plain(stream) => Pin::new(stream).poll_read(context, buffer),
             Self::Tls(stream) => match Pin::new(stream.as_mut()).poll_read(context, buffer) {
-                // So TLS ends where nobody says that it does: whoever reads knows what is missing.
+                // EOF without close_notify: treat it as the end; the reader checks lengths.
                 Poll::Ready(Err(error)) if error.kind() == ErrorKind::UnexpectedEof => {
                     Poll::Ready(Ok(()))
                 }

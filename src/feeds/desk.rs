@@ -1,4 +1,4 @@
-//! The desk itself: which streams there are, and which bases they fill.
+//! The desk: which streams and archives run, and which bases they fill.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -10,41 +10,41 @@ use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::gnss::{Ecef, GpsTime};
 
-use super::base_archive::{BaseArchive, Note};
+use super::base_archive::{ArchiveStatus, BaseArchive};
 use super::network::{NetworkHealth, NetworkRequest, RunningNetwork, Streams};
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
 use super::sources::{NavigationSources, Source, SourceStatus};
-use super::stream::{Shared, Stream, Told};
+use super::stream::{Stream, StreamHints, StreamStatus};
 use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptions, FetchError};
 
-/// What tells streams apart: those that are alike are one.
+/// The identity of a stream. Bases with the same key share one connection.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Key {
+struct StreamKey {
     request: StreamRequest,
     near: Option<GpsTime>,
-    /// Bits of the position, which is compared and no more.
+    /// Bits of the position. They are only compared.
     position: Option<[u64; 3]>,
-    /// The base whose rovers the caster is told of: it computes the stream for them alone.
+    /// The base whose rovers' position the caster is told. Such a stream fills this base only.
     follows: Option<BaseId>,
 }
 
-struct Running {
-    shared: Arc<Shared>,
+struct RunningStream {
+    status: Arc<StreamStatus>,
     stop: watch::Sender<bool>,
     task: JoinHandle<()>,
 }
 
-/// Files of bases that are unpacked at a time.
-const READ_AT_A_TIME: usize = 2;
+/// Files of bases that are unpacked at the same time.
+const UNPACKED_AT_ONCE: usize = 2;
 
-/// An archive that fills a base.
-struct Filling {
-    note: Arc<Note>,
+/// A running archive that fills a base.
+struct RunningArchive {
+    status: Arc<ArchiveStatus>,
     stop: watch::Sender<bool>,
     task: JoinHandle<()>,
 }
 
-/// The desk for streams of casters and for archives. Clones share it.
+/// The desk for streams of casters and for archives. All clones share it.
 #[derive(Clone)]
 pub struct Feeds {
     desk: Arc<Desk>,
@@ -54,42 +54,43 @@ struct Desk {
     connector: Connector,
     aiding: AidingDesk,
     options: FeedOptions,
-    streams: Mutex<BTreeMap<Key, Running>>,
+    streams: Mutex<BTreeMap<StreamKey, RunningStream>>,
     sources: Mutex<Vec<Source>>,
-    archives: Mutex<BTreeMap<BaseId, Filling>>,
+    archives: Mutex<BTreeMap<BaseId, RunningArchive>>,
     reading: Arc<Semaphore>,
     networks: Mutex<Vec<RunningNetwork>>,
 }
 
 impl Feeds {
-    /// Opens the desk; streams that fill bases are asked for at once, but for those of networks.
+    /// Opens the desk and requests the streams of all bases, except those of networks, which start
+    /// on demand.
     ///
     /// # Panics
     /// Outside a tokio runtime.
     pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
         let (streams, sources, archives, networks) = Default::default();
-        let reading = Arc::new(Semaphore::new(READ_AT_A_TIME));
+        let reading = Arc::new(Semaphore::new(UNPACKED_AT_ONCE));
         let (fed, filled) = (aiding.bases.feeds(), aiding.bases.archives());
         let desk =
             Desk { connector, aiding, options, streams, sources, archives, reading, networks };
         let feeds = Self { desk: Arc::new(desk) };
         for (base, feed) in fed.into_iter().filter(|(_, feed)| !feed.is_on_demand) {
             if let Err(error) = feeds.start(&base, &feed) {
-                tracing::error!(code = error.code(), %base, %error, "a base is not fed");
+                tracing::error!(code = %error.code(), %base, %error, "the stream of a base cannot start");
             }
         }
         for (base, template) in filled {
             if let Err(error) = feeds.fill(&base, &template) {
-                tracing::error!(code = error.code(), %base, %error, "a base is not filled");
+                tracing::error!(code = %error.code(), %base, %error, "the archive of a base cannot start");
             }
         }
         feeds
     }
 
-    /// Has ephemerides brought by these sources from now on, through a connector of their own.
+    /// Starts to fetch ephemerides from `sources`, with the operator's own connector.
     ///
     /// # Errors
-    /// An address that is none.
+    /// An address is invalid.
     ///
     /// # Panics
     /// Outside a tokio runtime.
@@ -114,10 +115,10 @@ impl Feeds {
         Ok(())
     }
 
-    /// Has bases brought by the sourcetables of these casters from now on.
+    /// Starts to connect bases of these casters' sourcetables when rovers need them.
     ///
     /// # Errors
-    /// A host that may not be asked.
+    /// A host is not allowed.
     ///
     /// # Panics
     /// Outside a tokio runtime.
@@ -134,7 +135,7 @@ impl Feeds {
         Ok(())
     }
 
-    /// How the casters are doing whose sourcetables bring bases.
+    /// The health of the casters whose sourcetables bring bases.
     pub fn networks(&self) -> Vec<NetworkHealth> {
         self.running_networks().iter().map(RunningNetwork::health).collect()
     }
@@ -143,28 +144,28 @@ impl Feeds {
         self.desk.networks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The sources of ephemerides, each with its address and how it is doing.
+    /// The address and health of each source of ephemerides.
     pub fn navigation_sources(&self) -> Vec<(String, SourceStatus)> {
         self.sources().iter().map(|source| (source.name.clone(), source.status())).collect()
     }
 
-    /// Whether a stream may be asked for.
+    /// Checks whether a stream may be requested.
     ///
     /// # Errors
-    /// A caster or mountpoint that is none, or a host that the operator does not list.
+    /// The caster's address or the mountpoint is invalid, or the operator does not list the host.
     pub fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
         let request = request_of(feed)?;
         self.desk.connector.policy().check(&request.caster.host, request.caster.port)
     }
 
-    /// Fills a base from a stream from now on.
+    /// Starts to fill a base from a stream.
     ///
     /// # Errors
-    /// A caster or mountpoint that is none.
+    /// The caster's address or the mountpoint is invalid.
     pub fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
         let bits = |Ecef(p): Ecef| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
         let follows = feed.follows_rover.then(|| base.clone());
-        let key = Key {
+        let key = StreamKey {
             request: request_of(feed)?,
             near: feed.near,
             position: feed.position.map(bits),
@@ -172,46 +173,46 @@ impl Feeds {
         };
         let mut streams = self.streams();
         if let Some(running) = streams.get(&key) {
-            running.shared.add(base.clone());
+            running.status.add(base.clone());
             return Ok(());
         }
         let (stop, stopped) = watch::channel(false);
-        let shared = Arc::new(Shared::new(Some(base.clone())));
+        let status = Arc::new(StreamStatus::new(Some(base.clone())));
         let Desk { connector, aiding, options, .. } = &*self.desk;
         let stream = Stream::new(
             key.request.clone(),
-            Told { near: feed.near, position: feed.position, follows },
-            shared.clone(),
+            StreamHints { near: feed.near, position: feed.position, follows },
+            status.clone(),
             connector.clone(),
             aiding.clone(),
             *options,
             stopped,
         );
         let task = tokio::spawn(stream.run());
-        streams.insert(key, Running { shared, stop, task });
+        streams.insert(key, RunningStream { status, stop, task });
         Ok(())
     }
 
-    /// Whether an archive may be asked for a base's files.
+    /// Checks whether an archive may be asked for a base's files.
     ///
     /// # Errors
-    /// An address that is none or names no day, or a host that the operator does not list.
+    /// The address is invalid or has no day, or the operator does not list the host.
     pub fn check_archive(&self, template: &str) -> Result<(), FetchError> {
         let template = ArchiveTemplate::new(template)?;
         if template.period_s().is_none() {
             return Err(FetchError::TemplateWithoutDay { text: template.to_string() });
         }
-        let place = template.at(GpsTime::EPOCH)?;
-        self.desk.connector.policy().check(&place.host, place.port)
+        let url = template.at(GpsTime::EPOCH)?;
+        self.desk.connector.policy().check(&url.host, url.port)
     }
 
-    /// Fills a base from an archive's files from now on, each when rovers need it.
+    /// Starts to fill a base from an archive's files, each fetched when rovers need it.
     ///
     /// # Errors
-    /// An address that is none.
+    /// The address is invalid.
     pub fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
         let (stop, stopped) = watch::channel(false);
-        let note = Arc::new(Note::new());
+        let status = Arc::new(ArchiveStatus::new());
         let Desk { connector, aiding, options, reading, .. } = &*self.desk;
         let archive = BaseArchive {
             base: base.clone(),
@@ -219,56 +220,56 @@ impl Feeds {
             connector: connector.clone(),
             bases: aiding.bases.clone(),
             options: *options,
-            note: note.clone(),
+            status: status.clone(),
             reading: reading.clone(),
             stopped,
         };
         let task = tokio::spawn(archive.run());
-        self.archives().insert(base.clone(), Filling { note, stop, task });
+        self.archives().insert(base.clone(), RunningArchive { status, stop, task });
         Ok(())
     }
 
-    /// How the archive is doing that fills a base.
+    /// The health of the archive that fills a base.
     pub fn archive_health(&self, base: &BaseId) -> Option<BaseArchiveHealth> {
-        self.archives().get(base).map(|filling| filling.note.read())
+        self.archives().get(base).map(|archive| archive.status.read())
     }
 
-    /// Fills a base no more; a stream that fills none is given up.
+    /// Stops filling a base. A stream that fills no other base is closed.
     pub fn stop(&self, base: &BaseId) {
-        if let Some(Filling { stop, .. }) = self.archives().remove(base) {
-            // Err: it has ended by itself, for the base is gone.
+        if let Some(RunningArchive { stop, .. }) = self.archives().remove(base) {
+            // Err: the task has ended, because the base is deleted.
             stop.send(true).ok();
         }
         self.streams().retain(|_, running| {
-            let is_used = running.shared.remove(base);
+            let is_used = running.status.remove(base);
             if !is_used {
-                // Err: it has ended by itself.
+                // Err: the task has ended.
                 running.stop.send(true).ok();
             }
             is_used
         });
     }
 
-    /// How the stream is doing that fills a base.
+    /// The health of the stream that fills a base.
     pub fn health(&self, base: &BaseId) -> Option<FeedHealth> {
         let streams = self.streams();
-        streams.values().find(|running| running.shared.fills(base)).map(|r| r.shared.health())
+        streams.values().find(|running| running.status.fills(base)).map(|r| r.status.health())
     }
 
-    /// Gives up all streams; returns when what they brought is stored.
+    /// Closes all streams and archives. Returns when their last epochs are stored.
     pub async fn close(&self) {
         let networks = std::mem::take(&mut *self.running_networks());
         for network in networks {
-            network.close().await; // Else it would connect again what is given up.
+            network.close().await; // First, because networks start streams.
         }
         let running = std::mem::take(&mut *self.streams());
-        for (_, Running { stop, task, .. }) in running {
-            // Err: it has ended by itself, or it panicked.
+        for (_, RunningStream { stop, task, .. }) in running {
+            // Err: the task has ended, or it panicked.
             stop.send(true).ok();
             task.await.ok();
         }
         let archives = std::mem::take(&mut *self.archives());
-        for (_, Filling { stop, task, .. }) in archives {
+        for (_, RunningArchive { stop, task, .. }) in archives {
             stop.send(true).ok();
             task.await.ok();
         }
@@ -282,16 +283,16 @@ impl Feeds {
         self.desk.sources.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn archives(&self) -> MutexGuard<'_, BTreeMap<BaseId, Filling>> {
+    fn archives(&self) -> MutexGuard<'_, BTreeMap<BaseId, RunningArchive>> {
         self.desk.archives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn streams(&self) -> MutexGuard<'_, BTreeMap<Key, Running>> {
+    fn streams(&self) -> MutexGuard<'_, BTreeMap<StreamKey, RunningStream>> {
         self.desk.streams.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Of a desk that its networks do not keep alive: once it is gone nothing is started.
+/// The desk as its networks see it. They do not keep it alive; once it is gone, nothing is started.
 impl Streams for Weak<Desk> {
     fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
         self.upgrade().map_or(Ok(()), |desk| Feeds { desk }.start(base, feed))

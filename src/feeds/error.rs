@@ -1,126 +1,108 @@
-//! Why something cannot be fetched.
+//! Why a host is not contacted, or cannot be reached.
 
 use std::net::IpAddr;
 
-/// Why a host is not asked, or does not answer.
+use crate::refusal::Code;
+
+/// Why a host is not contacted, or cannot be reached.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FetchError {
-    /// A text in the list of hosts that names none.
-    #[error("{text:?} is no host, host:port or *.domain")]
+    /// The text is not a host, `host:port` or `*.domain`.
+    #[error("{text:?} is not host, host:port or *.domain")]
     PatternInvalid {
-        /// The text.
+        /// The text as given.
         text: String,
     },
-    /// A text that is no address of a caster.
-    #[error("{text:?} is no address such as ntrip://caster.example.org:2101")]
-    AddressInvalid {
-        /// The text.
+    /// The text is not the address of a caster.
+    #[error("{text:?} is not a caster's address such as ntrip://caster.example.org:2101")]
+    CasterInvalid {
+        /// The text as given.
         text: String,
     },
-    /// A text that is no address of a file.
-    #[error("{text:?} is no address such as https://archive.example.org/{{yyyy}}/{{ddd}}/file.gz")]
-    LocationInvalid {
-        /// The text.
+    /// The text is not the address of a file.
+    #[error("{text:?} is not a URL such as https://archive.example.org/{{yyyy}}/{{ddd}}/file.gz")]
+    UrlInvalid {
+        /// The text as given.
         text: String,
     },
-    /// An address of files that does not tell of which time each is.
-    #[error("{text:?} names no day: {{yyyy}} or {{yy}}, with {{ddd}} or {{mm}} and {{dd}}")]
+    /// The address of an archive's files has no placeholders for the day.
+    #[error(
+        "{text:?} has no placeholders for the day: {{yyyy}} or {{yy}}, with {{ddd}} or {{mm}} and {{dd}}"
+    )]
     TemplateWithoutDay {
-        /// The text.
+        /// The text as given.
         text: String,
     },
-    /// A text that names no mountpoint.
-    #[error("{text:?} is no mountpoint: one to 100 printable characters without / ? # %")]
+    /// The text is not a valid name of a mountpoint.
+    #[error("{text:?} is not a mountpoint: one to 100 printable characters without / ? # %")]
     MountpointInvalid {
-        /// The text.
+        /// The text as given.
         text: String,
     },
     /// The operator does not list the host.
     #[error("the operator does not allow {host}:{port}")]
     HostNotAllowed {
-        /// The host.
+        /// Name or address of the host.
         host: String,
-        /// The port.
+        /// TCP port.
         port: u16,
     },
-    /// The name leads nowhere.
+    /// The host's name cannot be resolved.
     #[error("{host} cannot be resolved: {why}")]
     Unresolved {
-        /// The host.
+        /// Name of the host.
         host: String,
-        /// What the resolver said.
+        /// Message of the resolver.
         why: String,
     },
-    /// The name leads into a private network.
-    #[error("{host} is at {address}, which is no public address")]
+    /// The host's name resolves only to addresses that are not public.
+    #[error("{host} has the address {address}, which is not public")]
     AddressRefused {
-        /// The host.
+        /// Name of the host.
         host: String,
-        /// Its address.
+        /// The first of these addresses.
         address: IpAddr,
     },
-    /// No connection.
+    /// The host accepts no connection.
     #[error("{host} cannot be reached: {why}")]
     Unreachable {
-        /// The host.
+        /// Name of the host.
         host: String,
-        /// What the last attempt said.
+        /// Message of the last attempt.
         why: String,
     },
-    /// No encrypted connection.
+    /// The TLS handshake failed.
     #[error("TLS with {host} failed: {why}")]
     Tls {
-        /// The host.
+        /// Name of the host.
         host: String,
-        /// What is wrong.
+        /// Message of the TLS library.
         why: String,
     },
-    /// Certificates that cannot be read.
+    /// A file of certificates cannot be read.
     #[error("certificates of {file}: {why}")]
     CertificatesInvalid {
-        /// The file.
+        /// Path of the file.
         file: String,
-        /// What is wrong.
+        /// Message of the reader.
         why: String,
     },
 }
 
 impl FetchError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::PatternInvalid { .. } => "FETCH_HOST_INVALID",
-            Self::AddressInvalid { .. } => "CASTER_ADDRESS_INVALID",
-            Self::LocationInvalid { .. } | Self::TemplateWithoutDay { .. } => "LOCATION_INVALID",
-            Self::MountpointInvalid { .. } => "MOUNTPOINT_INVALID",
-            Self::HostNotAllowed { .. } => "HOST_NOT_ALLOWED",
-            Self::Unresolved { .. } => "HOST_UNRESOLVED",
-            Self::AddressRefused { .. } => "ADDRESS_REFUSED",
-            Self::Unreachable { .. } => "HOST_UNREACHABLE",
-            Self::Tls { .. } => "TLS_FAILED",
-            Self::CertificatesInvalid { .. } => "CERTIFICATES_INVALID",
-        }
-    }
-
-    /// What can be done about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::PatternInvalid { .. } => "list hosts as host, host:port or *.domain",
-            Self::AddressInvalid { .. } => "write ntrip://HOST:PORT, or ntrips:// for TLS",
-            Self::LocationInvalid { .. } | Self::TemplateWithoutDay { .. } => {
-                "write http:// or https://, host, path and placeholders"
-            }
-            Self::MountpointInvalid { .. } => "choose a mountpoint of the caster's sourcetable",
-            Self::HostNotAllowed { .. } => "let the operator list the host in fetch.hosts",
-            Self::Unresolved { .. } => "check the host's name",
-            Self::AddressRefused { .. } => {
-                "name a public host, or let the operator set fetch.private_addresses"
-            }
-            Self::Unreachable { .. } => "check host and port; it is tried again",
-            Self::Tls { .. } => {
-                "check the host's certificate, or list its authority in fetch.ca_file"
-            }
-            Self::CertificatesInvalid { .. } => "name a PEM file of certificates",
+            Self::PatternInvalid { .. } => Code::FetchHostInvalid,
+            Self::CasterInvalid { .. } => Code::CasterAddressInvalid,
+            Self::UrlInvalid { .. } | Self::TemplateWithoutDay { .. } => Code::LocationInvalid,
+            Self::MountpointInvalid { .. } => Code::MountpointInvalid,
+            Self::HostNotAllowed { .. } => Code::HostNotAllowed,
+            Self::Unresolved { .. } => Code::HostUnresolved,
+            Self::AddressRefused { .. } => Code::AddressRefused,
+            Self::Unreachable { .. } => Code::HostUnreachable,
+            Self::Tls { .. } => Code::TlsFailed,
+            Self::CertificatesInvalid { .. } => Code::CertificatesInvalid,
         }
     }
 }

@@ -1,15 +1,15 @@
-//! The head of a host's answer: where it ends, and its fields.
+//! The head of a host's answer: its end, and its fields.
 
 use std::time::Duration;
 
 /// Longest head that is read (bytes).
 pub(super) const HEAD_LIMIT: usize = 8 << 10;
-/// Longest text of a host that is repeated to users (characters).
+/// Longest text from a host that is shown to users (characters).
 const ANSWER_LIMIT: usize = 120;
 /// Longest delay that a host may ask for.
 pub(super) const RETRY_AFTER_LIMIT: Duration = Duration::from_secs(3600);
 
-/// Where the empty line that ends a head ends.
+/// The length of the head, including the empty line that ends it.
 pub(super) fn end_of(bytes: &[u8]) -> Option<usize> {
     let head = &bytes[..bytes.len().min(HEAD_LIMIT)];
     let lines = head.iter().enumerate().filter(|(_, byte)| **byte == b'\n').map(|(at, _)| at);
@@ -32,19 +32,19 @@ impl Fields<'_> {
         self.0.split(|byte| *byte == b'\n').find_map(field)
     }
 
-    /// When the host asks to come back, if it does.
+    /// The delay before the next request that the host asks for.
     pub(super) fn retry_after(&self) -> Option<Duration> {
         retry_after(&self.value("retry-after")?)
     }
 }
 
-/// The delay that a field `Retry-After` asks for; none where it names a date.
+/// The delay of a `Retry-After` field; `None` if it gives a date instead.
 pub(super) fn retry_after(text: &str) -> Option<Duration> {
     let seconds = text.trim().parse().ok()?;
     Some(Duration::from_secs(seconds).min(RETRY_AFTER_LIMIT))
 }
 
-/// A text of somebody else's, short and printable.
+/// A text from another host, shortened and without control characters.
 pub(super) fn shown(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4 * ANSWER_LIMIT)]).into_owned();
     let printable = |c: char| if c.is_control() { ' ' } else { c };

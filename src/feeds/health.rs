@@ -1,4 +1,4 @@
-//! How a stream is doing.
+//! Health of streams and archives, as the API reports it.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -6,18 +6,19 @@ use std::time::Duration;
 use crate::aiding::AidingError;
 use crate::formats::receiver::Statistics;
 use crate::gnss::GpsTime;
+use crate::refusal::Code;
 
 use super::ntrip::NtripError;
 use super::web::WebError;
 
-/// What a stream is at.
+/// State of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeedState {
-    /// It is being asked for.
+    /// The caster is asked for the stream.
     Connecting,
-    /// It comes.
+    /// The caster sends the stream.
     Streaming,
-    /// It ended or was refused, and is asked for again after a delay.
+    /// The stream ended or was refused. It is requested again after a delay.
     Waiting,
 }
 
@@ -32,65 +33,63 @@ impl FeedState {
     }
 }
 
-/// What went wrong last.
+/// The last failure of a stream or archive, or the last refusal of its data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FeedProblem {
-    /// Stable code, upper snake case.
-    pub code: &'static str,
-    /// What is wrong.
+    /// The stable code, which has the remedy.
+    pub code: Code,
+    /// What is wrong, with the values at fault.
     pub message: String,
-    /// What can be done about it.
-    pub remedy: &'static str,
 }
 
 impl From<&NtripError> for FeedProblem {
     fn from(error: &NtripError) -> Self {
-        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+        Self { code: error.code(), message: error.to_string() }
     }
 }
 
 impl From<&WebError> for FeedProblem {
     fn from(error: &WebError) -> Self {
-        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+        Self { code: error.code(), message: error.to_string() }
     }
 }
 
 impl From<&AidingError> for FeedProblem {
     fn from(error: &AidingError) -> Self {
-        Self { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+        Self { code: error.code(), message: error.to_string() }
     }
 }
 
-/// How a stream is doing.
+/// Health of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeedHealth {
-    /// What it is at.
+    /// Present state.
     pub state: FeedState,
-    /// Since when (ms since 1970-01-01 UTC).
+    /// When this state began (ms since 1970-01-01 UTC).
     pub since_unix_ms: i64,
-    /// Why it was lost last, even if it has come back.
+    /// Why the stream was last lost. It stays when the stream returns.
     pub problem: Option<FeedProblem>,
-    /// Why its epochs are not taken.
+    /// Why the last epochs were refused; `None` once epochs are accepted again.
     pub refusal: Option<FeedProblem>,
-    /// When it is asked for again (ms since 1970-01-01 UTC), while it waits.
+    /// While waiting: when the stream is requested again (ms since 1970-01-01 UTC).
     pub retry_unix_ms: Option<i64>,
-    /// How often it was granted.
+    /// Number of times that the caster granted the stream.
     pub connections: u64,
-    /// How often it was asked for.
+    /// Number of times that the stream was requested.
     pub attempts: u64,
-    /// Bytes that came.
+    /// Number of bytes received.
     pub bytes: u64,
-    /// When the last of them came (ms since 1970-01-01 UTC).
+    /// When bytes were last received (ms since 1970-01-01 UTC).
     pub heard_unix_ms: Option<i64>,
-    /// Epochs that came.
+    /// Number of epochs received.
     pub epochs: u64,
-    /// Time of the last of them.
+    /// Time of the last epoch.
     pub last_epoch: Option<GpsTime>,
-    /// Ephemerides that came, each issue once.
+    /// Number of ephemerides received. A repeated issue counts once.
     pub ephemerides: u64,
-    /// What the present connection brought, by type of message, or else the last.
+    /// Messages of the present connection by type, or of the last one while there is none.
     pub statistics: Statistics,
-    /// From where the base is stated to stand to where the stream says (m).
+    /// Distance from the base's stated position to the position in the stream (m).
     pub station_off_m: Option<f64>,
 }
 
@@ -124,14 +123,14 @@ impl FeedHealth {
     }
 }
 
-/// What an archive is at.
+/// State of an archive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SourceState {
-    /// Its files are being asked for.
+    /// Files are being fetched.
     Fetching,
-    /// It gave what it has, and is asked again in a while.
+    /// All available files are fetched. The archive is asked again after its interval.
     Current,
-    /// It failed, and is asked again after a delay.
+    /// The last request failed. It is repeated after a delay.
     Waiting,
 }
 
@@ -146,51 +145,51 @@ impl SourceState {
     }
 }
 
-/// How an archive is doing.
+/// Health of an archive of ephemerides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArchiveHealth {
-    /// What it is at.
+    /// Present state.
     pub state: SourceState,
-    /// Since when (ms since 1970-01-01 UTC).
+    /// When this state began (ms since 1970-01-01 UTC).
     pub since_unix_ms: i64,
-    /// When it last gave all that it has (ms since 1970-01-01 UTC).
+    /// When all available files were last fetched (ms since 1970-01-01 UTC).
     pub succeeded_unix_ms: Option<i64>,
-    /// Why it failed last, until it succeeds.
+    /// Why the archive last failed; `None` after a success.
     pub problem: Option<FeedProblem>,
-    /// When it is asked again (ms since 1970-01-01 UTC).
+    /// When the archive is asked again (ms since 1970-01-01 UTC).
     pub retry_unix_ms: Option<i64>,
-    /// Ephemerides that it brought and nobody had before.
+    /// Number of ephemerides that were new to the service.
     pub ephemerides: u64,
 }
 
-/// How an archive is doing that fills a base.
+/// Health of an archive that fills a base.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseArchiveHealth {
-    /// What it is at: current where nothing is missing that rovers need.
+    /// Present state; `Current` if no file that rovers need is missing.
     pub state: SourceState,
-    /// Since when (ms since 1970-01-01 UTC).
+    /// When this state began (ms since 1970-01-01 UTC).
     pub since_unix_ms: i64,
-    /// When it is asked again (ms since 1970-01-01 UTC), while it waits.
+    /// While waiting: when the archive is asked again (ms since 1970-01-01 UTC).
     pub retry_unix_ms: Option<i64>,
-    /// Why the first file that is missing did not come.
+    /// Why the first missing file could not be fetched.
     pub problem: Option<FeedProblem>,
-    /// Why epochs that came last are not taken.
+    /// Why epochs of the last file were refused.
     pub refusal: Option<FeedProblem>,
-    /// Files that rovers need and that have not come, or still grow.
+    /// Number of files that rovers need and that are missing or still grow.
     pub missing: usize,
-    /// How often it was asked.
+    /// Number of requests to the archive.
     pub requests: u64,
-    /// Files that came.
+    /// Number of files fetched.
     pub files: u64,
-    /// Bytes of them, as they came.
+    /// Bytes of these files, as received.
     pub bytes: u64,
-    /// Epochs of them that the base took and did not hold.
+    /// Number of epochs that were new to the base.
     pub epochs: u64,
-    /// Address of the last of them.
+    /// URL of the last file.
     pub last_file: Option<String>,
 }
 
-/// The same, as its task writes it.
+/// The health of an archive of ephemerides, shared between its task and the desk.
 pub(super) struct SourceHealth(Mutex<ArchiveHealth>);
 
 impl SourceHealth {
@@ -206,34 +205,34 @@ impl SourceHealth {
     }
 
     pub(super) fn read(&self) -> ArchiveHealth {
-        self.note().clone()
+        self.lock().clone()
     }
 
     pub(super) fn enter(&self, state: SourceState, now_unix_ms: i64) {
-        let mut health = self.note();
+        let mut health = self.lock();
         (health.state, health.since_unix_ms, health.retry_unix_ms) = (state, now_unix_ms, None);
     }
 
     pub(super) fn succeeded(&self, now_unix_ms: i64) {
         self.enter(SourceState::Current, now_unix_ms);
-        let mut health = self.note();
+        let mut health = self.lock();
         (health.succeeded_unix_ms, health.problem) = (Some(now_unix_ms), None);
     }
 
     pub(super) fn failed(&self, problem: FeedProblem, now_unix_ms: i64) {
         self.enter(SourceState::Waiting, now_unix_ms);
-        self.note().problem = Some(problem);
+        self.lock().problem = Some(problem);
     }
 
     pub(super) fn wait(&self, delay: Duration, now_unix_ms: i64) {
-        self.note().retry_unix_ms = Some(now_unix_ms + delay.as_millis() as i64);
+        self.lock().retry_unix_ms = Some(now_unix_ms + delay.as_millis() as i64);
     }
 
-    pub(super) fn brought(&self, ephemerides: u64) {
-        self.note().ephemerides += ephemerides;
+    pub(super) fn add(&self, ephemerides: u64) {
+        self.lock().ephemerides += ephemerides;
     }
 
-    fn note(&self) -> MutexGuard<'_, ArchiveHealth> {
+    fn lock(&self) -> MutexGuard<'_, ArchiveHealth> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

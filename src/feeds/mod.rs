@@ -1,19 +1,19 @@
-//! Doors that bring aiding in: streams of NTRIP casters, and archives of ephemerides.
+//! The desk that fetches aiding data: streams of NTRIP casters, and archives of files.
 //!
-//! [`Feeds`] holds one connection for each stream, however many bases it fills and sessions name
-//! these. A stream is decoded as it comes; its epochs become those of its bases, its ephemerides
-//! serve every session, and what it tells of its station places the bases that nobody has placed.
-//! When it ends it is asked for again, after a delay that doubles; [`FeedHealth`] says what it does
-//! and why.
+//! [`Feeds`] keeps one connection per stream, however many bases the stream fills and however many
+//! sessions use these. It decodes the stream, pushes its epochs to its bases and its ephemerides to
+//! the navigation broker, and sets the position of bases whose creator gave none. When a stream
+//! ends, it is requested again after a delay that doubles; [`FeedHealth`] says what the stream does
+//! and why it failed.
 //!
-//! A base may be filled from an archive instead, which has a file for each day, hour or quarter of
-//! an hour. One is fetched when epochs of its time are to be positioned, once for all sessions that
-//! wait for it. The sourcetables of [`NetworkRequest`]s say where further bases stand: the one
-//! nearest to a rover is connected while that needs it.
+//! An archive can fill a base instead. It has one file per day, hour or quarter of an hour. A file
+//! is fetched once for all sessions, when epochs of its time must be positioned. The sourcetables
+//! of [`NetworkRequest`]s list further bases: the one nearest to a rover is connected while the
+//! rover needs it.
 //!
-//! What bases are filled from is fetched by a client's wish, so nothing is asked but hosts that the
-//! operator lists, at addresses that were checked ([`FetchPolicy`]). What brings ephemerides beside
-//! that the operator names himself ([`NavigationSources`]).
+//! Clients choose which casters and archives fill bases. Therefore only hosts that the operator
+//! lists are contacted, at addresses that were checked ([`FetchPolicy`]). The sources of
+//! ephemerides are named by the operator ([`NavigationSources`]).
 
 mod address;
 mod archive;
@@ -44,4 +44,4 @@ pub use health::{
 pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
 pub use sources::{NavigationSources, SourceStatus};
-pub use web::{Fetched, Location, Validators, WebError, fetch};
+pub use web::{Fetched, Url, Validators, WebError, fetch};

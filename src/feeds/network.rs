@@ -1,11 +1,10 @@
-//! Networks: casters whose sourcetable says where bases stand, of which those are connected that a
-//! rover needs.
+//! Networks: casters whose sourcetable lists bases. A base is connected while a rover needs it.
 //!
-//! The table is fetched again on a schedule. Of the streams in it those serve that are RTCM 3 with
-//! observations that are decoded, from a place that is told. A rover whose session takes the
-//! nearest of all bases tells where it is; the stream nearest to it becomes a base of the service,
-//! filled as others are: one connection, however many rovers it serves. What no rover has needed
-//! for a while is disconnected; what it observed stays.
+//! The table is fetched at an interval. A stream of it is usable if it is RTCM 3 with observations
+//! that the decoder supports, and has a position. Sessions that use the nearest of all bases record
+//! where their rover is. The usable stream nearest to a rover becomes a base of the service, with
+//! one connection for all its rovers. It is disconnected when no rover has needed it for a while;
+//! its epochs stay.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,7 +15,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
 
 use crate::aiding::AidingError;
-use crate::aiding::bases::{BaseBroker, BaseFeed, BaseId, NewBase, Seeker};
+use crate::aiding::bases::{BaseBroker, BaseFeed, BaseId, NearestBaseRequest, NewBase};
 use crate::clock::unix_ms;
 use crate::gnss::{Ecef, Geodetic, GpsTime};
 
@@ -27,89 +26,89 @@ use super::ntrip::{
 use super::stop::stopped;
 use super::{Backoff, Connector, FetchError};
 
-/// Tables tell places to a hundredth of a degree or so (m).
+/// Error of the positions in a table (m): they often have two decimals of a degree.
 const TABLE_ERROR_M: f64 = 2_000.0;
-/// First delay before a table that did not come is asked for again, and the longest.
+/// First and longest delay before a table is requested again after a failure.
 const DELAY: Duration = Duration::from_secs(30);
 const DELAY_CEILING: Duration = Duration::from_secs(3_600);
-/// Messages of observations that are decoded: MSM4 to MSM7 of each constellation, and the legacy
-/// ones with pseudoranges and phases of GPS and GLONASS.
+/// Observation messages that the decoder supports: MSM4 to MSM7 of each constellation, and the
+/// legacy messages of GPS and GLONASS with pseudoranges and carrier phases.
 const OBSERVATIONS: [&str; 24] = [
     "1002", "1004", "1010", "1012", "1074", "1075", "1076", "1077", "1084", "1085", "1086", "1087",
     "1094", "1095", "1096", "1097", "1114", "1115", "1116", "1117", "1124", "1125", "1126", "1127",
 ];
 
-/// A caster whose sourcetable says where bases stand.
+/// A caster whose sourcetable lists bases, and how to use it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkRequest {
-    /// The caster.
+    /// Address of the caster.
     pub caster: Caster,
-    /// For casters that ask for them.
+    /// User and password, if the caster asks for them.
     pub credentials: Option<Credentials>,
-    /// Within half a day of the first message of each stream, for those that are played later than
-    /// observed; `None`: the service's clock.
+    /// A time within half a day of each stream's first message, for recorded streams; `None` for
+    /// the service's clock.
     pub near: Option<GpsTime>,
-    /// How often the table is fetched.
+    /// Interval between two requests for the table.
     pub table_interval: Duration,
-    /// A stream that no rover has needed for so long is disconnected.
+    /// A stream that no rover has needed for this long is disconnected.
     pub idle: Duration,
-    /// How often is looked which streams are needed.
+    /// Interval between two looks at which streams rovers need.
     pub demand_interval: Duration,
 }
 
-/// How a network is doing.
+/// Health of a network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkHealth {
-    /// The caster's address.
+    /// Address of the caster.
     pub caster: String,
-    /// What its table is at.
+    /// State of the table.
     pub state: SourceState,
-    /// Since when (ms since 1970-01-01 UTC).
+    /// When this state began (ms since 1970-01-01 UTC).
     pub since_unix_ms: i64,
-    /// Streams in the table that came last.
+    /// Number of streams in the last table.
     pub listed: usize,
-    /// Those of them that serve.
+    /// Number of these streams that are usable.
     pub usable: usize,
-    /// Bases that are connected.
+    /// Number of connected bases.
     pub connected: usize,
-    /// When the table came last (ms since 1970-01-01 UTC).
+    /// When the table was last received (ms since 1970-01-01 UTC).
     pub succeeded_unix_ms: Option<i64>,
-    /// Why it did not come, until it does.
+    /// Why the table could not be fetched; `None` after a success.
     pub problem: Option<FeedProblem>,
-    /// Why the base that is needed last was not made, if it was not.
+    /// Why the stream needed last did not become a base; `None` after a success.
     pub refusal: Option<FeedProblem>,
     /// When the table is fetched again (ms since 1970-01-01 UTC).
     pub retry_unix_ms: Option<i64>,
 }
 
-/// What fills bases from streams.
+/// Starts and stops the streams that fill bases.
 pub(super) trait Streams: Send + Sync + 'static {
-    /// Fills a base from a stream from now on.
+    /// Starts to fill a base from a stream.
     ///
     /// # Errors
-    /// A caster or mountpoint that is none.
+    /// The caster's address or the mountpoint is invalid.
     fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError>;
 
-    /// Fills a base no more.
+    /// Stops filling a base.
     fn stop(&self, base: &BaseId);
 }
 
-/// A stream of the table that serves.
+/// A usable stream of the table.
 #[derive(Clone, Debug, PartialEq)]
-struct Listed {
+struct UsableStream {
     name: String,
     label: String,
-    place: Ecef,
+    position: Ecef,
 }
 
-/// A base that is connected.
+/// A connected base.
 struct Connected {
     base: BaseId,
-    /// When a rover needed it last (ms since 1970-01-01 UTC).
+    /// When a rover last needed it (ms since 1970-01-01 UTC).
     needed_unix_ms: i64,
 }
 
-/// A network that runs.
+/// A running network.
 pub(super) struct RunningNetwork {
     health: Arc<Mutex<NetworkHealth>>,
     stop: watch::Sender<bool>,
@@ -154,13 +153,13 @@ impl RunningNetwork {
     }
 
     pub(super) async fn close(self) {
-        // Err: it has ended by itself, or it panicked.
+        // Err: the task has ended, or it panicked.
         self.stop.send(true).ok();
         self.task.await.ok();
     }
 }
 
-/// What a network's task works with.
+/// The state of a network's task.
 struct Network<S> {
     request: NetworkRequest,
     connector: Connector,
@@ -168,14 +167,14 @@ struct Network<S> {
     filling: S,
     health: Arc<Mutex<NetworkHealth>>,
     stopped: watch::Receiver<bool>,
-    /// What of the table serves.
-    streams: Arc<Vec<Listed>>,
-    /// By mountpoint.
+    /// The usable streams of the table.
+    streams: Arc<Vec<UsableStream>>,
+    /// Connected bases by mountpoint.
     connected: BTreeMap<String, Connected>,
 }
 
 impl<S: Streams> Network<S> {
-    /// Runs until it is stopped, or the desk is gone.
+    /// Runs until stopped, or until the desk is gone.
     async fn run(mut self) {
         let mut backoff = Backoff::new(DELAY, DELAY_CEILING);
         let mut due = Instant::now();
@@ -196,7 +195,7 @@ impl<S: Streams> Network<S> {
         }
     }
 
-    /// Fetches the table; returns when to do so again.
+    /// Fetches the table; returns the delay until the next request.
     async fn fetch(&mut self, backoff: &mut Backoff) -> Duration {
         self.enter(SourceState::Fetching);
         let NetworkRequest { caster, credentials, table_interval, .. } = &self.request;
@@ -218,37 +217,39 @@ impl<S: Streams> Network<S> {
             Ok(table) => {
                 self.enter(SourceState::Current);
                 self.streams = Arc::new(table.mountpoints.iter().filter_map(usable).collect());
-                let mut health = self.note();
+                let mut health = self.lock();
                 health.listed = table.mountpoints.len();
                 health.usable = self.streams.len();
                 (health.succeeded_unix_ms, health.problem) = (Some(unix_ms()), None);
             }
             Err(error) => self.failed(&error),
         }
-        self.note().retry_unix_ms = Some(unix_ms() + delay.as_millis() as i64);
+        self.lock().retry_unix_ms = Some(unix_ms() + delay.as_millis() as i64);
         delay
     }
 
-    /// What the table said before still holds.
+    /// Records a failure. The previous table stays in use.
     fn failed(&self, error: &NtripError) {
         self.enter(SourceState::Waiting);
         let (code, caster) = (error.code(), &self.request.caster);
         // Once for each cause, not for each attempt.
-        if self.note().problem.as_ref().is_none_or(|problem| problem.code != code) {
-            tracing::warn!(code, %caster, %error, "a caster's sourcetable does not come");
+        if self.lock().problem.as_ref().is_none_or(|problem| problem.code != code) {
+            tracing::warn!(%code, %caster, %error, "a caster's sourcetable cannot be fetched");
         }
-        self.note().problem = Some(FeedProblem::from(error));
+        self.lock().problem = Some(FeedProblem::from(error));
     }
 
-    /// Connects what rovers need, and disconnects what none has needed for a while.
+    /// Connects the streams that rovers need, and disconnects those that none has needed for a
+    /// while.
     async fn serve(&mut self) {
         let bases = self.bases.clone();
         let oldest_unix_ms = unix_ms() - self.request.idle.as_millis() as i64;
-        let (streams, seekers) = (self.streams.clone(), bases.seekers().since(oldest_unix_ms));
-        let work = move || needed(&streams, &seekers);
-        // Err: it panicked, and nothing is known to be needed now.
+        let streams = self.streams.clone();
+        let requests = bases.nearest_base_requests().since(oldest_unix_ms);
+        let work = move || nearest_streams(&streams, &requests);
+        // Err: it panicked, so no stream is known to be needed.
         let needed = tokio::task::spawn_blocking(work).await.unwrap_or_default();
-        // A base that was deleted is no longer connected.
+        // A deleted base is no longer connected.
         self.connected.retain(|_, connected| bases.name(&connected.base).is_ok());
         for (index, needed_unix_ms) in needed {
             let Some(listed) = self.streams.get(index).cloned() else { continue };
@@ -265,14 +266,14 @@ impl<S: Streams> Network<S> {
             }
             is_needed
         });
-        self.note().connected = self.connected.len();
+        self.lock().connected = self.connected.len();
     }
 
-    async fn connect(&mut self, listed: Listed, needed_unix_ms: i64) {
+    async fn connect(&mut self, listed: UsableStream, needed_unix_ms: i64) {
         let NetworkRequest { caster, credentials, near, .. } = &self.request;
         let Credentials { name, password } = credentials.clone().unwrap_or_default();
         let (caster, mountpoint) = (caster.to_string(), listed.name.clone());
-        // The operator's password is in his configuration, and nowhere else.
+        // The password stays in the operator's configuration and is not stored.
         let kept = BaseFeed {
             caster,
             mountpoint,
@@ -287,34 +288,34 @@ impl<S: Streams> Network<S> {
         let base = match base_of(&self.bases, &kept, listed.label).await {
             Ok(base) => base,
             Err(error) => {
-                self.note().refusal = Some(FeedProblem::from(&error));
+                self.lock().refusal = Some(FeedProblem::from(&error));
                 return;
             }
         };
         match self.filling.start(&base, &BaseFeed { password, ..kept }) {
             Ok(()) => {
-                self.note().refusal = None;
+                self.lock().refusal = None;
                 self.connected.insert(listed.name, Connected { base, needed_unix_ms });
             }
-            Err(error) => self.note().refusal = Some(problem_of(&error)),
+            Err(error) => self.lock().refusal = Some(problem_of(&error)),
         }
     }
 
     fn enter(&self, state: SourceState) {
-        let mut health = self.note();
+        let mut health = self.lock();
         (health.state, health.since_unix_ms, health.retry_unix_ms) = (state, unix_ms(), None);
     }
 
-    fn note(&self) -> MutexGuard<'_, NetworkHealth> {
+    fn lock(&self) -> MutexGuard<'_, NetworkHealth> {
         self.health.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 fn problem_of(error: &FetchError) -> FeedProblem {
-    FeedProblem { code: error.code(), message: error.to_string(), remedy: error.remedy() }
+    FeedProblem { code: error.code(), message: error.to_string() }
 }
 
-/// The base that a stream fills: the one that it filled before, or a new one.
+/// The base that a stream fills: an existing one of this stream, or a new one.
 async fn base_of(
     bases: &BaseBroker,
     feed: &BaseFeed,
@@ -334,32 +335,40 @@ async fn base_of(
     Ok(BaseId::parse(&created.name.id).expect("a base's name is an id"))
 }
 
-/// The stream, if it serves: RTCM 3 with observations that are decoded, from a place that is told
-/// and does not follow who asks.
-fn usable(mountpoint: &Mountpoint) -> Option<Listed> {
+/// The stream of a table's entry, if it is usable: RTCM 3, observations that the decoder supports,
+/// and a fixed known position.
+fn usable(mountpoint: &Mountpoint) -> Option<UsableStream> {
     let Mountpoint { name, identifier, format, details, position_deg, needs_position, .. } =
         mountpoint;
     let format: String = format.chars().filter(|c| !c.is_whitespace()).collect();
     let is_rtcm = format.to_ascii_uppercase().starts_with("RTCM3");
-    // Messages with their intervals, as in 1005(10),1077(1); many tables leave them out.
+    // Messages with intervals, such as 1005(10),1077(1); many tables omit them.
     let messages = || details.split(|c: char| !c.is_ascii_digit()).filter(|n| n.len() == 4);
     let is_decoded =
         messages().next().is_none() || messages().any(|message| OBSERVATIONS.contains(&message));
-    let (latitude_deg, longitude_deg) = position_deg.filter(|place| *place != (0.0, 0.0))?;
-    let place = Geodetic::from_degrees(latitude_deg, longitude_deg, 0.0).to_ecef();
+    let (latitude_deg, longitude_deg) = position_deg.filter(|position| *position != (0.0, 0.0))?;
+    let position = Geodetic::from_degrees(latitude_deg, longitude_deg, 0.0).to_ecef();
     let label = identifier.chars().filter(|c| !c.is_control()).take(100).collect();
-    (is_rtcm && is_decoded && !needs_position).then(|| Listed { name: name.clone(), label, place })
+    (is_rtcm && is_decoded && !needs_position).then(|| UsableStream {
+        name: name.clone(),
+        label,
+        position,
+    })
 }
 
-/// The streams nearest to who seeks one, and when each was needed last.
-fn needed(streams: &[Listed], seekers: &[Seeker]) -> BTreeMap<usize, i64> {
+/// For each stream that is nearest to a rover: its index, and when it was last needed.
+fn nearest_streams(
+    streams: &[UsableStream],
+    requests: &[NearestBaseRequest],
+) -> BTreeMap<usize, i64> {
     let mut needed: BTreeMap<usize, i64> = BTreeMap::new();
-    for Seeker { place, reach_m, noted_unix_ms } in seekers {
-        let distances = streams.iter().map(|listed| listed.place.distance_m(*place)).enumerate();
+    for NearestBaseRequest { position, baseline_max_m, unix_ms } in requests {
+        let distances =
+            streams.iter().map(|stream| stream.position.distance_m(*position)).enumerate();
         let nearest = distances.min_by(|(_, a), (_, b)| a.total_cmp(b));
-        if let Some((index, _)) = nearest.filter(|(_, m)| *m <= reach_m + TABLE_ERROR_M) {
-            let last = needed.entry(index).or_insert(*noted_unix_ms);
-            *last = (*last).max(*noted_unix_ms);
+        if let Some((index, _)) = nearest.filter(|(_, m)| *m <= baseline_max_m + TABLE_ERROR_M) {
+            let last = needed.entry(index).or_insert(*unix_ms);
+            *last = (*last).max(*unix_ms);
         }
     }
     needed
@@ -380,29 +389,29 @@ mod tests {
         STR;VRS;Virtual;RTCM 3.2;1077(1);2;GPS;N;C;53.00;-8.50;1;1;x;none;B;N;9;\r\n\
         ENDSOURCETABLE\r\n";
 
-    fn streams() -> Vec<Listed> {
+    fn streams() -> Vec<UsableStream> {
         Sourcetable::parse(TABLE).mountpoints.iter().filter_map(usable).collect()
     }
 
-    /// Neither RTCM 2 nor raw bytes, ephemerides alone, a place that none is, nor a virtual base.
+    /// RTCM 2, raw bytes, ephemerides only, position (0, 0) and virtual bases are not usable.
     #[test]
-    fn streams_that_do_not_serve_are_passed_over() {
+    fn unusable_streams_are_skipped() {
         let names: Vec<_> = streams().into_iter().map(|listed| listed.name).collect();
         assert_eq!(names, ["WEST", "EAST"]);
     }
 
-    /// Each seeker needs the stream nearest to it, if that is within its reach.
+    /// Each rover needs the stream nearest to it, if that is near enough.
     #[test]
-    fn the_nearest_within_reach_is_needed() {
-        let at = |longitude_deg: f64, reach_km: f64, noted_unix_ms| Seeker {
-            place: Geodetic::from_degrees(53.0, longitude_deg, 50.0).to_ecef(),
-            reach_m: reach_km * 1e3,
-            noted_unix_ms,
+    fn the_nearest_stream_within_the_baseline_is_needed() {
+        let at = |longitude_deg: f64, baseline_max_km: f64, unix_ms| NearestBaseRequest {
+            position: Geodetic::from_degrees(53.0, longitude_deg, 50.0).to_ecef(),
+            baseline_max_m: baseline_max_km * 1e3,
+            unix_ms,
         };
-        // A degree of longitude is 67 km there.
-        let seekers = [at(-8.9, 50.0, 3), at(-8.8, 50.0, 7), at(-8.1, 5.0, 8), at(-3.0, 50.0, 9)];
-        assert_eq!(needed(&streams(), &seekers), BTreeMap::from([(0, 7), (1, 8)]));
-        assert_eq!(needed(&streams(), &[at(-8.1, 4.0, 8)]), BTreeMap::new());
-        assert_eq!(needed(&[], &seekers), BTreeMap::new());
+        // A degree of longitude is 67 km here.
+        let requests = [at(-8.9, 50.0, 3), at(-8.8, 50.0, 7), at(-8.1, 5.0, 8), at(-3.0, 50.0, 9)];
+        assert_eq!(nearest_streams(&streams(), &requests), BTreeMap::from([(0, 7), (1, 8)]));
+        assert_eq!(nearest_streams(&streams(), &[at(-8.1, 4.0, 8)]), BTreeMap::new());
+        assert_eq!(nearest_streams(&[], &requests), BTreeMap::new());
     }
 }

@@ -1,36 +1,36 @@
-//! How streams are kept up, and files asked for.
+//! Timing of streams and of file requests.
 
 use std::time::Duration;
 
-/// How streams are kept up.
+/// Timing of streams and of file requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FeedOptions {
-    /// A stream that is silent so long is asked for anew.
+    /// A stream without a byte for this long is requested again.
     pub silence: Duration,
-    /// A stream whose bytes hold no epoch for so long is asked for anew.
+    /// A stream without an epoch for this long is requested again.
     pub no_epochs: Duration,
-    /// First delay before it is asked for again.
+    /// First delay before a stream is requested again.
     pub delay: Duration,
-    /// Longest delay.
+    /// Longest delay before a stream is requested again.
     pub delay_ceiling: Duration,
-    /// First delay where somebody must change something before it can succeed.
+    /// First delay if somebody must change something before the stream can succeed.
     pub lasting_delay: Duration,
-    /// Longest of these.
+    /// Longest delay if somebody must change something before the stream can succeed.
     pub lasting_ceiling: Duration,
-    /// A stream that came so long begins with the first delay again.
+    /// After a stream has lasted this long, its delays start again from the first.
     pub steady: Duration,
-    /// How often a caster that computes a stream for a place is told it.
+    /// Time between two position reports to a caster that computes the stream for a position.
     pub position_interval: Duration,
-    /// First delay before a file of a base that is not there is asked for again.
+    /// First delay before a missing file of a base is requested again.
     pub file_delay: Duration,
-    /// Longest of these.
+    /// Longest delay before a missing file of a base is requested again.
     pub file_ceiling: Duration,
-    /// A file that still grows is asked for again after so long.
+    /// Delay before a file that may still grow is requested again.
     pub file_refresh: Duration,
 }
 
 impl FeedOptions {
-    /// What casters of the internet ask for.
+    /// Suitable for public casters and archives.
     pub const fn standard() -> Self {
         Self {
             silence: Duration::from_secs(30),

@@ -1,4 +1,4 @@
-//! What brings ephemerides by the operator's wish: archives, and streams that fill no base.
+//! Sources of ephemerides that the operator names: archives, and streams that fill no base.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,31 +12,31 @@ use crate::clock::unix_ms;
 use super::archive::{Archive, ArchiveTemplate};
 use super::health::{ArchiveHealth, FeedHealth, SourceHealth};
 use super::ntrip::{Caster, StreamRequest};
-use super::stream::{Shared, Stream, Told};
+use super::stream::{Stream, StreamHints, StreamStatus};
 use super::{Connector, FeedOptions, FetchError, FetchPolicy};
 
-/// What is to bring ephemerides.
+/// The operator's sources of ephemerides.
 #[derive(Clone, Debug)]
 pub struct NavigationSources {
     /// Archives of RINEX navigation files.
     pub archives: Vec<ArchiveTemplate>,
-    /// How often an archive is asked.
+    /// Interval between two requests to an archive.
     pub interval: Duration,
     /// Streams of casters.
     pub streams: Vec<StreamRequest>,
 }
 
 impl NavigationSources {
-    /// The policy under which these and no other hosts may be asked: the operator has named them,
-    /// whatever network they are in.
+    /// A policy that allows these hosts and no others. Private addresses are allowed, because the
+    /// operator has chosen the hosts.
     ///
     /// # Errors
-    /// A host that is none.
+    /// A host is invalid.
     pub fn policy(&self) -> Result<FetchPolicy, FetchError> {
         let mut hosts = Vec::new();
         for template in &self.archives {
-            let place = template.at(crate::gnss::GpsTime::EPOCH)?;
-            hosts.push(format!("{}:{}", place.host, place.port));
+            let url = template.at(crate::gnss::GpsTime::EPOCH)?;
+            hosts.push(format!("{}:{}", url.host, url.port));
         }
         for StreamRequest { caster: Caster { host, port, .. }, .. } in &self.streams {
             hosts.push(format!("{host}:{port}"));
@@ -45,7 +45,7 @@ impl NavigationSources {
     }
 }
 
-/// How a source is doing.
+/// Health of a source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SourceStatus {
     /// An archive.
@@ -54,7 +54,7 @@ pub enum SourceStatus {
     Stream(FeedHealth),
 }
 
-/// A source that runs.
+/// A running source.
 pub(super) struct Source {
     /// Its address, without a password.
     pub(super) name: String,
@@ -65,7 +65,7 @@ pub(super) struct Source {
 
 enum Health {
     Archive(Arc<SourceHealth>),
-    Stream(Arc<Shared>),
+    Stream(Arc<StreamStatus>),
 }
 
 impl Source {
@@ -97,33 +97,33 @@ impl Source {
         aiding: &AidingDesk,
     ) -> Self {
         let (stop, stopped) = watch::channel(false);
-        let shared = Arc::new(Shared::new(None));
+        let status = Arc::new(StreamStatus::new(None));
         let name = format!("{}/{}", request.caster, request.mountpoint);
         let (connector, aiding) = (connector.clone(), aiding.clone());
-        // Nobody waits for epochs of it.
+        // These streams need not contain epochs.
         let options = FeedOptions { no_epochs: Duration::MAX, ..options };
         let stream = Stream::new(
             request,
-            Told::default(),
-            shared.clone(),
+            StreamHints::default(),
+            status.clone(),
             connector,
             aiding,
             options,
             stopped,
         );
         let task = tokio::spawn(stream.run());
-        Self { name, health: Health::Stream(shared), stop, task }
+        Self { name, health: Health::Stream(status), stop, task }
     }
 
     pub(super) fn status(&self) -> SourceStatus {
         match &self.health {
             Health::Archive(health) => SourceStatus::Archive(health.read()),
-            Health::Stream(shared) => SourceStatus::Stream(shared.health()),
+            Health::Stream(status) => SourceStatus::Stream(status.health()),
         }
     }
 
     pub(super) async fn close(self) {
-        // Err: it has ended by itself, or it panicked.
+        // Err: the task has ended, or it panicked.
         self.stop.send(true).ok();
         self.task.await.ok();
     }

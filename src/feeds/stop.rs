@@ -1,9 +1,9 @@
-//! The signal to stop.
+//! The stop signal of a task.
 
 use tokio::sync::watch;
 
-/// Waits until what runs is to be given up.
+/// Waits until the task is told to stop.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // Err: the desk is gone.
+    // Err: the sender is gone, which also means stop.
     stop.wait_for(|stop| *stop).await.ok();
 }

@@ -1,4 +1,4 @@
-//! One stream: asked for, decoded, handed on, and asked for again.
+//! The task of one stream: requests it, decodes it, pushes its data, and requests it again.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,16 +18,17 @@ use super::ntrip::{self, NtripError, NtripStream, StreamRequest, position_senten
 use super::stop::stopped;
 use super::{Backoff, Connector, FeedOptions};
 
-/// Epochs kept until the stream tells where its station stands, which most do twice a minute.
+/// Most epochs that wait for the stream to report its station's position. Most streams do twice a
+/// minute.
 const EARLY_EPOCHS: usize = 300;
 
-/// What the desk and the task of a stream share.
-pub(super) struct Shared {
+/// The health and bases of a stream, status between its task and the desk.
+pub(super) struct StreamStatus {
     health: Mutex<FeedHealth>,
     bases: Mutex<Vec<BaseId>>,
 }
 
-impl Shared {
+impl StreamStatus {
     pub(super) fn new(base: Option<BaseId>) -> Self {
         let bases = Mutex::new(base.into_iter().collect());
         Self { health: Mutex::new(FeedHealth::new(unix_ms())), bases }
@@ -40,7 +41,7 @@ impl Shared {
         }
     }
 
-    /// Takes a base out; whether another remains.
+    /// Removes a base; returns whether others remain.
     pub(super) fn remove(&self, base: &BaseId) -> bool {
         let mut bases = self.bases();
         bases.retain(|other| other != base);
@@ -52,10 +53,10 @@ impl Shared {
     }
 
     pub(super) fn health(&self) -> FeedHealth {
-        self.note().clone()
+        self.lock().clone()
     }
 
-    fn note(&self) -> MutexGuard<'_, FeedHealth> {
+    fn lock(&self) -> MutexGuard<'_, FeedHealth> {
         self.health.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -64,33 +65,33 @@ impl Shared {
     }
 }
 
-/// What a stream is dated near and its caster told, where it needs that.
+/// What the stream cannot know itself: its approximate time, and the rovers' position.
 #[derive(Default)]
-pub(super) struct Told {
+pub(super) struct StreamHints {
     pub(super) near: Option<GpsTime>,
-    /// The rovers' place until one of them is known.
+    /// The rovers' position until one of them is computed.
     pub(super) position: Option<Ecef>,
-    /// The base whose rovers' place it is.
+    /// The base whose rovers' position the caster is hints.
     pub(super) follows: Option<BaseId>,
 }
 
-/// Epochs that a station observed at one place.
+/// Epochs of a station at one position.
 #[derive(Default)]
-struct Run {
-    /// What the stream told of the station just before them.
+struct StationEpochs {
+    /// The station message that came just before the epochs.
     station: Option<Station>,
     epochs: Vec<Epoch>,
 }
 
-/// What a stream's task works with.
+/// The state of a stream's task.
 pub(super) struct Stream {
     request: StreamRequest,
-    told: Told,
-    /// Where the station stands, once the stream has told.
+    hints: StreamHints,
+    /// Position and antenna of the station, once the stream has reported them.
     site: Option<BaseSite>,
-    /// Epochs that came before that, which a base takes only then.
+    /// Epochs that came before this. Bases accept them only with a position.
     early: VecDeque<Epoch>,
-    shared: Arc<Shared>,
+    status: Arc<StreamStatus>,
     connector: Connector,
     aiding: AidingDesk,
     options: FeedOptions,
@@ -98,11 +99,11 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// A stream that is not asked for yet.
+    /// A stream that is not requested yet.
     pub(super) const fn new(
         request: StreamRequest,
-        told: Told,
-        shared: Arc<Shared>,
+        hints: StreamHints,
+        status: Arc<StreamStatus>,
         connector: Connector,
         aiding: AidingDesk,
         options: FeedOptions,
@@ -110,10 +111,10 @@ impl Stream {
     ) -> Self {
         Self {
             request,
-            told,
+            hints,
             site: None,
             early: VecDeque::new(),
-            shared,
+            status,
             connector,
             aiding,
             options,
@@ -121,7 +122,7 @@ impl Stream {
         }
     }
 
-    /// Runs until it is stopped. It stops between pieces: what came is stored.
+    /// Runs until stopped. Bytes already read are decoded and stored first.
     pub(super) async fn run(mut self) {
         let FeedOptions { delay, delay_ceiling, lasting_delay, lasting_ceiling, .. } = self.options;
         let mut passing = Backoff::new(delay, delay_ceiling);
@@ -129,7 +130,7 @@ impl Stream {
         loop {
             let start = Instant::now();
             let Some(error) = self.connect_and_listen().await else { return };
-            let is_streaming = self.shared.note().state == FeedState::Streaming;
+            let is_streaming = self.status.lock().state == FeedState::Streaming;
             if is_streaming && self.options.steady <= start.elapsed() {
                 passing.reset();
                 lasting.reset();
@@ -147,9 +148,9 @@ impl Stream {
         }
     }
 
-    /// Why the stream was refused or ended; `None` once it is stopped.
+    /// Runs one connection; returns why it failed or ended, or `None` once stopped.
     async fn connect_and_listen(&mut self) -> Option<NtripError> {
-        self.shared.note().enter(FeedState::Connecting, unix_ms());
+        self.status.lock().enter(FeedState::Connecting, unix_ms());
         let sentence = self.rovers().map(sentence);
         let connecting = ntrip::connect(&self.connector, &self.request, sentence.as_deref());
         let connected = tokio::select! {
@@ -161,8 +162,8 @@ impl Stream {
             Ok(stream) => {
                 let Self { request, .. } = &*self;
                 let (caster, mountpoint) = (&request.caster, &request.mountpoint);
-                tracing::info!(%caster, %mountpoint, "a caster's stream comes");
-                self.shared.note().enter(FeedState::Streaming, unix_ms());
+                tracing::info!(%caster, %mountpoint, "a caster's stream has started");
+                self.status.lock().enter(FeedState::Streaming, unix_ms());
                 self.listen(stream).await
             }
         }
@@ -171,21 +172,21 @@ impl Stream {
     async fn listen(&mut self, mut stream: NtripStream) -> Option<NtripError> {
         let FeedOptions { silence, no_epochs, position_interval, .. } = self.options;
         let mut decoder = Decoder::new(Some(TimeReference::Day(self.reference())));
-        if self.told.follows.is_some() {
-            // A virtual base may have another place now.
+        if self.hints.follows.is_some() {
+            // A virtual base may have moved meanwhile.
             (self.site, self.early) = (None, VecDeque::new());
         }
-        let tells = self.told.position.is_some() || self.told.follows.is_some();
+        let reports_position = self.hints.position.is_some() || self.hints.follows.is_some();
         let mut sending = interval(position_interval);
-        sending.tick().await; // The first is sent with the request.
-        let (mut heard, mut useful) = (Instant::now(), Instant::now());
+        sending.tick().await; // The first report is part of the request.
+        let (mut last_byte_at, mut last_epoch_at) = (Instant::now(), Instant::now());
         let (mut content, mut events) = (Vec::new(), Vec::new());
         loop {
             content.clear();
             let read = tokio::select! {
                 () = stopped(&mut self.stopped) => return None,
-                read = timeout_at(heard + silence, stream.read(&mut content)) => read,
-                _ = sending.tick(), if tells => {
+                read = timeout_at(last_byte_at + silence, stream.read(&mut content)) => read,
+                _ = sending.tick(), if reports_position => {
                     let Some(sentence) = self.rovers().map(sentence) else { continue };
                     match stream.send(&sentence).await {
                         Ok(()) => continue,
@@ -196,40 +197,40 @@ impl Stream {
             match read {
                 Err(_) => return Some(NtripError::Silent { seconds: silence.as_secs() }),
                 Ok(Err(error)) => return Some(error),
-                Ok(Ok(())) => heard = Instant::now(),
+                Ok(Ok(())) => last_byte_at = Instant::now(),
             }
             decoder.learn_channels(&self.aiding.navigation.current().navigation);
             decoder.push(&content, &mut events);
             let epochs = self.take(&decoder, content.len(), std::mem::take(&mut events)).await;
             if 0 < epochs {
-                useful = Instant::now();
-            } else if no_epochs < useful.elapsed() {
+                last_epoch_at = Instant::now();
+            } else if no_epochs < last_epoch_at.elapsed() {
                 return Some(NtripError::NoEpochs { seconds: no_epochs.as_secs() });
             }
         }
     }
 
-    /// Hands on what came; returns how many epochs it is.
+    /// Pushes decoded data; returns the number of epochs.
     async fn take(&mut self, decoder: &Decoder, bytes: usize, events: Vec<Event>) -> usize {
         let mut navigation = Navigation::default();
-        let mut runs = vec![Run::default()];
+        let mut groups = vec![StationEpochs::default()];
         for event in events {
             match event {
                 Event::Epoch(epoch) => {
-                    runs.last_mut().expect("it begins with one").epochs.push(epoch);
+                    groups.last_mut().expect("the list begins with one").epochs.push(epoch);
                 }
                 Event::Station(station) => {
-                    runs.push(Run { station: Some(station), epochs: Vec::new() });
+                    groups.push(StationEpochs { station: Some(station), epochs: Vec::new() });
                 }
                 event => {
                     event.apply_to(&mut navigation);
                 }
             }
         }
-        let count = runs.iter().map(|run| run.epochs.len()).sum();
-        let last = runs.iter().flat_map(|run| &run.epochs).last().map(|epoch| epoch.time);
+        let count = groups.iter().map(|group| group.epochs.len()).sum();
+        let last = groups.iter().flat_map(|group| &group.epochs).last().map(|epoch| epoch.time);
         {
-            let mut health = self.shared.note();
+            let mut health = self.status.lock();
             health.bytes += bytes as u64;
             health.heard_unix_ms = Some(unix_ms());
             health.epochs += count as u64;
@@ -241,52 +242,53 @@ impl Stream {
             let StreamRequest { caster, mountpoint, .. } = &self.request;
             let source = format!("{caster}/{mountpoint}");
             if let Err(error) = self.aiding.navigation.push(navigation, &source).await {
-                self.shared.note().refusal = Some(FeedProblem::from(&error));
+                self.status.lock().refusal = Some(FeedProblem::from(&error));
             }
         }
-        if self.told.near.is_some() {
-            self.told.near = last.or(self.told.near); // A stream that is played goes on from here.
+        if self.hints.near.is_some() {
+            self.hints.near = last.or(self.hints.near); // A recorded stream continues at this time after a reconnection.
         }
-        for run in runs {
-            self.hand_on(run).await;
+        for group in groups {
+            self.push(group).await;
         }
         count
     }
 
-    /// Hands epochs on to the bases. Those before a message of the station are of the place that
-    /// it had until then: a virtual base moves. Those of one wait until its place is told.
-    async fn hand_on(&mut self, Run { station, mut epochs }: Run) {
-        let is_told = station.is_some();
+    /// Pushes epochs to the bases. A station message applies to the epochs after it, because a
+    /// virtual base moves. Until its first station message, a virtual base's epochs wait.
+    async fn push(&mut self, StationEpochs { station, mut epochs }: StationEpochs) {
+        let has_station = station.is_some();
         self.site = station.and_then(|station| station.site()).or(self.site.take());
         if self.site.is_none() {
             self.early.extend(epochs.iter().cloned());
             let surplus = self.early.len().saturating_sub(EARLY_EPOCHS);
             self.early.drain(..surplus);
-            if self.told.follows.is_some() {
+            if self.hints.follows.is_some() {
                 return;
             }
         } else if !self.early.is_empty() {
             epochs.splice(..0, self.early.drain(..));
         }
-        if !is_told && epochs.is_empty() {
+        if !has_station && epochs.is_empty() {
             return;
         }
-        let bases = self.shared.bases().clone();
+        let bases = self.status.bases().clone();
         for base in &bases {
-            self.fill(base, is_told, &epochs).await;
+            self.fill(base, has_station, &epochs).await;
         }
     }
 
-    /// Hands a base what came of it. Where its owner has said where it stands, that holds.
-    async fn fill(&self, base: &BaseId, is_told: bool, epochs: &[Epoch]) {
-        let held = self.aiding.bases.site(base).ok().flatten();
-        // A base that came to the stream later has not heard what was told before.
-        if let Some(site) = self.site.as_ref().filter(|_| is_told || held.is_none()) {
-            let stated = held.filter(|site| site.source == PositionSource::Given);
+    /// Pushes epochs and position to one base. A position that the base's creator gave has
+    /// priority.
+    async fn fill(&self, base: &BaseId, has_station: bool, epochs: &[Epoch]) {
+        let present = self.aiding.bases.site(base).ok().flatten();
+        // A base that joined the stream later has missed earlier station messages.
+        if let Some(site) = self.site.as_ref().filter(|_| has_station || present.is_none()) {
+            let stated = present.filter(|site| site.source == PositionSource::Given);
             let point = site.antenna_reference_point();
             let off_m = stated.map(|site| site.antenna_reference_point().distance_m(point));
-            self.shared.note().station_off_m = off_m;
-            if off_m.is_none() && self.refuses(self.aiding.bases.place(base, site).await) {
+            self.status.lock().station_off_m = off_m;
+            if off_m.is_none() && self.refuses(self.aiding.bases.set_site(base, site).await) {
                 return;
             }
         }
@@ -295,46 +297,46 @@ impl Stream {
         }
     }
 
-    /// Notes why a base does not take what came, or that it does.
+    /// Records in the health whether a base refuses data, and why.
     fn refuses<T>(&self, outcome: Result<T, crate::aiding::AidingError>) -> bool {
         let refusal = outcome.as_ref().err().map(FeedProblem::from);
         let is_refused = refusal.is_some();
-        self.shared.note().refusal = refusal;
+        self.status.lock().refusal = refusal;
         is_refused
     }
 
-    /// Where the rovers are: where one of them was last, else as stated.
+    /// The rovers' position: the last one computed against the base, or else the stated one.
     fn rovers(&self) -> Option<Ecef> {
-        let Told { position, follows, .. } = &self.told;
+        let StreamHints { position, follows, .. } = &self.hints;
         follows.as_ref().and_then(|base| self.aiding.bases.rover(base)).or(*position)
     }
 
-    /// Within half a day of what comes.
+    /// A time within half a day of the stream's messages.
     fn reference(&self) -> GpsTime {
         let now = || gps_time(unix_ms());
-        self.told.near.unwrap_or_else(now)
+        self.hints.near.unwrap_or_else(now)
     }
 
     fn log(&self, error: &NtripError, delay: Duration) {
         let now = unix_ms();
-        let mut health = self.shared.note();
+        let mut health = self.status.lock();
         health.enter(FeedState::Waiting, now);
         health.retry_unix_ms = Some(now + delay.as_millis() as i64);
         let StreamRequest { caster, mountpoint, .. } = &self.request;
         let code = error.code();
         // Once for each cause, not for each attempt.
         if health.problem.as_ref().is_none_or(|problem| problem.code != code) {
-            tracing::warn!(code, %caster, %mountpoint, %error, "a caster's stream is lost");
+            tracing::warn!(%code, %caster, %mountpoint, %error, "a caster's stream is lost");
         }
         health.problem = Some(FeedProblem::from(error));
     }
 }
 
-/// The sentence that tells a caster a place.
+/// The NMEA GGA sentence that reports a position to a caster.
 fn sentence(position: Ecef) -> String {
-    let place = position.to_geodetic();
+    let geodetic = position.to_geodetic();
     let second_of_day = (unix_ms() / 1000).rem_euclid(86_400) as u32;
     let (latitude_deg, longitude_deg) =
-        (place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
-    position_sentence(latitude_deg, longitude_deg, place.height_m, second_of_day)
+        (geodetic.latitude_rad.to_degrees(), geodetic.longitude_rad.to_degrees());
+    position_sentence(latitude_deg, longitude_deg, geodetic.height_m, second_of_day)
 }

@@ -1,4 +1,4 @@
-//! Files by HTTP: fetched whole, only if newer, and from nowhere else than asked.
+//! Fetches files by HTTP: whole, only if changed, and only from the host asked.
 //!
 //! Source: RFC 9110 (validators, redirection) and RFC 9112 (message body length).
 
@@ -18,33 +18,35 @@ use hyper::{Request, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use tokio::time::timeout;
 
+use crate::refusal::Code;
+
 use super::head::{HEAD_LIMIT, retry_after, shown};
 use super::{Connector, FetchError};
 
 const AGENT: &str = concat!("graphfix/", env!("CARGO_PKG_VERSION"));
-/// How often a host may send elsewhere on itself.
+/// Most redirections that are followed.
 const REDIRECTIONS: usize = 3;
-const LOCATION_LIMIT: usize = 2000;
+const URL_LIMIT: usize = 2000;
 
-/// A place of the web, such as `https://host/path`.
+/// A URL such as `https://host/path`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Location {
-    /// Name or address.
+pub struct Url {
+    /// Name or address of the host.
     pub host: String,
     /// TCP port.
     pub port: u16,
-    /// Whether the connection is encrypted.
+    /// Whether the connection uses TLS.
     pub is_tls: bool,
-    /// Path and query, from the slash on.
+    /// Path and query, including the leading slash.
     pub path: String,
 }
 
-impl FromStr for Location {
+impl FromStr for Url {
     type Err = FetchError;
 
     fn from_str(text: &str) -> Result<Self, FetchError> {
         let parse = || {
-            let uri: Uri = text.parse().ok().filter(|_| text.len() <= LOCATION_LIMIT)?;
+            let uri: Uri = text.parse().ok().filter(|_| text.len() <= URL_LIMIT)?;
             let (is_tls, usual_port) = match uri.scheme_str()? {
                 "http" => (false, 80),
                 "https" => (true, 443),
@@ -55,120 +57,107 @@ impl FromStr for Location {
             let (host, path) = (uri.host()?.to_ascii_lowercase(), uri.path_and_query()?.as_str());
             is_sound.then(|| Self { host, port, is_tls, path: path.to_owned() })
         };
-        parse().ok_or_else(|| FetchError::LocationInvalid { text: text.to_owned() })
+        parse().ok_or_else(|| FetchError::UrlInvalid { text: text.to_owned() })
     }
 }
 
-impl fmt::Display for Location {
+impl fmt::Display for Url {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let scheme = if self.is_tls { "https" } else { "http" };
         write!(f, "{scheme}://{}:{}{}", self.host, self.port, self.path)
     }
 }
 
-/// What a host said of the file that it gave last.
+/// The validators of the last version of a file, for requests that ask for changes only.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Validators {
     etag: Option<HeaderValue>,
     modified: Option<HeaderValue>,
 }
 
-/// What a host gave.
+/// The answer to a request for a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fetched {
-    /// A file.
+    /// A new version of the file.
     New {
         /// Its bytes.
         content: Vec<u8>,
-        /// What to ask with for a newer one.
+        /// The validators for the next request.
         validators: Validators,
     },
-    /// Nothing newer.
+    /// The file has not changed.
     Unchanged,
 }
 
-/// Why a file is not fetched.
+/// Why a file could not be fetched.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WebError {
-    /// The host is not asked, or does not answer.
+    /// The host is not contacted, or cannot be reached.
     #[error(transparent)]
     Fetch(#[from] FetchError),
-    /// There is no such file.
-    #[error("there is no such file: {answer}")]
+    /// The host does not have the file.
+    #[error("the host does not have the file: {answer}")]
     NotFound {
-        /// The answer.
+        /// Status line of the answer.
         answer: String,
     },
     /// The host refuses, or cannot serve now.
     #[error("the host refuses: {answer}")]
     Refused {
-        /// The answer.
+        /// Status line of the answer.
         answer: String,
-        /// When it asks to come back.
+        /// The delay that the host asks for.
         retry_after: Option<Duration>,
     },
-    /// It sends to another host, where nobody follows.
-    #[error("the host sends elsewhere, which is not followed: {location}")]
+    /// The host redirects to another host, or too often. Redirections to other hosts are not
+    /// followed.
+    #[error("the host redirects to {location}, which is not followed")]
     Redirected {
-        /// Where.
+        /// The URL of the redirection.
         location: String,
     },
-    /// What answers is no web server.
+    /// The answer is not HTTP.
     #[error("the answer is not HTTP: {why}")]
     Protocol {
-        /// What is wrong.
+        /// Message of the HTTP library.
         why: String,
     },
-    /// The file is too large.
+    /// The file is larger than allowed.
     #[error("the file is larger than {limit} bytes")]
     TooLarge {
-        /// The size allowed.
+        /// Size allowed (bytes).
         limit: usize,
     },
-    /// It took too long.
-    #[error("the file did not come within {seconds} s")]
+    /// The file did not arrive in time.
+    #[error("the file did not arrive within {seconds} s")]
     Slow {
-        /// How long it was waited.
+        /// Time allowed (s).
         seconds: u64,
     },
-    /// The connection ended first.
-    #[error("the file ends before its end: {why}")]
+    /// The connection ended before the file did.
+    #[error("the connection ended before the file did: {why}")]
     Cut {
-        /// How.
+        /// Message of the HTTP library.
         why: String,
     },
 }
 
 impl WebError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
             Self::Fetch(error) => error.code(),
-            Self::NotFound { .. } => "FILE_NOT_FOUND",
-            Self::Refused { .. } => "HOST_REFUSES",
-            Self::Redirected { .. } => "HOST_REDIRECTS",
-            Self::Protocol { .. } => "HOST_PROTOCOL",
-            Self::TooLarge { .. } => "FILE_TOO_LARGE",
-            Self::Slow { .. } => "HOST_SLOW",
-            Self::Cut { .. } => "FILE_CUT",
+            Self::NotFound { .. } => Code::FileNotFound,
+            Self::Refused { .. } => Code::HostRefuses,
+            Self::Redirected { .. } => Code::HostRedirects,
+            Self::Protocol { .. } => Code::HostProtocol,
+            Self::TooLarge { .. } => Code::FileTooLarge,
+            Self::Slow { .. } => Code::HostSlow,
+            Self::Cut { .. } => Code::FileCut,
         }
     }
 
-    /// What can be done about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::Fetch(error) => error.remedy(),
-            Self::NotFound { .. } => "check the address; a file of today may come later",
-            Self::Redirected { .. } => "name the place that the answer names, if it is trusted",
-            Self::Protocol { .. } => "check that the address is a web server's",
-            Self::TooLarge { .. } => "name a smaller file",
-            Self::Refused { .. } | Self::Slow { .. } | Self::Cut { .. } => {
-                "nothing: it is tried again"
-            }
-        }
-    }
-
-    /// When the host asks to come back, if it does.
+    /// The delay that the host asks for, if any.
     pub const fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::Refused { retry_after, .. } => *retry_after,
@@ -177,28 +166,28 @@ impl WebError {
     }
 }
 
-/// Fetches a file of at most `limit` bytes, unless it is the one that `known` is of.
+/// Fetches a file of at most `limit` bytes, if it is another version than `known`.
 ///
 /// # Errors
-/// The host is not asked, or gives no such file in time.
+/// The host is not contacted, or does not send the file in time.
 pub async fn fetch(
     connector: &Connector,
-    location: &Location,
+    url: &Url,
     known: &Validators,
     limit: usize,
 ) -> Result<Fetched, WebError> {
     let patience = connector.patience().listing;
     let slow = |_| WebError::Slow { seconds: patience.as_secs() };
-    timeout(patience, follow(connector, location, known, limit)).await.map_err(slow)?
+    timeout(patience, follow(connector, url, known, limit)).await.map_err(slow)?
 }
 
 async fn follow(
     connector: &Connector,
-    location: &Location,
+    url: &Url,
     known: &Validators,
     limit: usize,
 ) -> Result<Fetched, WebError> {
-    let mut at = location.clone();
+    let mut at = url.clone();
     for _ in 0..=REDIRECTIONS {
         match ask(connector, &at, known, limit).await? {
             Answer::File(fetched) => return Ok(fetched),
@@ -208,17 +197,17 @@ async fn follow(
     Err(WebError::Redirected { location: at.to_string() })
 }
 
-/// The place that a host sends to, if it is its own.
-fn on_same_host(from: &Location, to: &str) -> Result<Location, WebError> {
+/// The URL of a redirection, if it is on the same host.
+fn on_same_host(from: &Url, to: &str) -> Result<Url, WebError> {
     let elsewhere = || WebError::Redirected { location: shown(to.as_bytes()) };
-    let Location { host, port, is_tls, .. } = from;
-    // Two slashes begin another host's name.
+    let Url { host, port, is_tls, .. } = from;
+    // Two slashes begin the name of another host.
     let is_path = to.starts_with('/') && !to.starts_with("//");
     let scheme = if *is_tls { "https" } else { "http" };
     let whole = if is_path { format!("{scheme}://{host}:{port}{to}") } else { to.to_owned() };
-    let place: Location = whole.parse().map_err(|_| elsewhere())?;
-    let is_same = (&place.host, place.port, place.is_tls) == (host, *port, *is_tls);
-    if is_same { Ok(place) } else { Err(elsewhere()) }
+    let url: Url = whole.parse().map_err(|_| elsewhere())?;
+    let is_same = (&url.host, url.port, url.is_tls) == (host, *port, *is_tls);
+    if is_same { Ok(url) } else { Err(elsewhere()) }
 }
 
 enum Answer {
@@ -228,7 +217,7 @@ enum Answer {
 
 async fn ask(
     connector: &Connector,
-    at: &Location,
+    at: &Url,
     known: &Validators,
     limit: usize,
 ) -> Result<Answer, WebError> {
@@ -244,12 +233,12 @@ async fn ask(
     });
     tokio::select! {
         answer = &mut exchange => answer,
-        // What it has read before its end, or what ended it, the exchange is told.
+        // The connection ended first: let the exchange report what it read, or the error.
         _ = connection => exchange.await,
     }
 }
 
-fn request(at: &Location, known: &Validators) -> Result<Request<Empty<Bytes>>, WebError> {
+fn request(at: &Url, known: &Validators) -> Result<Request<Empty<Bytes>>, WebError> {
     let mut request = Request::get(at.path.as_str())
         .header(header::HOST, format!("{}:{}", at.host, at.port))
         .header(header::USER_AGENT, AGENT)
@@ -261,7 +250,7 @@ fn request(at: &Location, known: &Validators) -> Result<Request<Empty<Bytes>>, W
     if let Some(modified) = &known.modified {
         request = request.header(header::IF_MODIFIED_SINCE, modified);
     }
-    let invalid = |_| FetchError::LocationInvalid { text: at.to_string() };
+    let invalid = |_| FetchError::UrlInvalid { text: at.to_string() };
     Ok(request.body(Empty::new()).map_err(invalid)?)
 }
 
@@ -280,7 +269,7 @@ async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebE
             let retry_after = text(header::RETRY_AFTER).and_then(|text| retry_after(&text));
             return Err(WebError::Refused { answer, retry_after });
         }
-        _ => return Err(WebError::Protocol { why: format!("it says {answer:?}") }),
+        _ => return Err(WebError::Protocol { why: format!("the answer is {answer:?}") }),
     }
     let validators =
         Validators { etag: field(header::ETAG), modified: field(header::LAST_MODIFIED) };
@@ -314,21 +303,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_are_named_by_address() {
-        let place = |text: &str| text.parse::<Location>().map(|place| place.to_string());
-        assert_eq!(place("https://Example.org").unwrap(), "https://example.org:443/");
-        assert_eq!(place("http://a:81/b?c=d").unwrap(), "http://a:81/b?c=d");
+    fn urls_are_read_and_written() {
+        let url = |text: &str| text.parse::<Url>().map(|url| url.to_string());
+        assert_eq!(url("https://Example.org").unwrap(), "https://example.org:443/");
+        assert_eq!(url("http://a:81/b?c=d").unwrap(), "http://a:81/b?c=d");
         for wrong in
             ["a/b", "ftp://a/b", "http://", "http://u@a/", "http://a/ b", "http://a/\r\nX:"]
         {
-            assert!(place(wrong).is_err(), "{wrong:?}");
+            assert!(url(wrong).is_err(), "{wrong:?}");
         }
     }
 
     #[test]
     fn a_host_sends_elsewhere_on_itself_alone() {
-        let from: Location = "https://a.example/b/c".parse().unwrap();
-        let to = |text: &str| on_same_host(&from, text).map(|place| place.path);
+        let from: Url = "https://a.example/b/c".parse().unwrap();
+        let to = |text: &str| on_same_host(&from, text).map(|url| url.path);
         assert_eq!(to("/d").unwrap(), "/d");
         assert_eq!(to("https://a.example/e").unwrap(), "/e");
         for other in [
@@ -339,7 +328,7 @@ mod tests {
             "",
             "x",
         ] {
-            assert_eq!(to(other).unwrap_err().code(), "HOST_REDIRECTS", "{other:?}");
+            assert_eq!(to(other).unwrap_err().code(), Code::HostRedirects, "{other:?}");
         }
     }
 }

@@ -31,7 +31,7 @@ pub use odometry::{Odometry, OdometryError, OdometryFrame, symmetric_of};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{
-    BaseEpochIssue, Dops, EphemerisIssue, Provenance, Reason, ReasonValue, RelativeEstimate,
-    Solution, SolutionEstimate, Status, Velocity,
+    BaseEpochIssue, Dops, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution,
+    SolutionEstimate, Status, Velocity,
 };
 pub use time::{CivilTime, GpsTime, LeapSeconds, TimeScale, wrap_half_week};

@@ -7,7 +7,8 @@ use prost::Message;
 use tonic::codec::{BufferSettings, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-use crate::contract::{Code, Refusal};
+use crate::contract::Refusal;
+use crate::refusal::Code;
 
 use super::status::to_status;
 

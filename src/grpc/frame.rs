@@ -6,7 +6,8 @@ use axum::body::Body;
 use axum::response::Response;
 use tonic::{Code as GrpcCode, Status};
 
-use crate::contract::{Code, Refusal};
+use crate::contract::Refusal;
+use crate::refusal::Code;
 
 use super::status::to_status;
 

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use tonic::{Code as GrpcCode, Response, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-use crate::contract::{Class, Refusal};
+use crate::contract::Refusal;
+use crate::refusal::Class;
 
 /// Domain of the codes in `ErrorInfo`.
 const DOMAIN: &str = "graphfix";
@@ -20,7 +21,7 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
         Class::Conflict => GrpcCode::AlreadyExists,
         Class::Precondition => GrpcCode::FailedPrecondition,
         Class::Unavailable => GrpcCode::Unavailable,
-        Class::Internal => GrpcCode::Internal,
+        Class::Internal | Class::NoCall => GrpcCode::Internal,
     }
 }
 
@@ -30,9 +31,12 @@ pub fn to_status(refusal: &Refusal) -> Status {
         tracing::error!(code = refusal.code.name(), "{}", refusal.message);
     }
     let mut metadata = HashMap::from([("remedy".to_owned(), refusal.code.remedy().to_owned())]);
-    let place =
-        [("field", refusal.field.clone()), ("line", refusal.line.map(|line| line.to_string()))];
-    metadata.extend(place.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))));
+    let at_fault = [
+        ("field", refusal.field.clone()),
+        ("line", refusal.line.map(|line| line.to_string())),
+        ("byteOffset", refusal.byte_offset.map(|offset| offset.to_string())),
+    ];
+    metadata.extend(at_fault.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))));
     let mut details = ErrorDetails::new();
     details.set_error_info(refusal.code.name(), DOMAIN, metadata);
     if let Some(field) = &refusal.field {
@@ -59,7 +63,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::contract::Code;
+    use crate::refusal::Code;
 
     #[test]
     fn a_refusal_keeps_its_values() {

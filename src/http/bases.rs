@@ -4,7 +4,8 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 
-use crate::contract::{Code, Refusal, Service, calls, v1};
+use crate::contract::{Refusal, Service, calls, v1};
+use crate::refusal::Code;
 
 use super::body::{JsonBody, RawBody, StrictQuery};
 use super::problem::{Problem, Refused};

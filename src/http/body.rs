@@ -8,7 +8,8 @@ use axum::http::{StatusCode, header};
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 
-use crate::contract::{Code, Refusal};
+use crate::contract::Refusal;
+use crate::refusal::Code;
 
 use super::problem::Refused;
 

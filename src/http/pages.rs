@@ -5,8 +5,9 @@ use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
 use axum::response::{Html, IntoResponse, Response};
 
-use crate::contract::{Code, Refusal, Service};
+use crate::contract::{Refusal, Service};
 use crate::grpc;
+use crate::refusal::Code;
 
 use super::openapi;
 use super::problem::Refused;

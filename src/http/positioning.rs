@@ -3,7 +3,8 @@
 use axum::Json;
 use axum::extract::{Path, State};
 
-use crate::contract::{Code, Refusal, Service, calls, v1};
+use crate::contract::{Refusal, Service, calls, v1};
+use crate::refusal::Code;
 
 use super::body::JsonBody;
 use super::problem::{Problem, Refused};

@@ -6,7 +6,8 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::contract::{Class, Refusal};
+use crate::contract::Refusal;
+use crate::refusal::Class;
 
 /// What is answered instead of a result: an RFC 9457 problem document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -60,7 +61,7 @@ pub const fn http_status(class: Class) -> StatusCode {
         Class::Conflict | Class::Precondition => StatusCode::CONFLICT,
         Class::Exhausted => StatusCode::TOO_MANY_REQUESTS,
         Class::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
-        Class::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+        Class::Internal | Class::NoCall => StatusCode::INTERNAL_SERVER_ERROR,
     }
 }
 

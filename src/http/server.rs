@@ -8,7 +8,8 @@ use std::time::Duration;
 use axum::response::{IntoResponse, Response};
 use tokio::net::TcpListener;
 
-use crate::contract::{Code, Refusal, Service};
+use crate::contract::{Refusal, Service};
+use crate::refusal::Code;
 
 use super::problem::Refused;
 use super::router;
@@ -80,13 +81,17 @@ mod tests {
     use tower_http::catch_panic::CatchPanicLayer;
 
     use super::*;
+    use crate::http::Problem;
 
     #[tokio::test]
-    async fn a_panic_is_an_answer() {
+    async fn a_panic_is_answered_as_internal() {
         let panics = Router::new()
             .route("/", get(|| async { panic!("on purpose") as &'static str }))
             .layer(CatchPanicLayer::custom(panicked));
         let answer = panics.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
+        let body = axum::body::to_bytes(answer.into_body(), usize::MAX).await.unwrap();
+        let problem: Problem = serde_json::from_slice(&body).unwrap();
+        assert_eq!(problem.code, Code::Internal.name());
     }
 }

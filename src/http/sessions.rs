@@ -6,7 +6,8 @@ use axum::http::StatusCode;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Code, Refusal, Service, calls, v1};
+use crate::contract::{Refusal, Service, calls, v1};
+use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
 use super::problem::{Problem, Refused};

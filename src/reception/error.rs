@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::formats::GunzipError;
 use crate::formats::rinex::RinexError;
+use crate::refusal::Code;
 
 /// Why a piece of a stream is refused; nothing of it is then taken.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -54,29 +55,16 @@ impl From<RinexError> for ReceptionError {
 }
 
 impl ReceptionError {
-    /// Stable code, upper snake case.
-    pub fn code(&self) -> &'static str {
+    /// The stable code.
+    pub fn code(&self) -> Code {
         match self {
             Self::Unrecognised { .. } | Self::PackedTwice | Self::EpochTooLong { .. } => {
-                "RAW_FORMAT_UNKNOWN"
+                Code::RawFormatUnknown
             }
-            Self::Damaged(_) => "RINEX_READ_FAILED",
-            Self::UnpackedTooLarge { .. } => "DECOMPRESSED_TOO_LARGE",
-            Self::StreamTooLong { .. } => "RAW_STREAM_TOO_LONG",
+            Self::Damaged(_) => Code::RinexReadFailed,
+            Self::UnpackedTooLarge { .. } => Code::DecompressedTooLarge,
+            Self::StreamTooLong { .. } => Code::RawStreamTooLong,
             Self::Rinex(error) => error.code(),
-        }
-    }
-
-    /// What the sender can do about it.
-    pub fn remedy(&self) -> &'static str {
-        match self {
-            Self::Unrecognised { .. } | Self::PackedTwice | Self::EpochTooLong { .. } => {
-                "send RTCM 3, UBX or RINEX observations, plain or gzip, from the stream's beginning"
-            }
-            Self::Damaged(_) => "pack the stream again: it could not be read to its end",
-            Self::UnpackedTooLarge { .. } => "send smaller pieces, or end the stream",
-            Self::StreamTooLong { .. } => "end the stream, and begin another file",
-            Self::Rinex(error) => error.remedy(),
         }
     }
 }

@@ -90,7 +90,7 @@ impl BaseCourse {
 
     fn new_of(&self, view: &BaseView, time: GpsTime, options: &PositioningOptions) -> BaseGiven {
         let after = if self.base == Some(view.name().key) { self.given } else { 0 };
-        view.new_at(time, after, options.rtk.base_span_s())
+        view.input_at(time, after, options.rtk.base_span_s())
     }
 
     /// Where the rover is about: where it was last, unless that is long ago; else its single point.

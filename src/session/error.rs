@@ -5,6 +5,7 @@ use std::time::Duration;
 use crate::aiding::AidingError;
 use crate::config::ConfigError;
 use crate::reception::ReceptionError;
+use crate::refusal::Code;
 use crate::store::StoreError;
 
 /// Why the desk refuses a call. Refusals of single epochs are [`super::EpochRefusal`].
@@ -162,62 +163,32 @@ pub enum SessionError {
 }
 
 impl SessionError {
-    /// Stable code, upper snake case.
-    pub fn code(&self) -> &'static str {
+    /// The stable code.
+    pub fn code(&self) -> Code {
         match self {
-            Self::NotFound { .. } => "SESSION_NOT_FOUND",
-            Self::Closed { .. } => "SESSION_CLOSED",
+            Self::NotFound { .. } => Code::SessionNotFound,
+            Self::Closed { .. } => Code::SessionClosed,
             Self::Configuration(error) => error.code(),
-            Self::BaseRequired { .. } => "BASE_REQUIRED",
-            Self::TooManyCandidates { .. } | Self::BaseNamedTwice { .. } => "INVALID_FIELD",
+            Self::BaseRequired { .. } => Code::BaseRequired,
+            Self::TooManyCandidates { .. } | Self::BaseNamedTwice { .. } => Code::InvalidField,
             Self::Aiding(error) => error.code(),
-            Self::LabelTooLong { .. } => "LABEL_TOO_LONG",
-            Self::NoEpochs => "NO_EPOCHS",
-            Self::TooManyEpochs { .. } => "TOO_MANY_EPOCHS",
-            Self::BurstOutOfOrder { .. } => "OUT_OF_ORDER",
-            Self::TooManyObservations { .. } => "TOO_MANY_OBSERVATIONS",
-            Self::MailboxFull { .. } => "MAILBOX_FULL",
-            Self::Overloaded { .. } => "OVERLOADED",
-            Self::TooManyActive { .. } => "TOO_MANY_ACTIVE_SESSIONS",
-            Self::Empty { .. } => "SESSION_EMPTY",
-            Self::Draining => "DRAINING",
-            Self::EstimatorFailed { .. } => "ESTIMATOR_FAILED",
-            Self::PieceTooLarge { .. } => "PIECE_TOO_LARGE",
-            Self::RawGap { .. } => "RAW_GAP",
-            Self::RawConflict { .. } => "RAW_CONFLICT",
+            Self::LabelTooLong { .. } => Code::LabelTooLong,
+            Self::NoEpochs => Code::NoEpochs,
+            Self::TooManyEpochs { .. } => Code::TooManyEpochs,
+            Self::BurstOutOfOrder { .. } => Code::OutOfOrder,
+            Self::TooManyObservations { .. } => Code::TooManyObservations,
+            Self::MailboxFull { .. } => Code::MailboxFull,
+            Self::Overloaded { .. } => Code::Overloaded,
+            Self::TooManyActive { .. } => Code::TooManyActiveSessions,
+            Self::Empty { .. } => Code::SessionEmpty,
+            Self::Draining => Code::Draining,
+            Self::EstimatorFailed { .. } => Code::EstimatorFailed,
+            Self::PieceTooLarge { .. } => Code::PieceTooLarge,
+            Self::RawGap { .. } => Code::RawGap,
+            Self::RawConflict { .. } => Code::RawConflict,
             Self::Raw(error) => error.code(),
-            Self::Interrupted => "INTERRUPTED",
+            Self::Interrupted => Code::Interrupted,
             Self::Store(error) => error.code(),
-        }
-    }
-
-    /// What the caller can do about it.
-    pub fn remedy(&self) -> &'static str {
-        match self {
-            Self::NotFound { .. } => "create the session first, or check its id",
-            Self::Closed { .. } => "create a new session; what this one stored stays readable",
-            Self::Configuration(_) => "list the options and their values with `graphfix config`",
-            Self::BaseRequired { .. } => "create a base, push its epochs, and name it",
-            Self::TooManyCandidates { .. } => "name fewer bases, or take the nearest of all",
-            Self::BaseNamedTwice { .. } => "name each base once",
-            Self::Aiding(error) => error.remedy(),
-            Self::LabelTooLong { .. } => "shorten the label",
-            Self::NoEpochs => "send at least one epoch",
-            Self::TooManyEpochs { .. } => "send the epochs in several batches",
-            Self::BurstOutOfOrder { .. } => "send epochs in order of time",
-            Self::TooManyObservations { .. } => "send fewer signals of each satellite",
-            Self::MailboxFull { .. } | Self::Overloaded { .. } | Self::TooManyActive { .. } => {
-                "wait for the delay given and send the same batch again"
-            }
-            Self::Empty { .. } => "push an epoch first",
-            Self::Draining => "send the same batch again once the service is back",
-            Self::EstimatorFailed { .. } => "report this with the batch; resend the epochs singly",
-            Self::PieceTooLarge { .. } => "send the bytes in smaller pieces",
-            Self::RawGap { .. } => "go on at rawThrough of the session",
-            Self::RawConflict { .. } => "count offsets from the first byte ever sent",
-            Self::Raw(error) => error.remedy(),
-            Self::Interrupted => "send the same batch again; what is stored is answered from there",
-            Self::Store(error) => error.remedy(),
         }
     }
 

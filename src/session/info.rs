@@ -1,50 +1,21 @@
 //! What a session is to its users: its id, its configuration, how far it is stored.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::sync::Arc;
-
-use uuid::Uuid;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
+use crate::id::{Id, Kind};
 
-/// The name of a session: `ses_` and 122 random bits, so that nobody guesses another's.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct SessionId(Arc<str>);
+/// The kind of [`SessionId`].
+pub enum SessionKind {}
 
-impl SessionId {
+impl Kind for SessionKind {
     const PREFIX: &str = "ses_";
-
-    /// A new random id.
-    pub(super) fn random() -> Self {
-        Self(format!("{}{}", Self::PREFIX, Uuid::new_v4().simple()).into())
-    }
-
-    /// The id of a text, if it has an id's form.
-    pub fn parse(text: &str) -> Option<Self> {
-        let digits = text.strip_prefix(Self::PREFIX)?;
-        let lower_hex = |b: u8| matches!(b, b'0'..=b'9' | b'a'..=b'f');
-        (digits.len() == 32 && digits.bytes().all(lower_hex)).then(|| Self(text.into()))
-    }
-
-    /// The id as text.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
 }
 
-impl fmt::Display for SessionId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl fmt::Debug for SessionId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
+/// The id of a session.
+pub type SessionId = Id<SessionKind>;
 
 /// A session to be created.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -105,20 +76,4 @@ pub struct SessionInfo {
     pub raw_through: Option<u64>,
     /// Which base modes relative to one are given, by its id.
     pub base: BaseChoice<Arc<str>>,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ids_are_parsed_by_their_form() {
-        let id = SessionId::random();
-        assert_eq!(SessionId::parse(id.as_str()), Some(id.clone()));
-        assert_ne!(SessionId::random(), id);
-        let upper = id.as_str().to_uppercase();
-        for wrong in ["", "ses_", "ses_12", &id.as_str()[4..], upper.as_str()] {
-            assert_eq!(SessionId::parse(wrong), None, "{wrong}");
-        }
-    }
 }

@@ -48,7 +48,7 @@ mod task;
 
 pub use desk::Sessions;
 pub use error::SessionError;
-pub use info::{NewSession, SessionId, SessionInfo, SessionUpdate};
+pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate};
 pub use limits::SessionLimits;
 pub use raw::{RawPiece, RawReceived};
 pub use recomputation::{Check, Recomputation};

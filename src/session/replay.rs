@@ -180,11 +180,11 @@ impl Bases {
         let Some(used) = used else { return Ok(StepBase::None) };
         let view = views.iter().find(|view| view.name().key == used.base);
         let view = view.expect("the views are those of these epochs");
-        match view.again(used) {
+        match view.replayed_input(used) {
             Some(given) => Ok(StepBase::Again(given)),
             None if may_differ => {
                 tracing::warn!(base = %view.name().id, "a session is restored without base epochs");
-                Ok(StepBase::Again(view.rest(used)))
+                Ok(StepBase::Again(view.remaining_input(used)))
             }
             None => Err(StoreError::BaseForgotten { base: used.base.number() }),
         }

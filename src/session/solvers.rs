@@ -124,12 +124,13 @@ fn said(error: JoinError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refusal::Code;
 
     #[tokio::test]
     async fn a_panic_is_an_error_and_frees_its_thread() {
         let solvers = Solvers::new(NonZeroUsize::MIN);
         let failed = solvers.run(|| panic!("singular at {}", 3)).await.unwrap_err();
-        assert_eq!(failed.code(), "ESTIMATOR_FAILED");
+        assert_eq!(failed.code(), Code::EstimatorFailed);
         assert!(failed.to_string().ends_with("singular at 3"), "{failed}");
         assert_eq!(solvers.run(|| 7).await.unwrap(), 7);
     }

@@ -3,6 +3,7 @@
 use tokio::sync::oneshot;
 
 use crate::gnss::{Epoch, GpsTime};
+use crate::refusal::Code;
 use crate::store::StoredSolution;
 
 use super::SessionError;
@@ -89,27 +90,14 @@ pub enum EpochRefusal {
 }
 
 impl EpochRefusal {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::Conflict { .. } => "SEQUENCE_CONFLICT",
-            Self::Superseded { .. } => "SEQUENCE_SUPERSEDED",
-            Self::OutOfOrder { .. } => "OUT_OF_ORDER",
-            Self::TooManyObservations { .. } => "TOO_MANY_OBSERVATIONS",
-            Self::SequenceTooLarge { .. } => "SEQUENCE_TOO_LARGE",
-        }
-    }
-
-    /// What the client can do about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::Conflict { .. } => "number new epochs above the last; resend epochs unchanged",
-            Self::Superseded { .. } => "send epochs in rising order of their numbers",
-            Self::OutOfOrder { .. } => {
-                "send epochs in order of time; older data need a new session"
-            }
-            Self::TooManyObservations { .. } => "send fewer signals of each satellite",
-            Self::SequenceTooLarge { .. } => "number epochs from 0 or 1",
+            Self::Conflict { .. } => Code::SequenceConflict,
+            Self::Superseded { .. } => Code::SequenceSuperseded,
+            Self::OutOfOrder { .. } => Code::OutOfOrder,
+            Self::TooManyObservations { .. } => Code::TooManyObservations,
+            Self::SequenceTooLarge { .. } => Code::InvalidSequence,
         }
     }
 

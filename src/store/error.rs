@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use crate::refusal::Code;
+
 use super::codec::CodecError;
 
 /// Why the store refuses or fails. Cloned to every batch of a transaction that failed.
@@ -97,41 +99,20 @@ impl StoreError {
         move |source| Self::Corrupt { what, source }
     }
 
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::Url { .. } => "DATABASE_URL_INVALID",
-            Self::NewerSchema { .. } => "DATABASE_SCHEMA_NEWER",
-            Self::Migration { .. } => "DATABASE_MIGRATION_FAILED",
-            Self::Database { .. } => "DATABASE_FAILED",
-            Self::AlreadyStored => "WRITTEN_ELSEWHERE",
-            Self::Corrupt { .. } | Self::CorruptText { .. } => "STORED_DATA_CORRUPT",
-            Self::NavigationForgotten { .. } => "NAVIGATION_FORGOTTEN",
-            Self::BaseForgotten { .. } => "BASE_FORGOTTEN",
-            Self::PageToken { .. } => "PAGE_TOKEN_INVALID",
-            Self::PageSize { .. } => "PAGE_SIZE_INVALID",
-            Self::Closed => "DRAINING",
-        }
-    }
-
-    /// What the user can do about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::Url { .. } => "give sqlite://FILE or postgres://USER@HOST/DATABASE",
-            Self::NewerSchema { .. } => "run the Graphfix that wrote it, or a newer one",
-            Self::Migration { .. } => "restore the database from a backup, or report the failure",
-            Self::Database { .. } => "check the database and its disk; send the same request again",
-            Self::AlreadyStored => "let one service write a session; send the same request again",
-            Self::Corrupt { .. } | Self::CorruptText { .. } => "restore the database from a backup",
-            Self::NavigationForgotten { .. } => {
-                "compute from the observations anew, with navigation data of that time"
-            }
-            Self::BaseForgotten { .. } => {
-                "compute from the observations anew, with the base's file"
-            }
-            Self::PageToken { .. } => "give the token of the page before, or none to start anew",
-            Self::PageSize { .. } => "ask for a smaller page",
-            Self::Closed => "send the same request again once the service is back",
+            Self::Url { .. } => Code::DatabaseUrlInvalid,
+            Self::NewerSchema { .. } => Code::DatabaseSchemaNewer,
+            Self::Migration { .. } => Code::DatabaseMigrationFailed,
+            Self::Database { .. } => Code::DatabaseFailed,
+            Self::AlreadyStored => Code::WrittenElsewhere,
+            Self::Corrupt { .. } | Self::CorruptText { .. } => Code::StoredDataCorrupt,
+            Self::NavigationForgotten { .. } => Code::NavigationForgotten,
+            Self::BaseForgotten { .. } => Code::BaseForgotten,
+            Self::PageToken { .. } => Code::PageTokenInvalid,
+            Self::PageSize { .. } => Code::PageSizeInvalid,
+            Self::Closed => Code::Draining,
         }
     }
 }

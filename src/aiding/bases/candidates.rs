@@ -1,8 +1,9 @@
-//! Which of several bases a rover is positioned against, and when another takes its place.
+//! Chooses the base of a rover among several.
 //!
-//! The nearest that can be used is taken. Another takes its place where it is nearer by a share of
-//! the present one's distance and by a length, and steady; or where the present one can be used no
-//! more: every change costs the ambiguities, which begin anew.
+//! The nearest usable base is chosen. The choice changes when the present base is no longer usable,
+//! or when another base is nearer by a share of the present distance and by a minimum length, and
+//! has been received without a gap for long enough. These margins prevent frequent changes: after
+//! each change all ambiguities start again.
 
 use std::sync::Arc;
 
@@ -11,25 +12,25 @@ use crate::gnss::{Ecef, GpsTime};
 use crate::store::BaseKey;
 
 use super::BaseView;
-use super::broker::Base;
+use super::base::Base;
 use super::check::REFUSED_M;
 
-/// Ages within this of the limit are within the limit (s), as estimators have it.
+/// Tolerance of the age limit (s), the same as in the estimators.
 const TAG_SLACK_S: f64 = 1e-3;
 
-/// The bases of which a session takes the nearest. Clones share them.
+/// The bases among which a session takes the nearest. All clones share them.
 #[derive(Clone)]
 pub struct Candidates {
     bases: Vec<Arc<Base>>,
 }
 
-/// How a base stands to a rover.
+/// A base as seen from a rover.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Standing {
+struct CandidateState {
     distance_m: f64,
-    /// It is near enough, was heard of late, and stands where it is said to.
+    /// It is within the longest baseline, has a recent epoch, and its position is not refused.
     is_usable: bool,
-    /// It was heard for long without a gap.
+    /// Its epochs have arrived without a gap for long enough to change to it.
     is_steady: bool,
 }
 
@@ -38,64 +39,73 @@ impl Candidates {
         Self { bases }
     }
 
-    /// The base for an epoch at `time` of a rover about at `place`, with what of it that epoch may
-    /// need; `present` is the base of the epoch before. `None` where no place of any is known, or
-    /// the rover's is not and there was no base before.
+    /// The base for the rover epoch at `time`, with the base epochs that this epoch may need.
+    /// `position` is the rover's approximate position; `present` is the base of the rover's last
+    /// epoch.
     ///
-    /// Where none can be used the present one stays, or else it is the nearest: the estimator says
-    /// what is wrong with it.
+    /// Without a usable base the present one stays, or else the nearest is chosen: the solution
+    /// then reports what is wrong with it. `None` if no base has a known position, or if the
+    /// rover's position is unknown and there is no present base.
     pub fn choose(
         &self,
         present: Option<BaseKey>,
-        place: Option<Ecef>,
+        position: Option<Ecef>,
         time: GpsTime,
         options: &RtkOptions,
     ) -> Option<BaseView> {
-        let is_present = |base: &Arc<Base>| Some(base.name.key) == present;
-        let chosen = match place {
+        let is_present = |base: &Arc<Base>| Some(base.name().key) == present;
+        let chosen = match position {
             None => self.bases.iter().find(|base| is_present(base))?,
-            Some(place) => {
-                let placed: Vec<_> = self
+            Some(position) => {
+                let located: Vec<_> = self
                     .bases
                     .iter()
-                    .filter_map(|base| Some((base, standing(base, place, time, options)?)))
+                    .filter_map(|base| Some((base, state_of(base, position, time, options)?)))
                     .collect();
-                let standings: Vec<Standing> =
-                    placed.iter().map(|(_, standing)| *standing).collect();
-                let present = placed.iter().position(|(base, _)| is_present(base));
-                placed[choice(&standings, present, options)?].0
+                let states: Vec<CandidateState> = located.iter().map(|(_, state)| *state).collect();
+                let present = located.iter().position(|(base, _)| is_present(base));
+                located[choice(&states, present, options)?].0
             }
         };
         Some(chosen.view(time, time, options.base_span_s()))
     }
 }
 
-/// `None` where nobody knows where the base stands.
-fn standing(base: &Base, place: Ecef, time: GpsTime, options: &RtkOptions) -> Option<Standing> {
-    let held = base.held();
-    let distance_m = place.distance_m(held.site()?.antenna_reference_point());
-    let is_refused = held.check.distance_m().is_some_and(|off_m| REFUSED_M < off_m);
+/// `None` if the base has no position yet.
+fn state_of(
+    base: &Base,
+    position: Ecef,
+    time: GpsTime,
+    options: &RtkOptions,
+) -> Option<CandidateState> {
+    let stored = base.stored();
+    let distance_m = position.distance_m(stored.site()?.antenna_reference_point());
+    let is_refused = stored.check.distance_m().is_some_and(|off_m| REFUSED_M < off_m);
     let may_be_used = distance_m <= options.baseline_max_m && !is_refused;
     let gap_s = options.base_age_max_s + TAG_SLACK_S;
-    let heard_s = || held.heard_s(time, gap_s, options.steady_s);
-    let heard_s = may_be_used.then(heard_s).flatten();
-    let is_steady = heard_s.is_some_and(|heard_s| options.steady_s <= heard_s);
-    let is_usable = heard_s.is_some();
-    Some(Standing { distance_m, is_usable, is_steady })
+    let received_s = || stored.uninterrupted_s(time, gap_s, options.steady_s);
+    let received_s = may_be_used.then(received_s).flatten();
+    let is_steady = received_s.is_some_and(|received_s| options.steady_s <= received_s);
+    let is_usable = received_s.is_some();
+    Some(CandidateState { distance_m, is_usable, is_steady })
 }
 
-/// The place in the list of the base to use; of equally distant ones the first.
-fn choice(standings: &[Standing], present: Option<usize>, options: &RtkOptions) -> Option<usize> {
-    let nearest = |may_be: &dyn Fn(&Standing) -> bool| {
-        let those = standings.iter().enumerate().filter(|(_, standing)| may_be(standing));
-        let least = those.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m));
+/// Index of the base to use. Among equally distant bases it is the first.
+fn choice(
+    states: &[CandidateState],
+    present: Option<usize>,
+    options: &RtkOptions,
+) -> Option<usize> {
+    let nearest = |may_be: &dyn Fn(&CandidateState) -> bool| {
+        let eligible = states.iter().enumerate().filter(|(_, state)| may_be(state));
+        let least = eligible.min_by(|(_, a), (_, b)| a.distance_m.total_cmp(&b.distance_m));
         least.map(|(index, _)| index)
     };
-    let here = present.map(|present| standings[present]).filter(|here| here.is_usable);
+    let here = present.map(|present| states[present]).filter(|here| here.is_usable);
     let Some(here) = here else {
         return nearest(&|other| other.is_usable).or(present).or_else(|| nearest(&|_| true));
     };
-    let is_better = |other: &Standing| {
+    let is_better = |other: &CandidateState| {
         other.is_usable
             && other.is_steady
             && other.distance_m < here.distance_m * (1.0 - options.nearer_share)
@@ -113,16 +123,17 @@ mod tests {
         PositioningOptions::new(Mode::RtkFgo, Profile::General).rtk
     }
 
-    fn at(distance_km: f64) -> Standing {
-        Standing { distance_m: distance_km * 1e3, is_usable: true, is_steady: true }
+    fn at(distance_km: f64) -> CandidateState {
+        CandidateState { distance_m: distance_km * 1e3, is_usable: true, is_steady: true }
     }
 
-    /// Who was chosen at each place of a walk, on a line between two bases 20 km apart.
-    fn walk(places_km: impl Iterator<Item = f64>) -> Vec<usize> {
+    /// Index of the chosen base at each position along a line between two bases 20 km apart.
+    fn walk(positions_km: impl Iterator<Item = f64>) -> Vec<usize> {
         let mut present = None;
         let mut chosen = Vec::new();
-        for place_km in places_km {
-            present = choice(&[at(place_km), at((20.0 - place_km).abs())], present, &options());
+        for position_km in positions_km {
+            present =
+                choice(&[at(position_km), at((20.0 - position_km).abs())], present, &options());
             chosen.extend(present);
         }
         chosen
@@ -132,8 +143,9 @@ mod tests {
         chosen.windows(2).filter(|pair| pair[0] != pair[1]).count()
     }
 
-    /// From one base to the other in steps of 10 m: one change, where the other is nearer by a
-    /// fifth, 8.89 km to 11.11 km; and one on the way back, as far from the middle again.
+    /// From one base to the other in steps of 10 m: the base changes once, where the other one is
+    /// nearer by a fifth (8.89 km against 11.11 km), and once on the way back, at the mirrored
+    /// position.
     #[test]
     fn a_walk_between_two_bases_changes_once() {
         let steps = || (0..=2_000).map(|step| f64::from(step) / 100.0);
@@ -145,9 +157,9 @@ mod tests {
         assert_eq!((there_and_back[0], there_and_back[4_001]), (0, 0));
     }
 
-    /// To and fro about the middle by 1 km: nothing changes, wherever it began.
+    /// Moving around the middle by 1 km changes nothing, wherever it starts.
     #[test]
-    fn who_lingers_in_the_middle_keeps_his_base() {
+    fn a_rover_in_the_middle_keeps_its_base() {
         for start_km in [9.9, 10.1] {
             let lingering = (0..1_000).map(|step| 10.0 + f64::from(step).sin());
             let chosen = walk(std::iter::once(start_km).chain(lingering));
@@ -157,10 +169,10 @@ mod tests {
     }
 
     #[test]
-    fn a_base_close_by_is_left_for_none_a_little_closer() {
-        // Nearer by half, but by 500 m only; and by far, but not steady yet.
+    fn a_near_base_is_not_left_for_one_a_little_nearer() {
+        // // Half the distance but only 500 m less; much nearer, but not steady yet.
         assert_eq!(choice(&[at(1.0), at(0.5)], Some(0), &options()), Some(0));
-        let fresh = Standing { is_steady: false, ..at(1.0) };
+        let fresh = CandidateState { is_steady: false, ..at(1.0) };
         assert_eq!(choice(&[at(30.0), fresh], Some(0), &options()), Some(0));
         assert_eq!(choice(&[at(30.0), fresh], None, &options()), Some(1));
         // Of those that are better the nearest.
@@ -178,9 +190,9 @@ mod tests {
     /// A base that cannot be used is left for any that can; where none can it stays.
     #[test]
     fn a_base_that_fails_is_left() {
-        let failed = |distance_km| Standing { is_usable: false, ..at(distance_km) };
+        let failed = |distance_km| CandidateState { is_usable: false, ..at(distance_km) };
         assert_eq!(choice(&[failed(1.0), at(40.0)], Some(0), &options()), Some(1));
-        let fresh = Standing { is_steady: false, ..at(40.0) };
+        let fresh = CandidateState { is_steady: false, ..at(40.0) };
         assert_eq!(choice(&[failed(1.0), fresh], Some(0), &options()), Some(1));
         assert_eq!(choice(&[failed(9.0), failed(1.0)], Some(0), &options()), Some(0));
         assert_eq!(choice(&[failed(9.0), failed(1.0)], None, &options()), Some(1));

@@ -1,4 +1,4 @@
-//! Whether a base stands where it is said to stand: its own single-point positions tell.
+//! Checks the stated position of a base against its own single-point positions.
 
 use nalgebra::Vector3;
 
@@ -8,42 +8,43 @@ use crate::positioning::{Aiding, Estimator};
 
 /// Epochs whose single-point positions are averaged.
 const EPOCHS_MAX: u32 = 10;
-/// A position that is off by more is doubted (m): single points are off by some metres.
-const DOUBTED_M: f64 = 10.0;
-/// A position that is off by more is refused (m).
+/// Beyond this distance a position is doubtful (m): single-point positions are wrong by some
+/// metres.
+const DOUBTFUL_M: f64 = 10.0;
+/// Beyond this distance a position is refused (m).
 pub(super) const REFUSED_M: f64 = 100.0;
 
-/// How far a base's stated position is from what the base observes.
+/// The stated position of a base compared with the mean of its single-point positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionCheck {
     sum_m: Vector3<f64>,
-    /// Epochs whose single-point positions were averaged; none where no navigation data of their
-    /// time is held.
+    /// Epochs with a single-point position so far; zero if there is no navigation data of their
+    /// time.
     pub epochs: u32,
 }
 
 impl PositionCheck {
-    /// Nothing checked yet.
+    /// A check without epochs.
     pub(super) fn new() -> Self {
         Self { sum_m: Vector3::zeros(), epochs: 0 }
     }
 
-    /// From the stated antenna reference point to the mean of the single-point positions (m).
+    /// Distance from the stated antenna reference point to the mean single-point position (m).
     pub fn distance_m(&self) -> Option<f64> {
         (0 < self.epochs).then(|| self.sum_m.norm() / f64::from(self.epochs))
     }
 
-    /// How far the position is off, if that casts doubt on it.
-    pub fn doubt_m(&self) -> Option<f64> {
-        self.distance_m().filter(|distance_m| DOUBTED_M < *distance_m)
+    /// The distance, if it makes the stated position doubtful (m).
+    pub fn doubtful_distance_m(&self) -> Option<f64> {
+        self.distance_m().filter(|distance_m| DOUBTFUL_M < *distance_m)
     }
 
-    /// The outcome in a word: `UNCHECKED`, `AGREES`, `DOUBTFUL`, `REFUSED`.
+    /// The verdict as the API writes it: `UNCHECKED`, `AGREES`, `DOUBTFUL` or `REFUSED`.
     pub fn verdict(&self) -> &'static str {
         match self.distance_m() {
             None => "UNCHECKED",
             Some(distance_m) if REFUSED_M < distance_m => "REFUSED",
-            Some(distance_m) if DOUBTED_M < distance_m => "DOUBTFUL",
+            Some(distance_m) if DOUBTFUL_M < distance_m => "DOUBTFUL",
             Some(_) => "AGREES",
         }
     }

@@ -1,38 +1,38 @@
-//! Files of bases.
+//! RINEX observation files of bases.
 
 use crate::formats::rinex::{ObservationReader, RinexError, Skipped};
 use crate::gnss::{BaseSite, Epoch, GpsTime, PositionSource};
 
-/// What a RINEX observation file of a base holds.
+/// The content of a base's RINEX observation file.
 #[derive(Clone, Debug)]
 pub struct BaseFile {
     /// In the order of the file.
     pub epochs: Vec<Epoch>,
-    /// Where its header says that the base stands.
+    /// Position and antenna from the header.
     pub site: Option<BaseSite>,
-    /// What was left out.
+    /// Records that were skipped.
     pub skipped: Skipped,
 }
 
-/// Why a file of a base is not taken.
+/// Why a base's file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum BaseFileError {
-    /// It cannot be read.
+    /// The file is not readable RINEX.
     #[error(transparent)]
     Rinex(#[from] RinexError),
-    /// It has more epochs than a base may hold.
+    /// The file has more epochs than a base may have.
     #[error("the file holds more than {limit} epochs")]
     TooManyEpochs {
-        /// How many it may hold.
+        /// Most epochs of a base.
         limit: usize,
     },
 }
 
 impl BaseFile {
-    /// Reads a file that is unpacked, RINEX or CRINEX.
+    /// Reads an unpacked RINEX or CRINEX file.
     ///
     /// # Errors
-    /// It cannot be read, or has more than `epochs_max` epochs.
+    /// The file is not readable, or has more than `epochs_max` epochs.
     pub fn read(text: &[u8], epochs_max: usize) -> Result<Self, BaseFileError> {
         let mut reader = ObservationReader::new(text)?;
         let header = reader.header();

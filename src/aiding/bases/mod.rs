@@ -1,207 +1,163 @@
-//! Base stations: where they stand and what they observe, for every session.
+//! Base stations: their positions and epochs, shared by all sessions.
 //!
 //! # How a base is filled
-//! [`BaseBroker::create`] names a base. Its place is given then, or brought by the header of the
-//! first file ([`BaseBroker::upload`]), or by a feed's messages 1005 and 1006
-//! ([`BaseBroker::place`]); until it is known, epochs are refused with
-//! [`BasePositionMissing`](crate::aiding::AidingError). [`BaseBroker::push`] takes epochs, one or
-//! many, in order of time; what it acknowledges is committed, and sessions that ask from then on
-//! see it.
+//! [`BaseBroker::create`] creates a base. Its position is given then, or taken from the header of
+//! its first file ([`BaseBroker::upload`]) or from a stream's messages 1005 and 1006
+//! ([`BaseBroker::set_site`]). While it is unknown, epochs are refused with
+//! [`BasePositionMissing`](crate::aiding::AidingError). [`BaseBroker::push`] takes epochs in order
+//! of time. When it returns they are committed, and sessions see them.
 //!
-//! A feed, such as a client of a caster, so calls `place` whenever its stream tells a position
-//! (the same one again changes nothing) and `push` with what its decoder gave since the last call;
-//! each push is one transaction, so a burst belongs into one. It may push what it pushed before
-//! (after it has connected anew): epochs held just so are acknowledged as resent. Refusals of
-//! single epochs are in the answer and need no reaction beyond counting them.
+//! A feed, such as the client of a caster, calls `set_site` whenever its stream reports a position,
+//! and `push` with the epochs decoded since its last call. Each push is one transaction, so epochs
+//! that arrive together should be pushed together. After a reconnection a feed may push epochs
+//! again: those stored with the same content are acknowledged as resent. Refusals of single epochs
+//! are part of the answer; a feed only counts them.
 //!
-//! An archive's files are pushed as uploads are, each when sessions need it: the times of the views
-//! that they take are noted ([`BaseBroker::needed`]), and how much of a file's time is held says
-//! whether it is to be fetched ([`BaseBroker::reach`]).
+//! An archive's files are uploaded when sessions need them. The broker records the times for which
+//! sessions need the base ([`BaseBroker::requested_times`]), and tells whether the epochs of a file
+//! are stored already ([`BaseBroker::coverage`]).
 //!
 //! # How sessions use it
-//! A session takes a [`BaseView`] of its base for the span of the epochs that it positions and
-//! stores with each which base epochs its estimator was given, by their numbers: replay gives it
-//! just these. What is pushed later changes nothing that was solved before.
+//! A session takes a [`BaseView`] for the time of the epochs that it positions. With each solution
+//! it stores the numbers of the base epochs that the estimator received, so that replay gives it
+//! the same ones. Epochs that are pushed later change no earlier solution.
 //!
-//! A session that takes the nearest of several bases asks its [`Candidates`] for each epoch. What
-//! they choose is stored as what was given is, so that replay has not to choose again.
+//! A session that uses the nearest of several bases asks its [`Candidates`] at each epoch. The
+//! choice is stored with the solution, so replay does not choose again.
 //!
 //! # Memory
-//! All that is stored of a base is held, encoded; limits bound it. What comes beyond them pushes
-//! out the oldest epochs, in the store too.
+//! All stored epochs of a base are also in memory, encoded. Limits bound them: beyond these the
+//! oldest epochs are deleted, in memory and in the store.
 
+mod archive_requests;
+mod base;
+mod base_epochs;
 mod broker;
 mod candidates;
 mod check;
-mod demand;
 mod file;
-mod held;
-mod seekers;
+mod nearest_requests;
 mod view;
 
-use std::fmt;
-use std::sync::Arc;
-
-use uuid::Uuid;
-
 use crate::gnss::{BaseSite, GpsTime};
+use crate::id::{Id, Kind};
+use crate::refusal::Code;
 use crate::store::BaseName;
 
+pub use base_epochs::Coverage;
 pub use broker::BaseBroker;
 pub use candidates::Candidates;
 pub use check::PositionCheck;
 pub use file::{BaseFile, BaseFileError};
-pub use held::Reach;
-pub use seekers::{Seeker, Seekers};
+pub use nearest_requests::{NearestBaseRequest, NearestBaseRequests};
 pub use view::{BaseGiven, BaseView};
 
 pub use crate::store::{BaseChoice, BaseFeed};
 
-/// The name of a base: `bas_` and 122 random bits.
-#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct BaseId(Arc<str>);
+/// The kind of a [`BaseId`].
+pub enum BaseKind {}
 
-impl BaseId {
+impl Kind for BaseKind {
     const PREFIX: &str = "bas_";
-
-    fn random() -> Self {
-        Self(format!("{}{}", Self::PREFIX, Uuid::new_v4().simple()).into())
-    }
-
-    /// The id of a text, if it has an id's form.
-    pub fn parse(text: &str) -> Option<Self> {
-        let digits = text.strip_prefix(Self::PREFIX)?;
-        let lower_hex = |b: u8| matches!(b, b'0'..=b'9' | b'a'..=b'f');
-        (digits.len() == 32 && digits.bytes().all(lower_hex)).then(|| Self(text.into()))
-    }
-
-    /// The id as text.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
 }
 
-impl fmt::Display for BaseId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
+/// The id of a base.
+pub type BaseId = Id<BaseKind>;
 
-impl fmt::Debug for BaseId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-/// A base to be created.
+/// The properties of a new base.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NewBase {
     /// A name for people; may be empty.
     pub label: String,
-    /// Where it stands; `None` where its files or messages will tell.
+    /// Position and antenna; `None` if its files or messages will give them.
     pub site: Option<BaseSite>,
-    /// The stream of a caster that fills it.
+    /// The caster's stream that fills it.
     pub feed: Option<BaseFeed>,
-    /// The address of the archive whose files fill it, with placeholders for their times.
+    /// The address of the archive's files that fill it, with placeholders for their time.
     pub archive: Option<String>,
 }
 
 /// A base with its health.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseInfo {
-    /// The base.
+    /// The id and key of the base.
     pub name: BaseName,
     /// A name for people.
     pub label: String,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// The stream of a caster that fills it.
+    /// The caster's stream that fills it.
     pub feed: Option<BaseFeed>,
-    /// The address of the archive whose files fill it.
+    /// The address of the archive's files that fill it.
     pub archive: Option<String>,
-    /// Where it stands, as far as known.
+    /// Position and antenna at the newest epoch; `None` while unknown.
     pub site: Option<BaseSite>,
-    /// Epochs held.
+    /// Number of stored epochs.
     pub epochs: usize,
-    /// Time of the oldest and of the newest epoch held.
+    /// Times of the oldest and the newest stored epoch.
     pub span: Option<(GpsTime, GpsTime)>,
-    /// When the newest was stored (ms since 1970-01-01 UTC).
+    /// When the newest epoch was stored (ms since 1970-01-01 UTC).
     pub stored_unix_ms: Option<i64>,
-    /// Satellites of the newest epoch.
+    /// Number of satellites in the newest epoch.
     pub satellites: usize,
-    /// Whether it stands where it is said to.
+    /// The stated position compared with the base's own single-point positions.
     pub check: PositionCheck,
 }
 
-/// What became of a push.
+/// The answer to a push.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BasePush {
-    /// One for each epoch, in their order.
-    pub outcomes: Vec<Result<HeldEpoch, BaseEpochRefusal>>,
-    /// Whether the base stands where it is said to.
+    /// The outcome of each epoch, in the order of the push.
+    pub outcomes: Vec<Result<CommittedEpoch, BaseEpochRefusal>>,
+    /// The stated position compared with the base's own single-point positions.
     pub check: PositionCheck,
 }
 
-/// An epoch of a base that is committed.
+/// A committed epoch of a base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HeldEpoch {
-    /// Its number.
+pub struct CommittedEpoch {
+    /// Its number: epochs of a base are numbered in order of time.
     pub number: u64,
-    /// It was held just so before.
+    /// The epoch was already stored with the same content.
     pub resent: bool,
 }
 
-/// Why an epoch of a base is not taken. It stops no other.
+/// Why an epoch of a base is refused. Other epochs of the push are not affected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BaseEpochRefusal {
-    /// Other content is held of this time.
-    #[error("the base's epoch of {time} is held with other content")]
+    /// An epoch of the same time is stored with other content.
+    #[error("the base has an epoch of {time} with other content")]
     Conflict {
-        /// Its time.
+        /// Time of the epoch.
         time: GpsTime,
     },
-    /// It is not after the newest, and not held.
+    /// The epoch is older than the newest one, and not stored.
     #[error("epoch {time} is not after the base's newest epoch at {last}")]
     OutOfOrder {
-        /// Its time.
+        /// Time of the epoch.
         time: GpsTime,
-        /// Time of the newest.
+        /// Time of the newest epoch.
         last: GpsTime,
     },
-    /// More observations than one epoch may carry.
-    #[error("epoch {time} has {observations} observations, allowed are {limit}")]
+    /// The epoch has more observations than allowed.
+    #[error("epoch {time} has {observations} observations, at most {limit} are allowed")]
     TooManyObservations {
-        /// Its time.
+        /// Time of the epoch.
         time: GpsTime,
-        /// How many it has.
+        /// Number of its observations.
         observations: usize,
-        /// How many it may have.
+        /// Number of observations allowed.
         limit: usize,
     },
 }
 
 impl BaseEpochRefusal {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::Conflict { .. } => "BASE_EPOCH_CONFLICT",
-            Self::OutOfOrder { .. } => "BASE_OUT_OF_ORDER",
-            Self::TooManyObservations { .. } => "TOO_MANY_OBSERVATIONS",
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ids_are_parsed_by_their_form() {
-        let id = BaseId::random();
-        assert_eq!(BaseId::parse(id.as_str()), Some(id.clone()));
-        assert_ne!(BaseId::random(), id);
-        for wrong in ["", "bas_", "bas_12", &id.as_str()[4..], &id.as_str().to_uppercase()] {
-            assert_eq!(BaseId::parse(wrong), None, "{wrong}");
+            Self::Conflict { .. } => Code::BaseEpochConflict,
+            Self::OutOfOrder { .. } => Code::BaseOutOfOrder,
+            Self::TooManyObservations { .. } => Code::TooManyObservations,
         }
     }
 }

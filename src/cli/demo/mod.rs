@@ -13,6 +13,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::config::{Limits, ServiceConfiguration};
 use crate::formats::rinex::write_navigation;
+use crate::refusal::Code;
 use crate::simulation::{self, Scenario};
 
 use self::fleet::{Report, Sky};
@@ -130,7 +131,7 @@ async fn listener() -> Result<TcpListener, Failure> {
 }
 
 fn no_port(error: &std::io::Error) -> Failure {
-    Failure::new("ADDRESS_UNAVAILABLE", error, "let the process listen on 127.0.0.1")
+    Failure::of(Code::AddressUnavailable, error)
 }
 
 /// A folder that is removed when dropped.

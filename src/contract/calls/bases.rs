@@ -1,11 +1,13 @@
 //! Base stations.
 
 use crate::aiding::bases::{
-    BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePush, HeldEpoch, NewBase, PositionCheck,
+    BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePush, CommittedEpoch, NewBase, PositionCheck,
 };
 use crate::clock::unix_ms;
-use crate::contract::{Code, Refusal, Service, convert, v1};
+use crate::contract::reason::reason;
+use crate::contract::{Refusal, Service, convert, v1};
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
+use crate::refusal::Code;
 
 use super::feeds;
 use super::positioning::{Numbered, epochs};
@@ -150,7 +152,7 @@ pub async fn upload(
     }
     let push = service.bases().upload(&id, epochs, site.as_ref()).await?;
     let refused = push.outcomes.iter().filter_map(|outcome| outcome.as_ref().err());
-    let is_new = |outcome: &&Result<HeldEpoch, BaseEpochRefusal>| {
+    let is_new = |outcome: &&Result<CommittedEpoch, BaseEpochRefusal>| {
         outcome.as_ref().is_ok_and(|held| !held.resent)
     };
     Ok(v1::UploadBaseResponse {
@@ -197,7 +199,7 @@ fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
 fn result(
     index: usize,
     time: GpsTime,
-    outcome: Result<HeldEpoch, BaseEpochRefusal>,
+    outcome: Result<CommittedEpoch, BaseEpochRefusal>,
 ) -> v1::BaseEpochResult {
     let mut message = v1::BaseEpochResult { time: Some(time.into()), ..Default::default() };
     match outcome {
@@ -211,8 +213,9 @@ fn result(
 }
 
 fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
-    let doubt = check.doubt_m().map(|distance_m| Reason::BasePositionDoubtful { distance_m });
-    doubt.iter().map(convert::reason).collect()
+    let doubt =
+        check.doubtful_distance_m().map(|distance_m| Reason::BasePositionDoubtful { distance_m });
+    doubt.iter().map(reason).collect()
 }
 
 fn message(service: &Service, info: &BaseInfo) -> v1::Base {

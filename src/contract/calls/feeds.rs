@@ -2,9 +2,10 @@
 
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
-use crate::contract::{Code, Refusal, Service, intake, v1};
+use crate::contract::{Refusal, Service, intake, v1};
 use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, NetworkHealth, SourceStatus};
 use crate::gnss::Geodetic;
+use crate::refusal::Code;
 
 use super::raw::statistics;
 use super::utc;
@@ -187,9 +188,9 @@ fn seconds_between(from_unix_ms: i64, until_unix_ms: i64) -> f64 {
 
 fn told(problem: &FeedProblem) -> v1::Refusal {
     v1::Refusal {
-        code: problem.code.to_owned(),
+        code: problem.code.name().to_owned(),
         message: problem.message.clone(),
-        remedy: problem.remedy.to_owned(),
+        remedy: problem.code.remedy().to_owned(),
         field: String::new(),
     }
 }

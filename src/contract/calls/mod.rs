@@ -12,9 +12,10 @@ mod upload;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
+use crate::refusal::Code;
 use crate::session::SessionId;
 
-use super::{Code, Refusal, Service};
+use super::{Refusal, Service};
 
 /// What an empty mode stands for.
 const MODE: &str = "spp";

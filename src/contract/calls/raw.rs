@@ -3,6 +3,7 @@
 use crate::contract::{Refusal, Service, intake, v1};
 use crate::formats::receiver::{RefusalEntry, Statistics};
 use crate::reception::{LeftOut, MessageTotal};
+use crate::refusal::Code;
 use crate::session::{RawPiece, RawReceived};
 
 use super::positioning::results;
@@ -36,7 +37,7 @@ fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
         return Ok(offset);
     }
     let message = format!("{offset} is above {}", intake::SEQUENCE_MAX);
-    Err(Refusal::new(crate::contract::Code::InvalidField, message).at("offset"))
+    Err(Refusal::new(Code::InvalidField, message).at("offset"))
 }
 
 fn answer(received: RawReceived) -> v1::PushRawResponse {

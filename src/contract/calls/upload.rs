@@ -2,9 +2,10 @@
 
 use std::io::Read;
 
-use crate::contract::{Code, Refusal, v1};
+use crate::contract::{Refusal, v1};
 use crate::formats::decompress;
 use crate::formats::rinex::SkippedEntry;
+use crate::refusal::Code;
 
 /// Runs `work` where it keeps no other call waiting.
 pub(super) async fn in_background<T: Send + 'static>(

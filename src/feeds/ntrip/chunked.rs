@@ -1,81 +1,81 @@
-//! The body of HTTP/1.1 in chunks, as it comes.
+//! Decodes a chunked HTTP/1.1 body as it arrives.
 
-/// Longest line that tells a chunk's size, extensions included (bytes).
+/// Longest line with a chunk's size, including extensions (bytes).
 const SIZE_LINE_LIMIT: usize = 256;
-/// Hexadecimal digits of a size; more would not be a size of this world.
+/// Most hexadecimal digits of a size: chunks are below 4 GiB.
 const SIZE_DIGITS: usize = 8;
 
-/// Where in the body the next byte stands.
+/// Which part of the body the next byte belongs to.
 #[derive(Debug)]
-enum Place {
-    /// In the line of a size, of which so much has come.
+enum Part {
+    /// The line with the size, of which these bytes have arrived.
     Size(Vec<u8>),
-    /// In a chunk, of which so much is missing.
+    /// A chunk, of which this many bytes are missing.
     Content(u32),
-    /// Behind a chunk, where its line end stands.
-    Behind,
-    /// Behind the last chunk.
+    /// The line end after a chunk.
+    LineEnd,
+    /// The bytes after the last chunk.
     End,
 }
 
-/// Why a body is not chunked.
+/// Why a body is not validly chunked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unchunked(pub(super) &'static str);
 
-/// Takes the frame of chunks off a body.
+/// Extracts the content of a chunked body.
 #[derive(Debug)]
 pub(super) struct Unchunker {
-    place: Place,
+    part: Part,
 }
 
 impl Unchunker {
     pub(super) const fn new() -> Self {
-        Self { place: Place::Size(Vec::new()) }
+        Self { part: Part::Size(Vec::new()) }
     }
 
-    /// Whether the last chunk has come.
+    /// Whether the last chunk has arrived.
     pub(super) const fn is_at_end(&self) -> bool {
-        matches!(self.place, Place::End)
+        matches!(self.part, Part::End)
     }
 
-    /// Adds to `content` what `bytes` hold of it.
+    /// Appends the content in `bytes` to `content`.
     ///
     /// # Errors
-    /// A body that is not chunked.
+    /// The body is not validly chunked.
     pub(super) fn push(&mut self, bytes: &[u8], content: &mut Vec<u8>) -> Result<(), Unchunked> {
         let mut rest = bytes;
         while let [first, after @ ..] = rest {
-            match &mut self.place {
-                Place::Size(line) => {
+            match &mut self.part {
+                Part::Size(line) => {
                     rest = after;
                     if *first == b'\n' {
                         let size = size_of(line)?;
-                        self.place = if size == 0 { Place::End } else { Place::Content(size) };
+                        self.part = if size == 0 { Part::End } else { Part::Content(size) };
                     } else if line.len() == SIZE_LINE_LIMIT {
                         return Err(Unchunked("the line of a chunk's size is too long"));
                     } else {
                         line.push(*first);
                     }
                 }
-                Place::Content(missing) => {
+                Part::Content(missing) => {
                     let length = rest.len().min(*missing as usize);
                     content.extend_from_slice(&rest[..length]);
                     rest = &rest[length..];
                     *missing -= length as u32;
                     if *missing == 0 {
-                        self.place = Place::Behind;
+                        self.part = Part::LineEnd;
                     }
                 }
-                Place::Behind => {
+                Part::LineEnd => {
                     rest = after;
                     match first {
                         b'\r' => {}
-                        b'\n' => self.place = Place::Size(Vec::new()),
-                        _ => return Err(Unchunked("a chunk is longer than it says")),
+                        b'\n' => self.part = Part::Size(Vec::new()),
+                        _ => return Err(Unchunked("a chunk is longer than its stated size")),
                     }
                 }
-                // Trailers say nothing that is used.
-                Place::End => return Ok(()),
+                // Trailers are not used.
+                Part::End => return Ok(()),
             }
         }
         Ok(())

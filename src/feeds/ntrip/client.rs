@@ -1,4 +1,4 @@
-//! The client: connects, asks, and hands on what comes.
+//! The NTRIP client: connects, requests, and reads the stream.
 
 use std::time::Duration;
 
@@ -13,9 +13,9 @@ use super::head;
 use super::sourcetable::{TABLE_LIMIT, is_whole};
 use super::{NtripError, Sourcetable, StreamRequest};
 
-/// How long a sentence may take to be sent.
+/// Longest time for sending a sentence.
 const SENDING: Duration = Duration::from_secs(10);
-/// Bytes read at once.
+/// Most bytes per read.
 const READ_BYTES: usize = 16 << 10;
 
 /// A stream that a caster has granted.
@@ -23,15 +23,15 @@ const READ_BYTES: usize = 16 << 10;
 pub struct NtripStream {
     connection: Connection,
     unchunker: Option<Unchunker>,
-    /// Content that came with the head.
+    /// Content that arrived with the head.
     first: Vec<u8>,
     buffer: Vec<u8>,
 }
 
-/// Asks a caster for a stream; with a sentence GGA for one that needs the rover's position.
+/// Requests a stream. `position` is a GGA sentence for casters that need the rover's position.
 ///
 /// # Errors
-/// The caster is not asked, does not answer, or refuses.
+/// The caster is not contacted, does not answer, or refuses.
 pub async fn connect(
     connector: &Connector,
     request: &StreamRequest,
@@ -39,20 +39,20 @@ pub async fn connect(
 ) -> Result<NtripStream, NtripError> {
     let (mut stream, is_sourcetable) = open(connector, request, position).await?;
     if is_sourcetable {
-        let answer = "it answers with its sourcetable".to_owned();
+        let answer = "the answer is the sourcetable".to_owned();
         return Err(NtripError::NoSuchMountpoint { answer });
     }
-    // In version 1 the sentence has no place in the request.
+    // A request of version 1 has no field for the sentence.
     if let Some(position) = position {
         stream.send(position).await?;
     }
     Ok(stream)
 }
 
-/// Asks a caster for its sourcetable; `request` names no mountpoint.
+/// Requests a caster's sourcetable. The mountpoint of `request` is empty.
 ///
 /// # Errors
-/// The caster is not asked, does not answer, refuses, or gives none.
+/// The caster is not contacted, does not answer, refuses, or sends no sourcetable.
 pub async fn sourcetable(
     connector: &Connector,
     request: &StreamRequest,
@@ -61,17 +61,17 @@ pub async fn sourcetable(
     let deadline = Instant::now() + listing;
     let (mut stream, is_sourcetable) = open(connector, request, None).await?;
     if !is_sourcetable {
-        return Err(NtripError::Protocol { why: "it gives no sourcetable".to_owned() });
+        return Err(NtripError::Protocol { why: "the answer is not a sourcetable".to_owned() });
     }
-    let (mut text, mut piece) = (Vec::new(), Vec::new());
+    let (mut text, mut chunk) = (Vec::new(), Vec::new());
     while !is_whole(&text) {
-        let read = timeout_at(deadline, stream.read(&mut piece)).await;
+        let read = timeout_at(deadline, stream.read(&mut chunk)).await;
         match read {
             Err(_) => return Err(NtripError::Silent { seconds: listing.as_secs() }),
             Ok(Err(NtripError::Closed { .. })) => break,
             Ok(read) => read?,
         }
-        text.append(&mut piece);
+        text.append(&mut chunk);
         if TABLE_LIMIT < text.len() {
             let why = format!("its sourcetable is longer than {TABLE_LIMIT} bytes");
             return Err(NtripError::Protocol { why });
@@ -80,7 +80,7 @@ pub async fn sourcetable(
     Ok(Sourcetable::parse(&text))
 }
 
-/// Connects, asks, and reads the head; also whether a sourcetable follows.
+/// Connects, sends the request, and reads the head. Also returns whether a sourcetable follows.
 async fn open(
     connector: &Connector,
     request: &StreamRequest,
@@ -107,7 +107,7 @@ async fn open(
         let length = timeout_at(deadline, reading).await.map_err(silent)?.map_err(closed)?;
         if length == 0 {
             let refusal = head::refusal(&bytes);
-            let closed = || NtripError::Closed { why: "before it answered".to_owned() };
+            let closed = || NtripError::Closed { why: "before the answer".to_owned() };
             return Err(refusal.unwrap_or_else(closed));
         }
         bytes.extend_from_slice(&buffer[..length]);
@@ -125,11 +125,11 @@ async fn open(
 }
 
 impl NtripStream {
-    /// Adds what comes next to `content`; returns once something has come. A call that is given up
-    /// loses nothing.
+    /// Appends the next bytes of the stream to `content`; returns once there are some. Cancelling
+    /// the call loses no byte.
     ///
     /// # Errors
-    /// The stream has ended, or is no stream.
+    /// The stream has ended, or its chunks are invalid.
     pub async fn read(&mut self, content: &mut Vec<u8>) -> Result<(), NtripError> {
         if !self.first.is_empty() {
             content.append(&mut self.first);
@@ -138,11 +138,11 @@ impl NtripStream {
         let before = content.len();
         while content.len() == before {
             if self.unchunker.as_ref().is_some_and(Unchunker::is_at_end) {
-                return Err(NtripError::Closed { why: "its last chunk has come".to_owned() });
+                return Err(NtripError::Closed { why: "the last chunk has arrived".to_owned() });
             }
             let length = self.connection.read(&mut self.buffer).await.map_err(closed)?;
             if length == 0 {
-                return Err(NtripError::Closed { why: "the connection has ended".to_owned() });
+                return Err(NtripError::Closed { why: "the connection ended".to_owned() });
             }
             let buffer = std::mem::take(&mut self.buffer);
             let taken = self.take(&buffer[..length], content);
@@ -155,7 +155,7 @@ impl NtripStream {
     /// Sends a sentence, such as the rover's position.
     ///
     /// # Errors
-    /// The connection has ended, or takes nothing.
+    /// The connection has ended, or accepts no data.
     pub async fn send(&mut self, sentence: &str) -> Result<(), NtripError> {
         let sending = self.connection.write_all(sentence.as_bytes());
         let sent = timeout(SENDING, sending).await;

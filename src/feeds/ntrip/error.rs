@@ -1,99 +1,86 @@
-//! Why a caster gives no stream.
+//! Why a caster does not send a stream.
 
 use std::time::Duration;
 
 use crate::feeds::FetchError;
+use crate::refusal::Code;
 
-/// Why a caster gives no stream, or none any more.
+/// Why a caster does not send a stream, or why the stream ended.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NtripError {
-    /// It is not asked, or does not answer.
+    /// The caster is not contacted, or cannot be reached.
     #[error(transparent)]
     Fetch(#[from] FetchError),
-    /// It asks for a name and password, or refuses those given.
+    /// The caster asks for a user and password, or refuses those given.
     #[error("the caster refuses the name and password: {answer}")]
     Unauthorised {
-        /// Its answer.
+        /// Status line of the answer.
         answer: String,
     },
-    /// It has no such stream.
+    /// The caster does not have this mountpoint.
     #[error("the caster has no such mountpoint: {answer}")]
     NoSuchMountpoint {
-        /// Its answer.
+        /// Status line of the answer.
         answer: String,
     },
-    /// It cannot serve now.
+    /// The caster cannot serve now.
     #[error("the caster cannot serve now: {answer}")]
     TryLater {
-        /// Its answer.
+        /// Status line of the answer.
         answer: String,
-        /// When it asks to come back.
+        /// The delay that the caster asks for.
         retry_after: Option<Duration>,
     },
-    /// It sends elsewhere, where nobody follows.
-    #[error("the caster sends elsewhere, which is not followed: {answer}")]
+    /// The caster redirects to another address. Redirections are not followed.
+    #[error("the caster redirects, which is not followed: {answer}")]
     Redirected {
-        /// Its answer.
+        /// Status line of the answer.
         answer: String,
     },
-    /// It says what no caster says.
-    #[error("the answer is not a caster's: {why}")]
+    /// The answer does not follow the NTRIP protocol.
+    #[error("the answer does not follow NTRIP: {why}")]
     Protocol {
-        /// What is wrong.
+        /// What is wrong with it.
         why: String,
     },
-    /// It says nothing.
+    /// The caster sent nothing for too long.
     #[error("the caster was silent for {seconds} s")]
     Silent {
-        /// For how long it was waited.
+        /// How long the service waited (s).
         seconds: u64,
     },
-    /// It sends bytes, and no epoch in them.
+    /// The stream has bytes, but no epochs.
     #[error("no epoch of observations in {seconds} s of the stream")]
     NoEpochs {
-        /// For how long it was listened to.
+        /// How long the service waited (s).
         seconds: u64,
     },
-    /// It ended the stream.
+    /// The caster ended the stream.
     #[error("the caster ended the stream: {why}")]
     Closed {
-        /// How.
+        /// How it ended.
         why: String,
     },
 }
 
 impl NtripError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
             Self::Fetch(error) => error.code(),
-            Self::Unauthorised { .. } => "CASTER_UNAUTHORISED",
-            Self::NoSuchMountpoint { .. } => "NO_SUCH_MOUNTPOINT",
-            Self::TryLater { .. } => "CASTER_TRY_LATER",
-            Self::Redirected { .. } => "CASTER_REDIRECTS",
-            Self::Protocol { .. } => "CASTER_PROTOCOL",
-            Self::Silent { .. } => "CASTER_SILENT",
-            Self::NoEpochs { .. } => "CASTER_NO_EPOCHS",
-            Self::Closed { .. } => "CASTER_CLOSED",
+            Self::Unauthorised { .. } => Code::CasterUnauthorised,
+            Self::NoSuchMountpoint { .. } => Code::NoSuchMountpoint,
+            Self::TryLater { .. } => Code::CasterTryLater,
+            Self::Redirected { .. } => Code::CasterRedirects,
+            Self::Protocol { .. } => Code::CasterProtocol,
+            Self::Silent { .. } => Code::CasterSilent,
+            Self::NoEpochs { .. } => Code::CasterNoEpochs,
+            Self::Closed { .. } => Code::CasterClosed,
         }
     }
 
-    /// What can be done about it.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::Fetch(error) => error.remedy(),
-            Self::Unauthorised { .. } => "create the base anew with the name and password in force",
-            Self::NoSuchMountpoint { .. } => "choose a mountpoint of the caster's sourcetable",
-            Self::Redirected { .. } => "name the caster that the answer names, if it is trusted",
-            Self::Protocol { .. } => "check that the address is a caster's",
-            Self::NoEpochs { .. } => "choose a mountpoint of RTCM 3 observations (MSM4 to MSM7)",
-            Self::TryLater { .. } | Self::Silent { .. } | Self::Closed { .. } => {
-                "nothing: it is tried again"
-            }
-        }
-    }
-
-    /// Whether somebody must change something before it can succeed: it is then tried seldom.
+    /// Whether somebody must change something before the stream can succeed. The delays are then
+    /// longer.
     pub const fn is_lasting(&self) -> bool {
         match self {
             Self::Fetch(error) => {
@@ -110,7 +97,7 @@ impl NtripError {
         }
     }
 
-    /// When the caster asks to come back, if it does.
+    /// The delay that the caster asks for, if any.
     pub const fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::TryLater { retry_after, .. } => *retry_after,

@@ -1,14 +1,15 @@
 //! NTRIP, the protocol of casters: one request, then a stream of a receiver's bytes.
 //!
-//! Version 2 is HTTP/1.1, its body chunked or not; version 1 answers `ICY 200 OK`, and its list of
-//! mountpoints (the sourcetable) where the one asked for does not exist. A request of version 2 is
-//! understood by casters of version 1, so both answers are taken to either request.
+//! Version 2 is HTTP/1.1, with a chunked body or not. Version 1 answers `ICY 200 OK`; if it does
+//! not have the mountpoint, it answers with the list of its mountpoints, the sourcetable. Casters
+//! of version 1 understand requests of version 2, so the client accepts both kinds of answer to
+//! either request.
 //!
-//! Nothing is believed of a caster: head, chunk lines and sourcetable are limited, each wait is,
-//! and an answer that asks to go elsewhere is refused.
+//! The client does not trust the caster: head, chunk lines, sourcetable and each wait have limits,
+//! and redirections are refused.
 //!
-//! Sources: RTCM 10410.0 (NTRIP 1.0) and 10410.1 (NTRIP 2.0), as the protocol is described
-//! publicly; RFC 9112, section 7.1 (chunked).
+//! Sources: RTCM 10410.0 (NTRIP 1.0) and 10410.1 (NTRIP 2.0), as publicly described; RFC 9112,
+//! section 7.1 (chunked).
 
 mod chunked;
 mod client;

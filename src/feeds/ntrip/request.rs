@@ -1,4 +1,4 @@
-//! What is asked of a caster.
+//! Requests to a caster.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,22 +8,22 @@ use base64::engine::general_purpose::STANDARD;
 
 use crate::feeds::FetchError;
 
-/// Name of this client, which begins as casters ask for.
+/// Name of this client. Casters expect it to begin with NTRIP.
 const AGENT: &str = concat!("NTRIP graphfix/", env!("CARGO_PKG_VERSION"));
 const PORT: u16 = 2101;
 const TLS_PORT: u16 = 443;
-/// Longest names of hosts (RFC 1035) and of mountpoints.
+/// Longest host name (RFC 1035) and longest name of a mountpoint.
 const HOST_LIMIT: usize = 255;
 const MOUNTPOINT_LIMIT: usize = 100;
 
 /// The address of a caster, such as `ntrip://caster.example.org:2101`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Caster {
-    /// Name or address.
+    /// Name or address of the host.
     pub host: String,
     /// TCP port.
     pub port: u16,
-    /// Whether the connection is encrypted.
+    /// Whether the connection uses TLS.
     pub is_tls: bool,
 }
 
@@ -52,7 +52,7 @@ impl FromStr for Caster {
             let host = host.to_ascii_lowercase();
             (is_host && is_plain(&host)).then_some(Self { host, port, is_tls })
         };
-        parse().ok_or_else(|| FetchError::AddressInvalid { text: text.to_owned() })
+        parse().ok_or_else(|| FetchError::CasterInvalid { text: text.to_owned() })
     }
 }
 
@@ -63,12 +63,12 @@ impl fmt::Display for Caster {
     }
 }
 
-/// A name and password of a caster's user.
+/// User and password at a caster.
 #[derive(Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Credentials {
-    /// The user.
+    /// Name of the user.
     pub name: String,
-    /// The password, which nothing shows.
+    /// The password. `Debug` does not print it.
     pub password: String,
 }
 
@@ -78,38 +78,38 @@ impl fmt::Debug for Credentials {
     }
 }
 
-/// The version of a request.
+/// The protocol version of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum NtripVersion {
-    /// NTRIP 1.0, for casters that stumble over HTTP/1.1.
+    /// NTRIP 1.0, for casters that do not accept HTTP/1.1.
     One,
-    /// NTRIP 2.0, which those of version 1 understand.
+    /// NTRIP 2.0. Casters of version 1 accept it, too.
     Two,
 }
 
-/// A stream of a caster.
+/// A request for a stream or a sourcetable.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StreamRequest {
-    /// The caster.
+    /// Address of the caster.
     pub caster: Caster,
-    /// The stream's name; empty for the sourcetable.
+    /// Name of the stream; empty for the sourcetable.
     pub mountpoint: String,
-    /// For casters that ask for them.
+    /// User and password, if the caster asks for them.
     pub credentials: Option<Credentials>,
-    /// The version of the request.
+    /// Protocol version of the request.
     pub version: NtripVersion,
 }
 
 impl StreamRequest {
-    /// Whether the names are such that a request can carry them.
+    /// Whether the mountpoint's name has only characters that a request can contain.
     pub fn is_sound(&self) -> bool {
         let is_name = |c: char| c.is_ascii_graphic() && !matches!(c, '/' | '?' | '#' | '%');
         let mountpoint = &self.mountpoint;
         mountpoint.len() <= MOUNTPOINT_LIMIT && mountpoint.chars().all(is_name)
     }
 
-    /// The request as it is sent; `position` is a sentence GGA for casters that compute a stream
-    /// for where the rover is.
+    /// The request as sent. `position` is a GGA sentence for casters that compute a stream for the
+    /// rover's position.
     pub(super) fn text(&self, position: Option<&str>) -> String {
         let Self { caster: Caster { host, port, .. }, mountpoint, credentials, version } = self;
         let mut text = match version {
@@ -135,10 +135,10 @@ fn is_plain(text: &str) -> bool {
     text.chars().all(|c| c.is_ascii_graphic())
 }
 
-/// The sentence GGA of a place (degrees, metres above the ellipsoid) at a second of the UTC day, as
-/// a rover with a single-point position would send it; NMEA 0183.
+/// The NMEA 0183 sentence GGA for a position (degrees, metres above the ellipsoid) at a second of
+/// the UTC day, as a rover with a single-point position sends it.
 ///
-/// The height is given as if the geoid were the ellipsoid: casters use it to a hundred metres.
+/// The geoid separation is given as zero. Casters need the height only to about 100 m.
 pub fn position_sentence(
     latitude_deg: f64,
     longitude_deg: f64,
@@ -146,7 +146,7 @@ pub fn position_sentence(
     second_of_day: u32,
 ) -> String {
     let angle = |degrees: f64, digits: usize| {
-        // In units of the last digit, so that 60 minutes never appear.
+        // Integers of the last digit, so that 60 minutes never appear.
         let units = (degrees.abs() * 600_000.0).round() as u64;
         format!("{:0digits$}{:07.4}", units / 600_000, (units % 600_000) as f64 / 1e4)
     };

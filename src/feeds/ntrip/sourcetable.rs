@@ -1,52 +1,52 @@
-//! A caster's list of its streams.
+//! A caster's list of streams, the sourcetable.
 
 /// Longest sourcetable that is read (bytes); the largest public one has 300 kB.
 pub(super) const TABLE_LIMIT: usize = 4 << 20;
-/// Most streams that are kept.
+/// Most streams of one table.
 const MOUNTPOINTS_LIMIT: usize = 20_000;
 const END: &[u8] = b"ENDSOURCETABLE";
 
-/// A stream of a caster, as its record STR has it.
+/// A stream of a caster: one STR record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mountpoint {
-    /// Its name.
+    /// Name of the mountpoint.
     pub name: String,
-    /// Where it is, in words.
+    /// Description, usually the town.
     pub identifier: String,
-    /// Such as `RTCM 3.2`.
+    /// Data format, such as `RTCM 3.2`.
     pub format: String,
-    /// Messages and their intervals.
+    /// Message types and their intervals.
     pub details: String,
-    /// Systems, such as `GPS+GLO`.
+    /// Constellations, such as `GPS+GLO`.
     pub systems: String,
-    /// Latitude and longitude (degrees), to two digits or so.
+    /// Latitude and longitude (degrees), often with two decimals.
     pub position_deg: Option<(f64, f64)>,
-    /// The caster computes it for the rover's position, which it must be sent.
+    /// The caster computes the stream for the rover's position, and must be told it.
     pub needs_position: bool,
 }
 
-/// A caster's streams.
+/// The streams of a caster.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sourcetable {
-    /// In the table's order.
+    /// In the order of the table.
     pub mountpoints: Vec<Mountpoint>,
 }
 
 impl Sourcetable {
-    /// Reads the text of a table; records that are not understood are passed over.
+    /// Reads a table. Unknown records are skipped.
     pub fn parse(text: &[u8]) -> Self {
         let text = String::from_utf8_lossy(text);
         let mountpoints = text.lines().filter_map(mountpoint).take(MOUNTPOINTS_LIMIT).collect();
         Self { mountpoints }
     }
 
-    /// The stream of a name.
+    /// The stream of this name.
     pub fn get(&self, name: &str) -> Option<&Mountpoint> {
         self.mountpoints.iter().find(|mountpoint| mountpoint.name == name)
     }
 }
 
-/// Whether a table is whole.
+/// Whether the table has its end.
 pub(super) fn is_whole(text: &[u8]) -> bool {
     text.windows(END.len()).rev().take(64).any(|window| window == END)
 }

@@ -2,6 +2,8 @@
 
 use std::io;
 
+use crate::refusal::Code;
+
 /// Why a file cannot be read, with the number of the line (from 1).
 #[derive(Debug, thiserror::Error)]
 pub enum RinexError {
@@ -74,17 +76,17 @@ pub enum RinexError {
 }
 
 impl RinexError {
-    /// Stable code, upper snake case.
-    pub const fn code(&self) -> &'static str {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
         match self {
-            Self::NotRinex { .. } => "RINEX_NOT_RINEX",
-            Self::WrongKind { .. } => "RINEX_WRONG_KIND",
-            Self::UnsupportedVersion { .. } => "RINEX_UNSUPPORTED_VERSION",
-            Self::HeaderInvalid { .. } => "RINEX_HEADER_INVALID",
-            Self::Truncated { .. } => "RINEX_TRUNCATED",
-            Self::CompressionUnsupported { .. } => "RINEX_COMPRESSION_UNSUPPORTED",
-            Self::LineTooLong { .. } => "RINEX_LINE_TOO_LONG",
-            Self::ReadFailed { .. } => "RINEX_READ_FAILED",
+            Self::NotRinex { .. } => Code::RinexNotRinex,
+            Self::WrongKind { .. } => Code::RinexWrongKind,
+            Self::UnsupportedVersion { .. } => Code::RinexUnsupportedVersion,
+            Self::HeaderInvalid { .. } => Code::RinexHeaderInvalid,
+            Self::Truncated { .. } => Code::RinexTruncated,
+            Self::CompressionUnsupported { .. } => Code::RinexCompressionUnsupported,
+            Self::LineTooLong { .. } => Code::RinexLineTooLong,
+            Self::ReadFailed { .. } => Code::RinexReadFailed,
         }
     }
 
@@ -99,26 +101,6 @@ impl RinexError {
             | Self::LineTooLong { line, .. }
             | Self::ReadFailed { line, .. } => *line,
             Self::CompressionUnsupported { .. } => 1,
-        }
-    }
-
-    /// What the sender can do.
-    pub const fn remedy(&self) -> &'static str {
-        match self {
-            Self::NotRinex { .. } => "send a RINEX or CRINEX file, plain or gzip-compressed",
-            Self::WrongKind { .. } => "send observation and navigation data as separate files",
-            Self::UnsupportedVersion { .. } => {
-                "convert the file to RINEX 2, 3 or 4, or CRINEX 1 or 3"
-            }
-            Self::HeaderInvalid { .. } => {
-                "correct the header record, or convert the raw data again"
-            }
-            Self::Truncated { .. } => "fetch the file again: its end is missing",
-            Self::CompressionUnsupported { .. } => {
-                "unpack it first (uncompress for .Z, unzip for .zip), or compress it with gzip"
-            }
-            Self::LineTooLong { .. } => "check that the file is text with line ends",
-            Self::ReadFailed { .. } => "fetch the file again: it could not be read to its end",
         }
     }
 }

@@ -130,6 +130,7 @@ impl<R: Read> Lines<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refusal::Code;
 
     #[test]
     fn line_ends_of_both_kinds_and_none() {
@@ -167,6 +168,6 @@ mod tests {
     #[test]
     fn endless_lines_are_refused() {
         let error = Lines::new(std::io::repeat(b'a')).next().unwrap_err();
-        assert_eq!((error.code(), error.line()), ("RINEX_LINE_TOO_LONG", 1));
+        assert_eq!((error.code(), error.line()), (Code::RinexLineTooLong, 1));
     }
 }

@@ -315,6 +315,7 @@ fn kind_of(head: &[u8]) -> Option<Kind> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::refusal::Code;
 
     /// A member of gzip may begin with a comment of any length, which gives nothing.
     #[test]
@@ -328,6 +329,6 @@ mod tests {
         let refused = outcomes.iter().position(Result::is_err);
         assert_eq!(refused, Some((REREAD_LIMIT >> 16) as usize - 1));
         let error = outcomes.into_iter().find_map(Result::err).unwrap();
-        assert_eq!(error.code(), "RAW_STREAM_TOO_LONG");
+        assert_eq!(error.code(), Code::RawStreamTooLong);
     }
 }

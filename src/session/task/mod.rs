@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
-use crate::aiding::bases::{BaseChoice, Seeker};
+use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
 use crate::clock::unix_ms;
 use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
@@ -239,12 +239,15 @@ impl Task {
         let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
         let base = state.base().filter(|_| !force.base.is_none());
         if let (Some(base), Some(estimate)) = (base, newest) {
-            self.aiding.bases.note_rover(base, estimate.position);
+            self.aiding.bases.record_rover(base, estimate.position);
         }
         if let (BaseChoice::Nearest, Some(estimate)) = (&force.base, newest) {
-            let reach_m = force.origin.options.rtk.baseline_max_m;
-            let seeker = Seeker { place: estimate.position, reach_m, noted_unix_ms: unix_ms() };
-            self.aiding.bases.seekers().note(self.key, seeker);
+            let request = NearestBaseRequest {
+                position: estimate.position,
+                baseline_max_m: force.origin.options.rtk.baseline_max_m,
+                unix_ms: unix_ms(),
+            };
+            self.aiding.bases.nearest_base_requests().record(self.key, request);
         }
         *active = Some(Active { committed: state, force, raw: reception });
         let outcome = |(seq, plan)| {

@@ -1,4 +1,4 @@
-//! Broadcast ephemerides, ionosphere coefficients and leap seconds, for every session.
+//! The desk for broadcast ephemerides, ionosphere coefficients and leap seconds.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -12,89 +12,89 @@ use crate::store::{NavigationChange, Store, StoreError};
 
 use super::{AidingError, AidingLimits};
 
-/// What a push changed.
+/// The effect of a push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NavigationPush {
-    /// Ephemerides that it brought.
+    /// Ephemerides in the push.
     pub received: usize,
-    /// Those that were not held before; committed.
+    /// Ephemerides that were not stored before. They are committed.
     pub new: usize,
-    /// Older ones that made room for them.
+    /// Older ephemerides that were dropped because of the limit.
     pub dropped: usize,
-    /// Ephemerides held now.
-    pub held: usize,
+    /// Ephemerides in force after the push.
+    pub in_force: usize,
 }
 
-/// What is known of one satellite.
+/// The ephemerides of one satellite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SatelliteCoverage {
     /// The satellite.
     pub satellite: SatelliteId,
-    /// Ephemerides held.
+    /// Number of ephemerides in force.
     pub ephemerides: usize,
-    /// From when until when a usable ephemeris is held, gaps included; `None` if none is usable.
+    /// First and last time with a usable ephemeris, gaps included; `None` if none is usable.
     pub usable: Option<(GpsTime, GpsTime)>,
-    /// Who brought the last of them.
+    /// Source of the newest ephemeris, such as `upload` or a caster's address.
     pub source: String,
-    /// When the last of them came (ms since 1970-01-01 UTC).
+    /// When the newest ephemeris was stored (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
 }
 
-/// What is known of all satellites.
+/// The navigation data in force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NavigationStatus {
-    /// By satellite.
+    /// One entry for each satellite, in order.
     pub satellites: Vec<SatelliteCoverage>,
-    /// Ephemerides held.
+    /// Number of ephemerides in force.
     pub ephemerides: usize,
-    /// Whether GPS's Klobuchar coefficients are held.
+    /// Whether GPS Klobuchar coefficients are known.
     pub klobuchar_gps: bool,
-    /// Whether BeiDou's Klobuchar coefficients are held.
+    /// Whether BeiDou Klobuchar coefficients are known.
     pub klobuchar_beidou: bool,
-    /// Whether QZSS's Klobuchar coefficients are held.
+    /// Whether QZSS Klobuchar coefficients are known.
     pub klobuchar_qzss: bool,
-    /// Whether Galileo's NeQuick-G coefficients are held.
+    /// Whether Galileo NeQuick-G coefficients are known.
     pub nequick: bool,
     /// Leap seconds, as far as broadcast.
     pub leap_seconds: LeapSeconds,
 }
 
-/// Who last brought an ephemeris of a satellite, and when (ms since 1970-01-01 UTC).
+/// Source of each satellite's newest ephemeris, and when it was stored (ms since 1970-01-01 UTC).
 type Sources = BTreeMap<SatelliteId, (String, i64)>;
 
-/// Navigation data that replay has asked for, by push.
-const PAST_KEPT: usize = 4;
+/// Past states of the navigation data that are cached for replay.
+const PAST_CACHED: usize = 4;
 
-/// Navigation data as they were after one push; they do not change under their reader.
+/// The navigation data after one push. They never change.
 #[derive(Clone, Debug, Default)]
 pub struct PushedNavigation {
     /// Number of the push; zero before the first.
     pub push: u64,
-    /// Everything in force.
+    /// All navigation data in force.
     pub navigation: Arc<Navigation>,
 }
 
 #[derive(Clone, Default)]
-struct Snapshot {
+struct Current {
     push: u64,
     navigation: Arc<Navigation>,
     sources: Arc<Sources>,
 }
 
-/// The desk for broadcast navigation data. Clones share it.
+/// The desk for broadcast navigation data. All clones share the same data.
 #[derive(Clone)]
 pub struct NavigationBroker {
     store: Store,
     limits: AidingLimits,
-    snapshot: Arc<RwLock<Snapshot>>,
-    /// Held while a push is built and committed: pushes follow one another.
+    current: Arc<RwLock<Current>>,
+    /// Locked while a push is compared and committed, so that pushes follow one another.
     pushing: Arc<Mutex<()>>,
-    /// What replay last asked for, the newest last.
+    /// Past states that replay last asked for, the newest last.
     past: Arc<Mutex<VecDeque<PushedNavigation>>>,
 }
 
 impl NavigationBroker {
-    /// Opens the desk with what the store holds.
+    /// Opens the desk with the stored navigation data.
     ///
     /// # Errors
     /// The store fails.
@@ -111,45 +111,45 @@ impl NavigationBroker {
             navigation.insert(row.ephemeris);
         }
         let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let snapshot = Snapshot { push: stored.push, navigation, sources };
-        let snapshot = Arc::new(RwLock::new(snapshot));
-        Ok(Self { store, limits, snapshot, pushing: Arc::default(), past: Arc::default() })
+        let current = Current { push: stored.push, navigation, sources };
+        let current = Arc::new(RwLock::new(current));
+        Ok(Self { store, limits, current, pushing: Arc::default(), past: Arc::default() })
     }
 
-    /// What is held at this moment.
+    /// The navigation data in force now.
     pub fn current(&self) -> PushedNavigation {
-        let Snapshot { push, navigation, .. } = self.read();
+        let Current { push, navigation, .. } = self.read();
         PushedNavigation { push, navigation }
     }
 
-    /// What was held after the push number `push`.
+    /// The navigation data that were in force after push number `push`.
     ///
     /// # Errors
-    /// Some of it has been forgotten since, or the store fails.
+    /// Some of them are no longer stored, or the store fails.
     pub async fn after(&self, push: u64) -> Result<PushedNavigation, StoreError> {
         let current = self.current();
         if current.push == push {
             return Ok(current);
         }
-        // Held while the store is read: many sessions restored at once ask for the same.
+        // // Locked while the store is read: many sessions restored at once ask for the same push.
         let mut past = self.past.lock().await;
         if let Some(known) = past.iter().find(|known| known.push == push) {
             return Ok(known.clone());
         }
         let navigation = Arc::new(self.store.navigation_after(push).await?);
         let found = PushedNavigation { push, navigation };
-        if past.len() == PAST_KEPT {
+        if past.len() == PAST_CACHED {
             past.pop_front();
         }
         past.push_back(found.clone());
         Ok(found)
     }
 
-    /// Takes over navigation data from `source`. What it returns is durable, and later
-    /// [`Self::current`] snapshots hold it.
+    /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
+    /// of [`Self::current`] contain them.
     ///
     /// # Errors
-    /// More ephemerides of a satellite than are held, or the store fails.
+    /// The push has more ephemerides of one satellite than are kept, or the store fails.
     pub async fn push(
         &self,
         pushed: Navigation,
@@ -161,19 +161,19 @@ impl NavigationBroker {
         if let Some((satellite, list)) = pushed.satellites().find(|(_, l)| limit < l.len()) {
             return Err(AidingError::TooManyEphemerides { satellite, count: list.len(), limit });
         }
-        let new = novelties(&before.navigation, &pushed);
+        let new = new_ephemerides(&before.navigation, &pushed);
         let coefficients = new_coefficients(&before.navigation, &pushed);
         if new.is_empty() && coefficients == Navigation::default() {
-            let (received, held) = (pushed.len(), before.navigation.len());
-            return Ok(NavigationPush { received, new: 0, dropped: 0, held });
+            let (received, in_force) = (pushed.len(), before.navigation.len());
+            return Ok(NavigationPush { received, new: 0, dropped: 0, in_force });
         }
         let mut navigation = (*before.navigation).clone();
         navigation.merge(pushed.clone());
-        let surplus = surplus(&navigation, &pushed, limit);
-        navigation.retain(|ephemeris| !surplus.contains(ephemeris));
+        let excess = excess(&navigation, &pushed, limit);
+        navigation.retain(|ephemeris| !excess.contains(ephemeris));
 
         let now = unix_ms();
-        let dropped: Vec<&Ephemeris> = surplus.iter().collect();
+        let dropped: Vec<&Ephemeris> = excess.iter().collect();
         let change = NavigationChange {
             new: &new,
             dropped: &dropped,
@@ -191,18 +191,18 @@ impl NavigationBroker {
         let counts = NavigationPush {
             received: pushed.len(),
             new: new.len(),
-            dropped: surplus.len(),
-            held: navigation.len(),
+            dropped: excess.len(),
+            in_force: navigation.len(),
         };
         let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let after = Snapshot { push, navigation, sources };
-        *self.snapshot.write().unwrap_or_else(PoisonError::into_inner) = after;
+        let after = Current { push, navigation, sources };
+        *self.current.write().unwrap_or_else(PoisonError::into_inner) = after;
         Ok(counts)
     }
 
-    /// Which satellites are covered, from when until when.
+    /// The satellites with usable ephemerides, and the time that these cover.
     pub fn status(&self) -> NavigationStatus {
-        let Snapshot { navigation, sources, .. } = self.read();
+        let Current { navigation, sources, .. } = self.read();
         let coverage = |(satellite, list): (SatelliteId, &[Ephemeris])| {
             let (source, stored_unix_ms) = sources.get(&satellite).cloned().unwrap_or_default();
             let ephemerides = list.len();
@@ -220,42 +220,42 @@ impl NavigationBroker {
         }
     }
 
-    fn read(&self) -> Snapshot {
-        self.snapshot.read().unwrap_or_else(PoisonError::into_inner).clone()
+    fn read(&self) -> Current {
+        self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
-/// What of `pushed` is not held just so.
-fn novelties<'a>(held: &Navigation, pushed: &'a Navigation) -> Vec<&'a Ephemeris> {
+/// The ephemerides of `pushed` that are not known yet.
+fn new_ephemerides<'a>(known: &Navigation, pushed: &'a Navigation) -> Vec<&'a Ephemeris> {
     let all = pushed.satellites().flat_map(|(_, list)| list);
-    all.filter(|ephemeris| !held.of(ephemeris.satellite()).contains(ephemeris)).collect()
+    all.filter(|ephemeris| !known.of(ephemeris.satellite()).contains(ephemeris)).collect()
 }
 
-/// What of `pushed`'s coefficients is not held just so.
-fn new_coefficients(held: &Navigation, pushed: &Navigation) -> Navigation {
-    fn news<T: PartialEq>(held: Option<T>, pushed: Option<T>) -> Option<T> {
-        pushed.filter(|value| held.as_ref() != Some(value))
+/// The coefficients of `pushed` that differ from the known ones.
+fn new_coefficients(known: &Navigation, pushed: &Navigation) -> Navigation {
+    fn changed<T: PartialEq>(known: Option<T>, pushed: Option<T>) -> Option<T> {
+        pushed.filter(|value| known.as_ref() != Some(value))
     }
     let mut new = Navigation::default();
-    new.klobuchar_gps = news(held.klobuchar_gps, pushed.klobuchar_gps);
-    new.klobuchar_beidou = news(held.klobuchar_beidou, pushed.klobuchar_beidou);
-    new.klobuchar_qzss = news(held.klobuchar_qzss, pushed.klobuchar_qzss);
-    new.nequick = news(held.nequick, pushed.nequick);
-    if held.leap_seconds != pushed.leap_seconds {
+    new.klobuchar_gps = changed(known.klobuchar_gps, pushed.klobuchar_gps);
+    new.klobuchar_beidou = changed(known.klobuchar_beidou, pushed.klobuchar_beidou);
+    new.klobuchar_qzss = changed(known.klobuchar_qzss, pushed.klobuchar_qzss);
+    new.nequick = changed(known.nequick, pushed.nequick);
+    if known.leap_seconds != pushed.leap_seconds {
         new.leap_seconds = pushed.leap_seconds;
     }
     new
 }
 
-/// Of each satellite the oldest ephemerides beyond `limit` that did not come with `pushed`.
-fn surplus(merged: &Navigation, pushed: &Navigation, limit: usize) -> Vec<Ephemeris> {
-    let mut surplus = Vec::new();
+/// The oldest ephemerides of each satellite beyond `limit`, except those that came with `pushed`.
+fn excess(merged: &Navigation, pushed: &Navigation, limit: usize) -> Vec<Ephemeris> {
+    let mut excess = Vec::new();
     for (satellite, brought) in pushed.satellites() {
         let list = merged.of(satellite);
         let older = list.iter().filter(|ephemeris| !brought.contains(ephemeris));
-        surplus.extend(older.take(list.len().saturating_sub(limit)).cloned());
+        excess.extend(older.take(list.len().saturating_sub(limit)).cloned());
     }
-    surplus
+    excess
 }
 
 fn usable_span(list: &[Ephemeris]) -> Option<(GpsTime, GpsTime)> {

@@ -1,4 +1,4 @@
-//! What is held of one base in memory: all that is stored of it.
+//! The epochs and sites of one base in memory. They are the same as in the store.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,41 +8,42 @@ use crate::positioning::BASE_LATER_S;
 use crate::store::StoredBaseEpoch;
 
 use super::check::PositionCheck;
-use super::{BaseEpochRefusal, HeldEpoch};
+use super::{BaseEpochRefusal, CommittedEpoch};
 
-/// Receivers tag epochs so near to the second that they mean (s).
-const TOLERANCE_S: f64 = 0.5;
+/// Tolerance of epoch tags to the nominal second (s).
+const TAG_TOLERANCE_S: f64 = 0.5;
 
-/// How much of a span of time is held, whose end does not belong to it.
+/// Whether a span of time, without its end, has all its epochs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reach {
-    /// Epochs of it may still be taken.
-    Open,
-    /// It is held to its end.
-    Whole,
-    /// Nothing of it is held, nor can be: epochs behind it are.
-    Passed,
+pub enum Coverage {
+    /// More epochs of the span may still arrive.
+    Incomplete,
+    /// Epochs are stored up to the end of the span.
+    Complete,
+    /// No epoch of the span is stored, and none can be added: the base already has newer epochs,
+    /// and takes epochs in order of time only.
+    Missed,
 }
 
-/// What is held of one base.
+/// The epochs and sites of one base.
 #[derive(Clone, Debug)]
-pub(super) struct Held {
-    /// From the epoch of that number on.
+pub(super) struct BaseEpochs {
+    /// Each site is valid from the base epoch of this number on.
     pub(super) sites: Arc<Vec<(u64, BaseSite)>>,
-    /// In order of number and time, without gaps.
+    /// In order of number and time, with consecutive numbers.
     pub(super) epochs: VecDeque<StoredBaseEpoch>,
-    /// Bytes of the epochs.
+    /// Encoded size of the epochs.
     pub(super) bytes: usize,
     pub(super) check: PositionCheck,
-    /// Satellites of the newest epoch.
+    /// Number of satellites in the newest epoch.
     pub(super) satellites: usize,
     /// When the newest epoch was stored (ms since 1970-01-01 UTC).
     pub(super) stored_unix_ms: Option<i64>,
-    /// A write failed, and what is stored is not known.
+    /// A commit failed, so the store may differ and must be read again.
     pub(super) outdated: bool,
 }
 
-impl Held {
+impl BaseEpochs {
     pub(super) fn new(
         sites: Vec<(u64, BaseSite)>,
         epochs: Vec<StoredBaseEpoch>,
@@ -66,54 +67,58 @@ impl Held {
         self.epochs.back().map_or(1, |newest| newest.number + 1)
     }
 
-    /// Where the base stands now.
+    /// The site at the newest epoch.
     pub(super) fn site(&self) -> Option<&BaseSite> {
         self.sites.last().map(|(_, site)| site)
     }
 
-    /// The site to store, if `site` is news.
+    /// `site` with the number of its first epoch, if it differs from the present site.
     pub(super) fn new_site<'a>(&self, site: Option<&'a BaseSite>) -> Option<(u64, &'a BaseSite)> {
         let site = site.filter(|site| self.site() != Some(site))?;
         Some((self.next_number(), site))
     }
 
-    /// Takes over a site that is stored.
-    pub(super) fn take_site(&mut self, since: u64, site: BaseSite) {
+    /// Adds a site that is now stored.
+    pub(super) fn add_site(&mut self, since: u64, site: BaseSite) {
         let sites = Arc::make_mut(&mut self.sites);
         sites.retain(|(other, _)| *other < since);
         sites.push((since, site));
         self.check = PositionCheck::new();
     }
 
-    /// What becomes of an epoch behind those held and `new`; a new one is added to these.
-    pub(super) fn place(
+    /// Decides whether `epoch` is new, a repetition, or refused. A new epoch is appended to `new`,
+    /// the epochs of the same push that are not stored yet.
+    pub(super) fn accept(
         &self,
         new: &mut Vec<StoredBaseEpoch>,
         epoch: &Epoch,
-    ) -> Result<HeldEpoch, BaseEpochRefusal> {
+    ) -> Result<CommittedEpoch, BaseEpochRefusal> {
         let time = epoch.time;
         let last = new.last().or_else(|| self.epochs.back());
         let Some(last) = last.filter(|last| time <= last.time) else {
             let number = last.map_or(1, |last| last.number + 1);
             new.push(StoredBaseEpoch::new(number, epoch));
-            return Ok(HeldEpoch { number, resent: false });
+            return Ok(CommittedEpoch { number, resent: false });
         };
         let among_new = new.binary_search_by_key(&time, |stored| stored.time);
         let known = match among_new {
-            Ok(place) => Some(&new[place]),
+            Ok(index) => Some(&new[index]),
             Err(_) => {
-                let place = self.epochs.binary_search_by_key(&time, |stored| stored.time);
-                place.ok().map(|place| &self.epochs[place])
+                let index = self.epochs.binary_search_by_key(&time, |stored| stored.time);
+                index.ok().map(|index| &self.epochs[index])
             }
         };
         match known {
-            Some(known) if known.is(epoch) => Ok(HeldEpoch { number: known.number, resent: true }),
+            Some(known) if known.is(epoch) => {
+                Ok(CommittedEpoch { number: known.number, resent: true })
+            }
             Some(_) => Err(BaseEpochRefusal::Conflict { time }),
             None => Err(BaseEpochRefusal::OutOfOrder { time, last: last.time }),
         }
     }
 
-    /// Numbers below this must go for `new` to fit within the limits; `None` if it alone does not.
+    /// The number of the first epoch to keep so that the stored epochs and `new` fit within the
+    /// limits; `None` if `new` alone exceeds them.
     pub(super) fn first_kept(
         &self,
         new: &[StoredBaseEpoch],
@@ -133,8 +138,8 @@ impl Held {
         Some(first)
     }
 
-    /// Takes over epochs that are stored.
-    pub(super) fn take(&mut self, new: Vec<StoredBaseEpoch>, first_kept: u64, unix_ms: i64) {
+    /// Adds epochs that are now stored, and drops those numbered below `first_kept`.
+    pub(super) fn add(&mut self, new: Vec<StoredBaseEpoch>, first_kept: u64, unix_ms: i64) {
         if let Some(newest) = new.last().and_then(|stored| stored.epoch().ok()) {
             self.satellites = newest.by_satellite().count();
             self.stored_unix_ms = Some(unix_ms);
@@ -147,9 +152,9 @@ impl Held {
         }
     }
 
-    /// For how long at `time` the base had been heard without a gap of more than `gap_s`, looked
-    /// for no further back than `limit_s` (s); `None` where its newest epoch was older than a gap.
-    pub(super) fn heard_s(&self, time: GpsTime, gap_s: f64, limit_s: f64) -> Option<f64> {
+    /// Time (s) before `time` during which base epochs arrived without a gap of more than `gap_s`;
+    /// the search stops at `limit_s`. `None` if the newest epoch is older than `gap_s`.
+    pub(super) fn uninterrupted_s(&self, time: GpsTime, gap_s: f64, limit_s: f64) -> Option<f64> {
         let end = self.epochs.partition_point(|epoch| epoch.time - time <= BASE_LATER_S);
         let mut since = None;
         for epoch in self.epochs.range(..end).rev() {
@@ -162,24 +167,27 @@ impl Held {
         since.map(|since| (time - since).max(0.0))
     }
 
-    /// The epochs tagged from `from` until `until`.
+    /// The epochs tagged from `from` until `until`, both included.
     pub(super) fn between_times(&self, from: GpsTime, until: GpsTime) -> Vec<StoredBaseEpoch> {
         let start = self.epochs.partition_point(|epoch| epoch.time < from);
         let end = self.epochs.partition_point(|epoch| epoch.time <= until);
         self.epochs.range(start..end.max(start)).cloned().collect()
     }
 
-    /// How much of a span is held; to its end if another epoch would lie behind it.
-    pub(super) fn reach(&self, from: GpsTime, until: GpsTime) -> Reach {
+    /// Whether the epochs of a span are stored. The span is complete if the next epoch, one
+    /// interval after the newest, would lie beyond its end.
+    pub(super) fn coverage(&self, from: GpsTime, until: GpsTime) -> Coverage {
         let mut newest = self.epochs.iter().rev().map(|epoch| epoch.time);
-        let (Some(last), before) = (newest.next(), newest.next()) else { return Reach::Open };
+        let (Some(last), before) = (newest.next(), newest.next()) else {
+            return Coverage::Incomplete;
+        };
         let interval_s = before.map_or(0.0, |before| last - before);
-        if last < from || last + interval_s < until - TOLERANCE_S {
-            return Reach::Open;
+        if last < from || last + interval_s < until - TAG_TOLERANCE_S {
+            return Coverage::Incomplete;
         }
-        let first = self.epochs.partition_point(|epoch| epoch.time < from - TOLERANCE_S);
+        let first = self.epochs.partition_point(|epoch| epoch.time < from - TAG_TOLERANCE_S);
         let is_within = self.epochs.get(first).is_some_and(|epoch| epoch.time < until);
-        if is_within { Reach::Whole } else { Reach::Passed }
+        if is_within { Coverage::Complete } else { Coverage::Missed }
     }
 
     /// The epochs numbered above `after`, up to `through`.

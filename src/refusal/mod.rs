@@ -1,0 +1,39 @@
+//! Stable codes of refusals and failures, each with its class and its remedy, written once.
+//!
+//! An error of any room gives its [`Code`]. The doors turn the code's [`Class`] into a status, and
+//! `docs/errors.md` is the table for readers. Codes of the command line's own arguments and files
+//! are not here.
+
+mod code;
+
+pub use code::Code;
+
+/// The kind of a refusal. Each door has one status for each class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Class {
+    /// The request is wrong, and the same request stays wrong.
+    Malformed,
+    /// The call does not take a body of this content type.
+    MediaType,
+    /// The request is larger than allowed.
+    TooLarge,
+    /// The session or base does not exist.
+    NotFound,
+    /// The call does not exist.
+    Route,
+    /// The path exists, but not with this method.
+    Method,
+    /// The request contradicts stored data.
+    Conflict,
+    /// The session or base is not in a state to serve the request.
+    Precondition,
+    /// A limit is reached; the same request may succeed later.
+    Exhausted,
+    /// The service cannot serve now.
+    Unavailable,
+    /// The service failed.
+    Internal,
+    /// No call is refused with it: it appears in the health of a stream or archive, in the log, or
+    /// where a command ends.
+    NoCall,
+}
