@@ -1,4 +1,4 @@
-//! Protobuf ↔ vocabulary.
+//! Conversions between protobuf messages and the vocabulary.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,12 +14,12 @@ use super::intake::{self, RawObservation, RawOdometry};
 use super::reason::reason;
 use super::{Refusal, v1};
 
-/// A solution with what the store knows about it.
+/// The values of a solution's row that are not part of the solution.
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a> {
-    /// The client's number of the epoch, zero where it has none.
+    /// The client's number of the epoch; zero if it has none.
     pub seq: u64,
-    /// Revision, zero for the real-time answer.
+    /// Revision of the solution; zero for the real-time answer.
     pub revision: u32,
     /// Hash of the configuration that computed it.
     pub configuration_hash: &'a str,
@@ -33,19 +33,19 @@ impl From<GpsTime> for v1::GpsTime {
     }
 }
 
-/// A time that may be absent.
+/// Reads an optional time.
 ///
 /// # Errors
-/// A week or nanosecond that is none.
+/// The week or nanosecond is out of range.
 pub fn time(message: Option<v1::GpsTime>, field: &str) -> Result<Option<GpsTime>, Refusal> {
     let read = |t: v1::GpsTime| intake::time(t.week, t.ns_of_week).map_err(|e| e.within(field));
     message.map(read).transpose()
 }
 
-/// An epoch, checked.
+/// Reads and checks an epoch.
 ///
 /// # Errors
-/// What is wrong with it, and where below the epoch.
+/// A value is invalid; the refusal's field is a path below the epoch.
 pub fn epoch(message: &v1::Epoch, limits: &IntakeLimits) -> Result<Epoch, Refusal> {
     let given = message
         .time
@@ -104,18 +104,18 @@ fn odometry_message(odometry: &Odometry) -> v1::Odometry {
         }
         OdometryFrame::Ecef | OdometryFrame::Enu => None,
     };
-    let places = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     v1::Odometry {
         interval_s: odometry.interval_s,
         frame: odometry.frame.name().to_owned(),
         displacement_m: odometry.displacement_m.iter().copied().collect(),
-        covariance_m2: places.map(|place| odometry.covariance[place]).into(),
+        covariance_m2: entries.map(|entry| odometry.covariance[entry]).into(),
         heading_deg: heading_rad.map(|(heading_rad, _)| heading_rad.to_degrees()),
         heading_sigma_deg: heading_rad.map(|(_, sigma_rad)| sigma_rad.to_degrees()),
     }
 }
 
-/// A solution as the wire has it.
+/// A solution as a message.
 pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
     let estimate = solution.estimate.as_ref();
     v1::Solution {
@@ -158,7 +158,7 @@ fn relative(relative: &RelativeEstimate) -> v1::Relative {
     }
 }
 
-/// A status as the wire has it.
+/// A status as a message.
 pub const fn status(status: Status) -> v1::Status {
     match status {
         Status::None => v1::Status::None,
@@ -170,10 +170,10 @@ pub const fn status(status: Status) -> v1::Status {
     }
 }
 
-/// The status a filter asks for; `None` for all.
+/// Reads a filter by status; `None` for all.
 ///
 /// # Errors
-/// A number that the schema does not name.
+/// The schema does not have the number.
 pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
     match v1::Status::try_from(number) {
         Ok(v1::Status::Unspecified) => Ok(None),
@@ -187,10 +187,10 @@ pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
     }
 }
 
-/// The revisions a query asks for: the last unless it says otherwise.
+/// Reads the choice of revisions; the last revision if it is absent.
 ///
 /// # Errors
-/// A number that the schema does not name.
+/// The schema does not have the number.
 pub fn revisions(number: i32) -> Result<Revisions, Refusal> {
     match v1::Revisions::try_from(number) {
         Ok(v1::Revisions::Unspecified | v1::Revisions::Last) => Ok(Revisions::Last),
@@ -273,7 +273,7 @@ fn provenance(provenance: &Provenance, stored: Stored<'_>) -> v1::Provenance {
     }
 }
 
-/// A stored solution as the wire has it.
+/// A stored solution as a message.
 pub fn stored(row: &StoredSolution) -> v1::Solution {
     let stored = Stored {
         seq: row.seq,
@@ -284,7 +284,7 @@ pub fn stored(row: &StoredSolution) -> v1::Solution {
     solution(&row.solution, stored)
 }
 
-/// The refusal of one epoch among others.
+/// The refusal of one epoch as a message.
 pub fn refusal(refusal: &Refusal) -> v1::Refusal {
     v1::Refusal {
         code: refusal.code.name().to_owned(),

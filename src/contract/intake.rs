@@ -1,6 +1,6 @@
-//! What comes in, checked: the parts of an epoch as texts and numbers become vocabulary.
+//! Checks of incoming values: the texts and numbers of an epoch become vocabulary.
 //!
-//! Both doors hand over what their encoding gave them; what is refused names the field.
+//! Both doors pass the values of their encoding. A refusal names the field at fault.
 
 use std::collections::HashMap;
 
@@ -13,67 +13,70 @@ use crate::refusal::Code;
 
 use super::Refusal;
 
-/// The largest sequence number: the largest integer that every JSON reader keeps exactly.
+/// The largest sequence number. Every JSON reader keeps integers up to it exactly.
 pub const SEQUENCE_MAX: u64 = (1 << 53) - 1;
-/// No signal of a satellite arrives from farther (m): GEO orbit radius and a clock off by 0.3 s.
+/// Largest pseudorange (m): radius of a geostationary orbit, and a clock error of 0.3 s.
 const PSEUDORANGE_MAX_M: f64 = 1.5e8;
-/// Carrier phases are counted from anywhere; beyond this a double no longer holds a hundredth of a
-/// cycle.
+/// Largest carrier phase (cycles): receivers start counting anywhere, but beyond this an `f64` does
+/// not resolve 0.01 cycles.
 const CARRIER_PHASE_MAX_CYCLES: f64 = 1e13;
-/// Doppler of a satellite seen from low orbit, with a bad oscillator (Hz).
+/// Largest Doppler (Hz): a receiver in low orbit with a bad oscillator.
 const DOPPLER_MAX_HZ: f64 = 1e6;
-/// C/N0 (dB-Hz).
+/// Largest C/N0 (dB-Hz).
 const CN0_MAX_DB_HZ: f64 = 100.0;
 
-/// An observation as it came in.
+/// An observation as received.
 #[derive(Clone, Copy, Debug)]
 pub struct RawObservation<'a> {
-    /// Such as `G05`.
+    /// Satellite, such as `G05`.
     pub satellite: &'a str,
-    /// Such as `1C`.
+    /// Band and attribute, such as `1C`.
     pub code: &'a str,
-    /// (m)
+    /// Pseudorange (m).
     pub pseudorange_m: Option<f64>,
-    /// (cycles)
+    /// Carrier phase (cycles).
     pub carrier_phase_cycles: Option<f64>,
-    /// (Hz)
+    /// Doppler (Hz).
     pub doppler_hz: Option<f64>,
-    /// (dB-Hz)
+    /// C/N0 (dB-Hz).
     pub cn0_db_hz: Option<f64>,
     /// Loss-of-lock indicator.
     pub loss_of_lock: bool,
-    /// Half-cycle ambiguity.
+    /// Half-cycle ambiguity not resolved.
     pub half_cycle: bool,
 }
 
-/// A displacement as it came in.
+/// A displacement as received.
 #[derive(Clone, Copy, Debug)]
 pub struct RawOdometry<'a> {
-    /// (s)
+    /// Duration of the displacement (s).
     pub interval_s: f64,
-    /// `ecef`, `enu` or `body`.
+    /// Name of the frame: `ecef`, `enu` or `body`.
     pub frame: &'a str,
-    /// (m)
+    /// Displacement along the axes of the frame (m).
     pub displacement_m: &'a [f64],
-    /// xx, yy, zz, xy, xz, yz (m²)
+    /// Covariance in the order xx, yy, zz, xy, xz, yz (m²).
     pub covariance_m2: &'a [f64],
-    /// (degrees)
+    /// Heading of a body frame (degrees).
     pub heading_deg: Option<f64>,
-    /// (degrees)
+    /// Standard deviation of the heading (degrees).
     pub heading_sigma_deg: Option<f64>,
 }
 
-/// A time from week and nanoseconds of week.
+/// Reads a time from week and nanoseconds of week.
 ///
 /// # Errors
 /// [`Code::InvalidTime`].
 pub fn time(week: i32, ns_of_week: i64) -> Result<GpsTime, Refusal> {
     GpsTime::from_week_ns(week, ns_of_week).ok_or_else(|| {
-        Refusal::new(Code::InvalidTime, format!("week {week}, {ns_of_week} ns of week is no time"))
+        Refusal::new(
+            Code::InvalidTime,
+            format!("week {week}, {ns_of_week} ns of week is not a time"),
+        )
     })
 }
 
-/// A time from a text `week:seconds of week`, such as `2051:46701.5`.
+/// Reads a time from a text `week:seconds of week`, such as `2051:46701.5`.
 ///
 /// # Errors
 /// [`Code::InvalidTime`].
@@ -89,7 +92,7 @@ pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
     })
 }
 
-/// A sequence number.
+/// Checks a sequence number.
 ///
 /// # Errors
 /// [`Code::InvalidSequence`].
@@ -101,7 +104,7 @@ pub fn sequence(seq: u64) -> Result<u64, Refusal> {
     Err(Refusal::new(Code::InvalidSequence, message).at("seq"))
 }
 
-/// Checks how many epochs a push carries.
+/// Checks the number of epochs in a push.
 ///
 /// # Errors
 /// [`Code::NoEpochs`] and [`Code::TooManyEpochs`].
@@ -109,30 +112,31 @@ pub fn epoch_count(count: usize, limits: &IntakeLimits) -> Result<(), Refusal> {
     match count {
         0 => Err(Refusal::new(Code::NoEpochs, "no epoch").at("epochs")),
         _ if limits.epochs_per_push < count => {
-            let message = format!("{count} epochs, at most {} a push", limits.epochs_per_push);
+            let message = format!("{count} epochs, at most {} in a push", limits.epochs_per_push);
             Err(Refusal::new(Code::TooManyEpochs, message).at("epochs"))
         }
         _ => Ok(()),
     }
 }
 
-/// The refusal of a status that there is not.
+/// The refusal of an unknown status.
 pub fn unknown_status(given: &str) -> Refusal {
     let names: Vec<_> = Status::ALL.into_iter().map(Status::name).collect();
-    let message = format!("{given:?} is no status; there are {}", names.join(", "));
+    let message = format!("{given:?} is not a status; known are {}", names.join(", "));
     Refusal::new(Code::InvalidField, message).at("status")
 }
 
-/// The refusal of a choice of revisions that there is not.
+/// The refusal of an unknown choice of revisions.
 pub fn unknown_revisions(given: &str) -> Refusal {
-    let message = format!("{given:?} is no choice of revisions; there are last, first, all");
+    let message = format!("{given:?} is not a choice of revisions; known are last, first, all");
     Refusal::new(Code::InvalidField, message).at("revisions")
 }
 
-/// An epoch from its parts: satellites brought together in the order of their first observation.
+/// Builds an epoch from its parts. Observations are grouped by satellite, in the order of each
+/// satellite's first observation.
 ///
 /// # Errors
-/// The first observation at fault, its field a path below the epoch.
+/// An observation is invalid; the refusal's field is a path below the epoch.
 pub fn epoch<'a>(
     time: GpsTime,
     power_failure: bool,
@@ -155,10 +159,10 @@ pub fn epoch<'a>(
     Ok(epoch)
 }
 
-/// A displacement from its parts.
+/// Builds a displacement from its parts.
 ///
 /// # Errors
-/// [`Code::InvalidOdometry`], its field a path below the displacement.
+/// [`Code::InvalidOdometry`]; the refusal's field is a path below the displacement.
 pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
     let refused = |message: String, field: &str| {
         Refusal::new(Code::InvalidOdometry, message).at(field.to_owned())
@@ -173,16 +177,16 @@ pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
         },
         ("body", None) => return Err(refused(OdometryError::Heading.to_string(), "headingDeg")),
         (other, _) => {
-            let message = format!("{other:?} is no frame; there are ecef, enu, body");
+            let message = format!("{other:?} is not a frame; known are ecef, enu, body");
             return Err(refused(message, "frame"));
         }
     };
     let displacement: [f64; 3] = raw.displacement_m.try_into().map_err(|_| {
-        let message = format!("{} numbers are no displacement: 3 are", raw.displacement_m.len());
+        let message = format!("a displacement has 3 numbers, not {}", raw.displacement_m.len());
         refused(message, "displacementM")
     })?;
     let covariance: [f64; 6] = raw.covariance_m2.try_into().map_err(|_| {
-        let message = format!("{} numbers are no covariance: 6 are", raw.covariance_m2.len());
+        let message = format!("a covariance has 6 numbers, not {}", raw.covariance_m2.len());
         refused(message, "covarianceM2")
     })?;
     let odometry = Odometry {
@@ -204,18 +208,18 @@ pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
 
 fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
     let satellite: SatelliteId = raw.satellite.parse().map_err(|_| {
-        let message = format!("{:?} is no satellite", raw.satellite);
+        let message = format!("{:?} is not a satellite", raw.satellite);
         Refusal::new(Code::InvalidSatellite, message).at("satellite")
     })?;
     let code = ObservationCode::parse(raw.code)
         .filter(|code| Signal::of(satellite, *code).band().is_some())
         .ok_or_else(|| {
-            let message = format!("{:?} is no signal of {satellite}", raw.code);
+            let message = format!("{:?} is not a signal of {satellite}", raw.code);
             Refusal::new(Code::InvalidSignal, message).at("code")
         })?;
     let name = |field: &str| format!("{satellite} {code}: {field}");
     let within = |value: Option<f64>, low: f64, high: f64, field: &str| match value {
-        // NaN is in no range.
+        // No range contains NaN.
         Some(v) if !(low..=high).contains(&v) => {
             let message = format!("{} {v} is not in {low:e} to {high:e}", name(field));
             Err(Refusal::new(Code::InvalidMeasurement, message).at(field))
@@ -241,7 +245,8 @@ fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
     })
 }
 
-/// Stable order by each satellite's first appearance; most receivers send it so already.
+/// Groups observations by satellite, in the order of first appearance. Most receivers send them so
+/// already.
 fn bring_satellites_together(observations: &mut [Observation]) {
     let mut first: HashMap<SatelliteId, usize> = HashMap::new();
     let mut together = true;
@@ -316,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn the_field_at_fault_is_named() {
         assert_eq!(
             refused(&[raw("X05", "1C")]),
             (Code::InvalidSatellite, "observations[0].satellite".into())
@@ -333,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_displacement_that_cannot_be_is_named() {
+    fn an_invalid_displacement_is_named() {
         let good = RawOdometry {
             interval_s: 1.0,
             frame: "body",

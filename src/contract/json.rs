@@ -1,6 +1,6 @@
-//! JSON spellings that differ from protobuf's fields: statuses by name, values as an object.
+//! JSON forms that differ from protobuf's: statuses by name, and named values as an object.
 
-/// A status by the name the API writes; empty stands for none given.
+/// A status by its name in the API; empty if absent.
 pub mod status {
     use serde::{Deserialize, Deserializer, Serializer};
 
@@ -8,28 +8,28 @@ pub mod status {
 
     const PREFIX: &str = "STATUS_";
 
-    /// The name without the enumeration's prefix.
+    /// Writes the name without the enumeration's prefix.
     ///
     /// # Errors
-    /// The serialiser's.
+    /// The serialiser fails.
     pub fn serialize<S: Serializer>(number: &i32, serializer: S) -> Result<S::Ok, S::Error> {
         let status = v1::Status::try_from(*number).unwrap_or(v1::Status::Unspecified);
         serializer.serialize_str(status.as_str_name().trim_start_matches(PREFIX))
     }
 
-    /// The number of a name.
+    /// Reads the number of a name.
     ///
     /// # Errors
-    /// A name that is no status.
+    /// The name is not a status.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
         let name = String::deserialize(deserializer)?;
         v1::Status::from_str_name(&format!("{PREFIX}{name}"))
             .map(i32::from)
-            .ok_or_else(|| serde::de::Error::custom(format!("{name:?} is no status")))
+            .ok_or_else(|| serde::de::Error::custom(format!("{name:?} is not a status")))
     }
 }
 
-/// Named values as a plain object.
+/// Named values as a JSON object.
 pub mod values {
     use std::collections::BTreeMap;
 
@@ -38,10 +38,10 @@ pub mod values {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
     use serde_json::Value as Json;
 
-    /// The object.
+    /// Writes the object.
     ///
     /// # Errors
-    /// The serialiser's.
+    /// The serialiser fails.
     pub fn serialize<S: Serializer>(
         values: &Option<Struct>,
         serializer: S,
@@ -51,10 +51,10 @@ pub mod values {
         object.serialize(serializer)
     }
 
-    /// The values of an object.
+    /// Reads the values of an object.
     ///
     /// # Errors
-    /// What is not an object.
+    /// The JSON is not an object.
     pub fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Option<Struct>, D::Error> {

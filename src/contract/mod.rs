@@ -1,8 +1,8 @@
-//! The contract of both doors: its messages, the calls over them, and the refusals.
+//! The contract of both doors: messages, calls and refusals.
 //!
-//! One schema serves gRPC and REST. The messages are generated from `proto/`, with their JSON
-//! twins; each call is one function from a request to an answer or a [`Refusal`], and a door only
-//! carries them: protobuf and `google.rpc.Status` there, JSON and problem documents here.
+//! One schema serves gRPC and REST. The messages are generated from `proto/`, together with their
+//! JSON form. Each call is a function from a request to an answer or a [`Refusal`]. A door only
+//! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
 pub mod calls;
 pub mod convert;
@@ -16,7 +16,7 @@ mod service;
 pub use refusal::Refusal;
 pub use service::Service;
 
-/// The messages of `proto/graphfix/v1`; their documentation is the comments there.
+/// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.
 #[allow(missing_docs, unreachable_pub, clippy::all)]
 pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/messages/graphfix.v1.rs"));

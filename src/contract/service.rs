@@ -1,4 +1,4 @@
-//! What the doors open to: the desks, the limits, and whether the service is about to stop.
+//! The service as the doors see it: desks, limits, and whether it is about to stop.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use crate::config::Limits;
 use crate::feeds::Feeds;
 use crate::session::Sessions;
 
-/// The desks behind the doors. Clones share them.
+/// The desks behind the doors. All clones share them.
 #[derive(Clone)]
 pub struct Service {
     sessions: Sessions,
@@ -20,7 +20,7 @@ pub struct Service {
 }
 
 impl Service {
-    /// The service over its desks.
+    /// The service over these desks.
     pub fn new(sessions: Sessions, aiding: AidingDesk, feeds: Feeds, limits: Limits) -> Self {
         Self {
             sessions,
@@ -46,17 +46,17 @@ impl Service {
         &self.aiding.bases
     }
 
-    /// The desk for streams of casters.
+    /// The desk for streams and archives.
     pub const fn feeds(&self) -> &Feeds {
         &self.feeds
     }
 
-    /// How much the service takes.
+    /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// From now on the service is not ready.
+    /// Makes the service not ready, because it is about to stop.
     pub fn drain(&self) {
         self.draining.send_replace(true);
     }
@@ -66,11 +66,11 @@ impl Service {
         *self.draining.borrow()
     }
 
-    /// Waits until the service is about to stop, or nobody holds it any more.
+    /// Waits until the service is about to stop, or no longer exists.
     pub(crate) fn drained(&self) -> impl Future<Output = ()> + use<> {
         let mut draining = self.draining.subscribe();
         async move {
-            // Err: the sender is gone, and with it the service.
+            // Err: the service no longer exists.
             draining.wait_for(|draining| *draining).await.ok();
         }
     }

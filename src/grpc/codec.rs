@@ -1,4 +1,4 @@
-//! Protobuf as tonic does it, except that a message that is none is the client's fault.
+//! Protobuf as tonic does it, except that an undecodable message is the client's fault.
 
 use std::marker::PhantomData;
 
@@ -12,8 +12,8 @@ use crate::refusal::Code;
 
 use super::status::to_status;
 
-/// Encodes like [`ProstCodec`]; what cannot be decoded is refused as `MALFORMED_BODY` with the
-/// byte at which decoding stopped.
+/// Encodes like [`ProstCodec`]. A message that cannot be decoded is refused as `MALFORMED_BODY`,
+/// with the byte at which decoding stopped.
 #[derive(Clone, Debug)]
 pub struct Codec<T, U>(PhantomData<(T, U)>);
 

@@ -1,4 +1,4 @@
-//! What surrounds every call: refusals of tonic itself in our words, and panics.
+//! Errors around the calls: refusals that tonic makes itself, and panics.
 
 use std::any::Any;
 
@@ -14,14 +14,14 @@ use super::status::to_status;
 const STATUS: &str = "grpc-status";
 const DETAILS: &str = "grpc-status-details-bin";
 
-/// Gives a status that tonic made, and which therefore has no code of ours, one.
+/// Adds a code and remedy to a status that tonic made itself.
 pub(super) async fn explain(response: Response) -> Response {
     if !response.headers().contains_key(STATUS) || response.headers().contains_key(DETAILS) {
         return response;
     }
     let Some(status) = Status::from_header_map(response.headers()) else { return response };
     let code = match status.code() {
-        // Tonic's answer to a message beyond its limit, by length or while it is unpacked.
+        // Tonic's answer to a message beyond the limit, packed or unpacked.
         GrpcCode::OutOfRange | GrpcCode::ResourceExhausted => Code::BodyTooLarge,
         GrpcCode::Unimplemented => Code::RouteNotFound,
         GrpcCode::Internal | GrpcCode::InvalidArgument => Code::MalformedBody,
@@ -30,7 +30,7 @@ pub(super) async fn explain(response: Response) -> Response {
     to_status(&Refusal::new(code, status.message())).into_http::<Body>()
 }
 
-/// What a panic answers.
+/// The answer to a panic.
 pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
     let words = panic.downcast_ref::<String>().map(String::as_str);
     let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");

@@ -1,4 +1,4 @@
-//! Door: gRPC. One file per service; what it carries is in `contract`.
+//! The gRPC door. One file per service; the calls are in `contract`.
 
 mod bases;
 mod codec;
@@ -25,6 +25,6 @@ pub mod v1 {
 /// The schema, for reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 
-/// What the services of this door are implemented on.
+/// Implements the services of this door.
 #[derive(Clone)]
 struct Door(Service);

@@ -16,10 +16,10 @@ use super::v1::sessions_server::SessionsServer;
 use super::v1::solutions_server::SolutionsServer;
 use super::{DESCRIPTORS, Door, frame};
 
-/// Every service, health and reflection. Has no fallback: the router it joins has.
+/// All services, health and reflection, without a fallback: the shared router has one.
 ///
 /// # Panics
-/// Outside a tokio runtime: gRPC health follows the service's readiness by a task.
+/// Outside a tokio runtime, because a task reports the service's readiness as gRPC health.
 pub fn routes(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
     let door = Door(service.clone());
@@ -51,9 +51,10 @@ pub fn routes(service: &Service) -> Router {
         .layer(CatchPanicLayer::custom(frame::panicked))
 }
 
-/// What reflection tells of. A function of its own and never inlined: built with optimisation by
-/// rustc 1.95, two builders configured through one closure shared a buffer that the first had freed
-/// and the service died at start. Whether compiler or library is at fault is not known.
+/// The reflection service. It must stay a function of its own that is never inlined: with
+/// optimisation by rustc 1.95, two builders configured through one closure shared a buffer that the
+/// first one had freed, and the service died at its start. Whether the compiler or the library is
+/// at fault is unknown.
 #[inline(never)]
 fn reflection() -> tonic_reflection::server::Builder<'static> {
     tonic_reflection::server::Builder::configure()
@@ -61,7 +62,7 @@ fn reflection() -> tonic_reflection::server::Builder<'static> {
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
 }
 
-/// Serving until the service drains; for each service by name, and for the whole.
+/// Reports that each service, and the whole, is serving until the service drains.
 async fn report_health(drained: impl Future<Output = ()>, health: HealthReporter) {
     const NAMES: [&str; 6] = [
         "",

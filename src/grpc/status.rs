@@ -11,7 +11,7 @@ use crate::refusal::Class;
 /// Domain of the codes in `ErrorInfo`.
 const DOMAIN: &str = "graphfix";
 
-/// The status of a class of refusals.
+/// The gRPC status of a class.
 pub const fn grpc_code(class: Class) -> GrpcCode {
     match class {
         Class::Malformed | Class::MediaType => GrpcCode::InvalidArgument,
@@ -25,7 +25,7 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
     }
 }
 
-/// A refusal as gRPC sends it. Faults of the service are logged here, once.
+/// A refusal as gRPC sends it. Failures of the service are logged here, once.
 pub fn to_status(refusal: &Refusal) -> Status {
     if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
         tracing::error!(code = refusal.code.name(), "{}", refusal.message);
@@ -48,12 +48,12 @@ pub fn to_status(refusal: &Refusal) -> Status {
     Status::with_error_details(grpc_code(refusal.code.class()), &refusal.message, details)
 }
 
-/// A call's outcome as tonic takes it.
+/// The outcome of a call as tonic takes it.
 pub(super) fn carry<T>(outcome: Result<T, Refusal>) -> Result<Response<T>, Status> {
     outcome.map(Response::new).map_err(|refusal| to_status(&refusal))
 }
 
-/// The stable code of a status that this service sent; for its clients.
+/// For clients: the stable code of a status from this service.
 pub fn code_of(status: &Status) -> Option<String> {
     status.get_details_error_info().map(|info| info.reason)
 }

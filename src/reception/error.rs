@@ -1,4 +1,4 @@
-//! Why a piece of a stream is refused.
+//! Why a chunk of a stream is refused.
 
 use std::sync::Arc;
 
@@ -6,44 +6,44 @@ use crate::formats::GunzipError;
 use crate::formats::rinex::RinexError;
 use crate::refusal::Code;
 
-/// Why a piece of a stream is refused; nothing of it is then taken.
+/// Why a chunk of a stream is refused. Nothing of the chunk is then taken.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ReceptionError {
-    /// Neither frames nor RINEX.
+    /// The stream has neither frames nor RINEX at its beginning.
     #[error("the first {bytes} bytes hold no frame of RTCM 3 or UBX, nor are they RINEX")]
     Unrecognised {
-        /// How many bytes were looked through.
+        /// Number of bytes searched.
         bytes: u64,
     },
-    /// Gzip within gzip.
+    /// The unpacked data is gzip again.
     #[error("what gzip holds is packed by gzip again")]
     PackedTwice,
-    /// Packed bytes that cannot be unpacked.
+    /// The gzip data cannot be unpacked.
     #[error(transparent)]
     Damaged(#[from] GunzipError),
-    /// Too much comes out of packed bytes.
+    /// The unpacked data is larger than allowed.
     #[error("unpacked, the {what} exceeds {limit} bytes")]
     UnpackedTooLarge {
-        /// The piece, or the stream up to it.
+        /// What is too large: the chunk, or the stream up to its end.
         what: &'static str,
-        /// How many may come out.
+        /// Size allowed (bytes).
         limit: u64,
     },
-    /// A stream that can be read from its beginning alone has become too long.
+    /// A stream that can only be read from its beginning has become too long.
     #[error("a stream of {format} is longer than {limit} bytes")]
     StreamTooLong {
-        /// Its name.
+        /// Name of the stream's format.
         format: &'static str,
-        /// How long it may be.
+        /// Length allowed (bytes).
         limit: u64,
     },
-    /// Text without the end of an epoch.
+    /// The RINEX text has no end of an epoch.
     #[error("no whole epoch in {bytes} bytes of RINEX")]
     EpochTooLong {
-        /// How many bytes were looked through.
+        /// Number of bytes searched.
         bytes: usize,
     },
-    /// RINEX that cannot be read on.
+    /// The RINEX data is not readable.
     #[error(transparent)]
     Rinex(#[from] Arc<RinexError>),
 }

@@ -1,16 +1,17 @@
-//! A receiver's stream that comes in pieces: bytes in, epochs and navigation data out.
+//! Decodes a receiver's stream that arrives in chunks: bytes in, epochs and navigation data out.
 //!
-//! [`Stream`] recognises the format by the first bytes: RINEX observations or CRINEX, or frames of
-//! RTCM 3 and UBX, between which anything may stand; any of them may be packed by gzip. Pieces are
-//! split anywhere; what is not whole waits.
-//! Nothing here reads a clock or stores: who owns a stream stores its pieces and, after a crash,
-//! gives [`Stream::restore`] those of [`Stream::needed`]. From these it decodes what follows as it
-//! would have. Memory is bounded: one decoder or reader, one frame or the text of one epoch. CRINEX
-//! and gzip can be read from their beginning alone, so all of such a stream is needed, and its
-//! length is limited.
+//! [`Stream`] recognises the format by its first bytes: RINEX or CRINEX observations, or frames of
+//! RTCM 3 and UBX with other bytes between them; each of them may be packed by gzip. The stream may
+//! be split into chunks anywhere; incomplete data waits for the next chunk.
 //!
-//! What tells of base stations (RTCM 3 messages 1005, 1006, 1033) is passed over: the stream is a
-//! rover's.
+//! Nothing here reads a clock or stores data. The owner of a stream stores its chunks. After a
+//! crash it passes the bytes of [`Stream::needed`] to [`Stream::restore`], and the restored stream
+//! decodes the following bytes in the same way. Memory is bounded: one decoder or reader, and one
+//! frame or the text of one epoch. CRINEX and gzip can only be read from their beginning, so all
+//! bytes of such a stream are needed, and its length is limited.
+//!
+//! Messages about base stations (RTCM 3 messages 1005, 1006 and 1033) are skipped, because the
+//! stream is a rover's.
 
 mod error;
 mod received;

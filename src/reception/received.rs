@@ -1,4 +1,4 @@
-//! What came out of a piece.
+//! The data decoded from a chunk.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,7 +17,7 @@ pub enum StreamFormat {
 }
 
 impl StreamFormat {
-    /// The name as users read it.
+    /// The name as users see it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Receiver => "receiver",
@@ -26,26 +26,26 @@ impl StreamFormat {
     }
 }
 
-/// Messages of a type.
+/// The count of one type of message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageTotal {
-    /// The type.
+    /// Type of the message.
     pub kind: MessageKind,
-    /// What became of them.
+    /// How many were decoded, skipped and refused.
     pub count: MessageCount,
 }
 
-/// One kind of content that was left out.
+/// One kind of content that was skipped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
-    /// The type of message, where a message it is.
+    /// Type of the message, if it was one.
     pub kind: Option<MessageKind>,
-    /// Why.
+    /// Why it was skipped.
     pub why: String,
-    /// How often.
+    /// How often it was skipped.
     pub count: u64,
-    /// Where first: the byte of the session's stream (of what is unpacked of a packed one), or the
-    /// line of a RINEX file from 1.
+    /// Where it was first skipped: offset in the stream (in the unpacked data, if it is packed), or
+    /// line number of a RINEX file, from 1.
     pub first: u64,
 }
 
@@ -58,20 +58,20 @@ impl fmt::Display for LeftOut {
     }
 }
 
-/// What came out of a piece: whole epochs, navigation data, and an account of the bytes.
+/// The data decoded from a chunk: epochs, navigation data, and what was skipped.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Received {
-    /// In the order of the stream.
+    /// Complete epochs in the order of the stream.
     pub epochs: Vec<Epoch>,
-    /// Ephemerides, ionosphere coefficients, leap seconds.
+    /// Ephemerides, ionosphere coefficients and leap seconds.
     pub navigation: Navigation,
-    /// The stream's format, once it is known.
+    /// The stream's format, once recognised.
     pub format: Option<StreamFormat>,
-    /// Messages by type.
+    /// Counts of messages by type.
     pub messages: Vec<MessageTotal>,
-    /// What was left out.
+    /// Content that was skipped.
     pub left_out: Vec<LeftOut>,
-    /// Bytes of no frame.
+    /// Number of bytes outside frames.
     pub garbage_bytes: u64,
 }
 
@@ -87,7 +87,7 @@ impl Received {
         }
     }
 
-    /// Takes over what a decoder counted that began at byte `from` of the stream.
+    /// Adds the counts of a decoder that began at byte `from` of the stream.
     pub(super) fn count(&mut self, statistics: &Statistics, from: u64) {
         let mut totals: BTreeMap<MessageKind, MessageCount> =
             self.messages.iter().map(|total| (total.kind, total.count)).collect();

@@ -1,4 +1,4 @@
-//! Base stations, where they stand, and what they observed.
+//! Base stations, their sites and their epochs.
 
 use std::sync::Arc;
 
@@ -9,55 +9,55 @@ use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
 use super::{BaseFeed, Store, StoreError};
 
-/// The store's short name of a base.
+/// Primary key of a base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BaseKey(pub(super) i64);
 
 impl BaseKey {
-    /// The key as a number, for a state that is stored.
+    /// The key as a number, for snapshots.
     pub const fn number(self) -> i64 {
         self.0
     }
 
-    /// The key of [`Self::number`].
+    /// The key with this number.
     pub const fn of_number(number: i64) -> Self {
         Self(number)
     }
 }
 
-/// A base as a session names it.
+/// Key and id of a base.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BaseName {
-    /// The store's short name of it.
+    /// Primary key of the base.
     pub key: BaseKey,
-    /// Its id.
+    /// Public id of the base.
     pub id: Arc<str>,
 }
 
-/// Which base the modes relative to one are given.
+/// The bases that a session may use, if its mode is relative to one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum BaseChoice<B = BaseName> {
-    /// None.
+    /// No base.
     #[default]
     None,
-    /// This one.
+    /// One base.
     One(B),
-    /// The nearest of these.
+    /// The nearest of these bases.
     NearestOf(Vec<B>),
-    /// The nearest of all that the service has.
+    /// The nearest of all bases of the service.
     Nearest,
 }
 
 impl<B> BaseChoice<B> {
-    /// Whether it is none.
+    /// Whether it is no base.
     pub const fn is_none(&self) -> bool {
         matches!(self, Self::None)
     }
 
-    /// The same choice of what `name` makes of each base.
+    /// The same choice, with each base replaced by `name` of it.
     ///
     /// # Errors
-    /// The first that `name` gives.
+    /// The first error of `name`.
     pub fn try_map<C, E>(
         self,
         mut name: impl FnMut(B) -> Result<C, E>,
@@ -79,42 +79,43 @@ impl<B> From<Option<B>> for BaseChoice<B> {
     }
 }
 
-/// The base an epoch was solved with, and which of its epochs were new then.
+/// The base that an epoch was solved with, and the numbers of the base epochs that were new then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseUse {
-    /// The base.
+    /// Primary key of the base.
     pub base: BaseKey,
-    /// Base epochs numbered above this were given …
+    /// Number before the first base epoch that the estimator received.
     pub after: u64,
-    /// … up to this one: none where both are equal. Zero: none was given ever.
+    /// Number of the last base epoch that it received; equal to `after` if it received none, and
+    /// zero if it never received any.
     pub through: u64,
 }
 
 /// A stored base.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseRow {
-    /// The store's short name of it.
+    /// Primary key of the base.
     pub key: BaseKey,
-    /// Its id.
+    /// Public id of the base.
     pub id: String,
     /// A name for people.
     pub label: String,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// Where it stands, each from the base's epoch of that number on.
+    /// Position and antenna, each with the number of the first base epoch for which it is valid.
     pub sites: Vec<(u64, BaseSite)>,
-    /// The stream that fills it.
+    /// The caster's stream that fills it.
     pub feed: Option<BaseFeed>,
-    /// The address of the archive whose files fill it.
+    /// The address of the archive's files that fill it.
     pub archive: Option<String>,
 }
 
-/// An epoch of a base, in the store's form.
+/// An encoded epoch of a base.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoredBaseEpoch {
-    /// Its number: the base's epochs are numbered from 1 in their order of time.
+    /// Its number: epochs of a base are numbered from 1 in order of time.
     pub number: u64,
-    /// Its tag.
+    /// Its time tag.
     pub time: GpsTime,
     content: Arc<[u8]>,
 }
@@ -125,7 +126,7 @@ impl StoredBaseEpoch {
         Self { number, time: epoch.time, content: encode_epoch(epoch).into() }
     }
 
-    /// The epoch.
+    /// Decodes the epoch.
     ///
     /// # Errors
     /// The stored bytes are corrupt.
@@ -133,27 +134,27 @@ impl StoredBaseEpoch {
         decode_epoch(&self.content).map_err(StoreError::corrupt("base epoch"))
     }
 
-    /// Whether `epoch` is this one, bit by bit.
+    /// Whether `epoch` is the same, bit by bit.
     pub fn is(&self, epoch: &Epoch) -> bool {
         *self.content == *encode_epoch(epoch)
     }
 
-    /// Bytes that it takes.
+    /// Size of the encoded epoch (bytes).
     pub fn size(&self) -> usize {
         self.content.len()
     }
 }
 
-/// What a push to a base changes.
+/// The changes of one push to a base.
 #[derive(Clone, Debug)]
 pub struct BaseChange<'a> {
-    /// Where it stands from an epoch on, if that is new.
+    /// A new position and antenna, with the number of the first epoch for which it is valid.
     pub site: Option<(u64, &'a BaseSite)>,
-    /// Its new epochs.
+    /// New epochs.
     pub epochs: &'a [StoredBaseEpoch],
-    /// Epochs numbered below this are forgotten.
+    /// Epochs numbered below this are deleted.
     pub first_kept: u64,
-    /// When (ms since 1970-01-01 UTC).
+    /// Time of the push (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
 }
 
@@ -174,7 +175,7 @@ struct RawSite {
 impl RawSite {
     fn parse(self) -> Result<(u64, BaseSite), StoreError> {
         let source = PositionSource::from_name(&self.source).ok_or_else(|| {
-            let why = format!("{:?} is no source of a position", self.source);
+            let why = format!("{:?} is not a source of a position", self.source);
             StoreError::CorruptText { what: "base", why }
         })?;
         let site = BaseSite {
@@ -187,7 +188,7 @@ impl RawSite {
     }
 }
 
-/// Replaced where nothing was observed from the site before.
+/// The previous site is replaced if no epoch was observed with it.
 const UPSERT_SITE: &str = "INSERT INTO base_sites
     (base, since, x_m, y_m, z_m, height_m, east_m, north_m, antenna, source)
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)
@@ -197,7 +198,7 @@ const UPSERT_SITE: &str = "INSERT INTO base_sites
 const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
-/// Not where an open session names it.
+/// Does nothing if an open session uses the base.
 const DELETE: &str =
     "UPDATE bases SET deleted_unix_ms = $2, archive = NULL WHERE key = $1 AND NOT EXISTS
     (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
@@ -206,7 +207,7 @@ const DELETE: &str =
 
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 
-/// Binds a site behind its base.
+/// Binds a site after its base.
 macro_rules! site {
     ($base:expr, $since:expr, $site:expr) => {{
         let BaseSite { marker: Ecef(marker), antenna_delta_hen_m: delta, antenna, source } = $site;
@@ -224,17 +225,17 @@ macro_rules! site {
     }};
 }
 
-/// A base's key, id, label, when it was created (ms), and the address of its archive.
+/// Key, id, label, time of creation (ms) and address of the archive of a base.
 type NamedRow = (i64, String, String, i64, Option<String>);
 
-/// A kept epoch's number, GPS time (ns), when it was stored (ms) and its content.
+/// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
 impl Store {
     /// Stores a new base.
     ///
     /// # Errors
-    /// The database fails; an id that exists is such a failure.
+    /// The database fails. An existing id is such a failure.
     pub async fn create_base(
         &self,
         id: &str,
@@ -266,7 +267,7 @@ impl Store {
         })
     }
 
-    /// Every base that was not deleted, by key.
+    /// All bases that were not deleted, in order of key.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -291,20 +292,20 @@ impl Store {
         let rows = rows.map_err(StoreError::database(failed))?;
         let mut bases: Vec<BaseRow> = rows.into_iter().map(base).collect();
         for site in sites.map_err(StoreError::database(failed))? {
-            if let Ok(place) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
-                bases[place].sites.push(site.parse()?);
+            if let Ok(index) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
+                bases[index].sites.push(site.parse()?);
             }
         }
         for feed in feeds.map_err(StoreError::database(failed))? {
-            if let Ok(place) = bases.binary_search_by_key(&feed.base, |base| base.key.0) {
-                bases[place].feed = Some(feed.parse()?);
+            if let Ok(index) = bases.binary_search_by_key(&feed.base, |base| base.key.0) {
+                bases[index].feed = Some(feed.parse()?);
             }
         }
         Ok(bases)
     }
 
-    /// The epochs that are kept of a base, in order, and when the last was stored
-    /// (ms since 1970-01-01 UTC).
+    /// The stored epochs of a base in order, and when the last of them was stored (ms since
+    /// 1970-01-01 UTC).
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -327,10 +328,10 @@ impl Store {
         Ok((rows.into_iter().map(read).collect::<Result<_, _>>()?, stored_unix_ms))
     }
 
-    /// Stores a push to a base, all of it or nothing.
+    /// Stores all changes of a push to a base, or none.
     ///
     /// # Errors
-    /// The database fails; nothing may then be taken for stored.
+    /// The database fails. Nothing may then be considered stored.
     pub async fn push_base(
         &self,
         base: BaseKey,
@@ -360,7 +361,7 @@ impl Store {
         })
     }
 
-    /// Deletes a base and its epochs, unless an open session names it; whether it did.
+    /// Deletes a base and its epochs, unless an open session uses it. Returns whether it did.
     ///
     /// # Errors
     /// The database fails.

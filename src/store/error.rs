@@ -6,86 +6,88 @@ use crate::refusal::Code;
 
 use super::codec::CodecError;
 
-/// Why the store refuses or fails. Cloned to every batch of a transaction that failed.
+/// Why the store refuses or fails. Each batch of a failed transaction gets a copy.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
-    /// The URL names no database that Graphfix knows. The URL itself may hold a password and is
-    /// not repeated.
+    /// The URL is not of a supported database. It is not repeated, because it may contain a
+    /// password.
     #[error("database URL: {why}")]
     Url {
         /// What is wrong with it.
         why: String,
     },
-    /// The database has a schema from a newer Graphfix.
+    /// A newer Graphfix wrote the database.
     #[error("the database has schema {found}, this Graphfix knows schemas up to {known}")]
     NewerSchema {
-        /// The database's schema.
+        /// Version of the database's schema.
         found: i64,
-        /// The newest schema known here.
+        /// The newest version that this Graphfix knows.
         known: i64,
     },
     /// The schema could not be brought up to date.
     #[error("migrating the database: {source}")]
     Migration {
-        /// What the database said.
+        /// Message of the database.
         source: Arc<sqlx::migrate::MigrateError>,
     },
     /// The database failed.
     #[error("{operation}: {source}")]
     Database {
-        /// What was being done.
+        /// The operation that failed.
         operation: &'static str,
-        /// What the database said.
+        /// Message of the database.
         source: Arc<sqlx::Error>,
     },
     /// Another writer stored an epoch or solution under this number.
     #[error("an epoch of this batch is already stored by another writer")]
     AlreadyStored,
-    /// A stored row cannot be read.
+    /// A stored row cannot be decoded.
     #[error("a stored {what} cannot be read: {source}")]
     Corrupt {
-        /// What kind of row.
+        /// Kind of the row.
         what: &'static str,
-        /// Where it fails.
+        /// Error of the decoder.
         source: CodecError,
     },
-    /// A stored text cannot be read.
+    /// A stored text cannot be decoded.
     #[error("a stored {what} cannot be read: {why}")]
     CorruptText {
-        /// What kind of text.
+        /// Kind of the text.
         what: &'static str,
         /// What is wrong with it.
         why: String,
     },
-    /// Navigation data of long ago is no longer kept.
-    #[error("navigation data of push {push} is kept no more; it is from push {complete_since} on")]
+    /// Navigation data of this push are no longer stored.
+    #[error(
+        "navigation data of push {push} are no longer stored; they are complete from push {complete_since} on"
+    )]
     NavigationForgotten {
-        /// The push asked for.
+        /// Number of the push.
         push: u64,
-        /// The first push since which nothing has been forgotten.
+        /// Number of the first push whose navigation data are complete.
         complete_since: u64,
     },
-    /// Epochs of a base, or the base itself, are no longer kept.
-    #[error("epochs of base {base} that a solution rests on are kept no more")]
+    /// Epochs of a base, or the base itself, are no longer stored.
+    #[error("epochs of base {base} that a solution depends on are no longer stored")]
     BaseForgotten {
-        /// The store's short name of it.
+        /// Primary key of the base.
         base: i64,
     },
-    /// A page token that no answer gave.
+    /// The page token does not come from an answer to this call.
     #[error("{token:?} is not a page token of this list")]
     PageToken {
-        /// What was given.
+        /// The token as given.
         token: String,
     },
-    /// A page size that is not allowed.
+    /// The page size is out of range.
     #[error("a page of {size} is not from 1 to {limit}")]
     PageSize {
-        /// What was asked for.
+        /// The size as given.
         size: usize,
-        /// The largest allowed.
+        /// The largest size allowed.
         limit: usize,
     },
-    /// The store has been closed.
+    /// The store is closed.
     #[error("the store is closed")]
     Closed,
 }

@@ -1,4 +1,4 @@
-//! Streams of casters that fill bases.
+//! The casters' streams that fill bases.
 
 use std::fmt;
 
@@ -6,27 +6,26 @@ use crate::gnss::{Ecef, GpsTime};
 
 use super::StoreError;
 
-/// The stream of a caster that fills a base.
+/// A caster's stream that fills a base.
 #[derive(Clone, PartialEq)]
 pub struct BaseFeed {
-    /// Such as `ntrip://caster.example.org:2101`.
+    /// Address of the caster, such as `ntrip://caster.example.org:2101`.
     pub caster: String,
-    /// The stream's name.
+    /// Name of the stream.
     pub mountpoint: String,
-    /// The caster's user; empty for none.
+    /// User at the caster; empty for none.
     pub name: String,
-    /// The password, which nothing shows.
+    /// Password at the caster. It is never shown.
     pub password: String,
-    /// Version of NTRIP, 1 or 2.
+    /// NTRIP version, 1 or 2.
     pub version: u8,
-    /// Within half a day of the stream's first message, for one that is played later than it was
-    /// observed.
+    /// A time within half a day of the stream's first message, for a recorded stream.
     pub near: Option<GpsTime>,
-    /// Where rovers are, for casters that compute a stream for a place.
+    /// The rovers' position, for casters that compute the stream for a position.
     pub position: Option<Ecef>,
-    /// Such casters are told where the base's rovers are.
+    /// Report the last position of the base's rovers to such a caster.
     pub follows_rover: bool,
-    /// It was found in the sourcetable of a network: it is asked for while a rover needs it.
+    /// A network's sourcetable lists the stream. It is requested only while a rover needs it.
     pub is_on_demand: bool,
 }
 
@@ -57,7 +56,7 @@ impl RawFeed {
     pub(super) fn parse(self) -> Result<BaseFeed, StoreError> {
         let version = u8::try_from(self.version).map_err(|_| StoreError::CorruptText {
             what: "feed",
-            why: format!("{} is no version", self.version),
+            why: format!("{} is not a version of NTRIP", self.version),
         })?;
         let position = self.x_m.zip(self.y_m).zip(self.z_m);
         Ok(BaseFeed {
@@ -79,7 +78,7 @@ pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
      follows_rover, on_demand)
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
 
-/// Binds a feed behind its base.
+/// Binds a feed after its base.
 macro_rules! feed {
     ($base:expr, $feed:expr) => {{
         let axis = |axis: usize| $feed.position.map(|position| position.0[axis]);

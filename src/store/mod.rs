@@ -1,14 +1,14 @@
-//! SQL, and nothing else has any: sessions, bases, epochs, raw bytes, solutions and navigation on
+//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions and navigation data, in
 //! SQLite or Postgres.
 //!
-//! [`Store`] holds either pool; one text of SQL with `$1` serves both wherever it can, and both
-//! give the same answers. The schema lives in `migrations/`, is embedded, and is brought up to date
-//! at start; a database with a newer schema is refused.
+//! [`Store`] has the pool of either database. Where possible, one text of SQL with `$1` serves
+//! both, and both give the same answers. The schema is in `migrations/`, embedded in the program,
+//! and brought up to date at the start. A database with a newer schema is refused.
 //!
 //! # Durability
 //! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk.
-//! [`Store::commit`] hands epochs and solutions to the committer, which writes those of many
-//! sessions in one transaction and tells each session when that one is committed.
+//! [`Store::commit`] passes epochs and solutions to the committer. It writes those of many sessions
+//! in one transaction, and answers each session when the transaction is committed.
 
 mod bases;
 mod codec;
@@ -44,7 +44,7 @@ pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};
 use committer::Committer;
 use pool::Pool;
 
-/// The database and its committer. Clones share both.
+/// The database and its committer. All clones share both.
 #[derive(Clone)]
 pub struct Store {
     pool: Pool,
@@ -53,32 +53,32 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the database of `url`, `sqlite://FILE` (created if absent) or `postgres://…`, and
-    /// brings its schema up to date.
+    /// Opens the database of `url`, either `sqlite://FILE` (created if absent) or `postgres://…`,
+    /// and brings its schema up to date.
     ///
     /// # Errors
-    /// A URL of another kind, a database that cannot be reached, a schema from a newer Graphfix.
+    /// The URL is invalid, the database cannot be reached, or its schema is newer.
     pub async fn open(url: &str) -> Result<Self, StoreError> {
         let pool = Pool::open(url).await?;
         let (committer, task) = Committer::start(pool.clone());
         Ok(Self { pool, committer, task: Arc::new(Mutex::new(Some(task))) })
     }
 
-    /// Commits epochs with their solutions; returns when they are durable. All of the batch is
-    /// stored, or nothing.
+    /// Commits a batch, all of it or nothing. Returns when it is durable.
     ///
     /// # Errors
-    /// Nothing of the batch may be taken for stored. After [`StoreError::Database`] its fate is
-    /// open, for a connection may break during the commit: read before writing again.
+    /// Nothing of the batch may be considered stored. After [`StoreError::Database`] it may have
+    /// been stored all the same, because the connection may break during the commit: read before
+    /// writing again.
     pub async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         self.committer.commit(batch).await
     }
 
-    /// Commits what was handed over, then closes the database. Later calls fail.
+    /// Commits the batches that wait, then closes the database. Later calls fail.
     pub async fn close(&self) {
         self.committer.stop().await;
         if let Some(task) = self.task.lock().await.take() {
-            // A panic of the committer has already failed those who waited for it.
+            // A panic of the committer has already failed the calls that waited for it.
             task.await.ok();
         }
         self.pool.close().await;

@@ -1,4 +1,4 @@
-//! Broadcast navigation data, kept over restarts.
+//! Broadcast navigation data.
 
 use crate::gnss::{
     Ephemeris, GpsTime, KlobucharCoefficients, LeapSeconds, Navigation, NavigationMessage,
@@ -10,42 +10,42 @@ use super::codec::{
 use super::pool::{reading, writing};
 use super::{Store, StoreError};
 
-/// An ephemeris with where it came from.
+/// An ephemeris with its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredEphemeris {
     /// The ephemeris.
     pub ephemeris: Ephemeris,
-    /// Who brought it.
+    /// Source, such as `upload` or a caster's address.
     pub source: String,
     /// When it was stored (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
 }
 
-/// Everything broadcast that is in force.
+/// All navigation data in force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredNavigation {
-    /// The number of the last push.
+    /// Number of the last push.
     pub push: u64,
-    /// Ephemerides.
+    /// Ephemerides in force.
     pub ephemerides: Vec<StoredEphemeris>,
-    /// Ionosphere coefficients and leap seconds; no ephemerides.
+    /// Ionosphere coefficients and leap seconds, without ephemerides.
     pub coefficients: Navigation,
 }
 
-/// What a push changes.
+/// The changes of one push.
 #[derive(Clone, Debug)]
 pub struct NavigationChange<'a> {
-    /// Ephemerides that are new, or replace those that name the same.
+    /// New ephemerides. They replace those of the same satellite, time and issue.
     pub new: &'a [&'a Ephemeris],
-    /// Ephemerides no longer in force.
+    /// Ephemerides that are no longer in force.
     pub dropped: &'a [&'a Ephemeris],
-    /// Coefficients and leap seconds that are new.
+    /// New coefficients and leap seconds.
     pub coefficients: &'a Navigation,
-    /// Who brings it.
+    /// Source of the push.
     pub source: &'a str,
-    /// When (ms since 1970-01-01 UTC).
+    /// Time of the push (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
-    /// Ephemerides no longer in force that are kept for replay.
+    /// Most superseded ephemerides that are stored for replay.
     pub superseded_limit: usize,
 }
 
@@ -60,17 +60,17 @@ const END_RECORD: &str =
     "UPDATE navigation_records SET until = $1 WHERE kind = $2 AND until IS NULL";
 const INSERT_RECORD: &str = "INSERT INTO navigation_records
     (since, kind, source, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
-/// When the newest ephemeris ended that is one too many to be kept.
+/// Selects the push that ended the newest ephemeris beyond the limit.
 const SURPLUS: &str = "SELECT until FROM ephemerides WHERE until IS NOT NULL
     ORDER BY until DESC LIMIT 1 OFFSET $1";
-/// Forgets what was in force before a push and is not since.
+/// Deletes the ephemerides that ended up to this push.
 const FORGET: [&str; 3] = [
     "DELETE FROM ephemerides WHERE until <= $1",
     "DELETE FROM navigation_records WHERE until <= $1",
     "UPDATE navigation_pushes SET complete_since = $1",
 ];
 
-/// Binds what names an ephemeris behind the number of the push.
+/// Binds the key of an ephemeris after the number of the push.
 macro_rules! named {
     ($query:expr, $push:expr, $ephemeris:expr) => {{
         let [toe_ns, toc_ns, issue] = numbers($ephemeris);
@@ -85,11 +85,11 @@ macro_rules! named {
 }
 
 impl Store {
-    /// Stores a push of navigation data, all of it or nothing; returns its number, which rises by
-    /// one with each.
+    /// Stores all navigation data of a push, or none. Returns the number of the push; each push has
+    /// the next number.
     ///
     /// # Errors
-    /// The database fails; nothing may then be taken for stored.
+    /// The database fails. Nothing may then be considered stored.
     pub async fn push_navigation(&self, change: &NavigationChange<'_>) -> Result<u64, StoreError> {
         writing!(&self.pool, pool => {
             let pushed = async {
@@ -134,7 +134,7 @@ impl Store {
         })
     }
 
-    /// Everything broadcast that is in force.
+    /// All navigation data in force.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -143,10 +143,10 @@ impl Store {
         self.navigation_in_force(push).await
     }
 
-    /// Everything broadcast that was in force after the push number `push`.
+    /// All navigation data that were in force after push number `push`.
     ///
     /// # Errors
-    /// Some of it has been forgotten since, the database fails, or a row is corrupt.
+    /// Some of them are no longer stored, the database fails, or a row is corrupt.
     pub async fn navigation_after(&self, push: u64) -> Result<Navigation, StoreError> {
         let (_, complete_since) = self.navigation_pushes().await?;
         if push < complete_since {
@@ -160,7 +160,7 @@ impl Store {
         Ok(coefficients)
     }
 
-    /// The last push, and the first since which nothing has been forgotten.
+    /// Numbers of the last push and of the first push whose navigation data are complete.
     async fn navigation_pushes(&self) -> Result<(u64, u64), StoreError> {
         let row: Result<(i64, i64), _> = reading!(&self.pool, pool => {
             let sql = "SELECT newest, complete_since FROM navigation_pushes";
@@ -226,7 +226,7 @@ const QZSS: &str = "klobuchar-qzss";
 const NEQUICK: &str = "nequick";
 const LEAP_SECONDS: &str = "leap-seconds";
 
-/// The records that `navigation` has, by kind.
+/// The records of `navigation`, by kind.
 fn records(navigation: &Navigation) -> Vec<(&'static str, NavigationRecord)> {
     let klobuchar = |c: KlobucharCoefficients| NavigationRecord::Klobuchar(c);
     let leap = navigation.leap_seconds;
@@ -251,7 +251,7 @@ fn take_over(navigation: &mut Navigation, kind: &str, record: NavigationRecord) 
         (LEAP_SECONDS, NavigationRecord::LeapSeconds(seconds)) => {
             navigation.leap_seconds = LeapSeconds::with_broadcast(seconds);
         }
-        // A kind that a later Graphfix of the same schema added: not an error, and not ours.
+        // A kind that a later Graphfix with the same schema added. It is ignored.
         _ => {}
     }
 }

@@ -1,4 +1,4 @@
-//! The two databases behind one face.
+//! The pools of the two databases.
 
 use std::fmt;
 use std::str::FromStr;
@@ -17,26 +17,26 @@ static POSTGRES_MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
 
 const SQLITE_READERS: u32 = 4;
 const POSTGRES_CONNECTIONS: u32 = 16;
-/// How long a connection waits for another process's lock on the file.
+/// Longest time that a connection waits for another process's lock on the file.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
-/// Pages of 4 KiB that the write-ahead log collects before they are moved into the database.
+/// Size of the write-ahead log (pages of 4 KiB) at which it is moved into the database.
 const CHECKPOINT_PAGES: &str = "4000";
 
-/// Either database.
+/// The pools of one of the databases.
 #[derive(Clone)]
 pub(super) enum Pool {
-    /// SQLite: one connection writes, others read what is committed.
+    /// SQLite: one connection writes, the others read committed data.
     Sqlite {
-        /// The one connection that writes.
+        /// The connection that writes.
         writer: SqlitePool,
-        /// Connections that read.
+        /// The connections that read.
         readers: SqlitePool,
     },
     /// Postgres.
     Postgres(PgPool),
 }
 
-/// Runs one body on the pool that reads, whichever database it is of.
+/// Runs the same body on the reading pool of either database.
 macro_rules! reading {
     ($pool:expr, $executor:ident => $body:expr) => {
         match $pool {
@@ -45,7 +45,7 @@ macro_rules! reading {
         }
     };
 }
-/// Runs one body on the pool that writes, whichever database it is of.
+/// Runs the same body on the writing pool of either database.
 macro_rules! writing {
     ($pool:expr, $executor:ident => $body:expr) => {
         match $pool {
@@ -62,9 +62,9 @@ impl Pool {
             Some(("sqlite", file)) => Self::open_sqlite(url, file).await,
             Some(("postgres" | "postgresql", _)) => Self::open_postgres(url).await,
             Some((scheme, _)) => {
-                Err(StoreError::Url { why: format!("{scheme:?} is no database Graphfix knows") })
+                Err(StoreError::Url { why: format!("{scheme:?} is not a supported database") })
             }
-            None => Err(StoreError::Url { why: "there is no \"://\" in it".to_owned() }),
+            None => Err(StoreError::Url { why: "it has no \"://\"".to_owned() }),
         }
     }
 

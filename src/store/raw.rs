@@ -1,4 +1,4 @@
-//! Raw bytes of sessions' receivers: how far they are stored, and what restores their streams.
+//! Raw bytes of receivers: how far they are stored, and the bytes that restore their streams.
 
 use bytes::Bytes;
 
@@ -7,49 +7,49 @@ use crate::gnss::GpsTime;
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError};
 
-/// How far the raw bytes of a session are stored; offsets count from the device's first byte.
+/// How far a session's raw bytes are stored. Offsets count from the device's first byte.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawPosition {
-    /// First byte of the stream in force.
+    /// Offset of the present stream's first byte.
     pub stream: u64,
-    /// End of its header; where it has none, its first byte.
+    /// Offset of the end of its header; equal to `stream` if it has none.
     pub header_end: u64,
-    /// The bytes from here on, and those of the header, restore the stream.
+    /// The bytes from this offset on, together with the header, restore the stream.
     pub tail: u64,
-    /// The byte that comes next: all before it are stored.
+    /// Offset of the next byte. All bytes before it are stored.
     pub through: u64,
-    /// The newest time known.
+    /// The newest known time.
     pub time: GpsTime,
-    /// When the last piece came (ms since 1970-01-01 UTC).
+    /// When the last chunk arrived (ms since 1970-01-01 UTC).
     pub received_unix_ms: i64,
-    /// The last piece.
+    /// The last chunk.
     pub piece: RawPiecePlace,
 }
 
-/// A piece, and the epochs that it completed.
+/// Extent of a chunk, and the epochs that it completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RawPiecePlace {
-    /// Its first byte.
+    /// Offset of its first byte.
     pub start: u64,
     /// Whether it ended its stream.
     pub is_end: bool,
-    /// Number of the first epoch that it completed …
+    /// Number of the first epoch that it completed.
     pub first_seq: u64,
-    /// … and of the last; below the first where there is none.
+    /// Number of the last epoch that it completed; below `first_seq` if it completed none.
     pub last_seq: u64,
 }
 
-/// A piece to be stored, and how far that brings the stream.
+/// A chunk to be stored, and the stream's position after it.
 #[derive(Clone, Debug)]
 pub struct RawChange {
-    /// The stream after it.
+    /// The stream's position after the chunk.
     pub position: RawPosition,
-    /// Its bytes that are new; they end at `position.through`.
+    /// The new bytes of the chunk. They end at `position.through`.
     pub content: Bytes,
 }
 
 impl RawChange {
-    /// First byte of the content.
+    /// Offset of the first byte of the content.
     pub(super) fn start(&self) -> u64 {
         self.position.through - self.content.len() as u64
     }
@@ -70,7 +70,7 @@ struct RawRow {
 }
 
 impl Store {
-    /// How far the raw bytes of a session are stored; `None` before the first.
+    /// How far a session's raw bytes are stored; `None` before the first byte.
     ///
     /// # Errors
     /// The database fails.
@@ -99,8 +99,8 @@ impl Store {
         }))
     }
 
-    /// What is kept of a session's bytes from `start` to before `end`, in order, each run with its
-    /// first byte.
+    /// A session's stored bytes from offset `start` to before `end`, in order, each part with its
+    /// offset.
     ///
     /// # Errors
     /// The database fails.
@@ -123,8 +123,8 @@ impl Store {
         let rows = rows.map_err(StoreError::database("reading a session's raw bytes"))?;
         let within = |(at, content): (i64, Vec<u8>)| {
             let at = at as u64;
-            let place = |offset: u64| offset.saturating_sub(at).min(content.len() as u64) as usize;
-            (at.max(start), content[place(start)..place(end)].to_vec())
+            let within = |offset: u64| offset.saturating_sub(at).min(content.len() as u64) as usize;
+            (at.max(start), content[within(start)..within(end)].to_vec())
         };
         Ok(rows.into_iter().map(within).collect())
     }

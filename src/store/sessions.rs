@@ -9,56 +9,56 @@ use super::{BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 
-/// The store's short name of a session.
+/// Primary key of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SessionKey(pub(super) i64);
 
-/// What of a session its users set, and what follows from it.
+/// The settings of a session, and the configuration that follows from them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionSettings {
     /// A name for people.
     pub label: String,
-    /// Estimator.
+    /// Name of the mode.
     pub mode: String,
-    /// Profile.
+    /// Name of the profile.
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// Every option with its value in force.
+    /// All options with their values in force.
     pub configuration: BTreeMap<String, String>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
-    /// Which base modes relative to one are given.
+    /// The bases of a mode relative to one.
     pub base: BaseChoice,
 }
 
-/// A configuration that solved epochs.
+/// A configuration that has solved epochs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StoredConfiguration {
-    /// Estimator.
+    /// Name of the mode.
     pub mode: String,
-    /// Profile.
+    /// Name of the profile.
     pub profile: String,
-    /// Every option with its value in force.
+    /// All options with their values in force.
     pub configuration: BTreeMap<String, String>,
 }
 
 /// A stored session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
-    /// The store's short name of it.
+    /// Primary key of the session.
     pub key: SessionKey,
-    /// Its id.
+    /// Public id of the session.
     pub id: String,
-    /// Its settings.
+    /// Settings of the session.
     pub settings: SessionSettings,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// When it was closed (ms since 1970-01-01 UTC).
+    /// When it was closed (ms since 1970-01-01 UTC); `None` while it is open.
     pub closed_unix_ms: Option<i64>,
-    /// Its last epoch.
+    /// Number of its last epoch.
     pub last_seq: Option<u64>,
-    /// How many raw bytes of its receiver are stored.
+    /// Number of stored raw bytes.
     pub raw_through: Option<u64>,
 }
 
@@ -81,11 +81,11 @@ struct RawSession {
     base_choice: i32,
 }
 
-/// A base that a session takes if it is the nearest: the session's key, the base's key and id.
+/// A base among which a session takes the nearest: key of the session, key and id of the base.
 type CandidateRow = (i64, i64, String);
 
 impl RawSession {
-    /// The row, of whose candidates `candidates` knows.
+    /// Decodes the row. `candidates` has the bases of sessions that take the nearest of several.
     fn parse(self, candidates: &[CandidateRow]) -> Result<SessionRow, StoreError> {
         let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
         let base = match self.base_choice {
@@ -96,7 +96,7 @@ impl RawSession {
             }
             2 => BaseChoice::Nearest,
             other => {
-                let why = format!("{other} is no choice of a base");
+                let why = format!("{other} is not a choice of bases");
                 return Err(StoreError::CorruptText { what: "session", why });
             }
         };
@@ -144,20 +144,20 @@ const fn choice_column(base: &BaseChoice) -> i32 {
     }
 }
 
-/// Stores the bases of which a session takes the nearest.
+/// Stores the bases among which a session takes the nearest.
 macro_rules! insert_candidates {
     ($transaction:ident, $session:expr, $base:expr) => {
         if let BaseChoice::NearestOf(bases) = $base {
-            for (place, base) in bases.iter().enumerate() {
+            for (index, base) in bases.iter().enumerate() {
                 let sql = "INSERT INTO session_bases (session, place, base) VALUES ($1, $2, $3)";
-                let insert = sqlx::query(sql).bind($session).bind(place as i32).bind(base.key.0);
+                let insert = sqlx::query(sql).bind($session).bind(index as i32).bind(base.key.0);
                 insert.execute(&mut *$transaction).await?;
             }
         }
     };
 }
 
-/// Columns of [`RawSession`], up to the condition.
+/// The columns of [`RawSession`], up to the condition.
 macro_rules! select_sessions {
     ($condition:literal) => {
         concat!(
@@ -177,7 +177,7 @@ impl Store {
     /// Stores a new session.
     ///
     /// # Errors
-    /// The database fails; an id that exists is such a failure.
+    /// The database fails. An existing id is such a failure.
     pub async fn create_session(
         &self,
         id: &str,
@@ -221,7 +221,7 @@ impl Store {
         })
     }
 
-    /// The session of an id.
+    /// The session with this id.
     ///
     /// # Errors
     /// The database fails, or the row is corrupt.
@@ -236,7 +236,7 @@ impl Store {
         row.parse(&candidates).map(Some)
     }
 
-    /// The candidates of the sessions from one key to another, each session's in their order.
+    /// The candidate bases of the sessions in a range of keys, in the order of each session.
     async fn candidates(&self, from: i64, to: i64) -> Result<Vec<CandidateRow>, StoreError> {
         let rows: Result<Vec<CandidateRow>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT session, bases.key, bases.id FROM session_bases
@@ -247,10 +247,10 @@ impl Store {
         rows.map_err(StoreError::database("reading a session's bases"))
     }
 
-    /// Sessions, the newest first.
+    /// A page of sessions, the newest first.
     ///
     /// # Errors
-    /// A page token or size that is refused, or the database fails.
+    /// The page token or size is invalid, or the database fails.
     pub async fn sessions(
         &self,
         page_size: usize,
@@ -318,7 +318,7 @@ impl Store {
         })
     }
 
-    /// Keeps a configuration under its hash, for replay. Equal hashes mean equal configurations.
+    /// Stores a configuration under its hash, for replay. Equal hashes mean equal configurations.
     async fn store_configuration(&self, settings: &SessionSettings) -> Result<(), StoreError> {
         let stored = writing!(&self.pool, pool => sqlx::query(
             "INSERT INTO configurations (hash, mode, profile, configuration)
@@ -334,10 +334,10 @@ impl Store {
         stored.map_err(StoreError::database("storing a configuration"))
     }
 
-    /// The configuration of a hash.
+    /// The configuration with this hash.
     ///
     /// # Errors
-    /// There is none, or the database fails.
+    /// No configuration has this hash, or the database fails.
     pub async fn configuration(&self, hash: &str) -> Result<StoredConfiguration, StoreError> {
         let row: Result<Option<(String, String, String)>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT mode, profile, configuration FROM configurations WHERE hash = $1";

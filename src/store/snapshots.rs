@@ -1,23 +1,23 @@
-//! The newest state of each session's estimator.
+//! The newest snapshot of each session's state.
 
 use std::sync::Arc;
 
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError};
 
-/// A session's newest stored state.
+/// The newest snapshot of a session's state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredSnapshot {
-    /// The epoch it was taken after.
+    /// Number of the epoch after which it was taken.
     pub seq: u64,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
-    /// The state, in the session's own form.
+    /// The state, as the session encodes it.
     pub content: Vec<u8>,
 }
 
 impl Store {
-    /// The newest stored state of a session.
+    /// The newest snapshot of a session; `None` if there is none.
     ///
     /// # Errors
     /// The database fails.

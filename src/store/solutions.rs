@@ -1,4 +1,4 @@
-//! Epochs and solutions read back.
+//! Reads epochs and solutions.
 
 use std::sync::Arc;
 
@@ -11,63 +11,63 @@ use super::{BaseKey, BaseUse, Page, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
 
-/// A solution as it is stored.
+/// A stored solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredSolution {
-    /// The epoch's number.
+    /// Number of the epoch.
     pub seq: u64,
-    /// 0 is the real-time answer.
+    /// 0 for the real-time answer, 1 for the smoothed one.
     pub revision: u32,
     /// The solution.
     pub solution: Solution,
-    /// Version of the program that made it.
+    /// Version of the program that computed it.
     pub version: Arc<str>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
 }
 
-/// Which revisions of each epoch's solution to list.
+/// The revisions of each epoch's solution to list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Revisions {
     /// The real-time answer.
     First,
-    /// The newest.
+    /// The newest revision.
     Last,
-    /// Every one.
+    /// All revisions.
     All,
 }
 
-/// Which solutions to list.
+/// The solutions to list.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SolutionQuery {
-    /// Not before this time tag.
+    /// First time tag.
     pub from: Option<GpsTime>,
-    /// Not after this time tag.
+    /// Last time tag.
     pub to: Option<GpsTime>,
-    /// Only those of this status.
+    /// Only solutions with this status.
     pub status: Option<Status>,
-    /// Which revisions.
+    /// The revisions of each epoch.
     pub revisions: Revisions,
-    /// Solutions on a page, 1 … 10 000.
+    /// Solutions per page, 1 to 10 000.
     pub page_size: usize,
-    /// The token of the page before; `None` for the first page.
+    /// Token of the page; `None` for the first page.
     pub page_token: Option<String>,
 }
 
-/// A stored epoch with the real-time answer to it.
+/// A stored epoch with its real-time answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredEpoch {
     content: Vec<u8>,
-    /// The answer.
+    /// The real-time answer.
     pub solution: StoredSolution,
-    /// Number of the push of navigation data that was the last when it was solved.
+    /// Number of the last push of navigation data before it was solved.
     pub navigation: u64,
-    /// The base it was solved with.
+    /// The base epochs it was solved with.
     pub base: Option<BaseUse>,
 }
 
 impl StoredEpoch {
-    /// The epoch.
+    /// Decodes the epoch.
     ///
     /// # Errors
     /// The stored bytes are corrupt.
@@ -75,13 +75,13 @@ impl StoredEpoch {
         decode_epoch(&self.content).map_err(StoreError::corrupt("epoch"))
     }
 
-    /// Whether `epoch` is the one stored, bit by bit.
+    /// Whether `epoch` is the stored one, bit by bit.
     ///
     /// # Errors
     /// The stored bytes are corrupt.
     pub fn is(&self, epoch: &Epoch) -> Result<bool, StoreError> {
         let encoded = encode_epoch(epoch);
-        // Bytes of an older version of the encoding are compared by what they mean.
+        // Bytes of an older encoding are decoded for the comparison.
         Ok(self.content == encoded || encode_epoch(&self.epoch()?) == encoded)
     }
 }
@@ -156,7 +156,7 @@ impl Store {
         rows.into_iter().map(RawEpoch::parse).collect()
     }
 
-    /// The first `count` epochs of a session after number `after`, or from its first on, in their
+    /// The first `count` epochs of a session after number `after`, or from its first epoch, in
     /// order and with their real-time answers.
     ///
     /// # Errors
@@ -185,7 +185,7 @@ impl Store {
         rows.into_iter().map(RawEpoch::parse).collect()
     }
 
-    /// Number of the epoch that has `count` epochs of the session after it, if there are as many.
+    /// Number of the epoch that `count` epochs of the session follow, if there are that many.
     ///
     /// # Errors
     /// The database fails.
@@ -243,10 +243,10 @@ impl Store {
         rows.into_iter().map(RawEpoch::parse).collect()
     }
 
-    /// Solutions of a session in order of number and revision.
+    /// A page of a session's solutions in order of epoch number and revision.
     ///
     /// # Errors
-    /// A page token or size that is refused, a database that fails, a row that is corrupt.
+    /// The page token or size is invalid, the database fails, or a row is corrupt.
     pub async fn solutions(
         &self,
         session: SessionKey,
@@ -309,8 +309,8 @@ impl Store {
             .await)
     }
 
-    /// The first and last number of a span of time. Within a session time rises with the number,
-    /// so a span of time is a span of numbers, in which pages cost what they hold.
+    /// The first and last epoch number of a span of time. Within a session time rises with the
+    /// number, so a query by number reads only the rows of the page.
     async fn numbers_between(
         &self,
         session: SessionKey,
@@ -350,7 +350,7 @@ async fn number(
     Ok(row.map_err(StoreError::database("finding a time"))?.map(|(seq,)| seq))
 }
 
-/// Number and revision of the last item of the page before, from `seq.revision`.
+/// Number and revision of the last item of the previous page, written as `seq.revision`.
 fn parse_token(token: &str) -> Option<(i64, i32)> {
     let (seq, revision) = token.split_once('.')?;
     let (seq, revision) = (seq.parse().ok()?, revision.parse().ok()?);

@@ -10,12 +10,12 @@ use crate::refusal::Code;
 use super::raw::statistics;
 use super::utc;
 
-/// Characters of a user's name or password at a caster.
+/// Longest user name and longest password at a caster (characters).
 const CREDENTIAL_LIMIT: usize = 200;
-/// Heights at which rovers are (m).
+/// Heights at which a rover can be (m).
 const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e5;
 
-/// The stream that a request names, checked.
+/// Reads and checks the stream of a request.
 pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseFeed, Refusal> {
     let refused = |field: &str, message: String| {
         Err(Refusal::new(Code::InvalidField, message).at(format!("ntrip.{field}")))
@@ -25,7 +25,12 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     let version = match version {
         0 | 2 => 2,
         1 => 1,
-        other => return refused("version", format!("{other} is no version of NTRIP: 1 or 2 is")),
+        other => {
+            return refused(
+                "version",
+                format!("{other} is not a version of NTRIP; known are 1 and 2"),
+            );
+        }
     };
     let is_text =
         |text: &str| text.len() <= CREDENTIAL_LIMIT && text.chars().all(|c| !c.is_control());
@@ -37,15 +42,17 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
         let message = format!("a password is up to {CREDENTIAL_LIMIT} printable characters");
         return refused("password", message);
     }
-    let place = |v1::Geodetic { latitude_deg, longitude_deg, height_m }: v1::Geodetic| {
-        let is_place = latitude_deg.abs() <= 90.0
+    let ecef = |v1::Geodetic { latitude_deg, longitude_deg, height_m }: v1::Geodetic| {
+        let is_valid = latitude_deg.abs() <= 90.0
             && longitude_deg.abs() <= 360.0
             && HEIGHTS_M.contains(&height_m);
         let (latitude_rad, longitude_rad) = (latitude_deg.to_radians(), longitude_deg.to_radians());
-        is_place.then(|| Geodetic { latitude_rad, longitude_rad, height_m }.to_ecef())
+        is_valid.then(|| Geodetic { latitude_rad, longitude_rad, height_m }.to_ecef())
     };
-    let position = match position.map(place) {
-        Some(None) => return refused("position", "it is no place on Earth".to_owned()),
+    let position = match position.map(ecef) {
+        Some(None) => {
+            return refused("position", "it is not a position near the Earth's surface".to_owned());
+        }
         position => position.flatten(),
     };
     let at_near = |refusal: Refusal| refusal.at("ntrip.near");
@@ -66,7 +73,7 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     Ok(feed)
 }
 
-/// A stream with its health.
+/// A stream with its health, as a message.
 pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Feed {
     let named = v1::Feed {
         caster: feed.caster.clone(),
@@ -86,8 +93,8 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
         state: state.name().to_owned(),
         since_utc: utc(health.since_unix_ms),
         retry_in_s: health.retry_unix_ms.map(|retry| seconds_between(now, retry)),
-        problem: problem.as_ref().map(told),
-        refusal: refusal.as_ref().map(told),
+        problem: problem.as_ref().map(problem_message),
+        refusal: refusal.as_ref().map(problem_message),
         attempts: health.attempts,
         connections: health.connections,
         bytes: health.bytes,
@@ -102,14 +109,14 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
     }
 }
 
-/// The archive that a request names, checked.
+/// Reads and checks the archive of a request.
 pub(super) fn archive(service: &Service, source: v1::ArchiveSource) -> Result<String, Refusal> {
     let checked = service.feeds().check_archive(&source.template);
     checked.map_err(|error| Refusal::from(error).at("archive.template"))?;
     Ok(source.template)
 }
 
-/// An archive with its health.
+/// An archive with its health, as a message.
 pub(super) fn archive_message(service: &Service, base: &str, template: &str) -> v1::BaseArchive {
     let named = v1::BaseArchive { template: template.to_owned(), ..Default::default() };
     let health = BaseId::parse(base).and_then(|id| service.feeds().archive_health(&id));
@@ -119,8 +126,8 @@ pub(super) fn archive_message(service: &Service, base: &str, template: &str) -> 
         state: state.name().to_owned(),
         since_utc: utc(since_unix_ms),
         retry_in_s: retry_unix_ms.map(|retry| seconds_between(unix_ms(), retry)),
-        problem: problem.as_ref().map(told),
-        refusal: refusal.as_ref().map(told),
+        problem: problem.as_ref().map(problem_message),
+        refusal: refusal.as_ref().map(problem_message),
         missing: health.missing as u32,
         requests: health.requests,
         files: health.files,
@@ -131,7 +138,7 @@ pub(super) fn archive_message(service: &Service, base: &str, template: &str) -> 
     }
 }
 
-/// A source of ephemerides with its health.
+/// A source of ephemerides with its health, as a message.
 pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::NavigationSource {
     let (kind, state, since, retry, problem, ephemerides, last) = match status {
         SourceStatus::Archive(health) => (
@@ -159,21 +166,21 @@ pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::Navi
         state: state.to_owned(),
         since_utc: utc(since),
         retry_in_s: retry.map(|retry| seconds_between(unix_ms(), retry)),
-        problem: problem.as_ref().map(told),
+        problem: problem.as_ref().map(problem_message),
         ephemerides,
         last_utc: last.map(utc).unwrap_or_default(),
     }
 }
 
-/// A caster whose sourcetable brings bases, with its health.
+/// A caster whose sourcetable brings bases, with its health, as a message.
 pub(super) fn network_message(health: &NetworkHealth) -> v1::Network {
     v1::Network {
         caster: health.caster.clone(),
         state: health.state.name().to_owned(),
         since_utc: utc(health.since_unix_ms),
         retry_in_s: health.retry_unix_ms.map(|retry| seconds_between(unix_ms(), retry)),
-        problem: health.problem.as_ref().map(told),
-        refusal: health.refusal.as_ref().map(told),
+        problem: health.problem.as_ref().map(problem_message),
+        refusal: health.refusal.as_ref().map(problem_message),
         last_utc: health.succeeded_unix_ms.map(utc).unwrap_or_default(),
         listed: health.listed as u64,
         usable: health.usable as u64,
@@ -181,12 +188,12 @@ pub(super) fn network_message(health: &NetworkHealth) -> v1::Network {
     }
 }
 
-/// From one instant to a later one (s).
+/// The time between two instants (s).
 fn seconds_between(from_unix_ms: i64, until_unix_ms: i64) -> f64 {
     (until_unix_ms - from_unix_ms).max(0) as f64 / 1e3
 }
 
-fn told(problem: &FeedProblem) -> v1::Refusal {
+fn problem_message(problem: &FeedProblem) -> v1::Refusal {
     v1::Refusal {
         code: problem.code.name().to_owned(),
         message: problem.message.clone(),

@@ -1,5 +1,5 @@
-//! The calls, one file per service, one function per call: a request in, an answer or a refusal
-//! out.
+//! The calls: one file per service, one function per call, from a request to an answer or a
+//! refusal.
 
 pub mod bases;
 mod feeds;
@@ -17,11 +17,11 @@ use crate::session::SessionId;
 
 use super::{Refusal, Service};
 
-/// What an empty mode stands for.
+/// The mode if the request has none.
 const MODE: &str = "spp";
-/// What an empty profile stands for.
+/// The profile if the request has none.
 const PROFILE: &str = "general";
-/// The base that is the nearest of all.
+/// The value of `base` for the nearest of all bases.
 const NEAREST: &str = "nearest";
 
 fn session_id(text: &str) -> Result<SessionId, Refusal> {
@@ -36,7 +36,7 @@ fn base_id(text: &str) -> Result<BaseId, Refusal> {
     })
 }
 
-/// Which base a request means: the one of an id, the nearest of all, or the nearest of a list.
+/// The bases of a request: one by id, the nearest of all, or the nearest of a list.
 fn base_choice(
     service: &Service,
     base: &str,
@@ -63,7 +63,7 @@ fn base_choice(
     Ok(BaseChoice::NearestOf(ids?))
 }
 
-/// `text`, or what an empty one stands for.
+/// `text`, or `standard` if it is empty.
 fn or_standard(text: String, standard: &str) -> String {
     if text.is_empty() { standard.to_owned() } else { text }
 }
@@ -72,17 +72,17 @@ fn page_token(token: &str) -> Option<&str> {
     Some(token).filter(|token| !token.is_empty())
 }
 
-/// Zero stands for the call's standard size.
+/// The page size of a request, or the call's standard size if it is zero.
 const fn page_size(asked: u32, standard: usize) -> usize {
     if asked == 0 { standard } else { asked as usize }
 }
 
-/// RFC 3339 of milliseconds since 1970-01-01 UTC, which know no leap seconds.
+/// A system time (ms since 1970-01-01 UTC, without leap seconds) as RFC 3339.
 fn utc(unix_ms: i64) -> String {
     const EPOCH: CivilTime =
         CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
     let leap = LeapSeconds::table();
-    // A scale without leap seconds counts as the system clock does.
+    // GPS time has no leap seconds, as the system clock.
     let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &leap).expect("the date exists");
     let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
         .to_civil(TimeScale::Gps, &leap);

@@ -1,4 +1,4 @@
-//! Navigation: uploads, and what is held.
+//! Navigation: uploads and status.
 
 use crate::aiding::{NavigationStatus, SatelliteCoverage};
 use crate::contract::{Refusal, Service, v1};
@@ -8,13 +8,13 @@ use crate::gnss::Navigation;
 use super::feeds;
 use super::upload::{in_background, skipped_entry, unpacked};
 
-/// Who brought what came through this call.
+/// The source of ephemerides that this call brings.
 const SOURCE: &str = "upload";
 
 /// Takes a RINEX navigation file.
 ///
 /// # Errors
-/// A file that cannot be read at all or exceeds a limit, or the store's failure.
+/// The file is not readable or exceeds a limit, or the store fails.
 pub async fn push(
     service: &Service,
     request: v1::PushNavigationRequest,
@@ -30,7 +30,7 @@ pub async fn push(
     })
 }
 
-/// Which satellites are covered.
+/// The satellites with usable ephemerides, and the sources of ephemerides.
 pub fn status(service: &Service) -> v1::NavigationStatusResponse {
     let status = service.navigation().status();
     v1::NavigationStatusResponse {

@@ -7,11 +7,11 @@ use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest
 
 use super::{MODE, PROFILE, base_choice, or_standard, session_id};
 
-/// Positions a batch of epochs; returns when they are committed.
+/// Positions the epochs of a push; returns when they are committed.
 ///
 /// # Errors
-/// A malformed epoch refuses the batch; else the session's refusal, and where the session refuses
-/// every epoch, that of the first.
+/// An epoch is malformed, or the session refuses the push. If the session refuses every epoch, this
+/// is the first one's refusal.
 pub async fn push_epochs(
     service: &Service,
     request: v1::PushEpochsRequest,
@@ -22,10 +22,10 @@ pub async fn push_epochs(
     answer(service.sessions().submit(&id, epochs).await?)
 }
 
-/// Solves the session's present window on request.
+/// Solves the session's present window.
 ///
 /// # Errors
-/// No such session, no epoch in it, or a configuration that does not exist.
+/// The session does not exist or has no epoch, or the configuration does not exist.
 pub async fn solve(
     service: &Service,
     request: v1::SolveRequest,
@@ -42,10 +42,10 @@ pub async fn solve(
     Ok(v1::SolveResponse { solution: Some(message(&computed)) })
 }
 
-/// Positions a burst of epochs without a session.
+/// Positions a few epochs without a session.
 ///
 /// # Errors
-/// A malformed epoch, epochs out of order, or a configuration that does not exist.
+/// An epoch is malformed, the epochs are out of order, or the configuration does not exist.
 pub async fn solve_once(
     service: &Service,
     request: v1::SolveOnceRequest,
@@ -62,7 +62,7 @@ pub async fn solve_once(
     Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
 }
 
-/// Whether epochs must carry a number.
+/// Whether epochs must have a number.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Numbered {
     Yes,
@@ -104,7 +104,7 @@ fn message(computed: &Computed) -> v1::Solution {
     convert::solution(&computed.solution, stored)
 }
 
-/// Each epoch's answer, and the first refusal.
+/// The answer to each epoch, and the first refusal.
 pub(super) fn results(outcomes: Vec<EpochOutcome>) -> (Vec<v1::EpochResult>, Option<Refusal>) {
     let mut refused = None;
     let mut results = Vec::with_capacity(outcomes.len());

@@ -9,12 +9,12 @@ use crate::session::{RawPiece, RawReceived};
 use super::positioning::results;
 use super::session_id;
 
-/// Takes a piece of a receiver's stream; returns when its bytes and the epochs that they complete
+/// Takes a chunk of a receiver's stream; returns when its bytes and the epochs that they complete
 /// are committed.
 ///
 /// # Errors
-/// A piece that is too large, does not join what is stored or is of no known format, or the
-/// session's refusal. An epoch's refusal is told in its place.
+/// The chunk is too large, does not continue the stored stream or has an unknown format, or the
+/// session refuses it. The refusal of a single epoch is part of the answer.
 pub async fn push(
     service: &Service,
     request: v1::PushRawRequest,
@@ -31,7 +31,7 @@ pub async fn push(
     Ok(answer(service.sessions().receive(&id, piece).await?))
 }
 
-/// An offset that every JSON reader keeps exactly, with what follows it.
+/// Checks that every JSON reader keeps the offsets of a chunk exactly.
 fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
     if offset <= intake::SEQUENCE_MAX - length as u64 {
         return Ok(offset);
@@ -69,7 +69,7 @@ fn left_out(LeftOut { kind, why, count, first }: LeftOut) -> v1::LeftOut {
     v1::LeftOut { kind, why, count, first }
 }
 
-/// What a decoder counted.
+/// The counts of a decoder, as messages.
 pub(super) fn statistics(counted: &Statistics) -> (Vec<v1::MessageTotal>, Vec<v1::LeftOut>) {
     let messages = counted.messages().map(|(kind, count)| total(&MessageTotal { kind, count }));
     let entry = |entry: &RefusalEntry| v1::LeftOut {

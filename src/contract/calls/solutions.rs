@@ -1,17 +1,17 @@
-//! Solutions: what was stored.
+//! Stored solutions.
 
 use crate::contract::{Refusal, Service, convert, v1};
 use crate::store::SolutionQuery;
 
 use super::{page_size, page_token, session_id};
 
-/// Solutions on a page where no size is asked for.
+/// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
 
-/// Stored solutions of a session in order of seq and revision.
+/// A page of a session's stored solutions in order of seq and revision.
 ///
 /// # Errors
-/// No such session, or a page token, size, time or status that is refused.
+/// The session does not exist, or the page token, size, time or status is invalid.
 pub async fn list(
     service: &Service,
     request: v1::ListSolutionsRequest,

@@ -1,4 +1,4 @@
-//! Files that come as bodies: unpacked within limits, on threads that may be kept busy.
+//! Uploaded files: unpacked within limits, on blocking threads.
 
 use std::io::Read;
 
@@ -7,7 +7,7 @@ use crate::formats::decompress;
 use crate::formats::rinex::SkippedEntry;
 use crate::refusal::Code;
 
-/// Runs `work` where it keeps no other call waiting.
+/// Runs `work` on a blocking thread, so that other calls need not wait.
 pub(super) async fn in_background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Refusal> {
@@ -15,7 +15,7 @@ pub(super) async fn in_background<T: Send + 'static>(
     done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
 }
 
-/// A file's text, plain or gzip.
+/// A file's content, unpacked if it is gzip.
 pub(super) fn unpacked(content: &[u8], bytes_max: u64) -> Result<Vec<u8>, Refusal> {
     let mut text = Vec::new();
     let unpacked = decompress(content).take(bytes_max + 1).read_to_end(&mut text);
@@ -27,7 +27,7 @@ pub(super) fn unpacked(content: &[u8], bytes_max: u64) -> Result<Vec<u8>, Refusa
     Ok(text)
 }
 
-/// What was left out, as the wire has it.
+/// A skipped record, as a message.
 pub(super) fn skipped_entry(entry: &SkippedEntry) -> v1::Skipped {
     v1::Skipped {
         what: entry.reason.to_string(),

@@ -12,47 +12,47 @@ use super::{Received, ReceptionError, StreamFormat};
 
 use packed::Packed;
 
-/// How much of a stream of frames is decoded again to restore it (bytes): at one epoch a second
-/// and 32 satellites about half a minute, in which each signal's lock time and each subframe of an
-/// ephemeris comes.
+/// Bytes at the end of a stream of frames that are decoded again to restore it. At 1 Hz and 32
+/// satellites this is about half a minute, in which the lock time of each signal and each subframe
+/// of an ephemeris is repeated.
 const RECALL_BYTES: u64 = 128 << 10;
-/// In so many bytes at the start a frame must stand: receivers say something every second.
+/// The first frame must begin within this many bytes. Receivers send a frame every second.
 const UNRECOGNISED_LIMIT: u64 = 32 << 10;
-/// Longest text of an epoch with what surrounds it (bytes): 300 satellites of 999 observations
-/// would have 5 MB, real ones 60 kB.
+/// Longest text of one epoch (bytes). The largest possible one, 300 satellites with 999
+/// observations, has 5 MB; real ones have 60 kB.
 const EPOCH_TEXT_LIMIT: usize = 256 << 10;
-/// Longest stream that is read again from its beginning to restore it (bytes): a day of CRINEX at
+/// Longest stream that is read again from its beginning to restore it (bytes). A day of CRINEX at
 /// 30 s with all systems has 8 MB.
 const REREAD_LIMIT: u64 = 16 << 20;
-/// In such pieces (bytes).
-const REREAD_PIECE: usize = 1 << 16;
-/// Columns of RINEX's first line, which tell it.
+/// Bytes per read while restoring.
+const REREAD_BYTES: usize = 1 << 16;
+/// Columns of a RINEX file's first line that identify it.
 const FIRST_LINE_BYTES: usize = 80;
 const LABEL_COLUMN: usize = 60;
 const CRINEX: &[u8] = b"CRINEX VERS";
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 
-/// A receiver's stream, as far as it has come.
+/// A receiver's stream up to the bytes that have arrived.
 #[derive(Debug)]
 pub struct Stream {
-    /// Offset of its first byte among all that came from the device.
+    /// Offset of its first byte among all bytes of the device.
     start: u64,
-    /// Offset of the byte that comes next.
+    /// Offset of the next byte.
     through: u64,
-    /// Within half a day of what comes.
+    /// A time within half a day of the next message.
     time: GpsTime,
     form: Form,
-    /// It comes out of a packed one.
+    /// The stream is the content of a packed one.
     is_unpacked: bool,
 }
 
 #[derive(Debug)]
 enum Form {
-    /// Too few bytes have come to tell.
+    /// Too few bytes have arrived to recognise the format.
     Unknown(Vec<u8>),
     Receiver {
         decoder: Box<Decoder>,
-        /// Offset at which it began.
+        /// Offset at which the frames begin.
         from: u64,
         is_recognised: bool,
     },
@@ -60,37 +60,37 @@ enum Form {
     Gzip(Box<Packed>),
 }
 
-/// What the first bytes tell.
+/// The format according to the first bytes.
 enum Kind {
     Plain(StreamFormat),
     Gzip,
 }
 
-/// What must be stored of a stream so that it can be restored, as offsets.
+/// The offsets of the bytes that must be stored to restore a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Needed {
-    /// The header of RINEX; empty for other streams.
+    /// The header of a RINEX stream; empty for other streams.
     pub header: Range<u64>,
     /// The end of the stream.
     pub tail: Range<u64>,
 }
 
 impl Stream {
-    /// A stream whose first byte is the device's byte `start`; `time`, within half a day of its
-    /// first message, dates those that tell no week.
+    /// A stream whose first byte is byte `start` of the device. `time` is within half a day of its
+    /// first message, and dates messages without a week number.
     pub const fn new(start: u64, time: GpsTime) -> Self {
         Self { start, through: start, time, form: Form::Unknown(Vec::new()), is_unpacked: false }
     }
 
-    /// What comes out of a packed stream.
+    /// The content of a packed stream.
     fn unpacked(time: GpsTime) -> Self {
         Self { is_unpacked: true, ..Self::new(0, time) }
     }
 
-    /// The stream as it was after the bytes before `needed.tail.end`, from the bytes of `needed`.
+    /// Restores the stream as it was after byte `needed.tail.end`, from the bytes of `needed`.
     ///
     /// # Errors
-    /// The bytes are not of one stream.
+    /// The bytes do not belong to one stream.
     pub fn restore(
         needed: &Needed,
         header: &[u8],
@@ -103,15 +103,15 @@ impl Stream {
             stream.form = Form::Gzip(Box::new(Packed::restore(tail, time)?));
         } else {
             if header_end == start && start < of_tail.start {
-                // In the middle any bytes may come first.
+                // After the beginning, any bytes may come first.
                 stream.form = stream.form_of(StreamFormat::Receiver, of_tail.start);
             }
             if !header.is_empty() {
                 stream.push(header, &Navigation::default(), &mut Received::default())?;
             }
             stream.through = of_tail.start;
-            for piece in tail.chunks(REREAD_PIECE) {
-                stream.push(piece, &Navigation::default(), &mut Received::default())?;
+            for chunk in tail.chunks(REREAD_BYTES) {
+                stream.push(chunk, &Navigation::default(), &mut Received::default())?;
             }
         }
         stream.through = of_tail.end;
@@ -123,17 +123,17 @@ impl Stream {
         self.start
     }
 
-    /// Offset of the byte that comes next.
+    /// Offset of the next byte.
     pub const fn through(&self) -> u64 {
         self.through
     }
 
-    /// The newest time known: the one given, or one that the stream told.
+    /// The newest known time: the given one, or one from the stream.
     pub const fn time(&self) -> GpsTime {
         self.time
     }
 
-    /// Its format, once the first bytes have told.
+    /// The format, once recognised.
     const fn format(&self) -> Option<StreamFormat> {
         match &self.form {
             Form::Receiver { .. } => Some(StreamFormat::Receiver),
@@ -142,7 +142,7 @@ impl Stream {
         }
     }
 
-    /// Gives a time within half a day of what comes.
+    /// Sets a time within half a day of the next message.
     pub fn date(&mut self, time: GpsTime) {
         self.time = time;
         match &mut self.form {
@@ -152,11 +152,11 @@ impl Stream {
         }
     }
 
-    /// Takes the next bytes; what they complete is added to `received`. The FDMA channels of
-    /// GLONASS that the stream does not tell are those of `navigation`.
+    /// Decodes the next bytes and adds complete data to `received`. `navigation` gives the FDMA
+    /// channels of GLONASS satellites that the stream does not contain.
     ///
     /// # Errors
-    /// Bytes of no known format; the stream is then spoilt.
+    /// The format is not known. The stream is then unusable.
     pub fn push(
         &mut self,
         bytes: &[u8],
@@ -182,7 +182,7 @@ impl Stream {
         }
     }
 
-    /// Ends the stream: what is incomplete is taken as it is.
+    /// Ends the stream: incomplete data is decoded as it is.
     pub fn finish(&mut self, received: &mut Received) {
         match &mut self.form {
             Form::Unknown(_) => {}
@@ -194,14 +194,14 @@ impl Stream {
             }
             Form::Rinex(reader) => {
                 reader.finish();
-                // What cannot be read at the very end is left out.
+                // An unreadable rest at the very end is skipped.
                 read_epochs(reader, received).ok();
             }
             Form::Gzip(packed) => packed.finish(received),
         }
     }
 
-    /// What must be stored to restore it as it is now.
+    /// The bytes that must be stored to restore the stream in its present state.
     pub fn needed(&self) -> Needed {
         let Self { start, through, .. } = *self;
         let (header_bytes, tail_bytes) = match &self.form {
@@ -220,7 +220,7 @@ impl Stream {
         match format {
             StreamFormat::Receiver => {
                 let decoder = Decoder::new(Some(TimeReference::Day(self.time)));
-                // What is restored from the middle on was recognised before.
+                // A stream restored from the middle was recognised before.
                 let is_recognised = self.start < from;
                 Form::Receiver { decoder: Box::new(decoder), from, is_recognised }
             }
@@ -292,12 +292,12 @@ fn read_epochs(reader: &mut PieceReader, received: &mut Received) -> Result<(), 
     Ok(())
 }
 
-/// What a stream is that begins with `head`; `None` where more of it must be seen.
+/// The format of a stream that begins with `head`; `None` if more bytes are needed.
 fn kind_of(head: &[u8]) -> Option<Kind> {
     match head {
         [] | [0x1f] => None,
         _ if head.starts_with(&GZIP) => Some(Kind::Gzip),
-        // The version, at the right of its columns.
+        // The version, right-aligned in its columns.
         [b' ' | b'0'..=b'9', ..] => {
             let line = head.split(|byte| *byte == b'\n').next().unwrap_or(head);
             if line.len() == head.len() && head.len() < FIRST_LINE_BYTES {
@@ -317,7 +317,7 @@ mod tests {
     use super::*;
     use crate::refusal::Code;
 
-    /// A member of gzip may begin with a comment of any length, which gives nothing.
+    /// A gzip member may begin with a comment of any length, which unpacks to nothing.
     #[test]
     fn packed_streams_have_a_longest_length() {
         let mut stream = Stream::new(5, GpsTime::EPOCH);

@@ -1,4 +1,4 @@
-//! A stream that comes packed by gzip.
+//! A stream that is packed by gzip.
 
 use crate::formats::Gunzip;
 use crate::gnss::{GpsTime, Navigation};
@@ -6,13 +6,13 @@ use crate::reception::{Received, ReceptionError, StreamFormat};
 
 use super::{Needed, RECALL_BYTES, Stream};
 
-/// What may come out of one piece (bytes): of text ten times the piece comes out, of nothing but
-/// blanks a thousand times.
-const PIECE_LIMIT: u64 = 8 << 20;
-/// What may come out of a stream (bytes).
+/// Largest unpacked content of one chunk (bytes). Text unpacks to about ten times its size, blanks
+/// to a thousand times.
+const CHUNK_LIMIT: u64 = 8 << 20;
+/// Largest unpacked content of a stream (bytes).
 const STREAM_LIMIT: u64 = 128 << 20;
 
-/// What is packed, and what unpacks it.
+/// The packed bytes and their unpacker.
 #[derive(Debug)]
 pub(super) struct Packed {
     gunzip: Gunzip,
@@ -24,7 +24,7 @@ impl Packed {
         Self { gunzip: Gunzip::new(), content: Stream::unpacked(time) }
     }
 
-    /// The stream after `bytes`, which are all that came of it.
+    /// The stream after `bytes`, all of its bytes so far.
     pub(super) fn restore(bytes: &[u8], time: GpsTime) -> Result<Self, ReceptionError> {
         let Self { mut gunzip, mut content } = Self::new(time);
         let mut recalled: Vec<u8> = Vec::new();
@@ -35,7 +35,7 @@ impl Packed {
             content.push(block, &Navigation::default(), &mut Received::default())
         })?;
         if content.format() == Some(StreamFormat::Receiver) {
-            // What tells no week is dated from the end, as where frames come plain.
+            // Messages without a week number are dated from the end, as in plain frames.
             let through = content.through();
             let tail = through - recalled.len() as u64..through;
             content = Stream::restore(&Needed { header: 0..0, tail }, &[], &recalled, time)?;
@@ -57,7 +57,7 @@ impl Packed {
         };
         gunzip.push(bytes, |block| {
             content.push(block, navigation, received)?;
-            within("piece", content.through() - before, PIECE_LIMIT)?;
+            within("chunk", content.through() - before, CHUNK_LIMIT)?;
             within("stream", content.through(), STREAM_LIMIT)
         })
     }

@@ -1,4 +1,4 @@
-//! The primitives: integers, floats, texts, times, satellites.
+//! Primitive types as bytes: integers, floats, texts, times, satellites.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,10 +7,10 @@ use crate::gnss::{Constellation, GpsTime, SatelliteId};
 use super::CodecError;
 
 const NS_PER_SECOND: i64 = 1_000_000_000;
-/// Up to here thousandths take no more bytes than an `f64` does.
+/// Up to this number of thousandths, a value takes no more bytes than an `f64`.
 const THOUSANDTHS_MAX: u64 = 1 << 55;
 
-/// Writes primitives to the end of a buffer.
+/// Appends primitives to a buffer.
 pub(super) struct Encoder {
     bytes: Vec<u8>,
 }
@@ -30,7 +30,7 @@ impl Encoder {
         self.bytes.push(value);
     }
 
-    /// Place of the next byte, for [`Self::set`].
+    /// Offset of the next byte, for [`Self::set`].
     pub(super) fn position(&self) -> usize {
         self.bytes.len()
     }
@@ -66,10 +66,11 @@ impl Encoder {
         }
     }
 
-    /// A measured value, shortly where it is a number of thousandths. Returns its 2-bit tag.
+    /// A measured value, in fewer bytes if it is a whole number of thousandths. Returns its 2-bit
+    /// tag.
     pub(super) fn measured(&mut self, value: Option<f64>) -> u8 {
         let Some(value) = value else { return 0 };
-        // Saturates, and turns NaN into zero: the comparison of bits sorts those out.
+        // The cast saturates and turns NaN into zero; the comparison of bits excludes both.
         let thousandths = (value * 1e3).round() as i64;
         let exact = (thousandths as f64 / 1e3).to_bits() == value.to_bits();
         if exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX {
@@ -86,7 +87,7 @@ impl Encoder {
         self.bytes.extend_from_slice(text.as_bytes());
     }
 
-    /// A whole second of GPS time in few bytes, any other nanosecond in more.
+    /// A GPS time: a whole second in few bytes, other times in more.
     pub(super) fn time(&mut self, time: GpsTime) {
         let ns = time.as_ns();
         let whole = ns % NS_PER_SECOND == 0;
@@ -115,7 +116,7 @@ impl Encoder {
         vector.iter().for_each(|value| self.f64(*value));
     }
 
-    /// A covariance: its upper triangle where the lower one has the same bits.
+    /// A covariance: only its upper triangle if the lower one has the same bits.
     pub(super) fn covariance(&mut self, matrix: &Matrix3<f64>) {
         let same = |(i, j): (usize, usize)| matrix[(i, j)].to_bits() == matrix[(j, i)].to_bits();
         let symmetric = [(0, 1), (0, 2), (1, 2)].into_iter().all(same);
@@ -137,7 +138,7 @@ pub(super) struct Decoder<'a> {
 }
 
 impl<'a> Decoder<'a> {
-    /// Starts behind the version, which must be `version`.
+    /// Starts after the version, which must be `version`.
     pub(super) fn new(bytes: &'a [u8], version: u8) -> Result<Self, CodecError> {
         match Self::of_versions(bytes, version)? {
             (decoder, found) if found == version => Ok(decoder),
@@ -145,7 +146,7 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// Of an encoding that has changed: its version too, 1 to `newest`.
+    /// For an encoding with several versions: also returns the version, 1 to `newest`.
     pub(super) fn of_versions(bytes: &'a [u8], newest: u8) -> Result<(Self, u8), CodecError> {
         let mut decoder = Self { bytes, offset: 0 };
         match decoder.u8()? {
@@ -217,7 +218,8 @@ impl<'a> Decoder<'a> {
         usize::try_from(value).map_err(|_| self.invalid(what))
     }
 
-    /// A number of items to follow, none of which is empty: never more than bytes are left.
+    /// The number of items that follow. Each has at least one byte, so it is at most the bytes
+    /// left.
     pub(super) fn count(&mut self, what: &'static str) -> Result<usize, CodecError> {
         let count = self.usize(what)?;
         let left = self.bytes.len() - self.offset;
@@ -233,7 +235,7 @@ impl<'a> Decoder<'a> {
         if self.flag("presence")? { self.f64().map(Some) } else { Ok(None) }
     }
 
-    /// A measured value by its 2-bit tag.
+    /// A measured value with this 2-bit tag.
     pub(super) fn measured(&mut self, tag: u8) -> Result<Option<f64>, CodecError> {
         match tag & 3 {
             0 => Ok(None),
@@ -303,7 +305,7 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// The stored number of a constellation: it never changes.
+/// The stored number of a constellation. It never changes.
 pub(super) const fn constellation_number(constellation: Constellation) -> u8 {
     match constellation {
         Constellation::Gps => 0,

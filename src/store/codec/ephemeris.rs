@@ -1,4 +1,4 @@
-//! Ephemerides and what else satellites broadcast, as bytes.
+//! Ephemerides and other broadcast data as bytes.
 
 use crate::gnss::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, KlobucharCoefficients,
@@ -10,7 +10,7 @@ use super::bytes::{Decoder, Encoder};
 
 const VERSION: u8 = 1;
 
-/// A broadcast value of which the newest holds.
+/// A broadcast value of which only the newest is kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::store) enum NavigationRecord {
     /// Coefficients of a Klobuchar model.
@@ -21,7 +21,7 @@ pub(in crate::store) enum NavigationRecord {
     LeapSeconds(i64),
 }
 
-/// Every message with its stored number, which never changes.
+/// Each navigation message with its stored number, which never changes.
 pub(super) const MESSAGES: [(NavigationMessage, u8); 11] = [
     (NavigationMessage::Lnav, 0),
     (NavigationMessage::Cnav, 1),
@@ -36,7 +36,7 @@ pub(super) const MESSAGES: [(NavigationMessage, u8); 11] = [
     (NavigationMessage::Fdma, 10),
 ];
 
-/// The bytes of a record.
+/// Encodes a record.
 pub(in crate::store) fn encode_record(record: &NavigationRecord) -> Vec<u8> {
     let mut out = Encoder::new(VERSION, 72);
     match record {
@@ -56,7 +56,7 @@ pub(in crate::store) fn encode_record(record: &NavigationRecord) -> Vec<u8> {
     out.finish()
 }
 
-/// The record of its bytes.
+/// Decodes a record.
 pub(in crate::store) fn decode_record(bytes: &[u8]) -> Result<NavigationRecord, CodecError> {
     let mut input = Decoder::new(bytes, VERSION)?;
     let record = match input.u8()? {
@@ -78,7 +78,7 @@ fn four(input: &mut Decoder<'_>) -> Result<[f64; 4], CodecError> {
     Ok([input.f64()?, input.f64()?, input.f64()?, input.f64()?])
 }
 
-/// The bytes of an ephemeris.
+/// Encodes an ephemeris.
 pub(in crate::store) fn encode_ephemeris(ephemeris: &Ephemeris) -> Vec<u8> {
     let mut out = Encoder::new(VERSION, 256);
     out.satellite(ephemeris.satellite());
@@ -184,7 +184,7 @@ fn encode_glonass(out: &mut Encoder, e: &GlonassEphemeris) {
     out.u8(e.age_days);
 }
 
-/// The ephemeris of its bytes.
+/// Decodes an ephemeris.
 pub(in crate::store) fn decode_ephemeris(bytes: &[u8]) -> Result<Ephemeris, CodecError> {
     let mut input = Decoder::new(bytes, VERSION)?;
     let satellite = input.satellite()?;
@@ -203,7 +203,7 @@ fn decode_keplerian(
 ) -> Result<KeplerianEphemeris, CodecError> {
     let number = input.u8()?;
     let known = MESSAGES.iter().find(|(_, stored)| *stored == number);
-    // Fields are read in the order they are written here, which is that of `encode_keplerian`.
+    // The fields are read in the order of this expression, which is that of `encode_keplerian`.
     Ok(KeplerianEphemeris {
         satellite,
         message: known.ok_or_else(|| input.invalid("message"))?.0,

@@ -1,22 +1,22 @@
 //! Epochs as bytes.
 //!
 //! Header: version, time, power failure, number of observations. Each observation: satellite, code,
-//! one byte of flags, one byte of four 2-bit tags, then the values present. Last, in version 2
-//! only, the odometry: frame, interval, displacement, covariance, and a body's heading.
+//! one byte of flags, one byte of four 2-bit tags, then the present values. Version 2 adds the
+//! odometry at the end: frame, interval, displacement, covariance, and the heading of a body frame.
 
 use crate::gnss::{Cycles, Epoch, Observation, ObservationCode, Odometry, OdometryFrame};
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder};
 
-/// Of an epoch without odometry, so that its bytes are those it always had.
+/// Version of an epoch without odometry, so that its bytes stay the same as in older databases.
 const PLAIN: u8 = 1;
-/// Of one with odometry at the end.
+/// Version of an epoch with odometry.
 const WITH_ODOMETRY: u8 = 2;
 const LOSS_OF_LOCK: u8 = 1;
 const HALF_CYCLE: u8 = 2;
 
-/// The bytes of an epoch.
+/// Encodes an epoch.
 pub(in crate::store) fn encode_epoch(epoch: &Epoch) -> Vec<u8> {
     let version = if epoch.odometry.is_some() { WITH_ODOMETRY } else { PLAIN };
     let mut out = Encoder::new(version, 16 + 26 * epoch.observations.len());
@@ -62,13 +62,13 @@ fn encode_observation(out: &mut Encoder, observation: &Observation) {
         observation.cn0_db_hz,
     ];
     let mut tags = 0;
-    for (place, value) in values.into_iter().enumerate() {
-        tags |= out.measured(value) << (2 * place);
+    for (index, value) in values.into_iter().enumerate() {
+        tags |= out.measured(value) << (2 * index);
     }
     out.set(tags_at, tags);
 }
 
-/// The epoch of its bytes.
+/// Decodes an epoch.
 pub(in crate::store) fn decode_epoch(bytes: &[u8]) -> Result<Epoch, CodecError> {
     let (mut input, layout) = Decoder::of_versions(bytes, WITH_ODOMETRY)?;
     let mut epoch = Epoch::new(input.time()?);

@@ -1,8 +1,8 @@
 //! Rows as bytes: a compact binary form of epochs, solutions and ephemerides.
 //!
-//! Each form starts with its version and is canonical: equal values give equal bytes and every
-//! `f64` comes back bit by bit. Numbers are LEB128 variable-length integers (signed ones zigzag),
-//! times nanoseconds, `f64` little-endian IEEE 754. Corrupt bytes give a [`CodecError`].
+//! Each form starts with its version and is canonical: equal values give equal bytes, and each
+//! `f64` is restored bit by bit. Integers are LEB128 with variable length (signed ones zigzag),
+//! times are nanoseconds, `f64` is little-endian IEEE 754. Corrupt bytes give a [`CodecError`].
 
 mod bytes;
 mod ephemeris;
@@ -17,33 +17,33 @@ pub(super) use ephemeris::{
 pub(super) use epoch::{decode_epoch, encode_epoch};
 pub(super) use solution::{decode_solution, encode_solution, status_number};
 
-/// Why bytes are not what the store wrote.
+/// Why bytes cannot be decoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
-    /// They end too early.
+    /// The bytes end too early.
     #[error("the bytes end at {offset}")]
     Truncated {
-        /// Where they end.
+        /// Number of bytes.
         offset: usize,
     },
-    /// They are of a version unknown here.
+    /// The version of the bytes is unknown.
     #[error("version {version} is not known")]
     UnknownVersion {
-        /// The version they name.
+        /// The version found.
         version: u8,
     },
-    /// A value is out of its range.
+    /// A value is out of range.
     #[error("{what} at byte {offset} is out of range")]
     Invalid {
-        /// Which value.
+        /// Name of the value.
         what: &'static str,
-        /// Where it ends.
+        /// Offset of its end.
         offset: usize,
     },
-    /// There are more of them.
+    /// Bytes follow the last value.
     #[error("{extra} bytes too many")]
     TrailingBytes {
-        /// How many.
+        /// Number of these bytes.
         extra: usize,
     },
 }
@@ -58,8 +58,8 @@ mod tests {
 
     use super::*;
 
-    /// Values that print alike are alike bit by bit but for the payload of NaN, which the second
-    /// encoding compares.
+    /// Values that print the same have the same bits, apart from the payload of NaN; encoding the
+    /// decoded value again compares these.
     fn assert_round_trip<T: Debug>(
         value: &T,
         encode: impl Fn(&T) -> Vec<u8>,
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(decode(&longer).unwrap_err(), CodecError::TrailingBytes { extra: 1 });
     }
 
-    /// The solution of its bytes, without what made it.
+    /// Decodes a solution without its version and configuration.
     fn solution_of(bytes: &[u8]) -> Result<Solution, CodecError> {
         decode_solution(bytes).map(|decoded| decoded.solution)
     }
@@ -129,7 +129,7 @@ mod tests {
             assert_round_trip(&ephemeris, encode_ephemeris, decode_ephemeris);
         }
 
-        /// Bytes changed anywhere give an error or other values of the form, never a panic.
+        /// Bytes changed anywhere give an error or other values of the form, but no panic.
         #[test]
         fn corrupted_bytes_never_panic(
             epoch in sample::epoch(),
@@ -138,9 +138,9 @@ mod tests {
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
         ) {
             let corrupted = |mut bytes: Vec<u8>| {
-                for (place, byte) in &changes {
-                    let place = place.index(bytes.len());
-                    bytes[place] = *byte;
+                for (index, byte) in &changes {
+                    let index = index.index(bytes.len());
+                    bytes[index] = *byte;
                 }
                 bytes
             };

@@ -15,7 +15,7 @@ use crate::gnss::{
 
 use super::ephemeris::MESSAGES;
 
-/// Any bits: infinities, subnormals, NaN payloads and negative zero included.
+/// Any bits, including infinities, subnormals, NaN payloads and negative zero.
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![
         any::<u64>().prop_map(f64::from_bits),

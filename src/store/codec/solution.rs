@@ -1,4 +1,4 @@
-//! Solutions as bytes: the whole of them, with the version and configuration that made them.
+//! Solutions as bytes, with the version and configuration that computed them.
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
@@ -9,21 +9,21 @@ use crate::gnss::{
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
 
-/// 1 had no relative estimate, 2 no base epoch.
+/// The newest version. Version 1 had no relative estimate, version 2 no base epoch.
 const VERSION: u8 = 3;
 
-/// A solution with what made it.
+/// A solution with its version and configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::store) struct DecodedSolution {
     /// The solution.
     pub solution: Solution,
-    /// Version of the program that made it.
+    /// Version of the program that computed it.
     pub version: String,
     /// Hash of the configuration in force.
     pub configuration_hash: String,
 }
 
-/// The stored number of a status: it never changes, and rises from none to best.
+/// The stored number of a status. It never changes, and rises from none to best.
 pub(in crate::store) const fn status_number(status: Status) -> i16 {
     match status {
         Status::None => 0,
@@ -35,7 +35,7 @@ pub(in crate::store) const fn status_number(status: Status) -> i16 {
     }
 }
 
-/// The bytes of a solution.
+/// Encodes a solution.
 pub(in crate::store) fn encode_solution(
     solution: &Solution,
     version: &str,
@@ -136,7 +136,7 @@ fn encode_reason(out: &mut Encoder, reason: &Reason) {
     }
 }
 
-/// Those that only positions relative to a base give, and those that came with them.
+/// Encodes the values of positions relative to a base, and the values that came with them.
 fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
     let mut numbers = |kind: u8, values: &[f64]| {
         out.u8(kind);
@@ -179,7 +179,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
     }
 }
 
-/// The solution of its bytes.
+/// Decodes a solution.
 pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution, CodecError> {
     let (mut input, layout) = Decoder::of_versions(bytes, VERSION)?;
     let time = input.time()?;

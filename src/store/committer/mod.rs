@@ -1,10 +1,9 @@
 //! Group commit: epochs, solutions and snapshots of many sessions in one transaction.
 //!
-//! One task writes. While a transaction runs, the batches that arrive wait in a bounded queue, and
-//! all of them form the next one: the busier the service, the larger its transactions, and a
-//! session alone waits for nobody. A batch that contradicts the database (another writer has stored
-//! its numbers) is found by committing the batches of its transaction singly, so that it fails
-//! alone.
+//! One task writes. Batches that arrive during a transaction wait in a bounded queue and form the
+//! next transaction. So transactions grow with the load, and a single session waits for no other.
+//! If a batch contradicts the database because another writer has stored its numbers, the batches
+//! of the transaction are committed one by one, so that only this batch fails.
 
 mod statements;
 
@@ -19,30 +18,30 @@ use super::codec::{encode_epoch, encode_solution, status_number};
 use super::pool::Pool;
 use super::{BaseUse, RawChange, SessionKey, StoreError, StoredSolution};
 
-/// Batches that may wait while a transaction runs; those who commit wait for a place.
+/// Batches that may wait during a transaction. Further ones wait for a free slot.
 const QUEUE: usize = 1_024;
-/// Epochs after which a transaction takes no further batch.
+/// A transaction takes no further batch once it has this many epochs.
 const EPOCHS_PER_TRANSACTION: usize = 4_096;
 
-/// What happened in one session, to be committed together.
+/// The changes of one session that are committed together.
 #[derive(Clone, Debug)]
 pub struct Batch {
-    /// The session.
+    /// Primary key of the session.
     pub session: SessionKey,
     /// Epochs with their real-time answers.
     pub epochs: Vec<EncodedEpoch>,
-    /// Later answers to these and earlier epochs. One that is stored already stays as it is.
+    /// Revisions of these and earlier epochs. A stored revision is not replaced.
     pub revisions: Vec<EncodedSolution>,
-    /// The estimator's state after the last of the epochs.
+    /// The session's state after the last of the epochs.
     pub snapshot: Option<EncodedSnapshot>,
-    /// A piece of raw bytes, from which the epochs were decoded.
+    /// The chunk of raw bytes from which the epochs were decoded.
     pub raw: Option<Box<RawChange>>,
-    /// Closes the session (ms since 1970-01-01 UTC), if it is open.
+    /// Closes the session at this time (ms since 1970-01-01 UTC), if it is open.
     pub closed_unix_ms: Option<i64>,
 }
 
 impl Batch {
-    /// Nothing of a session yet.
+    /// A batch without changes.
     pub fn new(session: SessionKey) -> Self {
         Self {
             session,
@@ -64,7 +63,7 @@ impl Batch {
     }
 }
 
-/// An epoch with its real-time answer, in the store's form.
+/// An encoded epoch with its real-time answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedEpoch {
     seq: i64,
@@ -76,8 +75,8 @@ pub struct EncodedEpoch {
 }
 
 impl EncodedEpoch {
-    /// Encodes an epoch that was answered by `solution` with the navigation data in force after the
-    /// push number `navigation`, and with `base`.
+    /// Encodes an epoch and its `solution`, computed with the navigation data of push number
+    /// `navigation` and with `base`.
     pub fn new(
         epoch: &Epoch,
         solution: &StoredSolution,
@@ -100,13 +99,13 @@ impl EncodedEpoch {
         [column(|b| b.base.0), column(|b| number(b.after)), column(|b| number(b.through))]
     }
 
-    /// Whether `epoch` is this one, bit by bit.
+    /// Whether `epoch` is the same, bit by bit.
     pub fn is(&self, epoch: &Epoch) -> bool {
         self.content == encode_epoch(epoch)
     }
 }
 
-/// A solution in the store's form: equal solutions have equal ones, bit by bit.
+/// An encoded solution. Equal solutions have equal bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedSolution {
     seq: i64,
@@ -118,7 +117,7 @@ pub struct EncodedSolution {
 }
 
 impl EncodedSolution {
-    /// The epoch's number.
+    /// Number of the epoch.
     pub fn seq(&self) -> u64 {
         self.seq as u64
     }
@@ -138,7 +137,7 @@ impl EncodedSolution {
     }
 }
 
-/// The estimator's state of a session after an epoch, in the session's own form.
+/// An encoded state of a session after an epoch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedSnapshot {
     pub(super) seq: i64,
@@ -147,7 +146,7 @@ pub struct EncodedSnapshot {
 }
 
 impl EncodedSnapshot {
-    /// The state after the epoch `seq`, by the configuration of that hash.
+    /// The state after epoch `seq`, with the hash of its configuration.
     pub fn new(seq: u64, configuration_hash: Arc<str>, content: Vec<u8>) -> Self {
         Self { seq: number(seq), configuration_hash, content }
     }
@@ -167,7 +166,7 @@ enum Message {
     Stop,
 }
 
-/// The way to the task that writes.
+/// The sender to the task that writes.
 #[derive(Clone)]
 pub(super) struct Committer {
     queue: mpsc::Sender<Message>,
@@ -187,12 +186,12 @@ impl Committer {
     }
 
     pub(super) async fn stop(&self) {
-        // Err: it has stopped already.
+        // Err: it has already stopped.
         self.queue.send(Message::Stop).await.ok();
     }
 }
 
-/// Commits until told to stop, then what was handed over before that.
+/// Commits until told to stop, and then the batches that wait.
 async fn run(pool: Pool, mut inbox: mpsc::Receiver<Message>) {
     let mut group = Vec::new();
     while let Some(message) = inbox.recv().await {
@@ -212,7 +211,7 @@ async fn run(pool: Pool, mut inbox: mpsc::Receiver<Message>) {
     }
 }
 
-/// Commits a group and tells each batch how it ended.
+/// Commits a group of batches and answers each of them.
 async fn commit_group(pool: &Pool, group: &mut Vec<Request>) {
     let batches: Vec<&Batch> = group.iter().map(|request| &request.batch).collect();
     let whole = write(pool, &batches).await;

@@ -1,4 +1,4 @@
-//! The statements that insert many rows at once: lists of values on SQLite, arrays on Postgres.
+//! Statements that insert many rows: lists of values for SQLite, arrays for Postgres.
 
 use std::sync::LazyLock;
 
@@ -8,7 +8,7 @@ use crate::store::RawPosition;
 
 use super::{Batch, EncodedEpoch, EncodedSolution, SessionKey};
 
-/// Rows per statement: few texts, each prepared once, and no more than 32 766 parameters.
+/// Rows per statement. Few different texts are prepared, and none has more than 32 766 parameters.
 const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
 const EPOCH_COLUMNS: usize = 8;
 const SOLUTION_COLUMNS: usize = 9;
@@ -17,9 +17,9 @@ const INSERT_EPOCHS: &str = "INSERT INTO epochs \
     (session, seq, gps_time_ns, navigation, base, base_after, base_through, content) ";
 const INSERT_SOLUTIONS: &str = "INSERT INTO solutions \
     (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content) ";
-/// A number stored twice is told by `epochs`; a revision stored before stays as it is.
+/// The insert into `epochs` detects a repeated number; a stored revision is not replaced.
 const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
-/// The newest state stays, whoever comes late.
+/// The newest state wins, in whatever order the writers come.
 const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuration_hash, content) \
     VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
     configuration_hash = excluded.configuration_hash, content = excluded.content \
@@ -36,7 +36,7 @@ const UPSERT_RAW: &str = "INSERT INTO raw_streams \
     gps_time_ns = excluded.gps_time_ns, received_unix_ms = excluded.received_unix_ms, \
     piece = excluded.piece, piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
     last_seq = excluded.last_seq";
-/// What neither restores the stream nor is of the last piece.
+/// Bytes that neither restore the stream nor belong to the last chunk.
 const FORGET_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
     AND (through <= $3 OR $4 <= start)";
 const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
@@ -73,7 +73,7 @@ fn solution_rows<'a>(batches: &[&'a Batch]) -> Vec<SolutionRow<'a>> {
     batches.iter().flat_map(rows).collect()
 }
 
-/// Writes what a batch has one of.
+/// Writes the parts of a batch that occur once.
 macro_rules! write_changes {
     ($transaction:ident, $batches:expr) => {
         for batch in $batches {
@@ -98,7 +98,7 @@ macro_rules! write_changes {
         }
     };
 }
-/// Writes a piece of raw bytes and how far it brings the stream, and forgets what is not needed.
+/// Writes a chunk of raw bytes and the stream's position, and deletes bytes no longer needed.
 macro_rules! write_raw {
     ($transaction:ident, $session:expr, $raw:expr) => {{
         let RawPosition { stream, header_end, tail, through, time, received_unix_ms, piece } =
@@ -136,20 +136,20 @@ macro_rules! write_raw {
     }};
 }
 
-/// Writes the batches in one transaction.
+/// Writes batches in one transaction.
 pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await?;
     let mut rest = &epoch_rows(batches)[..];
-    for (place, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
+    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_epochs(&mut transaction, place, chunk).await?;
+            insert_epochs(&mut transaction, index, chunk).await?;
             rest = after;
         }
     }
     let mut rest = &solution_rows(batches)[..];
-    for (place, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
+    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_solutions(&mut transaction, place, chunk).await?;
+            insert_solutions(&mut transaction, index, chunk).await?;
             rest = after;
         }
     }
@@ -159,10 +159,10 @@ pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Resul
 
 async fn insert_epochs(
     connection: &mut SqliteConnection,
-    place: usize,
+    index: usize,
     rows: &[EpochRow<'_>],
 ) -> Result<(), sqlx::Error> {
-    let mut epochs = sqlx::query(EPOCH_VALUES[place].as_str());
+    let mut epochs = sqlx::query(EPOCH_VALUES[index].as_str());
     for (session, row) in rows {
         let [base, base_after, base_through] = row.base_columns();
         epochs = epochs
@@ -180,10 +180,10 @@ async fn insert_epochs(
 
 async fn insert_solutions(
     connection: &mut SqliteConnection,
-    place: usize,
+    index: usize,
     rows: &[SolutionRow<'_>],
 ) -> Result<(), sqlx::Error> {
-    let mut solutions = sqlx::query(SOLUTION_VALUES[place].as_str());
+    let mut solutions = sqlx::query(SOLUTION_VALUES[index].as_str());
     for (session, row) in rows {
         let [x_m, y_m, z_m] = row.position_m;
         solutions = solutions
@@ -200,7 +200,7 @@ async fn insert_solutions(
     solutions.execute(connection).await.map(drop)
 }
 
-/// Writes the batches in one transaction.
+/// Writes batches in one transaction.
 pub(super) async fn write_postgres(pool: &PgPool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
     let mut transaction = pool.begin().await?;
     insert_arrays(&mut transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
