@@ -1,0 +1,159 @@
+//! Where `solve` takes the base to stand: as asked for, else as its file tells, else by itself.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use graphfix::gnss::Ecef;
+
+use crate::support::data;
+use crate::support::streams::{message_number, moved_station, rtcm_frame, rtcm_payloads, unpacked};
+
+/// Success or not, standard output, standard error.
+fn run(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    let output = command.current_dir(folder).args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.success(), text(output.stdout), text(output.stderr))
+}
+
+/// The marker that a summary names, and what it says of its source.
+fn marker(summary: &str) -> (Ecef, String) {
+    let line = summary.lines().find_map(|l| l.trim().strip_prefix("base: marker at ")).unwrap();
+    let (numbers, rest) = line.split_once(" (ECEF, m) ").unwrap();
+    let numbers: Vec<f64> = numbers.split(',').map(|n| n.parse().unwrap()).collect();
+    let [x, y, z] = numbers[..] else { panic!("{line}") };
+    (Ecef::new(x, y, z), rest.split_once(", antenna").unwrap().0.to_owned())
+}
+
+/// A simulated base whose header tells its place, tells the geocentre, or tells none.
+#[test]
+fn a_base_of_rinex_stands_where_it_can_be_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scenario = ["simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "30"];
+    let (done, _, error) = run(folder, &[&scenario[..], &["--output", "."]].concat());
+    assert!(done, "{error}");
+    let told = fs::read_to_string(folder.join("base.obs")).unwrap();
+    let line = told.lines().find(|line| line.contains("APPROX POSITION XYZ")).unwrap();
+    let zero = format!("{:<60}APPROX POSITION XYZ", "        0.0000        0.0000        0.0000");
+    fs::write(folder.join("zero.obs"), told.replacen(line, &zero, 1)).unwrap();
+    fs::write(folder.join("untold.obs"), told.replacen(&format!("{line}\n"), "", 1)).unwrap();
+    let solve = |base: &str, further: &[&str]| {
+        let fixed = ["solve", "--rover", "rover.obs", "--nav", "navigation.rnx", "--base", base];
+        let to = ["--mode", "rtk-fgo", "--output", "out.pos"];
+        run(folder, &[&fixed[..], &to, further].concat())
+    };
+
+    let (done, summary, error) = solve("base.obs", &[]);
+    assert!(done, "{error}");
+    let (truth, source) = marker(&summary);
+    assert_eq!(source, "from its header");
+    assert!(!summary.contains("warning: base"), "{summary}");
+    assert_eq!(
+        solve("base.obs", &["--base-position", "from-header"]).1.lines().nth(1),
+        summary.lines().nth(1)
+    );
+
+    for base in ["zero.obs", "untold.obs"] {
+        let (done, summary, error) = solve(base, &[]);
+        assert!(done, "{error}");
+        let (mean, source) = marker(&summary);
+        assert_eq!(source, "from its own single-point positions");
+        let off_m = mean.distance_m(truth);
+        // Metres of orbits, clocks and atmosphere; not the millimetres of the header's digits.
+        assert!((0.01..10.0).contains(&off_m), "{off_m}");
+        let warning = "warning: base: nothing tells its position; the mean of 31 single-point";
+        assert!(summary.contains(warning), "{summary}");
+        let (done, _, error) = solve(base, &["--base-position", "from-header"]);
+        assert!(!done && error.contains("BASE_POSITION_MISSING"), "{error}");
+        let given = format!("--base-position={:.4},{:.4},{:.4}", truth.0.x, truth.0.y, truth.0.z);
+        let (_, summary, _) = solve(base, &[&given]);
+        assert_eq!(marker(&summary), (truth, "as given".to_owned()));
+    }
+}
+
+/// The Galway base's log has messages 1005 and no header. Without them nothing tells its place.
+#[test]
+fn a_base_of_messages_stands_where_they_say_or_by_itself() {
+    let Some(data) = data::set("galway-static") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let rover = data.join("rover-20181004-1237.ubx.gz").to_str().unwrap().to_owned();
+    let log = unpacked(&data.join("base-20181004-1236.ubx.gz"));
+    let (mut whole, mut silent) = (Vec::new(), Vec::new());
+    for payload in rtcm_payloads(&log[..log.len() / 8]) {
+        let frame = rtcm_frame(&payload);
+        whole.extend_from_slice(&frame);
+        if ![1005, 1006].contains(&message_number(&payload)) {
+            silent.extend_from_slice(&frame);
+        }
+    }
+    assert!(silent.len() < whole.len());
+    fs::write(folder.join("whole.rtcm3"), whole).unwrap();
+    fs::write(folder.join("silent.rtcm3"), silent).unwrap();
+    let solve = |base: &str| {
+        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391100"];
+        let (done, summary, error) =
+            run(folder, &[&fixed[..], &["--mode", "rtk-fgo", "--output", "out.pos"]].concat());
+        assert!(done, "{error}");
+        summary
+    };
+    let summary = solve("whole.rtcm3");
+    let (truth, source) = marker(&summary);
+    assert_eq!(source, "from its messages 1005 and 1006");
+    assert!(!summary.contains("warning: base"), "{summary}");
+    let summary = solve("silent.rtcm3");
+    let (mean, source) = marker(&summary);
+    assert_eq!(source, "from its own single-point positions");
+    let off_m = mean.distance_m(truth);
+    assert!((0.01..15.0).contains(&off_m), "{off_m}");
+    assert!(summary.contains("warning: base: nothing tells its position"), "{summary}");
+}
+
+/// Messages 1005 that move the base by 5 m along x: positions follow from that epoch on, which is
+/// said, and the fix comes back.
+#[test]
+fn a_base_of_messages_may_move() {
+    let Some(data) = data::set("galway-static") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let rover = data.join("rover-20181004-1237.ubx.gz").to_str().unwrap().to_owned();
+    let log = unpacked(&data.join("base-20181004-1236.ubx.gz"));
+    let payloads = rtcm_payloads(&log[..log.len() / 3]);
+    let payload = payloads.iter().find(|payload| message_number(payload) == 1005).unwrap();
+    let (still, moved) = (rtcm_frame(payload), rtcm_frame(&moved_station(payload, 50_000)));
+    let mut bytes = log[..log.len() / 3].to_vec();
+    fs::write(folder.join("still.ubx"), &bytes).unwrap();
+    for place in log.len() * 3 / 20..bytes.len() {
+        if bytes[place..].starts_with(&still) {
+            bytes[place..place + moved.len()].copy_from_slice(&moved);
+        }
+    }
+    fs::write(folder.join("moved.ubx"), &bytes).unwrap();
+    let solve = |base: &str| {
+        let fixed = ["solve", "--rover", &rover, "--nav", &rover, "--base", base, "--to", "391440"];
+        let to = ["--mode", "rtk-fgo", "--output", "out.csv"];
+        let (done, summary, error) = run(folder, &[&fixed[..], &to].concat());
+        assert!(done, "{error}");
+        let rows = fs::read_to_string(folder.join("out.csv")).unwrap();
+        let row = |row: &str| {
+            let fields: Vec<&str> = row.split(',').collect();
+            let x: f64 = fields[3].parse().unwrap();
+            (fields[2] == "FIXED", x, row.contains("BASE_MOVED"))
+        };
+        (summary, rows.lines().skip(1).map(row).collect::<Vec<_>>())
+    };
+    let (summary, still) = solve("still.ubx");
+    assert!(!summary.contains("messages moved it") && !summary.contains("BASE_MOVED"), "{summary}");
+    let (summary, moved) = solve("moved.ubx");
+    assert!(summary.contains("base: messages moved it 1 times"), "{summary}");
+    let at = moved.iter().position(|(_, _, says)| *says).unwrap();
+    assert_eq!(moved.iter().filter(|(_, _, says)| *says).count(), 1);
+    assert_eq!(moved[..at], still[..at]);
+    assert!(still[at].0 && !moved[at].0, "integers are kept");
+    let both = still.iter().zip(&moved).skip(at).filter(|(a, b)| a.0 && b.0);
+    let moves: Vec<f64> = both.map(|(a, b)| b.1 - a.1).collect();
+    assert!(100 < moves.len(), "{} fixed after the base moved", moves.len());
+    assert!(moves.iter().all(|moved_m| (moved_m - 5.0).abs() < 0.02), "{moves:?}");
+}

@@ -1,0 +1,114 @@
+//! The gRPC door, through the same router.
+
+use axum::Router;
+use graphfix::contract::v1;
+use graphfix::grpc::v1::navigation_client::NavigationClient;
+use graphfix::grpc::v1::positioning_client::PositioningClient;
+use graphfix::grpc::v1::sessions_client::SessionsClient;
+use graphfix::grpc::v1::solutions_client::SolutionsClient;
+use prost::Message;
+use tonic::Code;
+use tonic::codec::CompressionEncoding;
+use tonic_types::StatusExt;
+
+use crate::support::doors::{Doors, epoch};
+use crate::support::snapshot;
+
+fn message(seq: u64) -> v1::Epoch {
+    serde_json::from_value(epoch(seq)).unwrap()
+}
+
+async fn session(router: &Router) -> String {
+    let request = v1::CreateSessionRequest::default();
+    SessionsClient::new(router.clone()).create(request).await.unwrap().into_inner().session
+}
+
+#[tokio::test]
+async fn what_is_pushed_is_listed() {
+    let doors = Doors::open().await;
+    let session = session(&doors.router).await;
+    let epochs = vec![message(1), message(2)];
+    let push = v1::PushEpochsRequest { session: session.clone(), epochs };
+    let pushed = PositioningClient::new(doors.router.clone()).push_epochs(push).await.unwrap();
+    let pushed = pushed.into_inner();
+    assert_eq!(pushed.durable_through, Some(2));
+    let list = v1::ListSolutionsRequest { session, ..Default::default() };
+    let listed = SolutionsClient::new(doors.router.clone()).list(list).await.unwrap().into_inner();
+    let pushed: Vec<_> =
+        pushed.results.into_iter().map(|result| result.solution.unwrap()).collect();
+    assert_eq!(listed.solutions, pushed);
+}
+
+#[tokio::test]
+async fn a_refusal_has_code_field_and_remedy() {
+    let doors = Doors::open().await;
+    let session = session(&doors.router).await;
+    let mut wrong = message(1);
+    wrong.observations[0].satellite = "X05".to_owned();
+    let push = v1::PushEpochsRequest { session, epochs: vec![wrong] };
+    let status = PositioningClient::new(doors.router.clone()).push_epochs(push).await.unwrap_err();
+    assert_eq!(status.code(), Code::InvalidArgument);
+    let info = status.get_details_error_info().unwrap();
+    assert_eq!(info.reason, "INVALID_SATELLITE");
+    assert_eq!(info.metadata["field"], "epochs[0].observations[0].satellite");
+    assert!(info.metadata["remedy"].contains("G05"));
+}
+
+/// A message beyond the limit is refused by its length, and packed by what it unpacks to.
+#[tokio::test]
+async fn a_message_too_large_is_refused_packed_and_plain() {
+    let mut limits = graphfix::config::Limits::standard();
+    limits.body_bytes = 10_000;
+    let doors = Doors::with(limits).await;
+    for packed in [false, true] {
+        let mut client = NavigationClient::new(doors.router.clone());
+        if packed {
+            client = client.send_compressed(CompressionEncoding::Gzip);
+        }
+        let request = v1::PushNavigationRequest { content: vec![b' '; 1_000_000].into() };
+        let status = client.push(request).await.unwrap_err();
+        assert_eq!(status.code(), Code::ResourceExhausted, "packed {packed}: {status}");
+        let code = graphfix::grpc::code_of(&status);
+        assert_eq!(code.as_deref(), Some("BODY_TOO_LARGE"), "packed {packed}");
+    }
+}
+
+#[tokio::test]
+async fn a_service_that_is_not_there_is_unimplemented() {
+    let doors = Doors::open().await;
+    let mut client = tonic::client::Grpc::new(doors.router.clone());
+    let path = axum::http::uri::PathAndQuery::from_static("/graphfix.v1.Nothing/Do");
+    let request = tonic::Request::new(v1::NavigationStatusRequest {});
+    let codec = graphfix::grpc::Codec::<_, v1::NavigationStatusResponse>::default();
+    let status = client.unary(request, path, codec).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unimplemented);
+    assert_eq!(graphfix::grpc::code_of(&status).as_deref(), Some("ROUTE_NOT_FOUND"));
+}
+
+/// The schema as reflection serves it: what clients were built against does not change unseen.
+#[test]
+fn the_schema_is_a_snapshot() {
+    let set = prost_types::FileDescriptorSet::decode(graphfix::grpc::DESCRIPTORS).unwrap();
+    let mut text = String::new();
+    for file in set.file.iter().filter(|file| file.package() == "graphfix.v1") {
+        for service in &file.service {
+            for method in &service.method {
+                let (input, output) = (method.input_type(), method.output_type());
+                text += &format!("{}.{} {input} {output}\n", service.name(), method.name());
+            }
+        }
+        for message in &file.message_type {
+            for field in &message.field {
+                let kind = format!("{:?} {:?}", field.label(), field.r#type());
+                let place = format!("{}.{}", message.name(), field.name());
+                text += &format!("{place} = {} {kind} {}\n", field.number(), field.type_name());
+            }
+        }
+        for choice in &file.enum_type {
+            for value in &choice.value {
+                text += &format!("{}.{} = {}\n", choice.name(), value.name(), value.number());
+            }
+        }
+    }
+    snapshot::assert("schema.txt", &text);
+}

@@ -1,0 +1,50 @@
+//! Health, the schema and the pages.
+
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+
+use crate::support::doors::Doors;
+use crate::support::snapshot;
+
+#[tokio::test]
+async fn readiness_ends_when_the_service_drains() {
+    let doors = Doors::open().await;
+    assert_eq!(doors.get("/readyz").await.0, StatusCode::OK);
+    doors.service.drain();
+    assert_eq!(doors.get("/readyz").await.0, StatusCode::SERVICE_UNAVAILABLE);
+    assert_eq!(doors.get("/healthz").await.0, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn the_page_of_the_schema_comes_from_the_binary() {
+    let doors = Doors::open().await;
+    for path in ["/", "/docs/", "/docs/swagger-ui-bundle.js"] {
+        let (status, page) = doors.get(path).await;
+        assert_eq!(status, StatusCode::OK, "{path}");
+        let page = page.as_str().unwrap_or_default();
+        assert!(
+            path.ends_with(".js") || !page.contains("src=\"http"),
+            "{path} loads from elsewhere"
+        );
+    }
+}
+
+/// Every path of the document is routed, and the document is the one that was looked at.
+#[tokio::test]
+async fn the_schema_is_a_snapshot_and_true() {
+    let doors = Doors::open().await;
+    let (_, document) = doors.get("/openapi.json").await;
+    assert!(document["openapi"].as_str().unwrap().starts_with("3.1"));
+    for (path, methods) in document["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys() {
+            let request = Request::builder().method(method.to_uppercase().as_str());
+            let request = request.uri(path.replace("{session}", "ses_0"));
+            let (_, answer) = doors.ask(request.body(Body::empty()).unwrap()).await;
+            let code = answer["code"].as_str().unwrap_or_default();
+            let absent = ["ROUTE_NOT_FOUND", "METHOD_NOT_ALLOWED"].contains(&code);
+            assert!(!absent, "{method} {path}: {code}");
+        }
+    }
+    let text = serde_json::to_string_pretty(&snapshot::sorted(&document)).unwrap();
+    snapshot::assert("openapi.json", &format!("{text}\n"));
+}

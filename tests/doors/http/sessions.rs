@@ -1,0 +1,49 @@
+//! `/v1/sessions`.
+
+use axum::http::StatusCode;
+use serde_json::json;
+
+use crate::support::doors::{Doors, code};
+
+#[tokio::test]
+async fn a_session_is_created_changed_and_closed() {
+    let doors = Doors::open().await;
+    let new = json!({"label": "rover 7", "overrides": {"elevation_mask_deg": "10"}});
+    let (status, created) = doors.post("/v1/sessions", new).await;
+    assert_eq!(status, StatusCode::CREATED, "{created}");
+    assert_eq!((&created["mode"], &created["profile"]), (&json!("spp"), &json!("general")));
+    let options = created["configuration"].as_array().unwrap();
+    let mask = options.iter().find(|option| option["name"] == "elevation_mask_deg").unwrap();
+    assert_eq!(mask["value"], "10");
+
+    let path = format!("/v1/sessions/{}", created["session"].as_str().unwrap());
+    assert_eq!(doors.get(&path).await, (StatusCode::OK, created.clone()));
+
+    let change = json!({"label": "rover 8", "clearOverrides": ["elevation_mask_deg"]});
+    let (status, changed) = doors.send("PATCH", &path, change).await;
+    assert_eq!((status, &changed["label"]), (StatusCode::OK, &json!("rover 8")));
+    assert_eq!(changed["overrides"], json!({}));
+    assert_ne!(changed["configurationHash"], created["configurationHash"]);
+
+    let (status, closed) = doors.send("DELETE", &path, json!({})).await;
+    assert_eq!((status, &closed["closed"]), (StatusCode::OK, &json!(true)));
+    let (status, refused) = doors.send("PATCH", &path, json!({"label": "x"})).await;
+    assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "SESSION_CLOSED"));
+}
+
+#[tokio::test]
+async fn sessions_are_listed_page_by_page() {
+    let doors = Doors::open().await;
+    let mut created = Vec::new();
+    for _ in 0..3 {
+        created.insert(0, doors.session().await);
+    }
+    let (_, first) = doors.get("/v1/sessions?pageSize=2").await;
+    let token = first["nextPageToken"].as_str().unwrap();
+    let (_, second) = doors.get(&format!("/v1/sessions?pageSize=2&pageToken={token}")).await;
+    let listed =
+        [&first, &second].into_iter().flat_map(|page| page["sessions"].as_array().unwrap());
+    let listed: Vec<_> = listed.map(|session| session["session"].as_str().unwrap()).collect();
+    assert_eq!(listed, created);
+    assert_eq!(second["nextPageToken"], "");
+}

@@ -1,0 +1,139 @@
+//! `graphfix simulate`: what it writes reads back, and what it refuses.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use graphfix::formats::rinex::{ObservationReader, read_navigation};
+use graphfix::formats::truth;
+use graphfix::gnss::{Epoch, GpsTime};
+use graphfix::models::{satellite_state, select_ephemeris};
+use graphfix::simulation::{Atmosphere, Scenario, Simulator};
+
+use crate::support::reading::open;
+
+fn simulate(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_graphfix"))
+        .args(["simulate", "--seed", "5", "--output"])
+        .arg(folder)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+/// RINEX keeps 0.5 mm and 0.0005 cycles, and drops nothing.
+fn assert_read_back(folder: &Path, name: &str, expected: &[Epoch]) {
+    let mut reader = ObservationReader::new(open(&folder.join(name))).unwrap();
+    let mut epoch = Epoch::new(GpsTime::EPOCH);
+    for made in expected {
+        assert!(reader.read_epoch(&mut epoch).unwrap(), "{name} ends early");
+        assert_eq!(epoch.time, made.time);
+        assert_eq!(epoch.observations.len(), made.observations.len(), "{name} {}", made.time);
+        for (a, b) in epoch.observations.iter().zip(&made.observations) {
+            assert_eq!((a.satellite, a.code), (b.satellite, b.code));
+            assert_eq!(a.loss_of_lock, b.loss_of_lock, "{name} {} {b:?}", made.time);
+            assert_eq!(a.half_cycle, b.half_cycle, "{name} {} {b:?}", made.time);
+            let near = |a: Option<f64>, b: Option<f64>| (a.unwrap() - b.unwrap()).abs() < 5.1e-4;
+            assert!(near(a.pseudorange_m, b.pseudorange_m), "{a:?} {b:?}");
+            assert!(near(a.carrier_phase.map(|p| p.0), b.carrier_phase.map(|p| p.0)));
+            assert!(near(a.doppler_hz, b.doppler_hz) && near(a.cn0_db_hz, b.cn0_db_hz));
+        }
+    }
+    assert!(!reader.read_epoch(&mut epoch).unwrap(), "{name} has more");
+    assert!(reader.skipped().is_empty(), "{name}: {:?}", reader.skipped());
+}
+
+#[test]
+fn what_is_written_reads_back() {
+    for (name, _) in Scenario::NAMES {
+        let folder = tempfile::tempdir().unwrap();
+        let output = simulate(folder.path(), &["--scenario", name, "--duration", "60"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let scenario = Scenario { duration_s: 60.0, ..Scenario::by_name(name).unwrap() };
+        let simulator = Simulator::new(scenario.clone(), 5);
+        let navigation = simulator.navigation().clone();
+        let made: Vec<_> = simulator.collect();
+        let rover: Vec<_> = made.iter().map(|epoch| epoch.rover.clone()).collect();
+        let base: Vec<_> = made.iter().filter_map(|epoch| epoch.base.clone()).collect();
+        assert_eq!((rover.len(), base.len()), (61, 61));
+        assert_read_back(folder.path(), "rover.obs", &rover);
+        assert_read_back(folder.path(), "base.obs", &base);
+        let rows = truth::read(open(&folder.path().join("truth.csv")), 0).unwrap();
+        for (row, epoch) in rows.iter().zip(&made) {
+            assert_eq!(row.time, epoch.rover.time);
+            assert!(row.position.distance_m(epoch.position) < 2e-5);
+        }
+        let (read, skipped) = read_navigation(open(&folder.path().join("navigation.rnx"))).unwrap();
+        assert!(skipped.is_empty(), "{skipped:?}");
+        assert_eq!(read.len(), navigation.len());
+        for (satellite, _) in navigation.satellites() {
+            let time = scenario.start + 30.0;
+            let state = |navigation| {
+                satellite_state(select_ephemeris(navigation, satellite, time).unwrap(), time)
+            };
+            let (a, b) = (state(&read), state(&navigation));
+            // Thirteen digits of radians at 42 000 km, and millimetres per second over 15 min.
+            assert!(a.position.distance_m(b.position) < 1e-3, "{satellite}");
+            assert!((a.clock_m - b.clock_m).abs() < 1e-4, "{satellite}");
+        }
+    }
+}
+
+#[test]
+fn what_it_cannot_do_is_refused_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = |arguments: &[&str]| {
+        let output = simulate(folder.path(), arguments);
+        assert!(!output.status.success(), "{arguments:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let unknown = refusal(&["--scenario", "moon"]);
+    assert!(unknown.starts_with("error[UNKNOWN_SCENARIO]"), "{unknown}");
+    assert!(unknown.contains("open-sky, urban-canyon, rtk-open, rtk-canyon, clean"), "{unknown}");
+    let clean = ["--scenario", "clean", "--duration", "2"];
+    assert!(simulate(folder.path(), &clean).status.success());
+    assert!(refusal(&clean).starts_with("error[FILE_EXISTS]"));
+    let again = [&clean[..], &["--force"]].concat();
+    assert!(simulate(folder.path(), &again).status.success());
+    let backwards = ["--scenario", "clean", "--duration=-1"];
+    assert!(refusal(&backwards).starts_with("error[INVALID_OPTION_VALUE]"));
+    assert!(refusal(&["--scenario", "clean", "--rate", "0"]).contains("--rate 0"));
+    assert!(refusal(&["--scenario", "clean", "--baseline", "1e6"]).contains("--baseline"));
+}
+
+/// The base of `--baseline` is as far as asked, and the ionosphere's gradient lengthens its
+/// pseudoranges against those without one in proportion.
+#[test]
+fn baselines_and_gradients() {
+    let quiet = |baseline_m: f64, gradient: [f64; 2]| {
+        let scenario = Scenario::rtk_open().with_baseline(baseline_m);
+        let atmosphere = scenario
+            .atmosphere
+            .map(|atmosphere| Atmosphere { ionosphere_gradient: gradient, ..atmosphere });
+        let scenario = Scenario {
+            atmosphere,
+            duration_s: 10.0,
+            rover_errors: None,
+            base_errors: None,
+            ..scenario
+        };
+        let origin = scenario.origin.to_ecef();
+        let simulator = Simulator::new(scenario, 1);
+        let base = simulator.base_position().unwrap();
+        let epoch = simulator.last().unwrap().base.unwrap();
+        (origin.distance_m(base), epoch.observations)
+    };
+    for baseline_m in [1_000.0, 20_000.0] {
+        let (distance_m, plain) = quiet(baseline_m, [0.0; 2]);
+        assert!((distance_m - baseline_m).abs() < 0.01 * baseline_m, "{distance_m}");
+        let (_, sloped) = quiet(baseline_m, [3e-6, 4e-6]);
+        // 5 mm/km along the gradient: no less than the cosine of the baseline's direction to it.
+        let largest_m = 5e-6 * baseline_m * 3.5;
+        let mut seen_m = 0.0_f64;
+        for (a, b) in plain.iter().zip(&sloped).filter(|(a, _)| a.code.band_digit() == 1) {
+            let longer_m = b.pseudorange_m.unwrap() - a.pseudorange_m.unwrap();
+            seen_m = seen_m.max(longer_m.abs());
+            assert!(longer_m.abs() <= largest_m, "{longer_m}");
+        }
+        assert!(1e-7 * baseline_m < seen_m, "{seen_m}");
+    }
+}

@@ -1,0 +1,226 @@
+//! `kill -9` in the middle of a stream: nothing acknowledged is missing, nothing appears twice.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use graphfix::contract::{convert, v1};
+use graphfix::grpc::v1::navigation_client::NavigationClient;
+use graphfix::grpc::v1::positioning_client::PositioningClient;
+use graphfix::grpc::v1::sessions_client::SessionsClient;
+use graphfix::grpc::v1::solutions_client::SolutionsClient;
+use graphfix::session::SequencedEpoch;
+use tonic::transport::Channel;
+
+use crate::support::doors::epoch;
+use crate::support::drive::DRIVE;
+use crate::support::server::{Server, free_port, opened};
+use crate::support::wait::interrupted;
+
+const EPOCHS: u64 = 600;
+const BATCH: usize = 20;
+
+/// Pushes from `next` on until the service dies or all is sent; what is acknowledged is kept.
+async fn push_on(
+    channel: &Channel,
+    session: &str,
+    next: u64,
+    acknowledged: &mut BTreeMap<u64, v1::Solution>,
+) {
+    let mut client = PositioningClient::new(channel.clone());
+    let all: Vec<u64> = (next..=EPOCHS).collect();
+    for numbers in all.chunks(BATCH) {
+        let epochs = numbers.iter().map(|n| serde_json::from_value(epoch(*n)).unwrap()).collect();
+        let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
+        let Ok(answer) = client.push_epochs(push).await else { return };
+        for result in answer.into_inner().results {
+            let solution = result.solution.unwrap_or_else(|| panic!("{:?}", result.refusal));
+            if let Some(before) = acknowledged.insert(solution.seq, solution.clone()) {
+                assert_eq!(before, solution, "a resend got another answer");
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_was_acknowledged_outlives_kill_9() {
+    let folder = tempfile::tempdir().unwrap();
+    let (database, port) = (folder.path().join("crash.db"), free_port());
+    let mut server = Server::start(&database, port);
+    let session = opened(&server.channel(), None).await.session;
+    let mut acknowledged = BTreeMap::new();
+    // Instants after the first push, spread over commit, answer and reading.
+    for after_ms in [3, 11, 24, 47] {
+        let channel = server.channel();
+        let resumed = opened(&channel, Some(&session)).await.durable_through;
+        let last = acknowledged.keys().next_back().copied();
+        assert!(last <= resumed, "acknowledged {last:?}, durable {resumed:?}");
+        // Some epochs are sent again that may have been stored without an answer.
+        let next = last.map_or(1, |last| last + 1);
+        let pushing = push_on(&channel, &session, next, &mut acknowledged);
+        interrupted(pushing, Duration::from_millis(after_ms), || server.kill()).await;
+        server = Server::start(&database, port);
+    }
+    let channel = server.channel();
+    opened(&channel, Some(&session)).await;
+    let next = acknowledged.keys().next_back().map_or(1, |last| last + 1);
+    push_on(&channel, &session, next, &mut acknowledged).await;
+
+    let list = v1::ListSolutionsRequest { session, page_size: 10_000, ..Default::default() };
+    let listed = SolutionsClient::new(channel).list(list).await.unwrap().into_inner().solutions;
+    let numbers: Vec<u64> = listed.iter().map(|solution| solution.seq).collect();
+    assert_eq!(numbers, (1..=EPOCHS).collect::<Vec<_>>(), "missing or doubled");
+    let stored: BTreeMap<_, _> = listed.into_iter().map(|s| (s.seq, s)).collect();
+    for (seq, solution) in &acknowledged {
+        assert_eq!(Some(solution), stored.get(seq), "epoch {seq} is not as acknowledged");
+    }
+}
+
+/// Pushes epochs of a drive from `next` on until the service dies or all is sent.
+async fn drive_on(channel: &Channel, session: &str, next: u64) -> Option<()> {
+    let mut client = PositioningClient::new(channel.clone());
+    let rest: Vec<_> = DRIVE.epochs.iter().filter(|epoch| next <= epoch.seq).collect();
+    for batch in rest.chunks(BATCH) {
+        let message = |e: &&SequencedEpoch| convert::epoch_message(e.seq, &e.epoch);
+        let epochs = batch.iter().map(message).collect();
+        let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
+        let answer = client.push_epochs(push).await.ok()?.into_inner();
+        assert!(answer.results.iter().all(|result| result.solution.is_some()));
+    }
+    Some(())
+}
+
+async fn fgo_session(channel: &Channel) -> String {
+    let request = v1::CreateSessionRequest {
+        mode: "fgo".to_owned(),
+        profile: "urban-vehicle".to_owned(),
+        ..Default::default()
+    };
+    SessionsClient::new(channel.clone()).create(request).await.unwrap().into_inner().session
+}
+
+/// Every solution and revision of a session once it is closed, by number and revision.
+async fn whole(channel: &Channel, session: &str) -> Vec<v1::Solution> {
+    let close = v1::CloseSessionRequest { session: session.to_owned() };
+    SessionsClient::new(channel.clone()).close(close).await.unwrap();
+    let list = v1::ListSolutionsRequest {
+        session: session.to_owned(),
+        page_size: 10_000,
+        revisions: v1::Revisions::All.into(),
+        ..Default::default()
+    };
+    SolutionsClient::new(channel.clone()).list(list).await.unwrap().into_inner().solutions
+}
+
+/// A window is more than its last solution: killed again and again, it gives the solutions and the
+/// revisions of one that was not. `graphfix replay` gives them too.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_window_outlives_kill_9() {
+    let folder = tempfile::tempdir().unwrap();
+    let (database, port) = (folder.path().join("window.db"), free_port());
+    let mut server = Server::start(&database, port);
+    let session = {
+        opened(&server.channel(), None).await;
+        let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };
+        NavigationClient::new(server.channel()).push(push).await.unwrap();
+        fgo_session(&server.channel()).await
+    };
+    let mut killed_within = 0;
+    for after_ms in [15, 40, 90, 160] {
+        let channel = server.channel();
+        let durable = opened(&channel, Some(&session)).await.durable_through;
+        let pushing = drive_on(&channel, &session, durable.map_or(1, |last| last + 1));
+        let all = interrupted(pushing, Duration::from_millis(after_ms), || server.kill()).await;
+        killed_within += usize::from(all.is_none());
+        server = Server::start(&database, port);
+    }
+    assert!(0 < killed_within, "every push was done before the kill");
+    let channel = server.channel();
+    let durable = opened(&channel, Some(&session)).await.durable_through;
+    drive_on(&channel, &session, durable.map_or(1, |last| last + 1)).await.unwrap();
+    let undisturbed = fgo_session(&channel).await;
+    drive_on(&channel, &undisturbed, 1).await.unwrap();
+    let expected = whole(&channel, &undisturbed).await;
+    assert_eq!(expected.len(), 2 * DRIVE.epochs.len());
+    assert_eq!(whole(&channel, &session).await, expected);
+    replayed(&database, &session, expected.len());
+}
+
+/// What `graphfix replay` says of a session, and what it writes of another configuration.
+fn replayed(database: &Path, session: &str, solutions: usize) {
+    let replay = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        command.args(["replay", session, "--database"]);
+        command.arg(format!("sqlite://{}", database.display())).args(arguments);
+        let output = command.output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
+    };
+    let same = format!("{solutions} solutions compared, 0 different\n");
+    assert_eq!(replay(&[]), (true, same, String::new()));
+    let written = database.with_file_name("general.csv");
+    let path = written.to_str().unwrap();
+    let (done, text, errors) = replay(&["--profile", "general", "--smoothed", "--output", path]);
+    assert!(done, "{errors}");
+    assert!(text.starts_with(&format!("{} epochs in ", DRIVE.epochs.len())), "{text}");
+    let rows = std::fs::read_to_string(written).unwrap().lines().count();
+    assert!(DRIVE.epochs.len() * 9 / 10 < rows, "{rows} rows");
+    let (done, _, errors) = replay(&["--set", "window=3"]);
+    assert!(!done && errors.contains("UNKNOWN_OPTION"), "{errors}");
+}
+
+/// Resident memory of a process (kB).
+#[cfg(target_os = "linux")]
+fn resident_kb(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+/// What one of many idle sessions of a mode keeps resident (kB), all that belongs to it included:
+/// task, mailbox, state. Its window holds 30 epochs.
+#[cfg(target_os = "linux")]
+async fn held_kb(mode: &str) -> f64 {
+    const SESSIONS: usize = 150;
+    const WARMING: usize = 50;
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("idle.db"), free_port());
+    let channel = server.channel();
+    opened(&channel, None).await;
+    let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };
+    NavigationClient::new(channel.clone()).push(push).await.unwrap();
+    let message = |e: &SequencedEpoch| convert::epoch_message(e.seq, &e.epoch);
+    let epochs: Vec<_> = DRIVE.epochs[..40].iter().map(message).collect();
+    let create = v1::CreateSessionRequest {
+        mode: mode.to_owned(),
+        overrides: [("window_s", "60"), ("systems", "G,E")]
+            .map(|(k, v)| (k.into(), v.into()))
+            .into(),
+        ..Default::default()
+    };
+    let (mut used, mut before_kb) = (0, 0);
+    for index in 0..WARMING + SESSIONS {
+        if index == WARMING {
+            before_kb = resident_kb(server.process()); // Pools and caches are warm.
+        }
+        let created = SessionsClient::new(channel.clone()).create(create.clone()).await.unwrap();
+        let session = created.into_inner().session;
+        let push = v1::PushEpochsRequest { session, epochs: epochs.clone() };
+        let answer = PositioningClient::new(channel.clone()).push_epochs(push).await.unwrap();
+        let results = answer.into_inner().results;
+        let satellites = |r: &v1::EpochResult| r.solution.as_ref().unwrap().satellites_used.len();
+        used = results.iter().map(satellites).sum::<usize>() / results.len();
+    }
+    let grown_kb = (resident_kb(server.process()) - before_kb) as f64;
+    let held_kb = grown_kb / SESSIONS as f64;
+    eprintln!("{mode}: {held_kb:.1} kB resident for each idle session, {used} satellites an epoch");
+    held_kb
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_idle_window_holds_little() {
+    let (points, window) = (held_kb("spp").await, held_kb("fgo").await);
+    assert!(points < window && window <= 125.0, "spp {points} kB, fgo {window} kB");
+}

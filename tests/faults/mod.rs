@@ -1,0 +1,5 @@
+//! What goes wrong: crashes, hostile casters, receivers that jump and lose satellites.
+
+mod casters;
+mod crash;
+mod robustness;

@@ -1,0 +1,76 @@
+//! Goldens of the Kalman filter on real recordings.
+
+use graphfix::config::{Mode, PositioningOptions, Profile};
+use graphfix::gnss::{Ecef, Status};
+use graphfix::positioning::Estimator;
+
+use crate::support::data;
+use crate::support::recording::{Errors, Recording, canyon};
+
+/// Wen & Hsu (2021), table 1, row EKF: 13.61, 15.19, 88.97 m, with settings that are not published.
+#[test]
+fn the_paper_profile_errs_like_the_papers_filter() {
+    let Some(recording) = canyon() else { return };
+    let errors = Errors::in_the_canyon(&recording.causal(Mode::Ekf, Profile::Paper));
+    assert!((12.0..=16.0).contains(&errors.mean_m), "{}", errors.mean_m);
+    assert!((10.0..=16.0).contains(&errors.deviation_m), "{}", errors.deviation_m);
+}
+
+#[test]
+fn in_the_canyon_the_filter_beats_single_points_and_is_honest() {
+    let Some(recording) = canyon() else { return };
+    for profile in [Profile::UrbanVehicle, Profile::General] {
+        let solutions = recording.causal(Mode::Ekf, profile);
+        assert!(solutions.iter().all(|solution| solution.status == Status::Ekf));
+        let errors = Errors::in_the_canyon(&solutions);
+        // Single points: 11.2 m.
+        assert!(errors.mean_m <= 4.5, "{profile:?}: {}", errors.mean_m);
+        assert!(0.8 <= errors.inside, "{profile:?}: {}", errors.inside);
+    }
+}
+
+/// No Doppler, an epoch every 30 s: single points have 0.78 m.
+#[test]
+fn a_day_of_a_reference_station() {
+    let Some(folder) = data::set("hers-hert") else { return };
+    let recording = Recording::read(&folder, "hers0010.18O", &["brdc0010.18n"]);
+    let solutions = recording.causal(Mode::Ekf, Profile::General);
+    assert_eq!(solutions.len(), 2_880);
+    let truth = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
+    let errors = Errors::of(&solutions, |_| truth);
+    assert!(errors.mean_m <= 0.80, "{}", errors.mean_m);
+    assert!(errors.greatest_m <= 3.0, "{}", errors.greatest_m);
+    assert!(0.9 <= errors.inside, "{}", errors.inside);
+}
+
+/// A clone goes on with the same bits; so does one copied into another's storage.
+#[test]
+fn clones_answer_alike() {
+    let Some(recording) = canyon() else { return };
+    let mut estimator = Estimator::new(PositioningOptions::new(Mode::Ekf, Profile::UrbanVehicle));
+    let mut spare = estimator.clone();
+    for (index, epoch) in recording.epochs.iter().take(80).enumerate() {
+        spare.clone_from(&estimator);
+        let mut fresh = estimator.clone();
+        let solution = estimator.advance(epoch, &recording.aiding());
+        assert_eq!(spare.advance(epoch, &recording.aiding()), solution, "epoch {index}");
+        assert_eq!(fresh.advance(epoch, &recording.aiding()), solution, "epoch {index}");
+    }
+}
+
+/// The order of observations in an epoch changes no bit.
+#[test]
+fn the_order_of_satellites_changes_nothing() {
+    let Some(mut recording) = canyon() else { return };
+    recording.epochs.truncate(60);
+    let expected = recording.causal(Mode::Ekf, Profile::UrbanVehicle);
+    for epoch in &mut recording.epochs {
+        epoch.observations.reverse();
+    }
+    let reversed = recording.causal(Mode::Ekf, Profile::UrbanVehicle);
+    for (a, b) in expected.iter().zip(&reversed) {
+        let (a, b) = (a.estimate.as_ref().unwrap(), b.estimate.as_ref().unwrap());
+        assert!(a.position.distance_m(b.position) < 1e-6);
+        assert_eq!(a.satellites_used, b.satellites_used);
+    }
+}

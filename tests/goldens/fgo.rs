@@ -1,0 +1,251 @@
+//! Goldens of the factor graph on real and simulated recordings, and what must not break it.
+
+use std::collections::BTreeMap;
+
+use graphfix::config::{Mode, PositioningOptions, Profile};
+use graphfix::gnss::constants::SPEED_OF_LIGHT;
+use graphfix::gnss::{Constellation, Cycles, Ecef, GpsTime, Navigation, Reason};
+use graphfix::gnss::{SatelliteId, Solution, Status};
+use graphfix::positioning::Estimator;
+use graphfix::simulation::{Scenario, Simulator};
+
+use crate::support::data;
+use crate::support::recording::{Errors, Recording, canyon};
+
+/// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m; their program, run: 9.33, 8.06, 31.82.
+#[test]
+fn the_paper_profile_gives_the_papers_row() {
+    let Some(recording) = canyon() else { return };
+    let errors = Errors::in_the_canyon(&recording.batch(Profile::Paper));
+    assert!((9.3..=9.5).contains(&errors.mean_m), "{}", errors.mean_m);
+    assert!((8.0..=8.1).contains(&errors.deviation_m), "{}", errors.deviation_m);
+    assert!((31.5..=32.1).contains(&errors.greatest_m), "{}", errors.greatest_m);
+}
+
+#[test]
+fn a_car_in_the_canyon_at_once() {
+    let Some(recording) = canyon() else { return };
+    let errors = Errors::in_the_canyon(&recording.causal(Mode::Fgo, Profile::UrbanVehicle));
+    assert!(errors.mean_m <= 2.9, "{}", errors.mean_m);
+    assert!(errors.deviation_m <= 1.7, "{}", errors.deviation_m);
+    assert!(errors.greatest_m <= 8.5, "{}", errors.greatest_m);
+    assert!(0.8 <= errors.inside, "{}", errors.inside);
+}
+
+#[test]
+fn a_car_in_the_canyon_smoothed() {
+    let Some(recording) = canyon() else { return };
+    let errors = Errors::in_the_canyon(&recording.batch(Profile::UrbanVehicle));
+    assert!(errors.mean_m <= 2.4, "{}", errors.mean_m);
+    assert!(errors.deviation_m <= 1.2, "{}", errors.deviation_m);
+    assert!(errors.greatest_m <= 5.5, "{}", errors.greatest_m);
+    assert!(errors.up_m.abs() < 7.0, "{}", errors.up_m);
+    assert!(0.8 <= errors.inside, "{}", errors.inside);
+}
+
+/// No Doppler, an epoch every 30 s. Single points have 0.79 m.
+#[test]
+fn a_day_of_a_reference_station_smoothed() {
+    let Some(folder) = data::set("hers-hert") else { return };
+    let recording = Recording::read(&folder, "hers0010.18O", &["brdc0010.18n"]);
+    let truth = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
+    let profile = Profile::General;
+    for (solutions, mean_m) in
+        [(recording.smoothed(profile), 0.6), (recording.batch(profile), 0.45)]
+    {
+        assert_eq!(solutions.len(), 2_880);
+        let errors = Errors::of(&solutions, |_| truth);
+        assert!(errors.mean_m <= mean_m, "{}", errors.mean_m);
+        assert!(0.9 <= errors.inside, "{}", errors.inside);
+    }
+}
+
+/// Exact observations but for the troposphere's mapping: the graph adds nothing to what one epoch
+/// has.
+#[test]
+fn a_simulated_receiver_is_placed_better_than_by_single_points() {
+    let Some(folder) = data::set("spirent-rtk") else { return };
+    let files = ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"];
+    let recording = Recording::read(&folder, "Rover-dynamic_MO_Spirent.obs", &files);
+    let single = recording.causal(Mode::Spp, Profile::General);
+    let smoothed = recording.smoothed(Profile::General);
+    let errors = |solutions: &[Solution]| Errors::on_the_simulator(&folder, solutions);
+    let (single, smoothed) = (errors(&single), errors(&smoothed));
+    assert!(smoothed.mean_m < single.mean_m, "{} {}", smoothed.mean_m, single.mean_m);
+    assert!(smoothed.greatest_m < single.greatest_m, "{}", smoothed.greatest_m);
+    assert!(smoothed.greatest_m < 0.02, "{}", smoothed.greatest_m);
+}
+
+/// Revisions are one for each epoch, in order, and the same whatever cuts the stream into calls.
+#[test]
+fn every_epoch_is_revised_once() {
+    let Some(mut recording) = canyon() else { return };
+    recording.epochs.truncate(60);
+    let options = PositioningOptions::new(Mode::Fgo, Profile::UrbanVehicle);
+    let mut estimator = Estimator::revising(options);
+    let mut revised = Vec::new();
+    for epoch in &recording.epochs {
+        estimator.advance(epoch, &recording.aiding());
+        revised.extend(estimator.take_revisions());
+    }
+    revised.extend(estimator.finish());
+    let times: Vec<_> = recording.epochs.iter().map(|epoch| epoch.time).collect();
+    assert_eq!(revised.iter().map(|solution| solution.time).collect::<Vec<_>>(), times);
+}
+
+/// A clone goes on with the same bits; so does one copied into another's storage.
+#[test]
+fn clones_answer_alike() {
+    let Some(recording) = canyon() else { return };
+    let options = PositioningOptions::new(Mode::Fgo, Profile::UrbanVehicle);
+    let mut estimator = Estimator::new(options);
+    let mut spare = estimator.clone();
+    for (index, epoch) in recording.epochs.iter().take(80).enumerate() {
+        spare.clone_from(&estimator);
+        let mut fresh = estimator.clone();
+        let solution = estimator.advance(epoch, &recording.aiding());
+        assert_eq!(spare.advance(epoch, &recording.aiding()), solution, "epoch {index}");
+        assert_eq!(fresh.advance(epoch, &recording.aiding()), solution, "epoch {index}");
+    }
+}
+
+/// Distances between two runs at the epochs from `from` on that both answered.
+fn apart_m(a: &[Solution], b: &[Solution], from: usize) -> f64 {
+    let pairs = a.iter().zip(b).skip(from);
+    let distances = pairs.filter_map(|(a, b)| {
+        Some(a.estimate.as_ref()?.position.distance_m(b.estimate.as_ref()?.position))
+    });
+    distances.fold(0.0, f64::max)
+}
+
+/// The receiver steps its clock by a millisecond: tag, pseudoranges and phases with it.
+#[test]
+fn a_clock_jump_moves_no_position() {
+    let Some(mut recording) = canyon() else { return };
+    recording.epochs.truncate(120);
+    let plain = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    let step_m = SPEED_OF_LIGHT * 1e-3;
+    for epoch in recording.epochs.iter_mut().skip(60) {
+        epoch.time = epoch.time + 1e-3;
+        for observation in &mut epoch.observations {
+            observation.pseudorange_m = observation.pseudorange_m.map(|range| range + step_m);
+        }
+    }
+    let jumped = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    assert!(jumped.iter().all(|solution| solution.status == Status::Fgo));
+    // Phases keep their clock; the tag's millisecond moves satellites and car by centimetres.
+    let apart_m = apart_m(&plain, &jumped, 0);
+    assert!(apart_m < 1.0, "{apart_m}");
+}
+
+#[test]
+fn gaps_and_duplicates_are_survived() {
+    let Some(mut recording) = canyon() else { return };
+    let duplicate = recording.epochs[50].clone();
+    recording.epochs.insert(51, duplicate);
+    recording.epochs.drain(100..300);
+    let solutions = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    assert_eq!(solutions[51].status, Status::Single);
+    let graph = solutions.iter().filter(|solution| solution.status == Status::Fgo).count();
+    assert_eq!(graph, solutions.len() - 1);
+}
+
+#[test]
+fn few_satellites_are_coasted_with_a_reason() {
+    let Some(mut recording) = canyon() else { return };
+    recording.epochs.truncate(100);
+    for epoch in &mut recording.epochs[50..55] {
+        let kept: Vec<_> = epoch.by_satellite().take(3).map(|(satellite, _)| satellite).collect();
+        epoch.observations.retain(|observation| kept.contains(&observation.satellite));
+    }
+    recording.epochs[56].observations.clear();
+    let solutions = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    assert!(solutions.iter().all(|solution| solution.status == Status::Fgo));
+    for weak in solutions[50..55].iter().chain([&solutions[56]]) {
+        let codes: Vec<_> = weak.reasons.iter().map(|reason| reason.code()).collect();
+        assert!(codes.contains(&"TOO_FEW_SATELLITES"), "{codes:?}");
+    }
+}
+
+#[test]
+fn one_constellation_alone_is_enough() {
+    let Some(recording) = canyon() else { return };
+    for constellation in [Constellation::Gps, Constellation::BeiDou] {
+        let mut options = PositioningOptions::new(Mode::Fgo, Profile::UrbanVehicle);
+        options.set("systems", &constellation.letter().to_string()).unwrap();
+        let mut estimator = Estimator::new(options);
+        let solutions: Vec<_> = recording.epochs[..120]
+            .iter()
+            .map(|epoch| estimator.advance(epoch, &recording.aiding()))
+            .collect();
+        let graph = solutions.iter().filter(|solution| solution.status == Status::Fgo).count();
+        assert!(60 < graph, "{constellation:?}: {graph}");
+    }
+}
+
+/// A satellite's slip of a thousand cycles, unflagged, is judged by the kernel.
+#[test]
+fn an_unflagged_slip_moves_nothing_far() {
+    let Some(mut recording) = canyon() else { return };
+    recording.epochs.truncate(100);
+    let plain = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    let slipped = recording.epochs[60].observations[0].satellite;
+    for epoch in recording.epochs.iter_mut().skip(60) {
+        for observation in epoch.observations.iter_mut().filter(|o| o.satellite == slipped) {
+            let slip = |phase: Cycles| Cycles(phase.0 + 1_000.0);
+            observation.carrier_phase = observation.carrier_phase.map(slip);
+        }
+    }
+    let apart_m = apart_m(&plain, &recording.causal(Mode::Fgo, Profile::UrbanVehicle), 0);
+    assert!(apart_m < 2.0, "{apart_m}");
+}
+
+/// Some simulated drives; all of the seeds are for `examples/canyon_campaign.rs`.
+#[test]
+fn simulated_drives_are_better_than_single_points_and_honest() {
+    let drives = [("urban-canyon", Profile::UrbanVehicle), ("open-sky", Profile::General)];
+    for (scenario, profile) in drives {
+        let mut inside = Vec::new();
+        for seed in 1..=3 {
+            let scenario = Scenario::by_name(scenario).unwrap();
+            let scenario = Scenario { base: None, duration_s: 200.0, ..scenario };
+            let simulator = Simulator::new(scenario, seed);
+            let navigation = Navigation::clone(simulator.navigation());
+            let (epochs, places): (Vec<_>, BTreeMap<_, _>) =
+                simulator.map(|at| (at.rover.clone(), (at.rover.time, at.position))).unzip();
+            let recording = Recording { navigation, epochs };
+            let truth = |time: GpsTime| places[&time];
+            let single = Errors::of(&recording.causal(Mode::Spp, profile), truth);
+            for solutions in [recording.causal(Mode::Fgo, profile), recording.batch(profile)] {
+                let errors = Errors::of(&solutions, truth);
+                assert!(errors.mean_m < single.mean_m, "{} {}", errors.mean_m, single.mean_m);
+                inside.push(errors.inside);
+            }
+        }
+        let mean = inside.iter().sum::<f64>() / inside.len() as f64;
+        assert!((0.9..=1.0).contains(&mean), "{scenario}: {inside:?}");
+    }
+}
+
+/// A start with five satellites that agree proves nothing; the whole sky that follows does.
+#[test]
+fn a_start_is_doubted_until_it_is_proven() {
+    let scenario = Scenario { base: None, duration_s: 40.0, ..Scenario::open_sky() };
+    let simulator = Simulator::new(scenario, 1);
+    let navigation = Navigation::clone(simulator.navigation());
+    let mut epochs: Vec<_> = simulator.map(|at| at.rover).collect();
+    for epoch in &mut epochs[..20] {
+        let gps = |satellite: SatelliteId| satellite.constellation == Constellation::Gps;
+        epoch.observations.retain(|observation| gps(observation.satellite));
+        let kept: Vec<_> = epoch.by_satellite().take(5).map(|(satellite, _)| satellite).collect();
+        epoch.observations.retain(|observation| kept.contains(&observation.satellite));
+    }
+    let solutions = Recording { navigation, epochs }.causal(Mode::Fgo, Profile::UrbanVehicle);
+    for (k, solution) in solutions.iter().enumerate() {
+        let age = solution.reasons.iter().find_map(|reason| match reason {
+            Reason::StartUnproven { age_s } => Some(*age_s),
+            _ => None,
+        });
+        assert_eq!(age.map(f64::round), (k < 20).then_some(k as f64), "epoch {k}");
+    }
+}

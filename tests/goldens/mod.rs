@@ -1,0 +1,9 @@
+//! Answers held against a truth: a survey, a reference receiver, a simulator.
+
+mod antennas;
+mod ekf;
+mod fgo;
+mod rinex;
+mod rtk;
+mod slips;
+mod spp;

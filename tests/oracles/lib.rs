@@ -1,4 +1,0 @@
-//! The integer least squares of Graphfix alone, compiled from its sources: it names no other module.
-
-#[path = "../../src/lambda/mod.rs"]
-pub mod lambda;

@@ -1,0 +1,6 @@
+//! Comparisons with programs that others wrote. `lambda` is a crate of its own: see its Cargo.toml.
+
+mod evaluation;
+mod models;
+mod rtcm;
+mod ubx;

@@ -1,0 +1,119 @@
+//! A service in this process, asked through its router as a client would.
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::config::Limits;
+use graphfix::contract::Service;
+use graphfix::feeds::{FeedOptions, Feeds};
+use graphfix::session::{SessionLimits, Sessions};
+use graphfix::store::Store;
+use serde_json::{Value, json};
+use tower::ServiceExt;
+
+use super::casters::{BRISK, connector};
+use super::wait::until;
+
+pub(crate) struct Doors {
+    pub(crate) router: Router,
+    pub(crate) service: Service,
+    folder: tempfile::TempDir,
+}
+
+impl Doors {
+    pub(crate) async fn open() -> Self {
+        Self::with(Limits::standard()).await
+    }
+
+    pub(crate) async fn with(limits: Limits) -> Self {
+        Self::with_feeds(limits, BRISK).await
+    }
+
+    /// Where streams are kept up like this.
+    pub(crate) async fn with_feeds(limits: Limits, options: FeedOptions) -> Self {
+        Self::within(tempfile::tempdir().unwrap(), limits, options).await
+    }
+
+    /// The service after it has stopped and started again.
+    pub(crate) async fn restarted(self) -> Self {
+        self.service.sessions().drain().await;
+        self.service.feeds().close().await;
+        Self::within(self.folder, Limits::standard(), BRISK).await
+    }
+
+    async fn within(folder: tempfile::TempDir, limits: Limits, options: FeedOptions) -> Self {
+        let url = format!("sqlite://{}", folder.path().join("test.db").display());
+        let store = Store::open(&url).await.unwrap();
+        let held = AidingLimits {
+            ephemerides_per_satellite: limits.ephemerides_per_satellite,
+            bases: limits.bases,
+            epochs_per_base: limits.epochs_per_base,
+            bytes_per_base: limits.bytes_per_base,
+            observations_per_epoch: limits.observations_per_epoch,
+            ..AidingLimits::service()
+        };
+        let aiding = AidingDesk::open(store.clone(), held).await.unwrap();
+        let session_limits = SessionLimits {
+            epochs_per_batch: limits.epochs_per_push,
+            raw_piece_bytes: limits.raw_piece_bytes,
+            observations_per_epoch: limits.observations_per_epoch,
+            ..SessionLimits::service()
+        };
+        let sessions = Sessions::open(store, aiding.clone(), session_limits);
+        let feeds = Feeds::open(connector(None), aiding.clone(), options);
+        let service = Service::new(sessions, aiding, feeds, limits);
+        Self { router: graphfix::http::router(&service), service, folder }
+    }
+
+    /// The status and JSON that a request is answered with.
+    pub(crate) async fn ask(&self, request: Request<Body>) -> (StatusCode, Value) {
+        let response = self.router.clone().oneshot(request).await.unwrap();
+        let status = response.status();
+        let bytes = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        (status, serde_json::from_slice(&bytes).unwrap_or(Value::String(text)))
+    }
+
+    pub(crate) async fn get(&self, path: &str) -> (StatusCode, Value) {
+        self.ask(Request::get(path).body(Body::empty()).unwrap()).await
+    }
+
+    /// What `path` answers once `is_so` holds for it.
+    pub(crate) async fn until(&self, path: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+        until(path, async || self.get(path).await.1, is_so).await
+    }
+
+    pub(crate) async fn send(&self, method: &str, path: &str, body: Value) -> (StatusCode, Value) {
+        let request = Request::builder().method(method).uri(path);
+        let request = request.header("content-type", "application/json");
+        self.ask(request.body(Body::from(body.to_string())).unwrap()).await
+    }
+
+    pub(crate) async fn post(&self, path: &str, body: Value) -> (StatusCode, Value) {
+        self.send("POST", path, body).await
+    }
+
+    /// Pushes a file as it is.
+    pub(crate) async fn upload(&self, path: &str, bytes: Vec<u8>) -> (StatusCode, Value) {
+        self.ask(Request::post(path).body(Body::from(bytes)).unwrap()).await
+    }
+
+    /// A new session's id.
+    pub(crate) async fn session(&self) -> String {
+        let (status, session) = self.post("/v1/sessions", json!({"label": "rover"})).await;
+        assert_eq!(status, StatusCode::CREATED, "{session}");
+        session["session"].as_str().unwrap().to_owned()
+    }
+}
+
+/// An epoch that no ephemeris is held for: its answer is status NONE with the reason.
+pub(crate) fn epoch(seq: u64) -> Value {
+    let observation = json!({"satellite": "G05", "code": "1C", "pseudorangeM": 22_000_000.0});
+    let time = json!({"week": 2051, "nsOfWeek": 46_701_000_000_000_u64 + seq * 1_000_000_000});
+    json!({"seq": seq, "time": time, "observations": [observation]})
+}
+
+pub(crate) fn code(answer: &Value) -> &str {
+    answer["code"].as_str().unwrap_or("no code")
+}

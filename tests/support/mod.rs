@@ -1,0 +1,16 @@
+//! What the tests share: data, databases, a service in this process, streams, and waiting.
+
+pub(crate) mod casters;
+pub(crate) mod data;
+pub(crate) mod database;
+pub(crate) mod device;
+pub(crate) mod doors;
+pub(crate) mod drive;
+pub(crate) mod pair;
+pub(crate) mod python;
+pub(crate) mod reading;
+pub(crate) mod recording;
+pub(crate) mod server;
+pub(crate) mod snapshot;
+pub(crate) mod streams;
+pub(crate) mod wait;

@@ -1,0 +1,71 @@
+//! A `graphfix serve` in a process of its own.
+
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use graphfix::contract::v1;
+use graphfix::grpc::v1::sessions_client::SessionsClient;
+use tonic::transport::{Channel, Endpoint};
+
+use super::wait::until;
+
+/// A `graphfix serve` of its own, killed when dropped.
+pub(crate) struct Server {
+    child: Child,
+    pub(crate) port: u16,
+}
+
+impl Server {
+    pub(crate) fn start(database: &Path, port: u16) -> Self {
+        let child = Command::new(env!("CARGO_BIN_EXE_graphfix"))
+            .args(["serve", "--log", "warn", "--listen", &format!("127.0.0.1:{port}")])
+            .arg("--database")
+            .arg(format!("sqlite://{}", database.display()))
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        Self { child, port }
+    }
+
+    /// The number of its process.
+    #[cfg(target_os = "linux")]
+    pub(crate) fn process(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// SIGKILL, which no process can answer.
+    pub(crate) fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    pub(crate) fn channel(&self) -> Channel {
+        let address = format!("http://127.0.0.1:{}", self.port);
+        Endpoint::from_shared(address).unwrap().connect_lazy()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // Err: it was killed before.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+pub(crate) fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// Asks for a new session, or for one that is there, until the service answers.
+pub(crate) async fn opened(channel: &Channel, session: Option<&str>) -> v1::Session {
+    let ask = async || {
+        let mut client = SessionsClient::new(channel.clone());
+        match session {
+            None => client.create(v1::CreateSessionRequest::default()).await,
+            Some(id) => client.get(v1::GetSessionRequest { session: id.to_owned() }).await,
+        }
+    };
+    until("answered", ask, Result::is_ok).await.unwrap().into_inner()
+}
