@@ -6,7 +6,7 @@
 
 use nalgebra::Vector3;
 
-use super::satellite::{Clock, Orbit};
+use super::orbit::{Clock, Orbit};
 use crate::gnss::constants::{
     EARTH_ROTATION_RATE_GLONASS as ROTATION, GRAVITATIONAL_CONSTANT_GLONASS as GRAVITATION,
 };

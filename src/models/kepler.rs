@@ -8,7 +8,7 @@
 
 use nalgebra::Vector3;
 
-use super::satellite::{Clock, Orbit};
+use super::orbit::{Clock, Orbit};
 use crate::gnss::constants::{
     EARTH_ROTATION_RATE, EARTH_ROTATION_RATE_BEIDOU, GRAVITATIONAL_CONSTANT_BEIDOU,
     GRAVITATIONAL_CONSTANT_GALILEO, GRAVITATIONAL_CONSTANT_GPS, SPEED_OF_LIGHT,

@@ -21,6 +21,7 @@ mod geometry;
 mod glonass;
 mod group_delay;
 mod kepler;
+mod orbit;
 #[cfg(test)]
 mod sample;
 mod satellite;

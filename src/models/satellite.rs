@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::orbit::{Clock, Orbit};
 use super::{glonass, kepler, weights};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Ecef, Ephemeris, GpsTime};
@@ -56,19 +57,6 @@ pub fn state_at_transmission(
     let relativity_s = state.clock_m / SPEED_OF_LIGHT - polynomial_s;
     state.position.0 -= state.velocity_m_s * relativity_s;
     state
-}
-
-/// Position and velocity in ECEF (m, m/s).
-pub(super) struct Orbit {
-    pub(super) position_m: Vector3<f64>,
-    pub(super) velocity_m_s: Vector3<f64>,
-}
-
-/// Clock offset (s) and drift (s/s).
-#[derive(Clone, Copy)]
-pub(super) struct Clock {
-    pub(super) bias_s: f64,
-    pub(super) drift: f64,
 }
 
 fn assemble(orbit: Orbit, clock: Clock, variance_m2: f64) -> SatelliteState {

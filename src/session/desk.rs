@@ -122,7 +122,7 @@ impl Sessions {
         page.try_map(|row| {
             let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
                 what: "session id",
-                why: format!("{:?} is none", row.id),
+                why: format!("{:?} is not an id of a session", row.id),
             })?;
             info(id, row)
         })

@@ -5,7 +5,7 @@ use std::io::BufRead;
 use super::columns::{drop_empty, fill};
 use super::epoch3::EpochLine;
 use super::fields::{columns, date, integer, satellite};
-use super::observation::{SATELLITES_LIMIT, SeenSatellites};
+use super::satellites::{SATELLITES_LIMIT, SeenSatellites};
 use super::{ObservationReader, RinexError, SkipReason};
 use crate::gnss::{Epoch, Observation, SatelliteId};
 

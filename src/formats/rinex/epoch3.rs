@@ -4,7 +4,7 @@ use std::io::BufRead;
 
 use super::columns::{drop_empty, fill};
 use super::fields::{columns, date, integer};
-use super::observation::{SATELLITES_LIMIT, SeenSatellites};
+use super::satellites::{SATELLITES_LIMIT, SeenSatellites};
 use super::{ObservationReader, RinexError, SkipReason};
 use crate::gnss::{CivilTime, Epoch, Observation};
 

@@ -24,6 +24,8 @@
 
 mod columns;
 mod compact;
+mod differences;
+mod epoch;
 mod epoch2;
 mod epoch3;
 mod error;
@@ -34,17 +36,16 @@ mod header_writer;
 mod lines;
 mod navigation;
 mod navigation_writer;
-
 mod observation;
 mod observation_writer;
 mod pieces;
 #[cfg(test)]
 mod round_trip;
+mod satellites;
 mod skipped;
 
 pub use error::RinexError;
 pub use header::{ObservationHeader, RinexVersion};
-
 pub use header_writer::RinexWriteError;
 pub use navigation::read_navigation;
 pub use navigation_writer::write_navigation;

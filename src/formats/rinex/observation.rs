@@ -1,17 +1,15 @@
-//! The reader of observation files of any version.
+//! The reader of observation files: its state, and what reading an epoch of any version needs.
 
 use std::io::BufRead;
 
 use super::columns::ColumnTable;
-use super::compact::CompactState;
+use super::differences::CompactState;
 use super::header::ObservationHeader;
 use super::header_lines::{HeaderState, first_line};
 use super::lines::Lines;
+use super::satellites::SeenSatellites;
 use super::{RinexError, SkipReason, Skipped};
-use crate::gnss::{CivilTime, Constellation, Epoch, GpsTime, LeapSeconds, SatelliteId};
-
-/// Largest number of satellites in an epoch, above the number in orbit.
-pub(super) const SATELLITES_LIMIT: usize = 300;
+use crate::gnss::{CivilTime, Constellation, GpsTime, LeapSeconds, SatelliteId};
 
 /// Reads epochs of observations one at a time.
 #[derive(Clone, Debug)]
@@ -24,7 +22,7 @@ pub struct ObservationReader<R> {
     /// Satellites of the current epoch; `None` for skipped ones (RINEX 2).
     pub(super) satellites: Vec<Option<SatelliteId>>,
     /// The values that the differences of a CRINEX file refer to.
-    compact: Option<CompactState>,
+    pub(super) compact: Option<CompactState>,
     leap_seconds: LeapSeconds,
 }
 
@@ -59,24 +57,6 @@ impl<R: BufRead> ObservationReader<R> {
     /// What was left out so far.
     pub const fn skipped(&self) -> &Skipped {
         &self.skipped
-    }
-
-    /// Reads the next epoch into `epoch`, reusing its memory; `false` at the end.
-    ///
-    /// Observations are in the file's order, grouped by satellite.
-    ///
-    /// # Errors
-    /// Only if the rest of the file cannot be read. Damaged records are skipped and noted.
-    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RinexError> {
-        if let Some(mut state) = self.compact.take() {
-            let outcome = self.read_compact_epoch(&mut state, epoch);
-            self.compact = Some(state);
-            outcome
-        } else if self.state.header.version.major == 2 {
-            self.read_epoch2(epoch)
-        } else {
-            self.read_epoch3(epoch)
-        }
     }
 
     /// Whether the file is CRINEX.
@@ -162,20 +142,5 @@ impl<R: BufRead> ObservationReader<R> {
             return None;
         }
         Some(satellite)
-    }
-}
-
-/// The satellites of an epoch read so far.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct SeenSatellites([u128; Constellation::COUNT]);
-
-impl SeenSatellites {
-    /// Adds a satellite; returns whether it is new.
-    fn insert(&mut self, satellite: SatelliteId) -> bool {
-        let bit = 1_u128 << satellite.number;
-        let set = &mut self.0[satellite.constellation.index()];
-        let new = *set & bit == 0;
-        *set |= bit;
-        new
     }
 }

@@ -4,9 +4,9 @@ use crate::config::RtkOptions;
 use crate::lambda::{KnownScale, Partial, Resolver};
 use crate::positioning::differencing::DifferenceGroup;
 
+use super::answered::Named;
 use super::arcs::Label;
 use super::float::FloatSolution;
-use super::history::Named;
 use super::integers::{DISAGREEMENT, lambda_options};
 use super::joint::{Joint, condition, doubted};
 use super::noise::FREEDOM_LEAST;

@@ -12,9 +12,9 @@ use crate::config::{GraphOptions, RtkOptions};
 use crate::gnss::{GpsTime, LocalFrame, Solution};
 use crate::graph::{Departure, Elimination, Estimate, Smoother};
 use crate::lambda::Resolver;
-use crate::positioning::differencing::DifferenceGroup;
 use crate::snapshot::snapshot_fields;
 
+use super::answered::{Answered, Named};
 use super::epoch::STATE;
 use super::integers::may_be_integer;
 use super::labels::Labels;
@@ -35,27 +35,6 @@ pub(in crate::positioning) enum Revises {
     AtTheEnd,
 }
 
-/// An epoch with its answer so far.
-#[derive(Clone, Debug)]
-pub(super) struct Answered {
-    pub(super) solution: Solution,
-    /// Whether it is or was a state of the graph.
-    pub(super) is_in_graph: bool,
-    /// Era of its integers.
-    pub(super) era: u32,
-    /// Arcs it named whose ambiguities may be integers.
-    pub(super) named: Vec<Named>,
-}
-
-/// An arc as an epoch named it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Named {
-    pub(super) serial: u64,
-    /// Border variable then.
-    pub(super) variable: usize,
-    pub(super) group: DifferenceGroup,
-}
-
 /// The epochs not yet answered for good, in order of time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
@@ -70,8 +49,6 @@ pub(super) struct History {
     labels: Labels,
 }
 
-snapshot_fields!(Named { serial, variable, group });
-snapshot_fields!(Answered { solution, is_in_graph, era, named });
 snapshot_fields!(History { answers, revised, departures, answered_early, labels });
 
 /// The graph where it stands, factored, and the memory to go back from it.

@@ -7,6 +7,7 @@
 //! as they are.
 
 mod answer;
+mod answered;
 mod arcs;
 mod base;
 mod belief;

@@ -9,11 +9,11 @@ use crate::lambda::Resolver;
 use crate::positioning::factors::VELOCITY;
 
 use super::answer::gradient_covariance;
+use super::answered::{Answered, Named};
 use super::arcs::Label;
 use super::epoch::STATE;
 use super::float::FloatSolution;
 use super::held::{Ambiguity, hold};
-use super::history::{Answered, Named};
 use super::labels::{Era, Labels};
 use super::placed::FixedPosition;
 

@@ -1,0 +1,305 @@
+//! The architecture as a test: who may name whom, what is absent where, and how long things may be.
+//!
+//! The rules stand in `ARCHITECTURE.md`; here they are held. Sources are read as text, up to the
+//! unit tests of each file: `source` tells code from comments and literals, `modules` reads which
+//! module names which.
+
+mod modules;
+mod source;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use modules::Modules;
+use source::{before_tests, code_of, code_only, functions, identifier, literals, root, rust_files};
+
+/// Module → modules it names, all of which stand before it here. Neither more nor fewer: a
+/// permission that nobody uses fails as a name without a permission does.
+const MAY_NAME: &[(&str, &[&str])] = &[
+    ("gnss", &[]),
+    ("id", &[]),
+    ("refusal", &[]),
+    ("clock", &["gnss"]),
+    ("config", &["gnss", "refusal"]),
+    ("snapshot", &[]),
+    ("graph", &["snapshot"]),
+    ("lambda", &[]),
+    ("models", &["gnss"]),
+    ("formats", &["gnss", "refusal"]),
+    ("simulation", &["gnss", "models"]),
+    ("positioning", &["gnss", "config", "snapshot", "graph", "lambda", "models"]),
+    ("store", &["gnss", "refusal", "config"]),
+    ("reception", &["gnss", "refusal", "formats"]),
+    ("evaluation", &["gnss", "formats"]),
+    (
+        "aiding",
+        &["gnss", "id", "refusal", "clock", "config", "models", "formats", "positioning", "store"],
+    ),
+    ("feeds", &["gnss", "refusal", "clock", "formats", "aiding"]),
+    (
+        "session",
+        &[
+            "gnss",
+            "id",
+            "refusal",
+            "clock",
+            "config",
+            "snapshot",
+            "positioning",
+            "store",
+            "reception",
+            "aiding",
+        ],
+    ),
+    (
+        "contract",
+        &[
+            "gnss",
+            "refusal",
+            "clock",
+            "config",
+            "formats",
+            "store",
+            "reception",
+            "aiding",
+            "feeds",
+            "session",
+        ],
+    ),
+    ("grpc", &["refusal", "contract"]),
+    ("http", &["refusal", "contract", "grpc"]),
+    (
+        "cli",
+        &[
+            "gnss",
+            "refusal",
+            "config",
+            "formats",
+            "simulation",
+            "positioning",
+            "store",
+            "evaluation",
+            "aiding",
+            "feeds",
+            "session",
+            "contract",
+            "grpc",
+            "http",
+        ],
+    ),
+];
+
+/// Modules that compute and nothing else, and what must not occur in them.
+const PURE: &[&str] =
+    &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning", "reception"];
+const IMPURE: &[&str] = &[
+    "async ",
+    ".await",
+    "Instant",
+    "SystemTime",
+    "rand::",
+    "std::fs",
+    "std::net",
+    "File::",
+    "tokio::",
+    "tracing::",
+    "println!",
+    "eprintln!",
+    "std::env",
+    "std::thread",
+];
+
+/// Words of satellite navigation, none of which `graph` and `lambda` know.
+const GNSS_WORDS: &[&str] = &[
+    "gnss",
+    "gps",
+    "satellite",
+    "pseudorange",
+    "doppler",
+    "ephemeris",
+    "ecef",
+    "galileo",
+    "beidou",
+    "glonass",
+    "receiver",
+];
+
+const FILE_LINES: usize = 500;
+const FUNCTION_LINES: usize = 70;
+const LINE_CHARACTERS: usize = 100;
+
+#[test]
+fn every_folder_has_its_rule() {
+    let folders: BTreeSet<String> = fs::read_dir(root())
+        .expect("src exists")
+        .map(|entry| entry.expect("src can be listed").path())
+        .filter(|path| path.is_dir())
+        .map(|path| path.file_name().expect("has a name").to_string_lossy().into_owned())
+        .collect();
+    let ruled: BTreeSet<String> = MAY_NAME.iter().map(|(module, _)| (*module).to_owned()).collect();
+    assert_eq!(folders, ruled, "folders of src and the table must be the same");
+}
+
+#[test]
+fn the_table_has_no_cycle() {
+    let mut seen = BTreeSet::new();
+    for (module, allowed) in MAY_NAME {
+        for name in *allowed {
+            assert!(seen.contains(name), "{module} may name {name}, which stands below it");
+        }
+        seen.insert(module);
+    }
+}
+
+#[test]
+fn modules_name_what_the_table_says() {
+    let modules = Modules::read(&root());
+    for (module, allowed) in MAY_NAME {
+        let files = rust_files(&root().join(module));
+        assert!(!files.is_empty(), "src/{module} has no files: has it moved?");
+        for file in files {
+            let code = code_of(&file);
+            for named in code.split("crate::").skip(1) {
+                // `crate::{a, b}` gives "" and fails: one module per `use`.
+                let name = identifier(named);
+                assert!(
+                    name == *module || allowed.contains(&name),
+                    "{} names {name:?}, which {module} may not",
+                    file.display()
+                );
+            }
+            assert!(!code.contains("super::super::"), "{}: super::super::", file.display());
+        }
+        let named = modules.neighbours(module);
+        let unused: Vec<_> = allowed.iter().filter(|name| !named.contains(**name)).collect();
+        assert!(unused.is_empty(), "{module} may name {unused:?}, and does not: take them out");
+    }
+}
+
+const FLOORS_BEGIN: &str = "<!-- floors: GRAPHFIX_ACCEPT=1 cargo test --test main tidy -->\n";
+const FLOORS_END: &str = "<!-- end of floors -->";
+
+/// The floors in `ARCHITECTURE.md` are those of the table: a module stands one floor above the
+/// highest that it names.
+#[test]
+fn the_floors_are_those_of_the_map() {
+    let mut floors: BTreeMap<&str, usize> = BTreeMap::new();
+    for (module, named) in MAY_NAME {
+        let above = named.iter().map(|name| floors[name] + 1).max();
+        floors.insert(module, above.unwrap_or(0));
+    }
+    let top = floors.values().max().copied().unwrap_or(0);
+    let mut table = "| floor | modules |\n|---|---|\n".to_owned();
+    for floor in (0..=top).rev() {
+        let of_floor = MAY_NAME.iter().filter(|(module, _)| floors[module] == floor);
+        let names: Vec<_> = of_floor.map(|(module, _)| format!("`{module}`")).collect();
+        writeln!(table, "| {floor} | {} |", names.join(", ")).unwrap();
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md");
+    let text = fs::read_to_string(&path).unwrap();
+    let (before, rest) = text.split_once(FLOORS_BEGIN).expect("floors begin with their marker");
+    let (printed, after) = rest.split_once(FLOORS_END).expect("floors end with their marker");
+    if std::env::var_os("GRAPHFIX_ACCEPT").is_some() {
+        fs::write(&path, format!("{before}{FLOORS_BEGIN}{table}{FLOORS_END}{after}")).unwrap();
+    } else {
+        assert_eq!(printed, table, "look at the change, then run with GRAPHFIX_ACCEPT=1");
+    }
+}
+
+#[test]
+fn pure_modules_do_nothing_but_compute() {
+    for module in PURE {
+        for file in rust_files(&root().join(module)) {
+            let code = code_of(&file);
+            for word in IMPURE {
+                let found = code.lines().position(|line| line.contains(word));
+                assert!(found.is_none(), "{}:{}: {word:?}", file.display(), found.unwrap_or(0) + 1);
+            }
+        }
+    }
+}
+
+#[test]
+fn graph_and_lambda_know_no_gnss_word() {
+    for module in ["graph", "lambda"] {
+        for file in rust_files(&root().join(module)) {
+            let text = fs::read_to_string(&file).expect("source is UTF-8").to_lowercase();
+            for word in GNSS_WORDS {
+                assert!(!text.contains(word), "{} says {word:?}", file.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_vocabulary_is_not_serialised() {
+    for file in rust_files(&root().join("gnss")) {
+        let code = code_of(&file);
+        assert!(!code.contains("erialize"), "{}", file.display());
+    }
+}
+
+#[test]
+fn only_the_store_speaks_sql() {
+    for (module, _) in MAY_NAME.iter().filter(|(module, _)| *module != "store") {
+        for file in rust_files(&root().join(module)) {
+            assert!(!code_of(&file).contains("sqlx::"), "{}", file.display());
+        }
+    }
+}
+
+#[test]
+fn nothing_is_called_util() {
+    for file in rust_files(&root()) {
+        for part in file.iter().map(|part| part.to_string_lossy()) {
+            let stem = part.trim_end_matches(".rs");
+            let banned = ["util", "utils", "common", "helper", "helpers", "manager", "misc"];
+            assert!(!banned.contains(&stem), "{}", file.display());
+        }
+    }
+}
+
+#[test]
+fn files_functions_and_lines_are_short() {
+    let mut wrong = Vec::new();
+    for file in rust_files(&root()) {
+        let text = before_tests(&file);
+        let lines = text.lines().count();
+        if FILE_LINES < lines {
+            wrong.push(format!("{} has {lines} lines before its tests", file.display()));
+        }
+        for (line, length, name) in functions(&code_only(&text)) {
+            if FUNCTION_LINES < length {
+                wrong.push(format!("{}:{line}: fn {name} has {length} lines", file.display()));
+            }
+        }
+        for (index, line) in text.lines().enumerate() {
+            if LINE_CHARACTERS < line.chars().count() {
+                wrong.push(format!("{}:{}: a long line", file.display(), index + 1));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The modules of a folder, whatever its depth, do not name each other in a circle.
+#[test]
+fn no_module_names_itself_in_a_circle() {
+    let circles = Modules::read(&root()).circles();
+    assert!(circles.is_empty(), "modules name each other in a circle:\n{}", circles.join("\n"));
+}
+
+/// Messages are written for people who read English as a second language.
+#[test]
+fn messages_are_in_plain_words() {
+    for file in rust_files(&root()) {
+        let text = before_tests(&file);
+        for (line, literal) in literals(&text) {
+            for riddle in ["is none", "are none"] {
+                assert!(!literal.contains(riddle), "{}:{line}: {literal}", file.display());
+            }
+        }
+    }
+}
