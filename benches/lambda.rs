@@ -5,10 +5,8 @@
 //! 10¹².
 
 use divan::Bencher;
-use graphfix::lambda::FailureRate;
 use graphfix::lambda::Options;
 use graphfix::lambda::Partial;
-use graphfix::lambda::RatioTest;
 use graphfix::lambda::Resolver;
 use nalgebra::DMatrix;
 
@@ -38,7 +36,7 @@ fn resolve(bencher: Bencher<'_, '_>, covariance: &DMatrix<f64>) {
     let float: Vec<f64> = (0..size).map(|i| 1e3 * pseudo(i) + 0.3 * pseudo(i + 7)).collect();
     let options = Options {
         success_rate_min: 0.0,
-        ratio_test: RatioTest::FixedFailureRate(FailureRate::PerMille),
+        ratio_min: 3.0,
         probability_min: 0.0,
         scale: None,
         fixed_min: 4,
@@ -47,7 +45,9 @@ fn resolve(bencher: Bencher<'_, '_>, covariance: &DMatrix<f64>) {
         attempts_max: 20,
     };
     let mut resolver = Resolver::with_capacity(size);
-    bencher.bench_local(|| resolver.resolve(&float, covariance, Partial::Decorrelated, &options));
+    let order: Vec<usize> = (0..size).collect();
+    let partial = Partial::Ordered(&order);
+    bencher.bench_local(|| resolver.resolve(&float, covariance, partial, &options));
 }
 
 /// Q = s² (I + 11ᵀ + k² AAᵀ), A with pseudo-random entries.

@@ -89,11 +89,6 @@ impl SatelliteId {
         matches!(self.constellation, Constellation::BeiDou)
             && matches!(self.number, 1..=5 | 59..=63)
     }
-
-    /// Whether this is a satellite of the second BeiDou generation (PRN 1–18).
-    pub const fn is_beidou2(self) -> bool {
-        matches!(self.constellation, Constellation::BeiDou) && self.number <= 18
-    }
 }
 
 impl fmt::Display for SatelliteId {

@@ -20,8 +20,6 @@ const GPS_EPOCH_UNIX_DAYS: i64 = 3_657;
 /// BeiDou time starts 2006-01-01T00:00:00 UTC, GPS week 1356, 14 s into it.
 const BEIDOU_WEEK_OFFSET: i32 = 1356;
 const BEIDOU_LAG_NS: i64 = 14 * NS_PER_SECOND;
-/// Galileo week 0 begins with GPS week 1024.
-const GALILEO_WEEK_OFFSET: i32 = 1024;
 /// GLONASS time is Moscow time, UTC + 3 h.
 const GLONASS_AHEAD_OF_UTC_S: i64 = 3 * 3_600;
 
@@ -57,11 +55,6 @@ impl GpsTime {
     /// negative or exceed one week.
     pub fn from_week_seconds(week: i32, seconds: f64) -> Self {
         Self(i64::from(week) * NS_PER_WEEK) + seconds
-    }
-
-    /// The instant of Galileo system time: week since 1999-08-22 and seconds of week (s).
-    pub fn from_galileo(week: i32, seconds: f64) -> Self {
-        Self::from_week_seconds(week + GALILEO_WEEK_OFFSET, seconds)
     }
 
     /// The instant of BeiDou time: week since 2006-01-01 and seconds of week (s).
@@ -106,11 +99,6 @@ impl GpsTime {
     /// Seconds of the GPS week (s).
     pub fn seconds_of_week(self) -> f64 {
         self.ns_of_week() as f64 * 1e-9
-    }
-
-    /// Galileo week and seconds of week (s).
-    pub fn to_galileo(self) -> (i32, f64) {
-        (self.week() - GALILEO_WEEK_OFFSET, self.seconds_of_week())
     }
 
     /// BeiDou week and seconds of week (s).
@@ -415,11 +403,10 @@ mod tests {
     }
 
     #[test]
-    fn beidou_and_galileo_weeks() {
+    fn beidou_weeks() {
         // BDT zero is 2006-01-01T00:00:00 UTC, 14 s into GPS week 1356 (BDS-SIS-ICD-B1I-3.0, 3.3).
         assert_eq!(GpsTime::from_beidou(0, 0.0), GpsTime::from_week_seconds(1356, 14.0));
         assert_eq!(GpsTime::from_week_seconds(1356, 13.0).to_beidou(), (-1, 604_799.0));
-        assert_eq!(GpsTime::from_galileo(0, 5.0), GpsTime::from_week_seconds(1024, 5.0));
     }
 
     #[test]

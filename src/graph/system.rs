@@ -180,11 +180,6 @@ impl<const S: usize> System<S> {
         self.cost.add(residual, kernel)
     }
 
-    /// Whether any row touched this border variable.
-    pub fn is_touched(&self, variable: usize) -> bool {
-        self.lives[variable].last.is_some()
-    }
-
     /// Adds a row on state `k`; returns the weight its kernel gave it.
     #[inline]
     pub fn add<const N: usize>(&mut self, k: usize, row: &Row<N>, kernel: &Kernel) -> f64 {
@@ -283,21 +278,6 @@ impl<const S: usize> System<S> {
                 *touched.matrix.get_mut(place, other) += scaled * derivative;
             }
         }
-    }
-
-    /// Adds M correlated rows on state `k`, already whitened together: one kernel weight for all,
-    /// taken at ‖r‖. Returns that weight.
-    pub fn add_block<const M: usize>(
-        &mut self,
-        k: usize,
-        residual: &SVector<f64, M>,
-        jacobian: &SMatrix<f64, M, S>,
-        kernel: &Kernel,
-    ) -> f64 {
-        let weight = self.weigh(residual.norm(), kernel);
-        self.diagonal[k] += jacobian.tr_mul(jacobian) * weight;
-        self.gradient[k] += jacobian.tr_mul(residual) * weight;
-        weight
     }
 
     /// Adds information `h` (lower triangle read) and gradient `g` on state `k`.

@@ -17,7 +17,6 @@ mod reduction;
 mod resolver;
 mod search;
 mod success;
-mod thresholds;
 mod validation;
 
 pub use fix::Fix;
@@ -25,9 +24,8 @@ pub use reduction::Reduction;
 pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};
 pub use search::{Search, SearchLimits, SearchOutcome};
 pub use success::{adop, bootstrapped_failure_rate, bootstrapped_success_rate};
-pub use thresholds::FailureRate;
 pub use validation::{
-    KnownScale, RatioTest, odds_at_scale, posterior_probability, scaled_posterior_probability,
+    KnownScale, odds_at_scale, posterior_probability, scaled_posterior_probability,
 };
 
 /// Why integers cannot be searched for. Real data causes all but the dimension errors.

@@ -11,8 +11,6 @@ use crate::lambda::search::SearchLimits;
 use crate::lambda::search::SearchOutcome;
 use crate::lambda::success::adop;
 use crate::lambda::success::bootstrapped_success_rate;
-use crate::lambda::success::log_rounding_success;
-use crate::lambda::validation::RatioTest;
 use crate::lambda::validation::posterior_probability;
 use crate::lambda::validation::ratio;
 use crate::lambda::validation::{KnownScale, scaled_posterior_probability};
@@ -22,14 +20,14 @@ use crate::lambda::validation::{KnownScale, scaled_posterior_probability};
 pub struct Options {
     /// Smallest bootstrapped success rate of the fixed entries; 0: no condition.
     pub success_rate_min: f64,
-    /// Acceptance test of the best against the second best.
-    pub ratio_test: RatioTest,
+    /// Smallest ratio R = ‖â − a₂‖² / ‖â − a₁‖² of the second best to the best; 0: no condition.
+    pub ratio_min: f64,
     /// Smallest posterior probability of the best candidate; 0: no condition. If the covariance is
     /// right, no other test accepts more at the same rate of accepted wrong integers.
     pub probability_min: f64,
     /// Prior of the covariance's scale, for that probability; `None`: the scale is exact.
     pub scale: Option<KnownScale>,
-    /// Smallest number of entries (or combinations) in a fix.
+    /// Smallest number of entries in a fix.
     pub fixed_min: usize,
     /// Number of candidates in the posterior, at least 2.
     pub candidates: usize,
@@ -44,12 +42,8 @@ pub struct Options {
 pub enum Partial<'a> {
     /// Nothing: all or none.
     None,
-    /// Fix only the decorrelated entries of smallest variance, as many as the success rate allows.
-    Decorrelated,
-    /// Leave out original entries one by one, in this order, weakest first.
+    /// Leave out entries one by one, in this order, weakest first.
     Ordered(&'a [usize]),
-    /// Leave out each original entry once; keep the accepted subset of the largest ratio.
-    LeaveOneOut,
 }
 
 /// Why the integers are rejected.
@@ -74,16 +68,14 @@ pub enum Rejection {
 pub struct Outcome {
     /// `None` if the integers are accepted.
     pub rejection: Option<Rejection>,
-    /// Number of combinations tried together, and fixed if accepted.
+    /// Number of entries tried together, and fixed if accepted.
     pub size: usize,
-    /// Bootstrapped success rate of these combinations.
+    /// Bootstrapped success rate of these entries.
     pub success_rate: f64,
-    /// Ambiguity dilution of precision of these combinations, in the unit of the entries.
+    /// Ambiguity dilution of precision of these entries, in the unit of the entries.
     pub adop: f64,
     /// Ratio of second-best to best squared norm, if searched.
     pub ratio: Option<f64>,
-    /// Smallest accepted ratio.
-    pub ratio_threshold: f64,
     /// Posterior probability that the best integers are right, if searched.
     pub probability: Option<f64>,
     /// Best squared norm ‖â − ǎ‖²_Q, if searched.
@@ -142,16 +134,12 @@ impl Resolver {
         self.members.clear();
         self.members.extend(0..float.len());
         self.load(float, covariance)?;
-        let whole = self.attempt(0, float.len(), options);
+        let whole = self.attempt(float.len(), options);
         let outcome = match partial {
             _ if whole.rejection.is_none() => whole,
             Partial::None => whole,
-            Partial::Decorrelated => self.shrink(float.len(), options).unwrap_or(whole),
             Partial::Ordered(order) => {
                 self.drop_in_order(float, covariance, order, options)?.unwrap_or(whole)
-            }
-            Partial::LeaveOneOut => {
-                self.leave_one_out(float, covariance, options)?.unwrap_or(whole)
             }
         };
         if outcome.rejection.is_some() {
@@ -180,17 +168,16 @@ impl Resolver {
         Ok(())
     }
 
-    /// Tests the decorrelated entries from `start` on and stores them if accepted.
-    fn attempt(&mut self, start: usize, size: usize, options: &Options) -> Outcome {
+    /// Tests the present members and stores their integers if accepted.
+    fn attempt(&mut self, size: usize, options: &Options) -> Outcome {
         self.attempts += 1;
-        let variances = &self.reduction.variances()[start..];
+        let variances = self.reduction.variances();
         let mut outcome = Outcome {
             rejection: None,
             size: variances.len(),
             success_rate: bootstrapped_success_rate(variances),
             adop: adop(variances),
             ratio: None,
-            ratio_threshold: options.ratio_test.threshold(variances),
             probability: None,
             squared_norm: None,
             nodes: 0,
@@ -201,12 +188,12 @@ impl Resolver {
         } else if outcome.success_rate < options.success_rate_min {
             Some(Rejection::SuccessRate)
         } else {
-            self.search(start, options, &mut outcome)
+            self.search(options, &mut outcome)
         };
         if outcome.rejection.is_none() {
             self.fix.clear(size);
             let best = self.search.candidate(0);
-            if !self.fix.hold(&self.reduction, &self.members, &self.base, start, best) {
+            if !self.fix.hold(&self.reduction, &self.members, &self.base, best) {
                 outcome.rejection = Some(Rejection::Magnitude);
             }
         }
@@ -214,15 +201,10 @@ impl Resolver {
     }
 
     /// Searches with half of the remaining nodes, so that a smaller subset still has some.
-    fn search(
-        &mut self,
-        start: usize,
-        options: &Options,
-        outcome: &mut Outcome,
-    ) -> Option<Rejection> {
+    fn search(&mut self, options: &Options, outcome: &mut Outcome) -> Option<Rejection> {
         let nodes = (options.nodes_max - self.nodes).div_ceil(2);
         let limits = SearchLimits { candidates: options.candidates.max(2), nodes };
-        let searched = self.search.run(&self.reduction, &self.decorrelated, start, limits);
+        let searched = self.search.run(&self.reduction, &self.decorrelated, limits);
         self.nodes += searched.nodes();
         if let SearchOutcome::LimitReached { .. } = searched {
             return Some(Rejection::SearchLimit);
@@ -230,12 +212,12 @@ impl Resolver {
         let norms = self.search.norms();
         outcome.ratio = ratio(norms);
         outcome.squared_norm = norms.first().copied();
-        let variances = &self.reduction.variances()[start..];
+        let variances = self.reduction.variances();
         outcome.probability = Some(match options.scale {
             Some(scale) => scaled_posterior_probability(norms, variances, scale),
             None => posterior_probability(norms, variances),
         });
-        if outcome.ratio.is_none_or(|ratio| ratio < outcome.ratio_threshold) {
+        if outcome.ratio.is_none_or(|ratio| ratio < options.ratio_min) {
             return Some(Rejection::Ratio);
         }
         let is_likely = outcome.probability.is_some_and(|p| options.probability_min <= p);
@@ -245,30 +227,6 @@ impl Resolver {
     /// Whether another subset may be tried.
     fn has_budget(&self, options: &Options) -> bool {
         self.attempts < options.attempts_max && self.nodes < options.nodes_max
-    }
-
-    /// Leaves the least precise decorrelated entries real-valued, an eighth of the rest at a time.
-    fn shrink(&mut self, size: usize, options: &Options) -> Option<Outcome> {
-        let mut start = self.first_strong(options.success_rate_min).max(1);
-        while start < size && options.fixed_min <= size - start && self.has_budget(options) {
-            let outcome = self.attempt(start, size, options);
-            if outcome.rejection.is_none() {
-                return Some(outcome);
-            }
-            start += (size - start).div_ceil(8);
-        }
-        None
-    }
-
-    /// First entry from which on the success rate reaches its minimum.
-    fn first_strong(&self, success_rate_min: f64) -> usize {
-        let variances = self.reduction.variances();
-        let mut log_rate = 0.0;
-        let strong = variances.iter().rev().take_while(|variance| {
-            log_rate += log_rounding_success(**variance);
-            success_rate_min.ln() <= log_rate
-        });
-        variances.len() - strong.count()
     }
 
     fn drop_in_order(
@@ -284,51 +242,12 @@ impl Resolver {
             }
             self.members.retain(|&member| member != weakest);
             self.load(float, covariance)?;
-            let outcome = self.attempt(0, float.len(), options);
+            let outcome = self.attempt(float.len(), options);
             if outcome.rejection.is_none() {
                 return Ok(Some(outcome));
             }
         }
         Ok(None)
-    }
-
-    fn leave_one_out(
-        &mut self,
-        float: &[f64],
-        covariance: &DMatrix<f64>,
-        options: &Options,
-    ) -> Result<Option<Outcome>, LambdaError> {
-        let size = float.len();
-        let mut best: Option<(usize, Outcome)> = None;
-        for out in (0..size).filter(|_| 1 < size) {
-            if !self.has_budget(options) {
-                break;
-            }
-            self.load_without(out, float, covariance)?;
-            let outcome = self.attempt(0, size, options);
-            let better = best.is_none_or(|(_, other)| other.ratio < outcome.ratio);
-            if outcome.rejection.is_none() && better {
-                best = Some((out, outcome));
-            }
-        }
-        let Some((out, outcome)) = best else { return Ok(None) };
-        self.load_without(out, float, covariance)?;
-        let limits = SearchLimits { candidates: 1, nodes: options.nodes_max };
-        self.search.run(&self.reduction, &self.decorrelated, 0, limits);
-        self.fix.clear(size);
-        self.fix.hold(&self.reduction, &self.members, &self.base, 0, self.search.candidate(0));
-        Ok(Some(outcome))
-    }
-
-    fn load_without(
-        &mut self,
-        out: usize,
-        float: &[f64],
-        covariance: &DMatrix<f64>,
-    ) -> Result<(), LambdaError> {
-        self.members.clear();
-        self.members.extend((0..float.len()).filter(|&member| member != out));
-        self.load(float, covariance)
     }
 }
 

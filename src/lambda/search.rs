@@ -86,22 +86,19 @@ impl Search {
         }
     }
 
-    /// Finds the best integers for the decorrelated entries from `start` on.
-    /// The entries before `start` stay real-valued. `float` is all of ẑ.
-    /// The entries before `start` are left real. `float` is ẑ, all of it.
+    /// Finds the best integers for the decorrelated entries; `float` is ẑ.
     ///
     /// # Panics
-    /// When `start` leaves no entry, `float` has another size, or no candidate is requested.
+    /// If there is no entry, `float` has another size, or no candidate is requested.
     pub fn run(
         &mut self,
         reduction: &Reduction,
         float: &[f64],
-        start: usize,
         limits: SearchLimits,
     ) -> SearchOutcome {
         let n = reduction.size();
-        assert!(start < n && float.len() == n && 0 < limits.candidates, "nothing to search");
-        self.prepare(n, start);
+        assert!(0 < n && float.len() == n && 0 < limits.candidates, "nothing to search");
+        self.prepare(n);
         let mut k = n - 1;
         self.levels[k] = Level::around(float[k], 0.0);
         let mut radius = f64::INFINITY;
@@ -109,12 +106,12 @@ impl Search {
             let level = self.levels[k];
             let off = level.center - level.integer;
             let norm = level.norm + off * off / reduction.variances()[k];
-            if norm < radius && k != start {
-                self.descend(reduction, float, start, k);
+            if norm < radius && k != 0 {
+                self.descend(reduction, float, k);
                 k -= 1;
                 self.levels[k].norm = norm;
             } else if norm < radius {
-                self.keep(norm, start, limits.candidates);
+                self.keep(norm, limits.candidates);
                 if self.norms.len() == limits.candidates {
                     radius = self.norms[limits.candidates - 1];
                 }
@@ -134,13 +131,13 @@ impl Search {
         &self.norms
     }
 
-    /// The integers of candidate `i`, for the entries from `start` on, as integral values.
+    /// The integers of candidate `i`, as integral values.
     pub fn candidate(&self, i: usize) -> &[f64] {
         &self.candidates[i * self.length..(i + 1) * self.length]
     }
 
-    fn prepare(&mut self, n: usize, start: usize) {
-        self.length = n - start;
+    fn prepare(&mut self, n: usize) {
+        self.length = n;
         self.levels.clear();
         self.levels.resize(n, Level::around(0.0, 0.0));
         self.shifts.clear();
@@ -150,13 +147,13 @@ impl Search {
     }
 
     /// Conditions all entries below `k` on the integer at `k` and opens level k−1.
-    fn descend(&mut self, reduction: &Reduction, float: &[f64], start: usize, k: usize) {
+    fn descend(&mut self, reduction: &Reduction, float: &[f64], k: usize) {
         let n = float.len();
         let off = self.levels[k].integer - self.levels[k].center;
         let (below, above) = self.shifts.split_at_mut(k * n);
-        let target = &mut below[(k - 1) * n + start..(k - 1) * n + k];
-        let factor = &reduction.factor_row(k)[start..k];
-        for ((shift, before), l) in target.iter_mut().zip(&above[start..k]).zip(factor) {
+        let target = &mut below[(k - 1) * n..(k - 1) * n + k];
+        let factor = &reduction.factor_row(k)[..k];
+        for ((shift, before), l) in target.iter_mut().zip(&above[..k]).zip(factor) {
             *shift = before + off * l;
         }
         let center = float[k - 1] + self.shifts[(k - 1) * n + k - 1];
@@ -164,14 +161,14 @@ impl Search {
     }
 
     /// Inserts the present integers by norm, dropping the worst beyond `most`.
-    fn keep(&mut self, norm: f64, start: usize, most: usize) {
+    fn keep(&mut self, norm: f64, most: usize) {
         let at = self.norms.partition_point(|&other| other <= norm);
         if self.norms.len() == most {
             self.norms.pop();
             self.candidates.truncate((most - 1) * self.length);
         }
         self.norms.insert(at, norm);
-        self.candidates.extend(self.levels[start..].iter().map(|level| level.integer));
+        self.candidates.extend(self.levels.iter().map(|level| level.integer));
         self.candidates[at * self.length..].rotate_right(self.length);
     }
 }

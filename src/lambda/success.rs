@@ -37,7 +37,7 @@ fn log_success_rate(conditional_variances: &[f64]) -> f64 {
 }
 
 /// ln(2Φ(1/(2σ)) − 1) = ln erf(1/(2√2 σ)).
-pub(in crate::lambda) fn log_rounding_success(variance: f64) -> f64 {
+fn log_rounding_success(variance: f64) -> f64 {
     let x = 1.0 / (2.0 * SQRT_2 * variance.sqrt());
     if x < SERIES_MAX { erf_series(x).ln() } else { (-erfc_fraction(x)).ln_1p() }
 }

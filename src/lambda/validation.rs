@@ -1,40 +1,13 @@
-//! Reliability of the best integers: ratio tests and posterior probabilities.
+//! Reliability of the best integers: their ratio to the second best, and their posterior.
 
 use std::f64::consts::PI;
 use std::f64::consts::TAU;
 
-use crate::lambda::success::bootstrapped_failure_rate;
 use crate::lambda::success::log_determinant;
 use crate::lambda::success::scaled_erfc;
-use crate::lambda::thresholds::FailureRate;
 
 /// Intervals of Simpson's rule for a tail, even.
 const TAIL_STEPS: i32 = 64;
-
-/// Accepts if R = ‖â − a₂‖² / ‖â − a₁‖² ≥ threshold, second best over best.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum RatioTest {
-    /// The same threshold for every model.
-    Constant(f64),
-    /// The threshold that keeps accepted wrong integers at a rate, whatever the model's strength.
-    ///
-    /// Source: Verhagen & Teunissen (2013); the thresholds are our own simulation, see
-    /// `thresholds`.
-    FixedFailureRate(FailureRate),
-}
-
-impl RatioTest {
-    /// The threshold on R for a model of these conditional variances.
-    pub fn threshold(self, conditional_variances: &[f64]) -> f64 {
-        match self {
-            Self::Constant(threshold) => threshold,
-            Self::FixedFailureRate(rate) => {
-                let failure_rate = bootstrapped_failure_rate(conditional_variances);
-                rate.threshold(conditional_variances.len(), failure_rate)
-            }
-        }
-    }
-}
 
 /// Ratio of second-best to best squared norm; infinite if the best is zero.
 pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
@@ -198,8 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_ratio_is_the_threshold_of_any_model() {
-        assert_eq!(RatioTest::Constant(3.0).threshold(&[0.1, 0.2]), 3.0);
+    fn ratio_is_second_best_over_best() {
         assert_eq!(ratio(&[0.5, 2.0]), Some(4.0));
         assert_eq!(ratio(&[0.0, 2.0]), Some(f64::INFINITY));
         assert_eq!(ratio(&[0.0, 0.0]), None);

@@ -5,8 +5,8 @@
 //! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
 //! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
 //! the same factors with one state. `differencing` sets a rover against a base, and `rtk` finds its
-//! position and the integers from that; [`SlipTracker`] tells which carrier phases share an
-//! ambiguity, and [`correct_for_antenna`] brings observations to the antenna reference point.
+//! position and the integers from that. [`correct_for_antenna`] brings observations to the antenna
+//! reference point.
 //! Physics is in `models`, the choice of all of it in `config`.
 
 mod answer;
@@ -26,7 +26,6 @@ mod ranging;
 mod rtk;
 #[cfg(test)]
 mod scenario;
-mod slips;
 mod snapshot;
 mod spp;
 mod standstill;
@@ -37,6 +36,3 @@ pub use antenna::correct_for_antenna;
 pub use base::{BASE_LATER_S, BaseAiding};
 pub use estimator::{Aiding, Batch, Estimator};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
-pub use slips::{
-    AntennaMotion, AntennaPosition, KnownSatellite, PhaseArc, SlipCause, SlipCauses, SlipTracker,
-};

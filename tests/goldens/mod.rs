@@ -5,5 +5,4 @@ mod ekf;
 mod fgo;
 mod rinex;
 mod rtk;
-mod slips;
 mod spp;

@@ -9,9 +9,7 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{Constellation, Reason};
-use crate::lambda::{
-    KnownScale, Options, Outcome, Partial, RatioTest, Rejection, Resolver, odds_at_scale,
-};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, Rejection, Resolver, odds_at_scale};
 use crate::snapshot::snapshot_fields;
 
 use super::arcs::{Arc, Label};
@@ -242,7 +240,7 @@ impl Integers {
     ) -> Option<f64> {
         let anything = Options {
             success_rate_min: 0.0,
-            ratio_test: RatioTest::Constant(0.0),
+            ratio_min: 0.0,
             probability_min: 0.0,
             fixed_min: known.len(),
             attempts_max: 1,
@@ -270,7 +268,7 @@ impl Integers {
             tried += outcome.attempts;
             resolution.ratio = outcome.ratio;
             resolution.success_rate = Some(outcome.success_rate);
-            if let Some(reason) = refusal(&outcome) {
+            if let Some(reason) = refusal(&outcome, options) {
                 resolution.outcome = Err(reason);
                 continue;
             }
@@ -459,7 +457,7 @@ pub(super) fn drop_labels(arcs: &mut [Arc], trust: &mut Trust, are_wrong: bool) 
 pub(super) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
     Options {
         success_rate_min: options.success_rate_min,
-        ratio_test: RatioTest::Constant(options.ratio_min),
+        ratio_min: options.ratio_min,
         probability_min: options.found_probability_min(),
         scale: Some(scale),
         fixed_min: options.fixed_min,
@@ -470,11 +468,11 @@ pub(super) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options
 }
 
 /// Why integers were not accepted, if they were not.
-fn refusal(outcome: &Outcome) -> Option<Reason> {
+fn refusal(outcome: &Outcome, options: &Options) -> Option<Reason> {
     Some(match outcome.rejection? {
         Rejection::Ratio => Reason::RatioBelowThreshold {
             ratio: outcome.ratio.unwrap_or(1.0),
-            threshold: outcome.ratio_threshold,
+            threshold: options.ratio_min,
         },
         Rejection::Probability | Rejection::SuccessRate | Rejection::SearchLimit => {
             Reason::SuccessRateTooLow { success_rate: outcome.success_rate }

@@ -2,7 +2,6 @@
 
 use graphfix_oracles::lambda::Options;
 use graphfix_oracles::lambda::Partial;
-use graphfix_oracles::lambda::RatioTest;
 use graphfix_oracles::lambda::Resolver;
 use nalgebra::DMatrix;
 
@@ -26,9 +25,9 @@ fn covariance(size: usize, seed: usize) -> DMatrix<f64> {
 fn two_independent_implementations_agree() {
     let options = Options {
         success_rate_min: 0.0,
-        ratio_test: RatioTest::Constant(1.0),
+        ratio_min: 1.0,
         probability_min: 0.0,
-        scale_freedom: f64::INFINITY,
+        scale: None,
         fixed_min: 1,
         candidates: 2,
         nodes_max: 10_000_000,
