@@ -12,6 +12,7 @@ use crate::formats::rinex::{
     ObservationHeader, ObservationWriter, RinexVersion, RinexWriteError, write_navigation,
 };
 use crate::formats::truth::{self, TruthRow};
+use crate::gnss::constants::{SECONDS_PER_HOUR, SECONDS_PER_WEEK};
 use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
 use crate::simulation::{Scenario, Simulator, signals};
 
@@ -19,7 +20,7 @@ use crate::simulation::{Scenario, Simulator, signals};
 const FILES: [&str; 6] =
     ["rover.obs", "base.obs", "navigation.rnx", "odometry.csv", "truth.csv", "README.txt"];
 /// Longest simulation and shortest interval: what one file shall hold.
-const LONGEST_S: f64 = 7.0 * 86_400.0;
+const LONGEST_S: f64 = SECONDS_PER_WEEK;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
 /// Beyond it the base would be below the rover's horizon.
 const LONGEST_BASELINE_M: f64 = 1e5;
@@ -91,7 +92,7 @@ impl SimulateArguments {
             scenario.duration_s = duration_s;
         }
         if let Some(rate_hz) = self.rate {
-            let (lowest, highest) = (1.0 / 3_600.0, 1.0 / SHORTEST_INTERVAL_S);
+            let (lowest, highest) = (1.0 / SECONDS_PER_HOUR, 1.0 / SHORTEST_INTERVAL_S);
             if !(lowest..=highest).contains(&rate_hz) {
                 return Err(out_of_range("--rate", rate_hz, lowest, highest));
             }

@@ -21,7 +21,7 @@ pub use choices::{
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use option_table::OptionEntry;
-pub use positioning::PositioningOptions;
+pub use positioning::{PositioningOptions, REFERENCE_CN0_DB_HZ};
 pub use rtk_options::RtkOptions;
 pub use service::{
     BasesConfiguration, CasterConfiguration, FetchConfiguration, IntakeLimits, Limits,

@@ -1,6 +1,7 @@
 //! The table of positioning options: name, unit, meaning and accepted values of each.
 
 use crate::gnss::SatelliteId;
+use crate::gnss::constants::SECONDS_PER_HOUR;
 
 use super::graph_table::GRAPH_TABLE;
 use super::option_specification::{OptionSpecification, number, switch, switch_text};
@@ -114,8 +115,8 @@ const TABLE: &[OptionSpecification] = &[
         name: "ephemeris_beidou_h", unit: "h",
         meaning: "largest age of a BeiDou ephemeris, before or after its time of ephemeris (toe)",
         allowed: "a number from 1 to 24",
-        get: |o| (o.ephemeris_beidou_s / 3_600.0).to_string(),
-        set: |o, text| number(text, 1.0, 24.0).map(|v| o.ephemeris_beidou_s = v * 3_600.0),
+        get: |o| (o.ephemeris_beidou_s / SECONDS_PER_HOUR).to_string(),
+        set: |o, text| number(text, 1.0, 24.0).map(|v| o.ephemeris_beidou_s = v * SECONDS_PER_HOUR),
     },
     OptionSpecification {
         name: "troposphere", unit: "",

@@ -1,5 +1,6 @@
 //! Options of the estimators and their defaults; `option_table` names and explains them.
 
+use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Band, Constellation, SatelliteId};
 
 use super::{
@@ -7,7 +8,8 @@ use super::{
     TroposphereMapping, TroposphereModel, WeightModel,
 };
 
-const HOUR_S: f64 = 3_600.0;
+/// C/N0 to which the options' standard deviations refer (dB-Hz): at 22 dB-Hz they are tenfold.
+pub const REFERENCE_CN0_DB_HZ: f64 = 42.0;
 
 /// The options of an estimator: a profile's values with overrides.
 ///
@@ -97,7 +99,7 @@ impl PositioningOptions {
                 klobuchar_beidou: false,
                 // As RTKLIB 2.4.2 has it, with which the paper models its measurements.
                 group_delay_beidou: false,
-                ephemeris_beidou_s: 6.0 * HOUR_S,
+                ephemeris_beidou_s: 6.0 * SECONDS_PER_HOUR,
                 troposphere_mapping: TroposphereMapping::Cosecant,
                 // Its WLS is RTKLIB's; its graph has the weights of goGPS.
                 weighting: match mode {
@@ -126,7 +128,7 @@ impl PositioningOptions {
             dual_frequency: true,
             klobuchar_beidou: true,
             group_delay_beidou: true,
-            ephemeris_beidou_s: 2.0 * HOUR_S,
+            ephemeris_beidou_s: 2.0 * SECONDS_PER_HOUR,
             troposphere: TroposphereModel::Saastamoinen,
             troposphere_mapping: TroposphereMapping::Cosecant,
             weighting: WeightModel::Cn0Elevation,

@@ -14,6 +14,7 @@ use crate::aiding::NavigationBroker;
 use crate::clock::{gps_time, unix_ms};
 use crate::formats::decompress;
 use crate::formats::rinex::read_navigation;
+use crate::gnss::constants::{NS_PER_SECOND, SECONDS_PER_DAY, SECONDS_PER_HOUR};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Navigation, TimeScale};
 use crate::refusal::Code;
 
@@ -80,15 +81,15 @@ impl ArchiveTemplate {
             (has("{yyyy}") || has("{yy}")) && (has("{ddd}") || has("{mm}") && has("{dd}"));
         match (has_day, has("{hh}") || has("{h}"), has("{min}")) {
             (true, true, true) => Some(900),
-            (true, true, false) => Some(3600),
-            (true, false, false) => Some(86_400),
+            (true, true, false) => Some(SECONDS_PER_HOUR as i64),
+            (true, false, false) => Some(SECONDS_PER_DAY as i64),
             _ => None,
         }
     }
 
     /// The start of the time that the file with `time` covers, and its end, which is not included.
     pub fn span(&self, time: GpsTime) -> Option<(GpsTime, GpsTime)> {
-        let period_ns = self.period_s()? * 1_000_000_000;
+        let period_ns = self.period_s()? * NS_PER_SECOND;
         let start_ns = time.as_ns().div_euclid(period_ns) * period_ns;
         Some((GpsTime::from_ns(start_ns), GpsTime::from_ns(start_ns + period_ns)))
     }
@@ -106,7 +107,7 @@ fn day_of_year(civil: &CivilTime) -> i64 {
     let leap = LeapSeconds::table();
     let ns = |civil: &CivilTime| GpsTime::from_civil(civil, TimeScale::Gps, &leap);
     let since = ns(civil).zip(ns(&start)).map(|(now, start)| now.as_ns() - start.as_ns());
-    since.unwrap_or_default() / (86_400 * 1_000_000_000) + 1
+    since.unwrap_or_default() / (SECONDS_PER_DAY as i64 * NS_PER_SECOND) + 1
 }
 
 /// The task that fetches an archive of ephemerides.
@@ -159,7 +160,7 @@ impl Archive {
         let now = gps_time(unix_ms());
         let mut urls = Vec::new();
         for days in 0..DAYS {
-            let url = self.template.at(now - 86_400.0 * days as f64);
+            let url = self.template.at(now - SECONDS_PER_DAY * days as f64);
             let url = url.map_err(|error| (FeedProblem::from(&WebError::from(error)), None))?;
             if !urls.contains(&url) {
                 urls.push(url);

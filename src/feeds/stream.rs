@@ -11,6 +11,7 @@ use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseId;
 use crate::clock::{gps_time, unix_ms};
 use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation, PositionSource};
 
 use super::health::{FeedHealth, FeedProblem, FeedState};
@@ -335,7 +336,7 @@ impl Stream {
 /// The NMEA GGA sentence that reports a position to a caster.
 fn sentence(position: Ecef) -> String {
     let geodetic = position.to_geodetic();
-    let second_of_day = (unix_ms() / 1000).rem_euclid(86_400) as u32;
+    let second_of_day = (unix_ms() / 1000).rem_euclid(SECONDS_PER_DAY as i64) as u32;
     let (latitude_deg, longitude_deg) =
         (geodetic.latitude_rad.to_degrees(), geodetic.longitude_rad.to_degrees());
     position_sentence(latitude_deg, longitude_deg, geodetic.height_m, second_of_day)

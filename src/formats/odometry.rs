@@ -16,6 +16,7 @@
 use std::io::{self, BufRead, Write};
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
+use crate::gnss::constants::SECONDS_PER_WEEK;
 use crate::gnss::{GpsTime, Odometry, OdometryError, OdometryFrame, symmetric_of};
 
 const COLUMNS: [&str; 15] = [
@@ -38,7 +39,6 @@ const COLUMNS: [&str; 15] = [
 /// Number of columns that a file must have.
 const NEEDED: usize = 10;
 const WEEK_MAX: f64 = 9_999.0;
-const WEEK_S: f64 = 604_800.0;
 
 /// A displacement and the time of its end.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -178,7 +178,7 @@ impl Fields<'_> {
         if week.fract() != 0.0 || !(0.0..=WEEK_MAX).contains(&week) {
             return Err(self.refused(0));
         }
-        if !(0.0..WEEK_S).contains(&seconds) {
+        if !(0.0..SECONDS_PER_WEEK).contains(&seconds) {
             return Err(self.refused(1));
         }
         Ok(GpsTime::from_week_seconds(week as i32, seconds))

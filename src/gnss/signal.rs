@@ -2,6 +2,7 @@
 //!
 //! Codes are RINEX 3's (RINEX 3.05, tables 4–10): a band digit and a tracking attribute, `1C`.
 
+use super::constants::GPS_L1_HZ;
 use std::fmt;
 
 use super::{Constellation, SatelliteId};
@@ -107,7 +108,7 @@ impl Signal {
     pub fn frequency_hz(self, glonass_channel: Option<i8>) -> Option<f64> {
         use Constellation as C;
         let mhz = match (self.constellation, self.code.band_digit()) {
-            (C::Gps | C::Qzss | C::Galileo | C::BeiDou, 1) => 1575.42,
+            (C::Gps | C::Qzss | C::Galileo | C::BeiDou, 1) => return Some(GPS_L1_HZ),
             (C::Gps | C::Qzss, 2) => 1227.60,
             (C::Gps | C::Qzss | C::Galileo | C::BeiDou, 5) => 1176.45,
             (C::Galileo | C::Qzss, 6) => 1278.75,

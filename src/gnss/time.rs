@@ -10,18 +10,19 @@
 use std::fmt;
 use std::ops::{Add, Sub};
 
-use super::constants::SECONDS_PER_WEEK;
+use super::constants::{
+    BEIDOU_FIRST_WEEK, BEIDOU_LAG_S, GLONASS_AHEAD_OF_UTC_S, NS_PER_SECOND, SECONDS_PER_DAY,
+    SECONDS_PER_HOUR, SECONDS_PER_WEEK,
+};
 
-const NS_PER_SECOND: i64 = 1_000_000_000;
-const NS_PER_WEEK: i64 = 604_800 * NS_PER_SECOND;
-const SECONDS_PER_DAY: i64 = 86_400;
+const NS_PER_WEEK: i64 = SECONDS_PER_WEEK as i64 * NS_PER_SECOND;
+const DAY_S: i64 = SECONDS_PER_DAY as i64;
+const HOUR_S: i64 = SECONDS_PER_HOUR as i64;
 /// Days from 1970-01-01 to 1980-01-06.
 const GPS_EPOCH_UNIX_DAYS: i64 = 3_657;
-/// BeiDou time starts 2006-01-01T00:00:00 UTC, GPS week 1356, 14 s into it.
-const BEIDOU_WEEK_OFFSET: i32 = 1356;
-const BEIDOU_LAG_NS: i64 = 14 * NS_PER_SECOND;
-/// GLONASS time is Moscow time, UTC + 3 h.
-const GLONASS_AHEAD_OF_UTC_S: i64 = 3 * 3_600;
+const BEIDOU_LAG_NS: i64 = BEIDOU_LAG_S as i64 * NS_PER_SECOND;
+/// GLONASS time is Moscow time.
+const MOSCOW_AHEAD_S: i64 = GLONASS_AHEAD_OF_UTC_S as i64;
 
 /// An instant of GPS time, to the nanosecond.
 ///
@@ -59,7 +60,7 @@ impl GpsTime {
 
     /// The instant of BeiDou time: week since 2006-01-01 and seconds of week (s).
     pub fn from_beidou(week: i32, seconds: f64) -> Self {
-        let same_label = Self::from_week_seconds(week + BEIDOU_WEEK_OFFSET, seconds);
+        let same_label = Self::from_week_seconds(week + BEIDOU_FIRST_WEEK, seconds);
         Self(same_label.0 + BEIDOU_LAG_NS)
     }
 
@@ -73,15 +74,13 @@ impl GpsTime {
             TimeScale::Gps | TimeScale::Galileo | TimeScale::Qzss => Self(label),
             TimeScale::BeiDou => Self(label + BEIDOU_LAG_NS),
             TimeScale::Utc => leap.gps_from_utc_label(label),
-            TimeScale::Glonass => {
-                leap.gps_from_utc_label(label - GLONASS_AHEAD_OF_UTC_S * NS_PER_SECOND)
-            }
+            TimeScale::Glonass => leap.gps_from_utc_label(label - MOSCOW_AHEAD_S * NS_PER_SECOND),
         })
     }
 
     /// The instant of a system clock's time (ms since 1970-01-01 UTC, leap seconds not counted).
     pub fn from_unix_ms(unix_ms: i64, leap: &LeapSeconds) -> Self {
-        let since_epoch_ms = unix_ms.saturating_sub(GPS_EPOCH_UNIX_DAYS * SECONDS_PER_DAY * 1000);
+        let since_epoch_ms = unix_ms.saturating_sub(GPS_EPOCH_UNIX_DAYS * DAY_S * 1000);
         let without_leap = Self(since_epoch_ms.saturating_mul(NS_PER_SECOND / 1000));
         without_leap + leap.at(without_leap) as f64
     }
@@ -104,7 +103,7 @@ impl GpsTime {
     /// BeiDou week and seconds of week (s).
     pub fn to_beidou(self) -> (i32, f64) {
         let label = Self(self.0 - BEIDOU_LAG_NS);
-        (label.week() - BEIDOU_WEEK_OFFSET, label.seconds_of_week())
+        (label.week() - BEIDOU_FIRST_WEEK, label.seconds_of_week())
     }
 
     /// Calendar date and time of day in `scale`; a leap second shows as second 60 of UTC.
@@ -113,7 +112,7 @@ impl GpsTime {
             TimeScale::Gps | TimeScale::Galileo | TimeScale::Qzss => CivilTime::from_label(self.0),
             TimeScale::BeiDou => CivilTime::from_label(self.0 - BEIDOU_LAG_NS),
             TimeScale::Utc => leap.utc_civil(self, 0),
-            TimeScale::Glonass => leap.utc_civil(self, GLONASS_AHEAD_OF_UTC_S),
+            TimeScale::Glonass => leap.utc_civil(self, MOSCOW_AHEAD_S),
         }
     }
 
@@ -223,22 +222,22 @@ impl CivilTime {
             && (1700..=2260).contains(&self.year);
         plausible.then(|| {
             let days = days_from_civil(self.year, self.month, self.day) - GPS_EPOCH_UNIX_DAYS;
-            let of_day =
-                i64::from(self.hour) * 3_600 + i64::from(self.minute) * 60 + i64::from(self.second);
-            (days * SECONDS_PER_DAY + of_day) * NS_PER_SECOND + i64::from(self.nanosecond)
+            let of_day = i64::from(self.hour) * HOUR_S
+                + i64::from(self.minute) * 60
+                + i64::from(self.second);
+            (days * DAY_S + of_day) * NS_PER_SECOND + i64::from(self.nanosecond)
         })
     }
 
     fn from_label(ns: i64) -> Self {
         let seconds = ns.div_euclid(NS_PER_SECOND);
-        let (days, of_day) =
-            (seconds.div_euclid(SECONDS_PER_DAY), seconds.rem_euclid(SECONDS_PER_DAY));
+        let (days, of_day) = (seconds.div_euclid(DAY_S), seconds.rem_euclid(DAY_S));
         let (year, month, day) = civil_from_days(days + GPS_EPOCH_UNIX_DAYS);
         Self {
             year,
             month,
             day,
-            hour: (of_day / 3_600) as u8,
+            hour: (of_day / HOUR_S) as u8,
             minute: (of_day / 60 % 60) as u8,
             second: (of_day % 60) as u8,
             nanosecond: ns.rem_euclid(NS_PER_SECOND) as u32,
@@ -301,7 +300,7 @@ impl LeapSeconds {
             let days = days_from_civil(year, month, day) - GPS_EPOCH_UNIX_DAYS;
             let before = if index == 0 { 0 } else { LEAP_TABLE[index - 1].3 };
             // The new value holds from one second (the leap second itself) after the old label.
-            if started(days * SECONDS_PER_DAY, before + 1) {
+            if started(days * DAY_S, before + 1) {
                 leap = value;
                 break;
             }

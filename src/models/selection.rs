@@ -1,12 +1,12 @@
 //! Selection of the broadcast ephemeris of a satellite.
 
+use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Constellation, Ephemeris, GpsTime, Navigation, NavigationMessage, SatelliteId};
 
-const HOUR_S: f64 = 3_600.0;
 /// Largest distance from toe at which any message is used (s).
-const LONGEST_S: f64 = 24.0 * HOUR_S;
+const LONGEST_S: f64 = 24.0 * SECONDS_PER_HOUR;
 /// Validity of BeiDou ephemerides around toe (s): updated hourly, plus one hour of margin.
-const BEIDOU_S: f64 = 2.0 * HOUR_S;
+const BEIDOU_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
 /// The ephemeris to use for `satellite` at `time`: healthy, valid, and closest in time.
 ///
@@ -75,18 +75,18 @@ fn preference(ephemeris: &Ephemeris) -> u8 {
 pub fn validity_s(ephemeris: &Ephemeris) -> f64 {
     use NavigationMessage as M;
     let Ephemeris::Keplerian(e) = ephemeris else {
-        return 0.5 * HOUR_S;
+        return 0.5 * SECONDS_PER_HOUR;
     };
     let unstated = match e.message {
         M::D1 | M::D2 | M::Cnv1 | M::Cnv2 | M::Cnv3 => BEIDOU_S,
-        M::Lnav | M::Fdma => 2.0 * HOUR_S,
-        M::Cnav | M::Cnav2 => 1.5 * HOUR_S,
-        M::Inav | M::Fnav => 4.0 * HOUR_S,
+        M::Lnav | M::Fdma => 2.0 * SECONDS_PER_HOUR,
+        M::Cnav | M::Cnav2 => 1.5 * SECONDS_PER_HOUR,
+        M::Inav | M::Fnav => 4.0 * SECONDS_PER_HOUR,
     };
     match (e.message, e.fit_interval_h) {
         // No GPS fit interval is shorter; RINEX 2 writers put the flag (0 or 1) in its place.
         (M::Lnav, Some(hours)) if e.satellite.constellation == Constellation::Gps => {
-            (0.5 * hours.max(4.0) * HOUR_S).min(LONGEST_S)
+            (0.5 * hours.max(4.0) * SECONDS_PER_HOUR).min(LONGEST_S)
         }
         _ => unstated,
     }
@@ -130,7 +130,7 @@ mod tests {
     use crate::models::sample;
 
     fn shifted(base: KeplerianEphemeris, hours: f64, issue: u32) -> Ephemeris {
-        let (toe, toc) = (base.toe + hours * HOUR_S, base.toc + hours * HOUR_S);
+        let (toe, toc) = (base.toe + hours * SECONDS_PER_HOUR, base.toc + hours * SECONDS_PER_HOUR);
         Ephemeris::Keplerian(KeplerianEphemeris { toe, toc, iode: issue, ..base })
     }
 
@@ -144,7 +144,7 @@ mod tests {
 
     /// Issue of the choice at so many hours after the samples' toe.
     fn chosen(navigation: &Navigation, name: &str, hours: f64) -> Option<u32> {
-        let time = sample::toe() + hours * HOUR_S;
+        let time = sample::toe() + hours * SECONDS_PER_HOUR;
         select_ephemeris(navigation, name.parse().unwrap(), time).map(Ephemeris::issue)
     }
 
@@ -184,14 +184,14 @@ mod tests {
     fn beidou_may_be_used_for_longer() {
         let list = [shifted(sample::beidou(), 0.0, 1), shifted(sample::gps(), 0.0, 2)];
         let navigation = navigation(list);
-        let time = sample::toe() - 5.9 * HOUR_S;
+        let time = sample::toe() - 5.9 * SECONDS_PER_HOUR;
         let issue = |name: &str, reach_s: f64| {
             let satellite = name.parse().unwrap();
             select_ephemeris_within(&navigation, satellite, time, reach_s).map(Ephemeris::issue)
         };
-        assert_eq!(issue("C08", 6.0 * HOUR_S), Some(1));
-        assert_eq!(issue("C08", 5.8 * HOUR_S), None);
-        assert_eq!(issue("G05", 6.0 * HOUR_S), None);
+        assert_eq!(issue("C08", 6.0 * SECONDS_PER_HOUR), Some(1));
+        assert_eq!(issue("C08", 5.8 * SECONDS_PER_HOUR), None);
+        assert_eq!(issue("G05", 6.0 * SECONDS_PER_HOUR), None);
     }
 
     #[test]

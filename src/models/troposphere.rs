@@ -9,6 +9,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{Geodetic, GpsTime};
 
 /// Mapping of a zenith delay to the slant path.
@@ -163,7 +164,7 @@ const WET: [Fraction; 5] = [
 ];
 
 /// Seconds in a year of 365.25 days.
-const YEAR_S: f64 = 365.25 * 86_400.0;
+const YEAR_S: f64 = 365.25 * SECONDS_PER_DAY;
 /// Niell's winter: day of year 28.
 const WINTER_DAY: f64 = 28.0;
 /// GPS time starts on day 6 of its year (1980).
@@ -172,9 +173,9 @@ const GPS_EPOCH_DAY: f64 = 6.0;
 impl PreparedMapping {
     fn niell(receiver: &Geodetic, time: GpsTime) -> Self {
         let latitude_deg = receiver.latitude_rad.to_degrees();
-        let days = GPS_EPOCH_DAY + (time - GpsTime::EPOCH) / 86_400.0;
+        let days = GPS_EPOCH_DAY + (time - GpsTime::EPOCH) / SECONDS_PER_DAY;
         let southern = if latitude_deg < 0.0 { PI } else { 0.0 };
-        let season = (TAU * (days - WINTER_DAY) * 86_400.0 / YEAR_S + southern).cos();
+        let season = (TAU * (days - WINTER_DAY) * SECONDS_PER_DAY / YEAR_S + southern).cos();
         let mean = interpolate(&HYDROSTATIC_MEAN, latitude_deg.abs());
         let amplitude = interpolate(&HYDROSTATIC_AMPLITUDE, latitude_deg.abs());
         let hydrostatic = Fraction {
@@ -232,7 +233,7 @@ mod tests {
     /// Niell's functions worked in Python: at 45° in mid-spring, at 30° on the winter day.
     #[test]
     fn niell_worked_apart() {
-        let winter = GpsTime::EPOCH + (WINTER_DAY - GPS_EPOCH_DAY) * 86_400.0;
+        let winter = GpsTime::EPOCH + (WINTER_DAY - GPS_EPOCH_DAY) * SECONDS_PER_DAY;
         let place = Geodetic::from_degrees(45.0, 0.0, 0.0);
         let spring = winter + YEAR_S / 4.0;
         let slant = |place: &Geodetic, time, elevation: f64, dry: f64, wet: f64| {

@@ -3,8 +3,8 @@
 //! Many receivers let their clock drift and set it back by a millisecond; the pseudoranges step
 //! with it, the phases sometimes do not.
 
-/// A millisecond, by which receivers step their clocks (m).
-const MILLISECOND_M: f64 = 299_792.458;
+use crate::gnss::constants::LIGHT_MILLISECOND_M;
+
 /// Clocks that miss their prediction by more jumped (m), besides what an unknown drift explains.
 const JUMP_M: f64 = 1e3;
 /// Drift of a plain crystal, 3 ppm (m/s).
@@ -12,7 +12,7 @@ pub(super) const CRYSTAL_DRIFT_M_S: f64 = 1e3;
 
 /// The whole milliseconds nearest to a miss (m).
 pub(super) fn whole_milliseconds_m(miss_m: f64) -> f64 {
-    (miss_m / MILLISECOND_M).round() * MILLISECOND_M
+    (miss_m / LIGHT_MILLISECOND_M).round() * LIGHT_MILLISECOND_M
 }
 
 /// The jump that a miss of the clock's prediction is taken for: none, whole milliseconds, or
@@ -31,7 +31,10 @@ mod tests {
     #[test]
     fn misses_are_drift_jumps_or_new_clocks() {
         assert_eq!(jump_m(1_500.0, 1.0), Some(0.0));
-        assert_eq!(jump_m(-2.0 * MILLISECOND_M + 800.0, 1.0), Some(-2.0 * MILLISECOND_M));
-        assert_eq!(jump_m(0.5 * MILLISECOND_M, 1.0), None);
+        assert_eq!(
+            jump_m(-2.0 * LIGHT_MILLISECOND_M + 800.0, 1.0),
+            Some(-2.0 * LIGHT_MILLISECOND_M)
+        );
+        assert_eq!(jump_m(0.5 * LIGHT_MILLISECOND_M, 1.0), None);
     }
 }

@@ -6,6 +6,7 @@
 //! that the model counts from second to second and the second phase from minute to minute, when
 //! what the model leaves would pass for a drift of the position.
 
+use crate::config::REFERENCE_CN0_DB_HZ;
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::snapshot::snapshot_fields;
 
@@ -14,8 +15,6 @@ use super::clock_jump::whole_milliseconds_m;
 use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
 use super::ranging::{median, sighted};
 
-/// C/N0 to which the deviations refer, and which is taken where none is reported (dB-Hz).
-const REFERENCE_DB_HZ: f64 = 42.0;
 /// What thermal noise adds to a phase difference at that C/N0 (m).
 const THERMAL_M: f64 = 0.004;
 /// Phase multipath and noise on the frequencies whose difference shows the ionosphere (m).
@@ -100,7 +99,7 @@ impl Kept {
 
 /// What thermal noise adds to the difference of two phases (m).
 fn thermal_m(cn0_db_hz: Option<f64>) -> f64 {
-    let decades = (REFERENCE_DB_HZ - cn0_db_hz.unwrap_or(REFERENCE_DB_HZ)) / 20.0;
+    let decades = (REFERENCE_CN0_DB_HZ - cn0_db_hz.unwrap_or(REFERENCE_CN0_DB_HZ)) / 20.0;
     THERMAL_M * (std::f64::consts::LN_10 * decades).exp()
 }
 

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
-use crate::config::{DopplerUse, PositioningOptions};
+use crate::config::{DopplerUse, PositioningOptions, REFERENCE_CN0_DB_HZ};
 use crate::gnss::{Ecef, Velocity};
 use crate::models::range_rate;
 
@@ -17,10 +17,8 @@ use super::Measurement;
 
 /// Huber's constant: 95 % efficiency under normal errors.
 const HUBER: f64 = 1.345;
-/// C/N0 to which the option refers (dB-Hz).
-const REFERENCE_DB_HZ: f64 = 42.0;
 /// C/N0 taken where none is reported (dB-Hz).
-pub(super) const CN0_IF_MISSING_DB_HZ: f64 = 42.0;
+pub(super) const CN0_IF_MISSING_DB_HZ: f64 = REFERENCE_CN0_DB_HZ;
 /// Solutions at most; the weights settle to a millimetre per second within.
 const ITERATIONS_MAX: usize = 20;
 /// Change of velocity at which the weights have settled (m/s).
@@ -84,7 +82,7 @@ fn row(position: Ecef, measurement: &Measurement, options: &PositioningOptions) 
 
 /// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): what a strong signal has, and thermal noise.
 pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
-    let decades = (REFERENCE_DB_HZ - cn0_db_hz) / 10.0;
+    let decades = (REFERENCE_CN0_DB_HZ - cn0_db_hz) / 10.0;
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }
 

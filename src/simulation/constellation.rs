@@ -11,7 +11,7 @@ use super::random::of_place;
 use crate::gnss::constants::{
     EARTH_ROTATION_RATE, EARTH_ROTATION_RATE_BEIDOU, EARTH_ROTATION_RATE_GLONASS,
     GRAVITATIONAL_CONSTANT_BEIDOU, GRAVITATIONAL_CONSTANT_GALILEO, GRAVITATIONAL_CONSTANT_GLONASS,
-    GRAVITATIONAL_CONSTANT_GPS,
+    GRAVITATIONAL_CONSTANT_GPS, SECONDS_PER_HOUR,
 };
 use crate::gnss::{
     Constellation, Ephemeris, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris,
@@ -21,7 +21,6 @@ use crate::models::satellite_state;
 
 /// Seed of the random properties of satellites.
 const SATELLITE_SEED: u64 = 0x6772_6170_6866_6978;
-const HOUR_S: f64 = 3_600.0;
 /// Semi-major axis of a geosynchronous orbit (m).
 const GEOSYNCHRONOUS_AXIS: f64 = 42_164_170.0;
 const GLONASS_AXIS: f64 = 25_510_000.0;
@@ -67,8 +66,8 @@ pub(super) fn navigation(
             continue;
         }
         let interval_s = match constellation {
-            Constellation::Gps | Constellation::Qzss => 2.0 * HOUR_S,
-            _ => HOUR_S,
+            Constellation::Gps | Constellation::Qzss => 2.0 * SECONDS_PER_HOUR,
+            _ => SECONDS_PER_HOUR,
         };
         for orbit in orbits(*constellation) {
             let first = (start.seconds_of_week() / interval_s).floor() * interval_s;
@@ -329,11 +328,12 @@ fn glonass_at(slot: u8, toe: GpsTime) -> GlonassEphemeris {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gnss::constants::SECONDS_PER_WEEK;
     use crate::models::select_ephemeris;
 
     fn sky(hours: f64) -> (Navigation, GpsTime) {
-        let start = GpsTime::from_week_seconds(2345, 604_800.0 - 5_000.0);
-        (navigation(&Constellation::ALL, start, start + hours * HOUR_S, None), start)
+        let start = GpsTime::from_week_seconds(2345, SECONDS_PER_WEEK - 5_000.0);
+        (navigation(&Constellation::ALL, start, start + hours * SECONDS_PER_HOUR, None), start)
     }
 
     /// Each issue says the same as the one before, half way between them, over the week's end.

@@ -11,7 +11,7 @@ use super::scenario::{
     Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
 };
 use super::track::{Measured, Track};
-use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::constants::{GPS_L1_HZ, LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
 use crate::gnss::{
     Constellation, Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation,
     Observation, ObservationCode, SatelliteId, Signal,
@@ -29,13 +29,11 @@ const FAR_BELOW_RAD: f64 = 0.07;
 const LOOK_AGAIN_S: f64 = 120.0;
 /// Over a shorter time a satellite moves on a straight line at constant velocity, to 0.01 mm/s (s).
 const STRAIGHT_S: f64 = 1e-5;
-const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
 /// Number of the random property of a satellite that is its signal-in-space error.
 const SIGNAL_IN_SPACE: u64 = 32;
 /// Height of the thin ionospheric shell above a mean Earth (m).
 const SHELL_HEIGHT_M: f64 = 350e3;
 const EARTH_RADIUS_M: f64 = 6_371e3;
-const L1_HZ: f64 = 1_575.42e6;
 
 /// Observation codes received of a constellation, in order of preference.
 pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
@@ -147,8 +145,10 @@ impl Receiver {
             let walks = (self.clock_options.offset_walk_m, self.clock_options.drift_walk_m_s);
             self.clock_m += self.drift_m_s * dt + walks.0 * dt.sqrt() * self.random.normal();
             self.drift_m_s += walks.1 * dt.sqrt() * self.random.normal();
-            if self.clock_options.millisecond_jumps && 0.5 * MILLISECOND_M < self.clock_m.abs() {
-                self.clock_m -= MILLISECOND_M.copysign(self.clock_m);
+            if self.clock_options.millisecond_jumps
+                && 0.5 * LIGHT_MILLISECOND_M < self.clock_m.abs()
+            {
+                self.clock_m -= LIGHT_MILLISECOND_M.copysign(self.clock_m);
             }
         }
         tag - self.clock_m / SPEED_OF_LIGHT
@@ -315,7 +315,7 @@ impl Sky<'_> {
                 self.time,
             );
             let gradient_m = self.gradient_m * thin_shell(path.look.elevation_rad);
-            atmosphere.ionosphere_ratio * delay + gradient_m * (L1_HZ / frequency_hz).powi(2)
+            atmosphere.ionosphere_ratio * delay + gradient_m * (GPS_L1_HZ / frequency_hz).powi(2)
         });
         let wavelength_m = SPEED_OF_LIGHT / frequency_hz;
         let group_delay_m = group_delay_m(ephemeris, code).unwrap_or(0.0);

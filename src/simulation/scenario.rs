@@ -2,6 +2,7 @@
 
 use super::city::CityPlan;
 use super::motion::Motion;
+use crate::gnss::constants::{SECONDS_PER_DAY, SECONDS_PER_HOUR};
 use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients};
 
 /// All parameters of a simulation except its seed.
@@ -206,7 +207,7 @@ impl Scenario {
     pub fn open_sky() -> Self {
         Self {
             // An afternoon (2026-01-01), when the ionosphere is strong.
-            start: GpsTime::from_week_seconds(2399, 4.0 * 86_400.0 + 6.0 * 3_600.0),
+            start: GpsTime::from_week_seconds(2399, 4.0 * SECONDS_PER_DAY + 6.0 * SECONDS_PER_HOUR),
             duration_s: 300.0,
             interval_s: 1.0,
             origin: Geodetic::from_degrees(22.3, 114.17, 8.0),

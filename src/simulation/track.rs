@@ -4,6 +4,7 @@ use super::city::Arrival;
 use super::random::{GaussMarkov, Random};
 use super::scenario::ReceiverErrors;
 use crate::gnss::GpsTime;
+use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::models::LookAngles;
 
 /// C/N0 to which the standard deviations of errors refer (dB-Hz).
@@ -144,7 +145,7 @@ impl Track {
     /// Adds random slips, more often for weak signals.
     fn slip(&mut self, time: GpsTime, cn0: f64, errors: &ReceiverErrors, random: &mut Random) {
         let per_second =
-            errors.slips_per_hour / 3_600.0 * 10_f64.powf((REFERENCE_CN0 - cn0) / 10.0);
+            errors.slips_per_hour / SECONDS_PER_HOUR * 10_f64.powf((REFERENCE_CN0 - cn0) / 10.0);
         match errors.slips_together {
             true => {
                 if random.chance(per_second.min(0.5)) {

@@ -5,12 +5,15 @@
 //! becomes the newest.
 
 use super::Refusal;
+use crate::gnss::constants::{
+    GLONASS_AHEAD_OF_UTC_S, NS_PER_SECOND, SECONDS_PER_DAY, SECONDS_PER_WEEK,
+};
 use crate::gnss::{GpsTime, LeapSeconds};
 
-const NS_PER_MS: i64 = 1_000_000;
-const NS_PER_DAY: i64 = 86_400_000 * NS_PER_MS;
-const NS_PER_WEEK: i64 = 7 * NS_PER_DAY;
-const MS_PER_WEEK: u64 = 604_800_000;
+const NS_PER_MS: i64 = NS_PER_SECOND / 1000;
+const NS_PER_DAY: i64 = SECONDS_PER_DAY as i64 * NS_PER_SECOND;
+const NS_PER_WEEK: i64 = SECONDS_PER_WEEK as i64 * NS_PER_SECOND;
+const MS_PER_WEEK: u64 = SECONDS_PER_WEEK as u64 * 1000;
 /// Milliseconds of a GLONASS day, with a leap second (RTCM 10403.3, DF034).
 const MS_PER_GLONASS_DAY: u64 = 86_401_000;
 /// Days from 1980-01-06, the GPS epoch, to 1996-01-01, the GLONASS epoch.
@@ -18,8 +21,7 @@ const GLONASS_FIRST_DAY: i64 = 5839;
 /// Valid GPS weeks, up to the year 2171. Damaged messages cannot produce times near the limits of
 /// the type.
 const WEEKS: std::ops::RangeInclusive<i32> = 0..=9999;
-/// GLONASS time is UTC + 3 h.
-const GLONASS_AHEAD_OF_UTC_NS: i64 = 3 * 3_600_000 * NS_PER_MS;
+const GLONASS_AHEAD_OF_UTC_NS: i64 = GLONASS_AHEAD_OF_UTC_S as i64 * NS_PER_SECOND;
 
 /// A known time that completes the truncated times of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

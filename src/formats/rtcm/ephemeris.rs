@@ -8,6 +8,9 @@ use crate::formats::broadcast::{
     GLONASS_ACCURACY_M, GLONASS_UNITS, SEMICIRCLE_RAD, blank, is_plausible, legacy_delay,
     legacy_ura_m, per_power, sisa_m,
 };
+use crate::gnss::constants::{
+    BEIDOU_FIRST_WEEK, BEIDOU_LAG_S, GALILEO_FIRST_WEEK, SECONDS_PER_DAY, SECONDS_PER_WEEK,
+};
 use crate::gnss::{
     Constellation, Ephemeris, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris,
     NavigationMessage,
@@ -20,13 +23,8 @@ pub(super) type GlonassChannels = [Option<i8>; 64];
 const WEEKS_GPS: i32 = 1024;
 const WEEKS_GALILEO: i32 = 4096;
 const WEEKS_BEIDOU: i32 = 8192;
-/// GPS weeks in which the counts of Galileo and BeiDou start.
-const GALILEO_START: i32 = 1024;
-const BEIDOU_START: i32 = 1356;
-const HALF_WEEK_S: f64 = 302_400.0;
-const SECONDS_PER_WEEK: f64 = 604_800.0;
 /// Largest distance between an ephemeris and the clock, where the week is ambiguous (s).
-const NEAR_S: f64 = 86_400.0;
+const NEAR_S: f64 = SECONDS_PER_DAY;
 
 /// Decodes the message that follows its number.
 pub(super) fn decode(number: u16, mut bits: Bits<'_>, clock: &Clock) -> Result<Ephemeris, Refusal> {
@@ -52,7 +50,8 @@ fn dated(week: i32, second: f64, clock: &Clock) -> GpsTime {
     let Some(now) = clock.time() else { return given };
     let behind_s = now - given;
     let turn_s = SECONDS_PER_WEEK.copysign(behind_s);
-    let is_a_week_off = HALF_WEEK_S < behind_s.abs() && (behind_s - turn_s).abs() < NEAR_S;
+    let is_a_week_off =
+        0.5 * SECONDS_PER_WEEK < behind_s.abs() && (behind_s - turn_s).abs() < NEAR_S;
     if is_a_week_off { given + turn_s } else { given }
 }
 
@@ -167,7 +166,7 @@ fn galileo(
     is_inav: bool,
 ) -> Result<KeplerianEphemeris, Refusal> {
     let satellite = super::satellite(Constellation::Galileo, bits.unsigned(6))?;
-    let week = long_week(bits.unsigned(12), GALILEO_START, WEEKS_GALILEO, clock);
+    let week = long_week(bits.unsigned(12), GALILEO_FIRST_WEEK, WEEKS_GALILEO, clock);
     let iode = bits.unsigned(10) as u32;
     let accuracy_m = sisa_m(bits.unsigned(8));
     let message = if is_inav { NavigationMessage::Inav } else { NavigationMessage::Fnav };
@@ -212,7 +211,7 @@ fn galileo(
 
 fn beidou(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusal> {
     let satellite = super::satellite(Constellation::BeiDou, bits.unsigned(6))?;
-    let week = long_week(bits.unsigned(13), BEIDOU_START, WEEKS_BEIDOU, clock);
+    let week = long_week(bits.unsigned(13), BEIDOU_FIRST_WEEK, WEEKS_BEIDOU, clock);
     let geostationary = satellite.is_beidou_geo();
     let message = if geostationary { NavigationMessage::D2 } else { NavigationMessage::D1 };
     let accuracy_m = legacy_ura_m(bits.unsigned(4));
@@ -250,9 +249,6 @@ fn beidou(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refu
     };
     Ok(KeplerianEphemeris { health: bits.unsigned(1) as u32, ..ephemeris })
 }
-
-/// BeiDou time is 14 s behind GPS time.
-const BEIDOU_LAG_S: f64 = 14.0;
 
 /// Number of days in four years; N_T counts in such intervals.
 const DAYS_OF_FOUR_YEARS: i64 = 1461;

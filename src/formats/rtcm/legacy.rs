@@ -2,15 +2,13 @@
 //! RTCM 10403.3, 3.5.1 and 3.5.6.
 
 use crate::formats::binary::{Bits, Clock, Refusal};
-use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::constants::{LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
 use crate::gnss::{Constellation, Cycles, Observation, ObservationCode, SatelliteId, Signal};
 
 use super::ephemeris::GlonassChannels;
 use super::lock::{LockTable, LockTime};
 use super::{Notes, ObservationMessage};
 
-/// One light-millisecond (m), the unit of the whole part in GPS; GLONASS uses two.
-const LIGHT_MS_M: f64 = SPEED_OF_LIGHT * 1e-3;
 const RANGE_UNIT_M: f64 = 0.02;
 const PHASE_UNIT_M: f64 = 0.0005;
 const CN0_UNIT_DB_HZ: f64 = 0.25;
@@ -54,7 +52,7 @@ impl LegacyState {
         let mut records = Vec::with_capacity(satellites);
         for _ in 0..satellites {
             let number = bits.unsigned(6);
-            let l1 = First::read(&mut bits, [b"1C", b"1P"], 24, 8, LIGHT_MS_M, |_| None);
+            let l1 = First::read(&mut bits, [b"1C", b"1P"], 24, 8, LIGHT_MILLISECOND_M, |_| None);
             let l2 = has_l2.then(|| Second::read(&mut bits, [b"2X", b"2P", b"2D", b"2W"]));
             let satellite = match SBAS.contains(&number) {
                 true => Err(Refusal::OtherConstellation),
@@ -84,7 +82,8 @@ impl LegacyState {
         for _ in 0..satellites {
             let number = bits.unsigned(6);
             let channel = |bits: &mut Bits<'_>| Some(bits.unsigned(5) as i8 - 7);
-            let l1 = First::read(&mut bits, [b"1C", b"1P"], 25, 7, 2.0 * LIGHT_MS_M, channel);
+            let l1 =
+                First::read(&mut bits, [b"1C", b"1P"], 25, 7, 2.0 * LIGHT_MILLISECOND_M, channel);
             let l2 = has_l2.then(|| Second::read(&mut bits, [b"2C", b"2P", b"2C", b"2P"]));
             let satellite = super::satellite(Constellation::Glonass, number);
             records.push(Record { satellite, channel: l1.channel, l1, l2 });

@@ -4,7 +4,7 @@
 //! for the signal. A value is missing if its field has the most negative value.
 
 use crate::formats::binary::{Bits, Clock, Refusal};
-use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::constants::{BEIDOU_LAG_S, LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
 use crate::gnss::{Constellation, Cycles, GpsTime, Observation, ObservationCode, SatelliteId};
 
 use super::ephemeris::GlonassChannels;
@@ -22,10 +22,6 @@ const CELLS: usize = 64;
 pub(super) const LOCKS: usize = Constellation::COUNT * SATELLITES * SIGNALS;
 
 const MESSAGE_BITS: usize = 12;
-/// One light-millisecond (m).
-const LIGHT_MS_M: f64 = SPEED_OF_LIGHT * 1e-3;
-/// BeiDou time is 14 s behind GPS time.
-const BEIDOU_LAG_S: f64 = 14.0;
 /// Value of an unknown day of week (DF416).
 const UNKNOWN_DAY: u64 = 7;
 /// Value of missing whole light-milliseconds (DF397).
@@ -311,10 +307,10 @@ impl Measurements<'_> {
         let phase_ms = fine_ms(cells.fine_phase[cell], fields.phase_bits, fields.phase_units);
         let cn0 = cells.cn0[cell];
         Observation {
-            pseudorange_m: range_ms.map(|ms| ms * LIGHT_MS_M),
+            pseudorange_m: range_ms.map(|ms| ms * LIGHT_MILLISECOND_M),
             carrier_phase: phase_ms
                 .zip(frequency_hz)
-                .map(|(ms, hz)| Cycles(ms * LIGHT_MS_M * hz / SPEED_OF_LIGHT)),
+                .map(|(ms, hz)| Cycles(ms * LIGHT_MILLISECOND_M * hz / SPEED_OF_LIGHT)),
             doppler_hz: self
                 .rate_m_s(row, cell)
                 .zip(frequency_hz)

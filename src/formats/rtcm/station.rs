@@ -3,6 +3,7 @@
 use crate::formats::binary::{Bits, Clock, Refusal};
 use nalgebra::Vector3;
 
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{BaseSite, Ecef, Enu, GpsTime, LocalFrame, PositionSource};
 
 const COORDINATE_UNIT_M: f64 = 1e-4;
@@ -13,7 +14,7 @@ const NO_BIAS: i64 = -(1 << 15);
 const DESCRIPTOR_LIMIT: u64 = 31;
 /// Modified Julian day of 1980-01-06, where GPS time starts.
 const GPS_EPOCH_MJD: i64 = 44_244;
-const SECONDS_PER_DAY: i64 = 86_400;
+const DAY_S: i64 = SECONDS_PER_DAY as i64;
 
 /// The transmitting station, as described by its messages so far.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -127,8 +128,8 @@ pub(super) fn take_time(mut bits: Bits<'_>, clock: &mut Clock) -> Result<(), Ref
     bits.skip(12);
     let (day, second) = (bits.unsigned(16) as i64, bits.unsigned(17) as i64);
     bits.require_sound()?;
-    let label_s = (day - GPS_EPOCH_MJD) * SECONDS_PER_DAY + second;
-    if day < GPS_EPOCH_MJD || SECONDS_PER_DAY < second {
+    let label_s = (day - GPS_EPOCH_MJD) * DAY_S + second;
+    if day < GPS_EPOCH_MJD || DAY_S < second {
         return Err(Refusal::InvalidTime);
     }
     if clock.time().is_none() {

@@ -5,6 +5,7 @@
 
 use crate::formats::binary::{Bits, Clock, Ionosphere, Refusal};
 use crate::formats::broadcast::{SEMICIRCLE_RAD, blank, legacy_ura_m, nearest_second, per_power};
+use crate::gnss::constants::{BEIDOU_FIRST_WEEK, BEIDOU_LAG_S};
 use crate::gnss::{
     Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, SatelliteId,
 };
@@ -23,9 +24,6 @@ const AFTER_PAGE: usize = 42;
 const D1_STEP_S: u64 = 6;
 const D2_STEP_S: u64 = 3;
 const PAGES: usize = 10;
-/// BeiDou time is 14 s behind GPS time, its week 0 GPS week 1356.
-const LAG_S: f64 = 14.0;
-const FIRST_WEEK: i32 = 1356;
 const WEEKS: i32 = 8192;
 /// x⁴ + x + 1, which generates BCH(15, 11, 1).
 const BCH: u32 = 0b1_0011;
@@ -98,7 +96,7 @@ impl Collector {
         ephemeris.crc_m = bits.signed_scaled(18, per_power(6));
         ephemeris.crs_m = bits.signed_scaled(18, per_power(6));
         ephemeris.sqrt_a = bits.scaled(32, per_power(19));
-        ephemeris.toe = nearest_second(ephemeris.toc, bits.scaled(17, 8.0), LAG_S);
+        ephemeris.toe = nearest_second(ephemeris.toc, bits.scaled(17, 8.0), BEIDOU_LAG_S);
         ephemeris.i0_rad = bits.signed_scaled(32, angle());
         ephemeris.cic_rad = bits.signed_scaled(18, per_power(31));
         ephemeris.omega_dot_rad_s = bits.signed_scaled(24, rate());
@@ -143,7 +141,7 @@ impl Collector {
         ephemeris.sqrt_a = bits.scaled(32, per_power(19));
         ephemeris.cic_rad = bits.signed_scaled(18, per_power(31));
         ephemeris.cis_rad = bits.signed_scaled(18, per_power(31));
-        ephemeris.toe = nearest_second(ephemeris.toc, bits.scaled(17, 8.0), LAG_S);
+        ephemeris.toe = nearest_second(ephemeris.toc, bits.scaled(17, 8.0), BEIDOU_LAG_S);
         ephemeris.i0_rad = bits.signed_scaled(32, angle());
         ephemeris.crc_m = bits.signed_scaled(18, per_power(6));
         ephemeris.crs_m = bits.signed_scaled(18, per_power(6));
@@ -227,11 +225,11 @@ fn status(
 
 /// Reads week, toc and group delays. The week count is unique until 2163, so no clock is needed.
 fn dated(ephemeris: &mut KeplerianEphemeris, first: &Data, bits: &mut Bits<'_>, clock: &Clock) {
-    let week = bits.unsigned(13) as i32 + FIRST_WEEK;
+    let week = bits.unsigned(13) as i32 + BEIDOU_FIRST_WEEK;
     let week = clock.week(week as u64, WEEKS).unwrap_or(week);
-    let began = GpsTime::from_week_seconds(week, second(first) as f64) + LAG_S;
+    let began = GpsTime::from_week_seconds(week, second(first) as f64) + BEIDOU_LAG_S;
     ephemeris.transmission_time = Some(began);
-    ephemeris.toc = nearest_second(began, bits.scaled(17, 8.0), LAG_S);
+    ephemeris.toc = nearest_second(began, bits.scaled(17, 8.0), BEIDOU_LAG_S);
     ephemeris.group_delays = GroupDelays::BeiDou {
         tgd1_s: bits.signed_scaled(10, 1e-10),
         tgd2_s: bits.signed_scaled(10, 1e-10),

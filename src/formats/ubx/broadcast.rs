@@ -2,9 +2,8 @@
 
 use crate::formats::binary::{Bits, Clock, Ionosphere};
 use crate::formats::broadcast::per_power;
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{Ephemeris, GpsTime, KlobucharCoefficients};
-
-const SECONDS_PER_DAY: f64 = 86_400.0;
 
 /// The result of a subframe, page or string.
 #[derive(Debug, Default)]

@@ -4,6 +4,7 @@
 
 use crate::formats::binary::{Bits, Clock, Ionosphere, Refusal, crc24q};
 use crate::formats::broadcast::{SEMICIRCLE_RAD, blank, nearest_second, per_power, sisa_m};
+use crate::gnss::constants::GALILEO_FIRST_WEEK;
 use crate::gnss::{
     Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, NeQuickCoefficients,
     SatelliteId,
@@ -17,8 +18,6 @@ const ODD_BITS: usize = 82;
 const HALF_BYTES: usize = 16;
 /// Data of a page: 112 bits of the even half and 16 of the odd one.
 const DATA_BYTES: usize = 16;
-/// Galileo week 0 begins with GPS week 1024, and counts to 4096.
-const FIRST_WEEK: i32 = 1024;
 const WEEKS: i32 = 4096;
 const WORD_TYPE_BITS: usize = 6;
 const ISSUE_BITS: u32 = 10;
@@ -189,7 +188,7 @@ fn status_part(fifth: &[u8; DATA_BYTES], ephemeris: &mut KeplerianEphemeris) {
 /// Week and second of word 5. The week count is unique until 2078, so no clock is needed.
 fn transmission_time(fifth: &[u8; DATA_BYTES], clock: &Clock) -> GpsTime {
     let mut bits = Bits::starting_at(fifth, 73);
-    let week = bits.unsigned(12) as i32 + FIRST_WEEK;
+    let week = bits.unsigned(12) as i32 + GALILEO_FIRST_WEEK;
     let week = clock.week(week as u64, WEEKS).unwrap_or(week);
     GpsTime::from_week_seconds(week, bits.scaled(20, 1.0))
 }

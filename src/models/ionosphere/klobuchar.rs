@@ -2,12 +2,10 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::L1_HZ;
-use crate::gnss::constants::SPEED_OF_LIGHT;
+use crate::gnss::constants::{GPS_L1_HZ, SECONDS_PER_DAY, SPEED_OF_LIGHT};
 use crate::gnss::{Geodetic, GpsTime, KlobucharCoefficients};
 use crate::models::LookAngles;
 
-const DAY_S: f64 = 86_400.0;
 /// Local time of the greatest delay: 14 h (s).
 const PEAK_S: f64 = 50_400.0;
 /// Delay at night (s).
@@ -30,19 +28,19 @@ pub fn klobuchar_delay_m(
     let latitude = (receiver.latitude_rad / PI + earth_angle * azimuth_cos).clamp(-0.416, 0.416);
     let longitude = receiver.longitude_rad / PI + earth_angle * azimuth_sin / (latitude * PI).cos();
     let geomagnetic = latitude + 0.064 * ((longitude - 1.617) * PI).cos();
-    let local_s = 0.5 * DAY_S * longitude + time.seconds_of_week();
+    let local_s = 0.5 * SECONDS_PER_DAY * longitude + time.seconds_of_week();
     let obliquity = 1.0 + 16.0 * (0.53 - elevation).powi(3);
 
     let amplitude_s = cubic(&coefficients.alpha, geomagnetic).max(0.0);
     let period_s = cubic(&coefficients.beta, geomagnetic).max(72_000.0);
-    let x = TAU * (local_s.rem_euclid(DAY_S) - PEAK_S) / period_s;
+    let x = TAU * (local_s.rem_euclid(SECONDS_PER_DAY) - PEAK_S) / period_s;
     let vertical_s = if x.abs() < 1.57 {
         let x2 = x * x;
         NIGHT_S + amplitude_s * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
     } else {
         NIGHT_S
     };
-    SPEED_OF_LIGHT * obliquity * vertical_s * (L1_HZ / frequency_hz).powi(2)
+    SPEED_OF_LIGHT * obliquity * vertical_s * (GPS_L1_HZ / frequency_hz).powi(2)
 }
 
 /// Earth's radius and height of the ionosphere's shell (km); BDS-SIS-ICD-B1I-3.0, 5.2.4.7.
@@ -73,8 +71,8 @@ pub fn beidou_klobuchar_delay_m(
     let semicircles = (pierce_sin.asin() / PI).abs();
     let amplitude_s = cubic(&coefficients.alpha, semicircles).max(0.0);
     let period_s = cubic(&coefficients.beta, semicircles).clamp(72_000.0, 172_800.0);
-    let local_s = time.to_beidou().1 + pierce_longitude * 0.5 * DAY_S / PI;
-    let from_peak = local_s.rem_euclid(DAY_S) - PEAK_S;
+    let local_s = time.to_beidou().1 + pierce_longitude * 0.5 * SECONDS_PER_DAY / PI;
+    let from_peak = local_s.rem_euclid(SECONDS_PER_DAY) - PEAK_S;
     let vertical_s = if from_peak.abs() < 0.25 * period_s {
         NIGHT_S + amplitude_s * (TAU * from_peak / period_s).cos()
     } else {
@@ -111,11 +109,12 @@ mod tests {
         let hong_kong = Geodetic::from_degrees(22.3, 114.2, 0.0);
         let sky = look(210.0, 40.0);
         let at = |seconds| GpsTime::from_week_seconds(2244, seconds);
-        let gps = |time| klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &hong_kong, &sky, time);
+        let gps = |time| klobuchar_delay_m(&COEFFICIENTS, GPS_L1_HZ, &hong_kong, &sky, time);
         near(gps(at(27_000.0)), 10.863_182_210_415_653);
         near(gps(at(200_000.0)), 10.832_804_819_501_68);
         let sydney = Geodetic::from_degrees(-33.0, 151.0, 0.0);
-        let low = klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &sydney, &look(10.0, 15.0), at(10_000.0));
+        let low =
+            klobuchar_delay_m(&COEFFICIENTS, GPS_L1_HZ, &sydney, &look(10.0, 15.0), at(10_000.0));
         near(low, 15.230_522_525_681_154);
         let beidou = |time| beidou_klobuchar_delay_m(&COEFFICIENTS, B1I_HZ, &hong_kong, &sky, time);
         near(beidou(at(27_000.0)), 10.722_786_055_827_108);
@@ -128,7 +127,7 @@ mod tests {
         let place = Geodetic::from_degrees(0.0, 0.0, 0.0);
         let midnight = GpsTime::from_week_seconds(2244, 0.0);
         let zenith = look(0.0, 90.0);
-        let delay = klobuchar_delay_m(&COEFFICIENTS, L1_HZ, &place, &zenith, midnight);
+        let delay = klobuchar_delay_m(&COEFFICIENTS, GPS_L1_HZ, &place, &zenith, midnight);
         near(delay, SPEED_OF_LIGHT * 5e-9 * (1.0 + 16.0 * 0.03_f64.powi(3)));
         let delay = beidou_klobuchar_delay_m(&COEFFICIENTS, B1I_HZ, &place, &zenith, midnight);
         near(delay, SPEED_OF_LIGHT * 5e-9);
@@ -141,7 +140,7 @@ mod tests {
         let time = GpsTime::from_week_seconds(2244, 27_000.0);
         let sky = look(210.0, 40.0);
         let gps = |hz| klobuchar_delay_m(&COEFFICIENTS, hz, &place, &sky, time);
-        near(gps(1_227.6e6) / gps(L1_HZ), (77.0_f64 / 60.0).powi(2));
+        near(gps(1_227.6e6) / gps(GPS_L1_HZ), (77.0_f64 / 60.0).powi(2));
         let beidou = |hz| beidou_klobuchar_delay_m(&COEFFICIENTS, hz, &place, &sky, time);
         near(beidou(1_268.52e6) / beidou(B1I_HZ), (1_561.098_f64 / 1_268.52).powi(2));
     }

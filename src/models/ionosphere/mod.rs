@@ -13,6 +13,7 @@ pub use klobuchar::{beidou_klobuchar_delay_m, klobuchar_delay_m};
 pub use nequick::{nequick_delay_m, nequick_variance_m2};
 
 use super::LookAngles;
+use crate::gnss::constants::GPS_L1_HZ;
 use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
 
 /// Broadcast Klobuchar delay of a signal (m), or `None` without broadcast coefficients.
@@ -48,12 +49,9 @@ pub fn klobuchar_variance_m2(delay_m: f64) -> f64 {
 ///
 /// RTKLIB manual 2.4.2, constant `ERR_ION`.
 pub fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
-    let scale = (L1_HZ / frequency_hz).powi(2);
+    let scale = (GPS_L1_HZ / frequency_hz).powi(2);
     25.0 * scale * scale
 }
-
-/// GPS L1 (Hz).
-const L1_HZ: f64 = 1_575.42e6;
 
 #[cfg(test)]
 mod tests {
@@ -69,17 +67,17 @@ mod tests {
         let look = LookAngles { azimuth_rad: 3.0, elevation_rad: 0.7 };
         let time = GpsTime::from_week_seconds(2244, 27_000.0);
         let delay = |navigation: &Navigation, constellation| {
-            broadcast_delay_m(navigation, constellation, L1_HZ, &receiver, &look, time)
+            broadcast_delay_m(navigation, constellation, GPS_L1_HZ, &receiver, &look, time)
         };
         let mut navigation = Navigation::default();
         assert_eq!(delay(&navigation, Constellation::Gps), None);
         navigation.klobuchar_gps = Some(gps);
-        let of_gps = klobuchar_delay_m(&gps, L1_HZ, &receiver, &look, time);
+        let of_gps = klobuchar_delay_m(&gps, GPS_L1_HZ, &receiver, &look, time);
         for constellation in Constellation::ALL {
             assert_eq!(delay(&navigation, constellation), Some(of_gps));
         }
         navigation.klobuchar_beidou = Some(beidou);
-        let own = beidou_klobuchar_delay_m(&beidou, L1_HZ, &receiver, &look, time);
+        let own = beidou_klobuchar_delay_m(&beidou, GPS_L1_HZ, &receiver, &look, time);
         assert_eq!(delay(&navigation, Constellation::BeiDou), Some(own));
         assert_eq!(delay(&navigation, Constellation::Galileo), Some(of_gps));
         assert!(1.5 < own / of_gps);
@@ -88,6 +86,6 @@ mod tests {
     #[test]
     fn variances_worked_by_hand() {
         assert_eq!(klobuchar_variance_m2(6.0), 9.0);
-        assert!((unmodelled_variance_m2(L1_HZ / 2.0) - 400.0).abs() < 1e-9);
+        assert!((unmodelled_variance_m2(GPS_L1_HZ / 2.0) - 400.0).abs() < 1e-9);
     }
 }

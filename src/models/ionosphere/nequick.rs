@@ -6,6 +6,7 @@
 
 use sidereon_core::atmosphere::{GalileoNequickCoeffs, NequickGRayEval, nequick_g_delay_m};
 
+use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Ecef, Geodetic, GpsTime, LeapSeconds, NeQuickCoefficients, TimeScale};
 
 /// Delay of a pseudorange on `frequency_hz` between `receiver` and `satellite` at `time` (m).
@@ -25,7 +26,7 @@ pub fn nequick_delay_m(
     let above = satellite.to_geodetic();
     let ray = NequickGRayEval {
         month: utc.month,
-        utc_hours: f64::from(utc.hour) + f64::from(utc.minute) / 60.0 + seconds / 3_600.0,
+        utc_hours: f64::from(utc.hour) + f64::from(utc.minute) / 60.0 + seconds / SECONDS_PER_HOUR,
         station_lon_deg: receiver.longitude_rad.to_degrees(),
         station_lat_deg: receiver.latitude_rad.to_degrees(),
         station_height_m: receiver.height_m,

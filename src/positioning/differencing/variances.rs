@@ -1,19 +1,16 @@
 //! How uncertain a single difference is.
 
-use crate::config::PositioningOptions;
+use crate::config::{PositioningOptions, REFERENCE_CN0_DB_HZ};
 use crate::gnss::Constellation;
+use crate::gnss::constants::GPS_L1_HZ;
 use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
 use crate::positioning::measurements::constellation_factor;
 
-/// C/N0 to which the options refer (dB-Hz).
-const REFERENCE_DB_HZ: f64 = 42.0;
 /// How far a satellite's clock wanders from its broadcast polynomial (m/s): 5·10⁻¹² of the speed of
 /// light, the default clock stability of RTKLIB's manual 2.4.2, section 3.5 (`stats-clkstab`).
 const CLOCK_WANDER_M_S: f64 = 1.5e-3;
 /// Base epochs closer than this are of the same instant (s).
 const SAME_INSTANT_S: f64 = 0.1;
-/// Carrier to which the ionosphere's gradient refers (Hz).
-const L1_HZ: f64 = 1_575.42e6;
 
 /// Variances of single differences between two receivers at one time.
 #[derive(Clone, Copy, Debug)]
@@ -72,7 +69,7 @@ impl DifferenceVariances {
     }
 
     fn path_m2(&self, pair: &PairQuality) -> f64 {
-        let scale = (L1_HZ / pair.frequency_hz).powi(2) / pair.elevation_rad.sin();
+        let scale = (GPS_L1_HZ / pair.frequency_hz).powi(2) / pair.elevation_rad.sin();
         (self.ionosphere_m * scale).powi(2) + self.clock_m2
     }
 }
@@ -83,7 +80,7 @@ fn weights(a_m: f64, b_m: f64, cn0_sigma_m: f64) -> MeasurementWeights {
         elevation: ElevationTerm::InverseSineSquared { a_m, b_m },
         cn0: Cn0Term::SigmaEpsilon {
             v_m2: 0.0,
-            c_m2_hz: cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_DB_HZ / 10.0),
+            c_m2_hz: cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_CN0_DB_HZ / 10.0),
         },
         cn0_if_missing_db_hz: f64::INFINITY,
     }
@@ -97,7 +94,7 @@ mod tests {
     fn quality(elevation_deg: f64) -> PairQuality {
         PairQuality {
             constellation: Constellation::Gps,
-            frequency_hz: L1_HZ,
+            frequency_hz: GPS_L1_HZ,
             elevation_rad: f64::to_radians(elevation_deg),
             cn0_db_hz: [None; 2],
         }

@@ -1,11 +1,9 @@
 //! The variance of a pseudorange as the receiver measures it: noise and multipath.
 
-use crate::config::{PositioningOptions, WeightModel};
+use crate::config::{PositioningOptions, REFERENCE_CN0_DB_HZ, WeightModel};
 use crate::gnss::Constellation;
 use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
 
-/// C/N0 to which `cn0_sigma_m` refers (dB-Hz).
-const REFERENCE_DB_HZ: f64 = 42.0;
 /// RTKLIB 2.4's code noise: 0.3 m and 0.3 m/√sin E.
 const RTKLIB_NOISE_M: f64 = 0.3;
 /// Half the width of an LNAV P(Y) or C/A code bias that nobody corrects (m); RTKLIB's `ERR_CBIAS`.
@@ -28,12 +26,12 @@ pub(in crate::positioning) fn receiver_weights(options: &PositioningOptions) -> 
                 b_m: RTKLIB_NOISE_M,
             },
             cn0: Cn0Term::None,
-            cn0_if_missing_db_hz: REFERENCE_DB_HZ,
+            cn0_if_missing_db_hz: REFERENCE_CN0_DB_HZ,
         },
         WeightModel::GoGps => MeasurementWeights {
             elevation: ElevationTerm::InverseSineSquared { a_m: 0.0, b_m: 1.0 },
             cn0: Cn0Term::gogps(),
-            cn0_if_missing_db_hz: REFERENCE_DB_HZ,
+            cn0_if_missing_db_hz: REFERENCE_CN0_DB_HZ,
         },
         WeightModel::Cn0Elevation => MeasurementWeights {
             elevation: ElevationTerm::InverseSineSquared {
@@ -42,7 +40,7 @@ pub(in crate::positioning) fn receiver_weights(options: &PositioningOptions) -> 
             },
             cn0: Cn0Term::SigmaEpsilon {
                 v_m2: 0.0,
-                c_m2_hz: options.cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_DB_HZ / 10.0),
+                c_m2_hz: options.cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_CN0_DB_HZ / 10.0),
             },
             // Without C/N0 the second term is left out.
             cn0_if_missing_db_hz: f64::INFINITY,

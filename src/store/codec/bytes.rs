@@ -2,11 +2,11 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::gnss::constants::NS_PER_SECOND;
 use crate::gnss::{Constellation, GpsTime, SatelliteId};
 
 use super::CodecError;
 
-const NS_PER_SECOND: i64 = 1_000_000_000;
 /// Up to this number of thousandths, a value takes no more bytes than an `f64`.
 const THOUSANDTHS_MAX: u64 = 1 << 55;
 

@@ -5,12 +5,12 @@ use nalgebra::Vector3;
 use super::record::Record;
 use crate::formats::broadcast::GLONASS_ACCURACY_M;
 use crate::formats::rinex::RinexVersion;
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{Constellation, GlonassEphemeris, GpsTime, LeapSeconds, SatelliteId, TimeScale};
 
 const METRES_PER_KM: f64 = 1000.0;
 /// Valid distances of GLONASS satellites from the geocentre (m); the orbit is at 25 500 km.
 const RADIUS_LIMITS_M: std::ops::Range<f64> = 2.0e7..3.0e7;
-const SECONDS_PER_DAY: f64 = 86_400.0;
 /// Value of an unknown Δτ_n in RINEX 3.05.
 const UNKNOWN_DELTA_TAU: f64 = 0.999_999_999_999e9;
 

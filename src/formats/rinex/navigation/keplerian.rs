@@ -7,6 +7,7 @@
 use super::record::Record;
 use crate::formats::broadcast::ura_m;
 use crate::formats::rinex::fields::constellation;
+use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{
     Constellation, GpsTime, GroupDelays, KeplerianEphemeris, LeapSeconds, NavigationMessage,
     SatelliteId, TimeScale, wrap_half_week,
@@ -16,7 +17,7 @@ use crate::gnss::{
 const SQRT_A_LIMITS: std::ops::Range<f64> = 4000.0..8000.0;
 const ECCENTRICITY_LIMIT: f64 = 0.5;
 /// A transmission time farther from toe than this (s) is a filler: zero, or 0.9999e9 for unknown.
-const TRANSMISSION_LIMIT_S: f64 = 86_400.0;
+const TRANSMISSION_LIMIT_S: f64 = SECONDS_PER_DAY;
 /// URA of index 15 (m): use at own risk; IS-GPS-200N, 20.3.3.3.1.3.
 const NO_PREDICTION_M: f64 = 6144.0;
 
