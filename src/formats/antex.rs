@@ -92,6 +92,27 @@ pub enum AntexError {
 /// # Errors
 /// Any record of the header or of an antenna that is not understood: a partly read calibration
 /// would shift positions.
+///
+/// # Example
+/// ```
+/// let record = |contents: &str, label: &str| format!("{contents:<60}{label}\n");
+/// let file = [
+///     record("     1.4            M", "ANTEX VERSION / SYST"),
+///     record("", "END OF HEADER"),
+///     record("", "START OF ANTENNA"),
+///     record("MAKER123.00     DOME", "TYPE / SERIAL NO"),
+///     record("     0.0", "DAZI"),
+///     record("     0.0  90.0  45.0", "ZEN1 / ZEN2 / DZEN"),
+///     record("   G01", "START OF FREQUENCY"),
+///     record("      1.00     -2.00    100.00", "NORTH / EAST / UP"),
+///     "   NOAZI    0.00   -0.50   -2.00\n".to_owned(),
+///     record("   G01", "END OF FREQUENCY"),
+///     record("", "END OF ANTENNA"),
+/// ];
+/// let catalogue = graphfix::formats::antex::read(file.concat().as_bytes())?;
+/// assert_eq!(catalogue.receivers.len(), 1);
+/// # Ok::<(), graphfix::formats::antex::AntexError>(())
+/// ```
 pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
     let mut lines = Lines { input, bytes: Vec::new(), line: String::new(), number: 0 };
     read_header(&mut lines)?;

@@ -50,6 +50,25 @@ pub enum FileError {
 }
 
 /// Reads the observations of a file epoch by epoch.
+///
+/// # Example
+/// ```
+/// use graphfix::formats::observations::{Observations, Recognised};
+/// use graphfix::gnss::{Epoch, GpsTime, Navigation};
+///
+/// let header = |contents: &str, label: &str| format!("{contents:<60}{label}\n");
+/// let file = header("     3.05           O                   G", "RINEX VERSION / TYPE")
+///     + &header("G    1 C1C", "SYS / # / OBS TYPES")
+///     + &header("", "END OF HEADER")
+///     + "> 2019 04 28 12 58 21.0000000  0  1\nG05  22000000.123\n";
+/// let file = Recognised::new(file.as_bytes());
+/// assert!(!file.is_receiver_data());
+/// let mut observations = Observations::new(file, None, &Navigation::default())?;
+/// let mut epoch = Epoch::new(GpsTime::EPOCH);
+/// assert!(observations.read_epoch(&mut epoch)?);
+/// assert_eq!(epoch.observations[0].pseudorange_m, Some(22_000_000.123));
+/// # Ok::<(), graphfix::formats::observations::FileError>(())
+/// ```
 #[derive(Debug)]
 pub enum Observations<R> {
     /// A RINEX or CRINEX file.

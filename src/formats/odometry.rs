@@ -96,6 +96,15 @@ pub enum OdometryFileError {
 ///
 /// # Errors
 /// The first line that cannot be read, with the reason.
+///
+/// # Example
+/// ```
+/// let file = "gps_week,tow,interval_s,frame,x_m,y_m,z_m,var_x_m2,var_y_m2,var_z_m2\n\
+///     2051,46701.5,0.5,enu,1.0,2.0,0.0,0.1,0.2,0.3\n";
+/// let rows = graphfix::formats::odometry::read(file.as_bytes())?;
+/// assert_eq!(rows[0].odometry.displacement_m.norm(), 5_f64.sqrt());
+/// # Ok::<(), graphfix::formats::odometry::OdometryFileError>(())
+/// ```
 pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileError> {
     let (mut rows, mut places) = (Vec::<OdometryRow>::new(), None);
     let (mut bytes, mut line) = (Vec::new(), 0);

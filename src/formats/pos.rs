@@ -164,6 +164,16 @@ enum Coordinates {
 /// # Errors
 /// Baselines, degrees with minutes, heights above the geoid and times other than GPS time are
 /// refused, since they would be evaluated wrongly.
+///
+/// # Example
+/// ```
+/// let file = "%  GPST  latitude(deg) longitude(deg)  height(m)  Q\n\
+///     2051  46700.997  22.301234500 114.179012300  10.2500  1\n";
+/// let solutions = graphfix::formats::pos::read(file.as_bytes())?;
+/// let position = solutions.rows[0].position.to_geodetic();
+/// assert!((position.height_m - 10.25).abs() < 1e-6);
+/// # Ok::<(), graphfix::formats::pos::PosError>(())
+/// ```
 pub fn read(mut input: impl BufRead) -> Result<PosFile, PosError> {
     let mut file = PosFile { rows: Vec::new(), unreadable: Vec::new() };
     let mut coordinates = Coordinates::Unknown;

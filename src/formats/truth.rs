@@ -52,6 +52,13 @@ pub enum TruthError {
 }
 
 /// Reads a truth file in its order; rows of week −1 get the week `unknown_week`.
+///
+/// ```
+/// let file = "gps_week,tow,lat_deg,lon_deg,height_m\n-1,46701.0,22.3,114.2,5.0\n";
+/// let rows = graphfix::formats::truth::read(file.as_bytes(), 2051)?;
+/// assert_eq!((rows[0].time.week(), rows[0].time.seconds_of_week()), (2051, 46_701.0));
+/// # Ok::<(), graphfix::formats::truth::TruthError>(())
+/// ```
 pub fn read(mut input: impl BufRead, unknown_week: i32) -> Result<Vec<TruthRow>, TruthError> {
     let (mut rows, mut is_ecef, mut titled) = (Vec::new(), None, false);
     let (mut bytes, mut number) = (Vec::new(), 0);

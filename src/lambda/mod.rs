@@ -11,6 +11,35 @@
 //! de Jonge & Tiberius (1996), *The LAMBDA method for integer ambiguity estimation: implementation
 //! aspects*, LGR-Series 12; Chang, Yang & Zhou (2005), *MLAMBDA: a modified LAMBDA method for
 //! integer least-squares estimation*, J. Geodesy 79.
+//!
+//! # Example
+//!
+//! Three strongly correlated entries whose best integers rounding does not find:
+//!
+//! ```
+//! use graphfix::lambda::*;
+//! use nalgebra::Matrix3;
+//!
+//! let float = [5.450, 3.100, 2.970];
+//! let covariance =
+//!     Matrix3::new(6.290, 5.978, 0.544, 5.978, 6.292, 2.340, 0.544, 2.340, 6.288);
+//! let covariance = nalgebra::DMatrix::from_column_slice(3, 3, covariance.as_slice());
+//! let options = Options {
+//!     success_rate_min: 0.0,
+//!     ratio_min: 1.2,
+//!     probability_min: 0.0,
+//!     scale: None,
+//!     fixed_min: 3,
+//!     candidates: 2,
+//!     nodes_max: 1_000,
+//!     attempts_max: 1,
+//! };
+//! let mut resolver = Resolver::with_capacity(3);
+//! let outcome = resolver.resolve(&float, &covariance, Partial::None, &options)?;
+//! assert_eq!(outcome.rejection, None);
+//! assert_eq!(resolver.fix().entries(), [Some(5), Some(3), Some(4)]);
+//! # Ok::<(), LambdaError>(())
+//! ```
 
 mod fix;
 mod reduction;

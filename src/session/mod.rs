@@ -29,6 +29,42 @@
 //! A failed commit acknowledges nothing, and as its fate may be unknown (a connection lost during
 //! `COMMIT`), the task forgets its state and restores it from the store before the next piece.
 //! Clients resend; what had been stored after all is answered from the store.
+//!
+//! # Example
+//!
+//! ```
+//! # #[tokio::main] async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = tempfile::tempdir()?;
+//! # let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+//! use graphfix::aiding::bases::BaseChoice;
+//! use graphfix::aiding::{AidingDesk, AidingLimits};
+//! use graphfix::session::{NewSession, SequencedEpoch, SessionLimits, Sessions};
+//! use graphfix::simulation::{Scenario, Simulator};
+//! use graphfix::store::Store;
+//!
+//! let store = Store::open(&url).await?;
+//! let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await?;
+//! let sessions = Sessions::open(store, aiding.clone(), SessionLimits::service());
+//!
+//! let receiver = Simulator::new(Scenario { duration_s: 5.0, ..Scenario::open_sky() }, 1);
+//! aiding.navigation.push((**receiver.navigation()).clone(), "simulation").await?;
+//! let new = NewSession {
+//!     label: "a receiver".into(),
+//!     mode: "fgo".into(),
+//!     profile: "general".into(),
+//!     overrides: Default::default(),
+//!     base: BaseChoice::None,
+//! };
+//! let session = sessions.create(new).await?.id;
+//!
+//! let numbered = (1..).zip(receiver);
+//! let epochs = numbered.map(|(seq, epoch)| SequencedEpoch { seq, epoch: epoch.rover }).collect();
+//! let submitted = sessions.submit(&session, epochs).await?;
+//! assert!(submitted.outcomes.iter().all(|outcome| outcome.result.is_ok()));
+//! assert_eq!(submitted.durable_through, submitted.outcomes.last().map(|outcome| outcome.seq));
+//! sessions.drain().await;
+//! # Ok(()) }
+//! ```
 
 mod configuration;
 mod course;

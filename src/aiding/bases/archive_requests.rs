@@ -7,6 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 use crate::gnss::GpsTime;
+use crate::gnss::constants::SECONDS_PER_DAY;
 
 /// One quarter of an hour (ns). No archive has shorter files.
 const QUARTER_NS: i64 = 900_000_000_000;
@@ -16,7 +17,7 @@ const LEAD_S: f64 = 60.0;
 /// Most quarters in one request, and most that are remembered: one week.
 const QUARTERS_LIMIT: usize = 7 * 96;
 /// A quarter expires when nobody has requested it for this long (ms).
-const EXPIRY_MS: i64 = 86_400_000;
+const EXPIRY_MS: i64 = SECONDS_PER_DAY as i64 * 1000;
 
 /// The quarters that rovers have recently requested.
 #[derive(Debug, Default)]

@@ -21,7 +21,7 @@ pub enum ReceiverError {
     },
 }
 
-/// Reads the events of a file one by one.
+/// Reads the events of a file one by one; [`Decoder`] does the same with a stream.
 #[derive(Debug)]
 pub struct ReceiverReader<R> {
     input: R,

@@ -47,6 +47,24 @@ impl Event {
 }
 
 /// Decodes a stream of RTCM 3, UBX and NMEA in chunks.
+///
+/// ```
+/// use graphfix::formats::receiver::{Decoder, Event};
+///
+/// let frame = [
+///     0xd3, 0x00, 0x13, 0x3e, 0xd7, 0xd3, 0x02, 0x02, 0x98, 0x0e, 0xde, 0xef, 0x34, 0xb4, 0xbd,
+///     0x62, 0xac, 0x09, 0x41, 0x98, 0x6f, 0x33, 0x36, 0x0b, 0x98,
+/// ];
+/// let (mut decoder, mut events) = (Decoder::new(None), Vec::new());
+/// decoder.push(&frame[..10], &mut events);
+/// assert!(events.is_empty());
+/// decoder.push(&frame[10..], &mut events);
+/// decoder.finish(&mut events);
+/// let [Event::Station(station)] = &events[..] else { panic!("{events:?}") };
+/// assert_eq!(station.id, 2003);
+/// let position = station.antenna_reference_point.expect("1005 has it");
+/// assert!((position.0.x - 1_114_104.5999).abs() < 1e-4);
+/// ```
 #[derive(Debug)]
 pub struct Decoder {
     frames: FrameBuffer,

@@ -18,6 +18,42 @@
 //! - RINEX 2 observation types are mapped to RINEX 3 codes as in the `columns` module.
 //! - Receiver clock offsets on epoch lines are not applied: epochs keep the receiver's time tags.
 //!
+//! # Example
+//!
+//! Two epochs written and read again:
+//!
+//! ```
+//! use graphfix::formats::rinex::{
+//!     ObservationHeader, ObservationReader, ObservationWriter, RinexVersion,
+//! };
+//! use graphfix::gnss::{Epoch, GpsTime};
+//! use graphfix::simulation::{Scenario, Simulator};
+//!
+//! let scenario = Scenario { duration_s: 2.0, ..Scenario::open_sky() };
+//! let epochs: Vec<Epoch> = Simulator::new(scenario, 1).map(|epoch| epoch.rover).collect();
+//! let mut header = ObservationHeader::new(RinexVersion::new(3, 5));
+//! for observation in &epochs[0].observations {
+//!     let codes = &mut header.codes[observation.satellite.constellation.index()];
+//!     if !codes.contains(&observation.code) {
+//!         codes.push(observation.code);
+//!     }
+//! }
+//! let mut writer = ObservationWriter::new(Vec::new(), &header)?;
+//! for epoch in &epochs {
+//!     writer.write_epoch(epoch)?;
+//! }
+//! let file = writer.finish()?;
+//!
+//! let mut reader = ObservationReader::new(file.as_slice())?;
+//! let (mut epoch, mut count) = (Epoch::new(GpsTime::EPOCH), 0);
+//! while reader.read_epoch(&mut epoch)? {
+//!     assert_eq!(epoch.observations.len(), epochs[count].observations.len());
+//!     count += 1;
+//! }
+//! assert_eq!((count, reader.skipped().is_empty()), (epochs.len(), true));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! Sources: RINEX 2.11 (Gurtner & Estey 2007); RINEX 3.05 (IGS/RTCM 2020); RINEX 4.01 (2023);
 //! Hatanaka (2008), *A compression format and tools for GNSS observation data*, Bulletin of the
 //! Geographical Survey Institute 55.

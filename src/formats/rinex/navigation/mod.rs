@@ -26,6 +26,19 @@ use crate::gnss::{Constellation, Ephemeris, Navigation, NavigationMessage};
 ///
 /// # Errors
 /// What makes the whole file unreadable. A damaged record is skipped and noted.
+///
+/// # Example
+/// ```
+/// use graphfix::formats::rinex::{read_navigation, write_navigation};
+/// use graphfix::simulation::{Scenario, navigation};
+///
+/// let broadcast = navigation(&Scenario::open_sky());
+/// let mut file = Vec::new();
+/// write_navigation(&mut file, &broadcast)?;
+/// let (read, skipped) = read_navigation(file.as_slice())?;
+/// assert_eq!((read.len(), skipped.is_empty()), (broadcast.len(), true));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn read_navigation(input: impl BufRead) -> Result<(Navigation, Skipped), RinexError> {
     let mut lines = Lines::new(input);
     let first = first_line(&mut lines)?;
