@@ -37,7 +37,7 @@ macro_rules! named_choice {
 }
 
 named_choice! {
-    /// An estimator.
+    /// An estimator, by the measurements that it uses and its solver.
     Mode {
         /// Single-point positioning: least squares on the pseudoranges of one epoch.
         Spp = "spp",
@@ -58,11 +58,11 @@ named_choice! {
     KernelLaw {
         /// No robust kernel: least squares.
         Quadratic = "quadratic",
-        /// Huber's, convex.
+        /// Huber's kernel: convex, with bounded pull.
         Huber = "huber",
-        /// Cauchy's, redescending.
+        /// Cauchy's kernel: redescending, with unbounded loss.
         Cauchy = "cauchy",
-        /// Geman's and McClure's, redescending and bounded.
+        /// Geman and McClure's kernel: redescending, with bounded loss.
         GemanMcclure = "geman-mcclure",
     }
 }

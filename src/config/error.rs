@@ -16,7 +16,7 @@ pub enum ConfigError {
     /// The option does not take this value.
     #[error("option {key:?} cannot be {value:?}; allowed: {allowed}")]
     InvalidValue {
-        /// The option's name.
+        /// Name of the option that was to be set.
         key: &'static str,
         /// The value as given.
         value: String,
@@ -26,7 +26,7 @@ pub enum ConfigError {
     /// The option takes this value only where a Cargo feature is built in.
     #[error("option {key:?} can be {value:?} only in a build with the feature {feature:?}")]
     FeatureNotBuilt {
-        /// The option's name.
+        /// Name of the option that was to be set.
         key: &'static str,
         /// The value as given.
         value: String,

@@ -17,15 +17,15 @@ pub const REFERENCE_CN0_DB_HZ: f64 = 42.0;
 /// the names and in the units that users write.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PositioningOptions {
-    /// The estimator.
+    /// The estimator that the options configure.
     pub mode: Mode,
     /// The profile that gave the default values.
     pub profile: Profile,
-    /// Constellations used.
+    /// Constellations whose satellites are used.
     pub systems: ConstellationSet,
     /// Satellites never used, sorted.
     pub excluded_satellites: Vec<SatelliteId>,
-    /// Bands used.
+    /// Bands whose signals are used.
     pub frequencies: BandSet,
     /// Satellites below this elevation are not used (rad).
     pub elevation_mask_rad: f64,
@@ -35,7 +35,7 @@ pub struct PositioningOptions {
     pub sparse_below: usize,
     /// Signals with a lower C/N0 are not used (dB-Hz); signals without C/N0 are.
     pub cn0_mask_db_hz: f64,
-    /// Ionosphere model.
+    /// Model of the ionospheric delay.
     pub ionosphere: IonosphereModel,
     /// Whether a second frequency improves the modelled ionospheric delay.
     pub dual_frequency: bool,

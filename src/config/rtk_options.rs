@@ -23,7 +23,7 @@ pub struct RtkOptions {
     pub carrier_correlation_s: f64,
     /// Largest age of a base epoch (s).
     pub base_age_max_s: f64,
-    /// Longest baseline (m).
+    /// Longest baseline of a usable base (m).
     pub baseline_max_m: f64,
     /// Handover to another base: it must be nearer by this share of the present distance (0 to 1),
     pub nearer_share: f64,

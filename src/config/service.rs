@@ -22,13 +22,13 @@ pub struct ServiceConfiguration {
     /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
     /// TLS.
     pub listen: SocketAddr,
-    /// `sqlite://FILE` or `postgres://…`.
+    /// URL of the database: `sqlite://FILE` or `postgres://…`.
     pub database: String,
     /// Format and filter of the log.
     pub log: LogConfiguration,
     /// Hosts that the service may connect to at a client's request.
     pub fetch: FetchConfiguration,
-    /// Sources of ephemerides.
+    /// Sources of ephemerides beside uploads.
     pub navigation: NavigationConfiguration,
     /// Sources of base stations.
     pub bases: BasesConfiguration,
@@ -41,7 +41,7 @@ pub struct ServiceConfiguration {
 #[serde(default, deny_unknown_fields)]
 pub struct NavigationConfiguration {
     /// Addresses of RINEX navigation files, plain or gzip, one a day: `{yyyy}`, `{yy}`, `{mm}`,
-    /// `{dd}`, `{ddd}` and `{hh}` stand for year, month, day, day of year and hour of GPS time.
+    /// `{dd}`, `{ddd}` and `{hh}` become year, month, day, day of year and hour of GPS time.
     pub archives: Vec<String>,
     /// Time between requests for one file (s).
     pub archive_interval_s: u64,
@@ -72,7 +72,7 @@ pub struct NetworkConfiguration {
     /// The caster's user; empty for none.
     #[serde(default)]
     pub user: String,
-    /// The caster's password.
+    /// Password of the caster's user; empty for none.
     #[serde(default)]
     pub password: String,
 }
@@ -94,7 +94,7 @@ pub struct CasterConfiguration {
     /// The caster's user; empty for none.
     #[serde(default)]
     pub user: String,
-    /// The caster's password.
+    /// Password of the caster's user; empty for none.
     #[serde(default)]
     pub password: String,
 }

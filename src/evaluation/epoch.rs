@@ -10,9 +10,9 @@ use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
 pub struct JudgedEpoch {
     /// GPS time with the shift of the criteria.
     pub time: GpsTime,
-    /// RTKLIB's quality number.
+    /// RTKLIB's quality number: 1 fixed, 2 float, 5 single, …
     pub quality: i64,
-    /// The reference position.
+    /// Reference position, ECEF (m).
     pub reference: Ecef,
     /// Solution minus reference in the reference's frame (m).
     pub error: Enu,

@@ -117,36 +117,36 @@ pub fn judge(rows: &[PosRow], truth: Truth, criteria: &Criteria) -> Judgement {
 
 /// The truth, with the limits of the criteria.
 struct Reference<'a> {
-    place: Place,
+    source: Source,
     criteria: &'a Criteria,
 }
 
-enum Place {
+enum Source {
     Static(Ecef),
     Trajectory(Trajectory),
 }
 
 impl<'a> Reference<'a> {
     fn new(truth: Truth, criteria: &'a Criteria) -> Self {
-        let place = match truth {
-            Truth::Static(position) => Place::Static(position),
-            Truth::Trajectory(rows) => Place::Trajectory(Trajectory::new(rows)),
+        let source = match truth {
+            Truth::Static(position) => Source::Static(position),
+            Truth::Trajectory(rows) => Source::Trajectory(Trajectory::new(rows)),
         };
-        Self { place, criteria }
+        Self { source, criteria }
     }
 
     fn at(&self, time: GpsTime) -> Option<Ecef> {
         let c = self.criteria;
-        let position = match &self.place {
-            Place::Static(position) => *position,
-            Place::Trajectory(trajectory) => trajectory.at(time, c.tolerance_s, c.max_gap_s)?,
+        let position = match &self.source {
+            Source::Static(position) => *position,
+            Source::Trajectory(trajectory) => trajectory.at(time, c.tolerance_s, c.max_gap_s)?,
         };
         Some(c.lever.map_or(position, |lever| LocalFrame::at(position).to_ecef(lever)))
     }
 
     fn expected(&self, epochs: &[JudgedEpoch]) -> usize {
         let covered = |time: GpsTime| self.criteria.covers(time);
-        match (&self.criteria.expected, &self.place) {
+        match (&self.criteria.expected, &self.source) {
             (Expected::Count(count), _) => *count,
             (Expected::RoverEpochs(times), _) => {
                 let mut times: Vec<_> =
@@ -155,20 +155,20 @@ impl<'a> Reference<'a> {
                 times.dedup();
                 times.into_iter().filter(|t| covered(*t) && self.at(*t).is_some()).count()
             }
-            (Expected::Reference, Place::Static(_)) => epochs.len(),
-            (Expected::Reference, Place::Trajectory(trajectory)) => {
+            (Expected::Reference, Source::Static(_)) => epochs.len(),
+            (Expected::Reference, Source::Trajectory(trajectory)) => {
                 trajectory.rows().iter().filter(|row| covered(row.time)).count()
             }
         }
     }
 
     fn rows(self, first: Option<GpsTime>) -> Vec<TruthRow> {
-        match self.place {
-            Place::Static(position) => {
+        match self.source {
+            Source::Static(position) => {
                 let time = first.unwrap_or(GpsTime::EPOCH);
                 vec![TruthRow { time, position }]
             }
-            Place::Trajectory(trajectory) => {
+            Source::Trajectory(trajectory) => {
                 let rows = trajectory.rows().iter();
                 rows.filter(|row| self.criteria.covers(row.time)).copied().collect()
             }

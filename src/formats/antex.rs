@@ -31,12 +31,12 @@ const OFFSET_LIMIT_M: f64 = 100.0;
 /// Why an ANTEX file is refused, with the number of the line (from 1).
 #[derive(Debug, thiserror::Error)]
 pub enum AntexError {
-    /// The reader failed.
+    /// The input cannot be read.
     #[error("line {line}: reading failed: {source}")]
     Read {
         /// Number of the last line read.
         line: u64,
-        /// The reader's error.
+        /// Error of the input.
         source: io::Error,
     },
     /// The first line is not that of an ANTEX file.
@@ -355,7 +355,7 @@ fn time<R: BufRead>(lines: &Lines<R>, label: &'static str) -> Result<GpsTime, An
     read().ok_or(lines.malformed(label, "not a date and time"))
 }
 
-/// Skips a section.
+/// Skips the lines up to and including the label `end`.
 fn pass_over<R: BufRead>(lines: &mut Lines<R>, end: &str) -> Result<(), AntexError> {
     loop {
         lines.next_of("a frequency")?;

@@ -10,7 +10,7 @@ use crate::gnss::{
 #[expect(clippy::approx_constant, reason = "the messages are made with these digits")]
 pub(super) const SEMICIRCLE_RAD: f64 = 3.141_592_653_589_8;
 
-/// 2^−n.
+/// The scale factor 2^−n of a broadcast field.
 pub(super) const fn per_power(n: u32) -> f64 {
     1.0 / (1_u64 << n) as f64
 }

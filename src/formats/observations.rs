@@ -191,20 +191,21 @@ impl fmt::Display for LeftOut {
         match self {
             Self::Rinex(skipped) => {
                 for entry in skipped.entries() {
-                    let places = Places { unit: "lines", first: &entry.lines, of: entry.count };
-                    writeln!(f, "left out {} times: {} ({places})", entry.count, entry.reason)?;
+                    let positions =
+                        Positions { unit: "lines", first: &entry.lines, of: entry.count };
+                    writeln!(f, "left out {} times: {} ({positions})", entry.count, entry.reason)?;
                 }
             }
             Self::Receiver(statistics) => {
                 for RefusalEntry { kind, reason, count, offsets } in statistics.refusals() {
-                    let places = Places { unit: "bytes", first: offsets, of: *count };
+                    let positions = Positions { unit: "bytes", first: offsets, of: *count };
                     let kind = kind.map_or_else(|| "frame".to_owned(), |kind| kind.to_string());
-                    writeln!(f, "left out {count} times: {kind}: {reason} ({places})")?;
+                    writeln!(f, "left out {count} times: {kind}: {reason} ({positions})")?;
                 }
                 if 0 < statistics.garbage_bytes() {
                     let (count, first) = (statistics.garbage_bytes(), statistics.first_garbage());
-                    let places = Places { unit: "from bytes", first, of: first.len() as u64 };
-                    writeln!(f, "left out {count} bytes that belong to no frame ({places})")?;
+                    let positions = Positions { unit: "from bytes", first, of: first.len() as u64 };
+                    writeln!(f, "left out {count} bytes that belong to no frame ({positions})")?;
                 }
             }
         }
@@ -213,13 +214,13 @@ impl fmt::Display for LeftOut {
 }
 
 /// The first positions of one reason, for display.
-struct Places<'a> {
+struct Positions<'a> {
     unit: &'static str,
     first: &'a [u64],
     of: u64,
 }
 
-impl fmt::Display for Places<'_> {
+impl fmt::Display for Positions<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let first: Vec<String> = self.first.iter().map(u64::to_string).collect();
         let more = if (self.first.len() as u64) < self.of { " …" } else { "" };

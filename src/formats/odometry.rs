@@ -52,7 +52,7 @@ pub struct OdometryRow {
 /// Why an odometry file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum OdometryFileError {
-    /// The reader failed.
+    /// The input cannot be read.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
     /// The title line lacks a required column.
@@ -106,7 +106,7 @@ pub enum OdometryFileError {
 /// # Ok::<(), graphfix::formats::odometry::OdometryFileError>(())
 /// ```
 pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileError> {
-    let (mut rows, mut places) = (Vec::<OdometryRow>::new(), None);
+    let (mut rows, mut indices) = (Vec::<OdometryRow>::new(), None);
     let (mut bytes, mut line) = (Vec::new(), 0);
     loop {
         bytes.clear();
@@ -119,12 +119,12 @@ pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileErr
         if text.is_empty() || text.starts_with(['#', '%']) {
             continue;
         }
-        let Some(places) = &places else {
-            places = Some(places_of(text, line)?);
+        let Some(indices) = &indices else {
+            indices = Some(columns_of(text, line)?);
             continue;
         };
         let row =
-            Fields { line, values: text.split(',').map(str::trim).collect(), places }.row()?;
+            Fields { line, values: text.split(',').map(str::trim).collect(), indices }.row()?;
         if rows.last().is_some_and(|last| row.time <= last.time) {
             return Err(OdometryFileError::OutOfOrder { line });
         }
@@ -134,15 +134,15 @@ pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileErr
 }
 
 /// Index of each column in the title line.
-fn places_of(
+fn columns_of(
     title: &str,
     line: usize,
 ) -> Result<[Option<usize>; COLUMNS.len()], OdometryFileError> {
     let names: Vec<_> = title.split(',').map(|name| name.trim().to_lowercase()).collect();
-    let places = COLUMNS.map(|column| names.iter().position(|name| name == column));
-    match places.iter().take(NEEDED).position(Option::is_none) {
+    let indices = COLUMNS.map(|column| names.iter().position(|name| name == column));
+    match indices.iter().take(NEEDED).position(Option::is_none) {
         Some(missing) => Err(OdometryFileError::MissingColumn { line, column: COLUMNS[missing] }),
-        None => Ok(places),
+        None => Ok(indices),
     }
 }
 
@@ -150,7 +150,7 @@ fn places_of(
 struct Fields<'a> {
     line: usize,
     values: Vec<&'a str>,
-    places: &'a [Option<usize>; COLUMNS.len()],
+    indices: &'a [Option<usize>; COLUMNS.len()],
 }
 
 impl Fields<'_> {
@@ -158,8 +158,8 @@ impl Fields<'_> {
         let numbers: [f64; 3] = self.numbers(4)?;
         let variances: [f64; 3] = self.numbers(7)?;
         let mut covariances = [0.0; 3];
-        for (place, value) in covariances.iter_mut().enumerate() {
-            *value = self.optional(10 + place)?.unwrap_or(0.0);
+        for (index, value) in covariances.iter_mut().enumerate() {
+            *value = self.optional(10 + index)?.unwrap_or(0.0);
         }
         let ([xx, yy, zz], [xy, xz, yz]) = (variances, covariances);
         let frame = match self.text(3) {
@@ -194,7 +194,7 @@ impl Fields<'_> {
     }
 
     fn text(&self, column: usize) -> &str {
-        self.places[column].and_then(|place| self.values.get(place)).copied().unwrap_or_default()
+        self.indices[column].and_then(|index| self.values.get(index)).copied().unwrap_or_default()
     }
 
     fn numbers(&self, first: usize) -> Result<[f64; 3], OdometryFileError> {
@@ -230,9 +230,9 @@ pub fn write(mut output: impl Write, rows: &[OdometryRow]) -> io::Result<()> {
         push_fixed(&mut line, odometry.interval_s, 6, 0);
         line.push(b',');
         line.extend_from_slice(odometry.frame.name().as_bytes());
-        let places = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+        let indices = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
         let lengths = odometry.displacement_m.iter().map(|value| (*value, 5));
-        let squares = places.into_iter().map(|place| (odometry.covariance[place], 8));
+        let squares = indices.into_iter().map(|index| (odometry.covariance[index], 8));
         for (value, decimals) in lengths.chain(squares) {
             line.push(b',');
             push_fixed(&mut line, value, decimals, 0);

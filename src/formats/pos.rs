@@ -138,7 +138,7 @@ pub struct PosFile {
 /// Why a solution file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum PosError {
-    /// The reader failed.
+    /// The input cannot be read.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
     /// The kind of coordinates or times is not supported.

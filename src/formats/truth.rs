@@ -27,7 +27,7 @@ pub struct TruthRow {
 /// Why a truth file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum TruthError {
-    /// The reader failed.
+    /// The input cannot be read.
     #[error("reading failed: {0}")]
     Read(#[from] io::Error),
     /// A line does not begin with five numbers.

@@ -43,7 +43,7 @@ pub struct AntennaCalibration {
     pub patterns: Vec<PhaseCentrePattern>,
 }
 
-/// A satellite's antenna.
+/// The calibration of a satellite antenna.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SatelliteAntenna {
     /// The satellite that had this number from `valid_from` to `valid_until`.
@@ -58,7 +58,7 @@ pub struct SatelliteAntenna {
     pub patterns: Vec<PhaseCentrePattern>,
 }
 
-/// Calibrated antennas.
+/// A catalogue of calibrated antennas.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AntennaCatalogue {
     /// Calibrations of receiver antennas.

@@ -30,7 +30,7 @@ pub enum PositionSource {
 }
 
 impl PositionSource {
-    /// All sources.
+    /// All sources of a base position.
     pub const ALL: [Self; 4] = [Self::Given, Self::Header, Self::Message, Self::SinglePoints];
 
     /// The name in the API.

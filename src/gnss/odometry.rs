@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 /// Axes of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OdometryFrame {
-    /// Earth-centred, Earth-fixed axes.
+    /// Earth-centred, Earth-fixed axes (ECEF).
     Ecef,
     /// East, north, up at the antenna.
     Enu,

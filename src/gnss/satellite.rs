@@ -25,7 +25,7 @@ impl Constellation {
     /// Number of constellations, for tables indexed by constellation.
     pub const COUNT: usize = Self::ALL.len();
 
-    /// The RINEX letter.
+    /// The RINEX letter of the constellation.
     pub const fn letter(self) -> char {
         match self {
             Self::Gps => 'G',

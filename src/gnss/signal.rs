@@ -72,7 +72,7 @@ pub enum Band {
 }
 
 impl Band {
-    /// Every band.
+    /// Every band, in order of preference.
     pub const ALL: [Self; 4] = [Self::L1, Self::L2, Self::L5, Self::L6];
 
     /// The name in options.

@@ -9,7 +9,7 @@ use super::{Constellation, Ecef, GpsTime, SatelliteId};
 /// The method that gave the position, from none to best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Status {
-    /// No position; the reasons tell the cause.
+    /// No position; the reasons give the cause.
     None,
     /// Single-point position from one epoch.
     Single,
@@ -192,7 +192,7 @@ pub enum Reason {
     RatioBelowThreshold {
         /// Ratio of second-best to best squared norm.
         ratio: f64,
-        /// Smallest accepted ratio.
+        /// Smallest accepted value of the ratio.
         threshold: f64,
     },
     /// The float ambiguities are too imprecise for a search.
@@ -306,7 +306,7 @@ pub struct EphemerisIssue {
     pub satellite: SatelliteId,
     /// Time of ephemeris (toe).
     pub toe: GpsTime,
-    /// Issue of data.
+    /// Issue of data (IODE, IODnav, AODE; of GLONASS the age E_n).
     pub issue: u32,
 }
 

@@ -68,7 +68,7 @@ pub enum LambdaError {
     Dimension {
         /// Name of the argument.
         what: &'static str,
-        /// Its size.
+        /// Size of that argument.
         actual: usize,
         /// The size that the other arguments need.
         expected: usize,
@@ -76,7 +76,7 @@ pub enum LambdaError {
     /// An index of a subset is outside the estimate, or occurs twice.
     #[error("index {index} is outside 0..{size} or occurs twice")]
     Index {
-        /// The invalid index.
+        /// The index that is invalid.
         index: usize,
         /// Number of entries of the estimate.
         size: usize,
@@ -86,7 +86,7 @@ pub enum LambdaError {
     Float {
         /// Index of the entry.
         index: usize,
-        /// Its value.
+        /// Value of the entry (cycles, or the caller's unit).
         value: f64,
     },
     /// The covariance is not positive definite (to working precision) or not finite.
@@ -94,7 +94,7 @@ pub enum LambdaError {
     NotPositiveDefinite {
         /// Index of the entry whose conditional variance fails.
         index: usize,
-        /// Its conditional variance.
+        /// Conditional variance of that entry.
         pivot: f64,
     },
     /// The entries of the transformation exceed the integers that an `f64` represents exactly.

@@ -193,7 +193,7 @@ proptest! {
     }
 }
 
-/// Bootstrapping on 20 000 floats succeeds as often as said, and least squares no less often.
+/// Bootstrapping of 20 000 floats succeeds at its stated rate, and least squares at least at it.
 #[test]
 fn success_rate_matches_monte_carlo() {
     let mut random = Random(7);
@@ -219,7 +219,7 @@ fn success_rate_matches_monte_carlo() {
     assert!(bootstrapped <= least_squares);
 }
 
-/// Where the posterior says p, the integers are right in p of the cases, within 3σ and 1 %.
+/// Integers with posterior p are right in a share p of the cases, within 3σ and 1 %.
 #[test]
 fn posterior_is_calibrated() {
     let mut random = Random(11);
@@ -265,7 +265,7 @@ fn bad_covariances_are_typed_errors() {
     assert_eq!(twice, Err(LambdaError::Index { index: 0, size: 1 }));
 }
 
-/// All halves: every integer vertex ties. The search gives up where told, with its count.
+/// All halves: every integer vertex ties. The search stops at its limit, with the count.
 #[test]
 fn search_stops_at_its_limit() {
     let mut resolver = Resolver::with_capacity(100);

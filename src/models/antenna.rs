@@ -40,20 +40,20 @@ fn variation_m(pattern: &PhaseCentrePattern, azimuth_rad: f64, zenith_rad: f64) 
     let Some(steps) = pattern.azimuth_variations_m.len().checked_sub(1).filter(|n| 0 < *n) else {
         return along(&pattern.variations_m);
     };
-    let place = azimuth_rad.rem_euclid(TAU) / TAU * steps as f64;
-    let before = (place.floor() as usize).min(steps - 1);
-    let share = place - before as f64;
+    let position = azimuth_rad.rem_euclid(TAU) / TAU * steps as f64;
+    let before = (position.floor() as usize).min(steps - 1);
+    let share = position - before as f64;
     let rows = &pattern.azimuth_variations_m;
     (1.0 - share) * along(&rows[before]) + share * along(&rows[before + 1])
 }
 
 /// Linear interpolation of a row at a fractional index, constant beyond its ends.
-fn interpolated(row: &[f64], place: f64) -> f64 {
+fn interpolated(row: &[f64], position: f64) -> f64 {
     let Some(last) = row.len().checked_sub(1) else { return 0.0 };
-    let place = place.clamp(0.0, last as f64);
-    let before = (place.floor() as usize).min(last.saturating_sub(1));
+    let position = position.clamp(0.0, last as f64);
+    let before = (position.floor() as usize).min(last.saturating_sub(1));
     let after = (before + 1).min(last);
-    let share = place - before as f64;
+    let share = position - before as f64;
     (1.0 - share) * row[before] + share * row[after]
 }
 

@@ -142,7 +142,7 @@ mod tests {
         navigation
     }
 
-    /// Issue of the choice at so many hours after the samples' toe.
+    /// Issue of the selected ephemeris, `hours` after the toe of the samples.
     fn chosen(navigation: &Navigation, name: &str, hours: f64) -> Option<u32> {
         let time = sample::toe() + hours * SECONDS_PER_HOUR;
         select_ephemeris(navigation, name.parse().unwrap(), time).map(Ephemeris::issue)

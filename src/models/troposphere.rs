@@ -190,9 +190,9 @@ impl PreparedMapping {
 
 /// Linear between the tabulated latitudes (°), constant beyond them.
 fn interpolate(table: &[Fraction; 5], latitude_deg: f64) -> Fraction {
-    let place = (latitude_deg / 15.0 - 1.0).clamp(0.0, 4.0);
-    let index = (place as usize).min(3);
-    let (low, high, share) = (&table[index], &table[index + 1], place - index as f64);
+    let position = (latitude_deg / 15.0 - 1.0).clamp(0.0, 4.0);
+    let index = (position as usize).min(3);
+    let (low, high, share) = (&table[index], &table[index + 1], position - index as f64);
     Fraction {
         a: low.a + (high.a - low.a) * share,
         b: low.b + (high.b - low.b) * share,
@@ -234,16 +234,16 @@ mod tests {
     #[test]
     fn niell_worked_apart() {
         let winter = GpsTime::EPOCH + (WINTER_DAY - GPS_EPOCH_DAY) * SECONDS_PER_DAY;
-        let place = Geodetic::from_degrees(45.0, 0.0, 0.0);
+        let receiver = Geodetic::from_degrees(45.0, 0.0, 0.0);
         let spring = winter + YEAR_S / 4.0;
-        let slant = |place: &Geodetic, time, elevation: f64, dry: f64, wet: f64| {
-            let mapping = PreparedMapping::niell(place, time);
+        let slant = |receiver: &Geodetic, time, elevation: f64, dry: f64, wet: f64| {
+            let mapping = PreparedMapping::niell(receiver, time);
             Troposphere { hydrostatic_m: dry, wet_m: wet, mapping }
                 .slant_delay_m(elevation.to_radians())
         };
-        near(slant(&place, spring, 5.0, 1.0, 0.0), 10.128_617_232_579_067, 1e-9);
-        near(slant(&place, spring, 5.0, 0.0, 1.0), 10.750_884_210_392_691, 1e-9);
-        near(slant(&place, spring, 90.0, 1.0, 1.0), 2.0, 1e-12);
+        near(slant(&receiver, spring, 5.0, 1.0, 0.0), 10.128_617_232_579_067, 1e-9);
+        near(slant(&receiver, spring, 5.0, 0.0, 1.0), 10.750_884_210_392_691, 1e-9);
+        near(slant(&receiver, spring, 90.0, 1.0, 1.0), 2.0, 1e-12);
         let hill = Geodetic::from_degrees(30.0, 0.0, 1_500.0);
         near(slant(&hill, winter, 10.0, 1.0, 0.0), 5.556_008_471_066_759, 1e-9);
         near(slant(&hill, winter, 10.0, 0.0, 1.0), 5.659_495_589_978_741, 1e-9);
@@ -255,9 +255,9 @@ mod tests {
     /// The mappings agree high in the sky and part towards the horizon.
     #[test]
     fn mappings_part_towards_the_horizon() {
-        let place = Geodetic::from_degrees(22.3, 114.2, 5.0);
+        let receiver = Geodetic::from_degrees(22.3, 114.2, 5.0);
         let time = GpsTime::from_week_seconds(2051, 46_701.0);
-        let with = |mapping| Troposphere::saastamoinen(&place, time, 0.7, mapping).unwrap();
+        let with = |mapping| Troposphere::saastamoinen(&receiver, time, 0.7, mapping).unwrap();
         let (niell, cosecant) = (with(Mapping::Niell), with(Mapping::Cosecant));
         near(niell.slant_delay_m(1.0) / cosecant.slant_delay_m(1.0), 1.0, 1e-3);
         near(cosecant.slant_delay_m(0.5), cosecant.zenith_delay_m() / 0.5_f64.sin(), 1e-12);
@@ -269,9 +269,9 @@ mod tests {
     #[test]
     fn no_atmosphere_far_from_the_ground() {
         for height_m in [-2_000.0, 30_000.0, f64::NAN] {
-            let place = Geodetic::from_degrees(0.0, 0.0, height_m);
+            let receiver = Geodetic::from_degrees(0.0, 0.0, height_m);
             let mapping = Mapping::Cosecant;
-            assert_eq!(Troposphere::saastamoinen(&place, GpsTime::EPOCH, 0.5, mapping), None);
+            assert_eq!(Troposphere::saastamoinen(&receiver, GpsTime::EPOCH, 0.5, mapping), None);
         }
     }
 

@@ -326,7 +326,7 @@ mod tests {
         // South: 14 m, atan(40/14) = 70.71°.
         assert!(matches!(arrival(180.0, 71.0), Arrival::Direct { .. }));
         assert!(!matches!(arrival(180.0, 70.0), Arrival::Direct { .. }));
-        // Along the street nothing stands.
+        // Along the street nothing blocks the signal.
         assert!(matches!(arrival(90.0, 10.0), Arrival::Direct { .. }));
     }
 
@@ -378,7 +378,7 @@ mod tests {
         assert!((0.2..0.8).contains(&share), "{share}");
     }
 
-    /// Past the crossing, buildings of the next block stand in the way of slanting rays.
+    /// Past the crossing, buildings of the next block stop oblique rays.
     #[test]
     fn buildings_beyond_the_crossing_count() {
         // From x = 100 the block ends at 190; bearing 10° north of east reaches the wall (y = 10) at

@@ -336,7 +336,7 @@ mod tests {
         (navigation(&Constellation::ALL, start, start + hours * SECONDS_PER_HOUR, None), start)
     }
 
-    /// Each issue says the same as the one before, half way between them, over the week's end.
+    /// Consecutive issues agree half way between them, also across the end of a week.
     #[test]
     fn issues_continue_one_another() {
         let (navigation, _) = sky(6.0);

@@ -187,7 +187,7 @@ mod tests {
         geometric_range, group_delay_m, range_rate, select_ephemeris, state_at_transmission,
     };
 
-    /// Pseudorange, phase and range rate less what the models say without atmosphere (m, m/s).
+    /// Pseudorange, phase and range rate minus their models without atmosphere (m, m/s).
     fn residuals(
         observation: &Observation,
         navigation: &Navigation,
@@ -318,7 +318,7 @@ mod tests {
         assert!((variance.sqrt() - 1.0).abs() < 0.15, "{variance} of {}", scaled.len());
     }
 
-    /// What multipath does in ten seconds: little to a car that stands, nearly all to one at 10 m/s.
+    /// Multipath after ten seconds: nearly the same at rest, nearly independent at 10 m/s.
     #[test]
     fn multipath_stands_with_the_car() {
         let correlation = |motion| {

@@ -25,7 +25,7 @@ const TOWN_CORNERS: i64 = 5;
 /// The kind of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
-    /// At rest.
+    /// At rest at the origin.
     Static,
     /// Along a figure of eight.
     Loop {
@@ -43,12 +43,12 @@ pub enum Motion {
 pub(super) enum Path {
     Static,
     Eight { half_length_m: f64, rate_rad_s: f64 },
-    Drive { pieces: Vec<Piece>, phases: Vec<Phase>, heading: Vector2<f64> },
+    Drive { segments: Vec<Segment>, phases: Vec<Phase>, heading: Vector2<f64> },
 }
 
 /// A segment of a drive: straight, or an arc to the left (positive curvature) or right.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
+pub(super) struct Segment {
     from_m: f64,
     start: Vector2<f64>,
     direction: Vector2<f64>,
@@ -96,27 +96,34 @@ impl Path {
                     velocity_m_s: w * (a * slope + up * phase.cos()),
                 }
             }
-            Self::Drive { pieces, phases, heading } => drive_at(pieces, phases, heading, elapsed_s),
+            Self::Drive { segments, phases, heading } => {
+                drive_at(segments, phases, heading, elapsed_s)
+            }
         }
     }
 }
 
 /// `heading` is the direction of the first street, which rotates city axes into east and north.
-fn drive_at(pieces: &[Piece], phases: &[Phase], heading: &Vector2<f64>, elapsed_s: f64) -> Place {
+fn drive_at(
+    segments: &[Segment],
+    phases: &[Phase],
+    heading: &Vector2<f64>,
+    elapsed_s: f64,
+) -> Place {
     let phase = &phases[phases.partition_point(|p| p.from_s <= elapsed_s).max(1) - 1];
     let dt = elapsed_s - phase.from_s;
     let speed = phase.speed_m_s + phase.acceleration_m_s2 * dt;
     let distance =
         phase.distance_m + phase.speed_m_s * dt + 0.5 * phase.acceleration_m_s2 * dt * dt;
-    let piece = &pieces[pieces.partition_point(|p| p.from_m <= distance).max(1) - 1];
-    let along = distance - piece.from_m;
-    let (d, left) = (piece.direction, Vector2::new(-piece.direction.y, piece.direction.x));
-    let (position, direction) = if piece.curvature_per_m == 0.0 {
-        (piece.start + d * along, d)
+    let segment = &segments[segments.partition_point(|p| p.from_m <= distance).max(1) - 1];
+    let along = distance - segment.from_m;
+    let (d, left) = (segment.direction, Vector2::new(-segment.direction.y, segment.direction.x));
+    let (position, direction) = if segment.curvature_per_m == 0.0 {
+        (segment.start + d * along, d)
     } else {
-        let (sin, cos) = (along * piece.curvature_per_m).sin_cos();
-        let turned = (d * sin + left * (1.0 - cos)) / piece.curvature_per_m;
-        (piece.start + turned, d * cos + left * sin)
+        let (sin, cos) = (along * segment.curvature_per_m).sin_cos();
+        let turned = (d * sin + left * (1.0 - cos)) / segment.curvature_per_m;
+        (segment.start + turned, d * cos + left * sin)
     };
     let to_east_north = |v: Vector2<f64>| {
         Vector3::new(v.x * heading.x - v.y * heading.y, v.x * heading.y + v.y * heading.x, 0.0)
@@ -126,7 +133,7 @@ fn drive_at(pieces: &[Piece], phases: &[Phase], heading: &Vector2<f64>, elapsed_
 
 /// A drive under construction.
 struct Drive {
-    pieces: Vec<Piece>,
+    segments: Vec<Segment>,
     phases: Vec<Phase>,
     heading: Vector2<f64>,
     /// End of the segments so far.
@@ -141,7 +148,7 @@ impl Drive {
         let mut random = Random::new(seed, 11);
         let (sin, cos) = city.street_azimuth_rad.sin_cos();
         let mut drive = Self {
-            pieces: Vec::new(),
+            segments: Vec::new(),
             phases: Vec::new(),
             heading: Vector2::new(sin, cos),
             end: Vector2::new(0.0, -LANE_M),
@@ -177,7 +184,7 @@ impl Drive {
         let crossing = if bend == 0.0 { node + lane(now) } else { node + lane(now) + lane(then) };
         let arc = if bend == 0.0 { 0.0 } else { TURN_RADIUS_M };
         let straight = (crossing - self.end).dot(&now) - arc;
-        self.pieces.push(Piece {
+        self.segments.push(Segment {
             from_m: self.length_m,
             start: self.end,
             direction: now,
@@ -197,7 +204,7 @@ impl Drive {
         self.end += now * straight;
         if bend != 0.0 {
             let length = std::f64::consts::FRAC_PI_2 * TURN_RADIUS_M;
-            self.pieces.push(Piece {
+            self.segments.push(Segment {
                 from_m: self.length_m,
                 start: self.end,
                 direction: now,
@@ -254,7 +261,7 @@ impl Drive {
     }
 
     fn into_path(self) -> Path {
-        Path::Drive { pieces: self.pieces, phases: self.phases, heading: self.heading }
+        Path::Drive { segments: self.segments, phases: self.phases, heading: self.heading }
     }
 }
 

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use crate::simulation::motion::Motion;
 
-    /// What is stated holds what is said: three squares, on average, of three components.
+    /// The stated covariance fits the errors: the mean normalised square of three components is 3.
     #[test]
     fn the_stated_covariance_is_honest() {
         let motion = Motion::Loop { half_length_m: 200.0, speed_m_s: 10.0 };

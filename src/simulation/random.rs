@@ -107,7 +107,7 @@ impl GaussMarkov {
         self.0
     }
 
-    /// The present value.
+    /// The present value, in standard deviations.
     pub(super) const fn value(&self) -> f64 {
         self.0
     }

@@ -24,7 +24,7 @@ pub struct Scenario {
     pub city: Option<CityPlan>,
     /// Base station relative to the origin, under open sky; `None`: no base.
     pub base: Option<Enu>,
-    /// Constellations received.
+    /// Constellations that the receivers track.
     pub constellations: Vec<Constellation>,
     /// Number of signals received of each satellite, 1 or 2.
     pub frequencies: usize,
@@ -97,7 +97,7 @@ pub struct ReceiverErrors {
     pub reacquisition_s: f64,
 }
 
-/// A receiver's clock.
+/// Offset, drift and random walks of a receiver's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReceiverClock {
     /// Largest offset at the start (s).

@@ -182,8 +182,8 @@ fn agreement(comparison: &Comparison) -> String {
          {titles}</tr></thead><tbody>\n"
     );
     for agreement in agreements {
-        let name = |place: usize| {
-            let method = &comparison.methods[place];
+        let name = |index: usize| {
+            let method = &comparison.methods[index];
             format!("{} ({})", method.name(), method.profile)
         };
         let (all, within) = (&agreement.all, agreement.fixed_within_5_and_10_cm);

@@ -102,7 +102,7 @@ pub(super) fn draw<DB: DrawingBackend>(
             Circle::new((x, share), 4, curve.color.filled())
         }))?;
     }
-    draw_table(area, errors, plane.place(range.end, 100.0))?;
+    draw_table(area, errors, plane.pixel(range.end, 100.0))?;
     draw_title(area, "Distribution of the errors", LEFT as i32)
 }
 
@@ -124,7 +124,7 @@ impl Plane {
     }
 
     /// The pixel of an error (log10 of metres) and a share (%).
-    fn place(&self, log_error: f64, share: f64) -> (i32, i32) {
+    fn pixel(&self, log_error: f64, share: f64) -> (i32, i32) {
         let across = f64::from(LEFT) + (log_error - self.start) * self.pixels_per_decade;
         let down = f64::from(TOP) + (100.0 - share) * self.pixels_per_percent;
         (across.round() as i32, down.round() as i32)
@@ -138,13 +138,13 @@ fn draw_grid<DB: DrawingBackend>(
     range: &std::ops::Range<f64>,
 ) -> Result<(), PlotError> {
     for metres in ticks(range) {
-        let (x, bottom) = plane.place(metres.log10(), 0.0);
-        area.draw(&PathElement::new([(x, bottom), plane.place(metres.log10(), 100.0)], GRID))?;
+        let (x, bottom) = plane.pixel(metres.log10(), 0.0);
+        area.draw(&PathElement::new([(x, bottom), plane.pixel(metres.log10(), 100.0)], GRID))?;
         let style = label(15, &INK).pos(Pos::new(HPos::Center, VPos::Top));
         area.draw_text(&format!("{metres}"), &style, (x, bottom + 8))?;
     }
     for share in MARKED {
-        let ends = [plane.place(range.start, share), plane.place(range.end, share)];
+        let ends = [plane.pixel(range.start, share), plane.pixel(range.end, share)];
         area.draw(&DashedPathElement::new(ends, 6, 5, MUTED.stroke_width(1)))?;
         let style = label(14, &MUTED).pos(Pos::new(HPos::Left, VPos::Bottom));
         area.draw_text(&format!("{share} %"), &style, (ends[0].0 + 6, ends[0].1 - 1))?;

@@ -170,8 +170,8 @@ pub fn plane(reference: &[(f64, f64)], series: &[Series], gap_m: f64) -> Result<
     for piece in reference.chunk_by(is_near) {
         chart.draw_series(LineSeries::new(piece.iter().copied(), BLACK.stroke_width(2)))?;
     }
-    if let [place] = reference {
-        chart.draw_series([Cross::new(*place, 9, BLACK.stroke_width(3))])?;
+    if let [point] = reference {
+        chart.draw_series([Cross::new(*point, 9, BLACK.stroke_width(3))])?;
     }
     area.present()?;
     drop(chart);

@@ -16,7 +16,7 @@ pub enum ReceiverError {
     ReadFailed {
         /// Number of bytes read before.
         offset: u64,
-        /// The reader's error.
+        /// Error of the input.
         source: io::Error,
     },
 }

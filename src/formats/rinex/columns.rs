@@ -145,8 +145,8 @@ impl ColumnTable {
     fn find_handovers(&mut self, constellation: Constellation) {
         for band in b'1'..=b'2' {
             if let [Some((_, a)), Some((_, b))] = rinex2_pseudoranges(constellation, band) {
-                let place = |code| self.codes.iter().position(|c| *c == code).map(|i| i as u8);
-                if let (Some(a), Some(b)) = (place(a), place(b)) {
+                let slot_of = |code| self.codes.iter().position(|c| *c == code).map(|i| i as u8);
+                if let (Some(a), Some(b)) = (slot_of(a), slot_of(b)) {
                     self.handovers.push((a, b));
                 }
             }

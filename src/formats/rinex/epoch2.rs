@@ -105,12 +105,12 @@ impl<R: BufRead> ObservationReader<R> {
             return Ok(false);
         }
         for index in 0..count {
-            let place = index % SATELLITES_PER_LINE;
-            if place == 0 && index != 0 && self.lines.next()?.is_none() {
+            let column = index % SATELLITES_PER_LINE;
+            if column == 0 && index != 0 && self.lines.next()?.is_none() {
                 self.note(SkipReason::TruncatedEpoch);
                 return Ok(false);
             }
-            let from = SATELLITES_COLUMN + place * 3;
+            let from = SATELLITES_COLUMN + column * 3;
             let field = columns(self.lines.current(), from, from + 3);
             let Ok(field) = <[u8; 3]>::try_from(field) else {
                 self.note(SkipReason::WrongSatelliteCount);

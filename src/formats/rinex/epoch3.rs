@@ -11,7 +11,7 @@ use crate::gnss::{CivilTime, Epoch, Observation};
 /// Width of the satellite number at the start of a line.
 const SATELLITE_WIDTH: usize = 3;
 
-/// An epoch line.
+/// Content of an epoch line.
 pub(super) struct EpochLine {
     /// Date and time; `None` if blank or invalid, which is allowed for events only.
     pub(super) civil: Option<CivilTime>,

@@ -22,7 +22,7 @@ pub enum RinexError {
         line: u64,
         /// The kind of the file.
         found: String,
-        /// The kind expected.
+        /// The kind that the reader expects.
         expected: &'static str,
     },
     /// The version is not supported.
@@ -62,7 +62,7 @@ pub enum RinexError {
     LineTooLong {
         /// Number of the line.
         line: u64,
-        /// The limit (bytes).
+        /// Longest accepted line (bytes).
         limit: usize,
     },
     /// The bytes cannot be read or inflated.
@@ -70,7 +70,7 @@ pub enum RinexError {
     ReadFailed {
         /// Number of the last line read.
         line: u64,
-        /// The reader's error.
+        /// Error of the input.
         source: io::Error,
     },
 }

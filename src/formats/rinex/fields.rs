@@ -5,11 +5,11 @@ use crate::gnss::{CivilTime, Constellation};
 /// Content of a numeric field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Value {
-    /// Blank or zero.
+    /// Blank or zero: RINEX's sign for a missing value.
     Missing,
     /// A finite number that is not zero.
     Number(f64),
-    /// Anything else.
+    /// Text that is not a number.
     Malformed,
 }
 
@@ -219,8 +219,8 @@ fn seconds_and_ns(field: &[u8]) -> Option<(u8, u32)> {
     if text.is_empty() || 12 < decimals.len() || !decimals.iter().all(u8::is_ascii_digit) {
         return None;
     }
-    let ns = (0..9).fold(0, |ns, place| {
-        ns * 10 + decimals.get(place).map_or(0, |digit| u32::from(digit - b'0'))
+    let ns = (0..9).fold(0, |ns, position| {
+        ns * 10 + decimals.get(position).map_or(0, |digit| u32::from(digit - b'0'))
     });
     Some((whole, ns))
 }

@@ -44,7 +44,7 @@ pub struct ObservationHeader {
     pub approximate_position: Option<Ecef>,
     /// Antenna reference point above, east and north of the marker (m).
     pub antenna_delta_hen_m: [f64; 3],
-    /// Observation interval (s).
+    /// Interval between epochs (s), if given.
     pub interval_s: Option<f64>,
     /// Time scale of the file's epochs.
     pub time_scale: TimeScale,

@@ -27,7 +27,7 @@ pub struct ObservationReader<R> {
 }
 
 impl<R: BufRead> ObservationReader<R> {
-    /// Reads the header.
+    /// A reader after the header of `input`.
     pub fn new(input: R) -> Result<Self, RinexError> {
         let mut lines = Lines::new(input);
         let mut skipped = Skipped::default();

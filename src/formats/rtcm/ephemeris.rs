@@ -200,9 +200,9 @@ fn galileo(
     let bgd_e5a_s = bits.signed_scaled(10, per_power(32));
     let bgd_e5b_s = is_inav.then(|| bits.signed_scaled(10, per_power(32)));
     // Health word as in RINEX: data validity, then signal health, of E1-B, E5a and E5b.
-    let mut status = |place: u32| {
+    let mut status = |shift: u32| {
         let health = bits.unsigned(2) as u32;
-        (health << 1 | bits.unsigned(1) as u32) << place
+        (health << 1 | bits.unsigned(1) as u32) << shift
     };
     let health = if is_inav { status(6) | status(0) } else { status(3) };
     let group_delays = GroupDelays::Galileo { bgd_e5a_s, bgd_e5b_s };

@@ -34,8 +34,8 @@ pub(super) struct LegacyState {
 
 impl LegacyState {
     pub(super) fn new() -> Self {
-        let places = 2 * SATELLITES * BANDS;
-        Self { locks: LockTable::new(places), differences: vec![None; places] }
+        let signals = 2 * SATELLITES * BANDS;
+        Self { locks: LockTable::new(signals), differences: vec![None; signals] }
     }
 
     /// Decodes 1002 and 1004, the latter with L2.
@@ -128,8 +128,8 @@ impl LegacyState {
                 };
                 if observation.carrier_phase.is_some() {
                     let lock = LockTime::of_legacy(part.lock);
-                    let place = place(satellite, band);
-                    observation.loss_of_lock = self.locks.is_lost(place, time, lock);
+                    let index = signal_index(satellite, band);
+                    observation.loss_of_lock = self.locks.is_lost(index, time, lock);
                 }
                 if !observation.is_empty() {
                     observations.push(observation);
@@ -149,7 +149,7 @@ impl LegacyState {
     ) -> Option<Cycles> {
         let per_metre = frequency_hz / SPEED_OF_LIGHT;
         let given = part.difference_m? * per_metre;
-        let last = &mut self.differences[place(satellite, band)];
+        let last = &mut self.differences[signal_index(satellite, band)];
         let turns = last.map_or(0.0, |last| ((last - given) / ROLLOVER_CYCLES).round());
         let difference = given + turns * ROLLOVER_CYCLES;
         *last = Some(difference);
@@ -157,7 +157,7 @@ impl LegacyState {
     }
 }
 
-fn place(satellite: SatelliteId, band: usize) -> usize {
+fn signal_index(satellite: SatelliteId, band: usize) -> usize {
     let system = usize::from(satellite.constellation == Constellation::Glonass);
     (system * SATELLITES + usize::from(satellite.number) % SATELLITES) * BANDS + band
 }
@@ -191,7 +191,7 @@ struct Part {
     cn0: u64,
 }
 
-/// Fields of L1.
+/// Fields of L1: pseudorange, phase difference, lock and C/N0.
 struct First {
     part: Part,
     channel: Option<i8>,

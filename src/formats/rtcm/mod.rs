@@ -50,7 +50,7 @@ pub(in crate::formats) enum Message {
     OtherSystem {
         ends_epoch: bool,
     },
-    /// No new content.
+    /// The message adds nothing to what is known.
     Nothing,
 }
 

@@ -194,9 +194,9 @@ fn numbers(mask: u64, out: &mut [u8]) -> usize {
     let mut left = mask;
     let mut count = 0;
     while left != 0 {
-        let place = left.leading_zeros();
-        out[count] = place as u8 + 1;
-        left &= !(1 << (63 - place));
+        let bit = left.leading_zeros();
+        out[count] = bit as u8 + 1;
+        left &= !(1 << (63 - bit));
         count += 1;
     }
     count
@@ -375,9 +375,9 @@ pub(super) fn decode(
         let mut observation = measurements.observation((row, index), empty, frequency_hz);
         if observation.carrier_phase.is_some() {
             let satellite = kind.constellation.index() * SATELLITES + usize::from(number) - 1;
-            let place = satellite * SIGNALS + usize::from(cell.signal) - 1;
+            let index = satellite * SIGNALS + usize::from(cell.signal) - 1;
             let lock = measurements.lock_time(index);
-            observation.loss_of_lock = memory.locks.is_lost(place, header.time, lock);
+            observation.loss_of_lock = memory.locks.is_lost(index, header.time, lock);
             observation.half_cycle = cells.half_cycle[index] == 1;
         }
         if !observation.is_empty() {

@@ -19,7 +19,7 @@ const DAY_S: i64 = SECONDS_PER_DAY as i64;
 /// The transmitting station, as described by its messages so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Station {
-    /// Reference station number.
+    /// Reference station number (DF003).
     pub id: u16,
     /// Antenna reference point, ECEF (m).
     pub antenna_reference_point: Option<Ecef>,

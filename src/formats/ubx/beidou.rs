@@ -157,11 +157,11 @@ impl Collector {
 /// The data bits of the words, joined; `None` if a word fails its parity.
 fn data(words: &[u32; 10]) -> Option<Data> {
     let mut joined = [0; DATA_BYTES];
-    let mut place = 0;
+    let mut bit = 0;
     let mut push = |bits: u32, count: usize| {
         for shift in (0..count).rev() {
-            joined[place / 8] |= ((bits >> shift & 1) as u8) << (7 - place % 8);
-            place += 1;
+            joined[bit / 8] |= ((bits >> shift & 1) as u8) << (7 - bit % 8);
+            bit += 1;
         }
     };
     for (index, word) in words.iter().enumerate() {
@@ -245,12 +245,12 @@ impl Joined {
     /// Joins a number of bits from a position of each part.
     fn new<const N: usize>(parts: [(&Data, usize, usize); N]) -> Self {
         let mut bytes = [0; 64];
-        let mut place = 0;
+        let mut bit = 0;
         for (data, at, count) in parts {
             let mut bits = Bits::starting_at(data, at);
             for _ in 0..count {
-                bytes[place / 8] |= u8::from(bits.flag()) << (7 - place % 8);
-                place += 1;
+                bytes[bit / 8] |= u8::from(bits.flag()) << (7 - bit % 8);
+                bit += 1;
             }
         }
         Self { bytes }

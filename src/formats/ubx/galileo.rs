@@ -113,9 +113,9 @@ fn data(words: &[u32; 8]) -> Result<Option<[u8; DATA_BYTES]>, Refusal> {
     Ok(Some(data))
 }
 
-fn copy_bits(from: &[u8], start: usize, to: &mut [u8], place: usize, count: usize) {
+fn copy_bits(from: &[u8], start: usize, to: &mut [u8], first_bit: usize, count: usize) {
     let mut bits = Bits::starting_at(from, start);
-    for index in place..place + count {
+    for index in first_bit..first_bit + count {
         if bits.flag() {
             to[index / 8] |= 0x80 >> (index % 8);
         }

@@ -66,15 +66,15 @@ impl Collector {
 /// powers of two; check bit i is the sum of those whose number has bit i; the eighth sums all.
 fn is_sound(string: &Strings) -> bool {
     let bit = |number: usize| {
-        let place = STRING_BITS - number;
-        string[place / 8] >> (7 - place % 8) & 1 == 1
+        let index = STRING_BITS - number;
+        string[index / 8] >> (7 - index % 8) & 1 == 1
     };
     let mut sum = 0_usize;
     let mut parity = false;
-    let places = (1_usize..).filter(|place| !place.is_power_of_two());
-    for (number, place) in (CHECK_BITS + 1..=STRING_BITS).zip(places) {
+    let numbers = (1_usize..).filter(|coded| !coded.is_power_of_two());
+    for (number, coded) in (CHECK_BITS + 1..=STRING_BITS).zip(numbers) {
         if bit(number) {
-            sum ^= place;
+            sum ^= coded;
             parity = !parity;
         }
     }

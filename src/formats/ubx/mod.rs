@@ -35,7 +35,7 @@ pub(in crate::formats) enum Message {
         observations: Vec<Observation>,
     },
     Broadcast(Box<Broadcast>),
-    /// No new content.
+    /// The message adds nothing to what is known.
     Nothing,
 }
 
