@@ -25,12 +25,13 @@ pub struct RtkOptions {
     pub base_age_max_s: f64,
     /// Longest baseline of a usable base (m).
     pub baseline_max_m: f64,
-    /// Handover to another base: it must be nearer by this share of the present distance (0 to 1),
-    pub nearer_share: f64,
-    /// by this distance (m),
-    pub nearer_m: f64,
-    /// and its stream must be free of gaps for this long (s).
-    pub steady_s: f64,
+    /// Handover to another base: smallest decrease of the distance, as a share of the present one
+    /// (0 to 1).
+    pub handover_distance_share: f64,
+    /// Handover to another base: smallest decrease of the distance (m).
+    pub handover_distance_m: f64,
+    /// Handover to another base: time for which its stream must be free of gaps (s).
+    pub handover_gap_free_s: f64,
     /// An ambiguity not observed for longer than this restarts (s).
     pub arc_gap_s: f64,
     /// Number of epochs that stay nonlinear in the window.
@@ -84,9 +85,9 @@ impl RtkOptions {
             carrier_correlation_s: 5.0,
             base_age_max_s: 30.0,
             baseline_max_m: 50_000.0,
-            nearer_share: 0.2,
-            nearer_m: 1_000.0,
-            steady_s: 60.0,
+            handover_distance_share: 0.2,
+            handover_distance_m: 1_000.0,
+            handover_gap_free_s: 60.0,
             arc_gap_s: 35.0,
             window_epochs: 2,
             single_epoch: false,

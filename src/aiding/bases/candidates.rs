@@ -83,9 +83,9 @@ fn state_of(
     let is_refused = stored.check.distance_m().is_some_and(|off_m| REFUSED_M < off_m);
     let may_be_used = distance_m <= options.baseline_max_m && !is_refused;
     let gap_s = options.base_age_max_s + TAG_SLACK_S;
-    let received_s = || stored.uninterrupted_s(time, gap_s, options.steady_s);
+    let received_s = || stored.uninterrupted_s(time, gap_s, options.handover_gap_free_s);
     let received_s = may_be_used.then(received_s).flatten();
-    let is_steady = received_s.is_some_and(|received_s| options.steady_s <= received_s);
+    let is_steady = received_s.is_some_and(|received_s| options.handover_gap_free_s <= received_s);
     let is_usable = received_s.is_some();
     Some(CandidateState { distance_m, is_usable, is_steady })
 }
@@ -108,8 +108,8 @@ fn choice(
     let is_better = |other: &CandidateState| {
         other.is_usable
             && other.is_steady
-            && other.distance_m < here.distance_m * (1.0 - options.nearer_share)
-            && options.nearer_m <= here.distance_m - other.distance_m
+            && other.distance_m < here.distance_m * (1.0 - options.handover_distance_share)
+            && options.handover_distance_m <= here.distance_m - other.distance_m
     };
     nearest(&is_better).or(present)
 }
@@ -183,7 +183,8 @@ mod tests {
     fn of_equally_distant_bases_the_first_is_taken_and_kept() {
         assert_eq!(choice(&[at(5.0), at(5.0)], None, &options()), Some(0));
         assert_eq!(choice(&[at(5.0), at(5.0)], Some(1), &options()), Some(1));
-        let eager = RtkOptions { nearer_share: 0.0, nearer_m: 0.0, ..options() };
+        let eager =
+            RtkOptions { handover_distance_share: 0.0, handover_distance_m: 0.0, ..options() };
         assert_eq!(choice(&[at(5.0), at(5.0)], Some(1), &eager), Some(1));
     }
 
