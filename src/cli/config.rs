@@ -51,7 +51,7 @@ impl From<OptionEntry> for OptionView {
 pub(crate) fn run(arguments: &ConfigArguments) -> Result<(), Failure> {
     let options = arguments.options.options()?;
     let text = if arguments.json { json(&options) } else { table(&options) };
-    // Err: the reader of a pipe has seen enough.
+    // An error means that the reader of the pipe has closed it.
     std::io::stdout().write_all(text.as_bytes()).ok();
     Ok(())
 }

@@ -16,7 +16,7 @@ use crate::formats::rinex::ObservationReader;
 use crate::formats::{decompress, pos, truth};
 use crate::gnss::{Ecef, Enu, Epoch, Geodetic, GpsTime};
 
-/// Judges a solution file against the truth: errors, availability, fixes, honesty of the
+/// Judges a solution file against the truth: errors, availability, fixes, consistency of the
 /// covariance.
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArguments {
@@ -27,10 +27,10 @@ pub(crate) struct EvaluateArguments {
     #[arg(long, value_name = "FILE", required_unless_present_any = ["static_ecef", "static_place"],
           conflicts_with_all = ["static_ecef", "static_place"])]
     truth: Option<PathBuf>,
-    /// One true position instead: ECEF (m).
+    /// One fixed true position instead: ECEF (m).
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "static_place")]
     static_ecef: Option<Triple>,
-    /// One true position instead: degrees, degrees, ellipsoidal metres.
+    /// One fixed true position instead: degrees, degrees, ellipsoidal metres.
     #[arg(long = "static", value_name = "LAT,LON,H", allow_hyphen_values = true)]
     static_place: Option<Triple>,
     /// First second of week judged (s).
@@ -39,19 +39,19 @@ pub(crate) struct EvaluateArguments {
     /// Last second of week judged (s).
     #[arg(long, value_name = "TOW", alias = "end")]
     to: Option<f64>,
-    /// Rover observations (RINEX): their epochs are those expected.
+    /// Rover observations (RINEX): their epochs are the expected ones.
     #[arg(long, value_name = "FILE", conflicts_with = "expect")]
     obs: Option<PathBuf>,
-    /// Number of epochs expected.
+    /// Number of expected epochs.
     #[arg(long, value_name = "N")]
     expect: Option<usize>,
-    /// From the reference point to the antenna (m).
+    /// Vector from the reference point to the antenna (m).
     #[arg(long, value_name = "E,N,U", allow_hyphen_values = true)]
     lever: Option<Triple>,
-    /// Distance to the nearest truth where there is none to interpolate (s).
+    /// Largest time difference to the nearest truth, where interpolation is impossible (s).
     #[arg(long, value_name = "S", default_value_t = 0.02)]
     tol: f64,
-    /// Widest gap of the truth interpolated over (s).
+    /// Longest gap of the truth that is interpolated (s).
     #[arg(long, value_name = "S", default_value_t = 1.5)]
     max_gap: f64,
     /// Added to the solution's times (s).
@@ -60,10 +60,10 @@ pub(crate) struct EvaluateArguments {
     /// Judges only these quality numbers, as in 1,2.
     #[arg(long, value_name = "Q,Q", value_delimiter = ',')]
     q: Vec<i64>,
-    /// A fix within this is correct (m).
+    /// Largest error of a correct fix (m).
     #[arg(long, value_name = "M", default_value_t = 0.10)]
     fix_tol: f64,
-    /// Answers in JSON.
+    /// Prints JSON.
     #[arg(long)]
     json: bool,
     /// Draws track, errors over time and their distribution; the name ends in .svg or .png.
@@ -87,7 +87,7 @@ impl std::str::FromStr for Triple {
     }
 }
 
-/// The JSON answer: the report under its file's name.
+/// The JSON answer: the report under the name of its file.
 #[derive(Serialize)]
 struct Answer<'a> {
     file: String,
@@ -95,7 +95,7 @@ struct Answer<'a> {
     report: &'a Report,
 }
 
-/// Judges and prints.
+/// Judges the file and prints the report.
 pub(crate) fn run(arguments: &EvaluateArguments) -> Result<(), Failure> {
     let solution = pos::read(open(&arguments.solution)?)
         .map_err(|error| unreadable(&arguments.solution, &error))?;
@@ -121,7 +121,7 @@ pub(crate) fn run(arguments: &EvaluateArguments) -> Result<(), Failure> {
     } else {
         table(&file, &judgement)
     };
-    // Err: the reader of a pipe has seen enough.
+    // An error means that the reader of the pipe has closed it.
     std::io::stdout().write_all(text.as_bytes()).ok();
     Ok(())
 }
@@ -197,7 +197,7 @@ fn plot_failure(error: PlotError) -> Failure {
     }
 }
 
-/// The report as a person reads it.
+/// The report as text.
 fn table(file: &str, judgement: &Judgement) -> String {
     let report = &judgement.report;
     let Some(errors) = &report.errors else {

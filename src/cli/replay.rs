@@ -20,37 +20,38 @@ use super::solve::{Output, unwritable};
 
 /// Computes a stored session again from its epochs and the navigation data of that time.
 ///
-/// Without options of its own it checks that the same bits come out, and fails where they do not.
-/// With `--mode`, `--profile` or `--set` it tells what these would have given. The database is only
-/// read; a service may be using it.
+/// Without further options it checks that the same bits result, and fails if they do not. With
+/// `--mode`, `--profile` or `--set` it reports the result of these. The database is only read; a
+/// service may be using it.
 #[derive(Clone, Debug, Args)]
 pub(super) struct ReplayArguments {
-    /// The session's id.
+    /// Id of the session.
     session: String,
     /// sqlite://FILE or postgres://….
     #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
     database: String,
-    /// Another estimator.
+    /// Another estimator than the session's.
     #[arg(long, value_name = "MODE")]
     mode: Option<String>,
-    /// Another set of defaults.
+    /// Another profile than the session's.
     #[arg(long, value_name = "NAME")]
     profile: Option<String>,
     /// Overrides one option, as in ionosphere=none; may be repeated. See `graphfix config`.
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
-    /// Write each epoch as it is once it leaves the window, smoothed by what followed.
+    /// Write each epoch as it leaves the window, smoothed by the epochs that follow.
     #[arg(long, requires = "output")]
     smoothed: bool,
-    /// Where to write what is computed; the name's ending chooses .pos, .csv or .geojson.
+    /// Output file; its extension selects .pos, .csv or .geojson.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
 
-/// Runs the command; prints the outcome on standard output.
+/// Runs the command; prints the result on standard output.
 ///
 /// # Errors
-/// No such session or database, options that do not exist, or bits that are not those stored.
+/// The session or database does not exist, an option is invalid, or the bits differ from the stored
+/// ones.
 pub(super) fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     host::block_on(replay(arguments))
 }
@@ -68,13 +69,13 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
     };
     store.close().await;
     let text = report?;
-    // Err: nobody reads the outcome.
+    // An error means that nobody reads the result.
     std::io::stdout().write_all(text.as_bytes()).ok();
     Ok(())
 }
 
 impl ReplayArguments {
-    /// The options asked for, if any.
+    /// The options that differ from the session's, if any.
     fn change(&self) -> Result<Option<SolveRequest>, Failure> {
         let mut overrides = BTreeMap::new();
         for (key, value) in assignments(&self.set)? {
@@ -99,7 +100,7 @@ fn verdict(id: &SessionId, check: &Check) -> Result<String, Failure> {
     Err(Failure::new("REPLAY_DIFFERS", message, remedy))
 }
 
-/// Writes what is computed; returns the summary.
+/// Writes the computed solutions; returns the summary.
 async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<String, Failure> {
     let began = Instant::now();
     let revision = u32::from(arguments.smoothed);

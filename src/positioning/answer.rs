@@ -1,4 +1,4 @@
-//! From the state of an epoch to a solution, for estimators that keep states.
+//! The solution from an epoch's state, for estimators with states.
 
 use nalgebra::{Matrix3, SMatrix};
 
@@ -13,41 +13,42 @@ use super::geometry::{Geometry, UNDETERMINED};
 use super::ranging::Ranging;
 use super::uncertainty::ErrorModel;
 
-/// Weight from which on a pseudorange counts as used: a Geman–McClure kernel's at its width.
+/// Smallest weight of a pseudorange that counts as used: a Geman–McClure kernel's at its width.
 const USED_WEIGHT: f64 = 0.25;
-/// Standard deviation of a position that is none (m).
+/// Standard deviation above which there is no position (m).
 const LOST_M: f64 = 1e3;
 
-/// The state of one epoch with all that its solution tells.
+/// The state of one epoch with everything that its solution needs.
 pub(super) struct Answer<'a> {
-    /// What the epoch's estimate is called.
+    /// Status of the solution.
     pub(super) status: Status,
-    /// The receiver's tag.
+    /// The receiver's time tag.
     pub(super) time: GpsTime,
-    /// Frame of the state.
+    /// Local frame of the state.
     pub(super) frame: &'a LocalFrame,
-    /// The state.
+    /// Position, velocity, clock and drift.
     pub(super) state: &'a State,
-    /// Its formal covariance.
+    /// Formal covariance of the state.
     pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
-    /// Inter-system biases, where the pseudoranges say (m).
+    /// Inter-system biases, by the index in the pseudoranges (m).
     pub(super) biases_m: &'a [f64],
     /// Lines of sight from the state's position.
     pub(super) lines: &'a [Line],
     /// All pseudoranges of the epoch.
     pub(super) ranges: &'a [Ranging],
-    /// How much each of them counted, 0 … 1.
+    /// Kernel weight of each pseudorange, 0 … 1.
     pub(super) weights: &'a [f64],
-    /// Whether the state's velocity means anything.
+    /// Whether the state's velocity is determined.
     pub(super) has_velocity: bool,
-    /// What is known of the errors of pseudoranges.
+    /// Error model of the pseudoranges.
     pub(super) errors: ErrorModel,
-    /// What the epoch lacked.
+    /// Reasons known before the estimate, such as missing ephemerides.
     pub(super) reasons: Vec<Reason>,
 }
 
 impl Answer<'_> {
-    /// The solution with its covariance, which is not the estimator's: see `uncertainty`.
+    /// The solution with its reported covariance, which differs from the estimator's: see
+    /// `uncertainty`.
     pub(super) fn solution(mut self) -> Solution {
         self.quality_reasons();
         let Self { frame, state, covariance, lines, ranges, weights, .. } = self;
@@ -91,7 +92,7 @@ impl Answer<'_> {
         }
     }
 
-    /// Adds what kept the epoch from being better.
+    /// Adds the reasons that follow from the pseudoranges used.
     fn quality_reasons(&mut self) {
         let (all, reasons) = (self.ranges.len(), &mut self.reasons);
         let (mut used_count, mut present) = (0, [false; Constellation::COUNT]);
@@ -119,17 +120,17 @@ impl Answer<'_> {
     }
 }
 
-/// Whether a pseudorange of that weight counts as used.
+/// Whether a pseudorange with this weight counts as used.
 fn counts(weight: f64) -> bool {
     USED_WEIGHT <= weight
 }
 
-/// The pseudoranges that count.
+/// The pseudoranges that count as used.
 fn used<'a>(ranges: &'a [Ranging], weights: &'a [f64]) -> impl Iterator<Item = &'a Ranging> {
     ranges.iter().zip(weights).filter(|(_, weight)| counts(**weight)).map(|(range, _)| range)
 }
 
-/// Clock of the first constellation present (m), and each further one less it.
+/// Clock of the first constellation present (m), and each further one minus it.
 fn clocks(ranges: &[Ranging], biases_m: &[f64], clock_m: f64) -> (f64, Vec<(Constellation, f64)>) {
     let bias_m = |constellation: Constellation| {
         let found = ranges.iter().find(|range| range.satellite.constellation == constellation);

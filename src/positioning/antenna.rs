@@ -1,19 +1,19 @@
-//! Observations brought from an antenna's phase centres to its reference point.
+//! Observations referred from an antenna's phase centres to its reference point.
 //!
-//! What an antenna adds depends on the direction of each satellite, and on nothing that an
-//! estimator knows better than to some kilometres: it is taken off the observations before any
-//! estimator sees them. Positions are then those of the antenna reference point.
+//! The correction depends on the direction of each satellite, for which a position good to some
+//! kilometres is enough. So it is subtracted from the observations before any estimator. Positions
+//! then refer to the antenna reference point.
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{AntennaCalibration, Ecef, Epoch, LocalFrame, Navigation, Observation, Signal};
 use crate::models::antenna::{pattern_of, phase_centre_correction_m};
 use crate::models::{LookAngles, look_angles, select_ephemeris, state_at_transmission};
 
-/// Takes off the observations of an epoch what the antenna adds to them, pseudoranges and carrier
-/// phases alike. `position` is the receiver's, to some kilometres.
+/// Subtracts the antenna's phase-centre correction from pseudoranges and carrier phases. `position`
+/// is the receiver's, to some kilometres.
 ///
-/// Left as they are: satellites without ephemeris or pseudorange, which have no direction (and are
-/// not used), and signals whose frequency was not calibrated, nor one within 40 MHz; these are
+/// Unchanged remain satellites without ephemeris or pseudorange, whose direction is unknown (and
+/// which are not used), and signals without a calibrated frequency within 40 MHz. The latter are
 /// added to `uncalibrated`, each once.
 pub fn correct_for_antenna(
     epoch: &mut Epoch,
@@ -46,7 +46,7 @@ pub fn correct_for_antenna(
     }
 }
 
-/// Whether the signal was calibrated.
+/// Corrects one observation; returns whether its signal is calibrated.
 fn correct(
     observation: &mut Observation,
     antenna: &AntennaCalibration,

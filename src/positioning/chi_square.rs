@@ -1,14 +1,14 @@
 //! Quantiles of the chi-square distribution.
 
-/// Degrees of freedom tabulated; more than the satellites one receiver sees.
+/// Largest tabulated number of degrees of freedom, above the number of satellites in view.
 const DEGREES_MAX: usize = 64;
 
-/// Values that a chi-square variable exceeds with one probability, by degrees of freedom.
+/// Values that a chi-square variable exceeds with a given probability, by degrees of freedom.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ChiSquareLimits([f64; DEGREES_MAX]);
 
 impl ChiSquareLimits {
-    /// For the probability `upper_tail` of exceeding the limit, 0 < `upper_tail` < 1.
+    /// The limits that are exceeded with the probability `upper_tail`, 0 < `upper_tail` < 1.
     pub(crate) fn new(upper_tail: f64) -> Self {
         let mut limits = [0.0; DEGREES_MAX];
         let mut guess = 0.0;
@@ -19,20 +19,21 @@ impl ChiSquareLimits {
         Self(limits)
     }
 
-    /// The limit for that many degrees of freedom, 1 or more; from 64 on, that of 64 scaled.
+    /// The limit for `degrees` degrees of freedom, 1 or more; above 64 that of 64, scaled.
     pub(crate) fn at(&self, degrees: usize) -> f64 {
         let tabulated = degrees.clamp(1, DEGREES_MAX);
         self.0[tabulated - 1] * (degrees.max(1) as f64 / tabulated as f64)
     }
 }
 
-/// Where the distribution function reaches `probability`, by Newton's method from `guess`.
+/// The value at which the distribution function is `probability`, by Newton's method from `guess`.
 fn quantile(degrees: usize, probability: f64, guess: f64) -> f64 {
     let mut x = guess;
     for _ in 0..50 {
         let (distribution, density) = distribution(degrees, x);
         let step = (distribution - probability) / density;
-        // Far out on either side Newton overshoots; x stays positive and moves at most twofold.
+        // Far out on either side Newton's steps are too long; x stays positive and changes at most
+        // by a factor of two.
         let next = (x - step).clamp(0.5 * x, 2.0 * x + 1.0);
         if (next - x).abs() < 1e-9 * x {
             return next;
@@ -48,7 +49,7 @@ fn quantile(degrees: usize, probability: f64, guess: f64) -> f64 {
 /// P(a, y) = y^a e^(−y)/Γ(a+1)·(1 + y/(a+1) + y²/((a+1)(a+2)) + …).
 fn distribution(degrees: usize, x: f64) -> (f64, f64) {
     let (a, y) = (degrees as f64 / 2.0, x / 2.0);
-    // y^a e^(−y)/Γ(a+1) built up from a = 0 or 1/2, Γ(3/2) = √π/2.
+    // y^a e^(−y)/Γ(a+1), computed upwards from a = 0 or 1/2, Γ(3/2) = √π/2.
     let mut reached = if degrees.is_multiple_of(2) { 0.0 } else { 0.5 };
     let mut leading = match degrees.is_multiple_of(2) {
         true => (-y).exp(),

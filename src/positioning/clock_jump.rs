@@ -1,22 +1,22 @@
 //! Steps of a receiver's clock.
 //!
-//! Many receivers let their clock drift and set it back by a millisecond; the pseudoranges step
-//! with it, the phases sometimes do not.
+//! Many receivers let their clock drift and correct it by a millisecond. The pseudoranges step with
+//! the clock, the phases not always.
 
 use crate::gnss::constants::LIGHT_MILLISECOND_M;
 
-/// Clocks that miss their prediction by more jumped (m), besides what an unknown drift explains.
+/// Largest error of a predicted clock that is not a jump (m), besides that of an unknown drift.
 const JUMP_M: f64 = 1e3;
 /// Drift of a plain crystal, 3 ppm (m/s).
 pub(super) const CRYSTAL_DRIFT_M_S: f64 = 1e3;
 
-/// The whole milliseconds nearest to a miss (m).
+/// The whole milliseconds nearest to an error of the predicted clock (m).
 pub(super) fn whole_milliseconds_m(miss_m: f64) -> f64 {
     (miss_m / LIGHT_MILLISECOND_M).round() * LIGHT_MILLISECOND_M
 }
 
-/// The jump that a miss of the clock's prediction is taken for: none, whole milliseconds, or
-/// `None` where it is neither and the clock starts anew.
+/// The jump that explains an error of the predicted clock: zero, whole milliseconds, or `None` if
+/// neither does and the clock restarts.
 pub(super) fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
     let allowed_m = JUMP_M + CRYSTAL_DRIFT_M_S * interval_s;
     let whole_m = whole_milliseconds_m(miss_m);

@@ -1,16 +1,16 @@
-//! What the satellites' directions alone say of position and clocks.
+//! Covariance of position and clocks from the satellites' directions alone.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::gnss::{Constellation, Dops};
 
-/// Position and a clock for each constellation.
+/// Number of unknowns: position, and a clock for each constellation.
 const UNKNOWNS: usize = 3 + Constellation::COUNT;
 
-/// Dilution of precision of a position that its directions do not determine by themselves.
+/// PDOP above which the directions do not determine the position.
 const PDOP_MAX: f64 = 100.0;
 
-/// Dilutions of precision of directions that do not determine a position by themselves.
+/// Dilutions of precision reported if the directions do not determine the position.
 pub(super) const UNDETERMINED: Dops = Dops {
     gdop: f64::INFINITY,
     pdop: f64::INFINITY,
@@ -19,17 +19,17 @@ pub(super) const UNDETERMINED: Dops = Dops {
     tdop: f64::INFINITY,
 };
 
-/// (GᵀG)⁻¹ of local position and one clock for each constellation, each direction counting alike.
+/// (GᵀG)⁻¹ of local position and one clock for each constellation, with equal weights.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Geometry {
     inverse: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
-    /// Place of the first constellation's clock.
+    /// Index of the first constellation's clock.
     clock: usize,
 }
 
 impl Geometry {
-    /// Of slopes ∂ρ/∂p; `None` where they do not determine the position by themselves. Clocks
-    /// without any are one.
+    /// From slopes ∂ρ/∂p; `None` if they do not determine the position. Clocks of constellations
+    /// without slopes are fixed.
     pub(super) fn of(slopes: impl Iterator<Item = (Constellation, Vector3<f64>)>) -> Option<Self> {
         let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros();
         let mut clock = UNKNOWNS;
@@ -50,7 +50,7 @@ impl Geometry {
         (pdop_squared < PDOP_MAX * PDOP_MAX).then_some(Self { inverse, clock })
     }
 
-    /// Dilutions of precision.
+    /// The dilutions of precision.
     pub(super) fn dops(&self) -> Dops {
         let horizontal = self.inverse[(0, 0)] + self.inverse[(1, 1)];
         let (vertical, time) = (self.inverse[(2, 2)], self.inverse[(self.clock, self.clock)]);

@@ -1,11 +1,11 @@
-//! Whether the receiver stands still, by a test on Doppler.
+//! Detection of a receiver at rest, by a test on Doppler.
 //!
-//! A receiver at rest sees every satellite at the range rate ρ̇₀ + d with one drift d, reflected
-//! signals nearly so too: what reflects them stands as well. With d the weighted mean of the rates
-//! z less ρ̇₀, Σ (z − ρ̇₀ − d)²/σ² is chi-square of n − 1 degrees of freedom. Where it exceeds its
-//! limit of 5 %, the receiver moves. That it does not proves a standstill only if a slow motion
-//! would show: the statistic must grow by 25, five standard deviations, at 0.3 m/s whatever the
-//! horizontal direction, Σ (eᵀ(g − ḡ))²·v²/σ² for g = ∂ρ̇/∂v.
+//! A receiver at rest measures the range rate ρ̇₀ + d for every satellite, with one drift d.
+//! Reflected signals do so too, since the reflectors are at rest. With d the weighted mean of z −
+//! ρ̇₀, the sum Σ (z − ρ̇₀ − d)²/σ² is chi-square with n − 1 degrees of freedom. Above its 5 %
+//! limit the receiver moves. Below it the receiver is at rest only if a slow motion would be
+//! visible: 0.3 m/s in any horizontal direction must raise the sum by 25, five standard deviations:
+//! Σ (eᵀ(g − ḡ))²·v²/σ² for g = ∂ρ̇/∂v.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -16,20 +16,20 @@ use super::factors::{DopplerFactor, State};
 
 /// Probability that an epoch at rest fails the test.
 const FALSE_ALARM: f64 = 0.05;
-/// The speed that must show (m/s), and by how much.
+/// The speed that must be visible (m/s), and the rise of the sum that makes it so.
 const SHOWING_M_S: f64 = 0.3;
 const SHOWN_BY: f64 = 25.0;
-/// For how long every epoch must pass (s); epochs farther apart prove nothing of what is between.
+/// Time for which every epoch must pass (s); epochs further apart leave motion between them open.
 const STILL_S: f64 = 2.0;
 
-/// Limits of the test.
+/// Chi-square limits of the test.
 #[derive(Clone, Debug)]
 pub(super) struct StandstillTest(ChiSquareLimits);
 
-/// How long the epochs have passed the test; plain data.
+/// Time for which the epochs have passed the test; plain data.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Standstill {
-    /// Since the first that passed (s).
+    /// Time since the first epoch that passed (s).
     still_s: Option<f64>,
 }
 
@@ -40,7 +40,7 @@ impl StandstillTest {
         Self(ChiSquareLimits::new(FALSE_ALARM))
     }
 
-    /// Whether the rates of one epoch are those of a receiver at rest, and would show if not.
+    /// Whether the rates of one epoch fit a receiver at rest, and would not fit a slow motion.
     fn passes(&self, rates: &[DopplerFactor]) -> bool {
         let rows = || rates.iter().map(|rate| rate.linearize(&State::zeros()));
         let (mut weight, mut along, mut mean) = (0.0, 0.0, Vector2::zeros());
@@ -68,8 +68,8 @@ impl StandstillTest {
 }
 
 impl Standstill {
-    /// Takes the rates of an epoch, `interval_s` after the one before if there is one; whether the
-    /// receiver has stood for long enough to say so, since before this epoch.
+    /// Takes the rates of an epoch, `interval_s` after the previous one if there is one. Returns
+    /// whether the receiver has been at rest for long enough, since before this epoch.
     pub(super) fn observe(
         &mut self,
         test: &StandstillTest,

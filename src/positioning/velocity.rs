@@ -1,11 +1,11 @@
 //! Velocity and clock drift from Doppler, equations (2) to (6) of Wen & Hsu (2021).
 //!
-//! A Doppler shift D on wavelength λ is a range rate −λD (RINEX: positive when approaching, so
-//! the paper's (3) needs the sign), which is ρ̇ + c·δṫ_r − c·δṫˢ. ρ̇ is linear in the receiver's
-//! velocity with gradient −e (the paper's (5) prints +e), so that one step of least squares
-//! solves; it is repeated with Huber's weights (Huber 1964) while reflections pull at it. One clock
-//! drift serves all constellations. Where the velocity itself is what enters the graph, as in the
-//! paper, it is that of plain least squares, every Doppler alike, as the paper and RTKLIB have it.
+//! A Doppler shift D on wavelength λ is the range rate −λD = ρ̇ + c·δṫ_r − c·δṫˢ (RINEX's D is
+//! positive on approach, so the paper's (3) needs the sign). ρ̇ is linear in the receiver's
+//! velocity with gradient −e (the paper's (5) prints +e), so one step of least squares solves. The
+//! step is repeated with Huber's weights (Huber 1964) to bound the effect of reflections. One clock
+//! drift serves all constellations. The Doppler velocity of the `paper` profile is plain least
+//! squares with equal weights, as in the paper and in RTKLIB.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -17,35 +17,35 @@ use super::Measurement;
 
 /// Huber's constant: 95 % efficiency under normal errors.
 const HUBER: f64 = 1.345;
-/// C/N0 taken where none is reported (dB-Hz).
+/// C/N0 assumed where none is reported (dB-Hz).
 pub(super) const CN0_IF_MISSING_DB_HZ: f64 = REFERENCE_CN0_DB_HZ;
-/// Solutions at most; the weights settle to a millimetre per second within.
+/// Largest number of solutions; the weights settle to a millimetre per second within it.
 const ITERATIONS_MAX: usize = 20;
-/// Change of velocity at which the weights have settled (m/s).
+/// Change of velocity below which the weights have settled (m/s).
 const SETTLED_M_S: f64 = 1e-4;
-/// Least ratio of the smallest to the largest pivot of a geometry that determines a velocity.
+/// Smallest ratio of the smallest to the largest pivot at which the velocity is determined.
 const PIVOT_RATIO_MIN: f64 = 1e-10;
 
 /// A Doppler measurement, linear in velocity and drift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
-    /// ∂/∂[v; c·δṫ_r].
+    /// Design row, ∂/∂[v; c·δṫ_r].
     design: Vector4<f64>,
     /// Model − measured for a receiver at rest without drift (m/s).
     residual_m_s: f64,
-    /// 1/σ (s/m).
+    /// Square root of the weight, 1/σ (s/m).
     root_weight: f64,
 }
 
-/// Rows of the Doppler equations; the memory is used again for the next epoch.
+/// Rows of the Doppler equations; the memory is reused.
 #[derive(Clone, Debug, Default)]
 pub(super) struct VelocityEstimator {
     rows: Vec<Row>,
 }
 
 impl VelocityEstimator {
-    /// Velocity at `position` from the measurements that `is_used` admits; `None` where their
-    /// Doppler does not determine it.
+    /// Velocity at `position` from the measurements that `is_used` accepts; `None` if their Doppler
+    /// does not determine it.
     pub(super) fn estimate(
         &mut self,
         position: Ecef,
@@ -80,13 +80,13 @@ fn row(position: Ecef, measurement: &Measurement, options: &PositioningOptions) 
     })
 }
 
-/// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): what a strong signal has, and thermal noise.
+/// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): the variance of a strong signal, and thermal noise.
 pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
     let decades = (REFERENCE_CN0_DB_HZ - cn0_db_hz) / 10.0;
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }
 
-/// Least squares, reweighted: residuals beyond `huber` deviations pull as those there.
+/// Reweighted least squares: residuals beyond `huber` deviations have the influence of that size.
 fn solve(rows: &[Row], huber: f64) -> Option<Velocity> {
     if rows.len() < 4 {
         return None;
@@ -124,7 +124,7 @@ fn whitened(row: &Row, state: &Vector4<f64>) -> f64 {
     row.root_weight * (row.design.dot(state) + row.residual_m_s)
 }
 
-/// w(r)·r²: a residual's square under its Huber weight.
+/// w(r)·r²: the square of a residual times its Huber weight.
 fn huber_square(whitened: f64, huber: f64) -> f64 {
     whitened.abs().min(huber) * whitened.abs()
 }

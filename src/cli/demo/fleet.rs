@@ -12,25 +12,25 @@ use crate::contract::{convert, v1};
 use crate::gnss::{Ecef, LocalFrame, Navigation};
 use crate::simulation::{Scenario, Simulator};
 
-/// What stands around a device.
+/// Surroundings of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sky {
     Open,
     Urban,
 }
 
-/// How one device drives.
+/// Plan of one device's drive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plan {
     pub(super) index: usize,
     pub(super) sky: Sky,
     pub(super) seed: u64,
     pub(super) duration_s: f64,
-    /// How much faster than real time.
+    /// Speed relative to real time.
     pub(super) speed: f64,
 }
 
-/// What one epoch came to.
+/// The result of one epoch.
 #[derive(Clone, Debug)]
 pub(super) struct Report {
     pub(super) index: usize,
@@ -38,13 +38,13 @@ pub(super) struct Report {
     /// The service's name of the status.
     pub(super) status: &'static str,
     pub(super) satellites: usize,
-    /// Horizontal distance from the truth (m), where there is a position.
+    /// Horizontal error against the truth (m), if there is a position.
     pub(super) error_m: Option<f64>,
-    /// From sending to the durable answer.
+    /// Time from sending to the durable answer.
     pub(super) latency: Duration,
 }
 
-/// Drives to the end of the plan; each epoch is pushed when it is due.
+/// Drives to the end of the plan and pushes each epoch when it is due.
 pub(super) async fn drive(
     plan: Plan,
     navigation: Arc<Navigation>,
@@ -62,7 +62,7 @@ pub(super) async fn drive(
     let (mode, profile) = (mode.to_owned(), profile.to_owned());
     let new = v1::CreateSessionRequest { label, mode, profile, ..Default::default() };
     let mut device = connection.open(None, new).await?;
-    // Devices are not in step.
+    // The devices are out of step on purpose.
     let start = Instant::now() + interval.mul_f64(plan.index as f64 * 0.618 % 1.0);
     for (number, simulated) in simulator.enumerate() {
         tokio::time::sleep_until(start + interval * number as u32).await;
@@ -72,7 +72,7 @@ pub(super) async fn drive(
         let latency = sent.elapsed();
         for solution in &pushed.solutions {
             let report = report(&plan, solution, simulated.position, latency);
-            // Err: nobody watches any more.
+            // An error means that nobody watches any more.
             reports.send(report).await.ok();
         }
     }

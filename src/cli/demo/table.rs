@@ -1,13 +1,13 @@
-//! What the demo shows: a live table, and percentiles at the end.
+//! The output of the demo: a live table, and percentiles at the end.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
 
 use super::fleet::{Report, Sky};
 
-/// How often the table is drawn anew.
+/// Interval between two drawings of the table.
 const EVERY: Duration = Duration::from_millis(250);
-/// How often a line is printed where there is no terminal.
+/// Interval between two lines of output without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
 /// The last report of each device, and all errors and latencies.
@@ -18,7 +18,7 @@ pub(super) struct Table {
     latencies_ms: Vec<f64>,
     without_position: usize,
     duration: u32,
-    /// Drawn in place on a terminal.
+    /// Whether the table is drawn in place on a terminal.
     live: bool,
     drawn: Option<Instant>,
     shown: Instant,
@@ -39,7 +39,7 @@ impl Table {
         }
     }
 
-    /// Takes a report in, and draws if it is time.
+    /// Takes a report, and draws the table if it is due.
     pub(super) fn take(&mut self, report: Report) {
         match report.error_m {
             Some(error_m) => self.errors_m[report.sky as usize].push(error_m),
@@ -79,12 +79,12 @@ impl Table {
         }
         text += &format!("\x1b[2K{}\n", self.progress());
         let mut output = std::io::stdout().lock();
-        // Err: nobody looks any more.
+        // An error means that nobody looks any more.
         output.write_all(text.as_bytes()).and_then(|()| output.flush()).ok();
         self.drawn = Some(Instant::now());
     }
 
-    /// The last table and the percentiles of the whole run.
+    /// Prints the last table and the percentiles of the whole run.
     pub(super) fn summarise(&mut self) {
         if self.live {
             self.draw();
@@ -122,7 +122,7 @@ fn row(report: &Report, epochs: u32) -> String {
     )
 }
 
-/// The value that a share of the values does not exceed (nearest rank); zero of none.
+/// The nearest-rank percentile for a share; zero without values.
 fn percentile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,10 +1,10 @@
-//! Which of a satellite's signals rover and base have in common.
+//! Pairs of signals that rover and base observe of one satellite.
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Band, Constellation, Observation, ObservationCode, Signal};
 use crate::positioning::measurements::preference;
 
-/// One signal of one satellite as both receivers observed it.
+/// One signal of one satellite, observed by both receivers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pair<'a> {
     pub(super) band: Band,
@@ -14,25 +14,25 @@ pub(super) struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// How alike the two codes are.
+    /// Similarity of the two codes.
     fn likeness(&self) -> Likeness {
         likeness(self.rover.satellite.constellation, self.rover.code, self.base.code)
     }
 
-    /// Whether the pseudoranges are of one ranging code, so that the satellite delays both alike.
+    /// Whether both pseudoranges have the same code delay at the satellite.
     pub(super) fn shares_code(&self) -> bool {
         self.likeness() <= Likeness::Family
     }
 }
 
-/// Best first.
+/// Similarity of two codes, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Likeness {
-    /// The same observation code.
+    /// Both have the same observation code.
     Code,
-    /// Components of one signal, such as its data and pilot channel.
+    /// Both are components of one signal, such as data and pilot channel.
     Family,
-    /// The same carrier only.
+    /// Both have the same carrier only.
     Carrier,
 }
 
@@ -50,23 +50,23 @@ fn likeness(
     }
 }
 
-/// The signal that a tracking attribute is a component of (RINEX 3.05, tables 4 to 10): civil
-/// modulations of one carrier and P(Y) differ in their satellites' delays by up to some metres.
+/// The signal to which a tracking attribute belongs (RINEX 3.05, tables 4 to 10). Civil codes of
+/// one carrier and P(Y) have different satellite delays, by up to some metres.
 fn family(constellation: Constellation, code: ObservationCode) -> (u8, u8) {
     use Constellation as C;
     let family = match (constellation, code.band_digit(), code.attribute()) {
         (C::Gps | C::Glonass, _, b'P' | b'W' | b'Y') => b'P',
-        // L2C and L1C; C/A on L1 and L2 is itself.
+        // L2C and L1C; C/A on L1 and L2 is a signal by itself.
         (C::Gps | C::Qzss, 1 | 2, b'L' | b'S' | b'X') => b'X',
         (C::Gps | C::Qzss | C::Glonass, 1 | 2, attribute) => attribute,
-        // B1C and B2 of BeiDou-3 share carriers with nothing else of theirs.
+        // B1C and B2 of BeiDou-3 share their carriers with no other signal of BeiDou.
         _ => b'X',
     };
     (code.band_digit(), family)
 }
 
-/// Appends the pair to use in each band: the most alike, then the rover's preferred signal, then
-/// the base's. A pair with both carrier phases comes before one without.
+/// Appends the pair to use in each band: the most similar codes, then the rover's preferred signal,
+/// then the base's. A pair with both carrier phases comes before one without.
 pub(super) fn pairs<'a>(
     rover: &'a [Observation],
     base: &'a [Observation],

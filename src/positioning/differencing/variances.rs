@@ -1,4 +1,4 @@
-//! How uncertain a single difference is.
+//! Variances of single differences.
 
 use crate::config::{PositioningOptions, REFERENCE_CN0_DB_HZ};
 use crate::gnss::Constellation;
@@ -6,10 +6,10 @@ use crate::gnss::constants::GPS_L1_HZ;
 use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
 use crate::positioning::measurements::constellation_factor;
 
-/// How far a satellite's clock wanders from its broadcast polynomial (m/s): 5·10⁻¹² of the speed of
+/// Random drift of a satellite's clock from its broadcast polynomial (m/s): 5·10⁻¹² of the speed of
 /// light, the default clock stability of RTKLIB's manual 2.4.2, section 3.5 (`stats-clkstab`).
 const CLOCK_WANDER_M_S: f64 = 1.5e-3;
-/// Base epochs closer than this are of the same instant (s).
+/// Base epochs closer than this are simultaneous with the rover's (s).
 const SAME_INSTANT_S: f64 = 0.1;
 
 /// Variances of single differences between two receivers at one time.
@@ -17,13 +17,13 @@ const SAME_INSTANT_S: f64 = 0.1;
 pub(super) struct DifferenceVariances {
     pseudorange: MeasurementWeights,
     carrier: MeasurementWeights,
-    /// Of the satellite's clock (m²).
+    /// Variance of the satellite's clock (m²).
     clock_m2: f64,
-    /// Of the ionosphere at the zenith on L1 (m).
+    /// Standard deviation of the differential ionospheric delay at the zenith on L1 (m).
     ionosphere_m: f64,
 }
 
-/// What the variances of one pair of observations depend on.
+/// Properties of a pair of observations that its variance depends on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PairQuality {
     pub(super) constellation: Constellation,
@@ -34,13 +34,13 @@ pub(super) struct PairQuality {
 }
 
 impl DifferenceVariances {
-    /// For a baseline of that length (m) and a base epoch of that age (s).
+    /// Variances for a baseline of this length (m) and a base epoch of this age (s).
     ///
     /// σ² = σ²_rover + σ²_base + (g·d/sin E·(f_L1/f)²)² + (1.5 mm/s · age)²
     ///
-    /// g is the vertical gradient of the ionosphere: 1 to 4 mm/km on quiet days at mid latitudes
-    /// (Lee, Pullen, Datta-Barua & Enge 2007, *Assessment of ionosphere spatial decorrelation for
-    /// GPS-based aircraft landing systems*, J. Aircraft 44).
+    /// g is the gradient of the vertical ionospheric delay: 1 to 4 mm/km on quiet days at mid
+    /// latitudes (Lee, Pullen, Datta-Barua & Enge 2007, *Assessment of ionosphere spatial
+    /// decorrelation for GPS-based aircraft landing systems*, J. Aircraft 44).
     pub(super) fn new(options: &PositioningOptions, baseline_m: f64, age_s: f64) -> Self {
         let (pseudorange_m, carrier_m) =
             (options.rtk.pseudorange_sigma_m, options.rtk.carrier_sigma_m);
@@ -53,13 +53,13 @@ impl DifferenceVariances {
         }
     }
 
-    /// Variance of a pseudorange difference (m²), of what receivers and paths differ by.
+    /// Variance of a single-differenced pseudorange (m²).
     pub(super) fn pseudorange_m2(&self, pair: &PairQuality) -> f64 {
         let receivers = self.receivers_m2(&self.pseudorange, pair);
         constellation_factor(pair.constellation) * receivers + self.path_m2(pair)
     }
 
-    /// Variance of a carrier phase difference (m²).
+    /// Variance of a single-differenced carrier phase (m²).
     pub(super) fn carrier_m2(&self, pair: &PairQuality) -> f64 {
         self.receivers_m2(&self.carrier, pair) + self.path_m2(pair)
     }
@@ -74,7 +74,7 @@ impl DifferenceVariances {
     }
 }
 
-/// a² + b²/sin²E + u²·10^(−(S−42)/10); without C/N0 the last term is left out.
+/// a² + b²/sin²E + u²·10^(−(S−42)/10); the last term is zero without C/N0.
 fn weights(a_m: f64, b_m: f64, cn0_sigma_m: f64) -> MeasurementWeights {
     MeasurementWeights {
         elevation: ElevationTerm::InverseSineSquared { a_m, b_m },

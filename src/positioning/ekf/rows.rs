@@ -1,4 +1,4 @@
-//! The rows of one epoch, and how they enter the filter.
+//! The rows of one epoch, and their order in the filter.
 
 use crate::config::GraphOptions;
 use crate::gnss::SatelliteId;
@@ -10,12 +10,12 @@ use crate::positioning::ranging::Ranging;
 
 use super::belief::{Belief, Innovation};
 
-/// One epoch's rows; the memory is used again.
+/// The rows of one epoch; the memory is reused.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     /// Satellites above the mask.
     pub(super) sights: Vec<Sight>,
-    /// Lines of sight from the state last asked for.
+    /// Lines of sight from the state last used.
     pub(super) lines: Vec<Line>,
     pub(super) ranges: Vec<Ranging>,
     /// Satellites whose pseudoranges passed the test, sorted.
@@ -24,14 +24,14 @@ pub(super) struct Rows {
     pub(super) phases: Vec<PhaseDifferenceFactor>,
     pub(super) odometry: Option<OdometryFactor>,
     pub(super) standstill: Option<ZeroVelocityFactor>,
-    /// How much each pseudorange counted.
+    /// Weight of each pseudorange: 1 if it passed the test, else 0.
     pub(super) weights: Vec<f64>,
-    /// Scratch of medians.
+    /// Memory for medians (m).
     pub(super) misses_m: Vec<f64>,
 }
 
 impl Rows {
-    /// Empties the lists; their memory stays.
+    /// Empties the lists and keeps their memory.
     pub(super) fn clear(&mut self) {
         self.sights.clear();
         self.ranges.clear();
@@ -42,10 +42,10 @@ impl Rows {
         self.standstill = None;
     }
 
-    /// Takes the rows in, kind by kind, the sharpest kinds first.
+    /// Applies the rows, kind by kind, the most precise kinds first.
     ///
-    /// `before` are the satellites of the epoch before, `limit` is that of the innovation test,
-    /// `share` how much of their information pseudoranges keep.
+    /// `before` are the satellites of the previous epoch, `limit` is the limit of the innovation
+    /// test, `share` the share of their information that pseudoranges keep.
     pub(super) fn enter(
         &mut self,
         belief: &mut Belief,
@@ -96,7 +96,7 @@ impl Rows {
         self.used.sort_unstable();
     }
 
-    /// The lines of sight from a state's position, of all satellites.
+    /// Computes the lines of sight from a state's position to all satellites.
     pub(super) fn see(&mut self, state: &State) {
         self.lines.clear();
         self.lines.extend(self.sights.iter().map(|sight| sight.range(&position(state))));

@@ -1,9 +1,9 @@
 //! From observations to corrected, weighted measurements.
 //!
-//! [`Measurements::gather`] picks one main signal per satellite, and where asked a second on
-//! another frequency, finds the ephemeris and the satellite's state at transmission, and takes
-//! clock and group delay off. [`Measurements::place`] adds what depends on the receiver's position:
-//! angles, atmosphere and variance. What then remains of a pseudorange is ρ + c·δt_r + noise.
+//! [`Measurements::gather`] selects one main signal per satellite, and if asked a second one on
+//! another frequency. It finds the ephemeris and the satellite's state at transmission, and
+//! subtracts clock and group delay. [`Measurements::place`] adds what depends on the receiver's
+//! position: angles, atmosphere and variance. The remaining pseudorange is ρ + c·δt_r + noise.
 
 mod atmosphere;
 mod signals;
@@ -25,90 +25,90 @@ pub(super) use atmosphere::RELATIVE_HUMIDITY;
 pub(super) use signals::preference;
 pub(super) use weights::constellation_factor;
 
-/// Pseudoranges outside are no measurements of an Earth receiver (m): a clock may be off by 0.2 s.
+/// Valid pseudoranges of a receiver on Earth (m): its clock may be off by 0.2 s.
 pub(super) const PSEUDORANGES_M: std::ops::Range<f64> = 1e6..1e8;
 
-/// A pseudorange on a further frequency.
+/// A pseudorange on a second frequency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SecondFrequency {
-    /// Its observation code.
+    /// Observation code of the second signal.
     pub code: ObservationCode,
     /// Pseudorange free of satellite clock and group delay (m).
     pub pseudorange_m: f64,
-    /// γ = (f_1/f_2)²: the ionosphere's delay there over that on the main frequency.
+    /// γ = (f_1/f_2)²: ratio of the ionospheric delays on the second and on the main frequency.
     pub gamma: f64,
     /// C/N0 (dB-Hz).
     pub cn0_db_hz: Option<f64>,
     /// Variance of receiver noise and multipath (m²).
     pub noise_m2: f64,
-    /// Carrier phase, where it was measured.
+    /// Carrier phase, if measured.
     pub phase: Option<CarrierPhase>,
 }
 
-/// A carrier phase as a length.
+/// A carrier phase in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarrierPhase {
-    /// λφ free of the satellite's clock (m): ρ + c·δt_r + λN, advanced by the ionosphere.
+    /// λφ without the satellite's clock (m): ρ + c·δt_r + λN, advanced by the ionosphere.
     pub range_m: f64,
     /// A cycle slip was possible since the previous epoch.
     pub loss_of_lock: bool,
-    /// It may be off by half a cycle.
+    /// Whether the phase may be off by half a cycle.
     pub half_cycle: bool,
 }
 
-/// What one satellite contributes to one epoch.
+/// The measurements of one satellite at one epoch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
-    /// The satellite.
+    /// The measured satellite.
     pub satellite: SatelliteId,
     /// Observation code of the main signal.
     pub code: ObservationCode,
     /// Carrier frequency of the main signal (Hz).
     pub frequency_hz: f64,
-    /// Ephemeris that gave the state.
+    /// Ephemeris that gives the satellite's state.
     pub ephemeris: EphemerisIssue,
-    /// Satellite at transmission.
+    /// State of the satellite at transmission.
     pub state: SatelliteState,
-    /// Main pseudorange free of satellite clock and group delay (m).
+    /// Main pseudorange without satellite clock and group delay (m).
     pub pseudorange_m: f64,
-    /// The second frequency, where there is one.
+    /// The second frequency, if there is one.
     pub second: Option<SecondFrequency>,
-    /// Range rate from Doppler free of the satellite's clock drift (m/s): ρ̇ + c·δṫ_r.
+    /// Range rate from Doppler without the satellite's clock drift (m/s): ρ̇ + c·δṫ_r.
     pub range_rate_m_s: Option<f64>,
-    /// Carrier phase of the main signal, where it was measured.
+    /// Carrier phase of the main signal, if measured.
     pub phase: Option<CarrierPhase>,
     /// C/N0 of the main signal (dB-Hz).
     pub cn0_db_hz: Option<f64>,
-    /// Azimuth and elevation from where the measurement was last placed.
+    /// Azimuth and elevation from the position last given.
     pub look: LookAngles,
     /// Variance of the main signal's receiver noise and multipath (m²).
     pub noise_m2: f64,
-    /// Modelled delay of the ionosphere on the main frequency (m).
+    /// Modelled ionospheric delay on the main frequency (m).
     pub ionosphere_m: f64,
-    /// Its variance (m²); infinite where no model is used.
+    /// Variance of the ionospheric delay (m²); infinite without a model.
     pub ionosphere_m2: f64,
-    /// Modelled slant delay of the troposphere (m).
+    /// Modelled tropospheric slant delay (m).
     pub troposphere_m: f64,
-    /// Pseudorange free of the atmosphere too (m): ρ + c·δt_r.
+    /// Pseudorange without atmosphere, too (m): ρ + c·δt_r.
     pub corrected_range_m: f64,
     /// Variance of `corrected_range_m` (m²).
     pub variance_m2: f64,
-    /// What the ionosphere model's standard deviation puts into `corrected_range_m` (m).
+    /// Standard deviation of `corrected_range_m` due to the ionosphere model (m).
     pub ionosphere_share_m: f64,
-    /// What the troposphere model's does (m).
+    /// Standard deviation of `corrected_range_m` due to the troposphere model (m).
     pub troposphere_share_m: f64,
-    /// Whether it is above the elevation mask.
+    /// Whether the satellite is above the elevation mask.
     pub is_above_mask: bool,
-    /// Whether it was left out because it contradicts the others.
+    /// Whether the satellite is excluded because it contradicts the others.
     pub is_excluded: bool,
 }
 
-/// The measurements of one epoch; the memory is used again for the next.
+/// The measurements of one epoch; the memory is reused.
 #[derive(Clone, Debug, Default)]
 pub struct Measurements {
-    /// One for each satellite that can be used, in the order observed.
+    /// One measurement for each usable satellite, in the order of the observations.
     pub list: Vec<Measurement>,
-    /// Satellites observed for which no valid healthy ephemeris is held, sorted.
+    /// Observed satellites without a valid healthy ephemeris, sorted.
     pub without_ephemeris: Vec<SatelliteId>,
     /// Coefficients for the ionosphere model asked for are missing; named is what is used instead.
     pub ionosphere_fallback: Option<&'static str>,

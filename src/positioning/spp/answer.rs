@@ -1,4 +1,4 @@
-//! From a fit to the answer: covariance, clocks, dilutions of precision, reasons.
+//! The answer from a fit: covariance, clocks, dilutions of precision, reasons.
 
 use crate::config::PositioningOptions;
 use crate::gnss::constants::SPEED_OF_LIGHT;
@@ -10,7 +10,7 @@ use super::least_squares::Step;
 use super::{Fit, SinglePoint};
 
 impl SinglePoint {
-    /// The estimate of a fit, or why its geometry is not trusted.
+    /// The estimate of a fit, or the reason if its geometry is too weak.
     pub(super) fn estimate(
         &mut self,
         epoch: &Epoch,
@@ -42,7 +42,7 @@ impl SinglePoint {
         })
     }
 
-    /// Satellites of the rows that took part, sorted.
+    /// Satellites of the rows in use, sorted.
     fn satellites_used(&self) -> Vec<SatelliteId> {
         let used = self.rows.iter().filter(|row| row.is_used);
         let mut satellites: Vec<_> =
@@ -51,7 +51,7 @@ impl SinglePoint {
         satellites
     }
 
-    /// Ephemerides of the satellites used, in the order of the satellites.
+    /// Ephemerides of these satellites, in the same order.
     pub(super) fn provenance(&self) -> Provenance {
         let used = self.rows.iter().filter(|row| row.is_used);
         let mut ephemerides: Vec<_> =
@@ -60,7 +60,7 @@ impl SinglePoint {
         Provenance { ephemerides, base: None }
     }
 
-    /// Dilutions of precision of the rows that took part, each counting alike.
+    /// Dilutions of precision of the rows in use, with equal weights.
     fn dops(&self, position: Ecef) -> Option<Dops> {
         let mut alike = self.rows.clone();
         alike.iter_mut().for_each(|row| row.weight = 1.0);
@@ -78,14 +78,14 @@ impl SinglePoint {
         })
     }
 
-    /// What the epoch lacked before any position was sought.
+    /// Reasons known before the position, such as missing ephemerides.
     pub(super) fn aiding_reasons(&self) -> Vec<Reason> {
         let mut reasons = Vec::new();
         self.measurements.aiding_reasons(&mut reasons);
         reasons
     }
 
-    /// What kept a position from being better.
+    /// Reasons that follow from the fit.
     pub(super) fn quality_reasons(&self, fit: &Fit) -> impl Iterator<Item = Reason> {
         let excluded = self.measurements.list.iter().filter(|m| m.is_excluded);
         let mut satellites: Vec<_> = excluded.map(|measurement| measurement.satellite).collect();
@@ -106,7 +106,7 @@ fn first_clock(step: &Step) -> Option<Constellation> {
     Constellation::ALL.into_iter().find(|c| 0 < step.means[c.index()].count)
 }
 
-/// The first clock, and each further one less it (m).
+/// The first clock, and each further one minus it (m).
 fn clocks(step: &Step) -> (f64, Vec<(Constellation, f64)>) {
     let Some(first) = first_clock(step) else {
         return (0.0, Vec::new());

@@ -1,8 +1,8 @@
 //! One step of weighted least squares on position and one clock per constellation.
 //!
-//! Rows r_i = g_iᵀδp + δb_c(i) with weight w_i. Each clock appears in its own constellation's rows
-//! alone, so the normal equations reduce to three unknowns by taking each constellation's weighted
-//! mean off its rows:
+//! Rows r_i = g_iᵀδp + δb_c(i) with weight w_i. Each clock appears only in the rows of its own
+//! constellation, so subtracting each constellation's weighted mean reduces the normal equations to
+//! three unknowns:
 //!
 //! N = Σ w_i (g_i − ḡ_c)(g_i − ḡ_c)ᵀ, 3×3, ḡ_c = Σ w g / Σ w over constellation c.
 //!
@@ -15,46 +15,46 @@ use crate::gnss::Constellation;
 /// A linearised measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Row {
-    /// Place of its measurement in the epoch's list.
+    /// Index of its measurement in the epoch's list.
     pub(crate) index: usize,
-    /// Which clock it has.
+    /// Constellation, which determines the clock.
     pub(crate) constellation: Constellation,
-    /// ∂ρ/∂p, ECEF.
+    /// Gradient ∂ρ/∂p, ECEF.
     pub(crate) gradient: Vector3<f64>,
     /// Model − measured (m).
     pub(crate) residual_m: f64,
-    /// 1/σ² (1/m²).
+    /// Weight 1/σ² (1/m²).
     pub(crate) weight: f64,
-    /// Whether it takes part.
+    /// Whether the row is used.
     pub(crate) is_used: bool,
 }
 
 /// The weighted mean of one constellation's rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ConstellationMean {
-    /// How many rows take part.
+    /// Number of rows in use.
     pub(crate) count: usize,
-    /// Σ w.
+    /// Sum of weights Σ w (1/m²).
     pub(crate) weight: f64,
-    /// ḡ.
+    /// Weighted mean of the gradients, ḡ.
     pub(crate) gradient: Vector3<f64>,
-    /// Mean residual (m).
+    /// Weighted mean of the residuals (m).
     pub(crate) residual_m: f64,
 }
 
-/// The normal equations, solved.
+/// The solution of the normal equations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Step {
-    /// δp, ECEF (m).
+    /// Step δp, ECEF (m).
     pub(crate) position_m: Vector3<f64>,
-    /// N⁻¹: covariance of the position with the rows' stated variances, ECEF, 3×3 (m²).
+    /// N⁻¹: covariance of the position from the rows' variances, ECEF, 3×3 (m²).
     pub(crate) covariance: Matrix3<f64>,
     /// Means by constellation; those without rows have count 0.
     pub(crate) means: [ConstellationMean; Constellation::COUNT],
 }
 
 impl Step {
-    /// Solves the rows that take part; `None` where they do not determine a position.
+    /// Solves the rows in use; `None` if they do not determine a position.
     pub(crate) fn solve(rows: &[Row]) -> Option<Self> {
         let means = means(rows);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
@@ -69,7 +69,7 @@ impl Step {
         Some(Self { position_m: covariance * right, covariance, means })
     }
 
-    /// δb of a constellation's clock (m); meaningless where it has no rows.
+    /// Step δb of a constellation's clock (m); undefined without rows.
     pub(crate) fn clock_m(&self, constellation: Constellation) -> f64 {
         let mean = &self.means[constellation.index()];
         -(mean.residual_m + mean.gradient.dot(&self.position_m))
@@ -86,14 +86,14 @@ impl Step {
         used.map(|row| row.weight * self.residual_after_m(row).powi(2)).sum()
     }
 
-    /// Variance of what the solution says of a row that takes part, aᵀQa (m²).
+    /// Variance of the fitted value of a row in use, aᵀQa (m²).
     pub(crate) fn variance_of(&self, row: &Row) -> f64 {
         let mean = &self.means[row.constellation.index()];
         let gradient = row.gradient - mean.gradient;
         gradient.dot(&(self.covariance * gradient)) + mean.weight.recip()
     }
 
-    /// How many rows take part, and how many constellations they belong to.
+    /// Numbers of rows in use and of their constellations.
     pub(crate) fn counts(&self) -> (usize, usize) {
         let rows = self.means.iter().map(|mean| mean.count).sum();
         (rows, self.means.iter().filter(|mean| 0 < mean.count).count())
@@ -118,11 +118,11 @@ fn means(rows: &[Row]) -> [ConstellationMean; Constellation::COUNT] {
     means
 }
 
-/// Least ratio of det N to (tr N/3)³ at which a geometry still determines a position: pairs of
-/// satellites closer than some 10⁻⁴ rad, where rounding would decide.
+/// Smallest ratio of det N to (tr N/3)³ at which a geometry determines a position. Below it
+/// satellites are closer than some 10⁻⁴ rad, and rounding decides.
 const DETERMINANT_RATIO_MIN: f64 = 1e-12;
 
-/// Inverse of a symmetric, positive definite matrix; `None` where it is singular to rounding.
+/// Inverse of a symmetric, positive definite matrix; `None` if it is numerically singular.
 fn invert_positive(normal: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let scale = normal.trace() / 3.0;
     let is_regular = DETERMINANT_RATIO_MIN * scale.powi(3) < normal.determinant();
