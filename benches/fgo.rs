@@ -3,7 +3,7 @@
 //! One causal update, from observations to solution, of a warm window of 30 epochs on an urban
 //! drive; the same in the first and in the tenth hour of a simulated one; the batch. The time of an
 //! epoch is its minimum over several passes, which excludes other load of the machine. Asserted: a
-//! warm window allocates nothing but its answer.
+//! warm window allocates nothing but its answer and the epoch it adds.
 //!
 //! The drive is `tst-2019` of the data folder (`GRAPHFIX_DATA`, else `../shared/data`); without it
 //! only the simulated drives are measured.
@@ -19,12 +19,16 @@ use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::formats::decompress;
 use graphfix::formats::rinex::{ObservationReader, read_navigation};
 use graphfix::gnss::{Constellation, Epoch, GpsTime, Navigation, Observation};
-use graphfix::positioning::{Aiding, Batch, Estimator};
+use graphfix::positioning::{Aiding, Batch, Estimator, EstimatorState, Scratch};
 use graphfix::simulation::{Scenario, Simulator};
 
 /// Number of epochs until the storage has its final size.
 const WARM: usize = 200;
 const PASSES: usize = 15;
+/// Number of lists of an epoch in the window, with what shares them.
+const EPOCH_LISTS: u64 = 9;
+/// Most that the epochs of one window hold more than those of another (bytes).
+const KEPT_MAX: i64 = 100_000;
 /// The part of the recording that the paper evaluates (seconds of week).
 const SCORED_S: std::ops::RangeInclusive<f64> = 46_701.0..=47_185.5;
 
@@ -121,40 +125,44 @@ fn print_updates(name: &str, times_us: &[f64]) {
     println!("| {name} | {median:.1} | {late:.1} | {:.2} |", late / median);
 }
 
-/// A warm update allocates the lists of its answer only, and releases the rest.
+/// A warm update allocates the lists of its answer and of the epoch that it adds only, and keeps
+/// nothing more over half an hour.
 ///
-/// As in a session, a spare copy of the estimator advances with lent memory and replaces it.
-fn assert_no_allocation(drive: &Drive, settings: &[(&str, &str)]) {
+/// As in a session, a spare copy of the state advances in shared memory and replaces it.
+fn assert_few_allocations(drive: &Drive, settings: &[(&str, &str)]) {
     let aiding = Aiding::alone(&drive.navigation);
-    let mut estimator = Estimator::new(options(settings));
-    let (mut spare, mut lender) = (estimator.clone(), estimator.clone());
-    let mut solution = None;
+    let mut state = EstimatorState::new(options(settings), false);
+    let (mut spare, mut scratch) = (state.clone(), Scratch::default());
+    let (mut solution, mut kept) = (None, 0);
     for (index, epoch) in drive.epochs.iter().enumerate() {
         let advanced = measure(|| {
-            spare.clone_from(&estimator);
-            spare.exchange_memory(&mut lender);
-            solution = Some(spare.advance(epoch, &aiding));
-            spare.exchange_memory(&mut lender);
-            std::mem::swap(&mut spare, &mut estimator);
+            spare.clone_from(&state);
+            solution = Some(spare.advance(epoch, &aiding, &mut scratch));
+            std::mem::swap(&mut spare, &mut state);
         });
         let copied = measure(|| drop(black_box(solution.clone())));
         let dropped = measure(|| drop(solution.take()));
         if drive.epochs.len() / 2 <= index {
-            assert_eq!(advanced.count_total, copied.count_total, "epoch {index}");
-            assert_eq!(advanced.bytes_current + dropped.bytes_current, 0, "epoch {index}");
+            let most = copied.count_total + EPOCH_LISTS;
+            assert!(advanced.count_total <= most, "epoch {index}: {}", advanced.count_total);
+            kept += advanced.bytes_current + dropped.bytes_current;
         }
     }
+    assert!(kept < KEPT_MAX, "{kept} bytes");
 }
 
 /// Memory of an estimator at rest (bytes), and the mean number of satellites in its epochs.
 fn held(drive: &Drive) -> (i64, f64) {
     let aiding = Aiding::alone(&drive.navigation);
-    let mut estimator = Estimator::new(options(&ANNEALED));
+    let mut scratch = Scratch::default();
     let epochs = &drive.epochs[..2 * WARM];
-    epochs.iter().for_each(|epoch| drop(estimator.advance(epoch, &aiding)));
-    let mut copy = None;
-    let held = measure(|| copy = Some(estimator.clone())).bytes_current;
-    drop(copy);
+    let mut state = None;
+    let held = measure(|| {
+        let fresh = state.insert(EstimatorState::new(options(&ANNEALED), false));
+        epochs.iter().for_each(|epoch| drop(fresh.advance(epoch, &aiding, &mut scratch)));
+    });
+    let grown = measure(|| drop(std::mem::take(&mut scratch)));
+    let held = held.bytes_current + grown.bytes_current;
     let seen: usize = epochs[WARM..].iter().map(|epoch| epoch.by_satellite().count()).sum();
     (held, seen as f64 / WARM as f64)
 }
@@ -218,6 +226,6 @@ fn main() {
     }
     let hour = Drive { epochs: hours.epochs[..3_600].to_vec(), ..hours };
     for settings in [&HUBER[..], &ANNEALED[..]] {
-        assert_no_allocation(&hour, settings);
+        assert_few_allocations(&hour, settings);
     }
 }

@@ -11,7 +11,7 @@ use std::time::Instant;
 use allocation_counter::measure;
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::gnss::{BaseStation, Constellation, Navigation, Status};
-use graphfix::positioning::{Aiding, BaseAiding, Estimator};
+use graphfix::positioning::{Aiding, BaseAiding, EstimatorState, Scratch};
 use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator};
 
 const PASSES: usize = 3;
@@ -45,19 +45,20 @@ fn main() {
     let mut least_us = vec![f64::INFINITY; recording.epochs.len()];
     let (mut fixed, mut held, mut seen) = (0, 0, 0);
     for pass in 0..PASSES {
-        let mut estimator = Estimator::revising(options.clone());
+        let mut state = EstimatorState::new(options.clone(), true);
+        let mut scratch = Scratch::default();
         for (epoch, least_us) in recording.epochs.iter().zip(&mut least_us) {
             let base = BaseAiding { station: &recording.station, epochs: epoch.base.as_slice() };
             let aiding = Aiding { navigation: &recording.navigation, base: Some(base) };
             let begin = Instant::now();
-            let solution = black_box(estimator.advance(&epoch.rover, &aiding));
-            black_box(estimator.take_revisions());
+            let solution = black_box(state.advance(&epoch.rover, &aiding, &mut scratch));
+            black_box(state.take_revisions());
             *least_us = least_us.min(begin.elapsed().as_secs_f64() * 1e6);
             if pass == 0 {
                 fixed += usize::from(solution.status == Status::Fixed);
                 seen += epoch.rover.by_satellite().count();
                 let mut copy = None;
-                held = held.max(measure(|| copy = Some(estimator.clone())).bytes_current);
+                held = held.max(measure(|| copy = Some(state.clone())).bytes_current);
             }
         }
     }

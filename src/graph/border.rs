@@ -13,11 +13,23 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 /// Lower triangle of a symmetric matrix, or its Cholesky factor.
 ///
 /// Rows beyond the size are zero. What stands above the diagonal is never read.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Packed {
     size: usize,
     /// The columns of all panels.
     columns: Vec<Lanes>,
+}
+
+impl Clone for Packed {
+    fn clone(&self) -> Self {
+        Self { size: self.size, columns: self.columns.clone() }
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        let Self { size, columns } = self;
+        *size = source.size;
+        columns.clone_from(&source.columns);
+    }
 }
 
 impl Snapshot for Packed {
@@ -338,12 +350,6 @@ impl Packed {
             }
         }
         own
-    }
-
-    /// Copies into the storage already held.
-    pub(crate) fn copy_from(&mut self, source: &Self) {
-        self.size = source.size;
-        self.columns.clone_from(&source.columns);
     }
 
     /// Numbers storage can hold without growing.

@@ -421,7 +421,7 @@ impl<const S: usize> Elimination<S> {
         let front = &self.front;
         self.floor.clear();
         self.floor.extend(front.border_diagonal.iter().map(|diagonal| PIVOT_FLOOR * diagonal));
-        self.last.copy_from(&front.matrix);
+        self.last.clone_from(&front.matrix);
         self.last.factor(&self.floor, Rank::Full).map_err(|BadPivot { index, pivot }| {
             let variable = Variable::Border(front.variables[index]);
             EliminationError::new(variable, pivot, front.border_diagonal[index])

@@ -2,7 +2,7 @@
 
 use nalgebra::SVector;
 
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::state_fields;
 
 /// The estimate x: `states` along the chain and the `border`.
 #[derive(Debug, PartialEq)]
@@ -30,22 +30,10 @@ impl<const S: usize> Estimate<S> {
     }
 }
 
-snapshot_fields!(generic [const S: usize] Estimate<S> { states, border } memory {});
+state_fields!(generic [const S: usize] Estimate<S> { states, border });
 
 impl<const S: usize> Default for Estimate<S> {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-impl<const S: usize> Clone for Estimate<S> {
-    fn clone(&self) -> Self {
-        Self { states: self.states.clone(), border: self.border.clone() }
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.states.clone_from(&source.states);
-        self.border.clone_from(&source.border);
     }
 }

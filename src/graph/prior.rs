@@ -15,8 +15,7 @@ use crate::graph::border::Packed;
 use crate::graph::elimination::{Elimination, EliminationError};
 use crate::graph::estimate::Estimate;
 use crate::graph::system::System;
-use crate::snapshot::snapshot_fields;
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// A border variable's part of the prior.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +36,6 @@ pub struct Prior<const S: usize> {
     information: SMatrix<f64, S, S>,
     border: Vec<Bordering<S>>,
     matrix: Packed,
-    scratch: Vec<f64>,
 }
 
 impl<const S: usize> Prior<S> {
@@ -54,7 +52,6 @@ impl<const S: usize> Prior<S> {
             information,
             border: Vec::new(),
             matrix: Packed::new(),
-            scratch: Vec::new(),
         }
     }
 
@@ -63,28 +60,33 @@ impl<const S: usize> Prior<S> {
         &self.information
     }
 
+    fn is_whole(&self) -> bool {
+        self.matrix.size() == self.border.len()
+    }
+
     /// Border variables the prior speaks of.
     pub fn variables(&self) -> impl Iterator<Item = usize> + '_ {
         self.border.iter().map(|bordering| bordering.variable)
     }
 
-    /// Lets every border variable of the prior wander: adds `variance` to each, uncorrelated.
+    /// Lets every border variable of the prior wander: adds `variance` to each, uncorrelated;
+    /// computes in `scratch`.
     ///
     /// For one variable with q added, Σ + q·e·eᵀ has the information Λ − Λe·eᵀΛ·q/(1 + q·Λ_ee), and
     /// the mean stays where it was (Woodbury 1950).
-    pub fn loosen_border(&mut self, variance: f64) {
+    pub fn loosen_border(&mut self, variance: f64, scratch: &mut Vec<f64>) {
         for i in 0..self.border.len() {
             let factor = variance / (1.0 + variance * self.matrix.get(i, i));
             let (column, pull) = (self.border[i].column, self.border[i].gradient);
             self.information -= column * column.transpose() * factor;
             self.gradient -= column * (pull * factor);
-            self.scratch.clear();
-            self.scratch.extend((0..self.border.len()).map(|j| self.matrix.get(i, j)));
+            scratch.clear();
+            scratch.extend((0..self.border.len()).map(|j| self.matrix.get(i, j)));
             for (j, other) in self.border.iter_mut().enumerate() {
-                let slope = self.scratch[j] * factor;
+                let slope = scratch[j] * factor;
                 other.column -= column * slope;
                 other.gradient -= pull * slope;
-                for (l, &across) in self.scratch[..=j].iter().enumerate() {
+                for (l, &across) in scratch[..=j].iter().enumerate() {
                     *self.matrix.get_mut(j, l) -= slope * across;
                 }
             }
@@ -141,7 +143,7 @@ impl<const S: usize> Prior<S> {
         self.linearized_at = estimate.states[system.states() - 1];
         self.information = symmetric(&front.block);
         self.gradient = -front.right;
-        self.matrix.copy_from(&front.matrix);
+        self.matrix.clone_from(&front.matrix);
         self.border.clear();
         for (place, &variable) in front.variables.iter().enumerate() {
             self.border.push(Bordering {
@@ -156,50 +158,13 @@ impl<const S: usize> Prior<S> {
 }
 
 snapshot_fields!(
-    generic [const S: usize] Bordering<S> { variable, linearized_at, gradient, column } memory {}
+    generic [const S: usize] Bordering<S> { variable, linearized_at, gradient, column }
 );
 
-impl<const S: usize> Snapshot for Prior<S> {
-    fn save(&self, writer: &mut SnapshotWriter) {
-        let Self { linearized_at, gradient, information, border, matrix, scratch: _ } = self;
-        linearized_at.save(writer);
-        gradient.save(writer);
-        information.save(writer);
-        border.save(writer);
-        matrix.save(writer);
-    }
-
-    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
-        let prior = Self {
-            linearized_at: Snapshot::load(reader)?,
-            gradient: Snapshot::load(reader)?,
-            information: Snapshot::load(reader)?,
-            border: Snapshot::load(reader)?,
-            matrix: Snapshot::load(reader)?,
-            scratch: Vec::new(),
-        };
-        match prior.matrix.size() == prior.border.len() {
-            true => Ok(prior),
-            false => Err(reader.invalid("prior")),
-        }
-    }
-}
-
-impl<const S: usize> Clone for Prior<S> {
-    fn clone(&self) -> Self {
-        let (border, matrix) = (self.border.clone(), self.matrix.clone());
-        Self { border, matrix, scratch: Vec::new(), ..*self }
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.linearized_at = source.linearized_at;
-        self.gradient = source.gradient;
-        self.information = source.information;
-        self.border.clone_from(&source.border);
-        self.matrix.copy_from(&source.matrix);
-    }
-}
+state_fields!(
+    generic [const S: usize] Prior<S> { linearized_at, gradient, information, border, matrix }
+    checked by is_whole
+);
 
 #[cfg(test)]
 mod tests {
@@ -277,7 +242,7 @@ mod tests {
             (inverse, mean)
         };
         let (mut expected, mean) = dense(&prior);
-        prior.loosen_border(0.7);
+        prior.loosen_border(0.7, &mut Vec::new());
         let (covariance, moved) = dense(&prior);
         (5..8).for_each(|i| expected[(i, i)] += 0.7);
         assert!((covariance - &expected).amax() < 1e-9 * expected.amax());

@@ -42,10 +42,9 @@ pub struct Departure<const S: usize> {
     next_at: SVector<f64, S>,
 }
 
-snapshot_fields!(generic [const S: usize] Factor<S> { lower, reciprocal } memory {});
+snapshot_fields!(generic [const S: usize] Factor<S> { lower, reciprocal });
 snapshot_fields!(
     generic [const S: usize] Retired<S> { variable, place, reciprocal, forward, next, row }
-    memory {}
 );
 
 impl<const S: usize> Departure<S> {

@@ -9,13 +9,14 @@
 //! reference point.
 //! Physics is in `models`, the choice of all of it in `config`.
 
+mod aiding;
 mod answer;
 mod antenna;
-mod base;
 mod chi_square;
 mod clock_jump;
 mod differencing;
 mod ekf;
+mod engine;
 mod estimator;
 mod factors;
 mod fgo;
@@ -26,13 +27,14 @@ mod ranging;
 mod rtk;
 #[cfg(test)]
 mod scenario;
+mod setup;
 mod snapshot;
 mod spp;
 mod standstill;
 mod uncertainty;
 mod velocity;
 
+pub use aiding::{Aiding, BASE_LATER_S, BaseAiding};
 pub use antenna::correct_for_antenna;
-pub use base::{BASE_LATER_S, BaseAiding};
-pub use estimator::{Aiding, Batch, Estimator};
+pub use estimator::{Batch, Estimator, EstimatorState, Scratch};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};

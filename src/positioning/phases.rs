@@ -8,7 +8,7 @@
 
 use crate::config::REFERENCE_CN0_DB_HZ;
 use crate::gnss::{ObservationCode, SatelliteId};
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::Measurement;
 use super::clock_jump::whole_milliseconds_m;
@@ -103,32 +103,24 @@ fn thermal_m(cn0_db_hz: Option<f64>) -> f64 {
     THERMAL_M * (std::f64::consts::LN_10 * decades).exp()
 }
 
-/// The phases of the last epoch; the memory is used again.
+/// The phases of the last epoch.
 #[derive(Debug, Default)]
 pub(super) struct Phases {
     kept: Vec<Kept>,
     /// Satellites of that epoch.
     sights: Vec<Sight>,
-    /// Lines of sight from the epoch before and from this one.
-    lines: [Vec<Line>; 2],
-    misses_m: Vec<f64>,
 }
 
 snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle, ionosphere_m, second });
 snapshot_fields!(SecondPhase { code, difference_m, half_cycle });
-snapshot_fields!(
-    Phases { kept, sights } memory { lines: Default::default(), misses_m: Vec::new() }
-);
+state_fields!(Phases { kept, sights });
 
-impl Clone for Phases {
-    fn clone(&self) -> Self {
-        Self { kept: self.kept.clone(), sights: self.sights.clone(), ..Self::default() }
-    }
-
-    fn clone_from(&mut self, source: &Self) {
-        self.kept.clone_from(&source.kept);
-        self.sights.clone_from(&source.sights);
-    }
+/// Memory for [`Phases::follow_clock`].
+#[derive(Debug, Default)]
+pub(super) struct ClockScratch {
+    /// Lines of sight from the epoch before and from this one.
+    lines: [Vec<Line>; 2],
+    residuals_m: Vec<f64>,
 }
 
 impl Phases {
@@ -188,32 +180,34 @@ impl Phases {
         }
     }
 
-    /// Some receivers step the clock in the pseudoranges alone: where the differences miss the
-    /// prediction by whole milliseconds that all share, takes those off; where by anything else,
-    /// leaves the differences out.
+    /// Corrects the differences of a receiver that steps its clock in the pseudoranges alone.
+    ///
+    /// Their median residual between the `states` before and now is rounded to whole milliseconds,
+    /// which all differences are freed of. Differences whose median is off whole milliseconds have
+    /// another clock: they are dropped.
     pub(super) fn follow_clock(
-        &mut self,
+        &self,
         sights: &[Sight],
+        states: [&State; 2],
         factors: &mut Vec<PhaseDifferenceFactor>,
-        state: &State,
-        next: &State,
+        scratch: &mut ClockScratch,
     ) {
-        let Self { kept: _, sights: before, lines, misses_m } = self;
-        for ((lines, sights), from) in lines.iter_mut().zip([&**before, sights]).zip([state, next])
-        {
+        let ClockScratch { lines, residuals_m } = scratch;
+        for ((lines, sights), from) in lines.iter_mut().zip([&*self.sights, sights]).zip(states) {
             lines.clear();
             lines.extend(sights.iter().map(|sight| sight.range(&position(from))));
         }
-        misses_m.clear();
-        misses_m.extend(factors.iter().map(|factor| {
+        let [state, next] = states;
+        residuals_m.clear();
+        residuals_m.extend(factors.iter().map(|factor| {
             let [from, to] =
                 [&lines[0][usize::from(factor.before)], &lines[1][usize::from(factor.after)]];
             let link = factor.linearize((from, state), (to, next));
             link.residual / factor.inverse_sigma
         }));
-        let Some(miss_m) = median(misses_m) else { return };
-        let whole_m = whole_milliseconds_m(miss_m);
-        if CLOCK_DIFFERS_M < (miss_m - whole_m).abs() {
+        let Some(median_m) = median(residuals_m) else { return };
+        let whole_m = whole_milliseconds_m(median_m);
+        if CLOCK_DIFFERS_M < (median_m - whole_m).abs() {
             factors.clear();
         }
         factors.iter_mut().for_each(|factor| factor.change_m += whole_m);

@@ -1,12 +1,12 @@
 //! The satellites that an epoch sees, and its pseudorange factors with what names them.
 
-use crate::gnss::{EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
-
+use crate::gnss::{Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::Row;
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
-use super::factors::{Line, PseudorangeFactor, Sight, State};
+use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
+use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 
 /// The measurements above the mask, each with the place of its satellite among the epoch's sights.
 pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measurement)> {
@@ -17,6 +17,22 @@ pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measu
 pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Sight>) {
     sights.clear();
     sights.extend(sighted(list).map(|(_, m)| Sight::new(frame, m.state.position)));
+}
+
+/// Doppler rows, in the frame, of a receiver about at `receiver`, of the measurements above the
+/// mask; `sigma_m_s` is their standard deviation at the reference C/N0.
+pub(super) fn rates<'a>(
+    list: impl Iterator<Item = &'a Measurement>,
+    frame: &LocalFrame,
+    receiver: Ecef,
+    sigma_m_s: f64,
+) -> impl Iterator<Item = DopplerFactor> {
+    list.filter(|m| m.is_above_mask && !m.is_excluded).filter_map(move |measurement| {
+        let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
+        let sigma_m_s = variance_m2_s2(sigma_m_s, cn0_db_hz).sqrt();
+        let rate_m_s = measurement.range_rate_m_s?;
+        Some(DopplerFactor::new(frame, receiver, &measurement.state, rate_m_s, sigma_m_s))
+    })
 }
 
 /// A pseudorange with what names it.

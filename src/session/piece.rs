@@ -1,6 +1,7 @@
 //! The part of a session's work that computes: what runs on the solver pool.
 
 use crate::aiding::PushedNavigation;
+use crate::positioning::Scratch;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
 use super::course::Against;
@@ -52,6 +53,7 @@ impl Piece {
         aiding: &PieceAiding,
         origin: &Origin,
         observations_per_epoch: usize,
+        scratch: &mut Scratch,
     ) -> Self {
         let mut piece = Self {
             state,
@@ -65,7 +67,7 @@ impl Piece {
             let seq = epoch.seq;
             let plan = match piece.refusal(&epoch, observations_per_epoch) {
                 Some(refusal) => Plan::Refused(refusal),
-                None if piece.is_after_last(seq) => piece.advance(&epoch, aiding, origin),
+                None if piece.is_after_last(seq) => piece.advance(&epoch, aiding, origin, scratch),
                 None => piece.resent(epoch),
             };
             piece.plans.push((seq, plan));
@@ -100,9 +102,10 @@ impl Piece {
         SequencedEpoch { seq, epoch }: &SequencedEpoch,
         PieceAiding { navigation: PushedNavigation { push, navigation }, against }: &PieceAiding,
         origin: &Origin,
+        scratch: &mut Scratch,
     ) -> Plan {
         let base = self.state.base_for(against, epoch, navigation, origin);
-        let advanced = self.state.advance(*seq, epoch, navigation, base.as_ref(), origin);
+        let advanced = self.state.advance(*seq, epoch, navigation, base.as_ref(), origin, scratch);
         let Advanced { solution, revisions } = advanced;
         let used = base.map(|given| given.used);
         self.rows.push(EncodedEpoch::new(epoch, &solution, *push, used));

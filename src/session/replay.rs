@@ -7,6 +7,7 @@ use crate::aiding::bases::{BaseChoice, BaseGiven, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
 use crate::gnss::Epoch;
+use crate::positioning::Scratch;
 use crate::store::{BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
 
 use super::SessionError;
@@ -81,7 +82,7 @@ impl Course {
             return Ok((state, Vec::new()));
         }
         let steps = self.steps(stored).await?;
-        let work = move || {
+        let work = move |scratch: &mut Scratch| {
             let mut answers = Vec::with_capacity(2 * steps.len());
             for Step { seq, epoch, navigation, origin, base } in steps {
                 let base = match base {
@@ -92,13 +93,14 @@ impl Course {
                     }
                 };
                 let navigation = &navigation.navigation;
-                let advanced = state.advance(seq, &epoch, navigation, base.as_ref(), &origin);
+                let base = base.as_ref();
+                let advanced = state.advance(seq, &epoch, navigation, base, &origin, scratch);
                 answers.push(advanced.solution);
                 answers.extend(advanced.revisions);
             }
             (state, answers)
         };
-        self.solvers.run(work).await
+        self.solvers.estimate(work).await
     }
 
     async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {

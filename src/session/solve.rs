@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseGiven, BaseId};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
-use crate::positioning::{Aiding, Estimator};
+use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::store::{SessionSettings, StoredSolution};
 
 use super::course::{Against, BaseCourse};
@@ -180,13 +180,14 @@ impl Sessions {
         let against = Against::new(&self.aiding().bases, &base, span, &options);
         let version: Arc<str> = VERSION.into();
         let configuration_hash: Arc<str> = options.configuration_hash().into();
-        let work = move || {
-            let mut estimator = Estimator::new(options.clone());
+        let work = move |scratch: &mut Scratch| {
+            let mut estimator = EstimatorState::new(options.clone(), false);
             let mut course = BaseCourse::default();
             let position = |SequencedEpoch { seq, epoch }| {
                 let given = course.next(&against, &epoch, &navigation, &options);
                 let base = given.as_ref().and_then(BaseGiven::aiding);
-                let solution = estimator.advance(&epoch, &Aiding { navigation: &navigation, base });
+                let aiding = Aiding { navigation: &navigation, base };
+                let solution = estimator.advance(&epoch, &aiding, scratch);
                 course.take(given.as_ref(), &solution);
                 Computed {
                     seq,
@@ -197,6 +198,6 @@ impl Sessions {
             };
             epochs.into_iter().map(position).collect()
         };
-        self.solvers().run(work).await
+        self.solvers().estimate(work).await
     }
 }

@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::Semaphore;
 use tokio::task::{JoinError, spawn_blocking};
 
-use crate::positioning::Estimator;
+use crate::positioning::Scratch;
 
 use super::SessionError;
 use super::state::State;
 
-/// States kept for the next piece to be computed in.
+/// States kept for the next batch to be computed in.
 const SPARE_STATES: usize = 64;
 
 /// A bounded number of threads that estimate. Who asks first is served first.
@@ -30,8 +30,8 @@ pub(super) struct Spares {
 #[derive(Default)]
 struct Shared {
     states: Vec<State>,
-    /// Estimators whose memory is lent: no more than work at the same time.
-    lenders: Vec<Estimator>,
+    /// As many as have ever estimated at the same time.
+    scratches: Vec<Box<Scratch>>,
 }
 
 impl Solvers {
@@ -59,6 +59,25 @@ impl Solvers {
         });
         running.await.map_err(|error| SessionError::EstimatorFailed { message: said(error) })
     }
+
+    /// Runs `work` on a thread of the pool, with memory to estimate in.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(super) async fn estimate<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Scratch) -> T + Send + 'static,
+    ) -> Result<T, SessionError> {
+        let spares = self.spares.clone();
+        let with_scratch = move || {
+            let scratch = spares.shared().scratches.pop();
+            let mut scratch = scratch.unwrap_or_default();
+            let done = work(&mut scratch);
+            spares.shared().scratches.push(scratch);
+            done
+        };
+        self.run(with_scratch).await
+    }
 }
 
 impl Spares {
@@ -80,34 +99,6 @@ impl Spares {
         if shared.states.len() < SPARE_STATES {
             shared.states.push(state);
         }
-    }
-
-    /// Runs `work` on `state` with lent memory, which is taken back afterwards.
-    pub(super) fn lend<T>(
-        &self,
-        mut state: State,
-        work: impl FnOnce(State) -> T,
-        state_of: impl FnOnce(&mut T) -> &mut State,
-    ) -> T {
-        let mode = state.estimator.options().mode;
-        let lender = {
-            let mut shared = self.shared();
-            let of_mode = shared.lenders.iter().position(|lender| lender.options().mode == mode);
-            of_mode.map(|place| shared.lenders.swap_remove(place))
-        };
-        let mut lender =
-            lender.unwrap_or_else(|| Estimator::new(state.estimator.options().clone()));
-        state.estimator.exchange_memory(&mut lender);
-        let mut done = work(state);
-        let estimator = &mut state_of(&mut done).estimator;
-        if estimator.options().mode == mode {
-            estimator.exchange_memory(&mut lender);
-        } else {
-            *estimator = estimator.clone(); // Another mode's memory, which it grew itself.
-        }
-        estimator.release_surplus();
-        self.shared().lenders.push(lender);
-        done
     }
 
     fn shared(&self) -> std::sync::MutexGuard<'_, Shared> {

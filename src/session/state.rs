@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::aiding::bases::BaseGiven;
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
-use crate::positioning::{Aiding, Estimator};
+use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
 
@@ -29,7 +29,7 @@ pub(super) struct Origin {
 /// A session's estimator after its last epoch.
 #[derive(Debug)]
 pub(super) struct State {
-    pub(super) estimator: Estimator,
+    pub(super) estimator: EstimatorState,
     /// Of the configuration it was made by.
     pub(super) configuration_hash: Arc<str>,
     /// The base it is relative to.
@@ -52,7 +52,7 @@ impl State {
     /// The state before the first epoch.
     pub(super) fn new(origin: &Origin) -> Self {
         Self {
-            estimator: Estimator::revising(origin.options.clone()),
+            estimator: EstimatorState::new(origin.options.clone(), true),
             configuration_hash: origin.configuration_hash.clone(),
             course: BaseCourse::default(),
             last: None,
@@ -98,18 +98,18 @@ impl State {
         navigation: &Navigation,
         base: Option<&BaseGiven>,
         origin: &Origin,
+        scratch: &mut Scratch,
     ) -> Advanced {
         let mut revisions = Vec::new();
         if !self.goes_on(origin) {
-            revisions = self.finish();
-            self.estimator = Estimator::revising(origin.options.clone());
+            revisions = self.finish(scratch);
+            self.estimator = EstimatorState::new(origin.options.clone(), true);
             self.configuration_hash = origin.configuration_hash.clone();
             self.course.begin_anew();
         }
         self.unrevised.push_back((seq, epoch.time));
-        let solution = self
-            .estimator
-            .advance(epoch, &Aiding { navigation, base: base.and_then(BaseGiven::aiding) });
+        let aiding = Aiding { navigation, base: base.and_then(BaseGiven::aiding) };
+        let solution = self.estimator.advance(epoch, &aiding, scratch);
         self.course.take(base, &solution);
         let revised = self.estimator.take_revisions();
         revisions.extend(self.numbered(revised, &origin.version));
@@ -130,9 +130,9 @@ impl State {
     }
 
     /// The last answers to what the window holds, which is then empty.
-    pub(super) fn finish(&mut self) -> Vec<StoredSolution> {
-        let fresh = Estimator::revising(self.estimator.options().clone());
-        let revised = std::mem::replace(&mut self.estimator, fresh).finish();
+    pub(super) fn finish(&mut self, scratch: &mut Scratch) -> Vec<StoredSolution> {
+        let fresh = self.estimator.renewed(true);
+        let revised = std::mem::replace(&mut self.estimator, fresh).finish(scratch);
         let revisions = self.numbered(revised, &VERSION.into());
         self.unrevised.clear();
         revisions
@@ -171,7 +171,7 @@ impl State {
         let time = GpsTime::load(&mut reader)?;
         let course = Snapshot::load(&mut reader)?;
         let unrevised = Snapshot::load(&mut reader)?;
-        let estimator = Estimator::restore(origin.options.clone(), reader.bytes()?)?;
+        let estimator = EstimatorState::restore(origin.options.clone(), reader.bytes()?)?;
         reader.finish()?;
         let configuration_hash = origin.configuration_hash.clone();
         let last = Some((seq, time));
@@ -193,11 +193,12 @@ impl Clone for State {
 
     /// Copies into the storage already held.
     fn clone_from(&mut self, source: &Self) {
-        self.estimator.clone_from(&source.estimator);
-        self.configuration_hash.clone_from(&source.configuration_hash);
-        self.course = source.course;
-        self.last = source.last;
-        self.unrevised.clone_from(&source.unrevised);
-        self.unsaved = source.unsaved;
+        let Self { estimator, configuration_hash, course, last, unrevised, unsaved } = self;
+        estimator.clone_from(&source.estimator);
+        configuration_hash.clone_from(&source.configuration_hash);
+        *course = source.course;
+        *last = source.last;
+        unrevised.clone_from(&source.unrevised);
+        *unsaved = source.unsaved;
     }
 }

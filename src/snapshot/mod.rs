@@ -1,8 +1,8 @@
 //! The state of a computation as bytes, and back with the same bits: what survives a restart.
 //!
-//! Knows nothing of what it stores. A type says with `snapshot_fields!` or
-//! `snapshot_variants!` which of its fields are state and which are memory to work in; both name
-//! every field, so that one which is added later and not named does not compile.
+//! Knows nothing of what it stores. A type names its fields with `snapshot_fields!` or
+//! `snapshot_variants!`, or with `state_fields!` where copies reuse storage. Each names every
+//! field: one that is added later and not named does not compile.
 //!
 //! # Form
 //! A snapshot is `layout` (16 bits, little-endian), the values one after the other without names,
@@ -33,35 +33,62 @@ pub trait Snapshot: Sized {
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError>;
 }
 
-/// Implements [`Snapshot`] for a struct: the fields that are state, in the order they are stored,
-/// and behind `memory` those that are made anew.
+/// Implements [`Snapshot`] for a struct: all its fields in the order they are stored. `checked by`
+/// names a method `fn(&self) -> bool`; a value that fails it is refused on loading.
 macro_rules! snapshot_fields {
     (
         generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }
-        memory { $($memory:ident: $fresh:expr),* $(,)? }
+        $(checked by $check:ident)?
     ) => {
         impl<$($generic)*> $crate::snapshot::Snapshot for $type {
             fn save(&self, writer: &mut $crate::snapshot::SnapshotWriter) {
-                let Self { $($field,)* $($memory: _,)* } = self;
+                let Self { $($field),* } = self;
                 $($crate::snapshot::Snapshot::save($field, writer);)*
             }
 
             fn load(
                 reader: &mut $crate::snapshot::SnapshotReader<'_>,
             ) -> Result<Self, $crate::snapshot::SnapshotError> {
-                Ok(Self {
-                    $($field: $crate::snapshot::Snapshot::load(reader)?,)*
-                    $($memory: $fresh,)*
-                })
+                let value = Self { $($field: $crate::snapshot::Snapshot::load(reader)?),* };
+                $(if !value.$check() {
+                    return Err(reader.invalid(stringify!($type)));
+                })?
+                Ok(value)
             }
         }
     };
-    ($type:ty { $($field:ident),* $(,)? }) => {
-        $crate::snapshot::snapshot_fields!(generic [] $type { $($field),* } memory {});
-    };
-    ($type:ty { $($field:ident),* $(,)? } memory { $($memory:ident: $fresh:expr),* $(,)? }) => {
+    ($type:ty { $($field:ident),* $(,)? } $(checked by $check:ident)?) => {
         $crate::snapshot::snapshot_fields!(
-            generic [] $type { $($field),* } memory { $($memory: $fresh),* }
+            generic [] $type { $($field),* } $(checked by $check)?
+        );
+    };
+}
+
+/// Implements [`Snapshot`] as `snapshot_fields!` does, and [`Clone`], whose `clone_from` copies
+/// every field into the storage already held.
+macro_rules! state_fields {
+    (
+        generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }
+        $(checked by $check:ident)?
+    ) => {
+        $crate::snapshot::snapshot_fields!(
+            generic [$($generic)*] $type { $($field),* } $(checked by $check)?
+        );
+
+        impl<$($generic)*> Clone for $type {
+            fn clone(&self) -> Self {
+                Self { $($field: Clone::clone(&self.$field)),* }
+            }
+
+            fn clone_from(&mut self, source: &Self) {
+                let Self { $($field),* } = self;
+                $(Clone::clone_from($field, &source.$field);)*
+            }
+        }
+    };
+    ($type:ty { $($field:ident),* $(,)? } $(checked by $check:ident)?) => {
+        $crate::snapshot::state_fields!(
+            generic [] $type { $($field),* } $(checked by $check)?
         );
     };
 }
@@ -94,4 +121,4 @@ macro_rules! snapshot_variants {
     };
 }
 
-pub(crate) use {snapshot_fields, snapshot_variants};
+pub(crate) use {snapshot_fields, snapshot_variants, state_fields};

@@ -94,6 +94,16 @@ impl<A: Snapshot, B: Snapshot> Snapshot for (A, B) {
     }
 }
 
+impl<T: Snapshot> Snapshot for Box<T> {
+    fn save(&self, writer: &mut SnapshotWriter) {
+        T::save(self, writer);
+    }
+
+    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        T::load(reader).map(Self::new)
+    }
+}
+
 /// Who shares it with whom is not kept.
 impl<T: Snapshot> Snapshot for Arc<T> {
     fn save(&self, writer: &mut SnapshotWriter) {

@@ -25,4 +25,4 @@ mod belief;
 mod filter;
 mod rows;
 
-pub(super) use filter::KalmanFilter;
+pub(super) use filter::{FilterScratch, KalmanFilter};

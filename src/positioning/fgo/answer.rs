@@ -3,22 +3,21 @@
 use nalgebra::SMatrix;
 
 use crate::gnss::{Reason, Solution, Status};
-use crate::graph::Phase;
 use crate::positioning::answer::Answer;
 use crate::positioning::factors::{Line, STATE};
 use crate::positioning::ranging::Ranging;
+use crate::positioning::setup::Setup;
 use crate::positioning::uncertainty::{ErrorModel, Residuals};
 
 use super::chain::Chain;
 use super::epoch::GraphEpoch;
-use super::settings::Settings;
 
 /// Residuals of epochs this far away tell how large errors are now (s).
 const NEIGHBOURS_S: f64 = 15.0;
 
 /// Memory to answer in.
 #[derive(Debug, Default)]
-pub(super) struct AnswerMemory {
+pub(super) struct AnswerScratch {
     lines: Vec<Line>,
     weights: Vec<f64>,
 }
@@ -28,19 +27,20 @@ pub(super) fn solution(
     chain: &Chain,
     k: usize,
     covariance: &SMatrix<f64, STATE, STATE>,
-    settings: &Settings,
-    memory: &mut AnswerMemory,
+    setup: &Setup,
+    scratch: &mut AnswerScratch,
 ) -> Solution {
     let (epoch, state) = (&chain.epochs[k], &chain.estimate.states[k]);
     let biases_m = &chain.estimate.border;
-    let kernel = settings.kernels.pseudorange.at(Phase::Graduated(1.0));
-    let AnswerMemory { lines, weights } = memory;
-    epoch.see(state, lines);
+    let kernel = setup.alone.kernels.last().pseudorange;
+    let AnswerScratch { lines, weights } = scratch;
+    let factors = &*epoch.factors;
+    factors.see(state, lines);
     weights.clear();
     let residual = |range: &Ranging| range.linearize(lines, state, biases_m).residual;
-    weights.extend(epoch.ranges.iter().map(|range| kernel.weight(residual(range))));
+    weights.extend(factors.ranges.iter().map(|range| kernel.weight(residual(range))));
     let mut reasons = Vec::new();
-    epoch.aiding_reasons(&mut reasons);
+    factors.aiding_reasons(&mut reasons);
     reasons.extend(chain.unproven_s(epoch.time).map(|age_s| Reason::StartUnproven { age_s }));
     let answer = Answer {
         status: Status::Fgo,
@@ -50,13 +50,13 @@ pub(super) fn solution(
         covariance,
         biases_m,
         lines,
-        ranges: &epoch.ranges,
+        ranges: &factors.ranges,
         weights,
-        has_velocity: epoch.carries_velocity(),
+        has_velocity: factors.carries_velocity(),
         errors: ErrorModel {
             repetition: epoch.repetition,
             variance_factor: residuals_around(chain, k).variance_factor(),
-            orbit_clock_m2: settings.orbit_clock_m2,
+            orbit_clock_m2: setup.options.graph.orbit_clock_sigma_m.powi(2),
         },
         reasons,
     };

@@ -1,60 +1,58 @@
 //! The whole chain at once: all epochs first, then all answers.
 
-use crate::config::{DopplerUse, PositioningOptions};
-use crate::gnss::{Epoch, Navigation, Reason, Solution};
-use crate::graph::{BorderLife, Covariances, Workspace, optimize};
-use crate::positioning::factors::{DRIFT, STATE, VELOCITY};
+use crate::config::DopplerUse;
+use crate::gnss::{Enu, Reason, Solution};
+use crate::graph::{BorderLife, Covariances, Workspace};
+use crate::positioning::engine::EpochInputs;
+use crate::positioning::factors::{DRIFT, STATE, VELOCITY, position};
+use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::velocity::VelocityEstimator;
 
-use super::answer::{AnswerMemory, solution};
-use super::chain::Chain;
-use super::settings::Settings;
+use super::answer::{AnswerScratch, solution};
+use super::chain::{Chain, ChainScratch, NewEpoch};
 
 /// A smoother over everything it is given.
 #[derive(Debug)]
 pub(in crate::positioning) struct WholeChain {
-    settings: Settings,
     chain: Chain,
     /// What each epoch of the chain is by itself, for where the chain cannot be solved.
     alone: Vec<Solution>,
     solutions: Vec<Solution>,
     single_point: SinglePoint,
     velocity: VelocityEstimator,
+    scratch: ChainScratch,
     workspace: Workspace<STATE>,
 }
 
 impl WholeChain {
     /// One that has seen nothing.
-    pub(in crate::positioning) fn new(options: &PositioningOptions) -> Self {
+    pub(in crate::positioning) fn new(setup: &Setup) -> Self {
         Self {
-            settings: Settings::new(&options.graph),
-            chain: Chain::new(if options.graph.motion { 0 } else { usize::MAX }),
+            chain: Chain::new(if setup.options.graph.motion { 0 } else { usize::MAX }),
             alone: Vec::new(),
             solutions: Vec::new(),
-            single_point: SinglePoint::new(options),
+            single_point: SinglePoint::default(),
             velocity: VelocityEstimator::default(),
+            scratch: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WhileTouched),
         }
     }
 
     /// Takes one epoch; those not after the last one are answered by themselves.
-    pub(in crate::positioning) fn push(
-        &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        options: &PositioningOptions,
-    ) {
+    pub(in crate::positioning) fn push(&mut self, inputs: &EpochInputs<'_>) {
+        let EpochInputs { epoch, navigation, .. } = *inputs;
+        let options = inputs.options();
         let place = |solution: &Solution| Some(solution.estimate.as_ref()?.position);
         let start = self.alone.last().and_then(place);
-        let alone = self.single_point.solve(epoch, navigation, options, start);
+        let alone = self.single_point.solve(inputs, start);
         let interval_s = self.chain.last_time().map(|last| epoch.time - last);
         if interval_s.is_some_and(|interval_s| interval_s <= 0.0) {
             self.solutions.push(alone);
             return;
         }
         if interval_s.is_some_and(|interval_s| options.graph.gap_s < interval_s) {
-            self.solve();
+            self.solve(inputs.setup);
         }
         let mut guess = self.chain.predicted(epoch.time);
         if let Some(estimate) = &alone.estimate {
@@ -71,10 +69,10 @@ impl WholeChain {
             self.solutions.push(alone);
             return;
         }
-        let place = self.chain.frame.to_ecef(crate::gnss::Enu(guess.fixed_rows::<3>(0).into()));
+        let receiver = self.chain.frame.to_ecef(Enu(position(&guess)));
         let measurements = self.single_point.measurements();
         if alone.estimate.is_none()
-            && measurements.place(place, epoch.time, navigation, options).is_none()
+            && measurements.place(receiver, epoch.time, navigation, options).is_none()
         {
             self.solutions.push(alone);
             return;
@@ -82,37 +80,35 @@ impl WholeChain {
         let list = &measurements.list;
         let is_used = |index: usize| list[index].is_above_mask;
         let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => self.velocity.estimate(place, list, is_used, options),
+            DopplerUse::Velocity => self.velocity.estimate(receiver, list, is_used, options),
             DopplerUse::None | DopplerUse::Satellites => None,
         };
         let local = velocity.map(|velocity| self.chain.frame.rotation * velocity.velocity_m_s);
-        self.chain.append(epoch.time, guess, measurements, local, options, &self.settings);
+        let time = epoch.time;
+        let new = NewEpoch { time, guess, measurements, doppler_velocity_m_s: local };
+        self.chain.append(new, inputs.setup, &mut self.scratch);
         self.alone.push(alone);
     }
 
     /// All answers, in order of time.
-    pub(in crate::positioning) fn finish(&mut self) -> Vec<Solution> {
-        self.solve();
+    pub(in crate::positioning) fn finish(mut self, setup: &Setup) -> Vec<Solution> {
+        self.solve(setup);
         self.solutions.sort_by_key(|solution| solution.time);
-        std::mem::take(&mut self.solutions)
+        self.solutions
     }
 
     /// Solves the chain, empties it and keeps its answers.
-    fn solve(&mut self) {
-        let Self { chain, settings, workspace, .. } = self;
+    fn solve(&mut self, setup: &Setup) {
+        let Self { chain, scratch, workspace, .. } = self;
         if chain.epochs.is_empty() {
             return;
         }
-        let mut estimate = std::mem::take(&mut chain.estimate);
-        let solved = optimize(&mut chain.rows(settings), &mut estimate, &settings.whole, workspace);
-        chain.estimate = estimate;
-        match solved {
-            Ok(_) => {
-                chain.weigh_residuals(settings);
-                let (mut covariances, mut memory) = (Vec::new(), AnswerMemory::default());
+        match chain.solve(&setup.alone, &setup.alone.whole, scratch, workspace) {
+            Ok(()) => {
+                let (mut covariances, mut answer) = (Vec::new(), AnswerScratch::default());
                 Covariances::new().all_states(&workspace.elimination, &mut covariances);
                 for (k, covariance) in covariances.iter().enumerate() {
-                    self.solutions.push(solution(chain, k, covariance, settings, &mut memory));
+                    self.solutions.push(solution(chain, k, covariance, setup, &mut answer));
                 }
                 self.alone.clear();
             }

@@ -1,9 +1,10 @@
 //! The factors of one epoch, and how they enter the normal equations.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 
 use crate::gnss::{GpsTime, Reason, SatelliteId};
-
 use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
@@ -12,11 +13,10 @@ use crate::positioning::factors::{
 };
 use crate::positioning::measurements::aiding_reasons;
 use crate::positioning::ranging::Ranging;
+use crate::positioning::setup::{AnnealedKernels, Kernels};
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
-
-use super::settings::Kernels;
 
 /// Trust in the phase of a satellite whose pseudorange is rejected: epochs with no other stay tied.
 const TRUST_MIN: f64 = 0.1;
@@ -46,7 +46,7 @@ pub(super) struct Seen {
 }
 
 /// One epoch of the chain.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
     /// Share of information its pseudoranges keep, because errors last.
@@ -55,6 +55,15 @@ pub(super) struct GraphEpoch {
     pub(super) repetition: f64,
     /// What its pseudoranges missed by in the last solve.
     pub(super) residuals: Residuals,
+    /// Never changed once the epoch is in the chain: copies of a state share them.
+    pub(super) factors: Arc<Factors>,
+}
+
+snapshot_fields!(GraphEpoch { time, share, repetition, residuals, factors });
+
+/// The factors of one epoch, and what its answer tells of its measurements.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Factors {
     /// Satellites above the mask, by whose places factors name them.
     pub(super) sights: Vec<Sight>,
     pub(super) ranges: Vec<Ranging>,
@@ -77,34 +86,28 @@ pub(super) struct GraphEpoch {
     pub(super) ionosphere_fallback: Option<&'static str>,
     /// How long the displacement took that was not used (s).
     pub(super) unused_odometry_s: Option<f64>,
-    /// Its place in the ring of per-epoch biases.
+    /// Index in the ring of per-epoch biases.
     pub(super) slot: usize,
 }
 
-impl GraphEpoch {
-    pub(super) fn new() -> Self {
-        Self {
-            time: GpsTime::EPOCH,
-            share: 1.0,
-            repetition: 1.0,
-            residuals: Residuals::default(),
-            sights: Vec::new(),
-            ranges: Vec::new(),
-            rates: Vec::new(),
-            phases: Vec::new(),
-            tie: None,
-            odometry: Vec::new(),
-            standstill: None,
-            components: Vec::new(),
-            biases: Vec::new(),
-            doppler_velocity_m_s: None,
-            without_ephemeris: Vec::new(),
-            ionosphere_fallback: None,
-            unused_odometry_s: None,
-            slot: 0,
-        }
-    }
+snapshot_fields!(Factors {
+    sights,
+    ranges,
+    rates,
+    phases,
+    tie,
+    odometry,
+    standstill,
+    components,
+    biases,
+    doppler_velocity_m_s,
+    without_ephemeris,
+    ionosphere_fallback,
+    unused_odometry_s,
+    slot,
+});
 
+impl Factors {
     /// Empties the lists; their memory stays.
     pub(super) fn clear(&mut self) {
         self.sights.clear();
@@ -141,29 +144,30 @@ impl GraphEpoch {
         lines.extend(self.sights.iter().map(|sight| sight.range(&from)));
     }
 
-    /// Sums up what its pseudoranges miss by at `state`, of the lines of sight there, under their
-    /// kernel.
-    pub(super) fn weigh_residuals(
-        &mut self,
+    /// Sums up the residuals of the pseudoranges at `state`, of the lines of sight there, under
+    /// their kernel.
+    pub(super) fn residuals(
+        &self,
         lines: &[Line],
         state: &State,
         biases_m: &[f64],
         kernel: &Kernel,
-    ) {
-        self.residuals = Residuals::of(self.ranges.iter().map(|range| {
+    ) -> Residuals {
+        Residuals::of(self.ranges.iter().map(|range| {
             let residual = range.linearize(lines, state, biases_m).residual;
             let pull = kernel.weight(residual) * residual;
             (range.satellite.constellation, pull, kernel.pull_slope(residual))
-        }));
+        }))
     }
 
     /// Adds what touches this epoch's state alone, and the border; sees and trusts what the links
-    /// to it will ask.
-    pub(super) fn add_to(
+    /// to it will ask. Pseudoranges keep `share` of their information.
+    fn add_to(
         &self,
         k: usize,
+        share: f64,
         estimate: &Estimate<STATE>,
-        kernels: &[Kernel; 3],
+        kernels: &Kernels,
         seen: &mut Seen,
         system: &mut System<STATE>,
     ) {
@@ -174,22 +178,22 @@ impl GraphEpoch {
         let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
         for range in &self.ranges {
             let row = range.linearize(&seen.lines, state, biases_m);
-            let (loss, trust) = kernels[0].loss_and_weight(row.residual);
+            let (loss, trust) = kernels.pseudorange.loss_and_weight(row.residual);
             seen.trust[usize::from(range.sight)] = trust.max(TRUST_MIN);
             losses += loss;
-            let weight = self.share * trust;
+            let weight = share * trust;
             sum.add(row.residual, &row.jacobian, weight);
             if let Some(variable) = range.bias {
                 let border = [(variable as usize, range.factor.inverse_sigma)];
                 system.add_border(k, &row, &border, weight);
             }
         }
-        system.add_cost(self.share * losses);
+        system.add_cost(share * losses);
         system.add_sum(k, &PLACE, &sum);
         let mut sum = RowSum::ZERO;
         for rate in &self.rates {
             let row = rate.linearize(state);
-            let weight = system.weigh(row.residual, &kernels[1]);
+            let weight = system.weigh(row.residual, &kernels.doppler);
             sum.add(row.residual, &row.jacobian, weight);
         }
         system.add_sum(k, &PACE, &sum);
@@ -214,11 +218,11 @@ impl GraphEpoch {
     }
 
     /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`, as seen from either.
-    pub(super) fn add_tie_to(
+    fn add_tie_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
-        kernels: &[Kernel; 3],
+        kernels: &Kernels,
         [before, seen]: [&Seen; 2],
         system: &mut System<STATE>,
     ) {
@@ -227,7 +231,7 @@ impl GraphEpoch {
         for phase in &self.phases {
             let (from, to) = (usize::from(phase.before), usize::from(phase.after));
             let link = phase.linearize((&before.lines[from], state), (&seen.lines[to], next));
-            let kernel = kernels[2].tempered(seen.trust[to]);
+            let kernel = kernels.phase.tempered(seen.trust[to]);
             sum.add(&link, system.weigh(link.residual, &kernel));
         }
         system.add_link_sum(k, (&PLACE, &PLACE), &sum);
@@ -263,27 +267,6 @@ impl GraphEpoch {
     }
 }
 
-snapshot_fields!(GraphEpoch {
-    time,
-    share,
-    repetition,
-    residuals,
-    sights,
-    ranges,
-    rates,
-    phases,
-    tie,
-    odometry,
-    standstill,
-    components,
-    biases,
-    doppler_velocity_m_s,
-    without_ephemeris,
-    ionosphere_fallback,
-    unused_odometry_s,
-    slot,
-});
-
 impl Snapshot for Tie {
     fn save(&self, writer: &mut SnapshotWriter) {
         match self {
@@ -308,24 +291,7 @@ impl Snapshot for Tie {
     }
 }
 
-impl GraphEpoch {
-    /// Gives back the room that its lists, which grew by doubling, do not need.
-    pub(super) fn release_surplus(&mut self) {
-        fn fit<T>(list: &mut Vec<T>) {
-            if list.len() + list.len() / 8 < list.capacity() {
-                list.shrink_to_fit();
-            }
-        }
-        fit(&mut self.sights);
-        fit(&mut self.ranges);
-        fit(&mut self.rates);
-        fit(&mut self.phases);
-        fit(&mut self.odometry);
-        fit(&mut self.components);
-        fit(&mut self.biases);
-        fit(&mut self.without_ephemeris);
-    }
-
+impl Factors {
     /// Whether its factors name only variables below `border`, numbers of a state, and satellites
     /// of its own and among the `before` of the epoch before.
     pub(super) fn is_within(&self, border: usize, before: usize) -> bool {
@@ -342,41 +308,11 @@ impl GraphEpoch {
     }
 }
 
-impl Clone for GraphEpoch {
-    fn clone(&self) -> Self {
-        let mut clone = Self::new();
-        clone.clone_from(self);
-        clone
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.time = source.time;
-        self.share = source.share;
-        self.repetition = source.repetition;
-        self.residuals = source.residuals;
-        self.sights.clone_from(&source.sights);
-        self.ranges.clone_from(&source.ranges);
-        self.rates.clone_from(&source.rates);
-        self.phases.clone_from(&source.phases);
-        self.tie = source.tie;
-        self.odometry.clone_from(&source.odometry);
-        self.standstill = source.standstill;
-        self.components.clone_from(&source.components);
-        self.biases.clone_from(&source.biases);
-        self.doppler_velocity_m_s = source.doppler_velocity_m_s;
-        self.without_ephemeris.clone_from(&source.without_ephemeris);
-        self.ionosphere_fallback = source.ionosphere_fallback;
-        self.unused_odometry_s = source.unused_odometry_s;
-        self.slot = source.slot;
-    }
-}
-
 /// All factors of a chain, as the solver wants them.
 pub(super) struct Rows<'a> {
     pub(super) epochs: &'a [GraphEpoch],
     pub(super) prior: &'a Prior<STATE>,
-    pub(super) kernels: &'a Kernels,
+    pub(super) kernels: &'a AnnealedKernels,
     /// Memory for two neighbours.
     pub(super) seen: &'a mut [Seen; 2],
 }
@@ -384,12 +320,14 @@ pub(super) struct Rows<'a> {
 impl Rows<'_> {
     /// Adds what touches the first of the epochs: itself, the tie to the second, and the prior.
     pub(super) fn add_oldest(&mut self, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
-        let kernels = self.kernels.at(Phase::Graduated(1.0));
+        let kernels = self.kernels.last();
         let [before, seen] = &mut *self.seen;
+        let [first, second, ..] = self.epochs else { return };
         self.prior.add_to(0, estimate, system);
-        self.epochs[0].add_to(0, estimate, &kernels, before, system);
-        self.epochs[1].look(&estimate.states[1], &estimate.border, &kernels[0], seen);
-        self.epochs[1].add_tie_to(0, estimate, &kernels, [before, seen], system);
+        first.factors.add_to(0, first.share, estimate, &kernels, before, system);
+        let factors = &second.factors;
+        factors.look(&estimate.states[1], &estimate.border, &kernels.pseudorange, seen);
+        factors.add_tie_to(0, estimate, &kernels, [before, seen], system);
     }
 }
 
@@ -398,11 +336,11 @@ impl Problem<STATE> for Rows<'_> {
         let kernels = self.kernels.at(phase);
         let [before, seen] = &mut *self.seen;
         self.prior.add_to(0, estimate, system);
-        for (k, epoch) in self.epochs.iter().enumerate() {
+        for (k, GraphEpoch { share, factors, .. }) in self.epochs.iter().enumerate() {
             std::mem::swap(before, seen);
-            epoch.add_to(k, estimate, &kernels, seen, system);
+            factors.add_to(k, *share, estimate, &kernels, seen, system);
             if 0 < k {
-                epoch.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
+                factors.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
             }
         }
     }

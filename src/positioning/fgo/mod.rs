@@ -9,8 +9,7 @@ mod answer;
 mod batch;
 mod chain;
 mod epoch;
-mod settings;
 mod window;
 
 pub(super) use batch::WholeChain;
-pub(super) use window::SlidingWindow;
+pub(super) use window::{SlidingWindow, WindowScratch};

@@ -1,135 +1,168 @@
 //! The sliding window: each epoch answered as it comes, and again when it leaves.
 
-use std::sync::Arc;
-
 use nalgebra::SMatrix;
 
 use crate::config::{DopplerUse, PositioningOptions};
-use crate::gnss::{Enu, Epoch, GpsTime, Navigation, Reason, Solution};
-use crate::graph::{
-    BorderLife, Covariances, Elimination, Phase, Problem, System, Workspace, optimize,
-};
+use crate::gnss::{Ecef, Enu, GpsTime, Reason, Solution};
+use crate::graph::{BorderLife, Covariances, Elimination, System, Workspace};
 use crate::positioning::Measurements;
+use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::{DRIFT, STATE, State, VELOCITY, position};
+use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::velocity::VelocityEstimator;
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::state_fields;
 
-use super::answer::{AnswerMemory, solution};
-use super::chain::Chain;
-use super::epoch::GraphEpoch;
-use super::settings::Settings;
+use super::answer::{AnswerScratch, solution};
+use super::chain::{Chain, ChainScratch, NewEpoch};
 
 /// Epochs a window holds at least, however far apart they are.
 const EPOCHS_MIN: usize = 10;
-/// Distance from the frame's origin at which the graph starts anew (m): up has turned by 1°.
+/// Distance from the frame's origin at which the graph starts again (m): up has turned by 1°.
 const FRAME_LIMIT_M: f64 = 1e5;
 
 /// A causal estimator over a sliding window.
 #[derive(Debug)]
 pub(in crate::positioning) struct SlidingWindow {
-    settings: Arc<Settings>,
+    /// Whether epochs are answered again when they leave.
+    revises: bool,
     chain: Chain,
-    revisions: Option<Vec<Solution>>,
+}
+
+state_fields!(SlidingWindow { revises, chain });
+
+/// Memory to compute in.
+#[derive(Debug)]
+pub(in crate::positioning) struct WindowScratch {
     single_point: SinglePoint,
     velocity: VelocityEstimator,
     measurements: Measurements,
+    chain: ChainScratch,
     workspace: Workspace<STATE>,
     covariances: Covariances<STATE>,
     smoothed: Vec<SMatrix<f64, STATE, STATE>>,
     oldest: (System<STATE>, Elimination<STATE>),
-    answer: AnswerMemory,
+    answer: AnswerScratch,
 }
 
-impl SlidingWindow {
-    /// One that has seen nothing; with `revises`, epochs are answered again when they leave.
-    pub(in crate::positioning) fn new(options: &PositioningOptions, revises: bool) -> Self {
-        let ring = match options.graph.motion {
-            true => 0,
-            false => options.graph.window_epochs_max + 1,
-        };
+impl Default for WindowScratch {
+    fn default() -> Self {
         Self {
-            settings: Arc::new(Settings::new(&options.graph)),
-            chain: Chain::new(ring),
-            revisions: revises.then(Vec::new),
-            single_point: SinglePoint::new(options),
+            single_point: SinglePoint::default(),
             velocity: VelocityEstimator::default(),
             measurements: Measurements::default(),
+            chain: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WholeChain),
             covariances: Covariances::new(),
             smoothed: Vec::new(),
             oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
-            answer: AnswerMemory::default(),
+            answer: AnswerScratch::default(),
         }
     }
+}
 
-    /// Answers one epoch.
-    ///
+impl Engine for SlidingWindow {
+    type Scratch = WindowScratch;
+
+    fn new(setup: &Setup, revises: bool) -> Self {
+        Self { revises, chain: Chain::new(ring(&setup.options)) }
+    }
+
+    fn fits(&self, setup: &Setup) -> bool {
+        self.chain.ring() == ring(&setup.options)
+    }
+
     /// An epoch that is not after the last one is answered by itself and changes nothing.
-    pub(in crate::positioning) fn advance(
+    fn advance(
         &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        options: &PositioningOptions,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
     ) -> Solution {
+        let (time, options) = (inputs.epoch.time, inputs.options());
         let Some(last) = self.chain.last_time() else {
-            return self.restart(epoch, navigation, options);
+            return self.restart(inputs, scratch, revisions);
         };
-        let interval_s = epoch.time - last;
+        let interval_s = time - last;
         if interval_s <= 0.0 {
-            return self.single_point.solve(epoch, navigation, options, None);
+            return scratch.single_point.solve(inputs, None);
         }
-        let guess = self.chain.predicted(epoch.time);
+        let guess = self.chain.predicted(time);
         let is_far = FRAME_LIMIT_M < position(&guess).norm();
         if options.graph.gap_s < interval_s || is_far {
-            return self.restart(epoch, navigation, options);
+            return self.restart(inputs, scratch, revisions);
         }
-        self.measurements.gather(epoch, navigation, options);
-        let place = self.chain.frame.to_ecef(Enu(position(&guess)));
-        if self.measurements.place(place, epoch.time, navigation, options).is_none() {
-            return self.restart(epoch, navigation, options);
+        let receiver = self.chain.frame.to_ecef(Enu(position(&guess)));
+        if scratch.measure(inputs, receiver).is_none() {
+            return self.restart(inputs, scratch, revisions);
         }
-        let leaving = self.leaving(epoch.time, options);
-        self.revise(leaving);
-        self.append(epoch.time, guess, options);
-        match self.solve(leaving, options) {
+        let leaving = self.leaving(time, options);
+        self.revise(leaving, inputs.setup, scratch, revisions);
+        self.append(guess, inputs, scratch);
+        match self.solve(leaving, inputs.setup, scratch) {
             Some(solution) => solution,
             None => {
                 self.chain.drop_newest();
-                self.restart(epoch, navigation, options)
+                self.restart(inputs, scratch, revisions)
             }
         }
     }
 
-    /// Revises every epoch still in the window; returns all revisions not yet taken.
-    pub(in crate::positioning) fn finish(&mut self) -> Vec<Solution> {
-        self.revise(self.chain.epochs.len());
-        self.take_revisions()
+    fn finish(
+        &mut self,
+        setup: &Setup,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        self.revise(self.chain.epochs.len(), setup, scratch, revisions);
     }
 
-    /// Answers of the epochs that have left the window since the last call.
-    pub(in crate::positioning) fn take_revisions(&mut self) -> Vec<Solution> {
-        self.revisions.as_mut().map(std::mem::take).unwrap_or_default()
+    fn oldest_unrevised(&self) -> Option<GpsTime> {
+        self.chain.epochs.first().map(|epoch| epoch.time)
     }
+}
 
+/// Epochs that may have biases of their own; zero where biases are constant.
+fn ring(options: &PositioningOptions) -> usize {
+    match options.graph.motion {
+        true => 0,
+        false => options.graph.window_epochs_max + 1,
+    }
+}
+
+impl WindowScratch {
+    /// The epoch's measurements, placed at `receiver`; `None` where no receiver can be.
+    fn measure(&mut self, inputs: &EpochInputs<'_>, receiver: Ecef) -> Option<()> {
+        let EpochInputs { epoch, navigation, .. } = *inputs;
+        self.measurements.gather(epoch, navigation, inputs.options());
+        self.measurements.place(receiver, epoch.time, navigation, inputs.options())
+    }
+}
+
+impl SlidingWindow {
     /// Begins a new chain from the epoch's own position.
     fn restart(
         &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        options: &PositioningOptions,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
     ) -> Solution {
-        self.revise(self.chain.epochs.len());
+        self.revise(self.chain.epochs.len(), inputs.setup, scratch, revisions);
         self.chain.clear();
-        let alone = self.single_point.solve(epoch, navigation, options, None);
-        let Some(estimate) = &alone.estimate else {
-            return self.unanswered(alone);
-        };
-        self.measurements.gather(epoch, navigation, options);
-        let placed = self.measurements.place(estimate.position, epoch.time, navigation, options);
-        if placed.is_none() {
-            return self.unanswered(alone);
-        }
+        let alone = scratch.single_point.solve(inputs, None);
+        let started = self.start(&alone, inputs, scratch);
+        started.unwrap_or_else(|| self.unanswered(alone, revisions))
+    }
+
+    /// The answer of a chain that begins with an epoch whose own solution is `alone`.
+    fn start(
+        &mut self,
+        alone: &Solution,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+    ) -> Option<Solution> {
+        let estimate = alone.estimate.as_ref()?;
+        scratch.measure(inputs, estimate.position)?;
         self.chain.begin(estimate.position);
         let mut guess = State::zeros();
         if let Some(velocity) = &estimate.velocity {
@@ -137,38 +170,39 @@ impl SlidingWindow {
             guess.fixed_rows_mut::<3>(VELOCITY).copy_from(&local);
             guess[DRIFT] = velocity.clock_drift_m_s;
         }
-        self.append(epoch.time, guess, options);
-        match self.solve(0, options) {
-            Some(solution) => solution,
-            None => {
-                self.chain.clear();
-                self.unanswered(alone)
-            }
+        self.append(guess, inputs, scratch);
+        let solution = self.solve(0, inputs.setup, scratch);
+        if solution.is_none() {
+            self.chain.clear();
         }
+        solution
     }
 
     /// An answer of the epoch alone, which no revision will follow.
-    fn unanswered(&mut self, mut alone: Solution) -> Solution {
+    fn unanswered(&self, mut alone: Solution, revisions: &mut Vec<Solution>) -> Solution {
         if alone.estimate.is_some() {
             alone.reasons.push(Reason::NotConverged);
         }
-        if let Some(revisions) = &mut self.revisions {
+        if self.revises {
             revisions.push(alone.clone());
         }
         alone
     }
 
-    fn append(&mut self, time: GpsTime, guess: State, options: &PositioningOptions) {
-        let place = self.chain.frame.to_ecef(Enu(position(&guess)));
-        let list = &self.measurements.list;
+    fn append(&mut self, guess: State, inputs: &EpochInputs<'_>, scratch: &mut WindowScratch) {
+        let WindowScratch { velocity, measurements, chain: chain_scratch, .. } = scratch;
+        let (chain, options) = (&mut self.chain, inputs.options());
+        let receiver = chain.frame.to_ecef(Enu(position(&guess)));
+        let list = &measurements.list;
         let is_used = |index: usize| list[index].is_above_mask;
         let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => self.velocity.estimate(place, list, is_used, options),
+            DopplerUse::Velocity => velocity.estimate(receiver, list, is_used, options),
             DopplerUse::None | DopplerUse::Satellites => None,
         };
-        let local = velocity.map(|velocity| self.chain.frame.rotation * velocity.velocity_m_s);
-        let (settings, measurements) = (&self.settings, &self.measurements);
-        self.chain.append(time, guess, measurements, local, options, settings);
+        let local = velocity.map(|velocity| chain.frame.rotation * velocity.velocity_m_s);
+        let time = inputs.epoch.time;
+        let new = NewEpoch { time, guess, measurements, doppler_velocity_m_s: local };
+        chain.append(new, inputs.setup, chain_scratch);
     }
 
     /// How many of the oldest epochs leave when one at `time` comes.
@@ -177,129 +211,52 @@ impl SlidingWindow {
         let count = epochs.len() + 1;
         let over = count.saturating_sub(options.graph.window_epochs_max);
         if self.chain.unproven_s(time).is_some() {
-            // What is marginalised cannot be doubted any more.
+            // What is marginalised cannot be corrected any more.
             return over;
         }
         let late = epochs.iter().filter(|epoch| options.graph.window_s < time - epoch.time).count();
         over.max(late.min(count.saturating_sub(EPOCHS_MIN)))
     }
 
-    /// Answers the oldest `count` epochs again, from all that the window has seen.
-    ///
-    /// Linearised anew where the window stands, so that no factor of an earlier solve is state. A
-    /// window whose normal equations cannot be factored leaves its first answers as they are.
-    fn revise(&mut self, count: usize) {
-        let Some(revisions) = &mut self.revisions else { return };
-        if count == 0 {
+    /// Answers the oldest `count` epochs again, from all that the window has seen. Where the normal
+    /// equations cannot be factored, their first answers stand.
+    fn revise(
+        &self,
+        count: usize,
+        setup: &Setup,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        let WindowScratch { chain, workspace, covariances, smoothed, answer, .. } = scratch;
+        let is_due = self.revises && 0 < count;
+        if !is_due || self.chain.factor(&setup.alone, chain, workspace).is_err() {
             return;
         }
-        let Workspace { system, elimination, .. } = &mut self.workspace;
-        let estimate = std::mem::take(&mut self.chain.estimate);
-        system.reset(estimate.states.len(), estimate.border.len());
-        self.chain.rows(&self.settings).linearize(&estimate, Phase::Graduated(1.0), system);
-        self.chain.estimate = estimate;
-        if elimination.factor(system, 0.0).is_err() {
-            return;
-        }
-        self.covariances.all_states(elimination, &mut self.smoothed);
-        for (k, covariance) in self.smoothed.iter().enumerate().take(count) {
-            let (chain, settings) = (&self.chain, &self.settings);
-            revisions.push(solution(chain, k, covariance, settings, &mut self.answer));
+        covariances.all_states(&workspace.elimination, smoothed);
+        for (k, covariance) in smoothed.iter().enumerate().take(count) {
+            revisions.push(solution(&self.chain, k, covariance, setup, answer));
         }
     }
 
     /// Forgets the epochs that leave and solves the window; `None` if it cannot be solved.
-    fn solve(&mut self, leaving: usize, options: &PositioningOptions) -> Option<Solution> {
-        let Self { chain, settings, workspace, oldest, .. } = self;
+    fn solve(
+        &mut self,
+        leaving: usize,
+        setup: &Setup,
+        scratch: &mut WindowScratch,
+    ) -> Option<Solution> {
+        let WindowScratch { chain: chain_scratch, workspace, covariances, oldest, answer, .. } =
+            scratch;
+        let (chain, settings) = (&mut self.chain, &setup.alone);
+        let bias_walk_m = setup.options.graph.bias_walk_m;
         for _ in 0..leaving {
-            chain.forget_oldest(settings, options.graph.bias_walk_m, oldest).ok()?;
+            chain.forget_oldest(settings, bias_walk_m, chain_scratch, oldest).ok()?;
         }
         // Until the first epoch is forgotten, its minimum can still be left for a better one.
         let how = if chain.has_past() { &settings.update } else { &settings.whole };
-        let mut estimate = std::mem::take(&mut chain.estimate);
-        let solved = optimize(&mut chain.rows(settings), &mut estimate, how, workspace);
-        chain.estimate = estimate;
-        solved.ok()?;
-        chain.weigh_residuals(settings);
-        self.covariances.newest(&self.workspace.elimination);
-        let (newest, covariance) = (self.chain.epochs.len() - 1, self.covariances.state());
-        Some(solution(&self.chain, newest, covariance, &self.settings, &mut self.answer))
-    }
-}
-
-impl SlidingWindow {
-    /// Writes what the next answers depend on, all of which [`Clone`] copies; the settings follow
-    /// from the options, and revisions not yet taken are left out.
-    pub(in crate::positioning) fn save(&self, writer: &mut SnapshotWriter) {
-        self.revisions.is_some().save(writer);
-        self.chain.save(writer);
-    }
-
-    /// The window that was written, by the options it was made with.
-    pub(in crate::positioning) fn load(
-        options: &PositioningOptions,
-        reader: &mut SnapshotReader<'_>,
-    ) -> Result<Self, SnapshotError> {
-        let revises = bool::load(reader)?;
-        let fresh = Self::new(options, revises);
-        let chain = Chain::load(reader)?;
-        match chain.ring() == fresh.chain.ring() {
-            true => Ok(Self { chain, ..fresh }),
-            false => Err(reader.invalid("ring of biases")),
-        }
-    }
-
-    /// Swaps the memory both work in.
-    pub(in crate::positioning) fn exchange_memory(&mut self, other: &mut Self) {
-        #[rustfmt::skip]
-        let Self {
-            settings: _, chain, revisions: _, single_point, velocity, measurements, workspace,
-            covariances, smoothed, oldest, answer,
-        } = self;
-        chain.exchange_memory(&mut other.chain);
-        single_point.exchange_memory(&mut other.single_point);
-        std::mem::swap(velocity, &mut other.velocity);
-        std::mem::swap(measurements, &mut other.measurements);
-        std::mem::swap(workspace, &mut other.workspace);
-        std::mem::swap(covariances, &mut other.covariances);
-        std::mem::swap(smoothed, &mut other.smoothed);
-        std::mem::swap(oldest, &mut other.oldest);
-        std::mem::swap(answer, &mut other.answer);
-    }
-
-    /// Gives back the room that the epochs do not need.
-    pub(in crate::positioning) fn release_surplus(&mut self) {
-        self.chain.epochs.iter_mut().for_each(GraphEpoch::release_surplus);
-    }
-
-    /// Time of the oldest epoch that has not left the window.
-    pub(in crate::positioning) fn oldest_time(&self) -> Option<GpsTime> {
-        self.chain.epochs.first().map(|epoch| epoch.time)
-    }
-}
-
-/// Copies what the next answers depend on; scratch memory stays where it is.
-impl Clone for SlidingWindow {
-    fn clone(&self) -> Self {
-        Self {
-            settings: self.settings.clone(),
-            chain: self.chain.clone(),
-            revisions: self.revisions.clone(),
-            single_point: self.single_point.with_fresh_memory(),
-            velocity: VelocityEstimator::default(),
-            measurements: Measurements::default(),
-            workspace: Workspace::new(BorderLife::WholeChain),
-            covariances: Covariances::new(),
-            smoothed: Vec::new(),
-            oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
-            answer: AnswerMemory::default(),
-        }
-    }
-
-    fn clone_from(&mut self, source: &Self) {
-        self.settings.clone_from(&source.settings);
-        self.chain.clone_from(&source.chain);
-        self.single_point.answer_like(&source.single_point);
-        self.revisions.clone_from(&source.revisions);
+        chain.solve(settings, how, chain_scratch, workspace).ok()?;
+        covariances.newest(&workspace.elimination);
+        let newest = chain.epochs.len() - 1;
+        Some(solution(chain, newest, covariances.state(), setup, answer))
     }
 }

@@ -7,7 +7,7 @@
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
 use crate::graph::SharingRow;
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// An arc that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,7 +60,7 @@ impl Arc {
 }
 
 /// All arcs that have not ended, and which border variables are free.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Arcs {
     /// In the order they began.
     pub(super) list: Vec<Arc>,
@@ -84,7 +84,7 @@ snapshot_fields!(Arc {
     elevation_rad,
     label,
 });
-snapshot_fields!(Arcs { list, in_use, begun });
+state_fields!(Arcs { list, in_use, begun });
 
 impl Arcs {
     /// Whether no arc has a variable that is not among the first `border`.

@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
-use crate::config::PositioningOptions;
-use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, Navigation, ObservationCode, SatelliteId};
-use crate::positioning::base::BASE_LATER_S;
+use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::aiding::BASE_LATER_S;
+use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// Base epochs whose single-point positions are averaged to check the stated one.
 const CHECKS_MAX: u32 = 10;
@@ -22,7 +22,7 @@ struct PositionCheck {
 }
 
 /// The newest base epoch, and where the base may have slipped since it was last used.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct BaseMemory {
     /// The name of the base, and where it stood last.
     station: Option<(String, Ecef)>,
@@ -35,13 +35,9 @@ pub(super) struct BaseMemory {
 }
 
 snapshot_fields!(PositionCheck { stated, sum_m, count });
-snapshot_fields!(BaseMemory { station, newest, lost, power_failed, check });
+state_fields!(BaseMemory { station, newest, lost, power_failed, check });
 
 impl BaseMemory {
-    pub(super) const fn new() -> Self {
-        Self { station: None, newest: None, lost: Vec::new(), power_failed: false, check: None }
-    }
-
     /// From the base that is remembered to this one, where it is another (m).
     pub(super) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
         let (_, place) = self.station.as_ref().filter(|(name, _)| *name != station.name)?;
@@ -84,8 +80,7 @@ impl BaseMemory {
         &mut self,
         station: &BaseStation,
         single_point: &mut SinglePoint,
-        navigation: &Navigation,
-        options: &PositioningOptions,
+        inputs: &EpochInputs<'_>,
     ) -> Option<f64> {
         let stated = station.antenna_reference_point;
         let fresh = PositionCheck { stated, sum_m: Vector3::zeros(), count: 0 };
@@ -93,7 +88,8 @@ impl BaseMemory {
         if check.count < CHECKS_MAX
             && let Some(newest) = &self.newest
         {
-            let alone = single_point.solve(newest, navigation, options, Some(stated));
+            let of_base = EpochInputs { epoch: newest, ..*inputs };
+            let alone = single_point.solve(&of_base, Some(stated));
             if let Some(estimate) = alone.estimate {
                 check.sum_m += estimate.position.0 - stated.0;
                 check.count += 1;
@@ -120,29 +116,5 @@ impl BaseMemory {
     pub(super) fn settle(&mut self) {
         self.lost.clear();
         self.power_failed = false;
-    }
-}
-
-impl Clone for BaseMemory {
-    fn clone(&self) -> Self {
-        let lost = self.lost.clone();
-        let (station, newest) = (self.station.clone(), self.newest.clone());
-        Self { station, newest, lost, power_failed: self.power_failed, check: self.check }
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.station.clone_from(&source.station);
-        match (&mut self.newest, &source.newest) {
-            (Some(newest), Some(from)) => {
-                newest.time = from.time;
-                newest.power_failure = from.power_failure;
-                newest.observations.clone_from(&from.observations);
-            }
-            (newest, from) => newest.clone_from(from),
-        }
-        self.lost.clone_from(&source.lost);
-        self.power_failed = source.power_failed;
-        self.check = source.check;
     }
 }

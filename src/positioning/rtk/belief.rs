@@ -4,12 +4,12 @@ use nalgebra::{DMatrix, SMatrix};
 
 use crate::graph::{SharingRow, shared_offset};
 use crate::positioning::factors::{MotionWalk, VELOCITY};
-use crate::snapshot::snapshot_fields;
+use crate::positioning::setup::OFFSET_KERNEL;
+use crate::snapshot::state_fields;
 
 use super::arcs::Arc;
 use super::epoch::{AmbiguityStart, STATE, State};
 use super::float::FloatSolution;
-use super::settings::OFFSET_KERNEL;
 
 /// Column of the offset that the rows of one group share.
 const OFFSET: usize = STATE;
@@ -27,7 +27,7 @@ pub(super) struct Belief {
     covariance: Vec<f64>,
 }
 
-snapshot_fields!(Belief { mean, covariance });
+state_fields!(Belief { mean, covariance });
 
 /// Storage to take rows in.
 #[derive(Debug, Default)]
@@ -246,18 +246,6 @@ impl Belief {
         }
         self.mean.iter_mut().zip(&*gain).for_each(|(mean, gain)| *mean -= gain * residual);
         true
-    }
-}
-
-impl Clone for Belief {
-    fn clone(&self) -> Self {
-        Self { mean: self.mean.clone(), covariance: self.covariance.clone() }
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.mean.clone_from(&source.mean);
-        self.covariance.clone_from(&source.covariance);
     }
 }
 

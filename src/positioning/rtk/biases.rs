@@ -7,7 +7,7 @@
 
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// Standard deviation before any is seen (m): RTKLIB's `ERR_CBIAS`; the IGS's 30 values have 0.28.
 const PRIOR_M: f64 = 0.3;
@@ -33,12 +33,12 @@ pub(super) struct CodeBias {
 snapshot_fields!(CodeBias { satellite, codes, bias_m, variance_m2 });
 
 /// All that were met.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct CodeBiases {
     list: Vec<CodeBias>,
 }
 
-snapshot_fields!(CodeBiases { list });
+state_fields!(CodeBiases { list });
 
 impl CodeBiases {
     /// The bias of a difference and, where its codes differ, its place, if there is one left.

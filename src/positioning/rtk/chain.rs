@@ -2,7 +2,6 @@
 
 use nalgebra::Matrix3;
 
-use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
     Departure, Elimination, EliminationError, Estimate, Phase, Prior, Problem, System, Workspace,
@@ -10,11 +9,11 @@ use crate::graph::{
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::{ComponentFactor, MotionFactor, VELOCITY};
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::positioning::setup::{GraphSettings, Setup};
+use crate::snapshot::state_fields;
 
-use super::epoch::{Rows, RtkEpoch, STATE, State};
+use super::epoch::{Rows, RtkEpoch, STATE, Scratch, State};
 use super::history::History;
-use super::settings::Settings;
 use super::tracking::Tracking;
 
 /// Deviation of the first position about its start (m): says nearly nothing.
@@ -30,59 +29,17 @@ pub(super) struct Chain {
     pub(super) estimate: Estimate<STATE>,
     pub(super) prior: Prior<STATE>,
     pub(super) tracking: Tracking,
-    spare: Vec<RtkEpoch>,
 }
 
-impl Clone for Chain {
-    fn clone(&self) -> Self {
-        let mut clone = Self::new();
-        clone.clone_from(self);
-        clone
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.frame = source.frame;
-        self.epochs.clone_from(&source.epochs);
-        self.estimate.clone_from(&source.estimate);
-        self.prior.clone_from(&source.prior);
-        self.tracking.clone_from(&source.tracking);
-    }
-}
-
-impl Snapshot for Chain {
-    fn save(&self, writer: &mut SnapshotWriter) {
-        let Self { frame, epochs, estimate, prior, tracking, spare: _ } = self;
-        frame.save(writer);
-        epochs.save(writer);
-        estimate.save(writer);
-        prior.save(writer);
-        tracking.save(writer);
-    }
-
-    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
-        let chain = Self {
-            frame: Snapshot::load(reader)?,
-            epochs: Snapshot::load(reader)?,
-            estimate: Snapshot::load(reader)?,
-            prior: Snapshot::load(reader)?,
-            tracking: Snapshot::load(reader)?,
-            spare: Vec::new(),
-        };
-        let border = chain.estimate.border.len();
-        let is_whole = chain.epochs.len() == chain.estimate.states.len()
-            && chain.epochs.iter().all(|epoch| epoch.is_within(border))
-            && chain.prior.variables().all(|variable| variable < border)
-            && chain.tracking.arcs.is_within(border);
-        if is_whole { Ok(chain) } else { Err(reader.invalid("chain")) }
-    }
-}
+state_fields!(Chain { frame, epochs, estimate, prior, tracking } checked by is_whole);
 
 impl Chain {
-    /// Swaps the memory both work in.
-    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        std::mem::swap(&mut self.spare, &mut other.spare);
-        self.tracking.exchange_memory(&mut other.tracking);
+    fn is_whole(&self) -> bool {
+        let border = self.estimate.border.len();
+        self.epochs.len() == self.estimate.states.len()
+            && self.epochs.iter().all(|epoch| epoch.is_within(border))
+            && self.prior.variables().all(|variable| variable < border)
+            && self.tracking.arcs.is_within(border)
     }
 
     /// An empty chain.
@@ -93,7 +50,6 @@ impl Chain {
             estimate: Estimate::new(),
             prior: Prior::none(),
             tracking: Tracking::new(),
-            spare: Vec::new(),
         }
     }
 
@@ -110,7 +66,7 @@ impl Chain {
 
     /// Forgets everything.
     pub(super) fn clear(&mut self) {
-        self.spare.append(&mut self.epochs);
+        self.epochs.clear();
         self.estimate.states.clear();
         self.estimate.border.clear();
         self.prior = Prior::none();
@@ -141,14 +97,13 @@ impl Chain {
         time: GpsTime,
         guess: State,
         differences: &SingleDifferences,
-        options: &PositioningOptions,
-        settings: &Settings,
+        setup: &Setup,
+        scratch: &mut Scratch,
     ) {
-        let mut epoch = self.spare.pop().unwrap_or_else(RtkEpoch::new);
-        epoch.clear();
+        let mut epoch = RtkEpoch::new();
         epoch.time = time;
         let interval_s = self.last_time().map(|last| time - last);
-        epoch.motion = interval_s.map(|interval_s| MotionFactor::new(&settings.motion, interval_s));
+        epoch.motion = interval_s.map(|interval_s| MotionFactor::new(&setup.motion, interval_s));
         if interval_s.is_none() {
             let mut add = |column: usize, sigma: f64| {
                 let (mean, inverse_sigma) = (guess[column], sigma.recip());
@@ -158,7 +113,8 @@ impl Chain {
             (VELOCITY..STATE).for_each(|rate| add(rate, START_M_S));
         }
         let Self { tracking, frame, estimate, .. } = self;
-        tracking.fill(&mut epoch, frame, &guess, differences, &mut estimate.border, options);
+        let (border, options) = (&mut estimate.border, &setup.options);
+        tracking.fill(&mut epoch, frame, &guess, differences, border, options, scratch);
         self.estimate.states.push(guess);
         self.epochs.push(epoch);
     }
@@ -166,34 +122,28 @@ impl Chain {
     /// Solves the window.
     pub(super) fn solve(
         &mut self,
-        settings: &Settings,
+        settings: &GraphSettings,
+        scratch: &mut Scratch,
         workspace: &mut Workspace<STATE>,
     ) -> Result<(), EliminationError> {
         let is_young = self.epochs.iter().any(|epoch| epoch.motion.is_none());
         let how = if is_young { &settings.whole } else { &settings.update };
-        let mut estimate = std::mem::take(&mut self.estimate);
-        let mut rows = Rows {
-            epochs: &self.epochs,
-            prior: &self.prior,
-            kernels: &settings.kernels,
-            scratch: &mut self.tracking.scratch,
-        };
-        let solved = optimize(&mut rows, &mut estimate, how, workspace);
-        self.estimate = estimate;
-        solved.map(|_| ())
+        let Self { epochs, estimate, prior, .. } = self;
+        let mut rows = Rows { epochs, prior, kernels: &settings.kernels, scratch };
+        optimize(&mut rows, estimate, how, workspace).map(|_| ())
     }
 
     /// Factors the window where it stands; no factor of an earlier solve is state.
     pub(super) fn factor(
-        &mut self,
-        settings: &Settings,
+        &self,
+        settings: &GraphSettings,
+        scratch: &mut Scratch,
         workspace: &mut Workspace<STATE>,
     ) -> Result<(), EliminationError> {
         let Workspace { system, elimination, .. } = workspace;
-        let Self { epochs, estimate, prior, tracking, .. } = self;
-        let (kernels, scratch) = (&settings.kernels, &mut tracking.scratch);
+        let Self { epochs, estimate, prior, .. } = self;
         system.reset(estimate.states.len(), estimate.border.len());
-        let mut rows = Rows { epochs, prior, kernels, scratch };
+        let mut rows = Rows { epochs, prior, kernels: &settings.kernels, scratch };
         rows.linearize(estimate, Phase::Graduated(1.0), system);
         elimination.factor(system, 0.0)
     }
@@ -201,22 +151,23 @@ impl Chain {
     /// Begins the arcs anew whose newest phase contradicts the others; returns whether any did.
     pub(super) fn cut_slips(
         &mut self,
-        settings: &Settings,
+        settings: &GraphSettings,
         slipped: &mut Vec<SatelliteId>,
+        scratch: &mut Scratch,
     ) -> bool {
         let Self { epochs, estimate, tracking, .. } = self;
         let (Some(epoch), Some(state)) = (epochs.last_mut(), estimate.states.last()) else {
             return false;
         };
-        let kernel = settings.kernels.at(Phase::Graduated(1.0))[1];
-        tracking.cut_slips(epoch, state, &mut estimate.border, &kernel, slipped)
+        let kernel = settings.kernels.last().phase;
+        tracking.cut_slips(epoch, state, &mut estimate.border, &kernel, slipped, scratch)
     }
 
     /// Learns from the newest epoch how noisy pseudoranges are, by its position's covariance.
-    pub(super) fn learn_noise(&mut self, covariance: &Matrix3<f64>) {
+    pub(super) fn learn_noise(&mut self, covariance: &Matrix3<f64>, scratch: &mut Scratch) {
         let Self { epochs, estimate, tracking, .. } = self;
         if let (Some(epoch), Some(state)) = (epochs.last(), estimate.states.last()) {
-            tracking.learn_noise(epoch, state, &estimate.border, covariance);
+            tracking.learn_noise(epoch, state, &estimate.border, covariance, scratch);
         }
     }
 
@@ -224,16 +175,16 @@ impl Chain {
     /// `history`, if there is one, learns how what is gone depends on what stays.
     pub(super) fn forget_oldest(
         &mut self,
-        settings: &Settings,
-        workspace: &mut (System<STATE>, Elimination<STATE>),
+        settings: &GraphSettings,
         history: Option<&mut History>,
+        scratch: &mut Scratch,
+        (system, elimination): &mut (System<STATE>, Elimination<STATE>),
     ) -> Result<(), EliminationError> {
-        let (system, elimination) = workspace;
         let carried = self.prior.variables().count();
-        let kernels = settings.kernels.at(Phase::Graduated(1.0));
+        let kernels = settings.kernels.last();
         system.reset(2, self.estimate.border.len());
         self.prior.add_to(0, &self.estimate, system);
-        self.epochs[0].add_to(0, &self.estimate, &kernels, &mut self.tracking.scratch, system);
+        self.epochs[0].add_to(0, &self.estimate, &kernels, scratch, system);
         self.epochs[1].add_tie_to(0, &self.estimate, system);
         let (arcs, later) = (&self.tracking.arcs, &self.epochs[1..]);
         let over =
@@ -242,8 +193,7 @@ impl Chain {
         if let Some(history) = history {
             history.depart(Departure::of(elimination, &self.estimate, carried));
         }
-        let oldest = self.epochs.remove(0);
-        self.spare.push(oldest);
+        self.epochs.remove(0);
         self.estimate.states.remove(0);
         let Self { tracking, epochs, prior, .. } = self;
         tracking.arcs.release(|variable| {

@@ -1,13 +1,12 @@
 //! The factors of one epoch, and how they enter the normal equations.
 
-use nalgebra::{SVector, Vector3};
+use nalgebra::SVector;
 
 use crate::gnss::GpsTime;
 use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, SharingRow, System};
-use crate::positioning::factors::{ComponentFactor, DopplerFactor, MotionFactor, Sight};
-use crate::snapshot::snapshot_fields;
-
-use super::settings::Kernels;
+use crate::positioning::factors::{ComponentFactor, DopplerFactor, Line, MotionFactor, Sight};
+use crate::positioning::setup::{AnnealedKernels, Kernels};
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// Numbers in a state: local position (m) and velocity (m/s).
 pub(super) const STATE: usize = 6;
@@ -46,7 +45,7 @@ pub(super) struct DifferenceFactor {
 impl DifferenceFactor {
     /// The row at offset zero.
     #[inline]
-    fn linearize(&self, (range_m, slope): &(f64, Vector3<f64>), border: &[f64]) -> SharingRow<3> {
+    fn linearize(&self, (range_m, slope): &Line, border: &[f64]) -> SharingRow<3> {
         let w = self.inverse_sigma;
         let (ambiguity_m, border) = match self.ambiguity {
             None => (0.0, None),
@@ -94,12 +93,14 @@ pub(super) struct RtkEpoch {
     pub(super) starts: Vec<AmbiguityStart>,
 }
 
-/// Storage to linearise in.
-#[derive(Clone, Debug, Default)]
+/// Memory to linearise in.
+#[derive(Debug, Default)]
 pub(super) struct Scratch {
-    ranges: Vec<(f64, Vector3<f64>)>,
+    ranges: Vec<Line>,
     pub(super) rows: Vec<SharingRow<3>>,
     pub(super) numbers: Vec<f64>,
+    /// Whitened residuals.
+    pub(super) residuals: Vec<f64>,
 }
 
 impl Scratch {
@@ -113,7 +114,7 @@ snapshot_fields!(Ambiguity { variable, wavelength_m });
 snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity, bias });
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
-snapshot_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });
+state_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });
 
 impl RtkEpoch {
     /// Whether its factors name only satellites of its own, variables below `border` and numbers of
@@ -180,7 +181,7 @@ impl RtkEpoch {
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
-        kernels: &[Kernel; 3],
+        kernels: &Kernels,
         scratch: &mut Scratch,
         system: &mut System<STATE>,
     ) {
@@ -188,10 +189,11 @@ impl RtkEpoch {
         self.see(state, scratch);
         for group in &self.groups {
             self.linearize_group(group, &estimate.border, scratch);
-            system.add_sharing_offset(k, &scratch.rows, &kernels[usize::from(group.is_carrier)]);
+            let kernel = if group.is_carrier { &kernels.phase } else { &kernels.pseudorange };
+            system.add_sharing_offset(k, &scratch.rows, kernel);
         }
         self.linearize_rates(state, scratch);
-        system.add_sharing_offset(k, &scratch.rows, &kernels[2]);
+        system.add_sharing_offset(k, &scratch.rows, &kernels.doppler);
         for component in &self.components {
             system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
         }
@@ -225,31 +227,11 @@ impl RtkEpoch {
     }
 }
 
-impl Clone for RtkEpoch {
-    fn clone(&self) -> Self {
-        let mut clone = Self::new();
-        clone.clone_from(self);
-        clone
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.time = source.time;
-        self.sights.clone_from(&source.sights);
-        self.rows.clone_from(&source.rows);
-        self.groups.clone_from(&source.groups);
-        self.rates.clone_from(&source.rates);
-        self.motion = source.motion;
-        self.components.clone_from(&source.components);
-        self.starts.clone_from(&source.starts);
-    }
-}
-
 /// All factors of a window, as the solver wants them.
 pub(super) struct Rows<'a> {
     pub(super) epochs: &'a [RtkEpoch],
     pub(super) prior: &'a Prior<STATE>,
-    pub(super) kernels: &'a Kernels,
+    pub(super) kernels: &'a AnnealedKernels,
     pub(super) scratch: &'a mut Scratch,
 }
 

@@ -4,13 +4,11 @@
 //! Shared by the graph and the filter, so that both see the same measurements and refuse the same
 //! epochs.
 
-use crate::config::PositioningOptions;
-use crate::gnss::{BaseStation, SatelliteId};
-use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Reason, Solution};
-use crate::positioning::base::BaseAiding;
+use crate::gnss::{BaseStation, Ecef, GpsTime, Reason, SatelliteId, Solution};
 use crate::positioning::differencing::{BaseSide, SingleDifferences};
+use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::state_fields;
 
 use super::arcs::{Arc, Arcs};
 use super::base::BaseMemory;
@@ -32,12 +30,19 @@ pub(super) struct UsableBase<'a> {
     pub(super) doubt: Option<Reason>,
 }
 
-/// Receives rover and base; what it remembers is the base and the time.
-#[derive(Debug)]
+/// What is remembered of base and time between epochs.
+#[derive(Debug, Default)]
 pub(super) struct Front {
     base: BaseMemory,
     /// Time of the newest epoch answered.
     last: Option<GpsTime>,
+}
+
+state_fields!(Front { base, last });
+
+/// What the epoch at hand came with, and memory to take it in.
+#[derive(Debug, Default)]
+pub(super) struct FrontScratch {
     pub(super) single_point: SinglePoint,
     pub(super) differences: SingleDifferences,
     /// Satellites whose arcs ended at this epoch.
@@ -49,37 +54,23 @@ pub(super) struct Front {
 }
 
 impl Front {
-    /// One that has seen nothing.
-    pub(super) fn new(options: &PositioningOptions) -> Self {
-        Self {
-            base: BaseMemory::new(),
-            last: None,
-            single_point: SinglePoint::new(options),
-            differences: SingleDifferences::default(),
-            slipped: Vec::new(),
-            base_moved_m: None,
-            base_changed_m: None,
-        }
-    }
-
     /// Whether an epoch at `time` comes with another base than those before: what is remembered of
     /// that one is then forgotten, and the caller forgets what it knows relative to it. An epoch
     /// that is not after the last one changes nothing.
-    pub(super) fn changes_base(&mut self, time: GpsTime, base: Option<&BaseAiding<'_>>) -> bool {
-        if self.last.is_some_and(|last| time <= last) {
+    pub(super) fn changes_base(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut FrontScratch,
+    ) -> bool {
+        if self.last.is_some_and(|last| inputs.epoch.time <= last) {
             return false;
         }
-        self.base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
-        if self.base_changed_m.is_some() {
-            self.base = BaseMemory::new();
+        let base = inputs.base.as_ref();
+        scratch.base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
+        if scratch.base_changed_m.is_some() {
+            self.base = BaseMemory::default();
         }
-        self.base_changed_m.is_some()
-    }
-
-    /// Why an answer without the base is no better.
-    pub(super) fn reasons_alone(&self, why: Reason) -> impl Iterator<Item = Reason> + use<> {
-        let changed = self.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
-        changed.into_iter().chain([why])
+        scratch.base_changed_m.is_some()
     }
 
     /// Takes an epoch and what is new of the base, and ends the arcs that either receiver says it
@@ -88,28 +79,27 @@ impl Front {
     /// An epoch that is not after the last one changes nothing: its own solution is returned.
     pub(super) fn receive(
         &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        base: Option<&BaseAiding<'_>>,
+        inputs: &EpochInputs<'_>,
         arcs: &mut Arcs,
-        options: &PositioningOptions,
+        scratch: &mut FrontScratch,
     ) -> Option<Solution> {
+        let (epoch, base, options) = (inputs.epoch, inputs.base.as_ref(), inputs.options());
         if self.last.is_some_and(|last| epoch.time <= last) {
-            return Some(self.single_point.solve(epoch, navigation, options, None));
+            return Some(scratch.single_point.solve(inputs, None));
         }
         self.last = Some(epoch.time);
         if let Some(base) = base {
             self.base.take(base.epochs, epoch.time);
             self.base.know(base.station);
         }
-        self.slipped.clear();
-        self.base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
+        scratch.slipped.clear();
+        scratch.base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
         let lost = epoch.observations.iter().filter(|observation| observation.loss_of_lock);
         let lost: Vec<_> = lost.map(|lost| (lost.satellite, lost.code)).collect();
         let base = &self.base;
         let failed = epoch.power_failure
             || base.power_failed
-            || self.base_moved_m.is_some()
+            || scratch.base_moved_m.is_some()
             || options.rtk.single_epoch;
         arcs.end(
             |arc| {
@@ -118,7 +108,7 @@ impl Front {
                     || lost.contains(&(arc.satellite, arc.codes[0]))
                     || base.lost.contains(&(arc.satellite, arc.codes[1]))
             },
-            &mut self.slipped,
+            &mut scratch.slipped,
         );
         self.base.settle();
         None
@@ -127,19 +117,16 @@ impl Front {
     /// The base, or why it cannot be used.
     pub(super) fn usable_base<'a>(
         &mut self,
-        time: GpsTime,
-        navigation: &Navigation,
-        base: Option<&BaseAiding<'a>>,
-        options: &PositioningOptions,
+        inputs: &EpochInputs<'a>,
+        scratch: &mut FrontScratch,
     ) -> Result<UsableBase<'a>, Reason> {
-        let station = base.map(|base| base.station).ok_or(Reason::BaseMissing)?;
+        let station = inputs.base.map(|base| base.station).ok_or(Reason::BaseMissing)?;
         let newest = self.base.newest().ok_or(Reason::BaseMissing)?;
-        let age_s = time - newest.time;
-        if options.rtk.base_age_max_s + TAG_SLACK_S < age_s {
+        let age_s = inputs.epoch.time - newest.time;
+        if inputs.options().rtk.base_age_max_s + TAG_SLACK_S < age_s {
             return Err(Reason::BaseStale { age_s });
         }
-        let single_point = &mut self.single_point;
-        let error_m = self.base.position_error_m(station, single_point, navigation, options);
+        let error_m = self.base.position_error_m(station, &mut scratch.single_point, inputs);
         let doubt = error_m
             .filter(|error_m| DOUBTED_M < *error_m)
             .map(|distance_m| Reason::BasePositionDoubtful { distance_m });
@@ -152,28 +139,37 @@ impl Front {
     /// Differences an epoch of a rover about at `place`, and ends the arcs whose half-cycle flag
     /// changed.
     pub(super) fn difference(
-        &mut self,
-        epoch: &Epoch,
+        &self,
+        inputs: &EpochInputs<'_>,
         place: Ecef,
         station: &BaseStation,
-        navigation: &Navigation,
         arcs: &mut Arcs,
-        options: &PositioningOptions,
+        scratch: &mut FrontScratch,
     ) -> Result<(), Reason> {
+        let EpochInputs { epoch, navigation, .. } = *inputs;
+        let (options, differences) = (inputs.options(), &mut scratch.differences);
         let length_m = place.distance_m(station.antenna_reference_point);
         if options.rtk.baseline_max_m < length_m {
             return Err(Reason::BaselineTooLong { length_m });
         }
         let newest = self.base.newest().ok_or(Reason::BaseMissing)?;
         let side = BaseSide { station, epoch: newest };
-        let gathered = self.differences.gather(epoch, place, &side, navigation, options);
+        let gathered = differences.gather(epoch, place, &side, navigation, options);
         gathered.ok_or(Reason::NotConverged)?;
-        let (used, needed) = self.differences.used_and_needed();
+        let (used, needed) = differences.used_and_needed();
         if used < needed {
             return Err(Reason::TooFewCommonSatellites { used, needed });
         }
-        self.end_flipped_arcs(arcs);
+        scratch.end_flipped_arcs(arcs);
         Ok(())
+    }
+}
+
+impl FrontScratch {
+    /// Why an answer without the base is no better.
+    pub(super) fn reasons_alone(&self, why: Reason) -> impl Iterator<Item = Reason> + use<> {
+        let changed = self.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
+        changed.into_iter().chain([why])
     }
 
     /// Ends arcs whose half-cycle flag changed: the phase may have moved by half a cycle.
@@ -213,53 +209,5 @@ impl Front {
             reasons.push(Reason::HalfCycleUnresolved { satellites: halves });
         }
         reasons
-    }
-
-    /// Writes what the next answers depend on.
-    pub(super) fn save(&self, writer: &mut SnapshotWriter) {
-        self.base.save(writer);
-        self.last.save(writer);
-    }
-
-    /// The one that was written.
-    pub(super) fn load(
-        options: &PositioningOptions,
-        reader: &mut SnapshotReader<'_>,
-    ) -> Result<Self, SnapshotError> {
-        let (base, last) = (Snapshot::load(reader)?, Snapshot::load(reader)?);
-        Ok(Self { base, last, ..Self::new(options) })
-    }
-
-    /// Swaps the memory both work in.
-    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        #[rustfmt::skip]
-        let Self {
-            base: _, last: _, single_point, differences, slipped, base_moved_m: _,
-            base_changed_m: _,
-        } = self;
-        single_point.exchange_memory(&mut other.single_point);
-        std::mem::swap(differences, &mut other.differences);
-        std::mem::swap(slipped, &mut other.slipped);
-    }
-}
-
-/// Copies what the next answers depend on; scratch memory stays where it is.
-impl Clone for Front {
-    fn clone(&self) -> Self {
-        Self {
-            base: self.base.clone(),
-            last: self.last,
-            single_point: self.single_point.with_fresh_memory(),
-            differences: SingleDifferences::default(),
-            slipped: Vec::new(),
-            base_moved_m: None,
-            base_changed_m: None,
-        }
-    }
-
-    fn clone_from(&mut self, source: &Self) {
-        self.base.clone_from(&source.base);
-        self.last = source.last;
-        self.single_point.answer_like(&source.single_point);
     }
 }

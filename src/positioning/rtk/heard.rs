@@ -2,7 +2,7 @@
 
 use crate::gnss::{GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 /// Carriers remembered; the pseudoranges of those beyond them count as new.
 const HEARD_MAX: usize = 1024;
@@ -17,13 +17,13 @@ struct Heard {
 }
 
 /// The newest pseudoranges of all carriers heard of late.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct HeardRanges {
     list: Vec<Heard>,
 }
 
 snapshot_fields!(Heard { satellite, codes, last });
-snapshot_fields!(HeardRanges { list });
+state_fields!(HeardRanges { list });
 
 impl HeardRanges {
     /// The share of a pseudorange's information that is new: what time has passed since the last

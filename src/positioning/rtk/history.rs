@@ -12,7 +12,7 @@ use crate::config::{GraphOptions, RtkOptions};
 use crate::gnss::{GpsTime, LocalFrame, Solution};
 use crate::graph::{Departure, Elimination, Estimate, Smoother};
 use crate::lambda::Resolver;
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::state_fields;
 
 use super::answered::{Answered, Named};
 use super::epoch::STATE;
@@ -24,19 +24,8 @@ use super::tracking::Tracking;
 /// Epochs that wait at least, however far apart they are.
 const EPOCHS_MIN: usize = 10;
 
-/// When epochs are answered again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::positioning) enum Revises {
-    /// Never.
-    Never,
-    /// As they leave the window.
-    WhenTheyLeave,
-    /// When they leave the window, and when there are no more; the latter answer counts.
-    AtTheEnd,
-}
-
 /// The epochs not yet answered for good, in order of time.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct History {
     /// Shared between copies, of which a session makes one for each epoch.
     answers: VecDeque<Arc<Answered>>,
@@ -49,7 +38,7 @@ pub(super) struct History {
     labels: Labels,
 }
 
-snapshot_fields!(History { answers, revised, departures, answered_early, labels });
+state_fields!(History { answers, revised, departures, answered_early, labels });
 
 /// The graph where it stands, factored, and the memory to go back from it.
 pub(super) struct Window<'a> {

@@ -112,7 +112,7 @@ struct Search<'a> {
 }
 
 /// Resolves integers; its memory is used again.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Integers {
     pub(super) resolver: Resolver,
     pairs: Vec<DoubleDifference>,
@@ -121,8 +121,8 @@ pub(super) struct Integers {
     order: Vec<usize>,
 }
 
-impl Integers {
-    pub(super) fn new() -> Self {
+impl Default for Integers {
+    fn default() -> Self {
         Self {
             resolver: Resolver::with_capacity(CAPACITY),
             pairs: Vec::new(),
@@ -130,7 +130,9 @@ impl Integers {
             order: Vec::new(),
         }
     }
+}
 
+impl Integers {
     /// Looks for the integers of the arcs that are `present`, and labels them, by what is known of
     /// the pseudoranges' noise.
     pub(super) fn resolve(
@@ -542,7 +544,7 @@ mod tests {
         let found = |highest: usize| {
             let (mut arcs, mut trust) = (arcs(highest), Trust::default());
             let noise = NoiseScale::stated().known(&Residuals::NONE);
-            let resolution = Integers::new().resolve(
+            let resolution = Integers::default().resolve(
                 &mut arcs,
                 &mut trust,
                 |_| true,
@@ -570,7 +572,7 @@ mod tests {
     fn resolved(arcs: &mut [Arc], trust: &mut Trust) -> Resolution {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
         let noise = NoiseScale::stated().known(&Residuals::NONE);
-        Integers::new().resolve(arcs, trust, |_| true, &float(), &options.rtk, &noise)
+        Integers::default().resolve(arcs, trust, |_| true, &float(), &options.rtk, &noise)
     }
 
     fn integers(arcs: &[Arc]) -> Vec<i64> {
@@ -619,8 +621,14 @@ mod tests {
             *ambiguity += 0.15 * (1.7 * k as f64).sin();
         }
         let mut trust = kept;
-        let resolution =
-            Integers::new().resolve(&mut arcs, &mut trust, |_| true, &off, &options.rtk, &noise);
+        let resolution = Integers::default().resolve(
+            &mut arcs,
+            &mut trust,
+            |_| true,
+            &off,
+            &options.rtk,
+            &noise,
+        );
         assert_eq!(resolution.outcome.unwrap().held, N - 1);
         assert_eq!((trust.era, trust.agreed), (4, 1000));
     }

@@ -1,7 +1,7 @@
 //! Integers by when they were found, for epochs that are answered again.
 
 use crate::gnss::GpsTime;
-use crate::snapshot::snapshot_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::arcs::{Arc, Label};
 use super::integers::Trust;
@@ -31,7 +31,7 @@ pub(super) struct Era {
 }
 
 /// Integers of arcs that live or lived when epochs not yet answered for good were.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Labels {
     /// By arc, then by origin.
     known: Vec<Known>,
@@ -41,7 +41,7 @@ pub(super) struct Labels {
 
 snapshot_fields!(Known { serial, label, era, last });
 snapshot_fields!(Era { number, was_kept, is_refuted, probability, ratio, success_rate });
-snapshot_fields!(Labels { known, eras });
+state_fields!(Labels { known, eras });
 
 impl Labels {
     /// Takes what is known after an epoch.

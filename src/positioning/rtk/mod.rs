@@ -26,10 +26,8 @@ mod labels;
 mod noise;
 mod placed;
 mod revision;
-mod settings;
 mod tracking;
 mod window;
 
 pub(super) use filter::RtkFilter;
-pub(super) use history::Revises;
-pub(super) use window::RtkWindow;
+pub(super) use window::{RtkWindow, RtkWindowScratch};

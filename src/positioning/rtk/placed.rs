@@ -3,11 +3,11 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::graph::{Kernel, SharingRow, shared_offset};
+use crate::positioning::setup::{CARRIER_KERNEL, OFFSET_KERNEL};
 
 use super::arcs::Arcs;
 use super::epoch::{Ambiguity, RtkEpoch, Scratch, State};
 use super::joint::Joint;
-use super::settings::{CARRIER_KERNEL, OFFSET_KERNEL};
 
 /// Deviation of the position that is set out from (m): says next to nothing.
 const START_M: f64 = 10.0;

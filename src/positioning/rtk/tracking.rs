@@ -10,7 +10,8 @@ use crate::gnss::{Enu, LocalFrame, Reason, SatelliteId};
 use crate::graph::{Kernel, SharingRow, shared_offset};
 use crate::positioning::differencing::{RangeRate, SingleDifference, SingleDifferences};
 use crate::positioning::factors::{DopplerFactor, Sight};
-use crate::snapshot::snapshot_fields;
+use crate::positioning::setup::{CARRIER_KERNEL, OFFSET_KERNEL};
+use crate::snapshot::state_fields;
 
 use super::arcs::{Arc, Arcs};
 use super::biases::CodeBiases;
@@ -20,7 +21,6 @@ use super::heard::HeardRanges;
 use super::integers::{Integers, Resolution, Trust, drop_labels};
 use super::noise::{NoiseScale, Residuals};
 use super::placed::{Placed, place, take_common_cycles_out};
-use super::settings::{CARRIER_KERNEL, OFFSET_KERNEL};
 
 /// Deviation of an ambiguity about its start (cycles): 200 m.
 const START_CYCLES: f64 = 1e3;
@@ -41,32 +41,9 @@ pub(super) struct Tracking {
     pseudorange_noise: NoiseScale,
     carrier_noise: NoiseScale,
     biases: CodeBiases,
-    pub(super) scratch: Scratch,
-    misses: Vec<f64>,
 }
 
-snapshot_fields!(Tracking { arcs, trust, heard, pseudorange_noise, carrier_noise, biases } memory {
-    scratch: Scratch::default(),
-    misses: Vec::new(),
-});
-
-impl Clone for Tracking {
-    fn clone(&self) -> Self {
-        let mut clone = Self::new();
-        clone.clone_from(self);
-        clone
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        self.arcs.clone_from(&source.arcs);
-        self.trust = source.trust;
-        self.heard.clone_from(&source.heard);
-        self.pseudorange_noise = source.pseudorange_noise;
-        self.carrier_noise = source.carrier_noise;
-        self.biases.clone_from(&source.biases);
-    }
-}
+state_fields!(Tracking { arcs, trust, heard, pseudorange_noise, carrier_noise, biases });
 
 impl Tracking {
     /// No arcs, noise as stated.
@@ -78,8 +55,6 @@ impl Tracking {
             pseudorange_noise: NoiseScale::stated(),
             carrier_noise: NoiseScale::stated(),
             biases: CodeBiases::default(),
-            scratch: Scratch::default(),
-            misses: Vec::new(),
         }
     }
 
@@ -88,12 +63,6 @@ impl Tracking {
         self.arcs.clear();
         self.heard.clear();
         self.trust = Trust::default();
-    }
-
-    /// Swaps the memory both work in.
-    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        std::mem::swap(&mut self.scratch, &mut other.scratch);
-        std::mem::swap(&mut self.misses, &mut other.misses);
     }
 
     /// Rows of an epoch whose state is about `guess`; arcs go on or begin. `border` holds the
@@ -106,17 +75,18 @@ impl Tracking {
         differences: &SingleDifferences,
         border: &mut Vec<f64>,
         options: &PositioningOptions,
+        scratch: &mut Scratch,
     ) {
         let satellites = differences.satellites.iter();
         epoch.sights.extend(satellites.map(|common| Sight::new(frame, common.state.position)));
-        epoch.see(guess, &mut self.scratch);
+        epoch.see(guess, scratch);
         if options.graph.doppler != DopplerUse::None {
             add_rates(epoch, frame, guess, differences);
         }
         self.heard.forget_before(epoch.time - options.rtk.pseudorange_correlation_s);
         for group in differences.list.chunk_by(|a, b| a.group() == b.group()) {
-            let offset_m = self.add_pseudoranges(epoch, group, options);
-            self.add_carriers(epoch, group, differences, offset_m, border, options);
+            let offset_m = self.add_pseudoranges(epoch, group, options, scratch);
+            self.add_carriers(epoch, group, differences, offset_m, border, options, scratch);
         }
     }
 
@@ -126,6 +96,7 @@ impl Tracking {
         epoch: &mut RtkEpoch,
         group: &[SingleDifference],
         options: &PositioningOptions,
+        scratch: &mut Scratch,
     ) -> Option<f64> {
         let begin = epoch.rows.len();
         let correlation_s = options.rtk.pseudorange_correlation_s;
@@ -148,8 +119,8 @@ impl Tracking {
             return None;
         }
         epoch.groups.push(rows);
-        epoch.linearize_group(&rows, &[], &mut self.scratch);
-        let Scratch { rows, numbers, .. } = &mut self.scratch;
+        epoch.linearize_group(&rows, &[], scratch);
+        let Scratch { rows, numbers, .. } = &mut *scratch;
         Some(shared_offset(rows, &OFFSET_KERNEL, numbers))
     }
 
@@ -165,6 +136,7 @@ impl Tracking {
         offset_m: Option<f64>,
         border: &mut Vec<f64>,
         options: &PositioningOptions,
+        scratch: &mut Scratch,
     ) {
         let (begin, time) = (epoch.rows.len(), epoch.time);
         let scale = self.carrier_noise.value.powi(2);
@@ -181,8 +153,8 @@ impl Tracking {
             push_carrier(epoch, difference, carrier.range_m, variance_m2, share, variable);
         }
         let known = Group { begin, end: epoch.rows.len(), is_carrier: true };
-        epoch.linearize_group(&known, border, &mut self.scratch);
-        let Scratch { rows, numbers, .. } = &mut self.scratch;
+        epoch.linearize_group(&known, border, scratch);
+        let Scratch { rows, numbers, .. } = &mut *scratch;
         let offset_m = match rows.is_empty() {
             true => offset_m.unwrap_or(0.0),
             false => shared_offset(rows, &CARRIER_KERNEL, numbers),
@@ -194,7 +166,7 @@ impl Tracking {
             }
             let elevation_rad = differences.satellites[difference.common].look.elevation_rad;
             let variable = self.arcs.begin(difference, time, elevation_rad).variable;
-            let range_m = self.scratch.range_m(difference.common);
+            let range_m = scratch.range_m(difference.common);
             let mean = (carrier.range_m - range_m - offset_m) / difference.wavelength_m();
             start(epoch, border, variable, mean);
             let variance_m2 = carrier.variance_m2 * scale;
@@ -216,50 +188,32 @@ impl Tracking {
         state: &State,
         border: &[f64],
         covariance: &Matrix3<f64>,
+        scratch: &mut Scratch,
     ) {
-        let groups = self.gather_misses(epoch, state, border, false);
-        let by_position = self.leverage(epoch, state, covariance, |share| 2.0 * share - 1.0);
-        self.pseudorange_noise.learn(&mut self.misses, groups as f64 + by_position);
-    }
-
-    /// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times what `of` makes
-    /// of its share.
-    fn leverage(
-        &mut self,
-        epoch: &RtkEpoch,
-        state: &State,
-        covariance: &Matrix3<f64>,
-        of: impl Fn(f64) -> f64,
-    ) -> f64 {
-        epoch.see(state, &mut self.scratch);
-        let mut sum = 0.0;
-        for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
-            epoch.linearize_group(group, &[], &mut self.scratch);
-            let rows = &self.scratch.rows;
-            let total: f64 = rows.iter().map(|row| row.by_offset.powi(2)).sum();
-            let weighted = |row: &SharingRow<3>| Vector3::from(row.row.jacobian) * row.by_offset;
-            let mean = rows.iter().map(weighted).sum::<Vector3<f64>>() / total;
-            for row in rows.iter().filter(|_| 1 < rows.len()) {
-                let slope = Vector3::from(row.row.jacobian) - mean * row.by_offset;
-                sum += of(row.share) * slope.dot(&(covariance * slope));
-            }
-        }
-        sum
+        let groups = self.gather_residuals(epoch, state, border, false, scratch);
+        let by_position = leverage(epoch, state, covariance, scratch, |share| 2.0 * share - 1.0);
+        self.pseudorange_noise.learn(&mut scratch.residuals, groups as f64 + by_position);
     }
 
     /// Whether the phases bear out a position with integers held: they fit, and no satellite astray
     /// may have moved it far. Learns from it how noisy carrier phases are; labels that do not fit
     /// are dropped.
-    fn is_borne_out(&mut self, epoch: &RtkEpoch, placed: &Placed, border: &[f64]) -> bool {
+    fn is_borne_out(
+        &mut self,
+        epoch: &RtkEpoch,
+        placed: &Placed,
+        border: &[f64],
+        scratch: &mut Scratch,
+    ) -> bool {
         let mut state = State::zeros();
         state.fixed_rows_mut::<3>(0).copy_from(&placed.position);
-        let groups = self.gather_misses(epoch, &state, border, true);
-        let squares: f64 = self.misses.iter().map(|miss| miss * miss).sum();
-        let count = self.misses.len();
+        let groups = self.gather_residuals(epoch, &state, border, true, scratch);
+        let squares: f64 = scratch.residuals.iter().map(|residual| residual * residual).sum();
+        let count = scratch.residuals.len();
         if HIDDEN_SHIFT_MAX_M < placed.hidden_shift_m(squares, count) {
             return false;
         }
-        self.carrier_noise.learn(&mut self.misses, (3 + groups) as f64);
+        self.carrier_noise.learn(&mut scratch.residuals, (3 + groups) as f64);
         let fits = squares <= MISFIT_SIGMAS.powi(2) * count as f64;
         if !fits {
             drop_labels(&mut self.arcs.list, &mut self.trust, true);
@@ -268,20 +222,20 @@ impl Tracking {
     }
 
     /// Learns from a position with integers held what satellites delay codes that differ.
-    fn learn_biases(&mut self, epoch: &RtkEpoch, position: &Vector3<f64>) {
+    fn learn_biases(&mut self, epoch: &RtkEpoch, position: &Vector3<f64>, scratch: &mut Scratch) {
         if epoch.rows.iter().all(|factor| factor.bias.is_none()) {
             return;
         }
         let mut state = State::zeros();
         state.fixed_rows_mut::<3>(0).copy_from(position);
-        epoch.see(&state, &mut self.scratch);
+        epoch.see(&state, scratch);
         for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
             let factors = &epoch.rows[group.begin..group.end];
             if factors.iter().all(|factor| factor.bias.is_none()) {
                 continue;
             }
-            epoch.linearize_group(group, &[], &mut self.scratch);
-            let Scratch { rows, numbers, .. } = &mut self.scratch;
+            epoch.linearize_group(group, &[], scratch);
+            let Scratch { rows, numbers, .. } = &mut *scratch;
             for (factor, miss) in factors.iter().zip(misses(rows, &OFFSET_KERNEL, numbers)) {
                 let Some(place) = factor.bias else { continue };
                 let sigma_m = factor.inverse_sigma.recip();
@@ -292,28 +246,28 @@ impl Tracking {
 
     /// Magnitudes of an epoch's whitened residuals at a position, of pseudoranges or of the carrier
     /// phases with integers; returns the number of their groups.
-    fn gather_misses(
-        &mut self,
+    fn gather_residuals(
+        &self,
         epoch: &RtkEpoch,
         state: &State,
         border: &[f64],
         is_carrier: bool,
+        scratch: &mut Scratch,
     ) -> usize {
-        let Self { misses: gathered, scratch, arcs, .. } = self;
-        gathered.clear();
+        scratch.residuals.clear();
         epoch.see(state, scratch);
         let mut groups = 0;
         for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {
             epoch.linearize_group(group, border, scratch);
-            let Scratch { rows, numbers, .. } = &mut *scratch;
+            let Scratch { rows, numbers, residuals, .. } = &mut *scratch;
             if is_carrier {
-                arcs.put_labels(border, rows);
+                self.arcs.put_labels(border, rows);
                 take_common_cycles_out(rows);
             }
             if rows.len() < 2 {
                 continue;
             }
-            gathered.extend(misses(rows, &OFFSET_KERNEL, numbers).map(f64::abs));
+            residuals.extend(misses(rows, &OFFSET_KERNEL, numbers).map(f64::abs));
             groups += 1;
         }
         groups
@@ -323,15 +277,15 @@ impl Tracking {
     /// and their part of one position for all epochs, which phases tie together: the newest, of
     /// which the covariance is.
     pub(super) fn residuals(
-        &mut self,
+        &self,
         epochs: &[RtkEpoch],
         states: &[State],
         covariance: &Matrix3<f64>,
+        scratch: &mut Scratch,
     ) -> Residuals {
         let (mut square, mut freedom) = (0.0, 0.0);
         for (epoch, state) in epochs.iter().zip(states) {
-            freedom -= self.leverage(epoch, state, covariance, |share| share);
-            let scratch = &mut self.scratch;
+            freedom -= leverage(epoch, state, covariance, scratch, |share| share);
             epoch.see(state, scratch);
             for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
                 epoch.linearize_group(group, &[], scratch);
@@ -356,13 +310,14 @@ impl Tracking {
         float: &FloatSolution,
         residuals: &Residuals,
         options: &PositioningOptions,
+        scratch: &mut Scratch,
     ) -> Resolution {
         let (list, trust) = (&mut self.arcs.list, &mut self.trust);
         let is_present = |arc: &Arc| arc.last == epoch.time;
         let noise = self.pseudorange_noise.known(residuals);
         let mut resolution = integers.resolve(list, trust, is_present, float, &options.rtk, &noise);
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
-        let placed = place(epoch, &fixed.position, border, &self.arcs, &mut self.scratch);
+        let placed = place(epoch, &fixed.position, border, &self.arcs, scratch);
         let Some(placed) = placed else {
             return Resolution { outcome: Err(Reason::FixRejected), ..resolution };
         };
@@ -371,10 +326,10 @@ impl Tracking {
         if resolution.outcome.is_err() {
             return resolution;
         }
-        if !self.is_borne_out(epoch, &placed, border) {
+        if !self.is_borne_out(epoch, &placed, border, scratch) {
             return Resolution { outcome: Err(Reason::FixRejected), ..resolution };
         }
-        self.learn_biases(epoch, &placed.position);
+        self.learn_biases(epoch, &placed.position, scratch);
         resolution
     }
 
@@ -387,12 +342,13 @@ impl Tracking {
         border: &mut Vec<f64>,
         kernel: &Kernel,
         slipped: &mut Vec<SatelliteId>,
+        scratch: &mut Scratch,
     ) -> bool {
         let mut cut = Vec::new();
-        epoch.see(state, &mut self.scratch);
+        epoch.see(state, scratch);
         for group in epoch.groups.iter().filter(|group| group.is_carrier) {
-            epoch.linearize_group(group, border, &mut self.scratch);
-            let Scratch { rows, numbers, .. } = &mut self.scratch;
+            epoch.linearize_group(group, border, scratch);
+            let Scratch { rows, numbers, .. } = &mut *scratch;
             let both = rows.iter().zip(misses(rows, kernel, numbers));
             for (place, (row, miss)) in (group.begin..group.end).zip(both) {
                 if SLIP_SIGMAS < miss.abs() {
@@ -420,6 +376,31 @@ impl Tracking {
         }
         any
     }
+}
+
+/// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times what `of` makes
+/// of its share.
+fn leverage(
+    epoch: &RtkEpoch,
+    state: &State,
+    covariance: &Matrix3<f64>,
+    scratch: &mut Scratch,
+    of: impl Fn(f64) -> f64,
+) -> f64 {
+    epoch.see(state, scratch);
+    let mut sum = 0.0;
+    for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+        epoch.linearize_group(group, &[], scratch);
+        let rows = &scratch.rows;
+        let total: f64 = rows.iter().map(|row| row.by_offset.powi(2)).sum();
+        let weighted = |row: &SharingRow<3>| Vector3::from(row.row.jacobian) * row.by_offset;
+        let mean = rows.iter().map(weighted).sum::<Vector3<f64>>() / total;
+        for row in rows.iter().filter(|_| 1 < rows.len()) {
+            let slope = Vector3::from(row.row.jacobian) - mean * row.by_offset;
+            sum += of(row.share) * slope.dot(&(covariance * slope));
+        }
+    }
+    sum
 }
 
 /// Whitened residuals of the rows of a group, whose offset is the one that fits best.

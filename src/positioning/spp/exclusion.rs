@@ -14,7 +14,7 @@
 use crate::gnss::Ecef;
 
 use super::least_squares::{Row, Step};
-use super::{Fit, LAST_STEP_M, Scene, SinglePoint};
+use super::{EpochInputs, Fit, LAST_STEP_M, SinglePoint};
 
 /// Least share of a residual that redundancy leaves; a satellite with less cannot be judged.
 const REDUNDANCY_MIN: f64 = 1e-6;
@@ -35,23 +35,23 @@ const SETTLED_M: f64 = 1e-6;
 
 impl SinglePoint {
     /// Tests the residuals and, where asked and needed, excludes or bounds what contradicts.
-    pub(super) fn validate(&mut self, scene: &Scene<'_>, origin: Ecef, step: Step) -> Fit {
-        let all = self.judge(origin, step);
-        if !scene.options.fault_exclusion || all.test_ratio.is_none() || all.is_valid() {
+    pub(super) fn validate(&mut self, inputs: &EpochInputs<'_>, origin: Ecef, step: Step) -> Fit {
+        let all = self.judge(inputs, origin, step);
+        if !inputs.options().fault_exclusion || all.test_ratio.is_none() || all.is_valid() {
             return all;
         }
         let one_less = match DEGREES_LEFT_MIN < all.degrees {
-            true => self.without_worst(scene, &all),
+            true => self.without_worst(inputs, &all),
             false => None,
         };
         match one_less {
             Some(fit) if fit.is_valid() => fit,
-            _ => self.bounded(scene, all),
+            _ => self.bounded(inputs, all),
         }
     }
 
     /// The fit of all satellites with bounded influence; `all` itself where that cannot be had.
-    fn bounded(&mut self, scene: &Scene<'_>, all: Fit) -> Fit {
+    fn bounded(&mut self, inputs: &EpochInputs<'_>, all: Fit) -> Fit {
         self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
         self.linearize(all.origin);
         let (mut origin, Ok(mut step)) = (all.origin, self.determined_step()) else { return all };
@@ -67,21 +67,21 @@ impl SinglePoint {
             if has_settled || STRAIGHT_M < moved_m {
                 // The weights carry over to rows at the new place.
                 origin.0 += next.position_m;
-                let Some(moved) = self.replaced(scene, origin, &next) else { return all };
+                let Some(moved) = self.replaced(inputs, origin, &next) else { return all };
                 next = moved;
             }
             step = next;
         }
-        Fit { test_ratio: all.test_ratio, ..self.judge(origin, step) }
+        Fit { test_ratio: all.test_ratio, ..self.judge(inputs, origin, step) }
     }
 
     /// Rows placed and linearised at `origin` with the weights their residuals had before.
-    fn replaced(&mut self, scene: &Scene<'_>, origin: Ecef, before: &Step) -> Option<Step> {
-        let (time, options) = (scene.epoch.time, scene.options);
+    fn replaced(&mut self, inputs: &EpochInputs<'_>, origin: Ecef, before: &Step) -> Option<Step> {
+        let (time, options) = (inputs.epoch.time, inputs.options());
         self.reweigh(before);
         let kernels: Vec<(usize, f64)> =
             self.rows.iter().map(|row| (row.index, self.kernel(row))).collect();
-        self.measurements.place(origin, time, scene.navigation, options)?;
+        self.measurements.place(origin, time, inputs.navigation, options)?;
         self.linearize(origin);
         self.determined_step().ok()?;
         for row in &mut self.rows {
@@ -107,7 +107,7 @@ impl SinglePoint {
     }
 
     /// The fit of the rows in use.
-    fn judge(&self, origin: Ecef, step: Step) -> Fit {
+    fn judge(&self, inputs: &EpochInputs<'_>, origin: Ecef, step: Step) -> Fit {
         let (rows, constellations) = step.counts();
         let degrees = rows - 3 - constellations;
         let squares = step.squares(&self.rows);
@@ -116,14 +116,14 @@ impl SinglePoint {
             origin,
             step,
             degrees,
-            test_ratio: redundant.then(|| squares / self.limits.at(degrees)),
+            test_ratio: redundant.then(|| squares / inputs.setup.residual_limits.at(degrees)),
             variance_factor: if redundant { (squares / degrees as f64).max(1.0) } else { 1.0 },
         }
     }
 
     /// The fit without the satellite that contradicts the others most; `None` where none
     /// can be spared.
-    fn without_worst(&mut self, scene: &Scene<'_>, fit: &Fit) -> Option<Fit> {
+    fn without_worst(&mut self, inputs: &EpochInputs<'_>, fit: &Fit) -> Option<Fit> {
         let gain = |row: &Row| {
             let redundancy = 1.0 - row.weight * fit.step.variance_of(row);
             let judged = row.is_used && REDUNDANCY_MIN < redundancy;
@@ -132,17 +132,17 @@ impl SinglePoint {
         };
         let worst = self.rows.iter().max_by(|a, b| gain(a).total_cmp(&gain(b)))?.index;
         self.measurements.list[worst].is_excluded = true;
-        self.refit(scene, fit.origin)
+        self.refit(inputs, fit.origin)
     }
 
     /// Solves again without the excluded, from rows at `origin` if that step is short.
-    fn refit(&mut self, scene: &Scene<'_>, origin: Ecef) -> Option<Fit> {
+    fn refit(&mut self, inputs: &EpochInputs<'_>, origin: Ecef) -> Option<Fit> {
         self.linearize(origin);
         let step = self.determined_step().ok()?;
         if step.position_m.norm() < LAST_STEP_M {
-            return Some(self.judge(origin, step));
+            return Some(self.judge(inputs, origin, step));
         }
-        let (origin, step) = self.converge(scene, Ecef(origin.0 + step.position_m)).ok()?;
-        Some(self.judge(origin, step))
+        let (origin, step) = self.converge(inputs, Ecef(origin.0 + step.position_m)).ok()?;
+        Some(self.judge(inputs, origin, step))
     }
 }

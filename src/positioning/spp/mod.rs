@@ -12,15 +12,17 @@
 mod answer;
 mod exclusion;
 mod least_squares;
+mod single_points;
 
-use crate::config::PositioningOptions;
-use crate::gnss::{Constellation, Ecef, Epoch, Navigation, Reason, Solution, Status};
+use crate::gnss::{Constellation, Ecef, Reason, Solution, Status};
 use crate::models::geometric_range;
 
 use super::Measurements;
-use super::chi_square::ChiSquareLimits;
+use super::engine::EpochInputs;
 use super::velocity::VelocityEstimator;
 use least_squares::{Row, Step};
+
+pub(super) use single_points::SinglePoints;
 
 /// A step shorter than this needs no further one (m).
 const LAST_STEP_M: f64 = 0.1;
@@ -30,19 +32,11 @@ const COARSE_STEP_M: f64 = 10_000.0;
 const STEPS_MAX: usize = 15;
 
 /// Solves epochs by themselves; holds memory that is used again, and no state.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct SinglePoint {
-    limits: ChiSquareLimits,
     measurements: Measurements,
     rows: Vec<Row>,
     velocity: VelocityEstimator,
-}
-
-/// What one epoch is solved from.
-struct Scene<'a> {
-    epoch: &'a Epoch,
-    navigation: &'a Navigation,
-    options: &'a PositioningOptions,
 }
 
 /// A position found, with the rows that determined it.
@@ -66,52 +60,14 @@ impl Fit {
 }
 
 impl SinglePoint {
-    /// With the residual test that `options` ask for.
-    pub(super) fn new(options: &PositioningOptions) -> Self {
-        Self {
-            limits: ChiSquareLimits::new(options.false_alarm_probability),
-            measurements: Measurements::default(),
-            rows: Vec::new(),
-            velocity: VelocityEstimator::default(),
-        }
-    }
-
-    /// One that answers alike, without this one's memory.
-    pub(super) fn with_fresh_memory(&self) -> Self {
-        Self {
-            limits: self.limits.clone(),
-            measurements: Measurements::default(),
-            rows: Vec::new(),
-            velocity: VelocityEstimator::default(),
-        }
-    }
-
-    /// Swaps the memory both work in.
-    pub(super) fn exchange_memory(&mut self, other: &mut Self) {
-        let Self { limits: _, measurements, rows, velocity } = self;
-        std::mem::swap(measurements, &mut other.measurements);
-        std::mem::swap(rows, &mut other.rows);
-        std::mem::swap(velocity, &mut other.velocity);
-    }
-
-    /// Answers like `other` from now on, in its own memory.
-    pub(super) fn answer_like(&mut self, other: &Self) {
-        self.limits.clone_from(&other.limits);
-    }
-
     /// Solves one epoch, from `start` if it is given and else from the Earth's centre.
-    pub(super) fn solve(
-        &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        options: &PositioningOptions,
-        start: Option<Ecef>,
-    ) -> Solution {
-        self.measurements.gather(epoch, navigation, options);
-        let fit = self.fit(epoch, navigation, options, start);
+    pub(super) fn solve(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Solution {
+        let epoch = inputs.epoch;
+        self.measurements.gather(epoch, inputs.navigation, inputs.options());
+        let fit = self.fit(inputs, start);
         let mut reasons = self.aiding_reasons();
         let outcome = fit.and_then(|fit| {
-            let estimate = self.estimate(epoch, &fit, options)?;
+            let estimate = self.estimate(epoch, &fit, inputs.options())?;
             Ok((fit, estimate))
         });
         match outcome {
@@ -139,20 +95,13 @@ impl SinglePoint {
         &mut self.measurements
     }
 
-    fn fit(
-        &mut self,
-        epoch: &Epoch,
-        navigation: &Navigation,
-        options: &PositioningOptions,
-        start: Option<Ecef>,
-    ) -> Result<Fit, Reason> {
+    fn fit(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Result<Fit, Reason> {
         let start = match start {
             Some(position) => position,
             None => self.coarse_position()?,
         };
-        let scene = Scene { epoch, navigation, options };
-        let (origin, step) = self.converge(&scene, start)?;
-        Ok(self.validate(&scene, origin, step))
+        let (origin, step) = self.converge(inputs, start)?;
+        Ok(self.validate(inputs, origin, step))
     }
 
     /// A position good to kilometres from unit weights and no atmosphere.
@@ -181,11 +130,11 @@ impl SinglePoint {
     }
 
     /// Steps with full models until one is short; gives where the last step began, and that step.
-    fn converge(&mut self, scene: &Scene<'_>, start: Ecef) -> Result<(Ecef, Step), Reason> {
+    fn converge(&mut self, inputs: &EpochInputs<'_>, start: Ecef) -> Result<(Ecef, Step), Reason> {
         let mut position = start;
         for _ in 0..STEPS_MAX {
             self.measurements
-                .place(position, scene.epoch.time, scene.navigation, scene.options)
+                .place(position, inputs.epoch.time, inputs.navigation, inputs.options())
                 .ok_or(Reason::NotConverged)?;
             self.linearize(position);
             let step = self.determined_step()?;

@@ -12,6 +12,7 @@ use tokio::sync::{mpsc, oneshot};
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
 use crate::clock::unix_ms;
+use crate::positioning::Scratch;
 use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
 use super::course::Against;
@@ -169,7 +170,7 @@ impl Task {
             Some(active) => active.committed,
             None => self.restored(&self.in_force().await?).await?,
         };
-        let revisions = self.solvers.run(move || state.finish()).await?;
+        let revisions = self.solvers.estimate(move |scratch| state.finish(scratch)).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
         self.store.commit(Batch { revisions, closed_unix_ms, ..Batch::new(self.key) }).await?;
@@ -288,12 +289,12 @@ impl Task {
         let aiding = self.aiding_for(force, &epochs);
         let (force, limit) = (force.clone(), self.observations_per_epoch);
         let spares = self.solvers.spares().clone();
-        let work = move || {
+        let work = move |scratch: &mut Scratch| {
             let state = spares.copy_of(&committed);
-            let position = |state| Piece::position(state, epochs, &aiding, &force.origin, limit);
-            (spares.lend(state, position, |piece| &mut piece.state), committed)
+            let origin = &force.origin;
+            (Piece::position(state, epochs, &aiding, origin, limit, scratch), committed)
         };
-        self.solvers.run(work).await
+        self.solvers.estimate(work).await
     }
 
     /// What the epochs are positioned with: all that is held now and may serve them.

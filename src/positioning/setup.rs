@@ -1,0 +1,159 @@
+//! What the options mean to the estimators: worked out once, shared by all copies of a state.
+
+use crate::config::{GraphOptions, KernelLaw, PositioningOptions};
+use crate::graph::{AnnealedKernel, Kernel, Law, OptimizerOptions, Phase, Schedule};
+
+use super::chi_square::ChiSquareLimits;
+use super::factors::{ClockWalk, MotionWalk};
+use super::standstill::StandstillTest;
+
+/// Huber's constant: 95 % efficiency under normal errors.
+const HUBER: f64 = 1.345;
+/// A solve ends with a step shorter than this many standard deviations of the answer.
+const TOLERANCE: f64 = 1e-2;
+/// The same for redescending kernels: they reject what would slow a solve down.
+const ANNEALED_TOLERANCE: f64 = 5e-2;
+
+/// Kernel of the estimate of a group's offset.
+pub(super) const OFFSET_KERNEL: Kernel = Kernel::huber(HUBER);
+/// Final kernel of carrier phases against a base, after annealing: 4σ.
+pub(super) const CARRIER_KERNEL: Kernel = Kernel::geman_mcclure(4.0);
+
+/// Options, with the tests and models that follow from them.
+#[derive(Debug)]
+pub(super) struct Setup {
+    pub(super) options: PositioningOptions,
+    /// Limits of the residual test of single points.
+    pub(super) residual_limits: ChiSquareLimits,
+    /// Limit of the filters' innovation test r²/S; infinite where it is not made.
+    pub(super) innovation_limit: f64,
+    pub(super) motion: MotionWalk,
+    pub(super) clock: ClockWalk,
+    /// The test for standstill, where it is made.
+    pub(super) standstill: Option<StandstillTest>,
+    /// The graph of a receiver without a base.
+    pub(super) alone: GraphSettings,
+    /// The graph of differences against a base.
+    pub(super) relative: GraphSettings,
+    /// Whether epochs are answered at the end alone, from the whole recording.
+    pub(super) is_batch: bool,
+}
+
+impl Setup {
+    /// For epochs that are answered as they come.
+    pub(super) fn new(options: PositioningOptions) -> Self {
+        let residual_limits = ChiSquareLimits::new(options.false_alarm_probability);
+        Self {
+            innovation_limit: match options.fault_exclusion {
+                true => residual_limits.at(1),
+                false => f64::INFINITY,
+            },
+            residual_limits,
+            motion: MotionWalk::of(&options.graph),
+            clock: ClockWalk::of(&options.graph),
+            standstill: options.graph.zero_velocity.then(StandstillTest::new),
+            alone: GraphSettings::alone(&options.graph),
+            relative: GraphSettings::relative(&options.graph),
+            is_batch: false,
+            options,
+        }
+    }
+
+    /// For a recording that is smoothed as a whole.
+    pub(super) fn batch(options: PositioningOptions) -> Self {
+        Self { is_batch: true, ..Self::new(options) }
+    }
+}
+
+/// Robust kernels by kind of measurement, as one phase of annealing uses them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kernels {
+    pub(super) pseudorange: Kernel,
+    pub(super) doppler: Kernel,
+    pub(super) phase: Kernel,
+}
+
+/// Robust kernels by kind of measurement, with the convex ones they begin as.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AnnealedKernels {
+    pub(super) pseudorange: AnnealedKernel,
+    doppler: Kernel,
+    phase: AnnealedKernel,
+}
+
+impl AnnealedKernels {
+    /// The kernels of one phase of annealing.
+    pub(super) fn at(&self, phase: Phase) -> Kernels {
+        Kernels {
+            pseudorange: self.pseudorange.at(phase),
+            doppler: self.doppler,
+            phase: self.phase.at(phase),
+        }
+    }
+
+    /// The kernels that a solve ends with.
+    pub(super) fn last(&self) -> Kernels {
+        self.at(Phase::Graduated(1.0))
+    }
+}
+
+/// How a graph is solved.
+#[derive(Clone, Debug)]
+pub(super) struct GraphSettings {
+    pub(super) kernels: AnnealedKernels,
+    /// For a window that one epoch was added to.
+    pub(super) update: OptimizerOptions,
+    /// For a window or chain whose start is coarse.
+    pub(super) whole: OptimizerOptions,
+}
+
+impl GraphSettings {
+    fn alone(options: &GraphOptions) -> Self {
+        let law = match options.pseudorange_kernel {
+            KernelLaw::Quadratic => Law::Quadratic,
+            KernelLaw::Huber => Law::Huber,
+            KernelLaw::Cauchy => Law::Cauchy,
+            KernelLaw::GemanMcclure => Law::GemanMcClure,
+        };
+        // A late signal is longer than the model: its residual (model − measured) is negative.
+        let target = Kernel::new(law, options.early_width)
+            .one_sided(options.early_width, options.late_width);
+        let kernels = |convex| AnnealedKernels {
+            pseudorange: AnnealedKernel { convex, target },
+            doppler: Kernel::cauchy(options.doppler_width),
+            phase: annealed(Kernel::geman_mcclure(options.phase_width)),
+        };
+        let solve = |schedule, tolerance| OptimizerOptions { schedule, tolerance, damping: 0.0 };
+        // Redescending kernels have many minima: the solve is annealed.
+        match law {
+            Law::Cauchy | Law::GemanMcClure => Self {
+                kernels: kernels(Kernel::huber(HUBER)),
+                update: solve(Schedule::graduated(1, 2.0, 2.0, 1, 1), ANNEALED_TOLERANCE),
+                whole: solve(Schedule::graduated(2, 15.0, 2.0, 1, 10), ANNEALED_TOLERANCE),
+            },
+            Law::Quadratic | Law::Huber => Self {
+                kernels: kernels(target),
+                update: solve(Schedule::direct(2), TOLERANCE),
+                whole: solve(Schedule::direct(30), TOLERANCE),
+            },
+        }
+    }
+
+    fn relative(options: &GraphOptions) -> Self {
+        let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
+        Self {
+            kernels: AnnealedKernels {
+                pseudorange: annealed(Kernel::geman_mcclure(3.0)),
+                doppler: Kernel::cauchy(options.doppler_width),
+                phase: annealed(CARRIER_KERNEL),
+            },
+            update: solve(Schedule::graduated(1, 1.0, 2.0, 1, 3)),
+            whole: solve(Schedule::graduated(4, 8.0, 2.0, 1, 4)),
+        }
+    }
+}
+
+/// A kernel that begins as Huber's.
+fn annealed(target: Kernel) -> AnnealedKernel {
+    AnnealedKernel { convex: Kernel::huber(HUBER), target }
+}
