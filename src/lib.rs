@@ -10,7 +10,7 @@
 //! |---|---|---|
 //! | zᵢ | an observation: pseudorange, carrier phase, Doppler, displacement | [`gnss`] |
 //! | hᵢ | its model: satellite, signal path, atmosphere, electronics | [`models`] |
-//! | σᵢ | its standard deviation, by elevation and C/N0 | [`models::weights`] |
+//! | σᵢ | its standard deviation, by elevation and C/N0 | `weights` in [`models`] |
 //! | rᵢ | the whitened residual with its Jacobian, a *factor* | `factors` in [`positioning`] |
 //! | ρᵢ | a robust kernel, which bounds the pull of a wrong observation | [`graph::kernel`] |
 //! | x | position, velocity, clock of each epoch; ambiguities, biases | [`graph::estimate`] |

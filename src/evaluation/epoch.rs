@@ -40,12 +40,12 @@ impl JudgedEpoch {
     }
 
     /// Horizontal error (m).
-    pub fn error_2d_m(&self) -> f64 {
+    pub(crate) fn error_2d_m(&self) -> f64 {
         self.error.0.xy().norm()
     }
 
     /// Three-dimensional error (m).
-    pub fn error_3d_m(&self) -> f64 {
+    pub(crate) fn error_3d_m(&self) -> f64 {
         self.error.0.norm()
     }
 }

@@ -55,7 +55,7 @@ pub struct Criteria {
 
 impl Criteria {
     /// The whole file, 20 ms tolerance, gaps up to 1.5 s, fixes correct within 10 cm.
-    pub const fn whole_file() -> Self {
+    pub(crate) const fn whole_file() -> Self {
         Self {
             window_tow_s: (f64::NEG_INFINITY, f64::INFINITY),
             tolerance_s: 0.02,

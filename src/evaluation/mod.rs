@@ -17,4 +17,4 @@ mod statistics;
 pub use epoch::JudgedEpoch;
 pub use judgement::{Criteria, Expected, Judgement, Truth, judge};
 pub use report::{FixReport, FixedErrors, MatchedReport, Report, Uncertainty};
-pub use statistics::{ErrorStatistics, percentile};
+pub use statistics::ErrorStatistics;

@@ -58,7 +58,7 @@ pub(super) fn sorted(values: &[f64]) -> Vec<f64> {
 
 /// Percentile (0 … 100) of a sorted sample that is not empty, linear between values: definition 7
 /// of Hyndman & Fan (1996), rank p/100·(n − 1).
-pub fn percentile(sorted: &[f64], percent: f64) -> f64 {
+pub(super) fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let rank = percent / 100.0 * (sorted.len() - 1) as f64;
     let below = rank.floor() as usize;
     let above = (below + 1).min(sorted.len() - 1);

@@ -43,20 +43,20 @@ const RELATIVE_COLUMNS: usize = 9;
 const VELOCITY_COLUMNS: usize = 9;
 
 /// Writes solutions as CSV rows, one at a time, to a buffered writer.
-pub struct Writer<W> {
+pub(crate) struct Writer<W> {
     output: W,
     line: Vec<u8>,
 }
 
 impl<W: Write> Writer<W> {
     /// Writes the column titles.
-    pub fn new(mut output: W) -> io::Result<Self> {
+    pub(crate) fn new(mut output: W) -> io::Result<Self> {
         writeln!(output, "{COLUMNS}")?;
         Ok(Self { output, line: Vec::with_capacity(512) })
     }
 
     /// Writes one row for a solution.
-    pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
+    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let line = &mut self.line;
         line.clear();
         push_integer(line, i64::from(solution.time.week()), 0);
@@ -75,7 +75,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Flushes and returns the output.
-    pub fn finish(mut self) -> io::Result<W> {
+    pub(crate) fn finish(mut self) -> io::Result<W> {
         self.output.flush()?;
         Ok(self.output)
     }

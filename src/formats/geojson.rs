@@ -11,12 +11,12 @@ use super::decimal::{push_fixed, push_integer, push_seconds};
 use crate::gnss::{LeapSeconds, LocalFrame, Solution, SolutionEstimate};
 
 /// Largest number of points in one line of the track.
-pub const POINTS_PER_LINE: usize = 1000;
+pub(crate) const POINTS_PER_LINE: usize = 1000;
 
 /// Writes solutions as one feature collection, one at a time, to a buffered writer.
 ///
 /// The document is complete only after [`Writer::finish`].
-pub struct Writer<W> {
+pub(crate) struct Writer<W> {
     output: W,
     leap: LeapSeconds,
     buffer: Vec<u8>,
@@ -28,14 +28,14 @@ pub struct Writer<W> {
 
 impl<W: Write> Writer<W> {
     /// Begins the collection; `leap` converts GPS time to UTC.
-    pub fn new(mut output: W, leap: LeapSeconds) -> io::Result<Self> {
+    pub(crate) fn new(mut output: W, leap: LeapSeconds) -> io::Result<Self> {
         output.write_all(b"{\"type\":\"FeatureCollection\",\"features\":[")?;
         let (buffer, track) = (Vec::new(), Vec::new());
         Ok(Self { output, leap, buffer, track, points_of_track: 0, features: 0 })
     }
 
     /// Writes one point; a solution without position ends the current line of the track.
-    pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
+    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let Some(estimate) = &solution.estimate else {
             return self.end_track(false);
         };
@@ -55,7 +55,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Writes the last line of the track, ends the document, flushes and returns the output.
-    pub fn finish(mut self) -> io::Result<W> {
+    pub(crate) fn finish(mut self) -> io::Result<W> {
         self.end_track(false)?;
         self.output.write_all(b"\n]}\n")?;
         self.output.flush()?;

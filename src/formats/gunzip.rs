@@ -19,7 +19,7 @@ pub struct GunzipError {
 /// The result is independent of the size of the chunks: the output of the first n packed bytes is
 /// complete once byte n has arrived.
 #[derive(Debug)]
-pub struct Gunzip {
+pub(crate) struct Gunzip {
     member: Decompress,
     /// Whether no byte of the next member has arrived.
     is_between: bool,
@@ -27,7 +27,7 @@ pub struct Gunzip {
 
 impl Gunzip {
     /// A decoder before the first byte.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { member: Decompress::new_gzip(WINDOW_BITS), is_between: true }
     }
 
@@ -35,7 +35,7 @@ impl Gunzip {
     ///
     /// # Errors
     /// Damaged bytes, and the errors of `take`.
-    pub fn push<E: From<GunzipError>>(
+    pub(crate) fn push<E: From<GunzipError>>(
         &mut self,
         mut packed: &[u8],
         mut take: impl FnMut(&[u8]) -> Result<(), E>,
@@ -67,7 +67,7 @@ impl Gunzip {
     }
 
     /// Whether the data so far ends at the end of a member.
-    pub const fn is_whole(&self) -> bool {
+    pub(crate) const fn is_whole(&self) -> bool {
         self.is_between
     }
 }

@@ -5,7 +5,7 @@ mod binary;
 mod broadcast;
 pub mod csv;
 mod decimal;
-pub mod geojson;
+pub(crate) mod geojson;
 mod gunzip;
 pub mod observations;
 pub mod odometry;
@@ -20,7 +20,8 @@ use std::io::{BufRead, BufReader, Chain, Cursor, Read, Result};
 
 use flate2::bufread::MultiGzDecoder;
 
-pub use gunzip::{Gunzip, GunzipError};
+pub(crate) use gunzip::Gunzip;
+pub use gunzip::GunzipError;
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];

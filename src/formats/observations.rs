@@ -116,7 +116,7 @@ impl<R: BufRead> Observations<R> {
     }
 
     /// What was left out so far.
-    pub fn left_out(&self) -> LeftOut {
+    pub(crate) fn left_out(&self) -> LeftOut {
         match self {
             Self::Rinex(reader) => LeftOut::Rinex(reader.skipped().clone()),
             Self::Receiver(reader) => LeftOut::Receiver(reader.statistics().clone()),
@@ -148,7 +148,7 @@ pub fn read_navigation<R: BufRead>(
 ///
 /// # Errors
 /// The rest of the file cannot be read.
-pub fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, FileError> {
+pub(crate) fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, FileError> {
     if !file.is_receiver_data {
         return Ok(None);
     }

@@ -34,14 +34,14 @@ pub const fn quality(status: Status) -> Option<u8> {
 }
 
 /// Writes solutions as `.pos` rows, one at a time, to a buffered writer.
-pub struct Writer<W> {
+pub(crate) struct Writer<W> {
     output: W,
     line: Vec<u8>,
 }
 
 impl<W: Write> Writer<W> {
     /// Writes the header: `comments`, one line each, then the column titles.
-    pub fn new(mut output: W, comments: &[String]) -> io::Result<Self> {
+    pub(crate) fn new(mut output: W, comments: &[String]) -> io::Result<Self> {
         for comment in comments {
             writeln!(output, "% {comment}")?;
         }
@@ -50,7 +50,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Writes one row with the receiver's time tag; none for a solution without position.
-    pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
+    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
         let (Some(quality), Some(estimate)) = (quality(solution.status), &solution.estimate) else {
             return Ok(());
         };
@@ -80,7 +80,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Flushes and returns the output.
-    pub fn finish(mut self) -> io::Result<W> {
+    pub(crate) fn finish(mut self) -> io::Result<W> {
         self.output.flush()?;
         Ok(self.output)
     }

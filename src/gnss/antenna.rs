@@ -92,7 +92,7 @@ impl AntennaCatalogue {
 }
 
 /// Antenna type and radome code of a name of 20 columns.
-pub fn split_antenna_name(name: &str) -> (&str, &str) {
+pub(crate) fn split_antenna_name(name: &str) -> (&str, &str) {
     const TYPE_COLUMNS: usize = 16;
     let in_columns = name.split_at_checked(TYPE_COLUMNS);
     let (antenna, radome) = match in_columns {

@@ -17,21 +17,23 @@ mod signal;
 mod solution;
 mod time;
 
-pub use antenna::{
-    AntennaCalibration, AntennaCatalogue, PhaseCentrePattern, SatelliteAntenna, split_antenna_name,
-};
+pub(crate) use antenna::split_antenna_name;
+pub use antenna::{AntennaCalibration, AntennaCatalogue, PhaseCentrePattern, SatelliteAntenna};
 pub use base::{BaseSite, BaseStation, PositionSource};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
 };
 pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
-pub use observation::{Cycles, Epoch, Meters, Observation};
-pub use odometry::{Odometry, OdometryError, OdometryFrame, symmetric_of};
+pub(crate) use observation::Meters;
+pub use observation::{Cycles, Epoch, Observation};
+pub(crate) use odometry::symmetric_of;
+pub use odometry::{Odometry, OdometryError, OdometryFrame};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{
     BaseEpochIssue, Dops, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution,
     SolutionEstimate, Status, Velocity,
 };
-pub use time::{CivilTime, GpsTime, LeapSeconds, TimeScale, wrap_half_week};
+pub(crate) use time::{CivilTime, wrap_half_week};
+pub use time::{GpsTime, LeapSeconds, TimeScale};

@@ -4,7 +4,7 @@ use super::{GpsTime, ObservationCode, Odometry, SatelliteId, Signal};
 
 /// A length (m): a type of its own where metres and cycles could be swapped.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-pub struct Meters(pub f64);
+pub(crate) struct Meters(pub f64);
 
 /// Carrier phase (cycles): receivers give cycles, estimators use metres.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
@@ -12,7 +12,7 @@ pub struct Cycles(pub f64);
 
 impl Cycles {
     /// The same phase as a length, λφ.
-    pub fn to_meters(self, wavelength: Meters) -> Meters {
+    pub(crate) fn to_meters(self, wavelength: Meters) -> Meters {
         Meters(self.0 * wavelength.0)
     }
 }

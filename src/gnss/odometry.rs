@@ -116,7 +116,7 @@ fn is_covariance(matrix: &Matrix3<f64>) -> bool {
 }
 
 /// The symmetric matrix with the elements xx, yy, zz, xy, xz, yz.
-pub fn symmetric_of([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> Matrix3<f64> {
+pub(crate) fn symmetric_of([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> Matrix3<f64> {
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 

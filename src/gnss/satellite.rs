@@ -37,7 +37,7 @@ impl Constellation {
     }
 
     /// The constellation with this RINEX letter, or `None` if it is not supported.
-    pub const fn from_letter(letter: char) -> Option<Self> {
+    pub(crate) const fn from_letter(letter: char) -> Option<Self> {
         match letter {
             'G' => Some(Self::Gps),
             'R' => Some(Self::Glonass),

@@ -35,7 +35,7 @@ impl ObservationCode {
     }
 
     /// The tracking attribute, an ASCII letter.
-    pub const fn attribute(self) -> u8 {
+    pub(crate) const fn attribute(self) -> u8 {
         self.0[1]
     }
 

@@ -47,7 +47,7 @@ impl GpsTime {
     /// The instant of a GPS week (without roll-over) and nanoseconds of week.
     ///
     /// `None` outside weeks −15 000 … 15 000, or if the nanoseconds exceed one week.
-    pub fn from_week_ns(week: i32, ns_of_week: i64) -> Option<Self> {
+    pub(crate) fn from_week_ns(week: i32, ns_of_week: i64) -> Option<Self> {
         let sane = (-15_000..=15_000).contains(&week) && (0..NS_PER_WEEK).contains(&ns_of_week);
         sane.then(|| Self(i64::from(week) * NS_PER_WEEK + ns_of_week))
     }
@@ -68,7 +68,11 @@ impl GpsTime {
     /// exist.
     ///
     /// `leap` is used for UTC and GLONASS only.
-    pub fn from_civil(civil: &CivilTime, scale: TimeScale, leap: &LeapSeconds) -> Option<Self> {
+    pub(crate) fn from_civil(
+        civil: &CivilTime,
+        scale: TimeScale,
+        leap: &LeapSeconds,
+    ) -> Option<Self> {
         let label = civil.ns_since_gps_epoch_label()?;
         Some(match scale {
             TimeScale::Gps | TimeScale::Galileo | TimeScale::Qzss => Self(label),
@@ -107,7 +111,7 @@ impl GpsTime {
     }
 
     /// Calendar date and time of day in `scale`; a leap second shows as second 60 of UTC.
-    pub fn to_civil(self, scale: TimeScale, leap: &LeapSeconds) -> CivilTime {
+    pub(crate) fn to_civil(self, scale: TimeScale, leap: &LeapSeconds) -> CivilTime {
         match scale {
             TimeScale::Gps | TimeScale::Galileo | TimeScale::Qzss => CivilTime::from_label(self.0),
             TimeScale::BeiDou => CivilTime::from_label(self.0 - BEIDOU_LAG_NS),
@@ -117,7 +121,7 @@ impl GpsTime {
     }
 
     /// UTC as RFC 3339 with milliseconds, `2019-04-28T12:58:03.000Z`.
-    pub fn to_rfc3339(self, leap: &LeapSeconds) -> String {
+    pub(crate) fn to_rfc3339(self, leap: &LeapSeconds) -> String {
         let c = self.to_civil(TimeScale::Utc, leap);
         format!(
             "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}.{:03}Z",
@@ -193,7 +197,7 @@ pub enum TimeScale {
 
 /// A calendar date and time of day, in a scale that the caller names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CivilTime {
+pub(crate) struct CivilTime {
     /// Year of the proleptic Gregorian calendar.
     pub year: i32,
     /// Month, 1 … 12.
@@ -368,7 +372,7 @@ fn days_in_month(year: i32, month: u8) -> u8 {
 /// Difference of two times of week, wrapped to half a week around zero (s).
 ///
 /// IS-GPS-200N, 20.3.3.4.3.
-pub fn wrap_half_week(seconds: f64) -> f64 {
+pub(crate) fn wrap_half_week(seconds: f64) -> f64 {
     seconds - SECONDS_PER_WEEK * (seconds / SECONDS_PER_WEEK).round()
 }
 

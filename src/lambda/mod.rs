@@ -18,12 +18,11 @@
 //!
 //! ```
 //! use graphfix::lambda::*;
-//! use nalgebra::Matrix3;
+//! use nalgebra::DMatrix;
 //!
 //! let float = [5.450, 3.100, 2.970];
-//! let covariance =
-//!     Matrix3::new(6.290, 5.978, 0.544, 5.978, 6.292, 2.340, 0.544, 2.340, 6.288);
-//! let covariance = nalgebra::DMatrix::from_column_slice(3, 3, covariance.as_slice());
+//! let covariance = [6.290, 5.978, 0.544, 5.978, 6.292, 2.340, 0.544, 2.340, 6.288];
+//! let covariance = DMatrix::from_row_slice(3, 3, &covariance);
 //! let options = Options {
 //!     success_rate_min: 0.0,
 //!     ratio_min: 1.2,
@@ -49,13 +48,9 @@ mod success;
 mod validation;
 
 pub use fix::Fix;
-pub use reduction::Reduction;
 pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};
-pub use search::{Search, SearchLimits, SearchOutcome};
-pub use success::{adop, bootstrapped_failure_rate, bootstrapped_success_rate};
-pub use validation::{
-    KnownScale, odds_at_scale, posterior_probability, scaled_posterior_probability,
-};
+pub use validation::KnownScale;
+pub(crate) use validation::odds_at_scale;
 
 /// Why integers cannot be searched for. Real data causes all but the dimension errors.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

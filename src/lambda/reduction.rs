@@ -5,8 +5,6 @@
 //! Sources: de Jonge & Tiberius (1996); Chang, Yang & Zhou (2005)
 //! (symmetric pivoting; an integer Gauss step below the subdiagonal only where a swap follows).
 
-use nalgebra::DMatrix;
-
 use crate::lambda::EXACT_MAX;
 use crate::lambda::LambdaError;
 
@@ -24,7 +22,7 @@ const PIVOT_FRACTION_MIN: f64 = 1e-14;
 ///
 /// Matrices are flat and column-major; entry (i, j) is at i + j·n.
 #[derive(Clone, Debug)]
-pub struct Reduction {
+pub(crate) struct Reduction {
     size: usize,
     factor: Vec<f64>,
     factor_rows: Vec<f64>,
@@ -37,7 +35,7 @@ pub struct Reduction {
 
 impl Reduction {
     /// An empty reduction with room for `size` entries.
-    pub fn with_capacity(size: usize) -> Self {
+    pub(crate) fn with_capacity(size: usize) -> Self {
         let square = || Vec::with_capacity(size * size);
         let line = || Vec::with_capacity(size);
         Self {
@@ -52,21 +50,11 @@ impl Reduction {
         }
     }
 
-    /// Decorrelates `covariance` (n×n, read only) and replaces the previous result.
+    /// Decorrelates a covariance of n² entries, column-major, and replaces the previous result.
     ///
     /// # Errors
-    /// `Empty`, `Dimension` (not square), `NotPositiveDefinite`, `Overflow`.
-    pub fn reduce(&mut self, covariance: &DMatrix<f64>) -> Result<(), LambdaError> {
-        let size = covariance.nrows();
-        if covariance.ncols() != size {
-            let actual = covariance.ncols();
-            return Err(LambdaError::Dimension { what: "covariance", actual, expected: size });
-        }
-        self.reduce_flat(size, covariance.as_slice().iter().copied())
-    }
-
-    /// [`Self::reduce`] of n² entries, column-major.
-    pub(in crate::lambda) fn reduce_flat(
+    /// `Empty`, `NotPositiveDefinite`, `Overflow`.
+    pub(in crate::lambda) fn reduce(
         &mut self,
         size: usize,
         entries: impl Iterator<Item = f64>,
@@ -87,27 +75,27 @@ impl Reduction {
     }
 
     /// Number of entries n.
-    pub fn size(&self) -> usize {
+    pub(crate) fn size(&self) -> usize {
         self.size
     }
 
     /// Conditional variances D, each given all later entries; the last is unconditional.
-    pub fn variances(&self) -> &[f64] {
+    pub(crate) fn variances(&self) -> &[f64] {
         &self.variances
     }
 
     /// Column `j` of Z: the integer combination of original entries that equals ẑ_j.
-    pub fn combination(&self, j: usize) -> &[f64] {
+    pub(crate) fn combination(&self, j: usize) -> &[f64] {
         &self.transformation[j * self.size..(j + 1) * self.size]
     }
 
     /// Column `j` of Z⁻ᵀ: the change of the original integers for one unit of z_j.
-    pub fn restoration(&self, j: usize) -> &[f64] {
+    pub(crate) fn restoration(&self, j: usize) -> &[f64] {
         &self.inverse_transpose[j * self.size..(j + 1) * self.size]
     }
 
     /// Row `i` of L up to its diagonal.
-    pub fn factor_row(&self, i: usize) -> &[f64] {
+    pub(crate) fn factor_row(&self, i: usize) -> &[f64] {
         &self.factor_rows[i * self.size..i * self.size + i + 1]
     }
 
@@ -115,22 +103,9 @@ impl Reduction {
     ///
     /// # Panics
     /// When `float` is shorter than the reduction.
-    pub fn transform(&self, float: &[f64], decorrelated: &mut Vec<f64>) {
+    pub(crate) fn transform(&self, float: &[f64], decorrelated: &mut Vec<f64>) {
         decorrelated.clear();
         decorrelated.extend((0..self.size).map(|j| dot(self.combination(j), float)));
-    }
-
-    /// Computes a = Z⁻ᵀz into `original`.
-    ///
-    /// # Panics
-    /// When `decorrelated` does not have the reduction's size.
-    pub fn restore(&self, decorrelated: &[f64], original: &mut Vec<f64>) {
-        assert_eq!(decorrelated.len(), self.size, "one value per decorrelated entry");
-        original.clear();
-        original.resize(self.size, 0.0);
-        for (j, &z) in decorrelated.iter().enumerate() {
-            original.iter_mut().zip(self.restoration(j)).for_each(|(a, b)| *a += b * z);
-        }
     }
 
     fn load(&mut self, size: usize, entries: impl Iterator<Item = f64>) {

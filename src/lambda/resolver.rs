@@ -159,7 +159,7 @@ impl Resolver {
     fn load(&mut self, float: &[f64], covariance: &DMatrix<f64>) -> Result<(), LambdaError> {
         let members = &self.members;
         let entries = members.iter().flat_map(|&j| members.iter().map(move |&i| (i, j)));
-        self.reduction.reduce_flat(members.len(), entries.map(|at| covariance[at]))?;
+        self.reduction.reduce(members.len(), entries.map(|at| covariance[at]))?;
         self.base.clear();
         self.base.extend(members.iter().map(|&i| float[i].round()));
         self.fraction.clear();

@@ -11,7 +11,7 @@ use crate::lambda::reduction::Reduction;
 
 /// Limits of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SearchLimits {
+pub(crate) struct SearchLimits {
     /// Number of best integer vectors to store.
     pub candidates: usize,
     /// Number of integers tried before the search stops.
@@ -20,7 +20,7 @@ pub struct SearchLimits {
 
 /// How a search ended, with the number of integers tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SearchOutcome {
+pub(crate) enum SearchOutcome {
     /// The candidates are the best of all integers.
     Complete {
         /// Number of integers tried.
@@ -35,7 +35,7 @@ pub enum SearchOutcome {
 
 impl SearchOutcome {
     /// Number of integers tried.
-    pub fn nodes(self) -> usize {
+    pub(crate) fn nodes(self) -> usize {
         match self {
             Self::Complete { nodes } | Self::LimitReached { nodes } => nodes,
         }
@@ -44,7 +44,7 @@ impl SearchOutcome {
 
 /// Workspace of the search, and the candidates of the last one, best first.
 #[derive(Clone, Debug)]
-pub struct Search {
+pub(crate) struct Search {
     length: usize,
     levels: Vec<Level>,
     shifts: Vec<f64>,
@@ -76,7 +76,7 @@ impl Level {
 
 impl Search {
     /// A workspace with room for `size` entries.
-    pub fn with_capacity(size: usize) -> Self {
+    pub(crate) fn with_capacity(size: usize) -> Self {
         Self {
             length: 0,
             levels: Vec::with_capacity(size),
@@ -90,7 +90,7 @@ impl Search {
     ///
     /// # Panics
     /// If there is no entry, `float` has another size, or no candidate is requested.
-    pub fn run(
+    pub(crate) fn run(
         &mut self,
         reduction: &Reduction,
         float: &[f64],
@@ -127,12 +127,12 @@ impl Search {
     }
 
     /// Squared norms ‖ẑ − z‖² of the candidates found, ascending.
-    pub fn norms(&self) -> &[f64] {
+    pub(crate) fn norms(&self) -> &[f64] {
         &self.norms
     }
 
     /// The integers of candidate `i`, as integral values.
-    pub fn candidate(&self, i: usize) -> &[f64] {
+    pub(crate) fn candidate(&self, i: usize) -> &[f64] {
         &self.candidates[i * self.length..(i + 1) * self.length]
     }
 

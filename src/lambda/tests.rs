@@ -4,6 +4,9 @@ use nalgebra::DMatrix;
 use nalgebra::DVector;
 use proptest::prelude::*;
 
+use crate::lambda::reduction::Reduction;
+use crate::lambda::search::{Search, SearchLimits};
+use crate::lambda::success::bootstrapped_success_rate;
 use crate::lambda::*;
 
 /// SplitMix64, for floats and covariances that repeat.
@@ -38,13 +41,12 @@ impl Random {
     /// The same, scaled to a bootstrapped failure rate.
     fn failing(&mut self, size: usize, coarseness: f64, failure_rate: f64) -> DMatrix<f64> {
         let covariance = self.covariance(size, 1.0, coarseness);
-        let mut reduction = Reduction::with_capacity(size);
-        reduction.reduce(&covariance).expect("made definite");
+        let reduction = reduced(&covariance);
         let (mut low, mut high) = (1e-12_f64, 1e3_f64);
         for _ in 0..80 {
             let middle = (low * high).sqrt();
             let variances: Vec<f64> = reduction.variances().iter().map(|d| d * middle).collect();
-            let fails_more = failure_rate < bootstrapped_failure_rate(&variances);
+            let fails_more = failure_rate < 1.0 - bootstrapped_success_rate(&variances);
             if fails_more { high = middle } else { low = middle }
         }
         covariance * low
@@ -55,6 +57,12 @@ impl Random {
         let factor = covariance.clone().cholesky().expect("made definite").unpack();
         (factor * DVector::from_fn(covariance.nrows(), |_, _| self.normal())).as_slice().to_vec()
     }
+}
+
+fn reduced(covariance: &DMatrix<f64>) -> Reduction {
+    let mut reduction = Reduction::with_capacity(covariance.nrows());
+    reduction.reduce(covariance.nrows(), covariance.iter().copied()).expect("made definite");
+    reduction
 }
 
 fn options() -> Options {
@@ -142,8 +150,7 @@ proptest! {
     #[test]
     fn decorrelation_is_unimodular(seed in any::<u64>(), size in 1_usize..=25) {
         let covariance = Random(seed).covariance(size, 0.1, 50.0);
-        let mut reduction = Reduction::with_capacity(size);
-        reduction.reduce(&covariance).unwrap();
+        let reduction = reduced(&covariance);
         let z = DMatrix::from_fn(size, size, |i, j| reduction.combination(j)[i]);
         let back = DMatrix::from_fn(size, size, |i, j| reduction.restoration(j)[i]);
         prop_assert!(z.iter().chain(back.iter()).all(|entry| entry.fract() == 0.0));
@@ -198,8 +205,7 @@ proptest! {
 fn success_rate_matches_monte_carlo() {
     let mut random = Random(7);
     let covariance = random.failing(6, 30.0, 0.3);
-    let mut reduction = Reduction::with_capacity(6);
-    reduction.reduce(&covariance).unwrap();
+    let reduction = reduced(&covariance);
     let expected = bootstrapped_success_rate(reduction.variances());
     assert!((expected - 0.7).abs() < 1e-6);
     let mut search = Search::with_capacity(6);

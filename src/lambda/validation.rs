@@ -26,7 +26,7 @@ pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
 ///
 /// Source: Betti, Crespi & Sansò (1993), Manuscripta Geodaetica 18, 317–330, for the posterior; the
 /// tail is ours.
-pub fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f64 {
+pub(crate) fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f64 {
     let (Some(best), Some(last)) = (norms.first(), norms.last()) else { return 0.0 };
     let found: f64 = norms.iter().map(|q| (0.5 * (best - q)).exp()).sum();
     let n = conditional_variances.len();
@@ -46,7 +46,7 @@ pub struct KnownScale {
 
 /// Odds of integers with the first squared norm against those with the second, both of `entries`
 /// entries, under the density of [`scaled_posterior_probability`].
-pub fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) -> f64 {
+pub(crate) fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) -> f64 {
     let [own, other] = norms.map(|norm| scale.freedom * scale.variance + norm);
     (0.5 * (scale.freedom + entries as f64) * (other / own).ln()).exp()
 }
@@ -60,7 +60,7 @@ pub fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) -> f64 
 /// (1−u)^(ν/2−1) du from u_m to one.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
-pub fn scaled_posterior_probability(
+pub(crate) fn scaled_posterior_probability(
     norms: &[f64],
     conditional_variances: &[f64],
     KnownScale { freedom, variance }: KnownScale,

@@ -23,7 +23,7 @@ const NEAREST_HZ: f64 = 40e6;
 /// Phase-centre correction of a range from the antenna reference point (m).
 ///
 /// Directions below the lowest elevation of the grid take its value.
-pub fn phase_centre_correction_m(pattern: &PhaseCentrePattern, look: &LookAngles) -> f64 {
+pub(crate) fn phase_centre_correction_m(pattern: &PhaseCentrePattern, look: &LookAngles) -> f64 {
     let (sin_azimuth, cos_azimuth) = look.azimuth_rad.sin_cos();
     let (sin, cos) = look.elevation_rad.sin_cos();
     let direction = Vector3::new(cos * cos_azimuth, cos * sin_azimuth, sin);
@@ -58,7 +58,7 @@ fn interpolated(row: &[f64], position: f64) -> f64 {
 }
 
 /// The pattern of a signal's frequency, or the nearest one within 40 MHz.
-pub fn pattern_of(
+pub(crate) fn pattern_of(
     antenna: &AntennaCalibration,
     signal: Signal,
     frequency_hz: f64,

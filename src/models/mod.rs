@@ -15,7 +15,7 @@
 pub mod antenna;
 pub mod ionosphere;
 pub mod troposphere;
-pub mod weights;
+pub(crate) mod weights;
 
 mod geometry;
 mod glonass;
@@ -30,4 +30,5 @@ mod selection;
 pub use geometry::{LookAngles, RangeRate, geometric_range, look_angles, range_rate};
 pub use group_delay::group_delay_m;
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
-pub use selection::{is_usable, select_ephemeris, select_ephemeris_within, validity_s};
+pub use selection::select_ephemeris;
+pub(crate) use selection::{is_usable, select_ephemeris_within, validity_s};

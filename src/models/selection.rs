@@ -26,7 +26,7 @@ pub fn select_ephemeris(
 }
 
 /// As [`select_ephemeris`], with BeiDou ephemerides valid to `beidou_s` from toe (s).
-pub fn select_ephemeris_within(
+pub(crate) fn select_ephemeris_within(
     navigation: &Navigation,
     satellite: SatelliteId,
     time: GpsTime,
@@ -72,7 +72,7 @@ fn preference(ephemeris: &Ephemeris) -> u8 {
 /// IS-GPS-200N 20.3.4.4 (4 h fit interval or a stated longer one, toe in its middle) and 30.3.4.4
 /// (3 h); Galileo OS SDD 1.3, C.4.4.1 (4 h); BDS-SIS-ICD-B1I-3.0 (hourly); GLONASS ICD 5.1, 4.4
 /// (half-hourly, t_b in the middle; used for one interval more).
-pub fn validity_s(ephemeris: &Ephemeris) -> f64 {
+pub(crate) fn validity_s(ephemeris: &Ephemeris) -> f64 {
     use NavigationMessage as M;
     let Ephemeris::Keplerian(e) = ephemeris else {
         return 0.5 * SECONDS_PER_HOUR;
@@ -93,7 +93,7 @@ pub fn validity_s(ephemeris: &Ephemeris) -> f64 {
 }
 
 /// Whether an ephemeris is healthy and its orbit is one of an Earth satellite.
-pub fn is_usable(ephemeris: &Ephemeris) -> bool {
+pub(crate) fn is_usable(ephemeris: &Ephemeris) -> bool {
     is_healthy(ephemeris) && is_orbit(ephemeris)
 }
 

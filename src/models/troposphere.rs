@@ -23,7 +23,7 @@ pub enum Mapping {
 
 /// Pressure, temperature and water vapour at the receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weather {
+pub(crate) struct Weather {
     /// Pressure (hPa).
     pub pressure_hpa: f64,
     /// Temperature (K).
@@ -38,7 +38,7 @@ impl Weather {
     /// (0 … 1) by the Magnus-type formula of RTKLIB's manual 2.4.2, (E.5.1)–(E.5.3).
     ///
     /// Heights below zero count as zero.
-    pub fn standard(height_m: f64, relative_humidity: f64) -> Self {
+    pub(crate) fn standard(height_m: f64, relative_humidity: f64) -> Self {
         let height_m = height_m.max(0.0);
         let temperature_k = 288.15 - 6.5e-3 * height_m;
         let saturation_hpa =
@@ -84,7 +84,7 @@ impl Troposphere {
     }
 
     /// Zenith delay, hydrostatic plus wet (m).
-    pub fn zenith_delay_m(&self) -> f64 {
+    pub(crate) fn zenith_delay_m(&self) -> f64 {
         self.hydrostatic_m + self.wet_m
     }
 
@@ -106,7 +106,7 @@ impl Troposphere {
 /// Variance of a modelled slant delay (m²): 0.3 m at the zenith, mapped by 1/(sin E + 0.1).
 ///
 /// RTKLIB manual 2.4.2, (E.6.24) and its constant for Saastamoinen.
-pub fn variance_m2(elevation_rad: f64) -> f64 {
+pub(crate) fn variance_m2(elevation_rad: f64) -> f64 {
     let sigma_m = 0.3 / (elevation_rad.sin() + 0.1);
     sigma_m * sigma_m
 }

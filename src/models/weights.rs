@@ -8,9 +8,7 @@ use crate::gnss::{Ephemeris, NavigationMessage};
 
 /// Dependence of the variance on elevation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ElevationTerm {
-    /// None: the term is 1.
-    None,
+pub(crate) enum ElevationTerm {
     /// a² + b²/sin²E (m²): the cosecant model.
     InverseSineSquared {
         /// Part independent of elevation (m).
@@ -32,7 +30,7 @@ pub enum ElevationTerm {
 
 /// Dependence of the variance on C/N0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Cn0Term {
+pub(crate) enum Cn0Term {
     /// None: factor 1, or 0 m² where it is added.
     None,
     /// V + C·10^(−S/10) (m²): Hartinger & Brunner (1999), *Variances of GPS phase observations: the
@@ -64,7 +62,7 @@ pub enum Cn0Term {
 impl Cn0Term {
     /// goGPS's own parameters: T = 50, F = 10, A = 30, a = 30. Its variants for Hong Kong use them
     /// too.
-    pub const fn gogps() -> Self {
+    pub(crate) const fn gogps() -> Self {
         Self::GoGps {
             threshold_db_hz: 50.0,
             reference_db_hz: 10.0,
@@ -76,7 +74,7 @@ impl Cn0Term {
 
 /// Model of a measurement's variance by elevation and C/N0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeasurementWeights {
+pub(crate) struct MeasurementWeights {
     /// Term that depends on elevation.
     pub elevation: ElevationTerm,
     /// Term that depends on C/N0.
@@ -90,7 +88,7 @@ const ELEVATION_MIN_RAD: f64 = 0.017_453_292_519_943_295;
 
 impl MeasurementWeights {
     /// Variance (m² for a pseudorange) at an elevation (rad) and C/N0 (dB-Hz).
-    pub fn variance_m2(&self, elevation_rad: f64, cn0_db_hz: Option<f64>) -> f64 {
+    pub(crate) fn variance_m2(&self, elevation_rad: f64, cn0_db_hz: Option<f64>) -> f64 {
         let elevation = self.elevation.variance_m2(elevation_rad);
         let s = cn0_db_hz.unwrap_or(self.cn0_if_missing_db_hz);
         match self.cn0 {
@@ -114,7 +112,6 @@ impl ElevationTerm {
     fn variance_m2(&self, elevation_rad: f64) -> f64 {
         let sin = elevation_rad.max(ELEVATION_MIN_RAD).sin();
         match *self {
-            Self::None => 1.0,
             Self::InverseSineSquared { a_m, b_m } => a_m * a_m + b_m * b_m / (sin * sin),
             Self::InverseSine { a_m, b_m } => a_m * a_m + b_m * b_m / sin,
         }
@@ -143,7 +140,7 @@ const UNSTATED_GLONASS_M: f64 = 5.0;
 ///
 /// The square of the broadcast accuracy; for a URA index (LNAV, D1, D2) the square of the upper
 /// bound of its interval.
-pub fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
+pub(crate) fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
     use NavigationMessage as M;
     let sigma_m = match ephemeris {
         Ephemeris::Glonass(e) => e.accuracy_m.unwrap_or(UNSTATED_GLONASS_M),

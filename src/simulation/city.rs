@@ -45,7 +45,7 @@ pub struct CityPlan {
 
 impl CityPlan {
     /// Streets of 22 m between buildings of 15 to 60 m; one block in eight is open.
-    pub const fn dense() -> Self {
+    pub(crate) const fn dense() -> Self {
         Self {
             street_azimuth_rad: 0.6,
             street_width_m: 22.0,

@@ -25,7 +25,7 @@ mod track;
 pub use city::CityPlan;
 pub use motion::Motion;
 pub use receiver::{PhaseTruth, signals};
-pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m};
+pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
 
 use std::sync::Arc;
 
@@ -180,6 +180,7 @@ impl Iterator for Simulator {
 mod tests {
     use std::collections::BTreeMap;
 
+    use super::scenario::signal_in_space_sigma_m;
     use super::*;
     use crate::gnss::Observation;
     use crate::gnss::constants::SPEED_OF_LIGHT;

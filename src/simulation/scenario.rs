@@ -30,7 +30,7 @@ pub struct Scenario {
     pub frequencies: usize,
     /// Satellites below this elevation are not received (rad).
     pub elevation_mask_rad: f64,
-    /// Whether broadcast orbits and clocks have errors of [`signal_in_space_sigma_m`].
+    /// Whether broadcast orbits and clocks have errors of `signal_in_space_sigma_m`.
     pub broadcast_errors: bool,
     /// Atmosphere; `None`: vacuum.
     pub atmosphere: Option<Atmosphere>,
@@ -114,7 +114,7 @@ pub struct ReceiverClock {
 
 /// Standard deviation of the range error of broadcast orbits and clocks (m): an assumption, of the
 /// size that operators and monitors report.
-pub const fn signal_in_space_sigma_m(constellation: Constellation) -> f64 {
+pub(crate) const fn signal_in_space_sigma_m(constellation: Constellation) -> f64 {
     match constellation {
         Constellation::Gps | Constellation::Qzss => 0.6,
         Constellation::Galileo => 0.3,

@@ -1,6 +1,6 @@
 //! Several estimators on one recording: their answers, their agreement, and a report.
 //!
-//! [`Comparison`] holds the solutions of each [`Method`], judged if there is a truth. `html` makes
+//! `Comparison` holds the solutions of each [`Method`], judged if there is a truth. `html` makes
 //! a self-contained page of it, `figures` its figures, `agreement` the distances between methods,
 //! the only measure without a truth.
 
@@ -63,7 +63,7 @@ impl Method {
 
 /// Several methods on one recording.
 #[derive(Clone, Debug)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     /// Title of the report, such as the name of the rover's file.
     pub title: String,
     /// The command that made the report.
@@ -78,7 +78,7 @@ impl Comparison {
     /// Compares `methods`, and judges each if there is a `truth`.
     ///
     /// An epoch is expected if any method was given it and the truth covers it.
-    pub fn new(
+    pub(crate) fn new(
         title: String,
         command: String,
         methods: Vec<Method>,
@@ -111,7 +111,7 @@ impl Comparison {
     }
 
     /// The distances between each pair of methods, in the methods' order.
-    pub fn agreements(&self) -> Vec<Agreement> {
+    pub(crate) fn agreements(&self) -> Vec<Agreement> {
         let pairs = (0..self.methods.len())
             .flat_map(|first| (first + 1..self.methods.len()).map(move |second| (first, second)));
         pairs.filter_map(|pair| Agreement::of(&self.methods, pair)).collect()
@@ -129,7 +129,7 @@ impl Comparison {
     ///
     /// # Errors
     /// A figure cannot be drawn.
-    pub fn html(&self) -> Result<String, PlotError> {
+    pub(crate) fn html(&self) -> Result<String, PlotError> {
         html::page(self)
     }
 }

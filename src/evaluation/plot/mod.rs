@@ -1,7 +1,7 @@
 //! A judgement as one figure: track, error over time, distribution of the errors.
 
 mod distribution;
-pub mod series;
+pub(crate) mod series;
 mod style;
 mod timeline;
 mod track;
@@ -16,7 +16,7 @@ use self::style::{INK, MUTED, QualityStyle, label, register_fonts};
 use super::{Judgement, MatchedReport};
 
 /// Width and height of the figure (pixels).
-pub const SIZE: (u32, u32) = (1680, 1180);
+pub(crate) const SIZE: (u32, u32) = (1680, 1180);
 const HEADER_HEIGHT: u32 = 92;
 const TRACK_WIDTH: u32 = 780;
 const TRACK_HEIGHT: u32 = 660;

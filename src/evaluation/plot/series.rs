@@ -26,14 +26,14 @@ const COLORS: [RGBColor; 7] = [VERMILION, GREEN, BLUE, ORANGE, PURPLE, SKY, REFE
 
 /// Points to be connected, except where neighbours are too far apart in x.
 #[derive(Clone, Debug)]
-pub struct Series {
+pub(crate) struct Series {
     /// The points, in the order in which they are connected.
     pub points: Vec<(f64, f64)>,
 }
 
 /// Labels and scale of the axes of a line figure.
 #[derive(Clone, Copy, Debug)]
-pub struct Axes<'a> {
+pub(crate) struct Axes<'a> {
     /// Label of the x axis.
     pub x: &'a str,
     /// Label of the y axis.
@@ -45,13 +45,13 @@ pub struct Axes<'a> {
 }
 
 /// The CSS colour of series number `index`.
-pub fn css_color(index: usize) -> String {
+pub(crate) fn css_color(index: usize) -> String {
     let RGBColor(red, green, blue) = COLORS[index % COLORS.len()];
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
 /// The CSS colour and the name of one of RTKLIB's quality numbers.
-pub fn css_quality(quality: i64) -> (String, &'static str) {
+pub(crate) fn css_quality(quality: i64) -> (String, &'static str) {
     let QualityStyle { name, color: RGBColor(red, green, blue) } = QualityStyle::of(quality);
     (format!("#{red:02x}{green:02x}{blue:02x}"), name)
 }
@@ -60,7 +60,7 @@ pub fn css_quality(quality: i64) -> (String, &'static str) {
 ///
 /// # Errors
 /// No points, or the drawing fails.
-pub fn lines(axes: &Axes<'_>, series: &[Series]) -> Result<String, PlotError> {
+pub(crate) fn lines(axes: &Axes<'_>, series: &[Series]) -> Result<String, PlotError> {
     register_fonts();
     let points = || series.iter().flat_map(|series| series.points.iter().copied());
     let (low_x, high_x) = span(points().map(|point| point.0)).ok_or(PlotError::Empty)?;
@@ -130,7 +130,11 @@ where
 ///
 /// # Errors
 /// No points, or the drawing fails.
-pub fn plane(reference: &[(f64, f64)], series: &[Series], gap_m: f64) -> Result<String, PlotError> {
+pub(crate) fn plane(
+    reference: &[(f64, f64)],
+    series: &[Series],
+    gap_m: f64,
+) -> Result<String, PlotError> {
     register_fonts();
     let points = || series.iter().flat_map(|series| series.points.iter().copied());
     points().next().ok_or(PlotError::Empty)?;
@@ -180,13 +184,13 @@ pub fn plane(reference: &[(f64, f64)], series: &[Series], gap_m: f64) -> Result<
 }
 
 /// An interval of a strip: start and end on the x axis, and one of RTKLIB's quality numbers.
-pub type Stretch = (f64, f64, i64);
+pub(crate) type Stretch = (f64, f64, i64);
 
 /// One named strip a row, coloured by quality over time, as an SVG document.
 ///
 /// # Errors
 /// No intervals, or the drawing fails.
-pub fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotError> {
+pub(crate) fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotError> {
     register_fonts();
     let times = rows.iter().flat_map(|(_, pieces)| pieces.iter().flat_map(|p| [p.0, p.1]));
     let (start, end) = span(times).ok_or(PlotError::Empty)?;

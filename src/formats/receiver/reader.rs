@@ -41,7 +41,7 @@ impl<R: BufRead> ReceiverReader<R> {
     }
 
     /// Adds known FDMA channels of GLONASS satellites; see [`Decoder::learn_channels`].
-    pub fn learn_channels(&mut self, navigation: &Navigation) {
+    pub(crate) fn learn_channels(&mut self, navigation: &Navigation) {
         self.decoder.learn_channels(navigation);
     }
 
@@ -49,7 +49,7 @@ impl<R: BufRead> ReceiverReader<R> {
     ///
     /// # Errors
     /// The bytes cannot be read. Their content is never an error.
-    pub fn read_event(&mut self) -> Result<Option<Event>, ReceiverError> {
+    pub(crate) fn read_event(&mut self) -> Result<Option<Event>, ReceiverError> {
         let mut found = Vec::new();
         while self.events.is_empty() && !self.is_at_end {
             let offset = self.offset;
@@ -78,7 +78,7 @@ impl<R: BufRead> ReceiverReader<R> {
     /// Reads the next epoch into `epoch` and skips other events; false at the end.
     ///
     /// # Errors
-    /// As [`Self::read_event`].
+    /// As `read_event`.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, ReceiverError> {
         while let Some(event) = self.read_event()? {
             if let Event::Epoch(read) = event {

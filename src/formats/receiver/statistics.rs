@@ -112,7 +112,7 @@ impl Statistics {
     }
 
     /// The first positions of such bytes, at most ten.
-    pub fn first_garbage(&self) -> &[u64] {
+    pub(crate) fn first_garbage(&self) -> &[u64] {
         &self.first_garbage
     }
 

@@ -91,7 +91,7 @@ impl Decoder {
     }
 
     /// Adds known FDMA channels of GLONASS satellites, which some messages need.
-    pub fn learn_channels(&mut self, navigation: &Navigation) {
+    pub(crate) fn learn_channels(&mut self, navigation: &Navigation) {
         for (satellite, ephemerides) in navigation.satellites() {
             let channel = ephemerides.last().and_then(Ephemeris::glonass_channel);
             if let Some(channel) = channel {
@@ -120,7 +120,7 @@ impl Decoder {
     }
 
     /// Counts of the stream since the last call.
-    pub fn take_statistics(&mut self) -> Statistics {
+    pub(crate) fn take_statistics(&mut self) -> Statistics {
         std::mem::take(&mut self.statistics)
     }
 

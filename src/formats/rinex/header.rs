@@ -79,7 +79,7 @@ impl ObservationHeader {
     }
 
     /// Observation codes of a constellation, in order of first appearance.
-    pub fn codes_of(&self, constellation: Constellation) -> &[ObservationCode] {
+    pub(crate) fn codes_of(&self, constellation: Constellation) -> &[ObservationCode] {
         &self.codes[constellation.index()]
     }
 }

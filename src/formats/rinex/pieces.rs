@@ -76,22 +76,22 @@ impl PieceReader {
     }
 
     /// Length of the header (bytes); zero before it is complete.
-    pub const fn header_bytes(&self) -> usize {
+    pub(crate) const fn header_bytes(&self) -> usize {
         self.header_bytes
     }
 
     /// Whether the file is CRINEX, in which an epoch depends on all previous ones.
-    pub fn is_compact(&self) -> bool {
+    pub(crate) fn is_compact(&self) -> bool {
         self.reader.as_ref().is_some_and(|reader| reader.is_compact())
     }
 
     /// Number of bytes at the end that belong to no epoch yet.
-    pub fn untaken_bytes(&self) -> usize {
+    pub(crate) fn untaken_bytes(&self) -> usize {
         self.reader.as_ref().map_or(self.head.len(), |reader| untaken(reader))
     }
 
     /// What was left out since the last call.
-    pub fn take_skipped(&mut self) -> Skipped {
+    pub(crate) fn take_skipped(&mut self) -> Skipped {
         self.reader.as_mut().map(|r| std::mem::take(&mut r.skipped)).unwrap_or_default()
     }
 }

@@ -51,7 +51,7 @@ const BEIDOU_SHELL_KM: f64 = 375.0;
 ///
 /// Unlike GPS's: the pierce point by spherical trigonometry in geographic latitude, a shell at
 /// 375 km, an exact cosine, a bounded period, delays on B1I, and BeiDou time.
-pub fn beidou_klobuchar_delay_m(
+pub(crate) fn beidou_klobuchar_delay_m(
     coefficients: &KlobucharCoefficients,
     frequency_hz: f64,
     receiver: &Geodetic,

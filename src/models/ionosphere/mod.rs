@@ -8,9 +8,10 @@ mod klobuchar;
 #[cfg(feature = "nequick")]
 mod nequick;
 
-pub use klobuchar::{beidou_klobuchar_delay_m, klobuchar_delay_m};
+pub(crate) use klobuchar::beidou_klobuchar_delay_m;
+pub use klobuchar::klobuchar_delay_m;
 #[cfg(feature = "nequick")]
-pub use nequick::{nequick_delay_m, nequick_variance_m2};
+pub(crate) use nequick::{nequick_delay_m, nequick_variance_m2};
 
 use super::LookAngles;
 use crate::gnss::constants::GPS_L1_HZ;
@@ -20,7 +21,7 @@ use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
 ///
 /// BeiDou takes its own model and coefficients, all others those of GPS; BeiDou also, if its own
 /// coefficients are missing.
-pub fn broadcast_delay_m(
+pub(crate) fn broadcast_delay_m(
     navigation: &Navigation,
     constellation: Constellation,
     frequency_hz: f64,
@@ -41,14 +42,14 @@ pub fn broadcast_delay_m(
 ///
 /// Klobuchar (1987), *Ionospheric time-delay algorithm for single-frequency GPS users*: the model
 /// removes about half of the delay's rms.
-pub fn klobuchar_variance_m2(delay_m: f64) -> f64 {
+pub(crate) fn klobuchar_variance_m2(delay_m: f64) -> f64 {
     0.25 * delay_m * delay_m
 }
 
 /// Variance of the delay without an ionosphere model (m²): 5 m on L1, scaled by frequency.
 ///
 /// RTKLIB manual 2.4.2, constant `ERR_ION`.
-pub fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
+pub(crate) fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
     let scale = (GPS_L1_HZ / frequency_hz).powi(2);
     25.0 * scale * scale
 }

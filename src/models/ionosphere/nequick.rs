@@ -12,7 +12,7 @@ use crate::gnss::{Ecef, Geodetic, GpsTime, LeapSeconds, NeQuickCoefficients, Tim
 /// Delay of a pseudorange on `frequency_hz` between `receiver` and `satellite` at `time` (m).
 ///
 /// `None` where the model has no value: the ray meets the Earth, or a coordinate is not finite.
-pub fn nequick_delay_m(
+pub(crate) fn nequick_delay_m(
     coefficients: &NeQuickCoefficients,
     frequency_hz: f64,
     receiver: &Geodetic,
@@ -41,7 +41,7 @@ pub fn nequick_delay_m(
 ///
 /// This 30 % is an assumption, not a published figure: less than Klobuchar's half, since the model
 /// describes the ionosphere in three dimensions.
-pub fn nequick_variance_m2(delay_m: f64) -> f64 {
+pub(crate) fn nequick_variance_m2(delay_m: f64) -> f64 {
     0.09 * delay_m * delay_m
 }
 
