@@ -62,8 +62,8 @@ pub enum AidingError {
     },
     /// One push has more than a base may store.
     #[error(
-        "one push has {epochs} epochs of {bytes} bytes; a base takes at most {epochs_max} epochs and \
-         {bytes_max} bytes"
+        "one push has {epochs} epochs of {bytes} bytes; a base takes at most \
+         {epochs_max} epochs and {bytes_max} bytes"
     )]
     BaseTooLarge {
         /// Number of epochs in the push.

@@ -4,46 +4,46 @@ use std::time::Duration;
 
 use crate::refusal::Code;
 
-/// Why a request, or one epoch of it, was refused.
+/// Why a request, or one epoch of it, is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{code}: {message}")]
 pub struct Refusal {
-    /// Stable code.
+    /// The stable code, which has the remedy.
     pub code: Code,
     /// What is wrong, with the values at fault.
     pub message: String,
-    /// The field at fault, a path such as `epochs[3].time`, in the door's own spelling.
+    /// The field at fault, as a path such as `epochs[3].time`.
     pub field: Option<String>,
     /// The line at fault of an uploaded file, from 1.
     pub line: Option<u64>,
-    /// The byte at fault of a body, from 0.
+    /// Offset of the byte at fault in the body, from 0.
     pub byte_offset: Option<u64>,
-    /// When to try again.
+    /// The delay before the next attempt.
     pub retry_after: Option<Duration>,
 }
 
 impl Refusal {
-    /// A refusal without a place.
+    /// A refusal that names no field, line or byte.
     pub fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
         Self { code, message, field: None, line: None, byte_offset: None, retry_after: None }
     }
 
-    /// The same, with the field at fault.
+    /// The refusal with the field at fault.
     #[must_use]
     pub fn at(mut self, field: impl Into<String>) -> Self {
         self.field = Some(field.into());
         self
     }
 
-    /// The same, with the field at fault where there is one.
+    /// The refusal with the field at fault, if there is one.
     #[must_use]
     pub(super) fn at_some(mut self, field: Option<&str>) -> Self {
         self.field = field.map(ToOwned::to_owned);
         self
     }
 
-    /// The same, with the field at fault standing inside `outer`.
+    /// The refusal with its field inside `outer`.
     #[must_use]
     pub fn within(mut self, outer: &str) -> Self {
         self.field = Some(match self.field {
@@ -53,21 +53,21 @@ impl Refusal {
         self
     }
 
-    /// The same, with the line at fault.
+    /// The refusal with the line at fault.
     #[must_use]
     pub fn on_line(mut self, line: u64) -> Self {
         self.line = Some(line);
         self
     }
 
-    /// The same, with the byte at fault.
+    /// The refusal with the byte at fault.
     #[must_use]
     pub fn on_byte(mut self, offset: u64) -> Self {
         self.byte_offset = Some(offset);
         self
     }
 
-    /// The same, with the time after which to try again.
+    /// The refusal with the delay before the next attempt.
     #[must_use]
     pub fn retry_after(mut self, delay: Duration) -> Self {
         self.retry_after = Some(delay);

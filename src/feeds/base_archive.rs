@@ -180,7 +180,7 @@ impl BaseArchive {
             Err((problem, retry_after)) => {
                 let FeedProblem { code, message } = problem;
                 if file.problem.as_ref().is_none_or(|before| before.code != code) {
-                    tracing::warn!(%code, base = %self.base, %url, %message, "a file of a base is missing");
+                    tracing::warn!(%code, base = %self.base, %url, %message, "no file of a base");
                 }
                 file.failures += 1;
                 // Fetch it again even if unchanged: the failure may have been on this side.

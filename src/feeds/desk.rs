@@ -24,7 +24,7 @@ struct StreamKey {
     near: Option<GpsTime>,
     /// Bits of the position. They are only compared.
     position: Option<[u64; 3]>,
-    /// The base whose rovers' position the caster is told. Such a stream fills this base only.
+    /// The base whose rovers' position is reported to the caster. The stream fills this base only.
     follows: Option<BaseId>,
 }
 
@@ -76,12 +76,14 @@ impl Feeds {
         let feeds = Self { desk: Arc::new(desk) };
         for (base, feed) in fed.into_iter().filter(|(_, feed)| !feed.is_on_demand) {
             if let Err(error) = feeds.start(&base, &feed) {
-                tracing::error!(code = %error.code(), %base, %error, "the stream of a base cannot start");
+                let code = error.code();
+                tracing::error!(%code, %base, %error, "the stream of a base cannot start");
             }
         }
         for (base, template) in filled {
             if let Err(error) = feeds.fill(&base, &template) {
-                tracing::error!(code = %error.code(), %base, %error, "the archive of a base cannot start");
+                let code = error.code();
+                tracing::error!(%code, %base, %error, "the archive of a base cannot start");
             }
         }
         feeds

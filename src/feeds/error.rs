@@ -27,7 +27,8 @@ pub enum FetchError {
     },
     /// The address of an archive's files has no placeholders for the day.
     #[error(
-        "{text:?} has no placeholders for the day: {{yyyy}} or {{yy}}, with {{ddd}} or {{mm}} and {{dd}}"
+        "{text:?} has no placeholders for the day: {{yyyy}} or {{yy}}, with {{ddd}} or {{mm}} and \
+         {{dd}}"
     )]
     TemplateWithoutDay {
         /// The text as given.

@@ -3,8 +3,8 @@
 //! [`Feeds`] keeps one connection per stream, however many bases the stream fills and however many
 //! sessions use these. It decodes the stream, pushes its epochs to its bases and its ephemerides to
 //! the navigation broker, and sets the position of bases whose creator gave none. When a stream
-//! ends, it is requested again after a delay that doubles; [`FeedHealth`] says what the stream does
-//! and why it failed.
+//! ends, it is requested again after a delay that doubles; [`FeedHealth`] reports what the stream
+//! does and why it failed.
 //!
 //! An archive can fill a base instead. It has one file per day, hour or quarter of an hour. A file
 //! is fetched once for all sessions, when epochs of its time must be positioned. The sourcetables

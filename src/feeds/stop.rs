@@ -2,7 +2,7 @@
 
 use tokio::sync::watch;
 
-/// Waits until the task is told to stop.
+/// Waits for the signal to stop.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
     // Err: the sender is gone, which also means stop.
     stop.wait_for(|stop| *stop).await.ok();

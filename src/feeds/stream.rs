@@ -247,7 +247,8 @@ impl Stream {
             }
         }
         if self.hints.near.is_some() {
-            self.hints.near = last.or(self.hints.near); // A recorded stream continues at this time after a reconnection.
+            // A recorded stream continues at this time after a reconnection.
+            self.hints.near = last.or(self.hints.near);
         }
         for group in groups {
             self.push(group).await;

@@ -22,7 +22,7 @@ pub(super) async fn create(
     Ok((StatusCode::CREATED, Json(calls::bases::create(&service, request).await?)))
 }
 
-/// A base with its health.
+/// Returns a base with its health.
 #[utoipa::path(get, path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     responses((status = 200, body = v1::Base), (status = "4XX", body = Problem)))]
@@ -33,7 +33,7 @@ pub(super) async fn get(
     Ok(Json(calls::bases::get(&service, v1::GetBaseRequest { base }).await?))
 }
 
-/// Bases with their health, by id.
+/// Lists bases with their health, in order of id.
 #[utoipa::path(get, path = "/v1/bases", tag = "Bases", params(PageQuery),
     responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem)))]
 pub(super) async fn list(
@@ -45,7 +45,7 @@ pub(super) async fn list(
     Ok(Json(calls::bases::list(&service, request).await?))
 }
 
-/// Deletes a base with its epochs; refused while an open session names it.
+/// Deletes a base with its epochs, unless an open session uses it.
 #[utoipa::path(delete, path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem)))]
@@ -56,10 +56,11 @@ pub(super) async fn delete(
     Ok(Json(calls::bases::delete(&service, v1::DeleteBaseRequest { base }).await?))
 }
 
-/// Takes epochs of a base, in order of time; what is acknowledged is committed.
+/// Takes epochs of a base in order of time. Acknowledged epochs are durable.
 ///
-/// One epoch's refusal stops no other; one that is held just so is acknowledged again. Where every
-/// epoch is refused, the call is refused as its first.
+/// If an epoch is refused, the others are still taken. An epoch that is stored already with the
+/// same content is acknowledged again. If every epoch is refused, the call is refused with the
+/// first one's refusal.
 #[utoipa::path(post, path = "/v1/bases/{base}/epochs", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     request_body = v1::PushBaseEpochsRequest,
@@ -77,7 +78,7 @@ pub(super) async fn push_epochs(
     Ok(Json(calls::bases::push_epochs(&service, request).await?))
 }
 
-/// Takes a RINEX observation file of a base; where the base's position is not known, it is that of
+/// Takes a RINEX observation file of a base. If the base has no position yet, it takes the one of
 /// the header.
 #[utoipa::path(post, path = "/v1/bases/{base}/observations", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),

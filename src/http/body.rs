@@ -1,4 +1,4 @@
-//! Bodies, path segments and queries, read strictly: what is not in the schema is refused by name.
+//! Reads bodies, path segments and queries strictly: an unknown field is refused by name.
 
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -17,7 +17,7 @@ use super::problem::Refused;
 #[derive(Clone, Debug)]
 pub(super) struct JsonBody<T>(pub T);
 
-/// A body of any kind, as it is.
+/// A body of any content type, as bytes.
 #[derive(Clone, Debug)]
 pub(super) struct RawBody(pub Bytes);
 
@@ -73,7 +73,7 @@ fn unread(rejection: BytesRejection) -> Refused {
 /// Reads JSON.
 ///
 /// # Errors
-/// Not JSON: with the byte at fault. Not the schema: with the field.
+/// The body is not JSON (with the byte at fault) or not of the schema (with the field).
 pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
     let mut reader = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
@@ -88,7 +88,7 @@ pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
     Ok(value)
 }
 
-/// The refusal of what is JSON, or a query, but not of the schema.
+/// The refusal of a body or query that is not of the schema.
 fn unfit(message: String, path: &str) -> Refusal {
     let unknown = message.contains("unknown field");
     let code = if unknown { Code::UnknownField } else { Code::InvalidField };
@@ -124,8 +124,8 @@ mod tests {
     #[test]
     fn a_wrong_type_has_its_place() {
         let wrong = refusal(r#"{"epochs":[{"seq":"one"}]}"#);
-        let place = (wrong.code, wrong.field.as_deref());
-        assert_eq!(place, (Code::InvalidField, Some("epochs[0].seq")));
+        let at_fault = (wrong.code, wrong.field.as_deref());
+        assert_eq!(at_fault, (Code::InvalidField, Some("epochs[0].seq")));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Door: REST, and the one port that both doors share. The router is on this page.
+//! The REST door, and the port that both doors share. The router is on this page.
 
 mod bases;
 mod body;

@@ -8,7 +8,7 @@ use crate::contract::{Service, calls, v1};
 use super::body::RawBody;
 use super::problem::{Problem, Refused};
 
-/// Takes a RINEX navigation file, plain or gzip; what it holds is committed before the answer.
+/// Takes a RINEX navigation file, plain or gzip. Its content is durable before the answer.
 #[utoipa::path(post, path = "/v1/navigation", tag = "Navigation",
     request_body(content = String, content_type = "application/octet-stream",
         description = "RINEX 2.10 to 4.0x navigation, plain or gzip"),
@@ -22,7 +22,7 @@ pub(super) async fn push(
     Ok(Json(calls::navigation::push(&service, request).await?))
 }
 
-/// Which satellites are covered from when until when.
+/// Lists the satellites with usable ephemerides, and the time that these cover.
 #[utoipa::path(get, path = "/v1/navigation", tag = "Navigation",
     responses((status = 200, body = v1::NavigationStatusResponse),
         (status = "4XX", body = Problem)))]

@@ -44,7 +44,7 @@ use super::{bases, navigation, positioning, raw, sessions, solutions};
 )]
 struct Rest;
 
-/// The document that `/openapi.json` answers.
+/// The document at `/openapi.json`.
 pub fn document() -> utoipa::openapi::OpenApi {
     Rest::openapi()
 }

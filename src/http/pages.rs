@@ -1,4 +1,4 @@
-//! What is not a call: health, the schema, and the first page.
+//! Paths that are not calls: health, schema and home page.
 
 use axum::Json;
 use axum::extract::State;
@@ -12,17 +12,17 @@ use crate::refusal::Code;
 use super::openapi;
 use super::problem::Refused;
 
-/// `GET /`: what this is and where to go on.
+/// `GET /`: the home page, with links.
 pub(super) async fn home() -> Html<&'static str> {
     Html(include_str!("home.html"))
 }
 
-/// `GET /healthz`: the process answers.
+/// `GET /healthz`: 200 while the process runs.
 pub(super) async fn live() -> &'static str {
     "ok\n"
 }
 
-/// `GET /readyz`: 200 while requests are welcome, 503 while the service stops.
+/// `GET /readyz`: 200 while requests are accepted, 503 while the service stops.
 pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, &'static str) {
     if service.is_draining() {
         (StatusCode::SERVICE_UNAVAILABLE, "draining\n")
@@ -36,9 +36,9 @@ pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
     Json(openapi::document())
 }
 
-/// Any path that is none, in the words of the door it was meant for.
+/// The answer to an unknown path, in the form of the door that was meant.
 pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
-    let message = format!("{method} {} is no call", uri.path());
+    let message = format!("{method} {} is not a call", uri.path());
     let refusal = Refusal::new(Code::RouteNotFound, message);
     let kind = headers.get(header::CONTENT_TYPE).map(|kind| kind.as_bytes());
     if kind.is_some_and(|kind| kind.starts_with(b"application/grpc")) {
@@ -47,7 +47,7 @@ pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Re
     Refused(refusal).into_response()
 }
 
-/// A path that does not take the method.
+/// The answer to a method that the path does not take.
 pub(super) async fn no_method(method: Method, uri: Uri) -> Refused {
     let message = format!("{} does not take {method}", uri.path());
     Refusal::new(Code::MethodNotAllowed, message).into()

@@ -10,11 +10,12 @@ use super::body::JsonBody;
 use super::problem::{Problem, Refused};
 use super::sessions::named;
 
-/// Positions a batch of epochs, in their order; what is acknowledged is committed.
+/// Positions the epochs of a push in their order. Acknowledged epochs are durable.
 ///
-/// A malformed epoch refuses the push before anything is positioned. What the session then refuses
-/// (a conflict, an epoch out of order) stops no other epoch and is told in its place; where it
-/// refuses every epoch, the call is refused as its first.
+/// If one epoch is malformed, the whole push is refused and nothing is positioned. If the session
+/// refuses an epoch (a conflict, or out of order), it still positions the others, and the answer
+/// has the refusal in place of that solution. If it refuses every epoch, the call is refused with
+/// the first one's refusal.
 #[utoipa::path(post, path = "/v1/sessions/{session}/epochs", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::PushEpochsRequest,
@@ -29,7 +30,7 @@ pub(super) async fn push_epochs(
     Ok(Json(calls::positioning::push_epochs(&service, request).await?))
 }
 
-/// Solves the session's present window on request with any mode and options; nothing is stored.
+/// Solves the session's present window with any mode and options. Nothing is stored.
 #[utoipa::path(post, path = "/v1/sessions/{session}:solve", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::SolveRequest,
@@ -40,7 +41,7 @@ pub(super) async fn solve(
     JsonBody(request): JsonBody<v1::SolveRequest>,
 ) -> Result<Json<v1::SolveResponse>, Refused> {
     let Some(session) = target.strip_suffix(":solve") else {
-        let message = format!("POST /v1/sessions/{target} is no call");
+        let message = format!("POST /v1/sessions/{target} is not a call");
         return Err(Refusal::new(Code::RouteNotFound, message).into());
     };
     let session = named(session.to_owned(), &request.session)?;
@@ -48,7 +49,7 @@ pub(super) async fn solve(
     Ok(Json(calls::positioning::solve(&service, request).await?))
 }
 
-/// Positions one epoch or a short burst without a session; nothing is stored.
+/// Positions one or a few epochs without a session. Nothing is stored.
 #[utoipa::path(post, path = "/v1/solve", tag = "Positioning",
     request_body = v1::SolveOnceRequest,
     responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem)))]

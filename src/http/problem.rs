@@ -9,22 +9,22 @@ use utoipa::ToSchema;
 use crate::contract::Refusal;
 use crate::refusal::Class;
 
-/// What is answered instead of a result: an RFC 9457 problem document.
+/// A refusal as an RFC 9457 problem document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct Problem {
-    /// `urn:graphfix:error:` and the code.
+    /// `urn:graphfix:error:` followed by the code.
     #[serde(rename = "type")]
     pub kind: String,
-    /// The code in words.
+    /// The code as words.
     pub title: String,
     /// The HTTP status.
     pub status: u16,
     /// What is wrong, with the values at fault.
     pub detail: String,
-    /// Stable, upper snake case; see `docs/errors.md`.
+    /// Stable code, upper snake case; see `docs/errors.md`.
     pub code: String,
-    /// What can be done about it.
+    /// What the user can do about it.
     pub remedy: String,
     /// The field at fault, such as `epochs[3].time`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -32,15 +32,15 @@ pub struct Problem {
     /// The line at fault of an uploaded file, from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<u64>,
-    /// The byte at fault of the body, from 0.
+    /// Offset of the byte at fault in the body, from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub byte_offset: Option<u64>,
-    /// When to try again (ms).
+    /// The delay before the next attempt (ms).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub retry_after_ms: Option<u64>,
 }
 
-/// A refusal on its way out.
+/// A refusal as the answer to a request.
 #[derive(Clone, Debug)]
 pub(super) struct Refused(pub Refusal);
 
@@ -50,7 +50,7 @@ impl From<Refusal> for Refused {
     }
 }
 
-/// The status of a class of refusals.
+/// The HTTP status of a class.
 pub const fn http_status(class: Class) -> StatusCode {
     match class {
         Class::Malformed => StatusCode::BAD_REQUEST,
@@ -85,8 +85,8 @@ impl Problem {
     }
 }
 
-/// The document with its status, and `Retry-After` in whole seconds where there is a delay.
-/// Faults of the service are logged here, once.
+/// The document with its status, and `Retry-After` in whole seconds if there is a delay. Failures
+/// of the service are logged here, once.
 impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let Self(refusal) = self;

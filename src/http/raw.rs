@@ -10,25 +10,26 @@ use crate::contract::{Refusal, Service, calls, intake, v1};
 use super::body::{RawBody, StrictQuery};
 use super::problem::{Problem, Refused};
 
-/// Where a piece of a stream stands.
+/// Position of a chunk in its stream.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct RawQuery {
-    /// Bytes that were sent to the session before these, ever since its first; 0 if not given.
+    /// Number of bytes sent to the session before this chunk, from its very first byte; 0 if
+    /// absent.
     offset: u64,
-    /// The stream ends with these bytes; what follows begins another.
+    /// The stream ends with this chunk; the next one begins another stream.
     end: bool,
-    /// Within half a day of the stream's first message, for streams that tell no week: GPS week and
-    /// seconds of week, such as `2051:46701.5`. The service's clock if not given.
+    /// A time within half a day of the stream's first message, for messages without a week number:
+    /// GPS week and seconds of week, such as `2051:46701.5`. The service's clock if absent.
     near: Option<String>,
 }
 
-/// Takes the bytes of a receiver as they come, split anywhere.
+/// Takes the bytes of a receiver as they arrive, split anywhere.
 ///
-/// Frames of RTCM 3 and UBX, or RINEX observations. Every byte before `rawThrough` of the answer is
-/// stored, and the epochs that they complete are committed; there the device goes on. Bytes sent
-/// again change nothing.
+/// The bytes are frames of RTCM 3 and UBX, or RINEX observations. All bytes before `rawThrough` of
+/// the answer are stored, and the epochs that they complete are committed. The device continues at
+/// this offset. Repeated bytes change nothing.
 #[utoipa::path(post, path = "/v1/sessions/{session}/raw", tag = "Positioning",
     params(("session" = String, Path, description = "Its id"), RawQuery),
     request_body(content = String, content_type = "application/octet-stream",

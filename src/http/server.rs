@@ -1,4 +1,4 @@
-//! The listening port: bind, serve both doors, stop in order.
+//! The listening port: binds it, serves both doors, and stops in order.
 
 use std::any::Any;
 use std::future::{Future, IntoFuture};
@@ -14,21 +14,21 @@ use crate::refusal::Code;
 use super::problem::Refused;
 use super::router;
 
-/// Why serving ended otherwise than asked.
+/// Why serving ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The listener failed.
+    /// The listening socket failed.
     #[error("the listener failed: {0}")]
     Listener(#[from] io::Error),
 }
 
 /// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains.
 ///
-/// Draining: `/readyz` and gRPC health say no; after the notice no connection is accepted, running
-/// requests have `limits.drain_s` to finish.
+/// While draining, `/readyz` and the gRPC health service report not ready. After the notice no
+/// connection is accepted, and running requests have `limits.drain_s` to finish.
 ///
 /// # Errors
-/// The listener fails.
+/// The listening socket fails.
 pub async fn serve(
     listener: TcpListener,
     service: &Service,
@@ -63,7 +63,7 @@ pub async fn serve(
     }
 }
 
-/// What a panic answers on the REST door.
+/// The answer of the REST door to a panic.
 pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
     let words = panic.downcast_ref::<String>().map(String::as_str);
     let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");

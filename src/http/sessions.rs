@@ -12,18 +12,18 @@ use crate::refusal::Code;
 use super::body::{JsonBody, StrictQuery};
 use super::problem::{Problem, Refused};
 
-/// Which page of a list.
+/// The page of a list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// At most so many, 1 to 1000; 100 if not given.
+    /// Most items on the page, 1 to 1000; 100 if absent.
     pub(super) page_size: u32,
-    /// From the answer before.
+    /// `nextPageToken` of the previous answer.
     pub(super) page_token: String,
 }
 
-/// The session of a path; a body that names one must name the same.
+/// The session of the path. A session in the body must be the same.
 pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
     if body.is_empty() || body == path {
         return Ok(path);
@@ -32,7 +32,7 @@ pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
     Err(Refusal::new(Code::InvalidField, message).at("session"))
 }
 
-/// Opens a session; answers it with the configuration in force.
+/// Opens a session. Returns it with the configuration in force.
 #[utoipa::path(post, path = "/v1/sessions", tag = "Sessions",
     request_body = v1::CreateSessionRequest,
     responses((status = 201, body = v1::Session), (status = "4XX", body = Problem)))]
@@ -43,7 +43,7 @@ pub(super) async fn create(
     Ok((StatusCode::CREATED, Json(calls::sessions::create(&service, request).await?)))
 }
 
-/// One session with the configuration in force.
+/// Returns a session with the configuration in force.
 #[utoipa::path(get, path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
@@ -55,7 +55,7 @@ pub(super) async fn get(
     Ok(Json(calls::sessions::get(&service, request).await?))
 }
 
-/// Sessions, newest first.
+/// Lists sessions, the newest first.
 #[utoipa::path(get, path = "/v1/sessions", tag = "Sessions", params(PageQuery),
     responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem)))]
 pub(super) async fn list(
@@ -67,7 +67,8 @@ pub(super) async fn list(
     Ok(Json(calls::sessions::list(&service, request).await?))
 }
 
-/// Changes what is given and nothing else; the epochs that follow are positioned by it.
+/// Changes the given fields and no others. The epochs that follow are positioned with the new
+/// configuration.
 #[utoipa::path(patch, path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::UpdateSessionRequest,
@@ -82,7 +83,7 @@ pub(super) async fn update(
     Ok(Json(calls::sessions::update(&service, request).await?))
 }
 
-/// Closes a session: it takes no more epochs, what it stored stays readable.
+/// Closes a session. It takes no more epochs, and its solutions stay readable.
 #[utoipa::path(delete, path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]

@@ -10,26 +10,26 @@ use crate::contract::{Refusal, Service, calls, intake, v1};
 use super::body::StrictQuery;
 use super::problem::{Problem, Refused};
 
-/// Which solutions.
+/// The solutions to list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct SolutionsQuery {
-    /// Not before: GPS week and seconds of week, such as `2051:46701.5`.
+    /// First time: GPS week and seconds of week, such as `2051:46701.5`.
     from: Option<String>,
-    /// Not after, in the same form.
+    /// Last time, in the same form.
     to: Option<String>,
     /// Only this status, such as `SINGLE`.
     status: Option<String>,
-    /// Which answers to each epoch: `last` (if not given), `first` or `all`.
+    /// The revisions of each epoch: `last` (if absent), `first` or `all`.
     revisions: Option<String>,
-    /// At most so many, 1 to 10000; 1000 if not given.
+    /// Most solutions on the page, 1 to 10000; 1000 if absent.
     page_size: u32,
-    /// From the answer before.
+    /// `nextPageToken` of the previous answer.
     page_token: String,
 }
 
-/// Stored solutions of a session in order of seq and revision.
+/// Lists stored solutions of a session in order of seq and revision.
 #[utoipa::path(get, path = "/v1/sessions/{session}/solutions", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SolutionsQuery),
     responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem)))]

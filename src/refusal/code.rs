@@ -331,7 +331,8 @@ codes! {
     /// The listening socket failed while the service ran.
     ListenerFailed = "LISTENER_FAILED", NoCall, "see the log, and start again";
     /// The configuration file is not TOML, or has an unknown key.
-    ConfigurationMalformed = "CONFIGURATION_MALFORMED", NoCall, "correct the line that the message names";
+    ConfigurationMalformed = "CONFIGURATION_MALFORMED", NoCall,
+        "correct the line that the message names";
     /// A pattern of fetch.hosts is invalid.
     FetchHostInvalid = "FETCH_HOST_INVALID", NoCall, "list hosts as host, host:port or *.domain";
     /// The file fetch.ca_file cannot be read.

@@ -1,4 +1,4 @@
-//! From what users ask for to the options in force, and back from what is stored.
+//! The options in force: from a user's request, and from what is stored.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::SessionError;
 /// The options of a mode and profile with overrides.
 ///
 /// # Errors
-/// A mode, profile, option or value that does not exist.
+/// The mode, profile, option or value does not exist.
 pub(super) fn options(
     mode: &str,
     profile: &str,
@@ -23,10 +23,10 @@ pub(super) fn options(
     Ok(options)
 }
 
-/// The settings to store.
+/// The settings of a session as they are stored.
 ///
 /// # Errors
-/// A mode, profile, option or value that does not exist, or a mode that needs a base without one.
+/// The mode, profile, option or value does not exist, or the mode needs a base and none is named.
 pub(super) fn settings(
     label: String,
     mode: String,
@@ -42,10 +42,10 @@ pub(super) fn settings(
     Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash, base })
 }
 
-/// Which base a mode works with: none where it is not relative to one.
+/// The bases that a mode uses: none if it is not relative to a base.
 ///
 /// # Errors
-/// It is, and there is none.
+/// The mode is relative to a base, and none is named.
 pub(super) fn base_of(mode: Mode, base: &BaseChoice) -> Result<BaseChoice, SessionError> {
     match (mode.is_relative(), base) {
         (false, _) => Ok(BaseChoice::None),
@@ -54,21 +54,21 @@ pub(super) fn base_of(mode: Mode, base: &BaseChoice) -> Result<BaseChoice, Sessi
     }
 }
 
-/// The options that were in force when the settings were stored, though a profile's values may
-/// have changed since.
+/// The options that were in force when the settings were stored. Later changes of a profile's
+/// values do not affect them.
 ///
 /// # Errors
-/// An option that no longer exists.
+/// An option no longer exists.
 pub(super) fn stored_options(
     settings: &SessionSettings,
 ) -> Result<PositioningOptions, ConfigError> {
     options(&settings.mode, &settings.profile, &settings.configuration)
 }
 
-/// The options that were in force under a configuration that is kept for replay.
+/// The options of a stored configuration, for replay.
 ///
 /// # Errors
-/// An option that no longer exists.
+/// An option no longer exists.
 pub(super) fn kept_options(kept: &StoredConfiguration) -> Result<PositioningOptions, ConfigError> {
     options(&kept.mode, &kept.profile, &kept.configuration)
 }

@@ -1,4 +1,4 @@
-//! Which base an estimator was given, and which it is given next.
+//! Which base an estimator has used, and which one it uses next.
 
 use crate::aiding::bases::{BaseBroker, BaseChoice, BaseGiven, BaseView, Candidates};
 use crate::config::{Mode, PositioningOptions};
@@ -8,21 +8,21 @@ use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::BaseKey;
 
-/// A position older than this no longer tells where the rover is (s).
+/// Age beyond which the last position no longer shows where the rover is (s).
 const PLACE_LASTS_S: f64 = 60.0;
 
-/// What epochs may be positioned against.
+/// The bases from which the next epochs take theirs.
 pub(super) enum Against {
-    /// Nothing.
+    /// None: the mode is not relative to a base.
     Nothing,
-    /// One base, with its epochs of the span of time.
+    /// One base, with its epochs of the rover epochs' time.
     One(BaseView),
-    /// The nearest of these.
+    /// The nearest of several bases.
     Nearest(Candidates),
 }
 
 impl Against {
-    /// What `choice` means for epochs from `from` until `until`.
+    /// The bases of `choice` for rover epochs in `span`, its first and last time.
     pub(super) fn new(
         bases: &BaseBroker,
         choice: &BaseChoice,
@@ -40,14 +40,14 @@ impl Against {
     }
 }
 
-/// The base of an estimator's last epoch, and where the rover was.
+/// The base that an estimator has used so far, and the rover's last position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BaseCourse {
-    /// The base, of the last epoch that had one.
+    /// The base of the last epoch that had one.
     pub(super) base: Option<BaseKey>,
-    /// Number of its newest epoch that the estimator was given.
+    /// Number of the newest base epoch that the estimator has received.
     given: u64,
-    /// The last position answered, and when.
+    /// The last position of the rover, and its time.
     place: Option<(GpsTime, Ecef)>,
 }
 
@@ -64,12 +64,12 @@ impl Snapshot for BaseKey {
 }
 
 impl BaseCourse {
-    /// For an estimator that begins anew: it was given nothing.
+    /// Prepares for a new estimator, which has received no base epochs.
     pub(super) const fn begin_anew(&mut self) {
         self.given = 0;
     }
 
-    /// What the next epoch is given.
+    /// The base epochs to give with the next rover epoch.
     pub(super) fn next(
         &self,
         against: &Against,
@@ -93,7 +93,8 @@ impl BaseCourse {
         view.input_at(time, after, options.rtk.base_span_s())
     }
 
-    /// Where the rover is about: where it was last, unless that is long ago; else its single point.
+    /// The rover's approximate position: its last position if that is recent, otherwise the
+    /// single-point position of this epoch, or else the last position whatever its age.
     fn place_at(
         &self,
         epoch: &Epoch,
@@ -110,7 +111,7 @@ impl BaseCourse {
         alone.estimate.map(|estimate| estimate.position).or(last)
     }
 
-    /// Takes what an epoch was given, and its answer.
+    /// Updates the selection with an epoch's base epochs and solution.
     pub(super) fn take(&mut self, given: Option<&BaseGiven>, solution: &Solution) {
         if let Some(BaseGiven { used, .. }) = given {
             (self.base, self.given) = (Some(used.base), used.through);

@@ -1,4 +1,4 @@
-//! The desk itself: what the doors call.
+//! The desk itself: the methods that the doors call.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -25,16 +25,17 @@ use super::{
     SessionInfo, SessionLimits, SessionUpdate, Submitted,
 };
 
-/// Locks that starting and closing a session share, by its id.
+/// Number of locks for starting and closing sessions. A session's id selects its lock.
 const STARTING_LOCKS: usize = 64;
-/// What raw bytes take of the room for epochs: no receiver says less of an epoch.
+/// Raw bytes that count as one waiting epoch in a mailbox. No receiver uses fewer bytes per epoch.
 const BYTES_PER_EPOCH: usize = 256;
 
-/// The desk for sessions. Clones share it.
+/// The desk for sessions. All clones share it.
 ///
-/// A session's task is started by its first batch of epochs and holds the estimator in memory. When
-/// [`SessionLimits::active_sessions`] have one, the least recently used session without waiting
-/// epochs is parked: its task ends, and a later batch starts a new one from the store.
+/// A session's task is started by its first push, and holds the estimator in memory. At most
+/// [`SessionLimits::active_sessions`] tasks run. To start another one, the least recently used
+/// session without waiting epochs is parked: its task ends, and its next push starts a new task
+/// from the store.
 #[derive(Clone)]
 pub struct Sessions {
     desk: Arc<Desk>,
@@ -45,19 +46,19 @@ struct Desk {
     aiding: AidingDesk,
     limits: SessionLimits,
     solvers: Solvers,
-    /// Epochs waiting in all mailboxes.
+    /// Epochs that wait in all mailboxes together.
     waiting: Arc<AtomicUsize>,
-    /// Held from reading a session's row until its task is started, and while it is closed.
+    /// Locked from reading a session's row until its task is started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
 }
 
-/// The tasks that run. Batches are posted under its lock, so a task taken out of `handles` with
-/// nothing waiting never gets another one.
+/// The running tasks. Messages are sent while this is locked, so a task that was removed from
+/// `handles` with an empty mailbox receives no further message.
 struct Tasks {
     handles: HashMap<SessionId, Handle>,
     running: JoinSet<()>,
-    /// Counts batches, to tell who was used least recently.
+    /// Counts messages, to find the least recently used session.
     posted: u64,
     draining: bool,
 }
@@ -91,7 +92,7 @@ impl Sessions {
     /// Creates a session and stores it.
     ///
     /// # Errors
-    /// A configuration or a base that does not exist, a label too long, or the store fails.
+    /// A configuration or base does not exist, the label is too long, or the store fails.
     pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
         self.check_label(&new.label)?;
         let base = self.base_names(new.base)?;
@@ -104,15 +105,15 @@ impl Sessions {
     /// A session, open or closed.
     ///
     /// # Errors
-    /// There is none of this id, or the store fails.
+    /// No session has this id, or the store fails.
     pub async fn get(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         info(id.clone(), self.row(id).await?)
     }
 
-    /// Sessions, the newest first; 1 to 1000 on a page.
+    /// A page of 1 to 1000 sessions, the newest first.
     ///
     /// # Errors
-    /// A page token or size that is refused, or the store fails.
+    /// The page token or size is invalid, or the store fails.
     pub async fn list(
         &self,
         page_size: usize,
@@ -122,17 +123,17 @@ impl Sessions {
         page.try_map(|row| {
             let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
                 what: "session id",
-                why: format!("{:?} is not an id of a session", row.id),
+                why: format!("{:?} is not the id of a session", row.id),
             })?;
             info(id, row)
         })
     }
 
-    /// Changes a session's label and configuration. Epochs sent after it returns are positioned by
-    /// the new configuration; those that wait may be, too.
+    /// Changes the label, configuration or base of a session. Epochs sent after this call returns
+    /// are positioned with the new configuration; epochs already in the mailbox may be, too.
     ///
     /// # Errors
-    /// No such session, one that is closed, a configuration or a base that does not exist.
+    /// No session has this id, the session is closed, or a configuration or base does not exist.
     pub async fn update(
         &self,
         id: &SessionId,
@@ -164,14 +165,15 @@ impl Sessions {
         info(id.clone(), row)
     }
 
-    /// Closes a session: it takes no more epochs, what it stored stays readable. Epochs that wait
-    /// are still positioned and stored, and what the window holds is answered for the last time.
+    /// Closes a session. It takes no more epochs, and its stored solutions stay readable. Waiting
+    /// epochs are still positioned and stored, and the epochs in the window get their last
+    /// revision.
     ///
     /// # Errors
-    /// No such session, the service is shutting down, or the store fails: it is then still open.
+    /// No session has this id, the service is stopping, or the store fails; it is then still open.
     pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         let (desk, of) = (self.clone(), id.clone());
-        // A task of its own: a caller that hangs up leaves no session half closed.
+        // In its own task, so that the session is closed even if the caller disconnects.
         let closing = tokio::spawn(async move { desk.close_whole(&of).await });
         closing.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
@@ -186,7 +188,7 @@ impl Sessions {
         if !self.tasks().handles.contains_key(id) {
             self.start(id, row.key)?;
         }
-        // Taken out: nothing is posted behind the last message.
+        // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
         let (reply, answer) = oneshot::channel();
         let last = Message::Close { unix_ms: unix_ms(), reply };
@@ -195,10 +197,10 @@ impl Sessions {
         answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
-    /// Positions and commits a batch of epochs; returns when it is durable.
+    /// Positions and commits the epochs of one push; returns when they are durable.
     ///
     /// # Errors
-    /// The batch was refused, or could not be committed: nothing of it is acknowledged.
+    /// The push is refused or could not be committed: nothing of it is acknowledged.
     pub async fn submit(
         &self,
         id: &SessionId,
@@ -207,11 +209,12 @@ impl Sessions {
         self.enqueue(id, epochs).await?.answer().await
     }
 
-    /// Puts a batch of epochs into the session's mailbox. Batches of calls that follow one another
-    /// are positioned in that order, and their answers may be awaited later.
+    /// Puts the epochs of one push into the session's mailbox. Pushes of consecutive calls are
+    /// positioned in that order, and their answers can be awaited later.
     ///
     /// # Errors
-    /// No such session, one that is closed, a batch too large, a full mailbox: nothing is accepted.
+    /// No session has this id, the session is closed, the push is too large, or the mailbox is
+    /// full. Nothing is accepted.
     pub async fn enqueue(
         &self,
         id: &SessionId,
@@ -225,11 +228,11 @@ impl Sessions {
         Ok(Pending(answer))
     }
 
-    /// Takes a piece of a receiver's stream; returns when its bytes, and the epochs that they
-    /// complete, are durable. Pieces of calls that follow one another are taken in that order.
+    /// Takes a chunk of a receiver's stream. Returns when its bytes, and the epochs that they
+    /// complete, are durable. Chunks of consecutive calls are taken in that order.
     ///
     /// # Errors
-    /// The piece was refused, or could not be committed: nothing of it is acknowledged.
+    /// The chunk is refused or could not be committed: nothing of it is acknowledged.
     pub async fn receive(
         &self,
         id: &SessionId,
@@ -239,7 +242,7 @@ impl Sessions {
         if limit < bytes {
             return Err(SessionError::PieceTooLarge { bytes, limit });
         }
-        // How many epochs it holds is not known yet: it takes room by its length.
+        // The number of its epochs is not known yet, so its length decides how much it counts.
         let room = (bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_batch);
         let (reply, answer) = oneshot::channel();
         let submission = Box::new(RawSubmission { piece, place: None, reply });
@@ -247,7 +250,7 @@ impl Sessions {
         answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
-    /// Puts a message into the session's mailbox, whose task is started if none runs.
+    /// Puts a message into the session's mailbox, and starts its task if none runs.
     async fn send(
         &self,
         id: &SessionId,
@@ -267,10 +270,10 @@ impl Sessions {
         if self.post(id, &mut message, room)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
-    /// Stored solutions of a session, open or closed, in order of number and revision.
+    /// Stored solutions of a session, open or closed, in order of epoch number and revision.
     ///
     /// # Errors
-    /// No such session, a page token or size that is refused, or the store fails.
+    /// No session has this id, the page token or size is invalid, or the store fails.
     pub async fn solutions(
         &self,
         id: &SessionId,
@@ -280,7 +283,7 @@ impl Sessions {
         Ok(self.desk.store.solutions(row.key, query).await?)
     }
 
-    /// Refuses further epochs and waits until those accepted are positioned and stored.
+    /// Refuses new epochs, and waits until the accepted ones are positioned and stored.
     pub async fn drain(&self) {
         let mut running = {
             let mut tasks = self.tasks();
@@ -296,7 +299,7 @@ impl Sessions {
         self.tasks().draining
     }
 
-    /// The bases of a choice, as the store names them.
+    /// The chosen bases, as the store names them.
     pub(super) fn base_names(
         &self,
         choice: BaseChoice<BaseId>,
@@ -371,7 +374,8 @@ impl Sessions {
         &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
     }
 
-    /// Puts a message into the mailbox of a running task; `false` leaves it, for none runs.
+    /// Puts a message into the mailbox of a running task. Returns `false` and leaves it if none
+    /// runs.
     fn post(
         &self,
         id: &SessionId,
@@ -414,7 +418,7 @@ impl Sessions {
         }
     }
 
-    /// Starts a session's task, parking another where as many run as may.
+    /// Starts a session's task. If as many run as allowed, one of them is parked.
     fn start(&self, id: &SessionId, key: SessionKey) -> Result<(), SessionError> {
         let Desk { store, aiding, limits, solvers, .. } = &*self.desk;
         let mut tasks = self.tasks();
@@ -437,7 +441,7 @@ impl Sessions {
             observations_per_epoch: limits.observations_per_epoch,
             outdated: outdated.clone(),
         };
-        while tasks.running.try_join_next().is_some() {} // Tasks that ended are forgotten.
+        while tasks.running.try_join_next().is_some() {} // Forgets the tasks that have ended.
         tasks.running.spawn(task.run(inbox));
         let last_used = tasks.posted;
         let handle = Handle { mailbox, waiting: Arc::default(), outdated, last_used };
@@ -447,7 +451,7 @@ impl Sessions {
 }
 
 impl Tasks {
-    /// Ends the least recently used task that nothing waits for; `false` if there is none.
+    /// Ends the least recently used task with an empty mailbox; `false` if there is none.
     fn park_one(&mut self) -> bool {
         let idle = self.handles.iter().filter(|(_, h)| h.waiting.load(Ordering::Acquire) == 0);
         let least = idle.min_by_key(|(_, handle)| handle.last_used).map(|(id, _)| id.clone());

@@ -8,156 +8,158 @@ use crate::reception::ReceptionError;
 use crate::refusal::Code;
 use crate::store::StoreError;
 
-/// Why the desk refuses a call. Refusals of single epochs are [`super::EpochRefusal`].
+/// Why the desk refuses a call. [`super::EpochRefusal`] is the refusal of a single epoch.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum SessionError {
-    /// No such session.
+    /// No session has this id.
     #[error("there is no session {id:?}")]
     NotFound {
-        /// What was asked for.
+        /// The id as given.
         id: String,
     },
-    /// The session takes no more epochs.
+    /// The session is closed and takes no more epochs.
     #[error("session {id} is closed")]
     Closed {
-        /// Its id.
+        /// Id of the session.
         id: String,
     },
-    /// The configuration asked for does not exist.
+    /// A mode, profile, option or value does not exist.
     #[error(transparent)]
     Configuration(#[from] ConfigError),
     /// The mode needs a base, and none is named.
     #[error("mode {mode} needs a base")]
     BaseRequired {
-        /// The mode.
+        /// Name of the mode.
         mode: &'static str,
     },
-    /// More bases are named than one session chooses from.
-    #[error("{bases} bases are named, allowed are {limit}")]
+    /// The request names more bases than one session may choose from.
+    #[error("{bases} bases are named, at most {limit} are allowed")]
     TooManyCandidates {
-        /// How many are named.
+        /// Number of bases named.
         bases: usize,
-        /// How many may be.
+        /// Number of bases allowed.
         limit: usize,
     },
-    /// A list of bases names one twice.
-    #[error("base {index} of the list is named before")]
+    /// The request names a base twice.
+    #[error("base {index} of the list is a repetition")]
     BaseNamedTwice {
-        /// Its place, from 0.
+        /// Index of the repetition, from 0.
         index: usize,
     },
-    /// Base or navigation data are refused.
+    /// The brokers refuse base or navigation data.
     #[error(transparent)]
     Aiding(#[from] AidingError),
     /// The label is too long.
-    #[error("the label has {length} characters, allowed are {limit}")]
+    #[error("the label has {length} characters, at most {limit} are allowed")]
     LabelTooLong {
-        /// Its length.
+        /// Length of the label (characters).
         length: usize,
-        /// The length allowed.
+        /// Length allowed (characters).
         limit: usize,
     },
-    /// A batch without epochs.
-    #[error("the batch holds no epoch")]
+    /// The push has no epoch.
+    #[error("the push has no epoch")]
     NoEpochs,
-    /// More epochs at once than allowed.
-    #[error("the batch holds {epochs} epochs, allowed are {limit}")]
+    /// The push, or a raw chunk, has more epochs than allowed.
+    #[error("the push has {epochs} epochs, at most {limit} are allowed")]
     TooManyEpochs {
-        /// How many it holds.
+        /// Number of epochs.
         epochs: usize,
-        /// How many it may hold.
+        /// Number of epochs allowed.
         limit: usize,
     },
-    /// Epochs of a burst are not in order of time.
-    #[error("epoch {index} of the burst is not after the one before it")]
+    /// The epochs of a burst are not in order of time.
+    #[error("epoch {index} of the burst is not after the previous one")]
     BurstOutOfOrder {
-        /// Its place, from 0.
+        /// Index of the epoch that is not after the previous one, from 0.
         index: usize,
     },
     /// An epoch of a burst has more observations than allowed.
-    #[error("epoch {index} of the burst has {observations} observations, allowed are {limit}")]
+    #[error(
+        "epoch {index} of the burst has {observations} observations, at most {limit} are allowed"
+    )]
     TooManyObservations {
-        /// Its place, from 0.
+        /// Index of the epoch, from 0.
         index: usize,
-        /// How many it has.
+        /// Number of its observations.
         observations: usize,
-        /// How many it may have.
+        /// Number of observations allowed.
         limit: usize,
     },
-    /// The session has as many epochs waiting as it may.
-    #[error("{waiting} epochs of this session wait, allowed are {limit}")]
+    /// The session's mailbox is full.
+    #[error("{waiting} epochs of this session wait, at most {limit} may")]
     MailboxFull {
-        /// Epochs waiting.
+        /// Number of waiting epochs.
         waiting: usize,
-        /// Epochs that may wait.
+        /// Number of epochs that may wait.
         limit: usize,
-        /// When to try again.
+        /// The delay before the next attempt.
         retry_after: Duration,
     },
-    /// All sessions together have as many epochs waiting as the service holds.
-    #[error("{waiting} epochs of all sessions wait, allowed are {limit}")]
+    /// The mailboxes of all sessions together are full.
+    #[error("{waiting} epochs of all sessions wait, at most {limit} may")]
     Overloaded {
-        /// Epochs waiting.
+        /// Number of waiting epochs.
         waiting: usize,
-        /// Epochs that may wait.
+        /// Number of epochs that may wait.
         limit: usize,
-        /// When to try again.
+        /// The delay before the next attempt.
         retry_after: Duration,
     },
-    /// Every session that may be active has epochs waiting.
-    #[error("{limit} sessions are active, which are all that may be")]
+    /// As many sessions are active as allowed, and all of them have waiting epochs.
+    #[error("{limit} sessions are active and have epochs waiting, no more may be")]
     TooManyActive {
-        /// Sessions that may be active.
+        /// Number of sessions that may be active.
         limit: usize,
-        /// When to try again.
+        /// The delay before the next attempt.
         retry_after: Duration,
     },
     /// The session has no epoch to solve yet.
     #[error("session {id} has no epoch yet")]
     Empty {
-        /// Its id.
+        /// Id of the session.
         id: String,
     },
-    /// The service is shutting down and takes no more epochs.
+    /// The service is stopping and takes no more epochs.
     #[error("the service is shutting down")]
     Draining,
-    /// The estimator failed; the session continues from its last committed epoch.
-    #[error("the estimator failed on this batch: {message}")]
+    /// The estimator failed. The session continues from its last committed epoch.
+    #[error("the estimator failed on these epochs: {message}")]
     EstimatorFailed {
-        /// What it said.
+        /// Message of the failure.
         message: String,
     },
-    /// A piece of raw bytes is larger than allowed.
-    #[error("a piece of {bytes} bytes, allowed are {limit}")]
+    /// A raw chunk is larger than allowed.
+    #[error("the chunk has {bytes} bytes, at most {limit} are allowed")]
     PieceTooLarge {
-        /// Its length.
+        /// Size of the chunk (bytes).
         bytes: usize,
-        /// The length allowed.
+        /// Size allowed (bytes).
         limit: usize,
     },
-    /// Bytes are missing before a piece.
-    #[error("the piece begins at byte {offset}, stored are {through} bytes")]
+    /// Bytes are missing between the stored stream and the chunk.
+    #[error("the chunk begins at byte {offset}, but only {through} bytes are stored")]
     RawGap {
-        /// Where it begins.
+        /// Offset of the chunk's first byte.
         offset: u64,
-        /// Where the stream goes on.
+        /// Number of stored bytes: the offset at which the stream continues.
         through: u64,
     },
-    /// Other bytes are stored at the place of a piece.
-    #[error("other bytes are stored at the place of bytes {offset} to {end}")]
+    /// Other bytes are stored at the chunk's offset.
+    #[error("other bytes are stored at offsets {offset} to {end}")]
     RawConflict {
-        /// Where the piece begins.
+        /// Offset of the chunk's first byte.
         offset: u64,
-        /// Where it ends.
+        /// Offset after the compared bytes.
         end: u64,
     },
-    /// Raw bytes that cannot be decoded.
+    /// The raw bytes cannot be decoded.
     #[error(transparent)]
     Raw(ReceptionError),
-    /// The session's task ended before it answered; nothing of the batch is acknowledged.
-    #[error("the session was interrupted before the batch was committed")]
+    /// The session's task ended before it answered. Nothing of the push is acknowledged.
+    #[error("the session was interrupted before the epochs were committed")]
     Interrupted,
-    /// The store failed; nothing of the batch is acknowledged.
+    /// The store failed. Nothing of the push is acknowledged.
     #[error(transparent)]
     Store(#[from] StoreError),
 }
@@ -192,7 +194,7 @@ impl SessionError {
         }
     }
 
-    /// When to try again, for refusals that time cures.
+    /// The delay before the next attempt, for refusals that pass by themselves.
     pub const fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::MailboxFull { retry_after, .. }

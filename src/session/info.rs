@@ -1,4 +1,4 @@
-//! What a session is to its users: its id, its configuration, how far it is stored.
+//! A session as its users see it: id, configuration, and how far it is stored.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 use crate::id::{Id, Kind};
 
-/// The kind of [`SessionId`].
+/// The kind of a [`SessionId`].
 pub enum SessionKind {}
 
 impl Kind for SessionKind {
@@ -17,63 +17,63 @@ impl Kind for SessionKind {
 /// The id of a session.
 pub type SessionId = Id<SessionKind>;
 
-/// A session to be created.
+/// The properties of a new session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewSession {
     /// A name for people; may be empty.
     pub label: String,
-    /// Estimator, as users write it.
+    /// Name of the mode.
     pub mode: String,
-    /// Profile, as users write it.
+    /// Name of the profile.
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// Which base modes relative to one are given.
+    /// The bases of a mode relative to one.
     pub base: BaseChoice<BaseId>,
 }
 
-/// What to change of a session; what is `None` or empty stays.
+/// The changes of a session. Fields that are `None` or empty change nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SessionUpdate {
-    /// A new name for people.
+    /// New name for people.
     pub label: Option<String>,
-    /// Another estimator.
+    /// Name of the new mode.
     pub mode: Option<String>,
-    /// Another profile.
+    /// Name of the new profile.
     pub profile: Option<String>,
-    /// Overrides that replace or join those in force.
+    /// Overrides to set.
     pub overrides: BTreeMap<String, String>,
-    /// Overrides to drop, so that the profile's value holds again.
+    /// Names of the overrides to remove, so that the profile's values apply again.
     pub clear_overrides: Vec<String>,
-    /// Another base, or none.
+    /// New bases, or none.
     pub base: Option<BaseChoice<BaseId>>,
 }
 
-/// A session as it is stored.
+/// A stored session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionInfo {
-    /// Its id.
+    /// The session's id.
     pub id: SessionId,
     /// A name for people; may be empty.
     pub label: String,
-    /// Estimator.
+    /// Name of the mode.
     pub mode: String,
-    /// Profile.
+    /// Name of the profile.
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// Every option with its value in force.
+    /// All options with their values in force.
     pub configuration: Vec<OptionEntry>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// When it was closed (ms since 1970-01-01 UTC); it takes epochs as long as this is `None`.
+    /// When it was closed (ms since 1970-01-01 UTC); `None` while it is open.
     pub closed_unix_ms: Option<i64>,
-    /// The last committed epoch: all acknowledged ones up to it are durable.
+    /// Number of the last committed epoch. Every acknowledged epoch up to it is durable.
     pub durable_through: Option<u64>,
-    /// Raw bytes of the receiver that are stored: at this offset its device goes on.
+    /// Number of stored raw bytes: the offset at which the device continues.
     pub raw_through: Option<u64>,
-    /// Which base modes relative to one are given, by its id.
+    /// Ids of the bases of a mode relative to one.
     pub base: BaseChoice<Arc<str>>,
 }

@@ -4,33 +4,33 @@ use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
 use std::time::Duration;
 
-/// Limits of the desk; together they bound its memory.
+/// Limits of the desk. Together they bound its memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionLimits {
-    /// Epochs that may wait in one session's mailbox; never below `epochs_per_batch`.
+    /// Epochs that may wait in one session's mailbox; at least `epochs_per_push`.
     pub mailbox_epochs: usize,
-    /// Epochs that may wait in all mailboxes together; never below `epochs_per_batch`.
+    /// Epochs that may wait in all mailboxes together; at least `epochs_per_push`.
     pub waiting_epochs: usize,
-    /// Epochs of one batch.
+    /// Epochs in one push.
     pub epochs_per_batch: usize,
-    /// Bytes of one piece of a receiver's stream.
+    /// Bytes in one raw chunk.
     pub raw_piece_bytes: usize,
-    /// Observations of one epoch.
+    /// Observations in one epoch.
     pub observations_per_epoch: usize,
-    /// Sessions that hold an estimator in memory; the least recently used idle one is parked.
+    /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
-    /// Bases of which one session takes the nearest.
+    /// Bases that one session may choose from.
     pub candidate_bases: usize,
     /// Characters of a label.
     pub label_characters: usize,
-    /// Threads that estimate at the same time.
+    /// Threads that run estimators.
     pub solver_threads: NonZeroUsize,
-    /// The delay that a full mailbox asks for.
+    /// The delay that a client with a full mailbox is asked to wait.
     pub retry_after: Duration,
 }
 
 impl SessionLimits {
-    /// Limits of a service on one machine: as many solver threads as it has cores.
+    /// Limits of a service on one machine, with one solver thread per core.
     pub fn service() -> Self {
         Self {
             mailbox_epochs: 2_048,

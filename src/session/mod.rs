@@ -1,34 +1,36 @@
 //! The desk where estimation, aiding and storage meet. One task owns one session.
 //!
-//! [`Sessions`] is what the doors call. A batch of epochs waits in its session's bounded mailbox;
-//! the session's task positions it in one piece on the solver pool, commits epochs and solutions
-//! together, and only then keeps the estimator's new state and answers. What is acknowledged is
-//! durable.
+//! The doors call [`Sessions`]. The epochs of a push wait in their session's bounded mailbox. The
+//! session's task takes all waiting pushes as one batch, positions it on the solver pool, and
+//! commits epochs and solutions in one transaction. Only after the commit it keeps the estimator's
+//! new state and answers. So everything that is acknowledged is durable.
 //!
-//! # Order, and what overlaps
-//! Batches enter a mailbox in the order of the [`Sessions::enqueue`] calls and are answered in it.
-//! Within a session nothing overlaps: the next piece is positioned from the committed state of the
-//! one before, so no answer ever rests on an epoch that a crash could lose. A pipelining client
-//! loses nothing by this, for all batches that wait while one piece is committed form the next
-//! piece. Sessions overlap freely: while one waits for its commit, others estimate, and one
-//! transaction of the store commits them all.
+//! # Order and overlap
+//! Pushes enter a mailbox in the order of the [`Sessions::enqueue`] calls, and are answered in this
+//! order. Within one session nothing overlaps: the next batch starts from the committed state of
+//! the previous one, so no answer depends on an epoch that a crash could lose. A client that
+//! pipelines its pushes loses no throughput, because all pushes that wait during a commit form the
+//! next batch. Different sessions overlap: while one waits for its commit, others are estimated,
+//! and one transaction of the store commits many of them.
 //!
-//! # State, and the same bits
-//! A session's state is what its estimator remembers. It is stored in the transaction of every
-//! 256th epoch or so, and when the session is parked; what came since is replayed onto it, each
-//! epoch with the configuration and the navigation data it was solved with. So the state after a
-//! crash, and every later solution, is the same bit by bit. An epoch whose configuration differs
-//! from that of the epoch before starts the estimator anew, in replay as it did then.
+//! # State and reproducibility
+//! A session's state is the state of its estimator. It is stored every 256 epochs, in the same
+//! transaction, and when the session is parked. To restore it, the epochs stored since then are
+//! replayed, each with the configuration and navigation data of its solution. So the state after a
+//! crash is the same bit by bit, and so are all later solutions. An epoch with another
+//! configuration than the previous one starts a new estimator, both originally and in replay.
 //!
 //! # Revisions
-//! Revision 0 is the answer at once. An epoch that leaves the window is answered again, smoothed by
-//! what came after it: revision 1, committed together with the epoch that pushed it out. What the
-//! window holds when the session is closed, or when its configuration changes, is answered then.
+//! Revision 0 is the immediate answer. When an epoch leaves the window, it is answered again,
+//! smoothed by later epochs: this is revision 1, committed together with the epoch that pushed it
+//! out. When the session is closed or its configuration changes, the epochs in the window get their
+//! revision 1.
 //!
-//! # What can fail
-//! A failed commit acknowledges nothing, and as its fate may be unknown (a connection lost during
-//! `COMMIT`), the task forgets its state and restores it from the store before the next piece.
-//! Clients resend; what had been stored after all is answered from the store.
+//! # Failures
+//! A failed commit acknowledges nothing. It may still have succeeded, for instance if the
+//! connection was lost during `COMMIT`. Therefore the task drops its state and restores it from the
+//! store before the next batch. Clients send the epochs again; those that were stored are answered
+//! from the store.
 //!
 //! # Example
 //!

@@ -1,10 +1,11 @@
-//! A session's raw bytes: pieces of its receiver's stream become numbered epochs.
+//! A session's raw bytes: chunks of its receiver's stream become numbered epochs.
 //!
-//! Offsets count from the first byte that the device ever sent to the session; a piece says where
-//! it begins. All bytes of a piece are stored in the transaction of the epochs that they complete,
-//! so what is acknowledged is durable to the byte: a device goes on after the last byte
-//! acknowledged, whatever has become of the service. Bytes sent again are known by their offsets;
-//! the last piece is answered again from the store, of earlier ones nothing is said twice.
+//! A chunk's offset counts from the first byte that the device ever sent to the session. The bytes
+//! of a chunk are stored in the same transaction as the epochs that they complete. So the
+//! acknowledged bytes are durable, and the device continues after the last of them whatever has
+//! happened to the service. Repeated bytes are recognised by their offsets. The last chunk, if
+//! repeated, is answered again from the store; earlier chunks are acknowledged without their
+//! epochs.
 
 use bytes::Bytes;
 
@@ -15,49 +16,50 @@ use crate::store::{RawPiecePlace, RawPosition};
 
 use super::EpochOutcome;
 
-/// A stream that is silent so long is dated anew (ms), if it came as it was observed.
+/// After a silence of this long, a live stream takes its date from the clock again (ms).
 const SILENCE_MS: i64 = 3_600_000;
-/// A stream came as it was observed if its times were so near to the clock's (s).
+/// A stream is live if its epochs are within this time of the clock (s).
 const LIVE_S: f64 = 43_200.0;
-/// A piece of a receiver's stream.
+/// A chunk of a receiver's stream.
 #[derive(Clone, Debug)]
 pub struct RawPiece {
-    /// Bytes that the device sent to the session before it.
+    /// Number of bytes that the device sent to the session before this chunk.
     pub offset: u64,
-    /// The bytes.
+    /// The bytes of the chunk.
     pub content: Bytes,
-    /// Whether the stream ends with it: what is incomplete is taken as it is, and what follows
-    /// begins another stream, perhaps of another format.
+    /// Whether the stream ends with this chunk. Incomplete data at its end is decoded as it is, and
+    /// the next chunk begins another stream, perhaps of another format.
     pub is_end: bool,
-    /// Within half a day of the stream's first message, for those that tell no week; the clock's
-    /// time if not given. Of the first piece of a stream.
+    /// A time within half a day of the stream's first message, for messages without a week number;
+    /// the clock's time if absent. Only the first chunk of a stream uses it.
     pub near: Option<GpsTime>,
 }
 
-/// The answer to a piece.
+/// The answer to a chunk.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawReceived {
-    /// The epochs that it completed, in their order. For a piece sent again: those that are stored.
+    /// The epochs that the chunk completed, in their order. For a repeated chunk: the stored
+    /// answers.
     pub outcomes: Vec<EpochOutcome>,
-    /// The session's last committed epoch.
+    /// Number of the session's last committed epoch.
     pub durable_through: Option<u64>,
-    /// All bytes before this offset are stored: there the device goes on.
+    /// Number of stored bytes: the offset at which the device continues.
     pub raw_through: u64,
-    /// What the new bytes held; its epochs are those of `outcomes`.
+    /// What the new bytes contained. Its epochs are in `outcomes`.
     pub received: Received,
-    /// All bytes had come before.
+    /// All bytes of the chunk were stored already.
     pub resent: bool,
 }
 
-/// The stream in memory.
+/// The stream's decoder and its position.
 pub(super) struct Reception {
     pub(super) stream: Stream,
     pub(super) position: RawPosition,
 }
 
-/// Where a piece stands to what is stored.
+/// How a chunk relates to the stored bytes.
 pub(super) enum Order {
-    /// So many of its bytes are known.
+    /// The chunk has new bytes; this many at its beginning are known.
     New(usize),
     Resent,
     Gap,
@@ -94,7 +96,7 @@ impl Reception {
         }
     }
 
-    /// Dates a stream before a piece of it.
+    /// Sets the date of a stream before one of its chunks.
     pub(super) fn date(&mut self, piece: &RawPiece, now_unix_ms: i64) {
         let Self { stream, position } = self;
         let is_first = stream.through() == stream.start();
@@ -107,7 +109,7 @@ impl Reception {
         }
     }
 
-    /// Decodes the bytes of a piece that are new.
+    /// Decodes the new bytes of a chunk.
     pub(super) fn take(
         &mut self,
         piece: &RawPiece,
@@ -122,7 +124,8 @@ impl Reception {
         Ok(received)
     }
 
-    /// The place after a piece that completed `epochs` epochs, numbered from `first_seq`.
+    /// Updates the position after a chunk that completed `epochs` epochs, numbered from
+    /// `first_seq`.
     pub(super) fn advance(
         &mut self,
         piece: &RawPiece,

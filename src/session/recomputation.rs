@@ -1,4 +1,5 @@
-//! A stored session computed again: the same bits, or what another configuration would have given.
+//! Computes a stored session again, to check that the bits are the same, or with another
+//! configuration.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,47 +14,47 @@ use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
 
-/// Stored solutions read at once.
+/// Stored solutions per read.
 const PAGE: usize = 1_000;
 
-/// The way through a stored session, from its first epoch on; nothing is stored.
+/// A stored session while it is computed again, from its first epoch on. Nothing is stored.
 pub struct Recomputation {
     course: Course,
-    /// `None` once all is computed.
+    /// `None` once everything is computed.
     state: Option<State>,
     after: Option<u64>,
-    /// Whether what the window holds at the end is answered too.
+    /// Whether the epochs in the window at the end get their last revision.
     to_the_end: bool,
     configuration_hash: Arc<str>,
 }
 
-/// What came of comparing a session with what is stored of it.
+/// The result of comparing a session with its stored solutions.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Check {
-    /// Solutions, revisions included, that are stored and were computed again.
+    /// Number of solutions, including revisions, that are stored and were computed again.
     pub compared: usize,
-    /// Those of them whose bits differ.
+    /// Number of these whose bits differ.
     pub different: usize,
-    /// Solutions that were computed and are not stored.
+    /// Number of solutions that were computed but are not stored.
     pub not_stored: usize,
-    /// Solutions that are stored and were not computed.
+    /// Number of solutions that are stored but were not computed.
     pub not_computed: usize,
-    /// Number and revision of the first that is not as stored.
+    /// Epoch number and revision of the first difference.
     pub first: Option<(u64, u32)>,
 }
 
 impl Check {
-    /// Whether everything is as stored, bit by bit.
+    /// Whether all solutions are the same bit by bit.
     pub fn is_same(&self) -> bool {
         self.first.is_none()
     }
 }
 
 impl Recomputation {
-    /// A session as it was computed; where `change` is given, all of it by those options.
+    /// Opens a session for computing it as it was, or with the options of `change`.
     ///
     /// # Errors
-    /// No such session, a configuration that does not exist, or the store fails.
+    /// No session has this id, a configuration does not exist, or the store fails.
     pub async fn open(
         store: Store,
         aiding: AidingDesk,
@@ -88,20 +89,20 @@ impl Recomputation {
         Ok(Self { course, state, after: None, to_the_end, configuration_hash })
     }
 
-    /// Hash of the configuration in force, or of the one asked for.
+    /// Hash of the configuration in force, or of the requested one.
     pub fn configuration_hash(&self) -> &str {
         &self.configuration_hash
     }
 
-    /// Leap seconds as far as they are known today.
+    /// The leap seconds known today.
     pub fn leap_seconds(&self) -> LeapSeconds {
         self.course.aiding.navigation.current().navigation.leap_seconds
     }
 
-    /// The next answers, revisions among them; `None` once all are computed.
+    /// The next solutions with their revisions; `None` once everything is computed.
     ///
     /// # Errors
-    /// Navigation data is kept no more, or the store fails.
+    /// Navigation data are no longer stored, or the store fails.
     pub async fn next(&mut self) -> Result<Option<Vec<StoredSolution>>, SessionError> {
         let Some(state) = self.state.take() else { return Ok(None) };
         let (mut state, answers) = self.course.next(state, self.after).await?;
@@ -116,10 +117,10 @@ impl Recomputation {
         self.course.solvers.estimate(move |scratch| Some(state.finish(scratch))).await
     }
 
-    /// Computes everything and compares it with what is stored.
+    /// Computes everything and compares it with the stored solutions.
     ///
     /// # Errors
-    /// Navigation data is kept no more, or the store fails.
+    /// Navigation data are no longer stored, or the store fails.
     pub async fn check(mut self) -> Result<Check, SessionError> {
         let mut check = Check::default();
         let mut stored = Stored::of(&self.course);
@@ -147,18 +148,18 @@ impl Recomputation {
     }
 }
 
-/// Whether both are the same solution, whatever version of the program each names.
+/// Whether two solutions have the same bits, apart from the program's version.
 fn same_bits(stored: &StoredSolution, computed: StoredSolution) -> bool {
     let version = stored.version.clone();
     EncodedSolution::new(stored) == EncodedSolution::new(&StoredSolution { version, ..computed })
 }
 
-/// What is stored of a session, read as far as it is needed.
+/// The stored solutions of a session, read as far as needed.
 struct Stored {
     store: Store,
     key: SessionKey,
     query: Option<SolutionQuery>,
-    /// Read and not yet compared.
+    /// Solutions that are read but not compared yet.
     waiting: BTreeMap<(u64, u32), StoredSolution>,
 }
 
@@ -176,7 +177,7 @@ impl Stored {
         Self { store, key, query: Some(query), waiting: BTreeMap::new() }
     }
 
-    /// Reads everything up to number `seq`.
+    /// Reads all solutions up to number `seq`.
     async fn read_through(&mut self, seq: u64) -> Result<(), SessionError> {
         while self.waiting.keys().next_back().is_none_or(|(read, _)| *read <= seq) {
             let Some(query) = &mut self.query else { break };

@@ -1,4 +1,5 @@
-//! Stored epochs computed again: to restore a session's state, and to check or vary what is stored.
+//! Replays stored epochs: to restore a session's state, to check its solutions, or to compute them
+//! with other options.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,42 +17,42 @@ use super::course::Against;
 use super::solvers::Solvers;
 use super::state::{Origin, State, VERSION};
 
-/// Epochs read and computed at once.
+/// Stored epochs per read.
 const PAGE: usize = 256;
-/// Epochs replayed at most where a session has no state that can be read: more than a window of
-/// any mode holds.
+/// Most epochs that are replayed if a session has no readable snapshot: more than the window of any
+/// mode.
 const REBUILT_EPOCHS: usize = 4_096;
 
-/// What epochs are computed with.
+/// The options and bases that replay uses.
 #[derive(Clone, Debug)]
 pub(super) enum By {
-    /// What they were computed with before.
+    /// Those of the stored solutions.
     Stored,
-    /// These options and bases, whatever the session had.
+    /// These, for all epochs.
     Options(Arc<InForce>),
 }
 
-/// What epochs that are new are computed with.
+/// The options and bases for new epochs.
 #[derive(Clone, Debug)]
 pub(super) struct InForce {
     pub(super) origin: Origin,
-    /// Which base it is, where the mode is relative to one.
+    /// The bases, if the mode is relative to one.
     pub(super) base: BaseChoice,
 }
 
-/// The way through a session's stored epochs.
+/// Replays a session's stored epochs.
 pub(super) struct Course {
     pub(super) store: Store,
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
     pub(super) by: By,
-    /// Whether navigation data that is kept no more may be replaced by today's, and base epochs by
-    /// none.
+    /// Whether missing data is tolerated: today's navigation data replace those no longer stored,
+    /// and base epochs no longer stored are left out.
     pub(super) may_differ: bool,
 }
 
-/// A stored epoch with all that its solution rests on.
+/// A stored epoch with everything that its solution depends on.
 struct Step {
     seq: u64,
     epoch: Epoch,
@@ -60,18 +61,18 @@ struct Step {
     base: StepBase,
 }
 
-/// What an epoch is given of a base.
+/// The base epochs that an epoch receives.
 enum StepBase {
     None,
-    /// What it was given before.
+    /// The same as in the stored solution.
     Again(BaseGiven),
-    /// What is new then of all that is held.
+    /// Those that the selection gives now.
     Held(Arc<Against>),
 }
 
 impl Course {
-    /// Computes the next epochs after those of `state`; returns their answers and the revisions
-    /// they brought, none once all are computed.
+    /// Computes the next epochs after those of `state`. Returns their solutions and revisions; none
+    /// once everything is computed.
     pub(super) async fn next(
         &self,
         mut state: State,
@@ -132,7 +133,7 @@ impl Course {
         Ok(steps)
     }
 
-    /// The bases that epochs are computed with.
+    /// The bases of a page of epochs.
     fn bases(&self, stored: &[StoredEpoch]) -> Result<Bases, SessionError> {
         let By::Options(force) = &self.by else {
             let uses: Vec<BaseUse> = stored.iter().filter_map(|row| row.base).collect();
@@ -165,11 +166,11 @@ impl Course {
     }
 }
 
-/// The bases of a run of epochs.
+/// The bases of a page of epochs.
 enum Bases {
-    /// Each with the epochs that were given then.
+    /// Each used base with the epochs of the stored solutions.
     Used(Vec<BaseView>),
-    /// One or several, with all that is held.
+    /// One or several bases with all their epochs.
     Held(Arc<Against>),
 }
 
@@ -193,14 +194,14 @@ impl Bases {
     }
 }
 
-/// What epochs under a stored configuration are computed with.
+/// The options of a stored configuration.
 async fn origin_of(store: &Store, hash: &Arc<str>) -> Result<Origin, SessionError> {
     let kept = store.configuration(hash).await?;
     let options = kept_options(&kept)?;
     Ok(Origin { version: VERSION.into(), configuration_hash: hash.clone(), options })
 }
 
-/// What a session's next epochs are computed with.
+/// The options and bases for a session's next epochs.
 pub(super) async fn in_force(store: &Store, id: &str) -> Result<InForce, SessionError> {
     let row = store.session(id).await?;
     let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
@@ -211,11 +212,12 @@ pub(super) async fn in_force(store: &Store, id: &str) -> Result<InForce, Session
     Ok(InForce { origin, base })
 }
 
-/// The state after a session's last stored epoch: its newest snapshot, and the epochs since.
+/// The state after a session's last stored epoch: its newest snapshot, advanced by the epochs
+/// since.
 ///
-/// A session that has no snapshot yet is replayed from its first epoch. Where there is one that
-/// this program cannot read, another version's, the last 4096 epochs stand for it: the state is
-/// then as good, but not the same bit by bit.
+/// A session without a snapshot is replayed from its first epoch. If the snapshot is of a version
+/// that this program cannot read, the last 4096 epochs are replayed instead. The state is then
+/// equally good, but not the same bit by bit.
 pub(super) async fn restored(course: &Course, origin: &Origin) -> Result<State, SessionError> {
     let (mut state, mut after) = match snapshot(course).await? {
         Some(state) => (state.clone(), state.last.map(|(seq, _)| seq)),

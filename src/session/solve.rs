@@ -1,4 +1,4 @@
-//! Positions on request, that nothing is stored of.
+//! Positions on request. Nothing is stored.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,52 +17,52 @@ use super::{SequencedEpoch, SessionError, SessionId, configuration};
 /// How to solve a session's present window.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SolveRequest {
-    /// Estimator; `None`: the session's.
+    /// The mode; `None` for the session's.
     pub mode: Option<String>,
-    /// Profile; `None`: the session's.
+    /// The profile; `None` for the session's.
     pub profile: Option<String>,
-    /// Options that differ. Where neither mode nor profile is given they come on top of the
-    /// session's configuration, otherwise on top of the profile.
+    /// Overrides of options. If neither mode nor profile is given, they are added to the session's
+    /// configuration, otherwise to the profile.
     pub overrides: BTreeMap<String, String>,
-    /// Which base modes relative to one are given; none: the session's.
+    /// The bases of a mode relative to one; none for the session's.
     pub base: BaseChoice<BaseId>,
 }
 
-/// A short run of epochs without a session.
+/// A few epochs to position without a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Burst {
-    /// Estimator, as users write it.
+    /// Name of the mode.
     pub mode: String,
-    /// Profile, as users write it.
+    /// Name of the profile.
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// In order of time; the numbers are given back with the answers.
+    /// The epochs in order of time. Their numbers are returned with the solutions.
     pub epochs: Vec<SequencedEpoch>,
-    /// Navigation data of its own, used together with what the service holds.
+    /// Additional navigation data, used together with the service's.
     pub navigation: Option<Navigation>,
-    /// Which base modes relative to one are given: its epochs that are held serve.
+    /// The bases of a mode relative to one. Their stored epochs are used.
     pub base: BaseChoice<BaseId>,
 }
 
 /// A solution that is not stored.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Computed {
-    /// The epoch's number.
+    /// Number of the epoch.
     pub seq: u64,
     /// The solution.
     pub solution: Solution,
-    /// Version of the program that made it.
+    /// Version of the program that computed it.
     pub version: Arc<str>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
 }
 
 impl SolveRequest {
-    /// The options it means for a session with `settings`.
+    /// The requested options for a session with `settings`.
     ///
     /// # Errors
-    /// A mode, profile, option or value that does not exist.
+    /// The mode, profile, option or value does not exist.
     pub(super) fn options(
         &self,
         settings: &SessionSettings,
@@ -88,7 +88,7 @@ impl From<StoredSolution> for Computed {
     }
 }
 
-/// Epochs that an estimator with these options rests on, as far as it forgets at all.
+/// Number of epochs that these options' estimator depends on, unless its memory is unlimited.
 fn window_epochs(options: &PositioningOptions) -> usize {
     match options.mode {
         Mode::Spp => 1,
@@ -97,13 +97,13 @@ fn window_epochs(options: &PositioningOptions) -> usize {
 }
 
 impl Sessions {
-    /// Solves the session's present window with any mode and options: its last committed epochs, as
-    /// many as the window of these options holds, are given to a fresh estimator with the
-    /// navigation data and the base epochs held now. The session goes on undisturbed and nothing
-    /// is stored. With the session's own configuration and base the answer is the stored one.
+    /// Solves the session's present window with any mode and options. A new estimator receives the
+    /// last committed epochs, as many as the window of these options has, with today's navigation
+    /// data and base epochs. The session is not affected, and nothing is stored. With the session's
+    /// own configuration and base, the answer is the stored solution.
     ///
     /// # Errors
-    /// No such session, no epoch in it, a configuration or a base that does not exist.
+    /// No session has this id, it has no epoch, or a configuration or base does not exist.
     pub async fn solve(
         &self,
         id: &SessionId,
@@ -137,10 +137,10 @@ impl Sessions {
         Ok(computed.into_iter().next_back().expect("an epoch gives an answer"))
     }
 
-    /// Positions a burst of epochs without a session; nothing is stored.
+    /// Positions a few epochs without a session. Nothing is stored.
     ///
     /// # Errors
-    /// A configuration that does not exist, epochs beyond the limits or out of order.
+    /// A configuration does not exist, or the epochs exceed a limit or are not in order of time.
     pub async fn solve_once(&self, burst: Burst) -> Result<Vec<Computed>, SessionError> {
         let options = configuration::options(&burst.mode, &burst.profile, &burst.overrides)?;
         self.check_batch(&burst.epochs)?;

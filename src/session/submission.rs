@@ -1,4 +1,4 @@
-//! Epochs on their way in, and what became of them.
+//! Epochs on their way in, and the answers to them.
 
 use tokio::sync::oneshot;
 
@@ -8,83 +8,83 @@ use crate::store::StoredSolution;
 
 use super::SessionError;
 
-/// An epoch under its client's number.
+/// An epoch with its client's number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequencedEpoch {
-    /// The client's number: rising, gaps allowed.
+    /// The client's number. Numbers rise, and may have gaps.
     pub seq: u64,
-    /// What was observed.
+    /// The observations.
     pub epoch: Epoch,
 }
 
-/// The answer to a batch of epochs.
+/// The answer to a push.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Submitted {
-    /// One for each epoch, in their order.
+    /// The outcome of each epoch, in the order of the push.
     pub outcomes: Vec<EpochOutcome>,
-    /// The session's last committed epoch: a device may forget what was acknowledged up to it.
+    /// Number of the session's last committed epoch. A device may delete its epochs up to this one.
     pub durable_through: Option<u64>,
 }
 
-/// What became of one epoch.
+/// The outcome of one epoch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpochOutcome {
     /// The client's number.
     pub seq: u64,
-    /// The committed solution, or why the epoch was not taken.
+    /// The committed solution, or why the epoch is refused.
     pub result: Result<Acknowledged, EpochRefusal>,
 }
 
-/// An epoch that is committed with its solution.
+/// A committed epoch and its solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Acknowledged {
-    /// The answer, revision 0.
+    /// The solution, revision 0.
     pub solution: StoredSolution,
-    /// The epoch had been committed before and is answered from the store.
+    /// The epoch had been committed before, and is answered from the store.
     pub resent: bool,
 }
 
-/// Why an epoch was not taken. The session goes on without it.
+/// Why an epoch is refused. Other epochs of the push are not affected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EpochRefusal {
-    /// Other content is stored under this number.
+    /// An epoch with other content is stored under this number.
     #[error("epoch {seq} is stored with other content")]
     Conflict {
-        /// The number.
+        /// Number of the epoch.
         seq: u64,
     },
-    /// The number is below the last one and nothing is stored under it.
-    #[error("epoch {seq} comes after epoch {last} and was never stored")]
+    /// The number is below the last one, and no epoch is stored under it.
+    #[error("epoch {seq} arrives after epoch {last} and was never stored")]
     Superseded {
-        /// The number.
+        /// Number of the epoch.
         seq: u64,
         /// The session's last number.
         last: u64,
     },
-    /// The number is above the last one but its time is not.
+    /// The number is above the last one, but the time is not after the last epoch's.
     #[error("epoch {seq} at {time} is not after the session's last epoch at {last}")]
     OutOfOrder {
-        /// The number.
+        /// Number of the epoch.
         seq: u64,
-        /// Its time.
+        /// Time of the epoch.
         time: GpsTime,
         /// Time of the session's last epoch.
         last: GpsTime,
     },
-    /// More observations than one epoch may carry.
-    #[error("epoch {seq} has {observations} observations, allowed are {limit}")]
+    /// The epoch has more observations than allowed.
+    #[error("epoch {seq} has {observations} observations, at most {limit} are allowed")]
     TooManyObservations {
-        /// The number.
+        /// Number of the epoch.
         seq: u64,
-        /// How many it has.
+        /// Number of its observations.
         observations: usize,
-        /// How many it may have.
+        /// Number of observations allowed.
         limit: usize,
     },
-    /// The number does not fit the store.
+    /// The number is out of range.
     #[error("epoch number {seq} is above {}", i64::MAX)]
     SequenceTooLarge {
-        /// The number.
+        /// Number of the epoch.
         seq: u64,
     },
 }
@@ -101,7 +101,7 @@ impl EpochRefusal {
         }
     }
 
-    /// The field of the epoch at fault.
+    /// The field of the epoch that is at fault.
     pub const fn field(&self) -> &'static str {
         match self {
             Self::Conflict { .. } | Self::Superseded { .. } | Self::SequenceTooLarge { .. } => {
@@ -113,15 +113,15 @@ impl EpochRefusal {
     }
 }
 
-/// An accepted batch whose answer is on its way. Dropping it loses the answer, not the epochs.
+/// A push in the mailbox. Dropping this loses the answer, but not the epochs.
 #[derive(Debug)]
 pub struct Pending(pub(super) oneshot::Receiver<Result<Submitted, SessionError>>);
 
 impl Pending {
-    /// Waits until the batch is committed.
+    /// Waits until the push is committed.
     ///
     /// # Errors
-    /// The store failed, and nothing of the batch is acknowledged.
+    /// The store failed: nothing of the push is acknowledged.
     pub async fn answer(self) -> Result<Submitted, SessionError> {
         self.0.await.unwrap_or(Err(SessionError::Interrupted))
     }

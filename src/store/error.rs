@@ -59,7 +59,8 @@ pub enum StoreError {
     },
     /// Navigation data of this push are no longer stored.
     #[error(
-        "navigation data of push {push} are no longer stored; they are complete from push {complete_since} on"
+        "navigation data of push {push} are no longer stored; they are complete from push \
+         {complete_since} on"
     )]
     NavigationForgotten {
         /// Number of the push.

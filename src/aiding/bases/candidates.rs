@@ -1,9 +1,9 @@
 //! Chooses the base of a rover among several.
 //!
 //! The nearest usable base is chosen. The choice changes when the present base is no longer usable,
-//! or when another base is nearer by a share of the present distance and by a minimum length, and
-//! has been received without a gap for long enough. These margins prevent frequent changes: after
-//! each change all ambiguities start again.
+//! or when another base is nearer by a fraction of the present distance and by a minimum length,
+//! and has been received without a gap for long enough. These margins prevent frequent changes:
+//! after each change all ambiguities start again.
 
 use std::sync::Arc;
 

@@ -14,8 +14,8 @@
 //! are part of the answer; a feed only counts them.
 //!
 //! An archive's files are uploaded when sessions need them. The broker records the times for which
-//! sessions need the base ([`BaseBroker::requested_times`]), and tells whether the epochs of a file
-//! are stored already ([`BaseBroker::coverage`]).
+//! sessions need the base ([`BaseBroker::requested_times`]), and reports whether the epochs of a
+//! file are stored already ([`BaseBroker::coverage`]).
 //!
 //! # How sessions use it
 //! A session takes a [`BaseView`] for the time of the epochs that it positions. With each solution

@@ -14,21 +14,21 @@ use super::positioning::{Numbered, epochs};
 use super::upload::{in_background, skipped_entry, unpacked};
 use super::{base_id, page_size, page_token, utc};
 
-/// Bases on a page where no size is asked for.
+/// Bases on a page if the request gives no size.
 const PAGE: usize = 100;
-/// Bases on a page at most.
+/// Most bases on a page.
 const PAGE_LIMIT: usize = 1000;
-/// Distances from the centre of the Earth at which a base can stand (m): the poles' lowest ground,
-/// the highest mountain.
+/// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
+/// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
-/// An antenna is no further from its marker along each axis (m).
+/// Longest distance between antenna and marker along each axis (m).
 const DELTA_MAX_M: f64 = 1000.0;
 
 /// Creates a base.
 ///
 /// # Errors
-/// A position, a stream or an archive that is none, as many bases as there may be, or the store's
-/// failure.
+/// The position, stream or archive is invalid, there are as many bases as allowed, or the store
+/// fails.
 pub async fn create(
     service: &Service,
     request: v1::CreateBaseRequest,
@@ -53,19 +53,19 @@ pub async fn create(
     Ok(message(service, &created))
 }
 
-/// One base.
+/// A base with its health.
 ///
 /// # Errors
-/// No such base.
+/// The base does not exist.
 pub async fn get(service: &Service, request: v1::GetBaseRequest) -> Result<v1::Base, Refusal> {
     let id = base_id(&request.base)?;
     Ok(message(service, &service.bases().get(&id).await?))
 }
 
-/// Bases, by id.
+/// A page of bases in order of id.
 ///
 /// # Errors
-/// A page token or size that is refused.
+/// The page token or size is invalid.
 pub async fn list(
     service: &Service,
     request: v1::ListBasesRequest,
@@ -95,7 +95,7 @@ pub async fn list(
 /// Deletes a base with its epochs.
 ///
 /// # Errors
-/// No such base, or one that an open session names.
+/// The base does not exist, or an open session uses it.
 pub async fn delete(
     service: &Service,
     request: v1::DeleteBaseRequest,
@@ -109,8 +109,8 @@ pub async fn delete(
 /// Takes epochs of a base; returns when they are committed.
 ///
 /// # Errors
-/// A malformed epoch, a position that is not known or wrong, or the store's failure; and where
-/// every epoch is refused, the refusal of the first.
+/// An epoch is malformed, the position of the base is unknown or wrong, or the store fails. If
+/// every epoch is refused, this is the first one's refusal.
 pub async fn push_epochs(
     service: &Service,
     request: v1::PushBaseEpochsRequest,
@@ -134,8 +134,8 @@ pub async fn push_epochs(
 /// Takes a RINEX observation file of a base; returns when its epochs are committed.
 ///
 /// # Errors
-/// A file that cannot be read or exceeds a limit, a position that is not known or wrong, or the
-/// store's failure.
+/// The file is not readable or exceeds a limit, the position of the base is unknown or wrong, or
+/// the store fails.
 pub async fn upload(
     service: &Service,
     request: v1::UploadBaseRequest,
@@ -165,7 +165,7 @@ pub async fn upload(
     })
 }
 
-/// Where a new base stands, checked; `None` where its files will tell.
+/// Reads and checks the position of a new base; `None` if its files or stream will give it.
 fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
     let refused =
         |field: &str, message: String| Refusal::new(Code::InvalidField, message).at(field);

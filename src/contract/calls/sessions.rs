@@ -8,13 +8,13 @@ use super::{
     MODE, NEAREST, PROFILE, base_choice, or_standard, page_size, page_token, session_id, utc,
 };
 
-/// Sessions on a page where no size is asked for.
+/// Sessions on a page if the request gives no size.
 const PAGE: usize = 100;
 
 /// Opens a session.
 ///
 /// # Errors
-/// A configuration that does not exist, or the store's failure.
+/// The configuration does not exist, or the store fails.
 pub async fn create(
     service: &Service,
     request: v1::CreateSessionRequest,
@@ -29,10 +29,10 @@ pub async fn create(
     Ok(message(service.sessions().create(new).await?))
 }
 
-/// One session.
+/// A session.
 ///
 /// # Errors
-/// No such session.
+/// The session does not exist.
 pub async fn get(
     service: &Service,
     request: v1::GetSessionRequest,
@@ -41,10 +41,10 @@ pub async fn get(
     Ok(message(service.sessions().get(&id).await?))
 }
 
-/// Sessions, newest first.
+/// A page of sessions, the newest first.
 ///
 /// # Errors
-/// A page token or size that is refused.
+/// The page token or size is invalid.
 pub async fn list(
     service: &Service,
     request: v1::ListSessionsRequest,
@@ -57,10 +57,10 @@ pub async fn list(
     })
 }
 
-/// Changes what is given.
+/// Changes the given fields of a session.
 ///
 /// # Errors
-/// No such session, one that is closed, or a configuration that does not exist.
+/// The session does not exist or is closed, or the configuration does not exist.
 pub async fn update(
     service: &Service,
     request: v1::UpdateSessionRequest,
@@ -84,7 +84,7 @@ pub async fn update(
 /// Closes a session.
 ///
 /// # Errors
-/// No such session.
+/// The session does not exist.
 pub async fn close(
     service: &Service,
     request: v1::CloseSessionRequest,

@@ -21,7 +21,7 @@ pub struct Mountpoint {
     pub systems: String,
     /// Latitude and longitude (degrees), often with two decimals.
     pub position_deg: Option<(f64, f64)>,
-    /// The caster computes the stream for the rover's position, and must be told it.
+    /// The caster computes the stream for the rover's position, and needs to receive it.
     pub needs_position: bool,
 }
 
