@@ -133,8 +133,8 @@ fn session_limits(limits: &Limits) -> SessionLimits {
     SessionLimits {
         mailbox_epochs: limits.mailbox_epochs,
         waiting_epochs: limits.waiting_epochs,
-        epochs_per_batch: limits.epochs_per_push,
-        raw_piece_bytes: limits.raw_piece_bytes,
+        epochs_per_push: limits.epochs_per_push,
+        raw_chunk_bytes: limits.raw_piece_bytes,
         observations_per_epoch: limits.observations_per_epoch,
         active_sessions: limits.active_sessions,
         solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),

@@ -10,11 +10,10 @@ use crate::gnss::{
     SatelliteId, Signal, Status, symmetric_of,
 };
 use crate::refusal::Code;
+use crate::session::SEQUENCES;
 
 use super::Refusal;
 
-/// The largest sequence number. Every JSON reader keeps integers up to it exactly.
-pub const SEQUENCE_MAX: u64 = (1 << 53) - 1;
 /// Largest pseudorange (m): radius of a geostationary orbit, and a clock error of 0.3 s.
 const PSEUDORANGE_MAX_M: f64 = 1.5e8;
 /// Largest carrier phase (cycles): receivers start counting anywhere, but beyond this an `f64` does
@@ -97,10 +96,10 @@ pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
 /// # Errors
 /// [`Code::InvalidSequence`].
 pub fn sequence(seq: u64) -> Result<u64, Refusal> {
-    if (1..=SEQUENCE_MAX).contains(&seq) {
+    if SEQUENCES.contains(&seq) {
         return Ok(seq);
     }
-    let message = format!("{seq} is not in 1 to {SEQUENCE_MAX}");
+    let message = format!("{seq} is not in {} to {}", SEQUENCES.start(), SEQUENCES.end());
     Err(Refusal::new(Code::InvalidSequence, message).at("seq"))
 }
 

@@ -127,7 +127,7 @@ impl From<SessionError> for Refusal {
             SessionError::Store(error) => return error.into(),
             SessionError::Aiding(error) => return error.into(),
             SessionError::Raw(error) => return error.into(),
-            SessionError::PieceTooLarge { .. } | SessionError::RawConflict { .. } => {
+            SessionError::ChunkTooLarge { .. } | SessionError::RawConflict { .. } => {
                 Some("content")
             }
             SessionError::RawGap { .. } => Some("offset"),

@@ -36,8 +36,9 @@ pub(super) fn settings(
 ) -> Result<SessionSettings, SessionError> {
     let options = options(&mode, &profile, &overrides)?;
     base_of(options.mode, &base)?;
-    let in_force = options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
-    let configuration = in_force.collect();
+    let active_configuration =
+        options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
+    let configuration = active_configuration.collect();
     let configuration_hash = options.configuration_hash().into();
     Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash, base })
 }

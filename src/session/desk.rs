@@ -19,9 +19,9 @@ use crate::store::{
 
 use super::configuration::{settings, stored_options};
 use super::solvers::Solvers;
-use super::task::{Message, Place, RawSubmission, Submission, Task};
+use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::{
-    NewSession, Pending, RawPiece, RawReceived, SequencedEpoch, SessionError, SessionId,
+    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId,
     SessionInfo, SessionLimits, SessionUpdate, Submitted,
 };
 
@@ -73,8 +73,8 @@ struct Handle {
 impl Sessions {
     /// Opens the desk.
     pub fn open(store: Store, aiding: AidingDesk, mut limits: SessionLimits) -> Self {
-        limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_batch);
-        limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_batch);
+        limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_push);
+        limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_push);
         let tasks =
             Tasks { handles: HashMap::new(), running: JoinSet::new(), posted: 0, draining: false };
         let desk = Desk {
@@ -172,9 +172,9 @@ impl Sessions {
     /// # Errors
     /// No session has this id, the service is stopping, or the store fails; it is then still open.
     pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        let (desk, of) = (self.clone(), id.clone());
+        let (desk, session) = (self.clone(), id.clone());
         // In its own task, so that the session is closed even if the caller disconnects.
-        let closing = tokio::spawn(async move { desk.close_whole(&of).await });
+        let closing = tokio::spawn(async move { desk.close_whole(&session).await });
         closing.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
     }
@@ -220,10 +220,10 @@ impl Sessions {
         id: &SessionId,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<Pending, SessionError> {
-        self.check_batch(&epochs)?;
+        self.check_push(&epochs)?;
         let count = epochs.len();
         let (reply, answer) = oneshot::channel();
-        let submission = Submission { epochs, place: None, reply };
+        let submission = Submission { epochs, permit: None, reply };
         self.send(id, Message::Submission(submission), count).await?;
         Ok(Pending(answer))
     }
@@ -236,17 +236,17 @@ impl Sessions {
     pub async fn receive(
         &self,
         id: &SessionId,
-        piece: RawPiece,
+        chunk: RawChunk,
     ) -> Result<RawReceived, SessionError> {
-        let (bytes, limit) = (piece.content.len(), self.desk.limits.raw_piece_bytes);
+        let (bytes, limit) = (chunk.content.len(), self.desk.limits.raw_chunk_bytes);
         if limit < bytes {
-            return Err(SessionError::PieceTooLarge { bytes, limit });
+            return Err(SessionError::ChunkTooLarge { bytes, limit });
         }
         // The number of its epochs is not known yet, so its length decides how much it counts.
-        let room = (bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_batch);
+        let epochs = (bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_push);
         let (reply, answer) = oneshot::channel();
-        let submission = Box::new(RawSubmission { piece, place: None, reply });
-        self.send(id, Message::Raw(submission), room).await?;
+        let submission = Box::new(RawSubmission { chunk, permit: None, reply });
+        self.send(id, Message::Raw(submission), epochs).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
@@ -255,19 +255,19 @@ impl Sessions {
         &self,
         id: &SessionId,
         message: Message,
-        room: usize,
+        epochs: usize,
     ) -> Result<(), SessionError> {
         let mut message = Some(message);
-        if self.post(id, &mut message, room)? {
+        if self.post(id, &mut message, epochs)? {
             return Ok(());
         }
         let _starting = self.starting(id).lock().await;
-        if self.post(id, &mut message, room)? {
+        if self.post(id, &mut message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
         }
         let row = self.open_row(id).await?;
         self.start(id, row.key)?;
-        if self.post(id, &mut message, room)? { Ok(()) } else { Err(SessionError::Interrupted) }
+        if self.post(id, &mut message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
     /// Stored solutions of a session, open or closed, in order of epoch number and revision.
@@ -350,8 +350,8 @@ impl Sessions {
         }
     }
 
-    pub(super) fn check_batch(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
-        let (epochs, limit) = (epochs.len(), self.desk.limits.epochs_per_batch);
+    pub(super) fn check_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
+        let (epochs, limit) = (epochs.len(), self.desk.limits.epochs_per_push);
         match epochs {
             0 => Err(SessionError::NoEpochs),
             _ if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
@@ -380,7 +380,7 @@ impl Sessions {
         &self,
         id: &SessionId,
         message: &mut Option<Message>,
-        room: usize,
+        epochs: usize,
     ) -> Result<bool, SessionError> {
         let Desk { limits, waiting: of_all, .. } = &*self.desk;
         let retry_after = limits.retry_after;
@@ -392,15 +392,15 @@ impl Sessions {
         let posted = tasks.posted;
         let Some(handle) = tasks.handles.get_mut(id) else { return Ok(false) };
         let (waiting, limit) = (handle.waiting.load(Ordering::Acquire), limits.mailbox_epochs);
-        if limit < waiting + room {
+        if limit < waiting + epochs {
             return Err(SessionError::MailboxFull { waiting, limit, retry_after });
         }
         let (all, limit) = (of_all.load(Ordering::Acquire), limits.waiting_epochs);
-        if limit < all + room {
+        if limit < all + epochs {
             return Err(SessionError::Overloaded { waiting: all, limit, retry_after });
         }
         let Some(mut posting) = message.take() else { return Ok(true) };
-        posting.put(Place::take(room, &handle.waiting, of_all));
+        posting.set_permit(MailboxPermit::take(epochs, &handle.waiting, of_all));
         match handle.mailbox.try_send(posting) {
             Ok(()) => {
                 handle.last_used = posted;
@@ -437,7 +437,7 @@ impl Sessions {
             store: store.clone(),
             aiding: aiding.clone(),
             solvers: solvers.clone(),
-            epochs_per_batch: limits.epochs_per_batch,
+            epochs_per_push: limits.epochs_per_push,
             observations_per_epoch: limits.observations_per_epoch,
             outdated: outdated.clone(),
         };

@@ -131,7 +131,7 @@ pub enum SessionError {
     },
     /// A raw chunk is larger than allowed.
     #[error("the chunk has {bytes} bytes, at most {limit} are allowed")]
-    PieceTooLarge {
+    ChunkTooLarge {
         /// Size of the chunk (bytes).
         bytes: usize,
         /// Size allowed (bytes).
@@ -185,7 +185,7 @@ impl SessionError {
             Self::Empty { .. } => Code::SessionEmpty,
             Self::Draining => Code::Draining,
             Self::EstimatorFailed { .. } => Code::EstimatorFailed,
-            Self::PieceTooLarge { .. } => Code::PieceTooLarge,
+            Self::ChunkTooLarge { .. } => Code::PieceTooLarge,
             Self::RawGap { .. } => Code::RawGap,
             Self::RawConflict { .. } => Code::RawConflict,
             Self::Raw(error) => error.code(),

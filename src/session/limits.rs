@@ -12,9 +12,9 @@ pub struct SessionLimits {
     /// Epochs that may wait in all mailboxes together; at least `epochs_per_push`.
     pub waiting_epochs: usize,
     /// Epochs in one push.
-    pub epochs_per_batch: usize,
+    pub epochs_per_push: usize,
     /// Bytes in one raw chunk.
-    pub raw_piece_bytes: usize,
+    pub raw_chunk_bytes: usize,
     /// Observations in one epoch.
     pub observations_per_epoch: usize,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
@@ -35,8 +35,8 @@ impl SessionLimits {
         Self {
             mailbox_epochs: 2_048,
             waiting_epochs: 32_768,
-            epochs_per_batch: 1_024,
-            raw_piece_bytes: 256 << 10,
+            epochs_per_push: 1_024,
+            raw_chunk_bytes: 256 << 10,
             observations_per_epoch: 512,
             active_sessions: 4_096,
             candidate_bases: 32,

@@ -68,13 +68,15 @@
 //! # Ok(()) }
 //! ```
 
+mod base_selection;
+mod batch;
 mod configuration;
-mod course;
+
 mod desk;
 mod error;
 mod info;
 mod limits;
-mod piece;
+
 mod raw;
 mod recomputation;
 mod replay;
@@ -88,9 +90,9 @@ pub use desk::Sessions;
 pub use error::SessionError;
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate};
 pub use limits::SessionLimits;
-pub use raw::{RawPiece, RawReceived};
+pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};
 pub use solve::{Burst, Computed, SolveRequest};
 pub use submission::{
-    Acknowledged, EpochOutcome, EpochRefusal, Pending, SequencedEpoch, Submitted,
+    Acknowledged, EpochOutcome, EpochRefusal, Pending, SEQUENCES, SequencedEpoch, Submitted,
 };

@@ -12,7 +12,7 @@ use bytes::Bytes;
 use crate::clock::gps_time;
 use crate::gnss::{GpsTime, Navigation};
 use crate::reception::{Needed, Received, ReceptionError, Stream};
-use crate::store::{RawPiecePlace, RawPosition};
+use crate::store::{RawChunkSpan, RawPosition};
 
 use super::EpochOutcome;
 
@@ -22,7 +22,7 @@ const SILENCE_MS: i64 = 3_600_000;
 const LIVE_S: f64 = 43_200.0;
 /// A chunk of a receiver's stream.
 #[derive(Clone, Debug)]
-pub struct RawPiece {
+pub struct RawChunk {
     /// Number of bytes that the device sent to the session before this chunk.
     pub offset: u64,
     /// The bytes of the chunk.
@@ -68,7 +68,7 @@ pub(super) enum Order {
 impl Reception {
     pub(super) fn fresh(now_unix_ms: i64) -> Self {
         let time = gps_time(now_unix_ms);
-        let piece = RawPiecePlace { start: 0, is_end: false, first_seq: 1, last_seq: 0 };
+        let last_chunk = RawChunkSpan { start: 0, is_end: false, first_seq: 1, last_seq: 0 };
         let position = RawPosition {
             stream: 0,
             header_end: 0,
@@ -76,33 +76,33 @@ impl Reception {
             through: 0,
             time,
             received_unix_ms: now_unix_ms,
-            piece,
+            last_chunk,
         };
         Self { stream: Stream::new(0, time), position }
     }
 
-    pub(super) fn order(&self, piece: &RawPiece) -> Order {
+    pub(super) fn order(&self, chunk: &RawChunk) -> Order {
         let through = self.position.through;
-        let end = piece.offset + piece.content.len() as u64;
-        let last = self.position.piece;
+        let end = chunk.offset + chunk.content.len() as u64;
+        let last = self.position.last_chunk;
         let is_last =
-            piece.offset == last.start && end == through && piece.is_end == last.is_end && 0 < end;
-        if through < piece.offset {
+            chunk.offset == last.start && end == through && chunk.is_end == last.is_end && 0 < end;
+        if through < chunk.offset {
             Order::Gap
-        } else if is_last || end < through || (end == through && !piece.is_end) {
+        } else if is_last || end < through || (end == through && !chunk.is_end) {
             Order::Resent
         } else {
-            Order::New((through - piece.offset) as usize)
+            Order::New((through - chunk.offset) as usize)
         }
     }
 
     /// Sets the date of a stream before one of its chunks.
-    pub(super) fn date(&mut self, piece: &RawPiece, now_unix_ms: i64) {
+    pub(super) fn date(&mut self, chunk: &RawChunk, now_unix_ms: i64) {
         let Self { stream, position } = self;
         let is_first = stream.through() == stream.start();
         let was_live = (position.time - gps_time(position.received_unix_ms)).abs() < LIVE_S;
         let was_silent = SILENCE_MS < now_unix_ms - position.received_unix_ms;
-        match piece.near {
+        match chunk.near {
             Some(near) if is_first => stream.date(near),
             None if is_first || (was_live && was_silent) => stream.date(gps_time(now_unix_ms)),
             _ => {}
@@ -112,13 +112,13 @@ impl Reception {
     /// Decodes the new bytes of a chunk.
     pub(super) fn take(
         &mut self,
-        piece: &RawPiece,
+        chunk: &RawChunk,
         known: usize,
         navigation: &Navigation,
     ) -> Result<Received, ReceptionError> {
         let mut received = Received::default();
-        self.stream.push(&piece.content[known..], navigation, &mut received)?;
-        if piece.is_end {
+        self.stream.push(&chunk.content[known..], navigation, &mut received)?;
+        if chunk.is_end {
             self.stream.finish(&mut received);
         }
         Ok(received)
@@ -128,13 +128,13 @@ impl Reception {
     /// `first_seq`.
     pub(super) fn advance(
         &mut self,
-        piece: &RawPiece,
+        chunk: &RawChunk,
         first_seq: u64,
         epochs: usize,
         now_unix_ms: i64,
     ) {
         let (time, through) = (self.stream.time(), self.stream.through());
-        if piece.is_end {
+        if chunk.is_end {
             self.stream = Stream::new(through, time);
         }
         let Needed { header, tail } = self.stream.needed();
@@ -146,7 +146,12 @@ impl Reception {
             through,
             time,
             received_unix_ms: now_unix_ms,
-            piece: RawPiecePlace { start: piece.offset, is_end: piece.is_end, first_seq, last_seq },
+            last_chunk: RawChunkSpan {
+                start: chunk.offset,
+                is_end: chunk.is_end,
+                first_seq,
+                last_seq,
+            },
         };
     }
 }

@@ -9,9 +9,9 @@ use crate::gnss::LeapSeconds;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
 use super::configuration::base_of;
-use super::replay::{By, Course, InForce, in_force};
+use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration};
 use super::solvers::Solvers;
-use super::state::{Origin, State, VERSION};
+use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
 
 /// Stored solutions per read.
@@ -19,12 +19,12 @@ const PAGE: usize = 1_000;
 
 /// A stored session while it is computed again, from its first epoch on. Nothing is stored.
 pub struct Recomputation {
-    course: Course,
+    replay: Replay,
     /// `None` once everything is computed.
     state: Option<State>,
     after: Option<u64>,
     /// Whether the epochs in the window at the end get their last revision.
-    to_the_end: bool,
+    ends_windows: bool,
     configuration_hash: Arc<str>,
 }
 
@@ -63,30 +63,34 @@ impl Recomputation {
     ) -> Result<Self, SessionError> {
         let row = store.session(id.as_str()).await?;
         let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })?;
-        let force = match change {
-            None => in_force(&store, id.as_str()).await?,
+        let active = match change {
+            None => active_configuration(&store, id.as_str()).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
                 let asked = request.base.clone().try_map(|id| aiding.bases.name(&id))?;
                 let base = if asked.is_none() { &row.settings.base } else { &asked };
-                let base = base_of(options.mode, base)?;
-                let configuration_hash = options.configuration_hash().into();
-                let origin = Origin { version: VERSION.into(), configuration_hash, options };
-                InForce { origin, base }
+                let bases = base_of(options.mode, base)?;
+                let hash = options.configuration_hash().into();
+                let estimation = Configuration { version: VERSION.into(), hash, options };
+                ActiveConfiguration { estimation, bases }
             }
         };
-        let configuration_hash = force.origin.configuration_hash.clone();
-        let state = Some(State::new(&force.origin));
-        let course = Course {
+        let configuration_hash = active.estimation.hash.clone();
+        let state = Some(State::new(&active.estimation));
+        let replay = Replay {
             store,
             aiding,
             solvers: Solvers::new(SessionLimits::service().solver_threads),
             key: row.key,
-            by: if change.is_some() { By::Options(Arc::new(force)) } else { By::Stored },
-            may_differ: false,
+            with: if change.is_some() {
+                ReplayWith::Options(Arc::new(active))
+            } else {
+                ReplayWith::Stored
+            },
+            tolerates_missing: false,
         };
-        let to_the_end = change.is_some() || row.closed_unix_ms.is_some();
-        Ok(Self { course, state, after: None, to_the_end, configuration_hash })
+        let ends_windows = change.is_some() || row.closed_unix_ms.is_some();
+        Ok(Self { replay, state, after: None, ends_windows, configuration_hash })
     }
 
     /// Hash of the configuration in force, or of the requested one.
@@ -96,7 +100,7 @@ impl Recomputation {
 
     /// The leap seconds known today.
     pub fn leap_seconds(&self) -> LeapSeconds {
-        self.course.aiding.navigation.current().navigation.leap_seconds
+        self.replay.aiding.navigation.current().navigation.leap_seconds
     }
 
     /// The next solutions with their revisions; `None` once everything is computed.
@@ -105,16 +109,16 @@ impl Recomputation {
     /// Navigation data are no longer stored, or the store fails.
     pub async fn next(&mut self) -> Result<Option<Vec<StoredSolution>>, SessionError> {
         let Some(state) = self.state.take() else { return Ok(None) };
-        let (mut state, answers) = self.course.next(state, self.after).await?;
+        let (mut state, answers) = self.replay.next(state, self.after).await?;
         if !answers.is_empty() {
             self.after = state.last.map(|(seq, _)| seq);
             self.state = Some(state);
             return Ok(Some(answers));
         }
-        if !self.to_the_end {
+        if !self.ends_windows {
             return Ok(None);
         }
-        self.course.solvers.estimate(move |scratch| Some(state.finish(scratch))).await
+        self.replay.solvers.estimate(move |scratch| Some(state.finish(scratch))).await
     }
 
     /// Computes everything and compares it with the stored solutions.
@@ -123,7 +127,7 @@ impl Recomputation {
     /// Navigation data are no longer stored, or the store fails.
     pub async fn check(mut self) -> Result<Check, SessionError> {
         let mut check = Check::default();
-        let mut stored = Stored::of(&self.course);
+        let mut stored = Stored::of(&self.replay);
         while let Some(answers) = self.next().await? {
             let last = answers.iter().map(|answer| answer.seq).max();
             stored.read_through(last.unwrap_or(0)).await?;
@@ -164,7 +168,7 @@ struct Stored {
 }
 
 impl Stored {
-    fn of(course: &Course) -> Self {
+    fn of(replay: &Replay) -> Self {
         let query = SolutionQuery {
             from: None,
             to: None,
@@ -173,7 +177,7 @@ impl Stored {
             page_size: PAGE,
             page_token: None,
         };
-        let (store, key) = (course.store.clone(), course.key);
+        let (store, key) = (replay.store.clone(), replay.key);
         Self { store, key, query: Some(query), waiting: BTreeMap::new() }
     }
 

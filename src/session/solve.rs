@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::bases::{BaseChoice, BaseGiven, BaseId};
+use crate::aiding::bases::{BaseChoice, BaseId, BaseInput};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::store::{SessionSettings, StoredSolution};
 
-use super::course::{Against, BaseCourse};
+use super::base_selection::{BaseSelection, BaseSource};
 use super::desk::Sessions;
 use super::state::VERSION;
 use super::{SequencedEpoch, SessionError, SessionId, configuration};
@@ -21,7 +21,7 @@ pub struct SolveRequest {
     pub mode: Option<String>,
     /// The profile; `None` for the session's.
     pub profile: Option<String>,
-    /// Overrides of options. If neither mode nor profile is given, they are added to the session's
+    /// Overrides of options. If neither mode nor profile is input, they are added to the session's
     /// configuration, otherwise to the profile.
     pub overrides: BTreeMap<String, String>,
     /// The bases of a mode relative to one; none for the session's.
@@ -115,7 +115,7 @@ impl Sessions {
         let base = if asked.is_none() { &row.settings.base } else { &asked };
         let base = configuration::base_of(options.mode, base)?;
         let is_own = options == configuration::stored_options(&row.settings)?;
-        let count = window_epochs(&options).min(self.limits().epochs_per_batch);
+        let count = window_epochs(&options).min(self.limits().epochs_per_push);
         let mut stored = self.store().last_epochs(row.key, count).await?;
         let last = stored.first().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
         let is_same_base = match &base {
@@ -143,7 +143,7 @@ impl Sessions {
     /// A configuration does not exist, or the epochs exceed a limit or are not in order of time.
     pub async fn solve_once(&self, burst: Burst) -> Result<Vec<Computed>, SessionError> {
         let options = configuration::options(&burst.mode, &burst.profile, &burst.overrides)?;
-        self.check_batch(&burst.epochs)?;
+        self.check_push(&burst.epochs)?;
         let limit = self.limits().observations_per_epoch;
         for (index, epoch) in burst.epochs.iter().enumerate() {
             let observations = epoch.epoch.observations.len();
@@ -177,18 +177,18 @@ impl Sessions {
     ) -> Result<Vec<Computed>, SessionError> {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().next().zip(times().next_back());
-        let against = Against::new(&self.aiding().bases, &base, span, &options);
+        let source = BaseSource::new(&self.aiding().bases, &base, span, &options);
         let version: Arc<str> = VERSION.into();
         let configuration_hash: Arc<str> = options.configuration_hash().into();
         let work = move |scratch: &mut Scratch| {
             let mut estimator = EstimatorState::new(options.clone(), false);
-            let mut course = BaseCourse::default();
+            let mut selection = BaseSelection::default();
             let position = |SequencedEpoch { seq, epoch }| {
-                let given = course.next(&against, &epoch, &navigation, &options);
-                let base = given.as_ref().and_then(BaseGiven::aiding);
+                let input = selection.next(&source, &epoch, &navigation, &options);
+                let base = input.as_ref().and_then(BaseInput::aiding);
                 let aiding = Aiding { navigation: &navigation, base };
                 let solution = estimator.advance(&epoch, &aiding, scratch);
-                course.take(given.as_ref(), &solution);
+                selection.update(input.as_ref(), &solution);
                 Computed {
                     seq,
                     solution,

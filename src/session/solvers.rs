@@ -1,4 +1,4 @@
-//! The solver pool: where estimation runs, so that the threads that serve the network never do.
+//! The solver pool: estimation runs here, never on the threads that serve the network.
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +14,7 @@ use super::state::State;
 /// States kept for the next batch to be computed in.
 const SPARE_STATES: usize = 64;
 
-/// A bounded number of threads that estimate. Who asks first is served first.
+/// A bounded number of threads for estimation. Requests are served in order.
 #[derive(Clone)]
 pub(super) struct Solvers {
     permits: Arc<Semaphore>,

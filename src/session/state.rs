@@ -1,28 +1,28 @@
-//! What a session's estimator stands at, and how it goes on: by epochs that come and by replay
-//! alike.
+//! The state of a session's estimator, and how an epoch advances it. New epochs and replay use the
+//! same code.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::aiding::bases::BaseGiven;
+use crate::aiding::bases::BaseInput;
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
 
-use super::course::{Against, BaseCourse};
+use super::base_selection::{BaseSelection, BaseSource};
 
-/// Version of this program, which each solution names.
+/// Version of this program, stored with each solution.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
-/// Layout of the bytes around an estimator's snapshot.
+/// Version of the layout around an estimator's snapshot.
 const LAYOUT: u16 = 3;
 
-/// What names the origin of a solution, and makes it.
+/// The program version and options that compute a solution.
 #[derive(Clone, Debug)]
-pub(super) struct Origin {
+pub(super) struct Configuration {
     pub(super) version: Arc<str>,
-    pub(super) configuration_hash: Arc<str>,
+    pub(super) hash: Arc<str>,
     pub(super) options: PositioningOptions,
 }
 
@@ -30,19 +30,19 @@ pub(super) struct Origin {
 #[derive(Debug)]
 pub(super) struct State {
     pub(super) estimator: EstimatorState,
-    /// Of the configuration it was made by.
+    /// Hash of the configuration that the estimator was made with.
     pub(super) configuration_hash: Arc<str>,
-    /// The base it is relative to.
-    course: BaseCourse,
+    /// The base that it uses.
+    base_selection: BaseSelection,
     /// Number and time of the last epoch.
     pub(super) last: Option<(u64, GpsTime)>,
-    /// Epochs that the estimator may still answer again, in order.
+    /// Epochs that the estimator may still revise, in order.
     unrevised: VecDeque<(u64, GpsTime)>,
-    /// Epochs since the state was last stored.
+    /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
 }
 
-/// An epoch's answer, and later answers that it brought to those before it.
+/// The solution of an epoch, and the revisions of earlier epochs that it led to.
 pub(super) struct Advanced {
     pub(super) solution: StoredSolution,
     pub(super) revisions: Vec<StoredSolution>,
@@ -50,69 +50,69 @@ pub(super) struct Advanced {
 
 impl State {
     /// The state before the first epoch.
-    pub(super) fn new(origin: &Origin) -> Self {
+    pub(super) fn new(configuration: &Configuration) -> Self {
         Self {
-            estimator: EstimatorState::new(origin.options.clone(), true),
-            configuration_hash: origin.configuration_hash.clone(),
-            course: BaseCourse::default(),
+            estimator: EstimatorState::new(configuration.options.clone(), true),
+            configuration_hash: configuration.hash.clone(),
+            base_selection: BaseSelection::default(),
             last: None,
             unrevised: VecDeque::new(),
             unsaved: 0,
         }
     }
 
-    /// What the next epoch is given of a base.
+    /// The base epochs to give with the next rover epoch.
     pub(super) fn base_for(
         &self,
-        against: &Against,
+        source: &BaseSource,
         epoch: &Epoch,
         navigation: &Navigation,
-        origin: &Origin,
-    ) -> Option<BaseGiven> {
-        let mut course = self.course;
-        if !self.goes_on(origin) {
-            course.begin_anew();
+        configuration: &Configuration,
+    ) -> Option<BaseInput> {
+        let mut selection = self.base_selection;
+        if !self.continues_with(configuration) {
+            selection.restart();
         }
-        course.next(against, epoch, navigation, &origin.options)
+        selection.next(source, epoch, navigation, &configuration.options)
     }
 
     /// The base of the last epoch that had one.
     pub(super) const fn base(&self) -> Option<BaseKey> {
-        self.course.base
+        self.base_selection.base
     }
 
-    /// Whether the estimator is one of `origin`.
-    fn goes_on(&self, origin: &Origin) -> bool {
-        self.configuration_hash == origin.configuration_hash
+    /// Whether the estimator has this configuration.
+    fn continues_with(&self, configuration: &Configuration) -> bool {
+        self.configuration_hash == configuration.hash
     }
 
     /// Solves the next epoch.
     ///
-    /// Where the configuration is not that of the epoch before, the estimator begins anew: what its
-    /// window held is answered for the last time, and nothing of it is carried over. Where the base
-    /// is another, the estimator does so itself.
+    /// If the configuration differs from that of the previous epoch, a new estimator starts: the
+    /// epochs in the old one's window get their last revision, and nothing is carried over. If the
+    /// base differs, the estimator itself restarts what is relative to the base.
     pub(super) fn advance(
         &mut self,
         seq: u64,
         epoch: &Epoch,
         navigation: &Navigation,
-        base: Option<&BaseGiven>,
-        origin: &Origin,
+        base: Option<&BaseInput>,
+        configuration: &Configuration,
         scratch: &mut Scratch,
     ) -> Advanced {
         let mut revisions = Vec::new();
-        if !self.goes_on(origin) {
+        if !self.continues_with(configuration) {
             revisions = self.finish(scratch);
-            self.estimator = EstimatorState::new(origin.options.clone(), true);
-            self.configuration_hash = origin.configuration_hash.clone();
-            self.course.begin_anew();
+            self.estimator = EstimatorState::new(configuration.options.clone(), true);
+            self.configuration_hash = configuration.hash.clone();
+            self.base_selection.restart();
         }
         self.unrevised.push_back((seq, epoch.time));
-        let aiding = Aiding { navigation, base: base.and_then(BaseGiven::aiding) };
+        let aiding = Aiding { navigation, base: base.and_then(BaseInput::aiding) };
         let solution = self.estimator.advance(epoch, &aiding, scratch);
-        self.course.take(base, &solution);
+        self.base_selection.update(base, &solution);
         let revised = self.estimator.take_revisions();
-        revisions.extend(self.numbered(revised, &origin.version));
+        revisions.extend(self.numbered(revised, &configuration.version));
         let oldest = self.estimator.oldest_unrevised();
         while self.unrevised.front().is_some_and(|(_, time)| oldest.is_none_or(|o| *time < o)) {
             self.unrevised.pop_front();
@@ -123,13 +123,13 @@ impl State {
             seq,
             revision: 0,
             solution,
-            version: origin.version.clone(),
+            version: configuration.version.clone(),
             configuration_hash: self.configuration_hash.clone(),
         };
         Advanced { solution, revisions }
     }
 
-    /// The last answers to what the window holds, which is then empty.
+    /// The last revisions of the epochs in the window. The window is then empty.
     pub(super) fn finish(&mut self, scratch: &mut Scratch) -> Vec<StoredSolution> {
         let fresh = self.estimator.renewed(true);
         let revised = std::mem::replace(&mut self.estimator, fresh).finish(scratch);
@@ -138,11 +138,11 @@ impl State {
         revisions
     }
 
-    /// Each answer under the number of its epoch; one for each epoch.
+    /// The revisions with the numbers of their epochs.
     fn numbered(&mut self, revised: Vec<Solution>, version: &Arc<str>) -> Vec<StoredSolution> {
         let number = |solution: Solution| {
-            let place = self.unrevised.iter().position(|(_, time)| *time == solution.time)?;
-            let (seq, _) = self.unrevised.remove(place)?;
+            let index = self.unrevised.iter().position(|(_, time)| *time == solution.time)?;
+            let (seq, _) = self.unrevised.remove(index)?;
             Some(StoredSolution {
                 seq,
                 revision: 1,
@@ -154,28 +154,32 @@ impl State {
         revised.into_iter().filter_map(number).collect()
     }
 
-    /// The state for the store, once there has been an epoch.
+    /// The encoded state; `None` before the first epoch.
     pub(super) fn encoded(&self) -> Option<EncodedSnapshot> {
         let (seq, time) = self.last?;
         let mut writer = SnapshotWriter::new(LAYOUT);
         time.save(&mut writer);
-        self.course.save(&mut writer);
+        self.base_selection.save(&mut writer);
         self.unrevised.save(&mut writer);
         writer.bytes(&self.estimator.snapshot());
         Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), writer.finish()))
     }
 
-    /// The state that [`Self::encoded`] wrote after epoch `seq`, by the options it was made by.
-    pub(super) fn decode(seq: u64, content: &[u8], origin: &Origin) -> Result<Self, SnapshotError> {
+    /// Decodes the state that [`Self::encoded`] gave after epoch `seq`, with its configuration.
+    pub(super) fn decode(
+        seq: u64,
+        content: &[u8],
+        configuration: &Configuration,
+    ) -> Result<Self, SnapshotError> {
         let mut reader = SnapshotReader::open(content, LAYOUT)?;
         let time = GpsTime::load(&mut reader)?;
-        let course = Snapshot::load(&mut reader)?;
+        let base_selection = Snapshot::load(&mut reader)?;
         let unrevised = Snapshot::load(&mut reader)?;
-        let estimator = EstimatorState::restore(origin.options.clone(), reader.bytes()?)?;
+        let estimator = EstimatorState::restore(configuration.options.clone(), reader.bytes()?)?;
         reader.finish()?;
-        let configuration_hash = origin.configuration_hash.clone();
+        let configuration_hash = configuration.hash.clone();
         let last = Some((seq, time));
-        Ok(Self { estimator, configuration_hash, course, last, unrevised, unsaved: 0 })
+        Ok(Self { estimator, configuration_hash, base_selection, last, unrevised, unsaved: 0 })
     }
 }
 
@@ -184,19 +188,19 @@ impl Clone for State {
         Self {
             estimator: self.estimator.clone(),
             configuration_hash: self.configuration_hash.clone(),
-            course: self.course,
+            base_selection: self.base_selection,
             last: self.last,
             unrevised: self.unrevised.clone(),
             unsaved: self.unsaved,
         }
     }
 
-    /// Copies into the storage already held.
+    /// Copies into the storage that `self` already has.
     fn clone_from(&mut self, source: &Self) {
-        let Self { estimator, configuration_hash, course, last, unrevised, unsaved } = self;
+        let Self { estimator, configuration_hash, base_selection, last, unrevised, unsaved } = self;
         estimator.clone_from(&source.estimator);
         configuration_hash.clone_from(&source.configuration_hash);
-        *course = source.course;
+        *base_selection = source.base_selection;
         *last = source.last;
         unrevised.clone_from(&source.unrevised);
         *unsaved = source.unsaved;

@@ -1,5 +1,7 @@
 //! Epochs on their way in, and the answers to them.
 
+use std::ops::RangeInclusive;
+
 use tokio::sync::oneshot;
 
 use crate::gnss::{Epoch, GpsTime};
@@ -7,6 +9,9 @@ use crate::refusal::Code;
 use crate::store::StoredSolution;
 
 use super::SessionError;
+
+/// The allowed epoch numbers. Every JSON reader keeps integers up to the last one exactly.
+pub const SEQUENCES: RangeInclusive<u64> = 1..=(1 << 53) - 1;
 
 /// An epoch with its client's number.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,8 +87,8 @@ pub enum EpochRefusal {
         limit: usize,
     },
     /// The number is out of range.
-    #[error("epoch number {seq} is above {}", i64::MAX)]
-    SequenceTooLarge {
+    #[error("epoch number {seq} is not in {} to {}", SEQUENCES.start(), SEQUENCES.end())]
+    SequenceOutOfRange {
         /// Number of the epoch.
         seq: u64,
     },
@@ -97,14 +102,14 @@ impl EpochRefusal {
             Self::Superseded { .. } => Code::SequenceSuperseded,
             Self::OutOfOrder { .. } => Code::OutOfOrder,
             Self::TooManyObservations { .. } => Code::TooManyObservations,
-            Self::SequenceTooLarge { .. } => Code::InvalidSequence,
+            Self::SequenceOutOfRange { .. } => Code::InvalidSequence,
         }
     }
 
     /// The field of the epoch that is at fault.
     pub const fn field(&self) -> &'static str {
         match self {
-            Self::Conflict { .. } | Self::Superseded { .. } | Self::SequenceTooLarge { .. } => {
+            Self::Conflict { .. } | Self::Superseded { .. } | Self::SequenceOutOfRange { .. } => {
                 "seq"
             }
             Self::OutOfOrder { .. } => "time",

@@ -36,7 +36,7 @@ pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
 pub use page::Page;
-pub use raw::{RawChange, RawPiecePlace, RawPosition};
+pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};

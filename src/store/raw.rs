@@ -23,12 +23,12 @@ pub struct RawPosition {
     /// When the last chunk arrived (ms since 1970-01-01 UTC).
     pub received_unix_ms: i64,
     /// The last chunk.
-    pub piece: RawPiecePlace,
+    pub last_chunk: RawChunkSpan,
 }
 
 /// Extent of a chunk, and the epochs that it completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RawPiecePlace {
+pub struct RawChunkSpan {
     /// Offset of its first byte.
     pub start: u64,
     /// Whether it ended its stream.
@@ -90,7 +90,7 @@ impl Store {
             through: row.through as u64,
             time: GpsTime::from_ns(row.gps_time_ns),
             received_unix_ms: row.received_unix_ms,
-            piece: RawPiecePlace {
+            last_chunk: RawChunkSpan {
                 start: row.piece as u64,
                 is_end: row.piece_ends != 0,
                 first_seq: row.first_seq as u64,

@@ -13,7 +13,7 @@ use graphfix::formats::rinex::{ObservationReader, PieceReader};
 use graphfix::gnss::{Ecef, Epoch, Geodetic, GpsTime, Status};
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
-use graphfix::session::{NewSession, RawPiece, RawReceived, SessionId, SessionLimits, Sessions};
+use graphfix::session::{NewSession, RawChunk, RawReceived, SessionId, SessionLimits, Sessions};
 use graphfix::store::{Store, StoredEpoch};
 use serde_json::{Value, json};
 use tonic::transport::Channel;
@@ -53,8 +53,8 @@ async fn created(sessions: &Sessions) -> SessionId {
     sessions.create(new).await.unwrap().id
 }
 
-fn piece(stream: &[u8], from: usize, to: usize) -> RawPiece {
-    RawPiece {
+fn piece(stream: &[u8], from: usize, to: usize) -> RawChunk {
+    RawChunk {
         offset: from as u64,
         content: Bytes::copy_from_slice(&stream[from..to]),
         is_end: to == stream.len(),
@@ -238,7 +238,7 @@ async fn the_end_of_a_stream_begins_another(database: Database) {
         let last = pieces.len() - 1;
         for (index, bytes) in pieces.enumerate() {
             let content = Bytes::copy_from_slice(bytes);
-            let piece = RawPiece { offset, content, is_end: index == last, near };
+            let piece = RawChunk { offset, content, is_end: index == last, near };
             offset += bytes.len() as u64;
             let answer = sessions.receive(&id, piece).await.unwrap();
             assert_eq!(answer.raw_through, offset);

@@ -47,8 +47,8 @@ fn limits() -> SessionLimits {
     SessionLimits {
         mailbox_epochs: 64,
         waiting_epochs: 4_096,
-        epochs_per_batch: 32,
-        raw_piece_bytes: 256 << 10,
+        epochs_per_push: 32,
+        raw_chunk_bytes: 256 << 10,
         observations_per_epoch: 8,
         active_sessions: 64,
         candidate_bases: 2,
@@ -510,7 +510,7 @@ async fn real_epochs_give_the_same_bits_after_restarts() {
     }
     let limits = SessionLimits {
         observations_per_epoch: 256,
-        epochs_per_batch: 100,
+        epochs_per_push: 100,
         active_sessions: 1,
         ..limits()
     };

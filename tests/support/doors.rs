@@ -55,8 +55,8 @@ impl Doors {
         };
         let aiding = AidingDesk::open(store.clone(), held).await.unwrap();
         let session_limits = SessionLimits {
-            epochs_per_batch: limits.epochs_per_push,
-            raw_piece_bytes: limits.raw_piece_bytes,
+            epochs_per_push: limits.epochs_per_push,
+            raw_chunk_bytes: limits.raw_piece_bytes,
             observations_per_epoch: limits.observations_per_epoch,
             ..SessionLimits::service()
         };

@@ -50,7 +50,7 @@ pub use candidates::Candidates;
 pub use check::PositionCheck;
 pub use file::{BaseFile, BaseFileError};
 pub use nearest_requests::{NearestBaseRequest, NearestBaseRequests};
-pub use view::{BaseGiven, BaseView};
+pub use view::{BaseInput, BaseView};
 
 pub use crate::store::{BaseChoice, BaseFeed};
 

@@ -18,7 +18,7 @@ pub struct BaseView {
 
 /// The base epochs that an estimator receives with one epoch of the rover.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BaseGiven {
+pub struct BaseInput {
     /// The numbers of the epochs. Replay uses them to give the estimator the same epochs again.
     pub used: BaseUse,
     station: Option<BaseStation>,
@@ -39,7 +39,7 @@ impl BaseView {
     /// The base epochs to give with a rover epoch at `time`: numbered above `after`, tagged up to
     /// `time`, and at most `span_s` old. The station is the site of the newest of them, because the
     /// rover's observations are differenced against that epoch.
-    pub fn input_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseGiven {
+    pub fn input_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseInput {
         let is_past = |epoch: &StoredBaseEpoch| epoch.time - time <= BASE_LATER_S;
         let end = self.epochs.partition_point(is_past);
         let is_old = |epoch: &StoredBaseEpoch| {
@@ -55,7 +55,7 @@ impl BaseView {
     }
 
     /// The base epochs of an earlier solution, or `None` if some of them are no longer stored.
-    pub fn replayed_input(&self, used: BaseUse) -> Option<BaseGiven> {
+    pub fn replayed_input(&self, used: BaseUse) -> Option<BaseInput> {
         let above = |number: u64| self.epochs.partition_point(|epoch| epoch.number <= number);
         let epochs = &self.epochs[above(used.after)..above(used.through)];
         let is_whole = epochs.len() as u64 == used.through - used.after;
@@ -64,18 +64,18 @@ impl BaseView {
     }
 
     /// Those of the base epochs of an earlier solution that are still stored.
-    pub fn remaining_input(&self, used: BaseUse) -> BaseGiven {
+    pub fn remaining_input(&self, used: BaseUse) -> BaseInput {
         let above = |number: u64| self.epochs.partition_point(|epoch| epoch.number <= number);
         self.input(used, &self.epochs[above(used.after)..above(used.through)])
     }
 
-    fn input(&self, used: BaseUse, epochs: &[StoredBaseEpoch]) -> BaseGiven {
+    fn input(&self, used: BaseUse, epochs: &[StoredBaseEpoch]) -> BaseInput {
         let read = |stored: &StoredBaseEpoch| {
             stored.epoch().expect("it was encoded here, or read when the desk was opened")
         };
         let site = self.site_at(used.through);
         let station = site.map(|site| site.station(self.name.id.to_string()));
-        BaseGiven { used, station, epochs: epochs.iter().map(read).collect() }
+        BaseInput { used, station, epochs: epochs.iter().map(read).collect() }
     }
 
     /// The site of the base at its epoch `number`; none for number 0, which is before the first
@@ -86,7 +86,7 @@ impl BaseView {
     }
 }
 
-impl BaseGiven {
+impl BaseInput {
     /// The input of the estimator; `None` while the base has no position or no epoch.
     pub fn aiding(&self) -> Option<BaseAiding<'_>> {
         let station = self.station.as_ref()?;

@@ -4,7 +4,7 @@ use crate::contract::{Refusal, Service, intake, v1};
 use crate::formats::receiver::{RefusalEntry, Statistics};
 use crate::reception::{LeftOut, MessageTotal};
 use crate::refusal::Code;
-use crate::session::{RawPiece, RawReceived};
+use crate::session::{RawChunk, RawReceived, SEQUENCES};
 
 use super::positioning::results;
 use super::session_id;
@@ -22,21 +22,21 @@ pub async fn push(
     let id = session_id(&request.session)?;
     let at_near = |refusal: Refusal| refusal.at("near");
     let near = request.near.map(|near| intake::time(near.week, near.ns_of_week).map_err(at_near));
-    let piece = RawPiece {
+    let chunk = RawChunk {
         offset: offset(request.offset, request.content.len())?,
         content: request.content,
         is_end: request.end,
         near: near.transpose()?,
     };
-    Ok(answer(service.sessions().receive(&id, piece).await?))
+    Ok(answer(service.sessions().receive(&id, chunk).await?))
 }
 
 /// Checks that every JSON reader keeps the offsets of a chunk exactly.
 fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
-    if offset <= intake::SEQUENCE_MAX - length as u64 {
+    if offset <= SEQUENCES.end() - length as u64 {
         return Ok(offset);
     }
-    let message = format!("{offset} is above {}", intake::SEQUENCE_MAX);
+    let message = format!("{offset} is above {}", SEQUENCES.end());
     Err(Refusal::new(Code::InvalidField, message).at("offset"))
 }
 

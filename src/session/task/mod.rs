@@ -1,4 +1,4 @@
-//! One session's task: sole owner of its estimator, in order of arrival.
+//! One session's task: the sole owner of its estimator. It handles messages in order of arrival.
 
 mod receive;
 
@@ -15,67 +15,67 @@ use crate::clock::unix_ms;
 use crate::positioning::Scratch;
 use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
 
-use super::course::Against;
-use super::piece::{Piece, PieceAiding, Plan};
+use super::base_selection::BaseSource;
+use super::batch::{BatchAiding, Plan, SolvedBatch};
 use super::raw::Reception;
-use super::replay::{By, Course, InForce, in_force, restored};
+use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, restored};
 use super::solvers::Solvers;
 use super::state::State;
 use super::{
-    Acknowledged, EpochOutcome, EpochRefusal, RawPiece, RawReceived, SequencedEpoch, SessionError,
+    Acknowledged, EpochOutcome, EpochRefusal, RawChunk, RawReceived, SequencedEpoch, SessionError,
     SessionId, Submitted,
 };
 
-/// Epochs after which a piece takes no further batch.
-const EPOCHS_PER_PIECE: usize = 1_024;
-/// Epochs that are worth storing the state for when the task ends: fewer are replayed as quickly.
+/// A batch takes no further push once it has this many epochs.
+const EPOCHS_PER_BATCH: usize = 1_024;
+/// With fewer new epochs the state is not stored when the task ends: replaying them is as fast.
 const EPOCHS_WORTH_STORING: usize = 32;
 
-/// What waits in the mailbox.
+/// A message in the mailbox.
 pub(super) enum Message {
-    /// Epochs to be positioned.
+    /// A push of epochs.
     Submission(Submission),
-    /// A piece of raw bytes.
+    /// A chunk of raw bytes.
     Raw(Box<RawSubmission>),
-    /// The last message: closes the session at a time (ms since 1970-01-01 UTC).
+    /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
     Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
 }
 
-/// A batch in the mailbox.
+/// A push in the mailbox.
 pub(super) struct Submission {
     pub(super) epochs: Vec<SequencedEpoch>,
-    /// Taken when it is posted.
-    pub(super) place: Option<Place>,
+    /// Set when the message is sent.
+    pub(super) permit: Option<MailboxPermit>,
     pub(super) reply: oneshot::Sender<Result<Submitted, SessionError>>,
 }
 
-/// A piece in the mailbox.
+/// A chunk in the mailbox.
 pub(super) struct RawSubmission {
-    pub(super) piece: RawPiece,
-    /// Taken when it is posted.
-    pub(super) place: Option<Place>,
+    pub(super) chunk: RawChunk,
+    /// Set when the message is sent.
+    pub(super) permit: Option<MailboxPermit>,
     pub(super) reply: oneshot::Sender<Result<RawReceived, SessionError>>,
 }
 
 impl Message {
-    /// Gives it the room that it takes while it waits.
-    pub(super) fn put(&mut self, taken: Place) {
+    /// Attaches the permit that the message occupies while it waits.
+    pub(super) fn set_permit(&mut self, permit: MailboxPermit) {
         match self {
-            Self::Submission(submission) => submission.place = Some(taken),
-            Self::Raw(submission) => submission.place = Some(taken),
+            Self::Submission(submission) => submission.permit = Some(permit),
+            Self::Raw(submission) => submission.permit = Some(permit),
             Self::Close { .. } => {}
         }
     }
 }
 
-/// The room that epochs take while they wait; dropping it gives the room back.
-pub(super) struct Place {
+/// The capacity that a message's epochs take while they wait. Dropping it frees the capacity.
+pub(super) struct MailboxPermit {
     epochs: usize,
     of_session: Arc<AtomicUsize>,
     of_all: Arc<AtomicUsize>,
 }
 
-impl Place {
+impl MailboxPermit {
     pub(super) fn take(
         epochs: usize,
         of_session: &Arc<AtomicUsize>,
@@ -87,32 +87,32 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for MailboxPermit {
     fn drop(&mut self) {
         self.of_session.fetch_sub(self.epochs, Ordering::AcqRel);
         self.of_all.fetch_sub(self.epochs, Ordering::AcqRel);
     }
 }
 
-/// What a session's task works with.
+/// The data of a session's task.
 pub(super) struct Task {
     pub(super) id: SessionId,
     pub(super) key: SessionKey,
     pub(super) store: Store,
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
-    pub(super) epochs_per_batch: usize,
+    pub(super) epochs_per_push: usize,
     pub(super) observations_per_epoch: usize,
-    /// The settings have changed: read them before the next piece.
+    /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
 }
 
-/// What of the session is in memory.
+/// A session in memory.
 struct Active {
     committed: State,
-    /// What the next epochs are computed with.
-    force: Arc<InForce>,
-    /// The stream of its receiver, once raw bytes have come.
+    /// The configuration for the next epochs.
+    configuration: Arc<ActiveConfiguration>,
+    /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
 }
 
@@ -124,8 +124,8 @@ impl Active {
 }
 
 impl Task {
-    /// Runs until the mailbox is closed and empty, or the session is. Clients that hang up stop
-    /// nothing: their epochs are positioned and stored all the same.
+    /// Runs until the mailbox is closed and empty, or the session is closed. The epochs of clients
+    /// that disconnect are positioned and stored all the same.
     pub(super) async fn run(self, mut inbox: mpsc::Receiver<Message>) {
         let mut active = None;
         while let Some(first) = inbox.recv().await {
@@ -139,7 +139,7 @@ impl Task {
                     }
                     message => other = Some(message),
                 }
-                let is_full = EPOCHS_PER_PIECE <= epochs || other.is_some();
+                let is_full = EPOCHS_PER_BATCH <= epochs || other.is_some();
                 next = if is_full { None } else { inbox.try_recv().ok() };
             }
             if !submissions.is_empty() {
@@ -147,14 +147,14 @@ impl Task {
             }
             match other {
                 Some(Message::Raw(submission)) => {
-                    let RawSubmission { piece, place, reply } = *submission;
-                    // Boxed: a task at rest is as large as the largest of its waits.
-                    let answer = Box::pin(self.receive(&mut active, piece)).await;
-                    drop(place);
+                    let RawSubmission { chunk, permit, reply } = *submission;
+                    // Boxed, because a task at rest needs as much memory as its largest future.
+                    let answer = Box::pin(self.receive(&mut active, chunk)).await;
+                    drop(permit);
                     reply.send(answer).ok(); // Err: the client hung up.
                 }
                 Some(Message::Close { unix_ms, reply }) => {
-                    // Err: who closes has gone; the session is closed all the same.
+                    // Err: the caller has gone; the session is closed all the same.
                     reply.send(self.close(active, unix_ms).await).ok();
                     return;
                 }
@@ -164,11 +164,11 @@ impl Task {
         self.park(active).await;
     }
 
-    /// Stores the last answers to what the window holds, and that the session is closed.
+    /// Stores the last revisions of the epochs in the window, and that the session is closed.
     async fn close(&self, active: Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let mut state = match active {
             Some(active) => active.committed,
-            None => self.restored(&self.in_force().await?).await?,
+            None => self.restored(&self.active_configuration().await?).await?,
         };
         let revisions = self.solvers.estimate(move |scratch| state.finish(scratch)).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
@@ -177,7 +177,7 @@ impl Task {
         Ok(())
     }
 
-    /// Stores the state, so that the next task need not replay much.
+    /// Stores the state, so that the next task replays only a few epochs.
     async fn park(&self, active: Option<Active>) {
         let Some(Active { committed, .. }) = active else { return };
         if committed.unsaved < EPOCHS_WORTH_STORING {
@@ -185,18 +185,18 @@ impl Task {
         }
         let Ok(snapshot) = self.solvers.run(move || committed.encoded()).await else { return };
         if let Err(error) = self.store.commit(Batch { snapshot, ..Batch::new(self.key) }).await {
-            // Nothing is lost: it is replayed.
+            // Nothing is lost, because the epochs are replayed.
             tracing::warn!(session = %self.id, %error, "a session's state was not stored");
         }
     }
 
-    /// Positions and commits the batches in one piece and answers each.
+    /// Positions and commits the pushes as one batch, and answers each of them.
     async fn answer(&self, active: &mut Option<Active>, mut submissions: Vec<Submission>) {
-        let batches: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
-        let lengths: Vec<usize> = batches.iter().map(Vec::len).collect();
-        let answers = self.advance(active, batches.into_iter().flatten().collect()).await;
+        let pushes: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
+        let lengths: Vec<usize> = pushes.iter().map(Vec::len).collect();
+        let answers = self.advance(active, pushes.into_iter().flatten().collect()).await;
         let mut answers = answers.map(|(outcomes, through)| (outcomes.into_iter(), through));
-        for (Submission { place, reply, .. }, length) in submissions.into_iter().zip(lengths) {
+        for (Submission { permit, reply, .. }, length) in submissions.into_iter().zip(lengths) {
             let answer = match &mut answers {
                 Ok((outcomes, durable_through)) => Ok(Submitted {
                     outcomes: outcomes.take(length).collect(),
@@ -204,7 +204,7 @@ impl Task {
                 }),
                 Err(error) => Err(error.clone()),
             };
-            drop(place);
+            drop(permit);
             reply.send(answer).ok(); // Err: the client hung up.
         }
     }
@@ -214,22 +214,22 @@ impl Task {
         active: &mut Option<Active>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let held = self.activated(active.take()).await?;
-        self.process(active, held, epochs, None).await
+        let loaded = self.activated(active.take()).await?;
+        self.process(active, loaded, epochs, None).await
     }
 
-    /// Positions and commits epochs, and the piece of raw bytes that they are from. Only then is
-    /// the new state kept; after a failure none is, and the next piece starts from what the store
-    /// holds.
+    /// Positions and commits epochs, together with the raw chunk that they come from. The new state
+    /// is kept only after the commit. After a failure no state is kept, and the next batch starts
+    /// from the store.
     async fn process(
         &self,
         active: &mut Option<Active>,
-        Active { committed, force, raw: reception }: Active,
+        Active { committed, configuration, raw: reception }: Active,
         epochs: Vec<SequencedEpoch>,
         raw: Option<Box<RawChange>>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let (piece, committed) = self.position(committed, &force, epochs).await?;
-        let Piece { state, plans, rows, revisions, snapshot, solutions } = piece;
+        let (batch, committed) = self.position(committed, &configuration, epochs).await?;
+        let SolvedBatch { state, plans, rows, revisions, snapshot, solutions } = batch;
         let stored = self.lookup(&plans).await?;
         let batch = Batch { epochs: rows, revisions, snapshot, raw, ..Batch::new(self.key) };
         if !batch.is_empty() {
@@ -238,25 +238,25 @@ impl Task {
         let durable_through = state.last.map(|(seq, _)| seq);
         self.solvers.spares().keep(committed);
         let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
-        let base = state.base().filter(|_| !force.base.is_none());
+        let base = state.base().filter(|_| !configuration.bases.is_none());
         if let (Some(base), Some(estimate)) = (base, newest) {
             self.aiding.bases.record_rover(base, estimate.position);
         }
-        if let (BaseChoice::Nearest, Some(estimate)) = (&force.base, newest) {
+        if let (BaseChoice::Nearest, Some(estimate)) = (&configuration.bases, newest) {
             let request = NearestBaseRequest {
                 position: estimate.position,
-                baseline_max_m: force.origin.options.rtk.baseline_max_m,
+                baseline_max_m: configuration.estimation.options.rtk.baseline_max_m,
                 unix_ms: unix_ms(),
             };
             self.aiding.bases.nearest_base_requests().record(self.key, request);
         }
-        *active = Some(Active { committed: state, force, raw: reception });
+        *active = Some(Active { committed: state, configuration, raw: reception });
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
                 Plan::Lookup(epoch) => answer_from(&stored, &epoch, durable_through)?,
-                Plan::Positioned { place, resent } => {
-                    Ok(Acknowledged { solution: solutions[place].clone(), resent })
+                Plan::Positioned { index, resent } => {
+                    Ok(Acknowledged { solution: solutions[index].clone(), resent })
                 }
             };
             Ok(EpochOutcome { seq, result })
@@ -265,45 +265,51 @@ impl Task {
         Ok((outcomes?, durable_through))
     }
 
-    /// The estimator in memory, or else restored, with the settings in force.
+    /// The session in memory with its present configuration; restored if it was not in memory.
     async fn activated(&self, active: Option<Active>) -> Result<Active, SessionError> {
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         match active {
             Some(active) if !is_outdated => Ok(active),
-            Some(active) => Ok(Active { force: Arc::new(self.in_force().await?), ..active }),
+            Some(active) => {
+                Ok(Active { configuration: Arc::new(self.active_configuration().await?), ..active })
+            }
             None => {
-                let force = self.in_force().await?;
-                let committed = self.restored(&force).await?;
-                Ok(Active { committed, force: Arc::new(force), raw: None })
+                let configuration = self.active_configuration().await?;
+                let committed = self.restored(&configuration).await?;
+                Ok(Active { committed, configuration: Arc::new(configuration), raw: None })
             }
         }
     }
 
-    /// Runs a piece on the solver pool from a copy of `committed`; returns it and `committed`.
+    /// Positions a batch on the solver pool, starting from a copy of `committed`. Returns both.
     async fn position(
         &self,
         committed: State,
-        force: &Arc<InForce>,
+        configuration: &Arc<ActiveConfiguration>,
         epochs: Vec<SequencedEpoch>,
-    ) -> Result<(Piece, State), SessionError> {
-        let aiding = self.aiding_for(force, &epochs);
-        let (force, limit) = (force.clone(), self.observations_per_epoch);
+    ) -> Result<(SolvedBatch, State), SessionError> {
+        let aiding = self.aiding_for(configuration, &epochs);
+        let (configuration, limit) = (configuration.clone(), self.observations_per_epoch);
         let spares = self.solvers.spares().clone();
         let work = move |scratch: &mut Scratch| {
             let state = spares.copy_of(&committed);
-            let origin = &force.origin;
-            (Piece::position(state, epochs, &aiding, origin, limit, scratch), committed)
+            let estimation = &configuration.estimation;
+            (SolvedBatch::position(state, epochs, &aiding, estimation, limit, scratch), committed)
         };
         self.solvers.estimate(work).await
     }
 
-    /// What the epochs are positioned with: all that is held now and may serve them.
-    fn aiding_for(&self, force: &InForce, epochs: &[SequencedEpoch]) -> PieceAiding {
+    /// The aiding data for these epochs: everything known now.
+    fn aiding_for(
+        &self,
+        configuration: &ActiveConfiguration,
+        epochs: &[SequencedEpoch],
+    ) -> BatchAiding {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().min().zip(times().max());
-        let options = &force.origin.options;
-        let against = Against::new(&self.aiding.bases, &force.base, span, options);
-        PieceAiding { navigation: self.aiding.navigation.current(), against }
+        let options = &configuration.estimation.options;
+        let source = BaseSource::new(&self.aiding.bases, &configuration.bases, span, options);
+        BatchAiding { navigation: self.aiding.navigation.current(), source }
     }
 
     async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<HashMap<u64, StoredEpoch>, StoreError> {
@@ -316,25 +322,25 @@ impl Task {
         Ok(found.into_iter().map(|stored| (stored.solution.seq, stored)).collect())
     }
 
-    async fn in_force(&self) -> Result<InForce, SessionError> {
-        in_force(&self.store, self.id.as_str()).await
+    async fn active_configuration(&self) -> Result<ActiveConfiguration, SessionError> {
+        active_configuration(&self.store, self.id.as_str()).await
     }
 
     /// The state after the last committed epoch.
-    async fn restored(&self, force: &InForce) -> Result<State, SessionError> {
-        let course = Course {
+    async fn restored(&self, configuration: &ActiveConfiguration) -> Result<State, SessionError> {
+        let replay = Replay {
             store: self.store.clone(),
             aiding: self.aiding.clone(),
             solvers: self.solvers.clone(),
             key: self.key,
-            by: By::Stored,
-            may_differ: true,
+            with: ReplayWith::Stored,
+            tolerates_missing: true,
         };
-        restored(&course, &force.origin).await
+        restored(&replay, &configuration.estimation).await
     }
 }
 
-/// The stored answer to an epoch that came before, if it is the same one.
+/// The stored answer to an earlier epoch, if it has the same content.
 fn answer_from(
     stored: &HashMap<u64, StoredEpoch>,
     SequencedEpoch { seq, epoch }: &SequencedEpoch,

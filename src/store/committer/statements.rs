@@ -101,7 +101,7 @@ macro_rules! write_changes {
 /// Writes a chunk of raw bytes and the stream's position, and deletes bytes no longer needed.
 macro_rules! write_raw {
     ($transaction:ident, $session:expr, $raw:expr) => {{
-        let RawPosition { stream, header_end, tail, through, time, received_unix_ms, piece } =
+        let RawPosition { stream, header_end, tail, through, time, received_unix_ms, last_chunk } =
             &$raw.position;
         if !$raw.content.is_empty() {
             sqlx::query(INSERT_RAW)
@@ -120,15 +120,15 @@ macro_rules! write_raw {
             .bind(*through as i64)
             .bind(time.as_ns())
             .bind(*received_unix_ms)
-            .bind(piece.start as i64)
-            .bind(i64::from(piece.is_end))
-            .bind(piece.first_seq as i64)
-            .bind(piece.last_seq as i64)
+            .bind(last_chunk.start as i64)
+            .bind(i64::from(last_chunk.is_end))
+            .bind(last_chunk.first_seq as i64)
+            .bind(last_chunk.last_seq as i64)
             .execute(&mut *$transaction)
             .await?;
         sqlx::query(FORGET_RAW)
             .bind($session)
-            .bind((*tail).min(piece.start) as i64)
+            .bind((*tail).min(last_chunk.start) as i64)
             .bind(*stream as i64)
             .bind(*header_end as i64)
             .execute(&mut *$transaction)

@@ -1,6 +1,6 @@
 //! Which base an estimator has used, and which one it uses next.
 
-use crate::aiding::bases::{BaseBroker, BaseChoice, BaseGiven, BaseView, Candidates};
+use crate::aiding::bases::{BaseBroker, BaseChoice, BaseInput, BaseView, Candidates};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Ecef, Epoch, GpsTime, Navigation, Solution};
 use crate::positioning::{Aiding, Estimator};
@@ -9,19 +9,19 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::BaseKey;
 
 /// Age beyond which the last position no longer shows where the rover is (s).
-const PLACE_LASTS_S: f64 = 60.0;
+const POSITION_LIFETIME_S: f64 = 60.0;
 
 /// The bases from which the next epochs take theirs.
-pub(super) enum Against {
+pub(super) enum BaseSource {
     /// None: the mode is not relative to a base.
-    Nothing,
+    None,
     /// One base, with its epochs of the rover epochs' time.
     One(BaseView),
     /// The nearest of several bases.
     Nearest(Candidates),
 }
 
-impl Against {
+impl BaseSource {
     /// The bases of `choice` for rover epochs in `span`, its first and last time.
     pub(super) fn new(
         bases: &BaseBroker,
@@ -30,7 +30,7 @@ impl Against {
         options: &PositioningOptions,
     ) -> Self {
         match (choice, span) {
-            (BaseChoice::None, _) | (_, None) => Self::Nothing,
+            (BaseChoice::None, _) | (_, None) => Self::None,
             (BaseChoice::One(name), Some((from, until))) => {
                 Self::One(bases.view(name, from, until, options.rtk.base_span_s()))
             }
@@ -42,16 +42,16 @@ impl Against {
 
 /// The base that an estimator has used so far, and the rover's last position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct BaseCourse {
+pub(super) struct BaseSelection {
     /// The base of the last epoch that had one.
     pub(super) base: Option<BaseKey>,
     /// Number of the newest base epoch that the estimator has received.
-    given: u64,
+    received_through: u64,
     /// The last position of the rover, and its time.
-    place: Option<(GpsTime, Ecef)>,
+    position: Option<(GpsTime, Ecef)>,
 }
 
-snapshot_fields!(BaseCourse { base, given, place });
+snapshot_fields!(BaseSelection { base, received_through, position });
 
 impl Snapshot for BaseKey {
     fn save(&self, writer: &mut SnapshotWriter) {
@@ -63,47 +63,47 @@ impl Snapshot for BaseKey {
     }
 }
 
-impl BaseCourse {
+impl BaseSelection {
     /// Prepares for a new estimator, which has received no base epochs.
-    pub(super) const fn begin_anew(&mut self) {
-        self.given = 0;
+    pub(super) const fn restart(&mut self) {
+        self.received_through = 0;
     }
 
     /// The base epochs to give with the next rover epoch.
     pub(super) fn next(
         &self,
-        against: &Against,
+        source: &BaseSource,
         epoch: &Epoch,
         navigation: &Navigation,
         options: &PositioningOptions,
-    ) -> Option<BaseGiven> {
-        match against {
-            Against::Nothing => None,
-            Against::One(view) => Some(self.new_of(view, epoch.time, options)),
-            Against::Nearest(candidates) => {
-                let place = self.place_at(epoch, navigation, options);
-                let view = candidates.choose(self.base, place, epoch.time, &options.rtk)?;
-                Some(self.new_of(&view, epoch.time, options))
+    ) -> Option<BaseInput> {
+        match source {
+            BaseSource::None => None,
+            BaseSource::One(view) => Some(self.input_of(view, epoch.time, options)),
+            BaseSource::Nearest(candidates) => {
+                let position = self.position_at(epoch, navigation, options);
+                let view = candidates.choose(self.base, position, epoch.time, &options.rtk)?;
+                Some(self.input_of(&view, epoch.time, options))
             }
         }
     }
 
-    fn new_of(&self, view: &BaseView, time: GpsTime, options: &PositioningOptions) -> BaseGiven {
-        let after = if self.base == Some(view.name().key) { self.given } else { 0 };
+    fn input_of(&self, view: &BaseView, time: GpsTime, options: &PositioningOptions) -> BaseInput {
+        let after = if self.base == Some(view.name().key) { self.received_through } else { 0 };
         view.input_at(time, after, options.rtk.base_span_s())
     }
 
     /// The rover's approximate position: its last position if that is recent, otherwise the
     /// single-point position of this epoch, or else the last position whatever its age.
-    fn place_at(
+    fn position_at(
         &self,
         epoch: &Epoch,
         navigation: &Navigation,
         options: &PositioningOptions,
     ) -> Option<Ecef> {
-        let last = self.place.map(|(_, place)| place);
-        let is_recent = |(time, _): (GpsTime, Ecef)| epoch.time - time <= PLACE_LASTS_S;
-        if self.place.is_some_and(is_recent) {
+        let last = self.position.map(|(_, position)| position);
+        let is_recent = |(time, _): (GpsTime, Ecef)| epoch.time - time <= POSITION_LIFETIME_S;
+        if self.position.is_some_and(is_recent) {
             return last;
         }
         let options = PositioningOptions { mode: Mode::Spp, ..options.clone() };
@@ -112,12 +112,12 @@ impl BaseCourse {
     }
 
     /// Updates the selection with an epoch's base epochs and solution.
-    pub(super) fn take(&mut self, given: Option<&BaseGiven>, solution: &Solution) {
-        if let Some(BaseGiven { used, .. }) = given {
-            (self.base, self.given) = (Some(used.base), used.through);
+    pub(super) fn update(&mut self, input: Option<&BaseInput>, solution: &Solution) {
+        if let Some(BaseInput { used, .. }) = input {
+            (self.base, self.received_through) = (Some(used.base), used.through);
         }
         if let Some(estimate) = &solution.estimate {
-            self.place = Some((solution.time, estimate.position));
+            self.position = Some((solution.time, estimate.position));
         }
     }
 }

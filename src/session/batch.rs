@@ -1,0 +1,136 @@
+//! The computing part of a session's work, which runs on the solver pool.
+
+use crate::aiding::PushedNavigation;
+use crate::positioning::Scratch;
+use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
+
+use super::base_selection::BaseSource;
+use super::state::{Advanced, Configuration, State};
+use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
+
+/// Number of epochs after which the state is stored again. A state takes as much space as 20 to 40
+/// epochs with their solutions (docs/accuracy.md). After a crash at most this many epochs are
+/// computed again.
+const EPOCHS_PER_SNAPSHOT: usize = 256;
+
+/// What to do with an epoch.
+pub(super) enum Plan {
+    /// Answer with the solution of this index, once it is committed.
+    Positioned { index: usize, resent: bool },
+    /// Look the answer up in the store: the number is not above the last committed one.
+    Lookup(SequencedEpoch),
+    /// Refuse it.
+    Refused(EpochRefusal),
+}
+
+/// The aiding data for the epochs of a batch.
+pub(super) struct BatchAiding {
+    pub(super) navigation: PushedNavigation,
+    /// The bases, if the session's mode is relative to one.
+    pub(super) source: BaseSource,
+}
+
+/// A batch that is computed but not committed.
+pub(super) struct SolvedBatch {
+    /// The state after the batch.
+    pub(super) state: State,
+    /// The number and plan of each epoch, in their order.
+    pub(super) plans: Vec<(u64, Plan)>,
+    /// The new epochs with their solutions, encoded for the store.
+    pub(super) rows: Vec<EncodedEpoch>,
+    /// Revisions of these and earlier epochs, encoded for the store.
+    pub(super) revisions: Vec<EncodedSolution>,
+    /// The state, encoded for the store, if it is due.
+    pub(super) snapshot: Option<EncodedSnapshot>,
+    /// The solutions of `rows`, with the same indices.
+    pub(super) solutions: Vec<StoredSolution>,
+}
+
+impl SolvedBatch {
+    /// Positions `epochs` one after another, starting from `state`.
+    pub(super) fn position(
+        state: State,
+        epochs: impl IntoIterator<Item = SequencedEpoch>,
+        aiding: &BatchAiding,
+        configuration: &Configuration,
+        observations_per_epoch: usize,
+        scratch: &mut Scratch,
+    ) -> Self {
+        let mut batch = Self {
+            state,
+            plans: Vec::new(),
+            rows: Vec::new(),
+            revisions: Vec::new(),
+            snapshot: None,
+            solutions: Vec::new(),
+        };
+        for epoch in epochs {
+            let seq = epoch.seq;
+            let plan = match batch.refusal(&epoch, observations_per_epoch) {
+                Some(refusal) => Plan::Refused(refusal),
+                None if batch.is_after_last(seq) => {
+                    batch.advance(&epoch, aiding, configuration, scratch)
+                }
+                None => batch.repeated(epoch),
+            };
+            batch.plans.push((seq, plan));
+        }
+        if EPOCHS_PER_SNAPSHOT <= batch.state.unsaved {
+            batch.snapshot = batch.state.encoded();
+            batch.state.unsaved = 0;
+        }
+        batch
+    }
+
+    fn is_after_last(&self, seq: u64) -> bool {
+        self.state.last.is_none_or(|(last, _)| last < seq)
+    }
+
+    fn refusal(&self, epoch: &SequencedEpoch, limit: usize) -> Option<EpochRefusal> {
+        let SequencedEpoch { seq, epoch } = epoch;
+        let (seq, observations) = (*seq, epoch.observations.len());
+        if !SEQUENCES.contains(&seq) {
+            return Some(EpochRefusal::SequenceOutOfRange { seq });
+        }
+        if limit < observations {
+            return Some(EpochRefusal::TooManyObservations { seq, observations, limit });
+        }
+        let (last_seq, last) = self.state.last?;
+        let out_of_order = last_seq < seq && epoch.time <= last;
+        out_of_order.then_some(EpochRefusal::OutOfOrder { seq, time: epoch.time, last })
+    }
+
+    fn advance(
+        &mut self,
+        SequencedEpoch { seq, epoch }: &SequencedEpoch,
+        BatchAiding { navigation: PushedNavigation { push, navigation }, source }: &BatchAiding,
+        configuration: &Configuration,
+        scratch: &mut Scratch,
+    ) -> Plan {
+        let base = self.state.base_for(source, epoch, navigation, configuration);
+        let advanced =
+            self.state.advance(*seq, epoch, navigation, base.as_ref(), configuration, scratch);
+        let Advanced { solution, revisions } = advanced;
+        let used = base.map(|input| input.used);
+        self.rows.push(EncodedEpoch::new(epoch, &solution, *push, used));
+        self.revisions.extend(revisions.iter().map(EncodedSolution::new));
+        self.solutions.push(solution);
+        Plan::Positioned { index: self.rows.len() - 1, resent: false }
+    }
+
+    /// The plan for an epoch numbered at or below the last one.
+    fn repeated(&self, epoch: SequencedEpoch) -> Plan {
+        let seq = epoch.seq;
+        match self.solutions.binary_search_by_key(&seq, |solution| solution.seq) {
+            Ok(index) if self.rows[index].is(&epoch.epoch) => {
+                Plan::Positioned { index, resent: true }
+            }
+            Ok(_) => Plan::Refused(EpochRefusal::Conflict { seq }),
+            Err(0) => Plan::Lookup(epoch),
+            Err(_) => {
+                let last = self.state.last.map_or(seq, |(last, _)| last);
+                Plan::Refused(EpochRefusal::Superseded { seq, last })
+            }
+        }
+    }
+}
