@@ -11,7 +11,7 @@
 //! Interpretation where the format is ambiguous:
 //! - Blank and zero observations are missing (RINEX 3.05).
 //! - `SYS / PHASE SHIFT` lists corrections already applied to align carriers (RINEX 3.05), so the
-//! phases are used as they are.
+//!   phases are used as they are.
 //! - Observations are divided by `SYS / SCALE FACTOR`.
 //! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2
 //!   (anti-spoofing in RINEX 2, BOC tracking later) is ignored.

@@ -11,12 +11,12 @@
 //!
 //! Interpretation where the standard is ambiguous:
 //! - *Loss of lock* is reported when a signal first appears, when its lock time is below the
-//! previous one, and when the lock time is shorter than the interval since the previous phase. A
-//! lock time that grows more slowly than time is no sign: receivers let it saturate.
+//!   previous one, and when the lock time is shorter than the interval since the previous phase. A
+//!   lock time that grows more slowly than time is no sign: receivers let it saturate.
 //! - The phase difference of 1002, 1004, 1010 and 1012 rolls over by 1500 cycles (DF012); the
-//! decoded phase is continuous across it.
+//!   decoded phase is continuous across it.
 //! - BeiDou epochs are in BeiDou time. A message with the same time tag as an epoch that announced
-//! more messages belongs to that epoch: older receivers use GPS time.
+//!   more messages belongs to that epoch: older receivers use GPS time.
 //! - GLONASS phase and Doppler need the channel, from MSM5, MSM7, 1010, 1012, 1020 or the caller.
 //!
 //! Source: RTCM 10403.3 (2016), with the BeiDou and QZSS signals of its amendments as RINEX 3.05
