@@ -27,7 +27,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "differencing.carrier_cn0_sigma_m", unit: "m",
-        meaning: "carrier-phase standard deviation added at 42 dB-Hz; ten times larger at 20 dB less",
+        meaning: "carrier-phase standard deviation added at 42 dB-Hz; tenfold at 20 dB less",
         allowed: "a number from 0 to 1",
         get: |o| o.rtk.carrier_cn0_sigma_m.to_string(),
         set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.carrier_cn0_sigma_m = v),
@@ -71,7 +71,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "differencing.nearer_percent", unit: "%",
-        meaning: "handover to a base that is nearer by this share of the distance, and by nearer_km",
+        meaning: "handover to a base nearer by this share of the distance, and by nearer_km",
         allowed: "a number from 0 to 99",
         get: |o| ((o.rtk.handover_distance_share * 1e8).round() / 1e6).to_string(),
         set: |o, text| number(text, 0.0, 99.0).map(|v| o.rtk.handover_distance_share = v / 100.0),

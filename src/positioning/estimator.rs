@@ -127,10 +127,10 @@ modes! {
 /// The state of an estimator, apart from the memory it computes in: plain data, of which copies and
 /// snapshots go on with the same bits.
 ///
-/// In mode `spp` it is the last position, from which the next epoch is solved: this saves iterations
-/// and moves the answer by less than 0.1 mm. In mode `fgo` it is a window of epochs; in mode `ekf` a
-/// mean with its covariance and the last epoch's carrier phases. The `rtk` modes add the ambiguities
-/// against the base.
+/// In mode `spp` it is the last position, from which the next epoch is solved: this saves
+/// iterations and moves the answer by less than 0.1 mm. In mode `fgo` it is a window of epochs; in
+/// mode `ekf` a mean with its covariance and the last epoch's carrier phases. The `rtk` modes add
+/// the ambiguities against the base.
 #[derive(Debug)]
 pub struct EstimatorState {
     setup: Arc<Setup>,
@@ -196,8 +196,8 @@ impl EstimatorState {
         writer.finish()
     }
 
-    /// The state that goes on where [`Self::snapshot`] was taken, with the same bits. `options` must
-    /// be those of the state it was taken of.
+    /// The state that goes on where [`Self::snapshot`] was taken, with the same bits. `options`
+    /// must be those of the state it was taken of.
     ///
     /// # Errors
     /// The bytes are not such a snapshot, or of another layout.
