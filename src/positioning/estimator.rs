@@ -229,6 +229,24 @@ impl Clone for EstimatorState {
 }
 
 /// Turns epochs into solutions, one at a time: a state with memory of its own.
+///
+/// # Example
+/// Half a minute of a simulated receiver; each answer is within 10 m of the truth:
+///
+/// ```
+/// use graphfix::config::{Mode, PositioningOptions, Profile};
+/// use graphfix::positioning::{Aiding, Estimator};
+/// use graphfix::simulation::{Scenario, Simulator};
+///
+/// let receiver = Simulator::new(Scenario { duration_s: 30.0, ..Scenario::open_sky() }, 1);
+/// let navigation = receiver.navigation().clone();
+/// let mut estimator = Estimator::new(PositioningOptions::new(Mode::Fgo, Profile::General));
+/// for truth in receiver {
+///     let solution = estimator.advance(&truth.rover, &Aiding::alone(&navigation));
+///     let estimate = solution.estimate.expect("the sky is open");
+///     assert!(estimate.position.distance_m(truth.position) < 10.0);
+/// }
+/// ```
 #[derive(Debug)]
 pub struct Estimator {
     state: EstimatorState,
@@ -292,6 +310,31 @@ impl Clone for Estimator {
 }
 
 /// Smooths all epochs of a recording at once, in modes with a window.
+///
+/// # Example
+/// A rover relative to a base 8 km away; the last epoch is fixed:
+///
+/// ```
+/// use graphfix::config::{Mode, PositioningOptions, Profile};
+/// use graphfix::gnss::{BaseStation, Status};
+/// use graphfix::positioning::{Aiding, BaseAiding, Batch};
+/// use graphfix::simulation::{Scenario, Simulator};
+///
+/// let receivers = Simulator::new(Scenario { duration_s: 60.0, ..Scenario::rtk_open() }, 1);
+/// let navigation = receivers.navigation().clone();
+/// let station = BaseStation {
+///     name: "base".into(),
+///     antenna_reference_point: receivers.base_position().expect("the scenario has a base"),
+/// };
+/// let mut batch = Batch::new(PositioningOptions::new(Mode::RtkFgo, Profile::General));
+/// for truth in receivers {
+///     let epochs = truth.base.as_slice();
+///     let base = Some(BaseAiding { station: &station, epochs });
+///     batch.push(&truth.rover, &Aiding { navigation: &navigation, base });
+/// }
+/// let solutions = batch.finish();
+/// assert_eq!(solutions.last().map(|solution| solution.status), Some(Status::Fixed));
+/// ```
 #[derive(Debug)]
 pub struct Batch {
     setup: Setup,
