@@ -327,6 +327,41 @@ fn window_with_border(bencher: Bencher, alive: usize) {
     });
 }
 
+/// Factor, solve and border covariance of a chain of two states, as long as the window of RTK.
+#[divan::bench(args = [20, 40, 60, 80, 100, 120, 160, 240, 320, 500, 1000])]
+fn border_at_once(bencher: Bencher, border: usize) {
+    let system = bordered(2, border, 10_000, BorderLife::WholeChain);
+    let (mut elimination, mut covariances) = (Elimination::new(), Covariances::new());
+    let mut delta = Estimate::new();
+    bencher.bench_local(|| {
+        elimination.factor(black_box(&system), 0.0).expect("determined");
+        elimination.solve(&mut delta);
+        covariances.newest(&elimination);
+    });
+    assert_eq!(covariances.variables().len(), border);
+}
+
+/// Factor and solve a day at 30 s. 24 border variables are alive at a time, each for the given
+/// number of states: 120, 312 or 984 in all. Each is eliminated after its last state, or all of
+/// them at the end.
+#[divan::bench(
+    args = [
+        (720, BorderLife::WhileTouched), (720, BorderLife::WholeChain),
+        (240, BorderLife::WhileTouched), (240, BorderLife::WholeChain),
+        (72, BorderLife::WhileTouched), (72, BorderLife::WholeChain),
+    ],
+    sample_count = 3, sample_size = 1
+)]
+fn arcs_of_a_day(bencher: Bencher, (life, border_life): (usize, BorderLife)) {
+    const STATES: usize = 2880;
+    let system = bordered(STATES, 24, life, border_life);
+    let (mut elimination, mut delta) = (Elimination::new(), Estimate::new());
+    bencher.counter(ItemsCount::new(STATES)).bench_local(|| {
+        elimination.factor(black_box(&system), 0.0).expect("determined");
+        elimination.solve(&mut delta);
+    });
+}
+
 /// Factor and solve chains of 8 with 24 variables alive, each for 100 states, hundreds to thousands
 /// in all.
 #[divan::bench(args = [1000, 10_000], sample_count = 3, sample_size = 1)]
