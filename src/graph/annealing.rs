@@ -1,35 +1,36 @@
-//! Graduated non-convexity: begin convex, then let the kernels narrow to what they are meant to be.
+//! Graduated non-convexity: a solve begins with convex kernels and narrows them to the final ones.
 //!
-//! A redescending kernel has many minima. Yang et al. solve a family of losses ρ_μ instead: for
-//! Geman–McClure ρ_μ(s) = μc²s²/2(μc² + s²), convex within reach for large μ and the kernel itself
-//! at μ = 1. That is the same kernel with its width multiplied by √μ, here the *widening*, so one
-//! rule serves every law. Each solve starts where the last one ended.
+//! The cost of a redescending kernel has many minima. Yang et al. solve a family of losses ρ_μ
+//! instead: for Geman–McClure ρ_μ(s) = μc²s²/2(μc² + s²), which for large μ is convex at all
+//! residuals that occur, and at μ = 1 is the kernel itself. That is the kernel with its width
+//! multiplied by √μ, here called the *widening*, and the same rule serves every law. Each stage
+//! starts at the estimate of the stage before.
 //!
 //! Source: Yang, Antonante, Tzoumas & Carlone (2020), *Graduated non-convexity for robust spatial
 //! perception*, IEEE RA-L 5(2), section IV.
 
 use crate::graph::kernel::Kernel;
 
-/// Where in its annealing a solve stands; tells each row which kernel to use.
+/// The stage of annealing that a solve is in. Each row takes its kernel from it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Phase {
-    /// The convex opening: a row uses its convex kernel.
+    /// The first stage: a row uses its convex kernel.
     Convex,
-    /// A row uses its final kernel, widths multiplied by this; one is the kernel itself.
+    /// A row uses its final kernel with its widths multiplied by this number, one at the end.
     Graduated(f64),
 }
 
-/// A kernel with the convex one that stands in for it at the start.
+/// A kernel, and the convex one that a solve begins with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnnealedKernel {
     /// Used in [`Phase::Convex`].
     pub convex: Kernel,
-    /// Used from then on, widened first.
+    /// Used in [`Phase::Graduated`], widened.
     pub target: Kernel,
 }
 
 impl AnnealedKernel {
-    /// One kernel in every phase, never widened.
+    /// The same kernel at the start and at the end.
     pub fn constant(kernel: Kernel) -> Self {
         Self { convex: kernel, target: kernel }
     }
@@ -44,12 +45,12 @@ impl AnnealedKernel {
     }
 }
 
-/// Some iterations in one phase.
+/// A phase and its number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stage {
     /// The phase.
     pub phase: Phase,
-    /// Most iterations spent in it; convergence ends it sooner.
+    /// Number of iterations at most; convergence ends the stage earlier.
     pub iterations: usize,
 }
 
@@ -58,18 +59,20 @@ pub struct Stage {
 pub struct Schedule(Vec<Stage>);
 
 impl Schedule {
-    /// Stages as given; an empty list moves nothing.
+    /// A schedule of these stages; without any, the estimate does not change.
     pub fn new(stages: Vec<Stage>) -> Self {
         Self(stages)
     }
 
-    /// One stage with the final kernels, for convex ones and for warm starts.
+    /// One stage with the final kernels: for convex kernels, or where the start is good.
     pub fn direct(iterations: usize) -> Self {
         Self(vec![Stage { phase: Phase::Graduated(1.0), iterations }])
     }
 
-    /// `convex` iterations of the convex kernels; then widenings from `widest` divided by `ratio`
-    /// (above one) until one, `each` iterations a step; at one, `last` iterations.
+    /// `convex` iterations with the convex kernels; then `each` iterations at each of the widenings
+    /// `widest`, `widest`/`ratio`, … above one; then `last` iterations with the final kernels.
+    ///
+    /// `ratio` is above one.
     pub fn graduated(convex: usize, widest: f64, ratio: f64, each: usize, last: usize) -> Self {
         let mut stages = Vec::new();
         if 0 < convex {

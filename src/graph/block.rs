@@ -1,31 +1,31 @@
-//! Kernels on fixed-size blocks: Cholesky and triangular products of S×S lower triangles.
+//! Linear algebra on blocks of fixed size: Cholesky factor, triangular solves and products, S×S.
 //!
-//! A symmetric block is its lower triangle; what stands above the diagonal is never read. Columns
-//! are contiguous, so every inner loop runs down a column. Loops over `0..S` have constant bounds.
+//! Of a symmetric block only the lower triangle is read. Columns are contiguous, so every inner
+//! loop runs down a column. Loops over `0..S` have constant bounds.
 
 use nalgebra::{SMatrix, SVector};
 
-/// Smallest pivot, relative to its diagonal before elimination, that still holds information:
-/// what is left of a diagonal after cancellation to some tens of rounding errors is noise.
+/// Smallest pivot that holds information, relative to its diagonal entry before elimination: a
+/// smaller one may be all rounding errors.
 pub(crate) const PIVOT_FLOOR: f64 = 64.0 * f64::EPSILON;
 
-/// What to do at a pivot without information.
+/// What to do at a pivot that is not above its floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rank {
-    /// Refuse: the solution would not be unique.
+    /// Return an error: the solution would not be unique.
     Full,
-    /// Skip it: a zero pivot of a semidefinite matrix has a zero column.
+    /// Skip it: in a semidefinite matrix the column of a zero pivot is zero.
     Deficient,
 }
 
-/// A pivot at or below its floor.
+/// A pivot that is not above its floor, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BadPivot {
     pub(crate) index: usize,
     pub(crate) pivot: f64,
 }
 
-/// Lower Cholesky factor with the reciprocals of its diagonal (zero where a pivot was skipped).
+/// Lower Cholesky factor and the reciprocals of its diagonal, which are zero at skipped pivots.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Factor<const S: usize> {
     pub(crate) lower: SMatrix<f64, S, S>,
@@ -33,7 +33,11 @@ pub(crate) struct Factor<const S: usize> {
 }
 
 impl<const S: usize> Factor<S> {
-    /// Factors the block held in `lower`; pivot j must exceed `floor[j]`.
+    /// Replaces the block in `lower` by its Cholesky factor.
+    ///
+    /// # Errors
+    /// Pivot j is not above `floor[j]` or not finite. With [`Rank::Deficient`] such a pivot is
+    /// skipped unless it is NaN.
     #[inline]
     pub(crate) fn factor(&mut self, floor: &SVector<f64, S>, rank: Rank) -> Result<(), BadPivot> {
         let a = &mut self.lower.data.0;
@@ -87,7 +91,7 @@ impl<const S: usize> Factor<S> {
         x
     }
 
-    /// B ← B·L⁻ᵀ for a full block B.
+    /// G ← G·L⁻ᵀ.
     #[inline]
     pub(crate) fn solve_right(&self, g: &mut SMatrix<f64, S, S>) {
         for j in 0..S {
@@ -106,7 +110,7 @@ impl<const S: usize> Factor<S> {
         }
     }
 
-    /// (L·Lᵀ)⁻¹, full.
+    /// (L·Lᵀ)⁻¹, both triangles.
     pub(crate) fn inverse(&self) -> SMatrix<f64, S, S> {
         let mut inverse = SMatrix::<f64, S, S>::zeros();
         for j in 0..S {
@@ -118,7 +122,7 @@ impl<const S: usize> Factor<S> {
     }
 }
 
-/// D ← D − G·Gᵀ (at least its lower triangle).
+/// D ← D − G·Gᵀ, of which the lower triangle is correct.
 #[inline]
 pub(crate) fn subtract_square<const S: usize>(d: &mut SMatrix<f64, S, S>, g: &SMatrix<f64, S, S>) {
     for c in 0..S {
@@ -130,8 +134,8 @@ pub(crate) fn subtract_square<const S: usize>(d: &mut SMatrix<f64, S, S>, g: &SM
     }
 }
 
-/// Column `c` of a lower triangle less a multiple of another: in the right half the upper rows are
-/// skipped, a fixed bound that keeps the loop straight.
+/// Subtracts `factor`·`source` from column `c` of a lower triangle. In the right half of the
+/// columns the upper half of the rows is skipped: a constant bound, so that the loop vectorises.
 #[inline(always)]
 fn subtract_column<const S: usize>(
     c: usize,
@@ -165,7 +169,7 @@ pub(crate) fn subtract_product<const S: usize>(
     }
 }
 
-/// The full symmetric matrix of which `lower` is the lower triangle.
+/// The symmetric matrix of which `lower` is the lower triangle.
 pub(crate) fn symmetric<const S: usize>(lower: &SMatrix<f64, S, S>) -> SMatrix<f64, S, S> {
     SMatrix::from_fn(|r, c| lower[(r.max(c), r.min(c))])
 }

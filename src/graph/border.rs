@@ -1,8 +1,8 @@
-//! A growing and shrinking symmetric matrix for the border: its lower triangle in panels.
+//! The symmetric matrix of the border variables alive, which grows and shrinks with them.
 //!
-//! A panel is four rows, column by column up to its last diagonal: all that works on the matrix
-//! works on four rows at once. Appending a variable appends a row, so nothing moves; all storage is
-//! kept when variables leave.
+//! The lower triangle is stored in panels. A panel is four rows, stored column by column, as wide
+//! as its last row. Every operation works on the four rows of a panel at once. A new variable
+//! appends a row, so that no other entry moves. Storage is kept when variables retire.
 
 use nalgebra::SVector;
 
@@ -12,11 +12,11 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 /// Lower triangle of a symmetric matrix, or its Cholesky factor.
 ///
-/// Rows beyond the size are zero. What stands above the diagonal is never read.
+/// The rows of the last panel beyond the size are zero. Entries above the diagonal are never read.
 #[derive(Debug, Default)]
 pub(crate) struct Packed {
     size: usize,
-    /// The columns of all panels.
+    /// Columns of all panels, one panel after the other.
     columns: Vec<Lanes>,
 }
 
@@ -33,7 +33,7 @@ impl Clone for Packed {
 }
 
 impl Snapshot for Packed {
-    /// The triangle row by row.
+    /// Writes the triangle row by row.
     fn save(&self, writer: &mut SnapshotWriter) {
         let Self { size, columns: _ } = self;
         size.save(writer);
@@ -42,7 +42,7 @@ impl Snapshot for Packed {
     }
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
-        // No larger than the values that follow, so that its square does not overflow.
+        // `count` bounds the size by the bytes that follow, so that its square does not overflow.
         let size = reader.count()?;
         let values: Vec<f64> = Vec::load(reader)?;
         if values.len() != size * (size + 1) / 2 {
@@ -50,13 +50,13 @@ impl Snapshot for Packed {
         }
         let mut matrix = Self::new();
         matrix.resize(size);
-        let places = (0..size).flat_map(|i| (0..=i).map(move |j| (i, j)));
-        places.zip(values).for_each(|((i, j), value)| *matrix.get_mut(i, j) = value);
+        let entries = (0..size).flat_map(|i| (0..=i).map(move |j| (i, j)));
+        entries.zip(values).for_each(|((i, j), value)| *matrix.get_mut(i, j) = value);
         Ok(matrix)
     }
 }
 
-/// Where panel `panel` begins.
+/// Index of the first column of panel `panel`.
 #[inline]
 fn start(panel: usize) -> usize {
     ROWS * panel * (panel + 1) / 2
@@ -86,7 +86,7 @@ impl Packed {
         self.columns.clear();
     }
 
-    /// All zero, for `size` variables.
+    /// Sets the size; all entries are then zero.
     fn resize(&mut self, size: usize) {
         self.clear();
         self.size = size;
@@ -148,9 +148,9 @@ impl Packed {
         }
     }
 
-    /// Adds a matrix whose variable i is here at `place(i)`, which is never the same for two.
-    pub(crate) fn add(&mut self, other: &Self, place: impl Fn(usize) -> usize) {
-        if other.size <= self.size && (0..other.size).all(|i| place(i) == i) {
+    /// Adds `other`, whose variable i has index `position(i)` here; no two have the same.
+    pub(crate) fn add(&mut self, other: &Self, position: impl Fn(usize) -> usize) {
+        if other.size <= self.size && (0..other.size).all(|i| position(i) == i) {
             for (column, more) in self.columns.iter_mut().zip(&other.columns) {
                 for (value, more) in column.iter_mut().zip(more) {
                     *value += more;
@@ -159,25 +159,25 @@ impl Packed {
             return;
         }
         for i in 0..other.size {
-            let row = place(i);
+            let row = position(i);
             for j in 0..=i {
                 let more = other.get(i, j);
-                // Few variables stand in one row: most pairs are nothing to each other.
+                // A row touches few variables, so most entries are zero.
                 if more != 0.0 {
-                    *self.get_mut(row, place(j)) += more;
+                    *self.get_mut(row, position(j)) += more;
                 }
             }
         }
     }
 
-    /// Adds the diagonal of such a matrix.
-    pub(crate) fn add_diagonal(&mut self, other: &Self, place: impl Fn(usize) -> usize) {
+    /// Adds the diagonal of `other`; positions as in [`Packed::add`].
+    pub(crate) fn add_diagonal(&mut self, other: &Self, position: impl Fn(usize) -> usize) {
         for i in 0..other.size {
-            *self.get_mut(place(i), place(i)) += other.get(i, i);
+            *self.get_mut(position(i), position(i)) += other.get(i, i);
         }
     }
 
-    /// Subtracts Wᵀ·W, W's columns in tiles.
+    /// Subtracts Wᵀ·W; `tiles` holds the columns of W.
     pub(crate) fn subtract_gram<const S: usize>(&mut self, tiles: &Tiles<S>) {
         for (panel, a) in tiles.0.iter().enumerate() {
             let blocks = self.columns[start(panel)..start(panel + 1)].chunks_exact_mut(ROWS);
@@ -236,7 +236,11 @@ impl Packed {
         }
     }
 
-    /// Cholesky factor in place, reciprocals on the diagonal; pivot j must exceed `floor[j]`.
+    /// Replaces the matrix by its Cholesky factor L, with 1/Lⱼⱼ on the diagonal.
+    ///
+    /// # Errors
+    /// Pivot j is not above `floor[j]` or not finite. With [`Rank::Deficient`] such a pivot is
+    /// skipped unless it is NaN.
     pub(crate) fn factor(&mut self, floor: &[f64], rank: Rank) -> Result<(), BadPivot> {
         for panel in 0..self.panels() {
             let (above, rest) = self.columns.split_at_mut(start(panel));
@@ -268,7 +272,7 @@ impl Packed {
         Ok(())
     }
 
-    /// v ← L⁻¹·v, on a factor.
+    /// v ← L⁻¹·v, where `self` is a factor L.
     pub(crate) fn solve_lower(&self, v: &mut [f64]) {
         for panel in 0..self.panels() {
             let (before, block) = self.panel(panel).split_at(ROWS * panel);
@@ -284,7 +288,7 @@ impl Packed {
         }
     }
 
-    /// v ← L⁻ᵀ·v, on a factor.
+    /// v ← L⁻ᵀ·v, where `self` is a factor L.
     pub(crate) fn solve_upper(&self, v: &mut [f64]) {
         for panel in (0..self.panels()).rev() {
             let (before, block) = self.panel(panel).split_at(ROWS * panel);
@@ -300,9 +304,10 @@ impl Packed {
         }
     }
 
-    /// (L·Lᵀ)⁻¹ of a factor, into `inverse`; `rows` is scratch.
+    /// Writes (L·Lᵀ)⁻¹ to `inverse`, where `self` is a factor L; `rows` is scratch.
     ///
-    /// Four columns at a time, from their diagonal down: the rows above follow by symmetry.
+    /// Solves for four columns at a time, and only for their rows from the diagonal down: those
+    /// above follow by symmetry.
     pub(crate) fn invert_into(&self, inverse: &mut Self, rows: &mut Vec<Lanes>) {
         inverse.resize(self.size);
         for first in 0..self.panels() {
@@ -322,20 +327,21 @@ impl Packed {
         }
     }
 
-    /// Rows `panel` of L⁻¹·R, those of the panels from `first` on being done; R is zero above.
+    /// Rows `panel` of L⁻¹·R. R is zero above panel `first`; the rows of L⁻¹·R from there to
+    /// `panel` are known.
     fn solve_rows(&self, first: usize, panel: usize, rows: &mut [Lanes]) {
-        let place = ROWS * (panel - first);
-        let (before, block) = self.panel(panel)[ROWS * first..].split_at(place);
-        let (done, own) = rows.split_at_mut(place);
+        let width = ROWS * (panel - first);
+        let (before, block) = self.panel(panel)[ROWS * first..].split_at(width);
+        let (done, own) = rows.split_at_mut(width);
         solve_block(block, &products(done, before), own);
     }
 
-    /// Rows `panel` of L⁻ᵀ·R, those of the panels after it being done, taken from the rows of the
-    /// panels from `first` on.
+    /// Rows `panel` of L⁻ᵀ·R, after those of all later panels; subtracts their part from the rows
+    /// of the panels `first` to `panel`.
     fn solve_rows_back(&self, first: usize, panel: usize, rows: &mut [Lanes]) -> [Lanes; ROWS] {
-        let place = ROWS * (panel - first);
-        let (before, block) = self.panel(panel)[ROWS * first..].split_at(place);
-        let (above, rest) = rows.split_at_mut(place);
+        let width = ROWS * (panel - first);
+        let (before, block) = self.panel(panel)[ROWS * first..].split_at(width);
+        let (above, rest) = rows.split_at_mut(width);
         let mut own = [[0.0; ROWS]; ROWS];
         for j in (0..ROWS).rev() {
             let mut row = rest[j];
@@ -352,7 +358,7 @@ impl Packed {
         own
     }
 
-    /// Numbers storage can hold without growing.
+    /// How many numbers fit into the storage without a new allocation.
     pub(crate) fn capacity(&self) -> usize {
         self.columns.capacity() * ROWS
     }
@@ -410,7 +416,7 @@ mod tests {
         assert!((solved - oracle * right).norm() < 1e-11);
     }
 
-    /// Sums and products by their definitions, beyond a panel and within one.
+    /// Sums and products agree with dense matrices, for whole panels and others.
     #[test]
     fn sums_and_products_are_those_of_dense_matrices() {
         for n in [3, 8, 11] {

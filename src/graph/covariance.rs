@@ -1,13 +1,13 @@
-//! Marginal covariances of a factored system, without inverting it.
+//! Marginal covariances from the factor of a system, without the inverse of all of it.
 //!
-//! Σ = H⁻¹ is needed only on what elimination joined. With U = [G; Wᵀ]·L⁻¹ of a step and Σ_RR the
-//! covariance of the next state and the border alive, going backward
+//! Only those entries of Σ = H⁻¹ are computed at which the Cholesky factor is not zero. With R the
+//! next state and the border variables alive, and U = [G; Wᵀ]·L⁻¹ of state k, from the end backward
 //!
 //! Σ_kR = −Uᵀ·Σ_RR, Σ_kk = (L·Lᵀ)⁻¹ − Σ_kR·U.
 //!
-//! The first step back gives the newest state and the border; all steps give every state smoothed,
-//! at a cost linear in their number. These are covariances of the last linearisation: IRLS weights
-//! included, unmodelled correlation not.
+//! The first step gives the newest state and the border, all steps give every state, at a cost
+//! linear in their number. The covariances are those of the last linearisation: they contain the
+//! kernels' weights, and no correlation between rows that the caller does not model.
 //!
 //! Source: Takahashi, Fagan & Chin (1973), *Formation of a sparse bus impedance matrix*; Golub &
 //! Plemmons (1980), *Large-scale geodetic least-squares adjustment by dissection*, section 5.
@@ -19,13 +19,14 @@ use crate::graph::border::Packed;
 use crate::graph::elimination::{Elimination, Retired};
 use crate::graph::lanes::{Lanes, dot};
 
-/// Variance of a border variable of which nothing is known, where a prior was built without it.
+/// Variance given to a border variable whose pivot was skipped because no row determines it.
 const UNKNOWN: f64 = 1e6;
 
-/// Walks a factored system backward; keeps its storage from one use to the next.
+/// Covariances at one state of a factored system, reached from the newest backward. Keeps its
+/// storage between uses.
 #[derive(Clone, Debug)]
 pub struct Covariances<const S: usize> {
-    /// Covariance of the state reached, full symmetric.
+    /// Covariance of the state reached, both triangles.
     state: SMatrix<f64, S, S>,
     /// Covariance between that state and each border variable alive.
     cross: Vec<SVector<f64, S>>,
@@ -38,7 +39,7 @@ pub struct Covariances<const S: usize> {
 }
 
 impl<const S: usize> Covariances<S> {
-    /// Nothing computed.
+    /// Without a result; storage grows with the first system.
     pub fn new() -> Self {
         Self {
             state: SMatrix::zeros(),
@@ -51,7 +52,7 @@ impl<const S: usize> Covariances<S> {
         }
     }
 
-    /// Computes the newest state and the border variables alive there.
+    /// Computes the covariances of the newest state and of the border variables alive there.
     pub fn newest(&mut self, elimination: &Elimination<S>) {
         self.variables.clone_from(&elimination.front.variables);
         elimination.last.invert_into(&mut self.border, &mut self.rows);
@@ -64,8 +65,8 @@ impl<const S: usize> Covariances<S> {
         }
     }
 
-    /// Computes every state's covariance, full symmetric, into `states` in chain order; ends at the
-    /// first state.
+    /// Writes the covariance of every state, both triangles, to `states`; the state reached is then
+    /// the oldest.
     pub fn all_states(
         &mut self,
         elimination: &Elimination<S>,
@@ -82,7 +83,7 @@ impl<const S: usize> Covariances<S> {
         }
     }
 
-    /// Goes on from state k + 1, the one reached, to state `k`.
+    /// Goes from state k + 1, the one reached, to state `k`.
     pub(crate) fn go_back(&mut self, elimination: &Elimination<S>, k: usize) {
         let step = &elimination.steps[k];
         self.truncate(elimination.steps[k + 1].carried);
@@ -94,63 +95,63 @@ impl<const S: usize> Covariances<S> {
         self.step_back(&step.factor, &step.coupling, columns);
     }
 
-    /// Covariance of the state reached: the newest one after [`Covariances::newest`].
+    /// Covariance of the state reached, which after [`Covariances::newest`] is the newest.
     pub fn state(&self) -> &SMatrix<f64, S, S> {
         &self.state
     }
 
-    /// Border variables whose covariances are at hand, in their order of joining.
+    /// Border variables alive at the state reached, in the order in which they joined.
     pub fn variables(&self) -> &[usize] {
         &self.variables
     }
 
-    /// Covariance of the border variables at two places of [`Covariances::variables`].
+    /// Covariance of the border variables at two positions of [`Covariances::variables`].
     pub fn border_at(&self, a: usize, b: usize) -> f64 {
         self.border.get(a, b)
     }
 
-    /// Covariance between the state reached and the border variable at a place of
+    /// Covariance between the state reached and the border variable at a position of
     /// [`Covariances::variables`].
-    pub fn cross_at(&self, place: usize) -> &SVector<f64, S> {
-        &self.cross[place]
+    pub fn cross_at(&self, position: usize) -> &SVector<f64, S> {
+        &self.cross[position]
     }
 
-    /// Covariance of two border variables; none if either is not at hand.
+    /// Covariance of two border variables; `None` unless both are alive at the state reached.
     pub fn border(&self, a: usize, b: usize) -> Option<f64> {
-        Some(self.border.get(self.place(a)?, self.place(b)?))
+        Some(self.border.get(self.position(a)?, self.position(b)?))
     }
 
-    /// Covariance between the state reached and a border variable; none if it is not at hand.
+    /// Covariance between the state reached and a border variable; `None` unless it is alive there.
     pub fn cross(&self, variable: usize) -> Option<&SVector<f64, S>> {
-        self.place(variable).map(|place| &self.cross[place])
+        self.position(variable).map(|position| &self.cross[position])
     }
 
-    fn place(&self, variable: usize) -> Option<usize> {
+    fn position(&self, variable: usize) -> Option<usize> {
         self.variables.iter().position(|&known| known == variable)
     }
 
-    /// Forgets the border variables that joined last.
+    /// Keeps the first `alive` border variables.
     pub(crate) fn truncate(&mut self, alive: usize) {
         self.variables.truncate(alive);
         self.cross.truncate(alive);
         self.border.truncate(alive);
     }
 
-    /// From Σ of (state k + 1, border alive) to Σ of (state k, border alive).
+    /// Replaces Σ of (state k + 1, border variables alive) by Σ of (state k, the same variables).
     pub(crate) fn step_back(
         &mut self,
         factor: &Factor<S>,
         coupling: &SMatrix<f64, S, S>,
         columns: &[SVector<f64, S>],
     ) {
-        // U's rows: transposed, one column per variable of R.
+        // Uᵀ = L⁻ᵀ·[Gᵀ, W], one column for each variable of R.
         let coupling = coupling.transpose();
         let u_state = SMatrix::<f64, S, S>::from_columns(&std::array::from_fn::<_, S, _>(|c| {
             factor.solve_upper(&coupling.column(c).into_owned())
         }));
         self.gone.clear();
         self.gone.extend(columns.iter().map(|w| factor.solve_upper(w)));
-        // Σ_k,next, S×S.
+        // Covariance of states k and k + 1, S×S.
         let mut to_next = -(u_state * self.state);
         for (u, cross) in self.gone.iter().zip(&self.cross) {
             to_next -= u * cross.transpose();
@@ -168,8 +169,8 @@ impl<const S: usize> Covariances<S> {
         self.state = symmetric(&covariance);
     }
 
-    /// Brings a border variable retired early back into Σ; `row` begins with its factors on those
-    /// alive.
+    /// Adds to Σ a border variable that retired here. The first numbers of `row` are its column of
+    /// the factor in the rows of the variables alive.
     pub(crate) fn restore(&mut self, retired: &Retired<S>, row: &[f64]) {
         let alive = self.variables.len();
         let row = &row[..alive];
@@ -191,12 +192,12 @@ impl<const S: usize> Covariances<S> {
             true => retired.reciprocal * (retired.reciprocal - explained),
             false => UNKNOWN,
         };
-        self.scratch.insert(retired.place, variance);
-        self.border.insert(retired.place);
-        self.variables.insert(retired.place, retired.variable);
-        self.cross.insert(retired.place, cross);
+        self.scratch.insert(retired.position, variance);
+        self.border.insert(retired.position);
+        self.variables.insert(retired.position, retired.variable);
+        self.cross.insert(retired.position, cross);
         for (other, &value) in self.scratch.iter().enumerate() {
-            *self.border.get_mut(retired.place, other) = value;
+            *self.border.get_mut(retired.position, other) = value;
         }
     }
 }

@@ -1,20 +1,19 @@
-//! Block Cholesky along the chain, oldest state first, the border carried along in a front.
+//! Block Cholesky along the chain, oldest state first; border variables alive stay in the front.
 //!
-//! Eliminating state k from H·δ = −g, with R the next state and the border variables then alive:
+//! Eliminating state k from H·δ = −g, with β the border variables alive at k:
 //!
 //! L·Lᵀ = Hₖₖ, G = Hₖ₊₁,ₖ·L⁻ᵀ, W = L⁻¹·Hₖᵦ, y = −L⁻¹·gₖ; then
-//! Hₖ₊₁,ₖ₊₁ −= G·Gᵀ, Hₖ₊₁,ᵦ −= G·W, Hᵦᵦ −= Wᵀ·W, and the right side alike.
+//! Hₖ₊₁,ₖ₊₁ −= G·Gᵀ, Hₖ₊₁,ᵦ −= G·W, Hᵦᵦ −= Wᵀ·W, and −gₖ₊₁ −= G·y, −gᵦ −= Wᵀ·y.
 //!
 //! A border variable joins the front at the first state that touches it. With
 //! [`BorderLife::WhileTouched`] it is eliminated after the last one, so the cost per state depends
 //! on the variables alive there, never on all there are; what is left after the last state is
 //! solved densely.
 //!
-//! Measured against a general sparse Cholesky (faer 0.24, symbolic part reused), which gives no
-//! covariances: 30 states of 8, 12 µs here and 53 there; 1000 states with 24 border variables alive
-//! at a time, 6 ms and 25; only 80 alive in 30 states turned it round, 420 µs and 240. Four rows of
-//! the border at once (`lanes`) have since made that 0.72 of what it was
-//! (`cargo bench --bench graph`).
+//! A general sparse Cholesky (faer 0.24, symbolic part reused) takes 53 µs for 30 states of 8, this
+//! one 12 µs; for 1000 states with 24 border variables alive at a time 25 ms, this one 6 ms. faer's
+//! dense Cholesky is faster on more than about a hundred border variables alive at once, which no
+//! recording reaches with the default options: `docs/accuracy.md`, *Border of the factor graph*.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -29,9 +28,9 @@ use crate::graph::system::{BorderLife, System};
 pub enum Variable {
     /// A coordinate of a state.
     State {
-        /// The state's place in the chain.
+        /// Index of the state in the chain.
         index: usize,
-        /// The coordinate.
+        /// Index of the coordinate in the state.
         coordinate: usize,
     },
     /// A border variable.
@@ -41,22 +40,23 @@ pub enum Variable {
 /// Why a system has no unique solution.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EliminationError {
-    /// Rows leave a direction free; the variable is the first in elimination order to show it.
+    /// The rows do not determine some direction. Named is the first variable, in the order of
+    /// elimination, whose pivot shows it.
     #[error("{variable:?} is undetermined: pivot {pivot:e} of a diagonal of {diagonal:e}")]
     Singular {
-        /// The variable at whose pivot it showed.
+        /// The variable.
         variable: Variable,
-        /// What elimination left of its diagonal.
+        /// Its pivot: its diagonal entry after elimination of the variables before it.
         pivot: f64,
-        /// Its diagonal before.
+        /// Its diagonal entry before elimination.
         diagonal: f64,
     },
-    /// A row brought a value that is not finite.
+    /// A row has a value that is not finite.
     #[error("{variable:?} has pivot {pivot}: a row is not finite")]
     NotFinite {
-        /// The variable at whose pivot it showed.
+        /// The first variable, in the order of elimination, whose pivot shows it.
         variable: Variable,
-        /// The pivot.
+        /// That pivot.
         pivot: f64,
     },
 }
@@ -71,7 +71,7 @@ impl EliminationError {
     }
 }
 
-/// What eliminating one state left behind.
+/// The columns of the Cholesky factor that belong to one state.
 #[derive(Clone, Debug)]
 pub(crate) struct Step<const S: usize> {
     pub(crate) factor: Factor<S>,
@@ -79,14 +79,15 @@ pub(crate) struct Step<const S: usize> {
     pub(crate) coupling: SMatrix<f64, S, S>,
     /// y, the forward solution.
     pub(crate) forward: SVector<f64, S>,
-    /// Where W's columns begin in `Elimination::columns`.
+    /// Index of W's first column in `Elimination::columns`.
     pub(crate) columns: usize,
-    /// Border variables alive while it was eliminated: as many columns.
+    /// Number of border variables alive at the state, and of columns of W.
     pub(crate) alive: usize,
-    /// The first of these came from the step before.
+    /// Number of these that were alive at the state before too; they come first.
     pub(crate) carried: usize,
-    /// Where the variables retired after it begin in `Elimination::retired`, and how many they are.
+    /// Index in `Elimination::retired` of the first variable that retired after the state.
     pub(crate) retired: usize,
+    /// Number of variables that retired after the state.
     pub(crate) retired_count: usize,
 }
 
@@ -105,34 +106,37 @@ impl<const S: usize> Step<S> {
     }
 }
 
-/// A border variable eliminated before the end of the chain.
+/// The column of the Cholesky factor of a border variable that retired before the end of the chain.
 #[derive(Clone, Debug)]
 pub(crate) struct Retired<const S: usize> {
     pub(crate) variable: usize,
-    /// Its place among the variables alive.
-    pub(crate) place: usize,
-    /// 1/√pivot, zero where the pivot was skipped.
+    /// Its position among the variables alive when it retired.
+    pub(crate) position: usize,
+    /// 1/√pivot; zero if the pivot was skipped.
     pub(crate) reciprocal: f64,
+    /// Its entry of the forward solution.
     pub(crate) forward: f64,
-    /// Column of the factor: on the next state, and from `row` on the others alive.
+    /// Its column of the factor in the rows of the next state.
     pub(crate) next: SVector<f64, S>,
+    /// Index in `Elimination::retired_rows` of its column in the rows of the other variables alive.
     pub(crate) row: usize,
 }
 
-/// What is not yet eliminated but already changed: the next state and the border alive.
+/// The part of H and −g that elimination has reached: the next state, and the border variables
+/// alive.
 #[derive(Clone, Debug)]
 pub(crate) struct Front<const S: usize> {
     pub(crate) block: SMatrix<f64, S, S>,
     pub(crate) right: SVector<f64, S>,
-    /// Diagonal of the block before elimination touched it.
+    /// Diagonal of the block before elimination, damping included.
     pub(crate) diagonal: SVector<f64, S>,
     pub(crate) variables: Vec<usize>,
     pub(crate) columns: Vec<SVector<f64, S>>,
     pub(crate) matrix: Packed,
     pub(crate) border_right: Vec<f64>,
     pub(crate) border_diagonal: Vec<f64>,
-    /// Place of each border variable, if alive.
-    pub(crate) places: Vec<Option<usize>>,
+    /// By border variable: its position among those alive, if it is.
+    pub(crate) positions: Vec<Option<usize>>,
     tiles: Tiles<S>,
 }
 
@@ -147,7 +151,7 @@ impl<const S: usize> Front<S> {
             matrix: Packed::new(),
             border_right: Vec::new(),
             border_diagonal: Vec::new(),
-            places: Vec::new(),
+            positions: Vec::new(),
             tiles: Tiles::new(),
         }
     }
@@ -158,18 +162,18 @@ impl<const S: usize> Front<S> {
         self.matrix.clear();
         self.border_right.clear();
         self.border_diagonal.clear();
-        self.places.clear();
-        self.places.resize(border, None);
+        self.positions.clear();
+        self.positions.resize(border, None);
     }
 
-    /// Takes in the first state of the system.
+    /// Begins at the first state of the system.
     fn load(&mut self, system: &System<S>, damping: f64) {
         self.clear(system.lives.len());
         self.set_block(system, 0, damping);
         self.join(system, 0, damping);
     }
 
-    /// Block and right side of state `k` as the rows made them.
+    /// Loads block and right side of state `k` from the system.
     fn set_block(&mut self, system: &System<S>, k: usize, damping: f64) {
         self.block = system.diagonal[k];
         self.right = -system.gradient[k];
@@ -179,7 +183,8 @@ impl<const S: usize> Front<S> {
         }
     }
 
-    /// Moves on to state `k`, less what eliminating the state before took from it.
+    /// Goes on to state `k`, whose block, right side and columns elimination of the state before
+    /// has changed.
     fn move_to(
         &mut self,
         system: &System<S>,
@@ -197,7 +202,7 @@ impl<const S: usize> Front<S> {
         }
     }
 
-    /// Takes the eliminated state's part from the border: Hᵦᵦ −= Wᵀ·W.
+    /// Hᵦᵦ −= Wᵀ·W and −gᵦ −= Wᵀ·y.
     fn reduce_border(&mut self, columns: &[SVector<f64, S>], forward: &SVector<f64, S>) {
         for (right, w) in self.border_right.iter_mut().zip(columns) {
             *right -= dot(w.as_slice(), forward.as_slice());
@@ -206,40 +211,42 @@ impl<const S: usize> Front<S> {
         self.matrix.subtract_gram(&self.tiles);
     }
 
-    /// Adds the border part of state `k`; variables met for the first time join.
+    /// Adds the border part of the rows at state `k`. Variables that no earlier row touched join.
     fn join(&mut self, system: &System<S>, k: usize, damping: f64) {
         let touched = &system.touched[k];
         for (index, &variable) in touched.variables.iter().enumerate() {
-            let place = self.place(variable);
-            self.columns[place] += touched.columns[index];
-            self.border_right[place] -= touched.gradient[index];
+            let position = self.position(variable);
+            self.columns[position] += touched.columns[index];
+            self.border_right[position] -= touched.gradient[index];
             let own = touched.matrix.get(index, index);
-            self.border_diagonal[place] += own + damping * own;
-            *self.matrix.get_mut(place, place) += damping * own;
+            self.border_diagonal[position] += own + damping * own;
+            *self.matrix.get_mut(position, position) += damping * own;
         }
-        let place = |index: usize| self.places[touched.variables[index]].expect("placed above");
+        let position =
+            |index: usize| self.positions[touched.variables[index]].expect("joined above");
         match touched.coupled {
-            true => self.matrix.add(&touched.matrix, place),
-            false => self.matrix.add_diagonal(&touched.matrix, place),
+            true => self.matrix.add(&touched.matrix, position),
+            false => self.matrix.add_diagonal(&touched.matrix, position),
         }
     }
 
     #[inline]
-    fn place(&mut self, variable: usize) -> usize {
-        if let Some(place) = self.places[variable] {
-            return place;
+    fn position(&mut self, variable: usize) -> usize {
+        if let Some(position) = self.positions[variable] {
+            return position;
         }
-        let place = self.variables.len();
-        self.places[variable] = Some(place);
+        let position = self.variables.len();
+        self.positions[variable] = Some(position);
         self.variables.push(variable);
         self.columns.push(SVector::zeros());
         self.matrix.push();
         self.border_right.push(0.0);
         self.border_diagonal.push(0.0);
-        place
+        position
     }
 
-    /// Takes a retired variable's part: `next` on the state, `row` on the border left.
+    /// Subtracts the outer product of a retired variable's column, which is `next` in the rows of
+    /// the state and `row` in those of the border variables left.
     fn subtract_outer(&mut self, next: &SVector<f64, S>, row: &[f64], forward: f64) {
         for c in 0..S {
             for r in c..S {
@@ -254,21 +261,21 @@ impl<const S: usize> Front<S> {
         self.matrix.subtract_square(row);
     }
 
-    fn remove(&mut self, place: usize) {
-        self.places[self.variables[place]] = None;
-        for &variable in &self.variables[place + 1..] {
-            self.places[variable] = self.places[variable].map(|old| old - 1);
+    fn remove(&mut self, position: usize) {
+        self.positions[self.variables[position]] = None;
+        for &variable in &self.variables[position + 1..] {
+            self.positions[variable] = self.positions[variable].map(|old| old - 1);
         }
-        self.variables.remove(place);
-        self.columns.remove(place);
-        self.matrix.remove(place);
-        self.border_right.remove(place);
-        self.border_diagonal.remove(place);
+        self.variables.remove(position);
+        self.columns.remove(position);
+        self.matrix.remove(position);
+        self.border_right.remove(position);
+        self.border_diagonal.remove(position);
     }
 }
 
-/// A factored system: gives the step δ, and through [`Covariances`](crate::graph::Covariances) the
-/// uncertainty. Keeps its storage from one use to the next.
+/// The factor of a system, which gives the step δ; [`Covariances`](crate::graph::Covariances) takes
+/// the uncertainty from it. Keeps its storage between uses.
 #[derive(Clone, Debug)]
 pub struct Elimination<const S: usize> {
     pub(crate) steps: Vec<Step<S>>,
@@ -276,18 +283,18 @@ pub struct Elimination<const S: usize> {
     pub(crate) retired: Vec<Retired<S>>,
     pub(crate) retired_rows: Vec<f64>,
     pub(crate) front: Front<S>,
-    /// Factor of what is left of the border after the last state.
+    /// Factor of the border variables left after the last state.
     pub(crate) last: Packed,
     last_forward: Vec<f64>,
     floor: Vec<f64>,
-    /// Border variables in the front before the state it holds brought its own.
+    /// Number of border variables that joined the front before the state it is at.
     carried: usize,
-    /// Values of the border variables alive, during back substitution.
+    /// Steps of the border variables alive, during back substitution.
     alive: Vec<f64>,
 }
 
 impl<const S: usize> Elimination<S> {
-    /// Nothing factored.
+    /// An empty one; its storage grows with the first system.
     pub const fn new() -> Self {
         Self {
             steps: Vec::new(),
@@ -303,9 +310,13 @@ impl<const S: usize> Elimination<S> {
         }
     }
 
-    /// Factors a system, each diagonal entry first multiplied by 1 + `damping`.
+    /// Factors a system with every diagonal entry multiplied by 1 + `damping`.
     ///
-    /// Border variables no row touched are left out: their step is zero and they have no variance.
+    /// Border variables that no row touches are left out: their step is zero and they have no
+    /// covariance.
+    ///
+    /// # Errors
+    /// The rows do not determine all variables, or one of them is not finite.
     pub fn factor(&mut self, system: &System<S>, damping: f64) -> Result<(), EliminationError> {
         let early = system.border_life == BorderLife::WhileTouched;
         self.begin(system, system.states, damping);
@@ -322,8 +333,8 @@ impl<const S: usize> Elimination<S> {
         self.factor_border()
     }
 
-    /// Eliminates all states but the last, and then the border variables named by `retired`: the
-    /// front is what they say about the rest. Directions without information are skipped.
+    /// Eliminates all states but the last, then the border variables for which `retired` holds.
+    /// The front is then the Schur complement on the rest. Pivots without information are skipped.
     pub(crate) fn reduce(
         &mut self,
         system: &System<S>,
@@ -349,7 +360,7 @@ impl<const S: usize> Elimination<S> {
         }
     }
 
-    /// Eliminates state `k`, whose block the front holds.
+    /// Eliminates state `k`, at which the front is.
     fn eliminate(
         &mut self,
         system: &System<S>,
@@ -387,33 +398,34 @@ impl<const S: usize> Elimination<S> {
         self.front.join(system, k, damping);
     }
 
-    /// Eliminates the border variables that `over` names from the front, last place first.
+    /// Eliminates the border variables in the front for which `over` holds, last position first.
     fn retire(&mut self, rank: Rank, over: impl Fn(usize) -> bool) -> Result<(), EliminationError> {
-        for place in (0..self.front.variables.len()).rev() {
-            if over(self.front.variables[place]) {
-                self.retire_one(rank, place)?;
+        for position in (0..self.front.variables.len()).rev() {
+            if over(self.front.variables[position]) {
+                self.retire_one(rank, position)?;
             }
         }
         Ok(())
     }
 
-    fn retire_one(&mut self, rank: Rank, place: usize) -> Result<(), EliminationError> {
+    fn retire_one(&mut self, rank: Rank, position: usize) -> Result<(), EliminationError> {
         let front = &mut self.front;
-        let (variable, pivot) = (front.variables[place], front.matrix.get(place, place));
-        let diagonal = front.border_diagonal[place];
+        let (variable, pivot) = (front.variables[position], front.matrix.get(position, position));
+        let diagonal = front.border_diagonal[position];
         let positive = PIVOT_FLOOR * diagonal < pivot && pivot.is_finite();
         if !positive && (rank == Rank::Full || pivot.is_nan()) {
             return Err(EliminationError::new(Variable::Border(variable), pivot, diagonal));
         }
         let reciprocal = if positive { 1.0 / pivot.sqrt() } else { 0.0 };
         let (next, forward) =
-            (front.columns[place] * reciprocal, front.border_right[place] * reciprocal);
+            (front.columns[position] * reciprocal, front.border_right[position] * reciprocal);
         let row = self.retired_rows.len();
-        let others = (0..front.variables.len()).filter(|&other| other != place);
-        self.retired_rows.extend(others.map(|other| front.matrix.get(place, other) * reciprocal));
-        front.remove(place);
+        let others = (0..front.variables.len()).filter(|&other| other != position);
+        self.retired_rows
+            .extend(others.map(|other| front.matrix.get(position, other) * reciprocal));
+        front.remove(position);
         front.subtract_outer(&next, &self.retired_rows[row..], forward);
-        self.retired.push(Retired { variable, place, reciprocal, forward, next, row });
+        self.retired.push(Retired { variable, position, reciprocal, forward, next, row });
         Ok(())
     }
 
@@ -431,20 +443,20 @@ impl<const S: usize> Elimination<S> {
         Ok(())
     }
 
-    /// gᵀ·H⁻¹·g: the squared length of the step in standard deviations, and twice the decrease of
-    /// the cost it promises.
+    /// gᵀ·H⁻¹·g: the squared length of the step in standard deviations. It is twice the decrease of
+    /// the cost in the linearised problem.
     pub fn decrement(&self) -> f64 {
         let states: f64 = self.steps.iter().map(|step| step.forward.norm_squared()).sum();
         let retired: f64 = self.retired.iter().map(|gone| gone.forward * gone.forward).sum();
         states + retired + dot(&self.last_forward, &self.last_forward)
     }
 
-    /// The step δ = −H⁻¹·g, into `delta`.
+    /// Writes the step δ = −H⁻¹·g to `delta`.
     pub fn solve(&mut self, delta: &mut Estimate<S>) {
         delta.states.clear();
         delta.states.resize(self.steps.len(), SVector::zeros());
         delta.border.clear();
-        delta.border.resize(self.front.places.len(), 0.0);
+        delta.border.resize(self.front.positions.len(), 0.0);
         self.alive.clone_from(&self.last_forward);
         self.last.solve_upper(&mut self.alive);
         for (&variable, &value) in self.front.variables.iter().zip(&self.alive) {
@@ -456,7 +468,7 @@ impl<const S: usize> Elimination<S> {
             for gone in retired.iter().rev() {
                 let row = &self.retired_rows[gone.row..gone.row + self.alive.len()];
                 let value = gone.forward - gone.next.dot(&next) - dot(row, &self.alive);
-                self.alive.insert(gone.place, value * gone.reciprocal);
+                self.alive.insert(gone.position, value * gone.reciprocal);
                 delta.border[gone.variable] = value * gone.reciprocal;
             }
             let mut right = step.forward - step.coupling.tr_mul(&next);
@@ -470,13 +482,13 @@ impl<const S: usize> Elimination<S> {
         }
     }
 
-    /// Numbers all storage can hold without growing: constant once warm.
+    /// How many numbers fit into the storage without a new allocation.
     pub fn capacity(&self) -> usize {
         let blocks = self.steps.capacity() * (2 * S * S + 2 * S);
         let columns = (self.columns.capacity() + self.front.columns.capacity()) * S;
         let retired = self.retired.capacity() * (S + 2) + self.retired_rows.capacity();
         let border = self.front.matrix.capacity() + self.last.capacity();
-        let lists = self.front.border_right.capacity() + self.front.places.capacity();
+        let lists = self.front.border_right.capacity() + self.front.positions.capacity();
         let border = border + self.front.tiles.capacity();
         let scratch = self.floor.capacity() + self.alive.capacity() + self.last_forward.capacity();
         blocks + columns + retired + border + lists + scratch
@@ -549,7 +561,7 @@ mod tests {
         assert_eq!(error, EliminationError::Singular { variable, pivot: 0.0, diagonal: 0.0 });
     }
 
-    /// Two border variables seen only as their sum: the second to be eliminated is free.
+    /// The rows determine only the sum of two border variables: the one eliminated last is named.
     #[test]
     fn names_the_border_variable_left_free() {
         for life in [BorderLife::WholeChain, BorderLife::WhileTouched] {
@@ -589,7 +601,7 @@ mod tests {
         assert!(solved.border[..2].iter().all(|&value| value != 0.0));
     }
 
-    /// Once warm, the same shape allocates nothing: no capacity moves, in either life.
+    /// After the first solve, others of the same shape allocate nothing: no capacity changes.
     #[test]
     fn a_warm_solve_allocates_nothing() {
         for life in [BorderLife::WholeChain, BorderLife::WhileTouched] {

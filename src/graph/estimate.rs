@@ -9,12 +9,12 @@ use crate::snapshot::state_fields;
 pub struct Estimate<const S: usize> {
     /// State vectors in chain order.
     pub states: Vec<SVector<f64, S>>,
-    /// Border variables by their index.
+    /// Values of the border variables, by index.
     pub border: Vec<f64>,
 }
 
 impl<const S: usize> Estimate<S> {
-    /// No states, no border.
+    /// Without states and border variables.
     pub fn new() -> Self {
         Self { states: Vec::new(), border: Vec::new() }
     }

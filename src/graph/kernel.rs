@@ -1,7 +1,8 @@
 //! Robust kernels: the loss ρ(s) of a whitened residual s and its weight w(s) = ρ′(s)/s.
 //!
-//! Iteratively reweighted least squares minimises Σ ρ(sᵢ) by solving Σ w(sᵢ)·sᵢ² again and again.
-//! c is the kernel's width, in standard deviations. All behave as s²/2 near zero:
+//! Iteratively reweighted least squares minimises Σ ρ(sᵢ) by repeated minimisation of Σ w(sᵢ)·sᵢ²
+//! with the weights of the iteration before. c is the kernel's width (standard deviations). All
+//! losses are s²/2 near zero:
 //!
 //! | law | ρ(s) | w(s) | for large s |
 //! |---|---|---|---|
@@ -13,7 +14,7 @@
 //! Sources: Huber (1964), *Robust estimation of a location parameter*; Zhang (1997), *Parameter
 //! estimation techniques*, table 1; Barron (2019), *A general and adaptive robust loss function*.
 
-/// Shape of a kernel; formulas in the [module documentation](self).
+/// Shape of a kernel; the [module documentation](self) has the formulas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Law {
     /// No robustness.
@@ -51,7 +52,7 @@ impl Law {
     }
 }
 
-/// A robust kernel: a law, its width on either side of zero, and the share of information it keeps.
+/// A robust kernel: a law, its width on either side of zero, and a factor on loss and weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kernel {
     /// The shape.
@@ -60,8 +61,8 @@ pub struct Kernel {
     pub positive_width: f64,
     /// Width for residuals below zero (standard deviations).
     pub negative_width: f64,
-    /// Factor on loss and weight, one for independent rows. Below one it tempers rows whose errors
-    /// persist: N repetitions of one error hold the information of one row, at a share of 1/N.
+    /// Factor on loss and weight: one for rows with independent errors, below one for rows whose
+    /// errors are correlated in time. With 1/N, N rows with the same error count as one row.
     pub share: f64,
 }
 
@@ -118,7 +119,7 @@ impl Kernel {
         self.loss_and_weight(s).1
     }
 
-    /// Slope ψ′(s) of the pull ψ(s) = w(s)·s; below zero where a kernel redescends.
+    /// Slope ψ′(s) of the influence function ψ(s) = w(s)·s; negative where a kernel redescends.
     pub fn pull_slope(&self, s: f64) -> f64 {
         let width = if s < 0.0 { self.negative_width } else { self.positive_width };
         let ratio = (s / width).powi(2);
@@ -131,7 +132,7 @@ impl Kernel {
             }
     }
 
-    /// Both at once: ρ(s) and w(s).
+    /// ρ(s) and w(s).
     #[inline]
     pub fn loss_and_weight(&self, s: f64) -> (f64, f64) {
         let width = if s < 0.0 { self.negative_width } else { self.positive_width };
@@ -142,21 +143,22 @@ impl Kernel {
 
 /// Σ ρ(s) over many residuals.
 ///
-/// Cauchy's logarithms are summed as the logarithm of a product, which costs a multiplication each.
+/// Cauchy's losses are summed as the logarithm of a product: one multiplication each instead of one
+/// logarithm.
 #[derive(Clone, Copy, Debug)]
 pub struct LossSum {
     sum: f64,
-    /// Factor of the logarithm.
+    /// Factor of the logarithm, share·c²/2.
     scale: f64,
     /// Π (1 + (s/c)²) of the residuals with that factor.
     product: f64,
 }
 
-/// A product beyond this is taken into the sum: far from what a double holds.
+/// A product above this is added to the sum before it can overflow.
 const PRODUCT_LIMIT: f64 = 1e100;
 
 impl LossSum {
-    /// Of no residuals.
+    /// The sum over no residuals.
     pub const ZERO: Self = Self { sum: 0.0, scale: 0.0, product: 1.0 };
 
     /// Adds ρ(s); returns w(s).
@@ -177,7 +179,7 @@ impl LossSum {
         kernel.share * square / limit
     }
 
-    /// Adds a loss known already.
+    /// Adds a known loss.
     #[inline]
     pub fn add_loss(&mut self, loss: f64) {
         self.sum += loss;

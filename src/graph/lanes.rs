@@ -1,17 +1,17 @@
-//! Four numbers at once: what the matrix of the border is worked on with.
+//! Operations on four rows of the border's matrix at once.
 //!
-//! Four rows of a matrix, column by column, are a *panel*. Loops over `0..ROWS` have constant
-//! bounds and run over neighbours, so that they vectorise, and always in the same order.
+//! Four rows, stored column by column, are a *panel*. Loops over `0..ROWS` have constant bounds and
+//! run over neighbours in memory, so that they vectorise. The order of their sums is fixed.
 
 use nalgebra::SVector;
 
 /// Rows of a panel.
 pub(crate) const ROWS: usize = 4;
 
-/// One number for each row of a panel.
+/// One column of a panel: a number for each of its rows.
 pub(crate) type Lanes = [f64; ROWS];
 
-/// Dot product in four fixed lanes: vectorises, and always in the same order.
+/// aᵀ·b, summed in four lanes and then over the lanes: it vectorises, and its order is fixed.
 #[inline]
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 4];
@@ -26,7 +26,7 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]) + tail
 }
 
-/// Dot product of one number each.
+/// aᵀ·b of two columns.
 #[inline]
 pub(crate) fn across(a: &Lanes, b: &Lanes) -> f64 {
     (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
@@ -40,7 +40,7 @@ pub(crate) fn subtract(a: &mut Lanes, b: &Lanes, factor: f64) {
     }
 }
 
-/// Σ aₖ·bₖᵀ over the columns of two panels: entry [j][i] is of row i of `a` and row j of `b`.
+/// Σ aₖ·bₖᵀ over the columns of two panels; entry `[j][i]` is for row i of `a` and row j of `b`.
 #[inline]
 pub(crate) fn products(a: &[Lanes], b: &[Lanes]) -> [Lanes; ROWS] {
     let mut sums = [[0.0; ROWS]; ROWS];
@@ -54,7 +54,7 @@ pub(crate) fn products(a: &[Lanes], b: &[Lanes]) -> [Lanes; ROWS] {
     sums
 }
 
-/// X ← L⁻¹·(X − T), L the triangle of a factor's block.
+/// X ← L⁻¹·(X − T), 4×4 each; `triangle` holds L with reciprocals on the diagonal.
 #[inline]
 pub(crate) fn solve_block(triangle: &[Lanes], taken: &[Lanes; ROWS], x: &mut [Lanes]) {
     for j in 0..ROWS {
@@ -67,7 +67,7 @@ pub(crate) fn solve_block(triangle: &[Lanes], taken: &[Lanes; ROWS], x: &mut [La
     }
 }
 
-/// The first rows of a panel from a slice, zero beyond its end.
+/// The first numbers of a slice, zero beyond its end.
 #[inline]
 pub(crate) fn lanes(values: &[f64]) -> Lanes {
     let mut lanes = [0.0; ROWS];
@@ -76,7 +76,7 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
     lanes
 }
 
-/// Wᵀ in panels, each as wide as W's columns are high.
+/// The rows of Wᵀ in panels.
 #[derive(Clone, Debug)]
 pub(crate) struct Tiles<const S: usize>(pub(crate) Vec<[Lanes; S]>);
 

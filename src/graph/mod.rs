@@ -1,4 +1,4 @@
-//! Least squares on factor graphs; knows nothing of what its variables mean.
+//! Least squares on factor graphs. What a variable means is the caller's.
 //!
 //! Minimises Σᵢ ρᵢ(rᵢ(x)) over a *chain* of states x₀ … xₙ₋₁ of one fixed size and a *border* of
 //! scalar variables that may live across many of them. A row (whitened residual rᵢ with its
@@ -11,22 +11,29 @@
 //! | [`annealing`] | graduated non-convexity: which kernel width in which iteration |
 //! | [`estimate`] | values of all states and border variables |
 //! | [`system`] | normal equations H·δ = −g, accumulated row by row |
-//! | [`sums`] | rows on the same coordinates, summed before they are accumulated |
-//! | [`sharing`] | rows with a free offset in common, eliminated before they are accumulated |
+//! | [`sums`] | rows on the same coordinates, summed before they enter the normal equations |
+//! | [`sharing`] | rows with one unknown offset in common, which is eliminated at once |
 //! | [`elimination`] | block Cholesky along the chain, border by Schur complement, δ |
 //! | [`covariance`] | marginal covariances of any state and of the border |
 //! | [`prior`] | old states marginalised into a dense prior |
-//! | [`smoother`] | states that were marginalised, smoothed by what came after them |
+//! | [`smoother`] | marginalised states, smoothed by the rows that came later |
 //! | [`optimizer`] | Gauss–Newton with Levenberg's damping |
 //!
-//! One elimination serves the sliding window and the batch: its cost is linear in the number of
-//! states, and a border variable leaves it after the last state that touches it ([`BorderLife`]).
-//! What a variable means, how a row is linearised and which kernel it deserves is the caller's.
+//! One elimination serves the sliding window and the batch. Its cost is linear in the number of
+//! states. The caller linearises each row and chooses its kernel.
+//!
+//! Words used in all of these modules:
+//!
+//! - A row *touches* a variable if its Jacobian with respect to the variable is not zero.
+//! - A border variable is *alive* from the first state whose rows touch it. It *retires*, that is,
+//!   it is eliminated, after the last such state or at the end of the chain ([`BorderLife`]).
+//! - The *front* is the part of H that elimination has reached: the next state and the border
+//!   variables alive.
 //!
 //! # Example
 //!
-//! Two states of (place, pace), both places read, the second state one step of the first; their
-//! readings share an unknown offset, the border variable 0, itself known to be near zero.
+//! Two states of (position, velocity), one step of constant velocity apart. Both positions are
+//! measured, with one unknown offset: border variable 0, which a prior keeps near zero.
 //!
 //! ```
 //! use graphfix::graph::*;

@@ -1,12 +1,12 @@
 //! Gauss–Newton with Levenberg's damping, through the stages of an annealing schedule.
 //!
-//! Each iteration solves (H + λ·diag H)·δ = −g and steps x ← x + δ. The cost at the new estimate
-//! falls out of linearising there; if it rose, the step is taken back and λ grows tenfold, else λ
-//! shrinks. With λ = 0, its first value unless asked otherwise, that is Gauss–Newton.
+//! Each iteration solves (H + λ·diag H)·δ = −g and steps x ← x + δ. The next linearisation gives
+//! the cost at the new estimate. If it is higher, the step is undone and λ grows tenfold; if not, λ
+//! shrinks tenfold. With λ = 0 this is the Gauss–Newton method.
 //!
-//! Converged: √(gᵀH⁻¹g/n) below the tolerance, the length of the step in standard deviations of the
-//! estimate itself, in the mean over its n states. It has no unit, so one tolerance serves all
-//! variables and chains of any length.
+//! A stage has converged when √(gᵀH⁻¹g/n) is at most the tolerance. That is the length of the step
+//! in standard deviations of the estimate, rms over its n states. It has no unit, so one tolerance
+//! serves all variables and chains of any length.
 //!
 //! Source: Dellaert & Kaess (2017), sections 2.5.2 and 2.5.3; Marquardt (1963).
 
@@ -15,49 +15,49 @@ use crate::graph::elimination::{Elimination, EliminationError};
 use crate::graph::estimate::Estimate;
 use crate::graph::system::{BorderLife, System};
 
-/// First damping after a rejected step: small beside the diagonal, large beside rounding.
+/// Least damping after a rejected step: far below the diagonal of H, far above rounding errors.
 const DAMPING_START: f64 = 1e-6;
-/// Damping that ends a stage: steps are then shorter than 10⁻⁶ of a gradient step.
+/// Damping above which a stage gives up: steps are then below 10⁻⁶ of −g/diag H.
 const DAMPING_LIMIT: f64 = 1e6;
-/// Relative rise of the cost that rounding explains.
+/// Relative rise of the cost that may be rounding errors.
 const COST_ROUNDING: f64 = 1e-9;
 
-/// Rows to be minimised over, linearised by whoever knows what they mean.
+/// The rows of a least-squares problem.
 pub trait Problem<const S: usize> {
-    /// Adds every row at `estimate`, with the kernels of `phase`, to a system reset before.
+    /// Adds every row, linearised at `estimate`, with the kernels of `phase`. The system is empty.
     fn linearize(&mut self, estimate: &Estimate<S>, phase: Phase, system: &mut System<S>);
 }
 
-/// How far to go.
+/// When a solve ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptimizerOptions {
     /// Phases and their iterations.
     pub schedule: Schedule,
     /// √(gᵀH⁻¹g/n) at which a stage has converged, n the number of states (standard deviations).
     pub tolerance: f64,
-    /// Damping λ each stage starts with; zero is Gauss–Newton.
+    /// Damping λ at the start of each stage; zero for Gauss–Newton.
     pub damping: f64,
 }
 
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// The last step was within the tolerance.
+    /// The last step was at most the tolerance.
     Converged,
-    /// The last stage's iterations were spent before.
+    /// The last stage used all of its iterations.
     IterationsSpent,
-    /// No damping made the cost fall; the estimate is the best one found.
+    /// The cost rose at every damping; the estimate is the best one found.
     Stalled,
 }
 
-/// What a solve did.
+/// Result of a solve, beside the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// How the last stage ended.
     pub outcome: Outcome,
-    /// Linearisations over all stages.
+    /// Number of linearisations in all stages.
     pub iterations: usize,
-    /// Steps taken back.
+    /// Number of steps undone because the cost rose.
     pub rejected: usize,
     /// Cost at the last linearisation.
     pub cost: f64,
@@ -65,9 +65,9 @@ pub struct Summary {
     pub decrement: f64,
 }
 
-/// Storage for a solve, shared by any number of problems of one state size, one after another.
+/// Storage of a solve, which later solves use again.
 ///
-/// After [`optimize`] it holds the last linearisation and its factor, undamped, for covariances.
+/// After [`optimize`] it holds the last linearisation and its undamped factor, for covariances.
 #[derive(Clone, Debug)]
 pub struct Workspace<const S: usize> {
     /// The normal equations last built.
@@ -79,7 +79,7 @@ pub struct Workspace<const S: usize> {
 }
 
 impl<const S: usize> Workspace<S> {
-    /// Empty; storage grows with the first problem.
+    /// An empty one; its storage grows with the first problem.
     pub fn new(border_life: BorderLife) -> Self {
         Self {
             system: System::new(border_life),
@@ -90,7 +90,10 @@ impl<const S: usize> Workspace<S> {
     }
 }
 
-/// Moves `estimate` to a minimum of the problem's cost.
+/// Moves `estimate` to a local minimum of the cost.
+///
+/// # Errors
+/// The rows do not determine all variables, or one of them is not finite.
 pub fn optimize<const S: usize>(
     problem: &mut impl Problem<S>,
     estimate: &mut Estimate<S>,
@@ -110,7 +113,7 @@ pub fn optimize<const S: usize>(
         phase = stage.phase;
     }
     if options.damping < damping {
-        // What damping adds would pass for information.
+        // Covariances from a damped factor would be too small.
         let Workspace { system, elimination, .. } = workspace;
         system.reset(estimate.states.len(), estimate.border.len());
         problem.linearize(estimate, phase, system);
@@ -119,8 +122,8 @@ pub fn optimize<const S: usize>(
     Ok(summary)
 }
 
-/// Iterates in one phase until convergence, a stall, or the stage's last iteration; returns the
-/// damping that it ended with.
+/// Iterates in one phase until it has converged or stalled or no iteration is left; returns the
+/// last damping.
 fn run_stage<const S: usize>(
     problem: &mut impl Problem<S>,
     estimate: &mut Estimate<S>,
@@ -215,8 +218,8 @@ mod tests {
         assert!((estimate.states[0] - Vector2::new(1.0, 1.0)).norm() < 1e-6);
     }
 
-    /// However a solve ends, the factor left is that of the rows: here after a rejected step, and in
-    /// the midst of damping.
+    /// The factor left by a solve is undamped, also after a rejected step and where the last
+    /// iteration was damped.
     #[test]
     fn what_is_left_is_not_damped() {
         for iterations in 2..40 {

@@ -41,7 +41,7 @@ impl Numbers {
     }
 }
 
-/// A linear row on state `k`, perhaps the next, and border variables: r = J·x − measured.
+/// A linear row r = J·x − measured on state `k`, border variables and, if a link, state `k` + 1.
 #[derive(Clone, Debug)]
 pub(crate) struct LinearRow {
     pub(crate) k: usize,
@@ -67,8 +67,8 @@ pub(crate) struct Linear<const S: usize> {
 }
 
 impl<const S: usize> Linear<S> {
-    /// Border variable b lives on about three states around its own place in the chain, and is
-    /// itself weakly observed, so that nothing is singular.
+    /// Each border variable is touched by the rows of three states, the first of which is
+    /// proportional to its index. No variable is undetermined.
     pub(crate) fn random(seed: u64, states: usize, border: usize) -> Self {
         let mut numbers = Numbers::new(seed);
         let mut rows = Vec::new();
@@ -115,7 +115,7 @@ impl<const S: usize> Linear<S> {
         Estimate { states: vec![SVector::zeros(); self.states], border: vec![0.0; self.border] }
     }
 
-    /// Adds one row, shifted so that state `shift` is the system's first.
+    /// Adds one row to a system whose first state is state `shift` of the problem.
     pub(crate) fn add(
         &self,
         row: &LinearRow,

@@ -1,9 +1,8 @@
 //! Old states marginalised into a dense prior on what they touched.
 //!
 //! With e = x − x̄ on (one state, border variables alive), the prior is ½·eᵀΛe + γᵀe. Λ and γ are
-//! the Schur complement of everything older, linearised once at x̄ and never again: the rows gone
-//! are not there to be linearised anew. Later estimates enter through e alone, so the prior's
-//! information stays consistent whatever the window does.
+//! the Schur complement of all older rows, linearised once at x̄: those rows are not kept and
+//! cannot be linearised again. A later estimate changes e alone, so Λ stays what those rows gave.
 //!
 //! Source: Dellaert & Kaess (2017), section 5.3; Sibley, Matthies & Sukhatme (2010), *Sliding
 //! window filter with application to planetary landing*.
@@ -17,7 +16,7 @@ use crate::graph::estimate::Estimate;
 use crate::graph::system::System;
 use crate::snapshot::{snapshot_fields, state_fields};
 
-/// A border variable's part of the prior.
+/// The part of one border variable in the prior.
 #[derive(Clone, Copy, Debug)]
 struct Bordering<const S: usize> {
     variable: usize,
@@ -32,19 +31,19 @@ struct Bordering<const S: usize> {
 pub struct Prior<const S: usize> {
     linearized_at: SVector<f64, S>,
     gradient: SVector<f64, S>,
-    /// Λ of the state, full symmetric.
+    /// Λ of the state, both triangles.
     information: SMatrix<f64, S, S>,
     border: Vec<Bordering<S>>,
     matrix: Packed,
 }
 
 impl<const S: usize> Prior<S> {
-    /// A prior that says nothing.
+    /// A prior without information.
     pub fn none() -> Self {
         Self::on_state(SVector::zeros(), SMatrix::zeros())
     }
 
-    /// A prior on the state alone: `mean`, with `information` (inverse covariance, symmetric).
+    /// A prior on the state alone, with its mean and its information (inverse covariance).
     pub fn on_state(mean: SVector<f64, S>, information: SMatrix<f64, S, S>) -> Self {
         Self {
             linearized_at: mean,
@@ -55,7 +54,7 @@ impl<const S: usize> Prior<S> {
         }
     }
 
-    /// Information Λ on the state, full symmetric; border variables held fixed.
+    /// Information Λ of the state given the border variables, both triangles.
     pub fn information(&self) -> &SMatrix<f64, S, S> {
         &self.information
     }
@@ -64,16 +63,15 @@ impl<const S: usize> Prior<S> {
         self.matrix.size() == self.border.len()
     }
 
-    /// Border variables the prior speaks of.
+    /// Border variables in the prior.
     pub fn variables(&self) -> impl Iterator<Item = usize> + '_ {
         self.border.iter().map(|bordering| bordering.variable)
     }
 
-    /// Lets every border variable of the prior wander: adds `variance` to each, uncorrelated;
-    /// computes in `scratch`.
+    /// Adds process noise of this variance to every border variable, uncorrelated; no mean changes.
     ///
-    /// For one variable with q added, Σ + q·e·eᵀ has the information Λ − Λe·eᵀΛ·q/(1 + q·Λ_ee), and
-    /// the mean stays where it was (Woodbury 1950).
+    /// With e the unit vector of one variable and q the variance, Σ + q·e·eᵀ has the information
+    /// Λ − Λe·eᵀΛ·q/(1 + q·eᵀΛe) (Woodbury 1950). `scratch` is overwritten.
     pub fn loosen_border(&mut self, variance: f64, scratch: &mut Vec<f64>) {
         for i in 0..self.border.len() {
             let factor = variance / (1.0 + variance * self.matrix.get(i, i));
@@ -93,7 +91,7 @@ impl<const S: usize> Prior<S> {
         }
     }
 
-    /// Adds the prior on state `k` and the border to a system, at an estimate.
+    /// Adds the prior to a system, its state being state `k`, linearised at `estimate`.
     pub fn add_to(&self, k: usize, estimate: &Estimate<S>, system: &mut System<S>) {
         let e = estimate.states[k] - self.linearized_at;
         let mut scratch = std::mem::take(&mut system.scratch);
@@ -109,28 +107,31 @@ impl<const S: usize> Prior<S> {
         let mut cost = e.dot(&(pull * 0.5 + self.gradient));
         system.add_information(k, &self.information, &(pull + self.gradient));
         for ((bordering, &moved), &pull) in self.border.iter().zip(moved.iter()).zip(pulls.iter()) {
-            let place = system.touch(k, bordering.variable);
+            let position = system.touch(k, bordering.variable);
             cost += moved * (0.5 * pull + bordering.gradient);
             let touched = &mut system.touched[k];
-            touched.columns[place] += bordering.column;
-            touched.gradient[place] += pull + bordering.gradient;
+            touched.columns[position] += bordering.column;
+            touched.gradient[position] += pull + bordering.gradient;
         }
         let System { touched, lives, .. } = system;
         touched[k].coupled |= 1 < self.border.len();
-        touched[k].matrix.add(&self.matrix, |i| lives[self.border[i].variable].place());
+        touched[k].matrix.add(&self.matrix, |i| lives[self.border[i].variable].position());
         system.scratch = scratch;
         system.add_cost(cost);
     }
 
-    /// Replaces the prior by what `system` says about its last state and the border.
+    /// Replaces the prior by the Schur complement of `system` on its last state and the border.
     ///
-    /// The system holds the old prior and every row that touches a state to be forgotten, and no
-    /// other: states 0 … n − 1, of which the last one stays. Border variables for which `retired`
-    /// holds are forgotten too: no later row may name them before they start anew. `estimate` is
-    /// where the rows were linearised; its first n states are those of the system.
+    /// The system has n states, of which all but the last are marginalised. Its rows must be the
+    /// old prior and all rows that touch the states to be marginalised, and no others, linearised
+    /// at `estimate`. Border variables for which `retired` holds are marginalised too; a later row
+    /// may use their indices for new variables.
     ///
-    /// A system of one state forgets no state: that is how a border variable alone is retired.
-    /// Directions without information are left out; they say nothing about the rest.
+    /// With a system of one state only border variables are marginalised. Directions that no row
+    /// determines are skipped.
+    ///
+    /// # Errors
+    /// A row has a value that is not finite.
     pub fn marginalize(
         &mut self,
         system: &System<S>,
@@ -145,12 +146,12 @@ impl<const S: usize> Prior<S> {
         self.gradient = -front.right;
         self.matrix.clone_from(&front.matrix);
         self.border.clear();
-        for (place, &variable) in front.variables.iter().enumerate() {
+        for (position, &variable) in front.variables.iter().enumerate() {
             self.border.push(Bordering {
                 variable,
                 linearized_at: estimate.border[variable],
-                gradient: -front.border_right[place],
-                column: front.columns[place],
+                gradient: -front.border_right[position],
+                column: front.columns[position],
             });
         }
         Ok(())

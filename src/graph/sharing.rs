@@ -1,16 +1,17 @@
-//! Rows that share an unknown offset, which is eliminated on the spot.
+//! Groups of rows with one unknown offset in common, which is eliminated before they are added.
 //!
-//! rᵢ(x, o) = rᵢ(x) + cᵢ·o with one free scalar o for a whole group of rows on one state. The
-//! minimum over o is taken inside the group: with ρᵢ = rᵢ/cᵢ, aᵢ = ∂ρᵢ/∂x, vᵢ = wᵢcᵢ², V = Σ vᵢ
-//! and means weighted by vᵢ,
+//! rᵢ(x, o) = rᵢ(x) + cᵢ·o, with one offset o for all rows of a group on one state. Nothing else is
+//! known of o. The minimum over o is taken inside the group: with ρᵢ = rᵢ/cᵢ, aᵢ = ∂ρᵢ/∂x,
+//! vᵢ = wᵢcᵢ², V = Σ vᵢ and the means ā and ρ̄ weighted by vᵢ,
 //!
 //! H = Σ vᵢ·(aᵢ − ā)(aᵢ − ā)ᵀ = Σ vᵢ·aᵢaᵢᵀ − (Σ vᵢaᵢ)(Σ vᵢaᵢ)ᵀ/V, g = Σ vᵢ·aᵢ·(ρᵢ − ρ̄)
 //!
-//! which is what differences against any one row of the group give with their full covariance: both
-//! project the rows on what no offset can explain.
+//! Differences against any one row of the group, with their full covariance, give the same: both
+//! project the rows on the complement of the offset.
 //!
-//! Where rows agree on a column, nothing is left of it to be lost in rounding: columns of the state
-//! are centred before they are multiplied; each border variable stands in one row of the group.
+//! The mean of a state's column is subtracted before the products are formed, so that rounding
+//! errors stay small where all rows have nearly the same entry. Each border variable is touched by
+//! one row of the group only, so that its column needs no such care.
 
 use crate::graph::kernel::{Kernel, Law};
 use crate::graph::system::{Row, System};
@@ -18,20 +19,21 @@ use crate::graph::system::{Row, System};
 /// Iterations for the offset under a robust kernel; it starts at the median.
 const OFFSET_ITERATIONS: usize = 4;
 
-/// A whitened row on one state, at most one border variable and the group's offset.
+/// A whitened row on one state, the offset of its group and at most one border variable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SharingRow<const N: usize> {
-    /// The row at offset zero; all rows of a group name the same columns.
+    /// The row at offset zero; all rows of a group have the same columns.
     pub row: Row<N>,
     /// c = ∂r/∂o, above zero.
     pub by_offset: f64,
-    /// A border variable that no other row of the group names, with ∂r/∂b.
+    /// A border variable that no other row of the group touches, with ∂r/∂b.
     pub border: Option<(usize, f64)>,
     /// Share of information the row keeps, see [`Kernel::share`].
     pub share: f64,
 }
 
-/// The offset o that minimises Σ ρ(rᵢ + cᵢ·o), from the median on; zero without rows.
+/// The offset o that minimises Σ ρ(rᵢ + cᵢ·o), by iterations that begin at the median of −rᵢ/cᵢ.
+/// Zero without rows.
 pub fn shared_offset<const N: usize>(
     rows: &[SharingRow<N>],
     kernel: &Kernel,
@@ -73,9 +75,9 @@ pub fn shared_offset<const N: usize>(
 }
 
 impl<const S: usize> System<S> {
-    /// Adds a group of rows on state `k` whose common offset is free; returns that offset.
+    /// Adds a group of rows on state `k` with an unknown offset in common; returns the offset.
     ///
-    /// A single row says nothing: its offset takes up all of it.
+    /// A single row adds nothing: the offset explains all of it.
     pub fn add_sharing_offset<const N: usize>(
         &mut self,
         k: usize,
@@ -115,8 +117,8 @@ impl<const S: usize> System<S> {
         offset
     }
 
-    /// What a group says about its border variables; the weights v of its rows become the pulls
-    /// v·∂ρ/∂b of these variables.
+    /// Adds the border part of a group. Replaces the weight v of each row with a border variable by
+    /// v·∂ρ/∂b.
     fn add_group_border<const N: usize>(
         &mut self,
         k: usize,
@@ -128,24 +130,24 @@ impl<const S: usize> System<S> {
     ) {
         for (i, row) in rows.iter().enumerate() {
             let Some((variable, derivative)) = row.border else { continue };
-            let place = self.touch(k, variable);
+            let position = self.touch(k, variable);
             let unit = row.by_offset.recip();
             let slope = derivative * unit;
             let pull = weights[i] * slope;
             let touched = &mut self.touched[k];
-            touched.gradient[place] += pull * (row.row.residual * unit + offset);
-            let column = &mut touched.columns[place];
+            touched.gradient[position] += pull * (row.row.residual * unit + offset);
+            let column = &mut touched.columns[position];
             for n in 0..N {
                 column[row.row.columns[n]] += pull * (row.row.jacobian[n] * unit - mean[n]);
             }
             let left = (total - weights[i]) / total;
-            *touched.matrix.get_mut(place, place) += pull * slope * left;
+            *touched.matrix.get_mut(position, position) += pull * slope * left;
             touched.coupled |= 0 < i;
             let factor = pull / total;
             for (other, pull) in rows.iter().zip(&weights[..i]) {
                 let Some((variable, _)) = other.border else { continue };
-                let at = self.lives[variable].place();
-                *touched.matrix.get_mut(place, at) -= factor * pull;
+                let at = self.lives[variable].position();
+                *touched.matrix.get_mut(position, at) -= factor * pull;
             }
             weights[i] = pull;
         }

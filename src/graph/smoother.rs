@@ -1,14 +1,15 @@
-//! States that were marginalised, smoothed by what came after them.
+//! Marginalised states, smoothed by the rows that came later.
 //!
-//! Marginalising state k leaves, beside the prior on what stays, how it depends on that:
+//! Marginalising state k gives the prior on the states and border variables that stay, and the
+//! distribution of state k given these:
 //!
 //! x_k = x̄_k + L⁻ᵀ·(y − Gᵀ·δ_{k+1} − W·δ_β) + L⁻ᵀ·ε, ε standard normal
 //!
-//! with δ from where the rows were linearised, and likewise the border variables that were retired
-//! with it. Whoever keeps that, a [`Departure`], can go back from any later estimate: a
-//! [`Smoother`] begins at the newest state of a solved window and carries mean and covariance of
-//! (one state, the border alive there) backward, at S²·n + S·n² for n border variables. What the
-//! rows of a state gone said, their kernel weights included, stays as it was when it left.
+//! with δ the difference from where the rows were linearised. The border variables retired with it
+//! have the like. A [`Departure`] holds both. A [`Smoother`] begins at the newest state of a solved
+//! window and carries mean and covariance of (one state, the border variables alive there) backward
+//! through the departures, which takes of the order of S²·n + S·n² operations a state for n border
+//! variables. The rows of a marginalised state keep their linearisation and their kernel weights.
 //!
 //! Source: Rauch, Tung & Striebel (1965), *Maximum likelihood estimates of linear dynamic systems*;
 //! here in the square-root information form of Bierman (1977), *Factorization methods for discrete
@@ -23,42 +24,43 @@ use crate::graph::estimate::Estimate;
 use crate::graph::lanes::dot;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, snapshot_fields};
 
-/// How a marginalised state depends on the next one and the border that stayed.
+/// The distribution of a marginalised state given the next state and the border variables.
 #[derive(Clone, Debug)]
 pub struct Departure<const S: usize> {
     factor: Factor<S>,
     coupling: SMatrix<f64, S, S>,
     forward: SVector<f64, S>,
-    /// W, and of which variables, with the values they were linearised at.
+    /// W, then the variable of each column, then the value each was linearised at.
     columns: Vec<SVector<f64, S>>,
     variables: Vec<usize>,
     border_at: Vec<f64>,
-    /// The first of these were known to the prior before.
+    /// Number of the variables that were in the prior before; they come first.
     carried: usize,
     retired: Vec<Retired<S>>,
     retired_rows: Vec<f64>,
-    /// The state and the next one where they were linearised.
+    /// The state and the next one, at the values they were linearised at.
     at: SVector<f64, S>,
     next_at: SVector<f64, S>,
 }
 
 snapshot_fields!(generic [const S: usize] Factor<S> { lower, reciprocal });
 snapshot_fields!(
-    generic [const S: usize] Retired<S> { variable, place, reciprocal, forward, next, row }
+    generic [const S: usize] Retired<S> { variable, position, reciprocal, forward, next, row }
 );
 
 impl<const S: usize> Departure<S> {
-    /// Of the first of the two states that [`Prior::marginalize`] was given, right after it.
+    /// Takes the departure of the first state from `elimination`, right after
+    /// [`Prior::marginalize`] has used it on a system of two states.
     ///
-    /// `carried` is how many border variables the prior named before; `estimate` is where the
-    /// system was linearised. No row of it may bring the second state a border variable.
+    /// `carried` is the number of border variables in the prior before; `estimate` is where the
+    /// system was linearised. No row on the second state may touch a border variable.
     ///
     /// [`Prior::marginalize`]: crate::graph::Prior::marginalize
     pub fn of(elimination: &Elimination<S>, estimate: &Estimate<S>, carried: usize) -> Self {
         let step = elimination.steps.last().expect("a state was marginalised");
         let mut variables = elimination.front.variables.clone();
         for retired in elimination.retired.iter().rev() {
-            variables.insert(retired.place, retired.variable);
+            variables.insert(retired.position, retired.variable);
         }
         debug_assert_eq!(variables.len(), step.alive, "the next state joined no variable");
         Self {
@@ -116,7 +118,7 @@ impl<const S: usize> Snapshot for Departure<S> {
 }
 
 impl<const S: usize> Departure<S> {
-    /// Whether all lists are as long as what indexes them wants.
+    /// Whether no index is beyond the end of its list.
     fn is_whole(&self) -> bool {
         let alive = self.variables.len();
         let mut left = alive.checked_sub(self.retired.len());
@@ -125,82 +127,86 @@ impl<const S: usize> Departure<S> {
             let Some(others) = left else { return false };
             let end = retired.row.checked_add(others);
             fits &=
-                retired.place <= others && end.is_some_and(|end| end <= self.retired_rows.len());
+                retired.position <= others && end.is_some_and(|end| end <= self.retired_rows.len());
             left = Some(others + 1);
         }
         fits && self.carried <= alive
     }
 
-    /// Border variables that stayed.
+    /// Number of border variables that did not retire.
     fn left(&self) -> usize {
         self.variables.len() - self.retired.len()
     }
 }
 
-/// Mean and covariance of one state and the border alive there, from the newest state backward.
+/// Mean and covariance of one state and the border variables alive there, reached from the newest
+/// state backward.
 #[derive(Clone, Debug)]
 pub struct Smoother<const S: usize> {
     state: SVector<f64, S>,
     /// In the order of [`Covariances::variables`].
     border: Vec<f64>,
     covariances: Covariances<S>,
-    /// State of the window reached; none once it is behind.
-    place: Option<usize>,
-    /// δ of the border.
+    /// Index of the window's state reached; `None` beyond its oldest state.
+    reached: Option<usize>,
+    /// δ of the border variables.
     moved: Vec<f64>,
 }
 
 impl<const S: usize> Smoother<S> {
-    /// Nowhere yet.
+    /// Without a state reached.
     pub fn new() -> Self {
         Self {
             state: SVector::zeros(),
             border: Vec::new(),
             covariances: Covariances::new(),
-            place: None,
+            reached: None,
             moved: Vec::new(),
         }
     }
 
-    /// Begins at the newest state of a window that was solved.
+    /// Begins at the newest state of a solved window.
     pub fn begin(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) {
         self.covariances.newest(elimination);
-        self.place = estimate.states.len().checked_sub(1);
+        self.reached = estimate.states.len().checked_sub(1);
         self.read(estimate);
     }
 
-    /// Takes state and border from the window's estimate.
+    /// Takes the means of the state reached and of the border from the window's estimate.
     fn read(&mut self, estimate: &Estimate<S>) {
-        self.state = self.place.map_or_else(SVector::zeros, |place| estimate.states[place]);
+        self.state = self.reached.map_or_else(SVector::zeros, |reached| estimate.states[reached]);
         self.border.clear();
         let variables = self.covariances.variables();
         self.border.extend(variables.iter().map(|&variable| estimate.border[variable]));
     }
 
-    /// Goes on to the state before in the window; false at its first.
+    /// Goes to the state before in the window; returns false at its oldest state.
     pub fn go_back(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) -> bool {
-        let Some(before) = self.place.and_then(|place| place.checked_sub(1)) else { return false };
+        let Some(before) = self.reached.and_then(|reached| reached.checked_sub(1)) else {
+            return false;
+        };
         self.covariances.go_back(elimination, before);
-        self.place = Some(before);
+        self.reached = Some(before);
         self.read(estimate);
         true
     }
 
-    /// Goes on from the window's first state, or the one gone after it, to a state gone.
+    /// Goes from the window's oldest state, or from a marginalised one, to the marginalised state
+    /// before it.
     ///
-    /// False, with nothing changed, where the departure is not of the state before.
+    /// Returns false and changes nothing if the departure is not that of the state before.
     pub fn go_back_to(&mut self, departure: &Departure<S>) -> bool {
         let left = departure.left();
         let mut stayed = departure.variables.clone();
         let mut border_at = departure.border_at.clone();
         for retired in &departure.retired {
-            stayed.remove(retired.place);
-            border_at.remove(retired.place);
+            stayed.remove(retired.position);
+            border_at.remove(retired.position);
         }
         if !self.covariances.variables().starts_with(&stayed) {
             return false;
         }
-        self.place = None;
+        self.reached = None;
         self.covariances.truncate(left);
         self.border.truncate(left);
         let next = self.state - departure.next_at;
@@ -210,7 +216,7 @@ impl<const S: usize> Smoother<S> {
             let row = &departure.retired_rows[retired.row..];
             self.covariances.restore(retired, row);
             let known = retired.next.dot(&next) + dot(&row[..self.moved.len()], &self.moved);
-            self.moved.insert(retired.place, retired.reciprocal * (retired.forward - known));
+            self.moved.insert(retired.position, retired.reciprocal * (retired.forward - known));
         }
         self.covariances.step_back(&departure.factor, &departure.coupling, &departure.columns);
         let mut right = departure.forward - departure.coupling.tr_mul(&next);
@@ -224,17 +230,17 @@ impl<const S: usize> Smoother<S> {
         true
     }
 
-    /// The state reached.
+    /// Mean of the state reached.
     pub fn state(&self) -> &SVector<f64, S> {
         &self.state
     }
 
-    /// The border variables alive there, in the order of the covariances.
+    /// Means of the border variables alive there, in the order of [`Covariances::variables`].
     pub fn border(&self) -> &[f64] {
         &self.border
     }
 
-    /// Covariances of both.
+    /// Covariances of the state reached and of the border variables alive there.
     pub fn covariances(&self) -> &Covariances<S> {
         &self.covariances
     }
@@ -314,16 +320,16 @@ mod tests {
                 let covariances = smoother.covariances();
                 let oracle = inverse.fixed_view::<5, 5>(5 * k, 5 * k);
                 assert!((covariances.state() - oracle).norm() < 1e-9 * oracle.norm());
-                for (place, &variable) in covariances.variables().iter().enumerate() {
+                for (position, &variable) in covariances.variables().iter().enumerate() {
                     seen[variable] = true;
                     let own = 5 * states + variable;
-                    let value = smoother.border()[place];
+                    let value = smoother.border()[position];
                     assert!((value - dense[own]).abs() < 1e-9 * dense.amax(), "{variable}");
                     let oracle = inverse.fixed_view::<5, 1>(5 * k, own);
-                    assert!((covariances.cross_at(place) - oracle).norm() < 1e-9, "{variable}");
+                    assert!((covariances.cross_at(position) - oracle).norm() < 1e-9, "{variable}");
                     for (b, &other) in covariances.variables().iter().enumerate() {
                         let oracle = inverse[(own, 5 * states + other)];
-                        assert!((covariances.border_at(place, b) - oracle).abs() < 1e-9);
+                        assert!((covariances.border_at(position, b) - oracle).abs() < 1e-9);
                     }
                 }
                 if 0 < k && !smoother.go_back(&slid.elimination, &slid.window) {

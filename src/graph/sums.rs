@@ -1,24 +1,25 @@
-//! Rows on the same coordinates, summed before they enter a system.
+//! Rows on the same coordinates, summed before they are added to a system.
 //!
-//! The rows of one kind at a state name the same few coordinates: Σ w·jjᵀ and Σ w·jr of their
-//! Jacobians j are sums of small dense matrices, which enter the state's block once.
+//! All rows of one kind at a state, such as its pseudoranges, depend on the same few coordinates.
+//! Σ w·jjᵀ and Σ w·jr of their Jacobians j are then small and dense, and are added to the state's
+//! block once.
 
 use crate::graph::system::{Link, System};
 
 /// Normal equations of rows on the same N coordinates of one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowSum<const N: usize> {
-    /// Σ w·jjᵀ, full.
+    /// Σ w·jjᵀ, both triangles.
     matrix: [[f64; N]; N],
     /// Σ w·jr.
     gradient: [f64; N],
 }
 
 impl<const N: usize> RowSum<N> {
-    /// Of no rows.
+    /// The sum of no rows.
     pub const ZERO: Self = Self { matrix: [[0.0; N]; N], gradient: [0.0; N] };
 
-    /// Adds a row by its weight, which [`System::weigh`] gives.
+    /// Adds a row with its weight, which [`System::weigh`] returns.
     #[inline]
     pub fn add(&mut self, residual: f64, jacobian: &[f64; N], weight: f64) {
         let scaled = jacobian.map(|slope| slope * weight);
@@ -38,16 +39,17 @@ impl<const N: usize> RowSum<N> {
 pub struct LinkSum<const N: usize, const M: usize> {
     earlier: RowSum<N>,
     later: RowSum<M>,
-    /// Σ w·j₊jᵀ, by columns of the earlier state.
+    /// Σ w·j₊jᵀ with j₊ the later state's Jacobian; indexed by the earlier coordinate first.
     coupling: [[f64; M]; N],
 }
 
 impl<const N: usize, const M: usize> LinkSum<N, M> {
-    /// Of no rows.
+    /// The sum of no rows.
     pub const ZERO: Self =
         Self { earlier: RowSum::ZERO, later: RowSum::ZERO, coupling: [[0.0; M]; N] };
 
-    /// Adds a row by its weight, which [`System::weigh`] gives; its coordinates are the sum's.
+    /// Adds a row with its weight, which [`System::weigh`] returns. Its coordinates must be those
+    /// of the other rows.
     #[inline]
     pub fn add(&mut self, link: &Link<N, M>, weight: f64) {
         self.earlier.add(link.residual, &link.jacobian, weight);
@@ -62,8 +64,8 @@ impl<const N: usize, const M: usize> LinkSum<N, M> {
 }
 
 impl<const S: usize> System<S> {
-    /// Adds rows on the coordinates `columns` of state `k`, ascending and none twice; their cost is
-    /// that of [`System::weigh`].
+    /// Adds summed rows on the coordinates `columns` of state `k`, ascending, none twice. Their
+    /// losses are not added: [`System::weigh`] has done so.
     #[inline]
     pub fn add_sum<const N: usize>(&mut self, k: usize, columns: &[usize; N], sum: &RowSum<N>) {
         let block = &mut self.diagonal[k].data.0;
@@ -77,8 +79,8 @@ impl<const S: usize> System<S> {
         }
     }
 
-    /// Adds rows on `columns` of state `k` and `next` of state `k + 1`, else as
-    /// [`System::add_sum`] does.
+    /// Adds summed rows on the coordinates `columns` of state `k` and `next` of state `k + 1`;
+    /// otherwise like [`System::add_sum`].
     #[inline]
     pub fn add_link_sum<const N: usize, const M: usize>(
         &mut self,
@@ -116,7 +118,7 @@ mod tests {
         })
     }
 
-    /// Summed rows are the rows, one by one.
+    /// Rows that are summed first give the same system as rows added one by one.
     #[test]
     fn a_sum_is_its_rows() {
         let kernel = Kernel::cauchy(2.0).tempered(0.5);

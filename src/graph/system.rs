@@ -1,23 +1,23 @@
 //! Normal equations of a chain with a border, accumulated row by row: H·δ = −g.
 //!
-//! H = Σ w·JᵀJ and g = Σ w·Jᵀr, with w the kernel's weight. Per state k the system holds the
-//! diagonal block Hₖₖ (lower triangle), the coupling Hₖ₊₁,ₖ, and what rows at k say about border
-//! variables. Rows name only the coordinates they depend on, so an N-entry row costs N² / 2
-//! products, not S².
+//! H = Σ w·JᵀJ and g = Σ w·Jᵀr, with w the kernel's weight. For each state k the system holds the
+//! diagonal block Hₖₖ (lower triangle), the coupling Hₖ₊₁,ₖ, and the border part of the rows at k.
+//! A row names only the coordinates it depends on, so that a row of N entries costs N²/2 products
+//! instead of S²/2.
 //!
-//! The order of calls fixes the order of sums: the same calls give the same bits.
+//! Rows are summed in the order of the calls: the same calls give the same bits.
 
 use nalgebra::{SMatrix, SVector};
 
 use crate::graph::border::Packed;
 use crate::graph::kernel::{Kernel, LossSum};
 
-/// When elimination lets a border variable go.
+/// When a border variable is eliminated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BorderLife {
-    /// With the last state that touches it: batch, arcs with lives of their own; linear in length.
+    /// After the last state that touches it. The cost of a batch is then linear in its length.
     WhileTouched,
-    /// At the end of the chain: windows, where all of the border's joint covariance is wanted.
+    /// At the end of the chain. A window needs this for the joint covariance of its whole border.
     WholeChain,
 }
 
@@ -26,7 +26,7 @@ pub enum BorderLife {
 pub struct Row<const N: usize> {
     /// r (model − measured) / σ.
     pub residual: f64,
-    /// Coordinates it depends on, ascending, none twice.
+    /// Indices of the coordinates it depends on, ascending, none twice.
     pub columns: [usize; N],
     /// ∂r/∂x at those coordinates.
     pub jacobian: [f64; N],
@@ -37,17 +37,17 @@ pub struct Row<const N: usize> {
 pub struct Link<const N: usize, const M: usize> {
     /// r (model − measured) / σ.
     pub residual: f64,
-    /// Coordinates of the earlier state, ascending, none twice.
+    /// Indices of the earlier state's coordinates, ascending, none twice.
     pub columns: [usize; N],
     /// ∂r/∂xₖ at those coordinates.
     pub jacobian: [f64; N],
-    /// Coordinates of the later state, ascending, none twice.
+    /// Indices of the later state's coordinates, ascending, none twice.
     pub next_columns: [usize; M],
     /// ∂r/∂xₖ₊₁ at those coordinates.
     pub next_jacobian: [f64; M],
 }
 
-/// What rows at one state say about border variables, in the order these were met.
+/// Border part of the rows at one state; its variables in the order in which rows first name them.
 #[derive(Clone, Debug)]
 pub(crate) struct Touched<const S: usize> {
     pub(crate) variables: Vec<usize>,
@@ -55,7 +55,7 @@ pub(crate) struct Touched<const S: usize> {
     pub(crate) columns: Vec<SVector<f64, S>>,
     pub(crate) gradient: Vec<f64>,
     pub(crate) matrix: Packed,
-    /// Whether any row named two of the variables: else only the matrix's diagonal is filled.
+    /// Whether some row touches two of the variables; if not, the matrix is diagonal.
     pub(crate) coupled: bool,
 }
 
@@ -78,7 +78,7 @@ impl<const S: usize> Touched<S> {
         self.coupled = false;
     }
 
-    /// Appends a variable; returns its place.
+    /// Appends a variable; returns its position in the list.
     fn push(&mut self, variable: usize) -> usize {
         self.variables.push(variable);
         self.columns.push(SVector::zeros());
@@ -88,25 +88,25 @@ impl<const S: usize> Touched<S> {
     }
 }
 
-/// The life of one border variable within the chain.
+/// Where in the chain a border variable is touched.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Life {
-    /// Last state with a row on it; none: never touched.
+    /// Last state that touches it; `None` if no row does.
     pub(crate) last: Option<usize>,
-    /// The state last written with it.
+    /// The state of the row added last that touches it.
     state: usize,
-    /// Its place among the variables there.
-    place: usize,
+    /// Its position in [`Touched::variables`] of that state.
+    position: usize,
 }
 
 impl Life {
-    /// Its place among the variables of the state last written.
-    pub(crate) fn place(&self) -> usize {
-        self.place
+    /// Its position in [`Touched::variables`] of the state of the row added last that touches it.
+    pub(crate) fn position(&self) -> usize {
+        self.position
     }
 }
 
-/// Normal equations over `S`-vectors along a chain, and a border. Keeps its storage when reset.
+/// Normal equations of a chain of `S`×1 states and a border. Keeps its storage when reset.
 #[derive(Clone, Debug)]
 pub struct System<const S: usize> {
     pub(crate) states: usize,
@@ -121,7 +121,7 @@ pub struct System<const S: usize> {
 }
 
 impl<const S: usize> System<S> {
-    /// An empty system; [`System::reset`] gives it its shape.
+    /// An empty system; [`System::reset`] sets its size.
     pub const fn new(border_life: BorderLife) -> Self {
         Self {
             states: 0,
@@ -136,7 +136,7 @@ impl<const S: usize> System<S> {
         }
     }
 
-    /// All zero, for `states` states and border variables 0 … `border` − 1.
+    /// Sets the size; all entries are then zero. Border variables are 0 … `border` − 1.
     pub fn reset(&mut self, states: usize, border: usize) {
         self.states = states;
         self.cost = LossSum::ZERO;
@@ -151,7 +151,7 @@ impl<const S: usize> System<S> {
             self.touched.resize_with(states, Touched::new);
         }
         self.lives.clear();
-        self.lives.resize(border, Life { last: None, state: 0, place: 0 });
+        self.lives.resize(border, Life { last: None, state: 0, position: 0 });
     }
 
     /// Number of states.
@@ -169,18 +169,18 @@ impl<const S: usize> System<S> {
         self.cost.value()
     }
 
-    /// Adds a constant or an own term to the cost.
+    /// Adds to the cost a loss that no row of the system has.
     pub fn add_cost(&mut self, cost: f64) {
         self.cost.add_loss(cost);
     }
 
-    /// The weight a kernel gives a residual, whose loss enters the cost.
+    /// Adds the loss of a residual to the cost; returns the weight that the kernel gives it.
     #[inline]
     pub fn weigh(&mut self, residual: f64, kernel: &Kernel) -> f64 {
         self.cost.add(residual, kernel)
     }
 
-    /// Adds a row on state `k`; returns the weight its kernel gave it.
+    /// Adds a row on state `k`; returns the weight that the kernel gives it.
     #[inline]
     pub fn add<const N: usize>(&mut self, k: usize, row: &Row<N>, kernel: &Kernel) -> f64 {
         let weight = self.weigh(row.residual, kernel);
@@ -188,7 +188,7 @@ impl<const S: usize> System<S> {
         weight
     }
 
-    /// Adds a row with a weight known already; the cost is the caller's.
+    /// Adds a row on state `k` with a known weight, without its loss.
     #[inline]
     pub fn add_weighted<const N: usize>(&mut self, k: usize, row: &Row<N>, weight: f64) {
         let block = &mut self.diagonal[k].data.0;
@@ -203,7 +203,7 @@ impl<const S: usize> System<S> {
         }
     }
 
-    /// Adds a row on states `k` and `k + 1`; returns the weight its kernel gave it.
+    /// Adds a row on states `k` and `k + 1`; returns the weight that the kernel gives it.
     #[inline]
     pub fn add_link<const N: usize, const M: usize>(
         &mut self,
@@ -216,7 +216,7 @@ impl<const S: usize> System<S> {
         weight
     }
 
-    /// Adds a row on states `k` and `k + 1` with a weight known already; the cost is the caller's.
+    /// Adds a row on states `k` and `k + 1` with a known weight, without its loss.
     #[inline]
     pub fn add_link_weighted<const N: usize, const M: usize>(
         &mut self,
@@ -238,8 +238,8 @@ impl<const S: usize> System<S> {
         }
     }
 
-    /// Adds a row on state `k` and border variables `(variable, ∂r/∂b)`, none twice; a row on the
-    /// border alone has `N` = 0. Returns the weight its kernel gave it.
+    /// Adds a row on state `k` and on border variables, given as `(variable, ∂r/∂b)`, none twice.
+    /// A row on border variables alone has `N` = 0. Returns the weight that the kernel gives it.
     #[inline]
     pub fn add_with_border<const N: usize>(
         &mut self,
@@ -253,8 +253,8 @@ impl<const S: usize> System<S> {
         weight
     }
 
-    /// Adds what a row on state `k` says of border variables, none twice, by its weight; what it
-    /// says of the state alone is the caller's.
+    /// Adds the border part of a row on state `k` with a known weight. [`System::add_weighted`]
+    /// adds the rest.
     #[inline]
     pub fn add_border<const N: usize>(
         &mut self,
@@ -263,24 +263,24 @@ impl<const S: usize> System<S> {
         border: &[(usize, f64)],
         weight: f64,
     ) {
-        for (position, &(variable, derivative)) in border.iter().enumerate() {
-            let place = self.touch(k, variable);
+        for (index, &(variable, derivative)) in border.iter().enumerate() {
+            let position = self.touch(k, variable);
             let touched = &mut self.touched[k];
-            touched.coupled |= 0 < position;
+            touched.coupled |= 0 < index;
             let scaled = weight * derivative;
-            touched.gradient[place] += scaled * row.residual;
-            let column = &mut touched.columns[place];
+            touched.gradient[position] += scaled * row.residual;
+            let column = &mut touched.columns[position];
             for i in 0..N {
                 column[row.columns[i]] += scaled * row.jacobian[i];
             }
-            for &(other, derivative) in &border[..=position] {
-                let other = self.lives[other].place;
-                *touched.matrix.get_mut(place, other) += scaled * derivative;
+            for &(other, derivative) in &border[..=index] {
+                let other = self.lives[other].position;
+                *touched.matrix.get_mut(position, other) += scaled * derivative;
             }
         }
     }
 
-    /// Adds information `h` (lower triangle read) and gradient `g` on state `k`.
+    /// Adds `h`, of which the lower triangle is read, and `g` to block and gradient of state `k`.
     pub(crate) fn add_information(
         &mut self,
         k: usize,
@@ -291,7 +291,7 @@ impl<const S: usize> System<S> {
         self.gradient[k] += g;
     }
 
-    /// Numbers all storage can hold without growing: constant once warm.
+    /// How many numbers fit into the storage without a new allocation.
     pub fn capacity(&self) -> usize {
         let blocks = (self.diagonal.capacity() + self.coupling.capacity()) * S * S;
         let border = self.touched.iter().map(|touched| {
@@ -301,16 +301,16 @@ impl<const S: usize> System<S> {
         blocks + self.gradient.capacity() * S + border.sum::<usize>() + self.lives.capacity()
     }
 
-    /// Place of a border variable among those of state `k`, made if new.
+    /// Position of a border variable in [`Touched::variables`] of state `k`; appends it if new.
     #[inline]
     pub(crate) fn touch(&mut self, k: usize, variable: usize) -> usize {
         let (life, touched) = (&mut self.lives[variable], &mut self.touched[k]);
         if life.last.is_none_or(|last| last < k) {
-            *life = Life { last: Some(k), state: k, place: touched.push(variable) };
+            *life = Life { last: Some(k), state: k, position: touched.push(variable) };
         } else if life.state != k {
             let known = touched.variables.iter().position(|&known| known == variable);
-            (life.state, life.place) = (k, known.unwrap_or_else(|| touched.push(variable)));
+            (life.state, life.position) = (k, known.unwrap_or_else(|| touched.push(variable)));
         }
-        life.place
+        life.position
     }
 }
