@@ -35,7 +35,7 @@ pub(super) fn page(comparison: &Comparison) -> Result<String, PlotError> {
     if is_judged {
         page += &table("Positioning error", &error_rows(comparison), comparison);
     } else {
-        page += "<p>No truth was given: what follows is how far the methods agree.</p>\n";
+        page += "<p>No truth was given: the report shows how far the methods agree.</p>\n";
     }
     if comparison.is_relative() {
         page += &table("Integers", &integer_rows(comparison), comparison);
@@ -52,7 +52,7 @@ pub(super) fn page(comparison: &Comparison) -> Result<String, PlotError> {
     }
     page += &figure("Satellites over time", &lines, figures::satellites(comparison))?;
     page += &agreement(comparison);
-    page += &table("Reasons: epochs whose answer gave them", &reason_rows(comparison), comparison);
+    page += &table("Reasons: number of epochs with each", &reason_rows(comparison), comparison);
     page += &configuration(comparison);
     page += "</body></html>\n";
     Ok(page)
@@ -103,7 +103,7 @@ fn error_rows(comparison: &Comparison) -> Vec<Row> {
         row("Mean 3D (m)", number(|e| e.err3d.mean)),
         row("Mean height error (m)", number(|e| e.bias_enu_mean[2])),
         row("Inside the stated 95 % ellipse", stated(|u| u.inside_95_2d, true)),
-        row("Normalised error 2D (honest: 1)", stated(|u| u.normalised_rms_2d, false)),
+        row("Normalised error 2D (consistent: 1)", stated(|u| u.normalised_rms_2d, false)),
         row("Epochs per second", comparison.methods.iter().map(speed)),
     ]
 }
