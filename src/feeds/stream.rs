@@ -23,7 +23,7 @@ use super::{Backoff, Connector, FeedOptions};
 /// minute.
 const EARLY_EPOCHS: usize = 300;
 
-/// The health and bases of a stream, status between its task and the desk.
+/// The health and bases of a stream, shared between its task and the desk.
 pub(super) struct StreamStatus {
     health: Mutex<FeedHealth>,
     bases: Mutex<Vec<BaseId>>,
@@ -72,7 +72,7 @@ pub(super) struct StreamHints {
     pub(super) near: Option<GpsTime>,
     /// The rovers' position until one of them is computed.
     pub(super) position: Option<Ecef>,
-    /// The base whose rovers' position the caster is hints.
+    /// The base whose rovers' position is reported to the caster.
     pub(super) follows: Option<BaseId>,
 }
 

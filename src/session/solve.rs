@@ -21,7 +21,7 @@ pub struct SolveRequest {
     pub mode: Option<String>,
     /// The profile; `None` for the session's.
     pub profile: Option<String>,
-    /// Overrides of options. If neither mode nor profile is input, they are added to the session's
+    /// Overrides of options. If neither mode nor profile is given, they are added to the session's
     /// configuration, otherwise to the profile.
     pub overrides: BTreeMap<String, String>,
     /// The bases of a mode relative to one; none for the session's.

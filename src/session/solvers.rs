@@ -11,7 +11,7 @@ use crate::positioning::Scratch;
 use super::SessionError;
 use super::state::State;
 
-/// States kept for the next batch to be computed in.
+/// Most spare states that are kept.
 const SPARE_STATES: usize = 64;
 
 /// A bounded number of threads for estimation. Requests are served in order.
@@ -21,7 +21,7 @@ pub(super) struct Solvers {
     spares: Spares,
 }
 
-/// Memory that sessions share: a session at rest holds its state alone.
+/// Memory that all sessions share, so that a session at rest needs its state only.
 #[derive(Clone, Default)]
 pub(super) struct Spares {
     shared: Arc<Mutex<Shared>>,
@@ -30,7 +30,7 @@ pub(super) struct Spares {
 #[derive(Default)]
 struct Shared {
     states: Vec<State>,
-    /// As many as have ever estimated at the same time.
+    /// One for each estimation that has run at the same time.
     scratches: Vec<Box<Scratch>>,
 }
 
@@ -57,7 +57,7 @@ impl Solvers {
             let _permit = permit;
             work()
         });
-        running.await.map_err(|error| SessionError::EstimatorFailed { message: said(error) })
+        running.await.map_err(|error| SessionError::EstimatorFailed { message: message_of(error) })
     }
 
     /// Runs `work` on a thread of the pool, with memory to estimate in.
@@ -106,7 +106,7 @@ impl Spares {
     }
 }
 
-fn said(error: JoinError) -> String {
+fn message_of(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "it was cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked").to_owned()

@@ -90,7 +90,7 @@ impl State {
     ///
     /// If the configuration differs from that of the previous epoch, a new estimator starts: the
     /// epochs in the old one's window get their last revision, and nothing is carried over. If the
-    /// base differs, the estimator itself restarts what is relative to the base.
+    /// base differs, the estimator itself restarts everything relative to it.
     pub(super) fn advance(
         &mut self,
         seq: u64,

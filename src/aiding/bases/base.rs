@@ -11,7 +11,7 @@ use super::archive_requests::ArchiveRequests;
 use super::base_epochs::BaseEpochs;
 use super::{BaseInfo, BaseView};
 
-/// What does not change about a base.
+/// The data of a base that never change.
 pub(super) struct BaseDescription {
     pub(super) name: BaseName,
     pub(super) label: String,

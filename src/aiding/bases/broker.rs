@@ -19,7 +19,7 @@ use super::{
     BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, CommittedEpoch, Coverage, NewBase,
 };
 
-/// Newest epochs that check a position on request.
+/// Number of newest epochs that a position is checked with on request.
 const CHECKED_EPOCHS: usize = 20;
 
 /// The desk for base stations. All clones share the same bases.

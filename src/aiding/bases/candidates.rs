@@ -188,7 +188,7 @@ mod tests {
         assert_eq!(choice(&[at(5.0), at(5.0)], Some(1), &eager), Some(1));
     }
 
-    /// A base that cannot be used is left for any that can; where none can it stays.
+    /// An unusable base is left for a usable one; if there is none, it stays.
     #[test]
     fn a_base_that_fails_is_left() {
         let failed = |distance_km| CandidateState { is_usable: false, ..at(distance_km) };

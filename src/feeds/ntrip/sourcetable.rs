@@ -46,7 +46,7 @@ impl Sourcetable {
     }
 }
 
-/// Whether the table has its end.
+/// Whether the whole table has arrived.
 pub(super) fn is_whole(text: &[u8]) -> bool {
     text.windows(END.len()).rev().take(64).any(|window| window == END)
 }
