@@ -172,7 +172,7 @@ fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
     let delta: &[f64] = &request.antenna_delta_hen_m;
     let Some(marker) = &request.marker else {
         if !delta.is_empty() {
-            let message = "an antenna is above, east and north of a marker: give that too";
+            let message = "the offset of the antenna needs a marker";
             return Err(refused("antennaDeltaHenM", message.to_owned()));
         }
         return Ok(None);
@@ -213,9 +213,9 @@ fn result(
 }
 
 fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
-    let doubt =
+    let warning =
         check.doubtful_distance_m().map(|distance_m| Reason::BasePositionDoubtful { distance_m });
-    doubt.iter().map(reason).collect()
+    warning.iter().map(reason).collect()
 }
 
 fn message(service: &Service, info: &BaseInfo) -> v1::Base {

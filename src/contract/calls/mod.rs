@@ -50,7 +50,7 @@ fn base_choice(
         };
     }
     if !base.is_empty() {
-        let message = "one base is named, and several of which the nearest is to be used";
+        let message = "base and bases are both given";
         return Err(Refusal::new(Code::InvalidField, message).at("bases"));
     }
     let named = |(index, text): (usize, &String)| {
