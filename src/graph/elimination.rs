@@ -40,7 +40,7 @@ pub enum Variable {
 /// Why a system has no unique solution.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EliminationError {
-    /// The rows do not determine some direction. Named is the first variable, in the order of
+    /// The rows do not determine some direction. The variable is the first one, in the order of
     /// elimination, whose pivot shows it.
     #[error("{variable:?} is undetermined: pivot {pivot:e} of a diagonal of {diagonal:e}")]
     Singular {
@@ -287,7 +287,7 @@ pub struct Elimination<const S: usize> {
     pub(crate) last: Packed,
     last_forward: Vec<f64>,
     floor: Vec<f64>,
-    /// Number of border variables that joined the front before the state it is at.
+    /// Number of border variables alive that joined at earlier states than the front's.
     carried: usize,
     /// Steps of the border variables alive, during back substitution.
     alive: Vec<f64>,

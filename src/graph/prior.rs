@@ -294,8 +294,8 @@ mod tests {
         assert_eq!(covariances.border(0, 0), None);
     }
 
-    /// A state seen in one coordinate only, linked to the next in that coordinate: the other says
-    /// nothing, and nothing is what the prior must say about it.
+    /// Rows touch one of two coordinates only, at the state and in its link to the next: the prior
+    /// must have no information on the other.
     #[test]
     fn directions_without_information_are_left_out() {
         use crate::graph::kernel::Kernel;

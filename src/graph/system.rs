@@ -93,14 +93,14 @@ impl<const S: usize> Touched<S> {
 pub(crate) struct Life {
     /// Last state that touches it; `None` if no row does.
     pub(crate) last: Option<usize>,
-    /// The state of the row added last that touches it.
+    /// The state at which a row touched it last.
     state: usize,
     /// Its position in [`Touched::variables`] of that state.
     position: usize,
 }
 
 impl Life {
-    /// Its position in [`Touched::variables`] of the state of the row added last that touches it.
+    /// Its position in [`Touched::variables`] of the state at which a row touched it last.
     pub(crate) fn position(&self) -> usize {
         self.position
     }
