@@ -14,17 +14,18 @@ mod rtk_options;
 mod rtk_table;
 mod service;
 
-pub use choices::{
-    BandSet, ConstellationSet, DopplerUse, IonosphereModel, KernelLaw, Mode, Profile,
-    TroposphereMapping, TroposphereModel, WeightModel,
+pub use choices::{BandSet, ConstellationSet, Mode, Profile};
+pub(crate) use choices::{
+    DopplerUse, IonosphereModel, KernelLaw, TroposphereMapping, TroposphereModel, WeightModel,
 };
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use option_table::OptionEntry;
-pub use positioning::{PositioningOptions, REFERENCE_CN0_DB_HZ};
+pub use positioning::PositioningOptions;
+pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
-pub use service::{
-    BasesConfiguration, CasterConfiguration, FetchConfiguration, IntakeLimits, Limits,
-    LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
-    ServiceConfigurationError,
+pub(crate) use service::{
+    BasesConfiguration, CasterConfiguration, FetchConfiguration, NavigationConfiguration,
+    NetworkConfiguration, ServiceConfiguration, ServiceConfigurationError,
 };
+pub use service::{IntakeLimits, Limits};

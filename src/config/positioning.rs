@@ -9,7 +9,7 @@ use super::{
 };
 
 /// C/N0 to which the options' standard deviations refer (dB-Hz): at 22 dB-Hz they are tenfold.
-pub const REFERENCE_CN0_DB_HZ: f64 = 42.0;
+pub(crate) const REFERENCE_CN0_DB_HZ: f64 = 42.0;
 
 /// The options of an estimator: a profile's values with overrides.
 ///

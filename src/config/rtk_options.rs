@@ -60,7 +60,7 @@ pub struct RtkOptions {
 impl RtkOptions {
     /// How far back the epochs of a base matter (s). Older ones serve no differencing, and a slip
     /// in them ends no ambiguity that is still alive.
-    pub const fn base_span_s(&self) -> f64 {
+    pub(crate) const fn base_span_s(&self) -> f64 {
         self.base_age_max_s.max(self.arc_gap_s)
     }
 

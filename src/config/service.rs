@@ -18,7 +18,7 @@ const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 /// Options of the service.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ServiceConfiguration {
+pub(crate) struct ServiceConfiguration {
     /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
     /// TLS.
     pub listen: SocketAddr,
@@ -39,7 +39,7 @@ pub struct ServiceConfiguration {
 /// Sources of ephemerides beside uploads, bases and devices.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct NavigationConfiguration {
+pub(crate) struct NavigationConfiguration {
     /// Addresses of RINEX navigation files, plain or gzip, one a day: `{yyyy}`, `{yy}`, `{mm}`,
     /// `{dd}`, `{ddd}` and `{hh}` become year, month, day, day of year and hour of GPS time.
     pub archives: Vec<String>,
@@ -52,7 +52,7 @@ pub struct NavigationConfiguration {
 /// Sources of base stations beside those that clients create.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct BasesConfiguration {
+pub(crate) struct BasesConfiguration {
     /// Casters whose sourcetables give base positions. The streams nearest to rovers whose session
     /// takes the nearest base are connected while needed. Their hosts must be listed in
     /// `fetch.hosts`.
@@ -66,7 +66,7 @@ pub struct BasesConfiguration {
 /// An NTRIP caster with many streams.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct NetworkConfiguration {
+pub(crate) struct NetworkConfiguration {
     /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
     /// The caster's user; empty for none.
@@ -86,7 +86,7 @@ impl fmt::Debug for NetworkConfiguration {
 /// One stream of an NTRIP caster.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CasterConfiguration {
+pub(crate) struct CasterConfiguration {
     /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
     /// The mountpoint, without a slash.
@@ -108,7 +108,7 @@ impl fmt::Debug for CasterConfiguration {
 /// Hosts that the service may connect to at a client's request, such as casters.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct FetchConfiguration {
+pub(crate) struct FetchConfiguration {
     /// Allowed hosts: `host`, `host:port`, or `*.domain` for all hosts below a domain.
     pub hosts: Vec<String>,
     /// Whether these hosts may have addresses of private networks.
@@ -120,7 +120,7 @@ pub struct FetchConfiguration {
 /// Format and filter of the log.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LogConfiguration {
+pub(crate) struct LogConfiguration {
     /// Whether each line is a JSON object, instead of text.
     pub json: bool,
     /// Filter directives, such as `info` or `graphfix=debug,tower_http=info`.
@@ -178,7 +178,7 @@ pub struct IntakeLimits {
 
 impl Limits {
     /// The limits that apply to one push.
-    pub const fn intake(&self) -> IntakeLimits {
+    pub(crate) const fn intake(&self) -> IntakeLimits {
         IntakeLimits {
             epochs_per_push: self.epochs_per_push,
             satellites_per_epoch: self.satellites_per_epoch,
@@ -189,7 +189,7 @@ impl Limits {
 
 /// Why the service does not start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ServiceConfigurationError {
+pub(crate) enum ServiceConfigurationError {
     /// The file is not valid TOML, or holds an unknown key or a value of the wrong type.
     #[error("{0}")]
     Malformed(String),
@@ -209,7 +209,7 @@ pub enum ServiceConfigurationError {
 
 impl ServiceConfigurationError {
     /// The stable code.
-    pub const fn code(&self) -> Code {
+    pub(crate) const fn code(&self) -> Code {
         match self {
             Self::Malformed(_) => Code::ConfigurationMalformed,
             Self::NotLoopback(_) => Code::ListenNotLoopback,
@@ -222,7 +222,7 @@ impl ServiceConfigurationError {
 
 impl ServiceConfiguration {
     /// The default configuration.
-    pub fn standard() -> Self {
+    pub(crate) fn standard() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
             database: "sqlite://graphfix.db".to_owned(),
@@ -246,7 +246,7 @@ impl ServiceConfiguration {
     ///
     /// # Errors
     /// [`ServiceConfigurationError::Malformed`] with the line, the key and the accepted values.
-    pub fn from_toml(text: &str) -> Result<Self, ServiceConfigurationError> {
+    pub(crate) fn from_toml(text: &str) -> Result<Self, ServiceConfigurationError> {
         toml::from_str(text).map_err(|e| ServiceConfigurationError::Malformed(e.to_string()))
     }
 
@@ -254,7 +254,7 @@ impl ServiceConfiguration {
     ///
     /// # Errors
     /// An address that is not loopback, or a limit of zero.
-    pub fn check(&self) -> Result<(), ServiceConfigurationError> {
+    pub(crate) fn check(&self) -> Result<(), ServiceConfigurationError> {
         if !self.listen.ip().is_loopback() {
             return Err(ServiceConfigurationError::NotLoopback(self.listen));
         }

@@ -75,7 +75,7 @@ impl ArchiveTemplate {
 
     /// The time that one file covers (s), from the finest placeholder. `None` if the address does
     /// not identify a day of a year.
-    pub fn period_s(&self) -> Option<i64> {
+    pub(crate) fn period_s(&self) -> Option<i64> {
         let has = |placeholder| self.0.contains(placeholder);
         let has_day =
             (has("{yyyy}") || has("{yy}")) && (has("{ddd}") || has("{mm}") && has("{dd}"));

@@ -8,7 +8,7 @@ use uuid::Uuid;
 /// from half of it to all of it, so that clients that lost the same caster do not return at the
 /// same moment.
 #[derive(Clone, Debug)]
-pub struct Backoff {
+pub(crate) struct Backoff {
     first: Duration,
     ceiling: Duration,
     next: Duration,
@@ -16,12 +16,12 @@ pub struct Backoff {
 
 impl Backoff {
     /// Delays from `first` to `ceiling`.
-    pub const fn new(first: Duration, ceiling: Duration) -> Self {
+    pub(crate) const fn new(first: Duration, ceiling: Duration) -> Self {
         Self { first, ceiling, next: first }
     }
 
     /// The next delay, but at least the delay `asked` for by the host.
-    pub fn next(&mut self, asked: Option<Duration>) -> Duration {
+    pub(crate) fn next(&mut self, asked: Option<Duration>) -> Duration {
         // The quality of these random bits does not matter.
         let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
         let delay = self.next.mul_f64(0.5 + 0.5 * fraction);
@@ -30,7 +30,7 @@ impl Backoff {
     }
 
     /// Starts again with the first delay. Call it after a success that lasted.
-    pub const fn reset(&mut self) {
+    pub(crate) const fn reset(&mut self) {
         self.next = self.first;
     }
 }

@@ -147,7 +147,7 @@ impl Feeds {
     }
 
     /// The address and health of each source of ephemerides.
-    pub fn navigation_sources(&self) -> Vec<(String, SourceStatus)> {
+    pub(crate) fn navigation_sources(&self) -> Vec<(String, SourceStatus)> {
         self.sources().iter().map(|source| (source.name.clone(), source.status())).collect()
     }
 
@@ -199,7 +199,7 @@ impl Feeds {
     ///
     /// # Errors
     /// The address is invalid or has no day, or the operator does not list the host.
-    pub fn check_archive(&self, template: &str) -> Result<(), FetchError> {
+    pub(crate) fn check_archive(&self, template: &str) -> Result<(), FetchError> {
         let template = ArchiveTemplate::new(template)?;
         if template.period_s().is_none() {
             return Err(FetchError::TemplateWithoutDay { text: template.to_string() });
@@ -232,12 +232,12 @@ impl Feeds {
     }
 
     /// The health of the archive that fills a base.
-    pub fn archive_health(&self, base: &BaseId) -> Option<BaseArchiveHealth> {
+    pub(crate) fn archive_health(&self, base: &BaseId) -> Option<BaseArchiveHealth> {
         self.archives().get(base).map(|archive| archive.status.read())
     }
 
     /// Stops filling a base. A stream that fills no other base is closed.
-    pub fn stop(&self, base: &BaseId) {
+    pub(crate) fn stop(&self, base: &BaseId) {
         if let Some(RunningArchive { stop, .. }) = self.archives().remove(base) {
             // Err: the task has ended, because the base is deleted.
             stop.send(true).ok();

@@ -164,7 +164,7 @@ pub struct ArchiveHealth {
 
 /// Health of an archive that fills a base.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BaseArchiveHealth {
+pub(crate) struct BaseArchiveHealth {
     /// Present state; `Current` if no file that rovers need is missing.
     pub state: SourceState,
     /// When this state began (ms since 1970-01-01 UTC).

@@ -34,14 +34,14 @@ mod web;
 
 pub use address::{FetchPolicy, is_public};
 pub use archive::ArchiveTemplate;
-pub use backoff::Backoff;
+pub(crate) use backoff::Backoff;
 pub use connection::{Connection, Connector, Patience};
 pub use desk::Feeds;
 pub use error::FetchError;
-pub use health::{
-    ArchiveHealth, BaseArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState,
-};
+pub(crate) use health::BaseArchiveHealth;
+pub use health::{ArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState};
 pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
-pub use sources::{NavigationSources, SourceStatus};
+pub use sources::NavigationSources;
+pub(crate) use sources::SourceStatus;
 pub use web::{Fetched, Url, Validators, WebError, fetch};

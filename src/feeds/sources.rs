@@ -47,7 +47,7 @@ impl NavigationSources {
 
 /// Health of a source.
 #[derive(Clone, Debug, PartialEq)]
-pub enum SourceStatus {
+pub(crate) enum SourceStatus {
     /// An archive.
     Archive(ArchiveHealth),
     /// A stream.

@@ -13,8 +13,9 @@ mod status;
 use crate::contract::Service;
 
 pub use codec::Codec;
-pub use routes::routes;
-pub use status::{code_of, grpc_code, to_status};
+pub(crate) use routes::routes;
+pub(crate) use status::to_status;
+pub use status::{code_of, grpc_code};
 
 /// The services of `proto/graphfix/v1`, servers and clients.
 #[allow(missing_docs, unreachable_pub, clippy::all)]

@@ -20,7 +20,7 @@ use super::{DESCRIPTORS, Door, frame};
 ///
 /// # Panics
 /// Outside a tokio runtime, because a task reports the service's readiness as gRPC health.
-pub fn routes(service: &Service) -> Router {
+pub(crate) fn routes(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
     let door = Door(service.clone());
     let (health, health_service) = tonic_health::server::health_reporter();

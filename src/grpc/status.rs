@@ -26,7 +26,7 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
 }
 
 /// A refusal as gRPC sends it. Failures of the service are logged here, once.
-pub fn to_status(refusal: &Refusal) -> Status {
+pub(crate) fn to_status(refusal: &Refusal) -> Status {
     if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
         tracing::error!(code = refusal.code.name(), "{}", refusal.message);
     }

@@ -81,7 +81,7 @@ impl NtripError {
 
     /// Whether somebody must change something before the stream can succeed. The delays are then
     /// longer.
-    pub const fn is_lasting(&self) -> bool {
+    pub(crate) const fn is_lasting(&self) -> bool {
         match self {
             Self::Fetch(error) => {
                 !matches!(error, FetchError::Unresolved { .. } | FetchError::Unreachable { .. })

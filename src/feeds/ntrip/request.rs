@@ -102,7 +102,7 @@ pub struct StreamRequest {
 
 impl StreamRequest {
     /// Whether the mountpoint's name has only characters that a request can contain.
-    pub fn is_sound(&self) -> bool {
+    pub(crate) fn is_sound(&self) -> bool {
         let is_name = |c: char| c.is_ascii_graphic() && !matches!(c, '/' | '?' | '#' | '%');
         let mountpoint = &self.mountpoint;
         mountpoint.len() <= MOUNTPOINT_LIMIT && mountpoint.chars().all(is_name)

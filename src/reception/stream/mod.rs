@@ -34,7 +34,7 @@ const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// A receiver's stream up to the bytes that have arrived.
 #[derive(Debug)]
-pub struct Stream {
+pub(crate) struct Stream {
     /// Offset of its first byte among all bytes of the device.
     start: u64,
     /// Offset of the next byte.
@@ -68,7 +68,7 @@ enum Kind {
 
 /// The offsets of the bytes that must be stored to restore a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Needed {
+pub(crate) struct Needed {
     /// The header of a RINEX stream; empty for other streams.
     pub header: Range<u64>,
     /// The end of the stream.
@@ -78,7 +78,7 @@ pub struct Needed {
 impl Stream {
     /// A stream whose first byte is byte `start` of the device. `time` is within half a day of its
     /// first message, and dates messages without a week number.
-    pub const fn new(start: u64, time: GpsTime) -> Self {
+    pub(crate) const fn new(start: u64, time: GpsTime) -> Self {
         Self { start, through: start, time, form: Form::Unknown(Vec::new()), is_unpacked: false }
     }
 
@@ -91,7 +91,7 @@ impl Stream {
     ///
     /// # Errors
     /// The bytes do not belong to one stream.
-    pub fn restore(
+    pub(crate) fn restore(
         needed: &Needed,
         header: &[u8],
         tail: &[u8],
@@ -119,17 +119,17 @@ impl Stream {
     }
 
     /// Offset of its first byte.
-    pub const fn start(&self) -> u64 {
+    pub(crate) const fn start(&self) -> u64 {
         self.start
     }
 
     /// Offset of the next byte.
-    pub const fn through(&self) -> u64 {
+    pub(crate) const fn through(&self) -> u64 {
         self.through
     }
 
     /// The newest known time: the given one, or one from the stream.
-    pub const fn time(&self) -> GpsTime {
+    pub(crate) const fn time(&self) -> GpsTime {
         self.time
     }
 
@@ -143,7 +143,7 @@ impl Stream {
     }
 
     /// Sets a time within half a day of the next message.
-    pub fn date(&mut self, time: GpsTime) {
+    pub(crate) fn date(&mut self, time: GpsTime) {
         self.time = time;
         match &mut self.form {
             Form::Receiver { decoder, .. } => decoder.date(time),
@@ -157,7 +157,7 @@ impl Stream {
     ///
     /// # Errors
     /// The format is not known. The stream is then unusable.
-    pub fn push(
+    pub(crate) fn push(
         &mut self,
         bytes: &[u8],
         navigation: &Navigation,
@@ -183,7 +183,7 @@ impl Stream {
     }
 
     /// Ends the stream: incomplete data is decoded as it is.
-    pub fn finish(&mut self, received: &mut Received) {
+    pub(crate) fn finish(&mut self, received: &mut Received) {
         match &mut self.form {
             Form::Unknown(_) => {}
             Form::Receiver { decoder, from, .. } => {
@@ -202,7 +202,7 @@ impl Stream {
     }
 
     /// The bytes that must be stored to restore the stream in its present state.
-    pub fn needed(&self) -> Needed {
+    pub(crate) fn needed(&self) -> Needed {
         let Self { start, through, .. } = *self;
         let (header_bytes, tail_bytes) = match &self.form {
             Form::Unknown(head) => (0, head.len() as u64),
