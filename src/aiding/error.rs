@@ -14,7 +14,7 @@ pub enum AidingError {
         satellite: SatelliteId,
         /// Its ephemerides in the push.
         count: usize,
-        /// Most ephemerides of one satellite that are kept.
+        /// Number of ephemerides that are kept of one satellite.
         limit: usize,
     },
     /// No base has this id.

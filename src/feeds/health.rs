@@ -67,7 +67,7 @@ pub struct FeedHealth {
     pub state: FeedState,
     /// When this state began (ms since 1970-01-01 UTC).
     pub since_unix_ms: i64,
-    /// Why the stream was last lost. It stays when the stream returns.
+    /// Why the last connection was lost. It is kept after a reconnection.
     pub problem: Option<FeedProblem>,
     /// Why the last epochs were refused; `None` once epochs are accepted again.
     pub refusal: Option<FeedProblem>,

@@ -178,7 +178,7 @@ impl BaseBroker {
         Ok(self.base(id)?.stored().coverage(from, until))
     }
 
-    /// Most epochs that are kept of one base.
+    /// Largest number of epochs that one base keeps.
     pub const fn epochs_max(&self) -> usize {
         self.limits.epochs_per_base
     }

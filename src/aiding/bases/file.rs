@@ -23,7 +23,7 @@ pub enum BaseFileError {
     /// The file has more epochs than a base may have.
     #[error("the file holds more than {limit} epochs")]
     TooManyEpochs {
-        /// Most epochs of a base.
+        /// Number of epochs allowed.
         limit: usize,
     },
 }
