@@ -47,8 +47,8 @@ pub(super) struct Replay {
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
     pub(super) with: ReplayWith,
-    /// Whether missing data is tolerated: the present navigation data replace those no longer stored,
-    /// and base epochs no longer stored are left out.
+    /// Whether missing data is tolerated: the present navigation data replace those no longer
+    /// stored, and base epochs no longer stored are left out.
     pub(super) tolerates_missing: bool,
 }
 

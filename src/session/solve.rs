@@ -98,9 +98,9 @@ fn window_epochs(options: &PositioningOptions) -> usize {
 
 impl Sessions {
     /// Solves the session's present window with any mode and options. A new estimator receives the
-    /// last committed epochs, as many as the window of these options has, with the present navigation
-    /// data and base epochs. The session is not affected, and nothing is stored. With the session's
-    /// own configuration and base, the answer is the stored solution.
+    /// last committed epochs, as many as the window of these options has, with the present
+    /// navigation data and base epochs. The session is not affected, and nothing is stored. With
+    /// the session's own configuration and base, the answer is the stored solution.
     ///
     /// # Errors
     /// No session has this id, it has no epoch, or a configuration or base does not exist.
