@@ -5,6 +5,8 @@ use crate::gnss::{BaseStation, Epoch, Navigation};
 /// Base epochs may be tagged this much later than the rover's and still count as of its time (s):
 /// receivers tag by clocks that are off by up to milliseconds.
 pub const BASE_LATER_S: f64 = 0.02;
+/// Tolerance of time tags where the age of a base's epoch meets its limit (s).
+pub(crate) const TAG_SLACK_S: f64 = 1e-3;
 
 /// What an epoch needs beside its own observations.
 #[derive(Clone, Copy, Debug)]

@@ -12,6 +12,7 @@
 mod aiding;
 mod answer;
 mod antenna;
+mod base_position;
 mod chi_square;
 mod clock_jump;
 mod differencing;
@@ -34,7 +35,9 @@ mod standstill;
 mod uncertainty;
 mod velocity;
 
+pub(crate) use aiding::TAG_SLACK_S;
 pub use aiding::{Aiding, BASE_LATER_S, BaseAiding};
 pub use antenna::correct_for_antenna;
+pub use base_position::{BasePositionCheck, BasePositionVerdict};
 pub use estimator::{Batch, Estimator, EstimatorState, Scratch};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use graphfix::aiding::bases::{BaseChoice, BaseId, BaseInfo, NewBase};
+use graphfix::aiding::bases::{BaseChoice, BaseId, BaseInfo, BasePositionVerdict, NewBase};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Mode;
 use graphfix::gnss::{BaseSite, Epoch, PositionSource, Reason, Solution, Status};
@@ -124,7 +124,7 @@ async fn a_session_answers_as_solve_does(database: Database) {
     let info = desk.aiding.bases.get(&base).await.unwrap();
     let (first, last) = (PAIR.base[0].time, PAIR.base.last().unwrap().time);
     assert_eq!((info.epochs, info.span), (PAIR.base.len(), Some((first, last))));
-    assert_eq!((info.check.verdict(), info.check.epochs), ("AGREES", 10));
+    assert_eq!((info.check.verdict(), info.check.epochs), (BasePositionVerdict::Agrees, 10));
     assert!(info.check.distance_m().unwrap() < 10.0 && 10 < info.satellites);
 }
 
@@ -193,10 +193,10 @@ async fn a_base_in_the_wrong_place_is_refused_or_doubted(database: Database) {
     let (early, unplaced) = (create(500.0).await, NewBase::default());
     desk.push(&early, &PAIR.base).await;
     let verdict = async |base: &BaseId| desk.aiding.bases.get(base).await.unwrap().check.verdict();
-    assert_eq!(verdict(&early).await, "UNCHECKED");
+    assert_eq!(verdict(&early).await, BasePositionVerdict::Unchecked);
     desk.navigate().await;
     // … which is made up for when they come; sessions refuse such a base by themselves.
-    assert_eq!(verdict(&early).await, "REFUSED");
+    assert_eq!(verdict(&early).await, BasePositionVerdict::Refused);
     let session = desk.session(&early).await;
     let answer = desk.submit(&session, &PAIR.rover[..5]).await.pop().unwrap();
     let Some(Reason::BasePositionDoubtful { distance_m }) = answer.reasons.last() else {
@@ -208,8 +208,8 @@ async fn a_base_in_the_wrong_place_is_refused_or_doubted(database: Database) {
     assert_eq!(error.code().name(), "BASE_POSITION_REFUSED");
     let doubtful = create(40.0).await;
     let push = desk.aiding.bases.push(&doubtful, PAIR.base.clone()).await.unwrap();
-    assert!((45.0..70.0).contains(&push.check.doubtful_distance_m().unwrap()), "{push:?}");
-    assert_eq!(verdict(&doubtful).await, "DOUBTFUL");
+    assert!((45.0..70.0).contains(&push.check.distance_m().unwrap()), "{push:?}");
+    assert_eq!(verdict(&doubtful).await, BasePositionVerdict::Doubtful);
     let session = desk.session(&doubtful).await;
     let answer = desk.submit(&session, &PAIR.rover[..5]).await.pop().unwrap();
     assert!(codes(&answer).contains(&"BASE_POSITION_DOUBTFUL") && answer.provenance.base.is_some());

@@ -4,10 +4,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::gnss::{BaseSite, Epoch, GpsTime};
-use crate::positioning::BASE_LATER_S;
+use crate::positioning::{BASE_LATER_S, BasePositionCheck};
 use crate::store::StoredBaseEpoch;
 
-use super::check::PositionCheck;
 use super::{BaseEpochRefusal, CommittedEpoch};
 
 /// Tolerance of epoch tags to the nominal second (s).
@@ -34,7 +33,7 @@ pub(super) struct BaseEpochs {
     pub(super) epochs: VecDeque<StoredBaseEpoch>,
     /// Encoded size of the epochs.
     pub(super) bytes: usize,
-    pub(super) check: PositionCheck,
+    pub(super) check: BasePositionCheck,
     /// Number of satellites in the newest epoch.
     pub(super) satellites: usize,
     /// When the newest epoch was stored (ms since 1970-01-01 UTC).
@@ -55,7 +54,7 @@ impl BaseEpochs {
             sites: Arc::new(sites),
             epochs: epochs.into(),
             bytes,
-            check: PositionCheck::new(),
+            check: BasePositionCheck::new(),
             satellites: newest.map_or(0, |epoch| epoch.by_satellite().count()),
             stored_unix_ms,
             outdated: false,
@@ -83,7 +82,7 @@ impl BaseEpochs {
         let sites = Arc::make_mut(&mut self.sites);
         sites.retain(|(other, _)| *other < since);
         sites.push((since, site));
-        self.check = PositionCheck::new();
+        self.check = BasePositionCheck::new();
     }
 
     /// Decides whether `epoch` is new, a repetition, or refused. A new epoch is appended to `new`,

@@ -6,6 +6,7 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
+use crate::positioning::{BasePositionCheck, BasePositionVerdict};
 use crate::store::{
     BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
 };
@@ -13,7 +14,7 @@ use crate::store::{
 use super::base::{Base, BaseDescription};
 use super::base_epochs::BaseEpochs;
 use super::candidates::Candidates;
-use super::check::{PositionCheck, REFUSED_M};
+use super::check::continue_check;
 use super::nearest_requests::NearestBaseRequests;
 use super::{
     BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, CommittedEpoch, Coverage, NewBase,
@@ -278,7 +279,7 @@ impl BaseBroker {
         let (new_site, in_force, mut check, mut new) = {
             let stored = base.stored();
             let new_site = stored.new_site(site);
-            let check = if new_site.is_some() { PositionCheck::new() } else { stored.check };
+            let check = if new_site.is_some() { BasePositionCheck::new() } else { stored.check };
             let in_force = new_site.map(|(_, site)| site).or(stored.site()).cloned();
             (new_site, in_force, check, Vec::new())
         };
@@ -288,7 +289,9 @@ impl BaseBroker {
                 in_force.ok_or_else(|| AidingError::BasePositionMissing { id: id.to_string() })?;
             check = self.checked(check, site, epochs).await;
         }
-        if let Some(distance_m) = check.distance_m().filter(|distance_m| REFUSED_M < *distance_m) {
+        if let (BasePositionVerdict::Refused, Some(distance_m)) =
+            (check.verdict(), check.distance_m())
+        {
             return Err(AidingError::BasePositionRefused { distance_m, epochs: check.epochs });
         }
         let limits = (self.limits.epochs_per_base, self.limits.bytes_per_base);
@@ -364,16 +367,16 @@ impl BaseBroker {
     /// thread.
     async fn checked(
         &self,
-        check: PositionCheck,
+        check: BasePositionCheck,
         site: BaseSite,
         epochs: Vec<Epoch>,
-    ) -> PositionCheck {
+    ) -> BasePositionCheck {
         if check.is_done() {
             return check;
         }
         let navigation: Arc<Navigation> = self.navigation.current().navigation;
-        let work = move || check.add(&site, &epochs, &navigation);
-        // // Err: it panicked, so the check learns nothing.
+        let work = move || continue_check(check, &site, &epochs, &navigation);
+        // Err: it panicked, so the check learns nothing.
         tokio::task::spawn_blocking(work).await.unwrap_or(check)
     }
 
@@ -388,7 +391,7 @@ impl BaseBroker {
                 newest.rev().filter_map(|stored| stored.epoch().ok()).collect();
             (site.clone(), epochs)
         };
-        let check = self.checked(PositionCheck::new(), site, epochs).await;
+        let check = self.checked(BasePositionCheck::new(), site, epochs).await;
         let mut stored = base.stored();
         if stored.check.epochs == 0 {
             stored.check = check;

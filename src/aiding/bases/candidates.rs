@@ -9,14 +9,11 @@ use std::sync::Arc;
 
 use crate::config::RtkOptions;
 use crate::gnss::{Ecef, GpsTime};
+use crate::positioning::{BasePositionVerdict, TAG_SLACK_S};
 use crate::store::BaseKey;
 
 use super::BaseView;
 use super::base::Base;
-use super::check::REFUSED_M;
-
-/// Tolerance of the age limit (s), the same as in the estimators.
-const TAG_SLACK_S: f64 = 1e-3;
 
 /// The bases among which a session takes the nearest. All clones share them.
 #[derive(Clone)]
@@ -80,7 +77,7 @@ fn state_of(
 ) -> Option<CandidateState> {
     let stored = base.stored();
     let distance_m = position.distance_m(stored.site()?.antenna_reference_point());
-    let is_refused = stored.check.distance_m().is_some_and(|off_m| REFUSED_M < off_m);
+    let is_refused = stored.check.verdict() == BasePositionVerdict::Refused;
     let may_be_used = distance_m <= options.baseline_max_m && !is_refused;
     let gap_s = options.base_age_max_s + TAG_SLACK_S;
     let received_s = || stored.uninterrupted_s(time, gap_s, options.handover_gap_free_s);

@@ -44,10 +44,10 @@ use crate::id::{Id, Kind};
 use crate::refusal::Code;
 use crate::store::BaseName;
 
+pub use crate::positioning::{BasePositionCheck, BasePositionVerdict};
 pub use base_epochs::Coverage;
 pub use broker::BaseBroker;
 pub use candidates::Candidates;
-pub use check::PositionCheck;
 pub use file::{BaseFile, BaseFileError};
 pub use nearest_requests::{NearestBaseRequest, NearestBaseRequests};
 pub use view::{BaseInput, BaseView};
@@ -101,7 +101,7 @@ pub struct BaseInfo {
     /// Number of satellites in the newest epoch.
     pub satellites: usize,
     /// The stated position compared with the base's own single-point positions.
-    pub check: PositionCheck,
+    pub check: BasePositionCheck,
 }
 
 /// The answer to a push.
@@ -110,7 +110,7 @@ pub struct BasePush {
     /// The outcome of each epoch, in the order of the push.
     pub outcomes: Vec<Result<CommittedEpoch, BaseEpochRefusal>>,
     /// The stated position compared with the base's own single-point positions.
-    pub check: PositionCheck,
+    pub check: BasePositionCheck,
 }
 
 /// A committed epoch of a base.

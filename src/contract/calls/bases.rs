@@ -1,7 +1,8 @@
 //! Base stations.
 
 use crate::aiding::bases::{
-    BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePush, CommittedEpoch, NewBase, PositionCheck,
+    BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePositionCheck, BasePositionVerdict, BasePush,
+    CommittedEpoch, NewBase,
 };
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
@@ -212,10 +213,21 @@ fn result(
     message
 }
 
-fn warnings(check: &PositionCheck) -> Vec<v1::Reason> {
-    let warning =
-        check.doubtful_distance_m().map(|distance_m| Reason::BasePositionDoubtful { distance_m });
+fn warnings(check: &BasePositionCheck) -> Vec<v1::Reason> {
+    let doubtful_m =
+        check.distance_m().filter(|_| BasePositionVerdict::Doubtful <= check.verdict());
+    let warning = doubtful_m.map(|distance_m| Reason::BasePositionDoubtful { distance_m });
     warning.iter().map(reason).collect()
+}
+
+/// The verdict as the API writes it.
+const fn verdict_text(verdict: BasePositionVerdict) -> &'static str {
+    match verdict {
+        BasePositionVerdict::Unchecked => "UNCHECKED",
+        BasePositionVerdict::Agrees => "AGREES",
+        BasePositionVerdict::Doubtful => "DOUBTFUL",
+        BasePositionVerdict::Refused => "REFUSED",
+    }
 }
 
 fn message(service: &Service, info: &BaseInfo) -> v1::Base {
@@ -239,7 +251,7 @@ fn message(service: &Service, info: &BaseInfo) -> v1::Base {
         position_check: Some(v1::PositionCheck {
             epochs: info.check.epochs,
             distance_m: info.check.distance_m(),
-            verdict: info.check.verdict().to_owned(),
+            verdict: verdict_text(info.check.verdict()).to_owned(),
         }),
     }
 }
