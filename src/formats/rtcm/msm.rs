@@ -375,9 +375,9 @@ pub(super) fn decode(
         let mut observation = measurements.observation((row, index), empty, frequency_hz);
         if observation.carrier_phase.is_some() {
             let satellite = kind.constellation.index() * SATELLITES + usize::from(number) - 1;
-            let index = satellite * SIGNALS + usize::from(cell.signal) - 1;
+            let slot = satellite * SIGNALS + usize::from(cell.signal) - 1;
             let lock = measurements.lock_time(index);
-            observation.loss_of_lock = memory.locks.is_lost(index, header.time, lock);
+            observation.loss_of_lock = memory.locks.is_lost(slot, header.time, lock);
             observation.half_cycle = cells.half_cycle[index] == 1;
         }
         if !observation.is_empty() {
