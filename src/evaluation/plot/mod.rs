@@ -53,19 +53,30 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotE
 /// Writes the figure as SVG or PNG, by the extension of the path.
 pub fn write(path: &Path, title: &str, judgement: &Judgement) -> Result<(), PlotError> {
     let ending = path.extension().and_then(|ending| ending.to_str()).map(str::to_lowercase);
-    match ending.as_deref() {
-        Some("svg") => {
-            let text = svg(title, judgement)?;
-            let path_text = || path.display().to_string();
-            std::fs::write(path, text)
-                .map_err(|source| PlotError::Write { path: path_text(), source })
-        }
-        Some("png") => {
-            let backend = BitMapBackend::new(path, SIZE);
-            draw(&backend.into_drawing_area(), title, judgement)
-        }
-        _ => Err(PlotError::UnknownFormat(path.display().to_string())),
-    }
+    let content = match ending.as_deref() {
+        Some("svg") => svg(title, judgement)?.into_bytes(),
+        Some("png") => png(title, judgement)?,
+        _ => return Err(PlotError::UnknownFormat(path.display().to_string())),
+    };
+    std::fs::write(path, content)
+        .map_err(|source| PlotError::Write { path: path.display().to_string(), source })
+}
+
+/// The figure as a PNG image.
+fn png(title: &str, judgement: &Judgement) -> Result<Vec<u8>, PlotError> {
+    let (width, height) = SIZE;
+    let mut pixels = vec![0; 3 * width as usize * height as usize];
+    let area = BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area();
+    draw(&area, title, judgement)?;
+    drop(area);
+    let mut image = Vec::new();
+    let mut encoder = png::Encoder::new(&mut image, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder
+        .write_header()
+        .and_then(|mut writer| writer.write_image_data(&pixels))
+        .map_err(|error| PlotError::Draw(error.to_string()))?;
+    Ok(image)
 }
 
 /// The figure as an SVG document.
