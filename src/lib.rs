@@ -42,9 +42,12 @@
 //! | [`clock`] | the system clock |
 //! | [`aiding`] | ephemerides and base stations, for all sessions |
 //! | [`feeds`] | casters and archives, which fill `aiding` |
+//! | [`recording`] | files of a rover and its base, positioned together |
 //! | [`session`] | one task for each receiver: order, estimate, commit, answer |
 //! | [`contract`] | the messages of both network interfaces and their error codes |
-//! | [`grpc`], [`http`], [`cli`] | the interfaces |
+//! | [`grpc`], [`http`] | the network interfaces |
+//! | [`app`] | a service opened as its configuration says |
+//! | [`cli`] | the command line |
 //!
 //! [`gnss`], [`models`], [`graph`], [`lambda`], [`snapshot`], [`positioning`], [`formats`] and
 //! [`reception`] only compute: no clock, no file, no network, and the same input gives the same
@@ -83,11 +86,15 @@ pub mod aiding;
 
 pub mod feeds;
 
+pub mod recording;
+
 pub mod session;
 
 pub mod contract;
 
 pub mod grpc;
 pub mod http;
+
+pub mod app;
 
 pub mod cli;

@@ -13,10 +13,11 @@ use crate::evaluation::Truth;
 use crate::evaluation::comparison::{Comparison, Method};
 use crate::formats::{decompress, truth};
 use crate::gnss::{Ecef, Epoch, GpsTime};
+use crate::recording::{AnswerKind, Recording, RecordingError, RecordingInputs, Solutions};
 
 use super::Failure;
-use super::answers::{AnswerKind, Solver};
-use super::recording::{Recording, RecordingArguments};
+use super::option_arguments::assignments;
+use super::recording::RecordingArguments;
 
 /// Methods that one report can hold and still be read.
 const METHODS_MAX: usize = 7;
@@ -90,7 +91,8 @@ impl FromStr for MethodName {
 
 /// Runs the command; prints the first table on standard output.
 pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
-    let truth = arguments.truth()?;
+    let inputs = arguments.recording.inputs();
+    let truth = arguments.truth(&inputs)?;
     if arguments.output.extension().is_none_or(|ending| ending != "html") {
         let message = format!("{} does not end in .html", arguments.output.display());
         return Err(Failure::new("UNKNOWN_OUTPUT_FORMAT", message, "end the name in .html"));
@@ -101,13 +103,13 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
         return Err(Failure::new("USAGE", message, remedy));
     }
     let options: Result<Vec<_>, _> =
-        arguments.modes.iter().map(|method| arguments.options(method)).collect();
+        arguments.modes.iter().map(|method| arguments.options(method, &inputs)).collect();
     let mut methods = Vec::new();
     for (name, options) in arguments.modes.iter().zip(options?) {
         if std::io::stderr().is_terminal() {
             eprint!("\r\x1b[K{} {}", name.mode, name.answer.name());
         }
-        methods.push(arguments.solve(name, options)?);
+        methods.push(solve(&inputs, name, options)?);
     }
     if std::io::stderr().is_terminal() {
         eprint!("\r\x1b[K");
@@ -128,7 +130,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
 }
 
 impl CompareArguments {
-    fn truth(&self) -> Result<Option<Truth>, Failure> {
+    fn truth(&self, inputs: &RecordingInputs) -> Result<Option<Truth>, Failure> {
         if let Some([x, y, z]) = self.static_ecef.as_deref() {
             return Ok(Some(Truth::Static(Ecef::new(*x, *y, *z))));
         }
@@ -137,10 +139,11 @@ impl CompareArguments {
             let message = format!("cannot open {}: {error}", path.display());
             Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
         })?;
-        // Rows of week −1 mean the week of the recording.
+        // Rows of week −1 are of the recording's week.
         let mut epoch = Epoch::new(GpsTime::EPOCH);
-        if !Recording::open(&self.recording)?.read_epoch(&mut epoch)? {
-            return Err(Recording::no_epochs(&self.recording));
+        if !Recording::open(inputs)?.read_epoch(&mut epoch)? {
+            let name = inputs.rover.name().to_owned();
+            return Err(RecordingError::NoEpochs { name }.into());
         }
         let rows = truth::read(decompress(BufReader::new(file)), epoch.time.week());
         rows.map(|rows| Some(Truth::Trajectory(rows))).map_err(|error| {
@@ -149,57 +152,47 @@ impl CompareArguments {
         })
     }
 
-    fn options(&self, method: &MethodName) -> Result<PositioningOptions, Failure> {
+    fn options(
+        &self,
+        method: &MethodName,
+        inputs: &RecordingInputs,
+    ) -> Result<PositioningOptions, Failure> {
         let profile = method.profile.as_ref().unwrap_or(&self.profile);
         let mode = Mode::parse(&method.mode)?;
-        if method.answer != AnswerKind::Causal && !mode.has_window() {
-            let answer = method.answer.name();
-            let message = format!("mode {} has no answer {answer:?}", mode.name());
-            return Err(Failure::new("USAGE", message, "name a mode with a window, as fgo"));
-        }
-        self.recording.check_base(mode)?;
         let mut options = PositioningOptions::new(mode, Profile::parse(profile)?);
-        for assignment in &self.set {
-            let (key, value) = assignment.split_once('=').ok_or_else(|| {
-                let message = format!("--set {assignment:?} has no \"=\"");
-                Failure::new("USAGE", message, "write --set KEY=VALUE")
-            })?;
-            options.set(key.trim(), value)?;
+        inputs.check(&options, method.answer)?;
+        for (key, value) in assignments(&self.set)? {
+            options.set(key, value)?;
         }
         if let Some(window) = self.window.as_ref().filter(|_| mode.has_window()) {
             options.set("window_s", window)?;
         }
         Ok(options)
     }
+}
 
-    fn solve(&self, name: &MethodName, options: PositioningOptions) -> Result<Method, Failure> {
-        let began = Instant::now();
-        let changed = options.entries().into_iter().filter(|entry| entry.value != entry.default);
-        let overrides = changed.map(|entry| (entry.name.to_owned(), entry.value)).collect();
-        let (profile, configuration_hash) =
-            (options.profile.name().to_owned(), options.configuration_hash());
-        let mut recording = Recording::open(&self.recording)?;
-        let mut solver = Solver::new(options, name.answer);
-        let mut solutions = Vec::new();
-        let mut epoch = Epoch::new(GpsTime::EPOCH);
-        while recording.read_epoch(&mut epoch)? {
-            solutions.extend(solver.advance(&epoch, &recording.aiding()));
-        }
-        solutions.extend(solver.finish());
-        if solutions.is_empty() {
-            return Err(Recording::no_epochs(&self.recording));
-        }
-        solutions.sort_by_key(|solution| solution.time);
-        Ok(Method {
-            mode: name.mode.clone(),
-            answer: name.answer.name().to_owned(),
-            profile,
-            configuration_hash,
-            overrides,
-            solutions,
-            elapsed_s: began.elapsed().as_secs_f64(),
-        })
-    }
+fn solve(
+    inputs: &RecordingInputs,
+    name: &MethodName,
+    options: PositioningOptions,
+) -> Result<Method, Failure> {
+    let began = Instant::now();
+    let changed = options.entries().into_iter().filter(|entry| entry.value != entry.default);
+    let overrides = changed.map(|entry| (entry.name.to_owned(), entry.value)).collect();
+    let (profile, configuration_hash) =
+        (options.profile.name().to_owned(), options.configuration_hash());
+    let solutions = Solutions::open(inputs, options, name.answer)?;
+    let mut solutions = solutions.collect::<Result<Vec<_>, _>>()?;
+    solutions.sort_by_key(|solution| solution.time);
+    Ok(Method {
+        mode: name.mode.clone(),
+        answer: name.answer.name().to_owned(),
+        profile,
+        configuration_hash,
+        overrides,
+        solutions,
+        elapsed_s: began.elapsed().as_secs_f64(),
+    })
 }
 
 /// Errors, or fix rates where there is no truth, one line for each method.

@@ -3,9 +3,6 @@
 //! A command that cannot do its work ends with a non-zero exit code and one line on standard
 //! error, `error[CODE]: what is wrong (what to do)`.
 
-mod answers;
-mod antennas;
-mod base;
 mod compare;
 mod config;
 mod demo;
@@ -14,7 +11,6 @@ mod evaluate;
 mod failure;
 mod files;
 mod host;
-mod odometry;
 mod option_arguments;
 mod progress;
 mod recording;

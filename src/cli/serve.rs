@@ -6,11 +6,13 @@ use std::path::PathBuf;
 use clap::Args;
 use tokio::net::TcpListener;
 
+use crate::app;
 use crate::config::ServiceConfiguration;
+use crate::feeds::{FeedOptions, Patience};
 use crate::refusal::Code;
 
 use super::Failure;
-use super::host::{self, Host};
+use super::host;
 
 /// Runs the service until it is interrupted.
 #[derive(Clone, Debug, Args)]
@@ -84,12 +86,11 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
         let message = format!("{}: {error}", configuration.listen);
         Failure::of(Code::AddressUnavailable, message)
     })?;
-    let ServiceConfiguration { database, limits, fetch, navigation, bases, .. } = &configuration;
-    let host = Host::open(database, limits, fetch, navigation).await?;
-    host.bring_bases(bases)?;
+    let opened = app::open(&configuration, Patience::standard(), FeedOptions::standard());
+    let app = opened.await?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
-    host.serve(listener, host::interrupted()).await?;
+    app.serve(listener, host::interrupted()).await?;
     tracing::info!("stopped; everything acknowledged is stored");
     Ok(())
 }

@@ -9,18 +9,17 @@ use clap::Args;
 
 use crate::config::PositioningOptions;
 use crate::formats::{csv, geojson, pos};
-use crate::gnss::{Epoch, GpsTime, LeapSeconds, Reason, Solution, Status};
+use crate::gnss::{LeapSeconds, Reason, Solution, Status};
+use crate::recording::{AnswerKind, Provenance, Solutions};
 
 use super::Failure;
-use super::answers::{AnswerKind, Solver};
-use super::files::LeftOutOf;
 use super::option_arguments::OptionArguments;
-use super::recording::{Recording, RecordingArguments};
+use super::recording::RecordingArguments;
 
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
-/// The window that holds everything.
+/// The value of `--window` for all epochs at once.
 const BATCH: &str = "batch";
-/// Epochs between looks at the clock for the progress line.
+/// Epochs between two readings of the clock for the progress line.
 const PROGRESS_EPOCHS: u64 = 1_000;
 /// Least time between two progress lines.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
@@ -50,37 +49,26 @@ pub(crate) struct SolveArguments {
 pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let began = Instant::now();
     let options = arguments.options()?;
-    let mut recording = Recording::open(&arguments.recording)?;
+    let inputs = arguments.recording.inputs();
     let comments = [
         format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
         format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
         format!("options   : {}", options.configuration_hash()),
     ];
-    let leap_seconds = recording.navigation().leap_seconds;
+    let mut solutions = Solutions::open(&inputs, options, arguments.answer_kind())?;
+    let leap_seconds = solutions.leap_seconds();
     let mut output = Output::create(&arguments.output, &comments, leap_seconds)?;
-    let mut solver = Solver::new(options, arguments.answer_kind());
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
-    let mut epoch = Epoch::new(GpsTime::from_ns(0));
-    while recording.read_epoch(&mut epoch)? {
-        for solution in solver.advance(&epoch, &recording.aiding()) {
-            output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
-            tally.add(&solution);
-        }
-        progress.show(&tally);
-    }
-    for solution in solver.finish() {
+    for solution in &mut solutions {
+        let solution = solution.inspect_err(|_| progress.clear())?;
         output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
         tally.add(&solution);
+        progress.show(&tally);
     }
     output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
     progress.clear();
-    if tally.epochs == 0 {
-        return Err(Recording::no_epochs(&arguments.recording));
-    }
-    let notes = recording.notes();
-    let mut summary = summary(&tally, &recording.into_left_out(), began.elapsed());
-    notes.iter().for_each(|note| summary += &format!("  {note}\n"));
+    let summary = summary(&tally, &solutions.provenance(), began.elapsed());
     // Err: nobody reads the summary.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
@@ -94,7 +82,6 @@ impl SolveArguments {
             let message = format!("mode {} has no window", options.mode.name());
             return Err(Failure::new("USAGE", message, "add --mode fgo"));
         }
-        self.recording.check_base(options.mode)?;
         if let Some(window) = self.window.as_deref().filter(|window| *window != BATCH) {
             options.set("window_s", window)?;
         }
@@ -162,7 +149,7 @@ impl Output {
     }
 }
 
-/// What became of the epochs.
+/// Counts of the epochs and of their answers.
 #[derive(Debug, Default)]
 struct Tally {
     epochs: u64,
@@ -184,7 +171,7 @@ impl Tally {
     }
 }
 
-/// A line on standard error that tells how far the run is, on terminals only.
+/// A line on standard error with the number of epochs so far, on terminals only.
 struct Progress {
     began: Instant,
     shown: Instant,
@@ -214,8 +201,9 @@ impl Progress {
     }
 }
 
-/// The closing lines: epochs, answers, reasons, what the files held that was left out, speed.
-fn summary(tally: &Tally, left_out: &LeftOutOf<'_>, elapsed: Duration) -> String {
+/// The closing lines: epochs, speed, reasons, what was left out of the files, what the positions
+/// rest on.
+fn summary(tally: &Tally, provenance: &Provenance, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!(
         "{} epochs, {} answered, {} without position; {seconds:.3} s, {:.0} epochs/s\n",
@@ -227,10 +215,13 @@ fn summary(tally: &Tally, left_out: &LeftOutOf<'_>, elapsed: Duration) -> String
     for (code, count) in &tally.reasons {
         text += &format!("  {code}: {count} epochs\n");
     }
-    for (path, left_out) in left_out {
+    for (name, left_out) in &provenance.left_out {
         for line in left_out.to_string().lines() {
-            text += &format!("  {}: {line}\n", path.display());
+            text += &format!("  {name}: {line}\n");
         }
+    }
+    for line in provenance.lines() {
+        text += &format!("  {line}\n");
     }
     text
 }

@@ -65,7 +65,7 @@ pub(super) fn run(arguments: StreamArguments) -> Result<(), Failure> {
 }
 
 async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
-    let is_raw = files::is_receiver_data(&arguments.rover)?;
+    let is_raw = files::input(&arguments.rover).is_receiver_data()?;
     let mut rover = if is_raw { None } else { Some(Rover::open(&arguments.rover)?) };
     let patience = Duration::from_secs(arguments.patience);
     let connection = Connection::to(&arguments.server, patience)?;

@@ -35,7 +35,7 @@ impl<'a> Bytestream<'a> {
         skipped: u64,
         near: Option<GpsTime>,
     ) -> Result<Self, Failure> {
-        let mut input = files::open_plain(path)?;
+        let mut input = files::input(path).open()?;
         let passed = std::io::copy(&mut input.by_ref().take(skipped), &mut std::io::sink());
         passed.map_err(|error| unreadable(path, &error))?;
         Ok(Self { path, input, offset: skipped, near })

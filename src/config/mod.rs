@@ -24,8 +24,8 @@ pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
-pub(crate) use service::{
-    BasesConfiguration, CasterConfiguration, FetchConfiguration, NavigationConfiguration,
-    NetworkConfiguration, ServiceConfiguration, ServiceConfigurationError,
+pub(crate) use service::ServiceConfigurationError;
+pub use service::{
+    BasesConfiguration, CasterConfiguration, FetchConfiguration, IntakeLimits, Limits,
+    LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
-pub use service::{IntakeLimits, Limits};

@@ -18,7 +18,7 @@ const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 /// Options of the service.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct ServiceConfiguration {
+pub struct ServiceConfiguration {
     /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
     /// TLS.
     pub listen: SocketAddr,
@@ -39,7 +39,7 @@ pub(crate) struct ServiceConfiguration {
 /// Sources of ephemerides beside uploads, bases and devices.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct NavigationConfiguration {
+pub struct NavigationConfiguration {
     /// Addresses of RINEX navigation files, plain or gzip, one a day: `{yyyy}`, `{yy}`, `{mm}`,
     /// `{dd}`, `{ddd}` and `{hh}` become year, month, day, day of year and hour of GPS time.
     pub archives: Vec<String>,
@@ -52,7 +52,7 @@ pub(crate) struct NavigationConfiguration {
 /// Sources of base stations beside those that clients create.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct BasesConfiguration {
+pub struct BasesConfiguration {
     /// Casters whose sourcetables give base positions. The streams nearest to rovers whose session
     /// takes the nearest base are connected while needed. Their hosts must be listed in
     /// `fetch.hosts`.
@@ -66,7 +66,7 @@ pub(crate) struct BasesConfiguration {
 /// An NTRIP caster with many streams.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct NetworkConfiguration {
+pub struct NetworkConfiguration {
     /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
     /// The caster's user; empty for none.
@@ -86,7 +86,7 @@ impl fmt::Debug for NetworkConfiguration {
 /// One stream of an NTRIP caster.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct CasterConfiguration {
+pub struct CasterConfiguration {
     /// The caster's URL, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
     pub caster: String,
     /// The mountpoint, without a slash.
@@ -108,7 +108,7 @@ impl fmt::Debug for CasterConfiguration {
 /// Hosts that the service may connect to at a client's request, such as casters.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct FetchConfiguration {
+pub struct FetchConfiguration {
     /// Allowed hosts: `host`, `host:port`, or `*.domain` for all hosts below a domain.
     pub hosts: Vec<String>,
     /// Whether these hosts may have addresses of private networks.
@@ -120,7 +120,7 @@ pub(crate) struct FetchConfiguration {
 /// Format and filter of the log.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct LogConfiguration {
+pub struct LogConfiguration {
     /// Whether each line is a JSON object, instead of text.
     pub json: bool,
     /// Filter directives, such as `info` or `graphfix=debug,tower_http=info`.
@@ -222,7 +222,7 @@ impl ServiceConfigurationError {
 
 impl ServiceConfiguration {
     /// The default configuration.
-    pub(crate) fn standard() -> Self {
+    pub fn standard() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
             database: "sqlite://graphfix.db".to_owned(),

@@ -3,21 +3,20 @@
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
-use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::config::Limits;
+use graphfix::app::{self, App};
+use graphfix::config::{FetchConfiguration, Limits, ServiceConfiguration};
 use graphfix::contract::Service;
-use graphfix::feeds::{FeedOptions, Feeds};
-use graphfix::session::{SessionLimits, Sessions};
-use graphfix::store::Store;
+use graphfix::feeds::FeedOptions;
 use serde_json::{Value, json};
 use tower::ServiceExt;
 
-use super::casters::{BRISK, connector};
+use super::casters::{BRISK, PATIENCE};
 use super::wait::until;
 
 pub(crate) struct Doors {
     pub(crate) router: Router,
     pub(crate) service: Service,
+    app: App,
     folder: tempfile::TempDir,
 }
 
@@ -37,33 +36,21 @@ impl Doors {
 
     /// The service after it has stopped and started again.
     pub(crate) async fn restarted(self) -> Self {
-        self.service.sessions().drain().await;
-        self.service.feeds().close().await;
+        self.app.close().await;
         Self::within(self.folder, Limits::standard(), BRISK).await
     }
 
     async fn within(folder: tempfile::TempDir, limits: Limits, options: FeedOptions) -> Self {
-        let url = format!("sqlite://{}", folder.path().join("test.db").display());
-        let store = Store::open(&url).await.unwrap();
-        let held = AidingLimits {
-            ephemerides_per_satellite: limits.ephemerides_per_satellite,
-            bases: limits.bases,
-            epochs_per_base: limits.epochs_per_base,
-            bytes_per_base: limits.bytes_per_base,
-            observations_per_epoch: limits.observations_per_epoch,
-            ..AidingLimits::service()
+        let hosts = ["localhost", "127.0.0.1"].map(str::to_owned).to_vec();
+        let configuration = ServiceConfiguration {
+            database: format!("sqlite://{}", folder.path().join("test.db").display()),
+            fetch: FetchConfiguration { hosts, private_addresses: true, ca_file: None },
+            limits,
+            ..ServiceConfiguration::standard()
         };
-        let aiding = AidingDesk::open(store.clone(), held).await.unwrap();
-        let session_limits = SessionLimits {
-            epochs_per_push: limits.epochs_per_push,
-            raw_chunk_bytes: limits.raw_piece_bytes,
-            observations_per_epoch: limits.observations_per_epoch,
-            ..SessionLimits::service()
-        };
-        let sessions = Sessions::open(store, aiding.clone(), session_limits);
-        let feeds = Feeds::open(connector(None), aiding.clone(), options);
-        let service = Service::new(sessions, aiding, feeds, limits);
-        Self { router: graphfix::http::router(&service), service, folder }
+        let app = app::open(&configuration, PATIENCE, options).await.unwrap();
+        let service = app.service().clone();
+        Self { router: graphfix::http::router(&service), service, app, folder }
     }
 
     /// The status and JSON that a request is answered with.

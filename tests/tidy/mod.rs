@@ -38,6 +38,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
         &["gnss", "id", "refusal", "clock", "config", "models", "formats", "positioning", "store"],
     ),
     ("feeds", &["gnss", "refusal", "clock", "formats", "aiding"]),
+    ("recording", &["gnss", "config", "formats", "positioning"]),
     (
         "session",
         &[
@@ -70,6 +71,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ),
     ("grpc", &["refusal", "contract"]),
     ("http", &["refusal", "contract", "grpc"]),
+    ("app", &["refusal", "config", "store", "aiding", "feeds", "session", "contract", "http"]),
     (
         "cli",
         &[
@@ -78,15 +80,15 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "config",
             "formats",
             "simulation",
-            "positioning",
             "store",
             "evaluation",
             "aiding",
             "feeds",
+            "recording",
             "session",
             "contract",
             "grpc",
-            "http",
+            "app",
         ],
     ),
 ];

@@ -11,7 +11,9 @@ use clap::{Args, value_parser};
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot};
 
-use crate::config::{Limits, ServiceConfiguration};
+use crate::app;
+use crate::config::ServiceConfiguration;
+use crate::feeds::{FeedOptions, Patience};
 use crate::formats::rinex::write_navigation;
 use crate::refusal::Code;
 use crate::simulation::{self, Scenario};
@@ -20,7 +22,7 @@ use self::fleet::{Report, Sky};
 use self::table::Table;
 use super::Failure;
 use super::device::Connection;
-use super::host::{self, Host};
+use super::host;
 
 /// Where the service is looked for first.
 const PORT: u16 = 8080;
@@ -62,11 +64,12 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let database = format!("sqlite://{}", folder.0.join("demo.db").display());
     let listener = listener().await?;
     let address = listener.local_addr().map_err(|error| no_port(&error))?;
-    let ServiceConfiguration { fetch, navigation, .. } = ServiceConfiguration::standard();
-    let host = Host::open(&database, &Limits::standard(), &fetch, &navigation).await?;
+    let configuration = ServiceConfiguration { database, ..ServiceConfiguration::standard() };
+    let opened = app::open(&configuration, Patience::standard(), FeedOptions::standard());
+    let app = opened.await?;
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped its end, which stops the service too.
-    let serving = tokio::spawn(host.serve(listener, async { drop(stopped.await) }));
+    let serving = tokio::spawn(app.serve(listener, async { drop(stopped.await) }));
     println!("serving gRPC and REST at http://{address}/ (open it: /docs explains every call)");
 
     let server = format!("http://{address}");

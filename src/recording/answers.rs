@@ -1,4 +1,4 @@
-//! Which of an estimator's answers a command asks for: at once, smoothed, or from everything.
+//! Which of an estimator's answers is asked for: at once, smoothed, or from the whole recording.
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, Solution};
@@ -6,18 +6,18 @@ use crate::positioning::{Aiding, Batch, Estimator};
 
 /// The kind of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum AnswerKind {
-    /// The one at once.
+pub enum AnswerKind {
+    /// At once, from the epochs up to that one.
     Causal,
-    /// The one when the epoch leaves the window.
+    /// When the epoch leaves the window, smoothed by the epochs after it.
     FixedLag,
-    /// The one from everything.
+    /// At the end, from all epochs.
     Batch,
 }
 
 impl AnswerKind {
     /// The name as users write it.
-    pub(crate) const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Causal => "causal",
             Self::FixedLag => "smoothed",
@@ -26,13 +26,13 @@ impl AnswerKind {
     }
 
     /// The kind of a name as users write it.
-    pub(crate) fn from_name(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         [Self::Causal, Self::FixedLag, Self::Batch].into_iter().find(|kind| kind.name() == name)
     }
 }
 
 /// An estimator that gives one kind of answer.
-pub(crate) enum Solver {
+pub enum Solver {
     /// Answers at once, or when epochs leave the window.
     Window(AnswerKind, Box<Estimator>),
     /// Answers at the end.
@@ -40,8 +40,8 @@ pub(crate) enum Solver {
 }
 
 impl Solver {
-    /// One that has seen nothing.
-    pub(crate) fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
+    /// A solver before its first epoch.
+    pub fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
         match kind {
             AnswerKind::Causal => Self::Window(kind, Box::new(Estimator::new(options))),
             AnswerKind::FixedLag => Self::Window(kind, Box::new(Estimator::revising(options))),
@@ -50,7 +50,7 @@ impl Solver {
     }
 
     /// The answers due after an epoch.
-    pub(crate) fn advance(
+    pub fn advance(
         &mut self,
         epoch: &Epoch,
         aiding: &Aiding<'_>,
@@ -70,7 +70,7 @@ impl Solver {
     }
 
     /// The answers due at the end.
-    pub(crate) fn finish(self) -> Vec<Solution> {
+    pub fn finish(self) -> Vec<Solution> {
         match self {
             Self::Window(AnswerKind::FixedLag, estimator) => estimator.finish(),
             Self::Window(..) => Vec::new(),

@@ -1,31 +1,31 @@
-//! A file of odometry beside a recording: which row belongs to which epoch.
+//! Odometry of a recording: which row belongs to which epoch.
 
 use crate::formats::odometry::OdometryRow;
 use crate::gnss::{GpsTime, Odometry};
 
-/// A row belongs to the epoch whose time is this near to its own (s).
+/// Largest difference between the times of a row and of its epoch (s).
 const NEAR_S: f64 = 0.05;
 
-/// Rows that are handed out to epochs in the order of time.
+/// Rows that are assigned to epochs in the order of time.
 #[derive(Debug)]
-pub(crate) struct OdometryRows {
+pub(super) struct OdometryRows {
     rows: Vec<OdometryRow>,
     next: usize,
     matched: usize,
 }
 
 impl OdometryRows {
-    /// Of rows in the order of their times.
-    pub(crate) fn new(rows: Vec<OdometryRow>) -> Self {
+    /// From rows in the order of their times.
+    pub(super) fn new(rows: Vec<OdometryRow>) -> Self {
         Self { rows, next: 0, matched: 0 }
     }
 
     /// The displacement that ended at `time`; times must rise from call to call.
-    pub(crate) fn at(&mut self, time: GpsTime) -> Option<Odometry> {
+    pub(super) fn at(&mut self, time: GpsTime) -> Option<Odometry> {
         let late = |row: &&OdometryRow| NEAR_S < time - row.time;
         self.next += self.rows[self.next..].iter().take_while(late).count();
         let away_s = |index: usize| self.rows.get(index).map(|row| (row.time - time).abs());
-        // Of two that are near, the nearer.
+        // Of two near rows the nearer one.
         while let (Some(here), Some(further)) = (away_s(self.next), away_s(self.next + 1))
             && further < here
         {
@@ -37,8 +37,8 @@ impl OdometryRows {
         Some(near.odometry)
     }
 
-    /// How many rows no epoch took.
-    pub(crate) fn unmatched(&self) -> usize {
+    /// The number of rows without an epoch.
+    pub(super) fn unmatched(&self) -> usize {
         self.rows.len() - self.matched
     }
 }

@@ -1,0 +1,36 @@
+//! Why a service does not open, or stops.
+
+use crate::aiding::AidingError;
+use crate::feeds::FetchError;
+use crate::http::ServerError;
+use crate::refusal::Code;
+use crate::store::StoreError;
+
+/// Why a service does not open, or stops.
+#[derive(Debug, thiserror::Error)]
+pub enum AppError {
+    /// The database.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// What is stored of ephemerides or bases.
+    #[error(transparent)]
+    Aiding(#[from] AidingError),
+    /// A source of data.
+    #[error(transparent)]
+    Fetch(#[from] FetchError),
+    /// The listener.
+    #[error(transparent)]
+    Server(#[from] ServerError),
+}
+
+impl AppError {
+    /// Its code.
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Store(error) => error.code(),
+            Self::Aiding(error) => error.code(),
+            Self::Fetch(error) => error.code(),
+            Self::Server(_) => Code::ListenerFailed,
+        }
+    }
+}

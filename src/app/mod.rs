@@ -1,0 +1,157 @@
+//! The composition root: a service's desks, opened with what its configuration says.
+//!
+//! `serve`, `demo` and the tests of the doors open the service here, so that the wiring of limits
+//! and of sources of data exists once.
+
+mod error;
+
+use std::future::Future;
+use std::num::NonZeroUsize;
+use std::thread::available_parallelism;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+
+use crate::aiding::{AidingDesk, AidingLimits};
+use crate::config::{
+    BasesConfiguration, CasterConfiguration, Limits, NavigationConfiguration, NetworkConfiguration,
+    ServiceConfiguration,
+};
+use crate::contract::Service;
+use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
+use crate::feeds::{
+    ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
+    NetworkRequest, Patience,
+};
+use crate::http;
+use crate::session::{SessionLimits, Sessions};
+use crate::store::Store;
+
+pub use error::AppError;
+
+/// Interval of the check which streams of a network rovers need.
+const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
+
+/// A service whose desks are open.
+pub struct App {
+    store: Store,
+    service: Service,
+}
+
+/// Opens the database and the desks, and starts what brings ephemerides and bases. Connections to
+/// other hosts are made with `patience` and kept as `feed_options` say.
+///
+/// # Errors
+/// The database cannot be opened or read, or an address of a source is invalid or not allowed.
+pub async fn open(
+    configuration: &ServiceConfiguration,
+    patience: Patience,
+    feed_options: FeedOptions,
+) -> Result<App, AppError> {
+    let ServiceConfiguration { database, fetch, navigation, bases, limits, .. } = configuration;
+    let sources = navigation_sources(navigation)?;
+    let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
+    let connector = Connector::new(policy, patience, fetch.ca_file.as_deref())?;
+    // What the operator names may be anywhere; what clients name only at the hosts listed.
+    let operator_connector = Connector::new(sources.policy()?, patience, fetch.ca_file.as_deref())?;
+    let store = Store::open(database).await?;
+    let aiding = AidingDesk::open(store.clone(), aiding_limits(limits)).await?;
+    let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
+    let feeds = Feeds::open(connector, aiding.clone(), feed_options);
+    feeds.bring_navigation(sources, &operator_connector)?;
+    feeds.bring_bases(network_requests(bases)?)?;
+    Ok(App { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
+}
+
+impl App {
+    /// What the doors open to.
+    pub const fn service(&self) -> &Service {
+        &self.service
+    }
+
+    /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes.
+    ///
+    /// # Errors
+    /// The listener fails.
+    pub async fn serve(
+        self,
+        listener: TcpListener,
+        stop: impl Future<Output = ()> + Send + 'static,
+    ) -> Result<(), AppError> {
+        let served = http::serve(listener, &self.service, stop).await;
+        self.close().await;
+        Ok(served?)
+    }
+
+    /// Finishes what runs and closes the database.
+    pub async fn close(self) {
+        self.service.sessions().drain().await;
+        self.service.feeds().close().await;
+        self.store.close().await;
+    }
+}
+
+fn navigation_sources(
+    configuration: &NavigationConfiguration,
+) -> Result<NavigationSources, FetchError> {
+    let archives = configuration.archives.iter().map(|text| ArchiveTemplate::new(text));
+    let stream = |named: &CasterConfiguration| {
+        let CasterConfiguration { caster, mountpoint, user, password } = named;
+        Ok(StreamRequest {
+            caster: caster.parse()?,
+            mountpoint: mountpoint.clone(),
+            credentials: credentials(user, password),
+            version: NtripVersion::Two,
+        })
+    };
+    Ok(NavigationSources {
+        archives: archives.collect::<Result<_, _>>()?,
+        interval: Duration::from_secs(configuration.archive_interval_s),
+        streams: configuration.casters.iter().map(stream).collect::<Result<_, FetchError>>()?,
+    })
+}
+
+fn network_requests(configuration: &BasesConfiguration) -> Result<Vec<NetworkRequest>, FetchError> {
+    let request = |named: &NetworkConfiguration| {
+        let NetworkConfiguration { caster, user, password } = named;
+        Ok(NetworkRequest {
+            caster: caster.parse()?,
+            credentials: credentials(user, password),
+            near: None,
+            table_interval: Duration::from_secs(configuration.table_interval_s),
+            idle: Duration::from_secs(configuration.idle_s),
+            demand_interval: DEMAND_INTERVAL,
+        })
+    };
+    configuration.networks.iter().map(request).collect()
+}
+
+/// `None` where no user is named.
+fn credentials(user: &str, password: &str) -> Option<Credentials> {
+    let credentials = Credentials { name: user.to_owned(), password: password.to_owned() };
+    (!user.is_empty()).then_some(credentials)
+}
+
+fn aiding_limits(limits: &Limits) -> AidingLimits {
+    AidingLimits {
+        ephemerides_per_satellite: limits.ephemerides_per_satellite,
+        bases: limits.bases,
+        epochs_per_base: limits.epochs_per_base,
+        bytes_per_base: limits.bytes_per_base,
+        observations_per_epoch: limits.observations_per_epoch,
+        ..AidingLimits::service()
+    }
+}
+
+fn session_limits(limits: &Limits) -> SessionLimits {
+    SessionLimits {
+        mailbox_epochs: limits.mailbox_epochs,
+        waiting_epochs: limits.waiting_epochs,
+        epochs_per_push: limits.epochs_per_push,
+        raw_chunk_bytes: limits.raw_piece_bytes,
+        observations_per_epoch: limits.observations_per_epoch,
+        active_sessions: limits.active_sessions,
+        solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
+        ..SessionLimits::service()
+    }
+}

@@ -1,0 +1,201 @@
+//! The base station of a recording, read in step with the rover.
+
+use nalgebra::Vector3;
+
+use crate::config::{Mode, PositioningOptions, Profile};
+use crate::formats::observations::LeftOut;
+use crate::gnss::{
+    AntennaCatalogue, BaseSite, BaseStation, Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation,
+    PositionSource,
+};
+use crate::positioning::{Aiding, BASE_LATER_S, BaseAiding, Estimator};
+
+use super::antenna::ReceiverAntenna;
+use super::navigation::Dating;
+use super::observations::{ObservationFile, ReportedSite, observations};
+use super::{AntennaProvenance, BaseProvenance, Input, RecordingError};
+
+/// A base that messages place further away than this has moved (m): their unit is 0.1 mm.
+const MOVED_M: f64 = 1e-3;
+
+/// Where a base's position must come from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BasePosition {
+    /// From the header or from messages 1005 and 1006; never from the base's own pseudoranges.
+    FromHeader,
+    /// This is the marker's.
+    Marker(Ecef),
+}
+
+/// A base's observations that are being read.
+pub(super) struct BaseRecording<'a> {
+    input: &'a Input,
+    station: BaseStation,
+    site: BaseSite,
+    /// Single-point positions of which the base's position is the mean.
+    averaged: u64,
+    antenna: Option<ReceiverAntenna>,
+    reader: ObservationFile,
+    /// How often messages moved it.
+    moves: u64,
+    /// An epoch that is later than the rover's, with the antenna reference point at its time.
+    ahead: Option<(Epoch, Ecef)>,
+    /// Epochs that are new since the rover's last one: the first `count` of them.
+    epochs: Vec<Epoch>,
+    count: usize,
+}
+
+impl<'a> BaseRecording<'a> {
+    /// Opens a base's file and finds the base's position: the one asked for, else what header or
+    /// messages report, else the mean of the base's own single-point positions.
+    ///
+    /// # Errors
+    /// The file cannot be read, or no source gives the position.
+    pub(super) fn open(
+        input: &'a Input,
+        position: Option<BasePosition>,
+        dating: &Dating,
+        navigation: &Navigation,
+    ) -> Result<Self, RecordingError> {
+        let reader = observations(input, dating, navigation)?;
+        let reported = ReportedSite::of(input, &reader)?;
+        let antenna_delta_hen_m = reported.antenna_delta_hen_m;
+        let mut averaged = 0;
+        let (marker, source) = match (position, reported.marker) {
+            (Some(BasePosition::Marker(marker)), _) => (marker, PositionSource::Given),
+            (_, Some(marker)) => (marker, reported.source),
+            (Some(BasePosition::FromHeader), None) => {
+                let reason = "neither header nor messages 1005 and 1006 tell the base's position";
+                return Err(RecordingError::BasePositionMissing { reason });
+            }
+            (None, None) => {
+                let (point, count) = mean_position(input, dating, navigation)?;
+                averaged = count;
+                let reason = "nothing tells the base's position, nor do its pseudoranges";
+                let point = point.ok_or(RecordingError::BasePositionMissing { reason })?;
+                let [height, east, north] = antenna_delta_hen_m;
+                let below = Enu(Vector3::new(-east, -north, -height));
+                (LocalFrame::at(point).to_ecef(below), PositionSource::SinglePoints)
+            }
+        };
+        let site = BaseSite { marker, antenna_delta_hen_m, antenna: reported.antenna, source };
+        Ok(Self {
+            input,
+            station: site.station(reported.name),
+            site,
+            averaged,
+            antenna: None,
+            reader,
+            moves: 0,
+            ahead: None,
+            epochs: Vec::new(),
+            count: 0,
+        })
+    }
+
+    /// Reads up to the rover's time; [`Self::aiding`] then has what is new.
+    ///
+    /// # Errors
+    /// The file cannot be read on.
+    pub(super) fn follow(
+        &mut self,
+        rover: GpsTime,
+        navigation: &Navigation,
+    ) -> Result<(), RecordingError> {
+        self.count = 0;
+        while let Some((mut epoch, point)) = self.next(rover, navigation)? {
+            if BASE_LATER_S < epoch.time - rover {
+                self.ahead = Some((epoch, point));
+                return Ok(());
+            }
+            if MOVED_M < self.station.antenna_reference_point.distance_m(point) {
+                self.station.antenna_reference_point = point;
+                self.moves += 1;
+            }
+            match self.epochs.get_mut(self.count) {
+                Some(spare) => std::mem::swap(spare, &mut epoch),
+                None => self.epochs.push(epoch),
+            }
+            self.count += 1;
+        }
+        Ok(())
+    }
+
+    /// The next epoch with the antenna reference point at its time; `None` at the end.
+    fn next(
+        &mut self,
+        rover: GpsTime,
+        navigation: &Navigation,
+    ) -> Result<Option<(Epoch, Ecef)>, RecordingError> {
+        if let Some(ahead) = self.ahead.take() {
+            return Ok(Some(ahead));
+        }
+        let empty = || Epoch::new(rover);
+        let spare = self.epochs.get_mut(self.count);
+        let mut epoch = spare.map_or_else(empty, |spare| std::mem::replace(spare, empty()));
+        let is_read = self.reader.read_epoch(&mut epoch);
+        if !is_read.map_err(|error| self.input.damaged(&error))? {
+            return Ok(None);
+        }
+        let point = self.antenna_reference_point();
+        if let Some(antenna) = &mut self.antenna {
+            antenna.correct(&mut epoch, Some(point), navigation);
+        }
+        Ok(Some((epoch, point)))
+    }
+
+    /// The antenna reference point at the epoch read last: messages may move it.
+    fn antenna_reference_point(&self) -> Ecef {
+        let station = match self.site.source {
+            PositionSource::Message => self.reader.station(),
+            _ => None,
+        };
+        let reported = station.and_then(|station| station.antenna_reference_point);
+        reported.unwrap_or(self.station.antenna_reference_point)
+    }
+
+    /// What an estimator needs for the rover's epoch.
+    pub(super) fn aiding(&self) -> BaseAiding<'_> {
+        BaseAiding { station: &self.station, epochs: &self.epochs[..self.count] }
+    }
+
+    /// Looks up the antenna that header or messages name; later epochs are corrected for it.
+    pub(super) fn find_antenna(&mut self, catalogue: &AntennaCatalogue) {
+        self.antenna = Some(ReceiverAntenna::new("base", &self.site.antenna, catalogue));
+    }
+
+    pub(super) fn provenance(&self) -> BaseProvenance {
+        let Self { site, averaged, moves, .. } = self;
+        BaseProvenance { site: site.clone(), averaged: *averaged, moves: *moves }
+    }
+
+    pub(super) fn antenna_provenance(&self) -> Option<AntennaProvenance> {
+        self.antenna.as_ref().map(ReceiverAntenna::provenance)
+    }
+
+    /// The file's name and what was left out of it.
+    pub(super) fn left_out(&self) -> (&'a str, LeftOut) {
+        (self.input.name(), self.reader.left_out())
+    }
+}
+
+/// The mean of a receiver's single-point positions, ECEF (m), and their number.
+fn mean_position(
+    input: &Input,
+    dating: &Dating,
+    navigation: &Navigation,
+) -> Result<(Option<Ecef>, u64), RecordingError> {
+    let mut file = observations(input, dating, navigation)?;
+    let options = PositioningOptions::new(Mode::Spp, Profile::General);
+    let mut single_point = Estimator::new(options);
+    let mut epoch = Epoch::new(GpsTime::EPOCH);
+    let (mut sum_m, mut count) = (Vector3::zeros(), 0_u64);
+    while file.read_epoch(&mut epoch).map_err(|error| input.damaged(&error))? {
+        let solution = single_point.advance(&epoch, &Aiding::alone(navigation));
+        if let Some(estimate) = solution.estimate {
+            sum_m += estimate.position.0;
+            count += 1;
+        }
+    }
+    Ok(((0 < count).then(|| Ecef(sum_m / count as f64)), count))
+}

@@ -1,0 +1,58 @@
+//! Why a recording is refused. The doors give each reason its code and remedy.
+
+use std::io;
+
+/// Why a recording cannot be positioned.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// A file cannot be opened.
+    #[error("cannot open {name}: {source}")]
+    NotReadable {
+        /// The file.
+        name: String,
+        /// What the system reports.
+        source: io::Error,
+    },
+    /// A file is not of the kind that it should be, or is damaged.
+    #[error("{name}: {reason}")]
+    NotUnderstood {
+        /// The file.
+        name: String,
+        /// What is wrong, and where.
+        reason: String,
+        /// What the user can do about it.
+        remedy: &'static str,
+    },
+    /// Receiver data without a GPS week.
+    #[error("nothing gives the GPS week of {name}")]
+    NoReferenceTime {
+        /// The file.
+        name: String,
+    },
+    /// No source gives the base's position.
+    #[error("{reason}")]
+    BasePositionMissing {
+        /// Which sources were asked.
+        reason: &'static str,
+    },
+    /// The mode is relative to a base, and the recording has none.
+    #[error("mode {mode} needs a base")]
+    BaseRequired {
+        /// The mode.
+        mode: &'static str,
+    },
+    /// The mode has no window, and with it no such answer.
+    #[error("mode {mode} has no answer {answer:?}")]
+    NoSuchAnswer {
+        /// The mode.
+        mode: &'static str,
+        /// The answer asked for.
+        answer: &'static str,
+    },
+    /// The rover has no epoch in the span of time asked for.
+    #[error("{name} has no epoch in the span")]
+    NoEpochs {
+        /// The rover's file.
+        name: String,
+    },
+}

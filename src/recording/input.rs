@@ -1,0 +1,77 @@
+//! The bytes of one file of a recording.
+
+use std::fmt;
+use std::io::{self, BufRead, Cursor};
+use std::sync::Arc;
+
+use crate::formats::decompress;
+use crate::formats::observations::{FileError, Recognised};
+
+use super::RecordingError;
+
+/// A reader of one file's bytes.
+pub(super) type Reader = Box<dyn BufRead>;
+
+/// A file of a recording: its name for messages, and a way to read it from its first byte.
+pub struct Input {
+    name: String,
+    open: Box<dyn Fn() -> io::Result<Reader>>,
+}
+
+impl Input {
+    /// An input that `open` opens, at its first byte each time.
+    pub fn new(name: String, open: impl Fn() -> io::Result<Reader> + 'static) -> Self {
+        Self { name, open: Box::new(open) }
+    }
+
+    /// Bytes in memory.
+    pub fn from_bytes(name: String, bytes: Arc<[u8]>) -> Self {
+        Self::new(name, move || Ok(Box::new(Cursor::new(bytes.clone()))))
+    }
+
+    /// The name, for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Opens it, unpacked where it is gzip.
+    ///
+    /// # Errors
+    /// It cannot be opened.
+    pub fn open(&self) -> Result<Reader, RecordingError> {
+        let opened = (self.open)();
+        let reader = opened.map_err(|source| {
+            let name = self.name.clone();
+            RecordingError::NotReadable { name, source }
+        })?;
+        Ok(Box::new(decompress(reader)))
+    }
+
+    /// Whether it holds the bytes of a receiver (UBX or RTCM 3).
+    ///
+    /// # Errors
+    /// It cannot be opened.
+    pub fn is_receiver_data(&self) -> Result<bool, RecordingError> {
+        Ok(self.recognised()?.is_receiver_data())
+    }
+
+    /// Opens it and recognises its format.
+    pub(super) fn recognised(&self) -> Result<Recognised<Reader>, RecordingError> {
+        self.open().map(Recognised::new)
+    }
+
+    /// The error of a file that cannot be read on.
+    pub(super) fn damaged(&self, error: &FileError) -> RecordingError {
+        self.not_understood(error, "repair or cut the file at that place")
+    }
+
+    /// The error of a file that is of another kind than it should be.
+    pub(super) fn not_understood(
+        &self,
+        error: &dyn fmt::Display,
+        remedy: &'static str,
+    ) -> RecordingError {
+        let (name, reason) = (self.name.clone(), error.to_string());
+        RecordingError::NotUnderstood { name, reason, remedy }
+    }
+}

@@ -1,0 +1,81 @@
+//! Files of observations and what they report of their station.
+
+use nalgebra::Vector3;
+
+use crate::formats::observations::{Observations, station};
+use crate::gnss::{Ecef, Enu, LocalFrame, Navigation, PositionSource};
+
+use super::input::Reader;
+use super::navigation::Dating;
+use super::{Input, RecordingError};
+
+/// A file of observations that is being read.
+pub(super) type ObservationFile = Observations<Reader>;
+
+/// Opens a file of observations.
+///
+/// # Errors
+/// It is none, or nothing dates it.
+pub(super) fn observations(
+    input: &Input,
+    dating: &Dating,
+    navigation: &Navigation,
+) -> Result<ObservationFile, RecordingError> {
+    let file = input.recognised()?;
+    let mut reference = None;
+    if file.is_receiver_data() {
+        reference = dating.of(input)?;
+        if reference.is_none() {
+            return Err(RecordingError::NoReferenceTime { name: input.name().to_owned() });
+        }
+    }
+    let remedy = "name a RINEX observation file, or UBX or RTCM 3 data";
+    Observations::new(file, reference, navigation)
+        .map_err(|error| input.not_understood(&error, remedy))
+}
+
+/// What a file reports of its station.
+pub(super) struct ReportedSite {
+    pub(super) name: String,
+    /// Type and radome; empty where not reported.
+    pub(super) antenna: String,
+    pub(super) marker: Option<Ecef>,
+    /// What reports the marker's position, where anything does.
+    pub(super) source: PositionSource,
+    /// Antenna reference point above, east and north of the marker (m).
+    pub(super) antenna_delta_hen_m: [f64; 3],
+}
+
+impl ReportedSite {
+    /// From the RINEX header of an open file, or from messages 1005 to 1008 and 1033 of receiver
+    /// data.
+    ///
+    /// # Errors
+    /// Receiver data cannot be read on.
+    pub(super) fn of(input: &Input, file: &ObservationFile) -> Result<Self, RecordingError> {
+        if let Observations::Rinex(reader) = file {
+            let header = reader.header();
+            return Ok(Self {
+                name: header.marker.clone(),
+                antenna: header.antenna.clone(),
+                marker: header.approximate_position,
+                source: PositionSource::Header,
+                antenna_delta_hen_m: header.antenna_delta_hen_m,
+            });
+        }
+        let station = station(input.recognised()?)
+            .map_err(|error| input.damaged(&error))?
+            .unwrap_or_default();
+        // Messages give the antenna reference point and its height above the marker.
+        let height_m = station.antenna_height_m.unwrap_or(0.0);
+        let below = Enu(Vector3::new(0.0, 0.0, -height_m));
+        let point = station.antenna_reference_point;
+        Ok(Self {
+            name: station.id.to_string(),
+            antenna: station.antenna,
+            marker: point.map(|point| LocalFrame::at(point).to_ecef(below)),
+            source: PositionSource::Message,
+            antenna_delta_hen_m: [height_m, 0.0, 0.0],
+        })
+    }
+}

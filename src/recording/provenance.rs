@@ -1,0 +1,124 @@
+//! What the positions of a recording rest on.
+
+use crate::formats::observations::LeftOut;
+use crate::gnss::{BaseSite, Ecef, PositionSource, Signal};
+
+/// What was decided about a recording, and what was left out of it.
+#[derive(Clone, Debug)]
+pub struct Provenance {
+    /// Where the base stands and which source gives it, in modes relative to one.
+    pub base: Option<BaseProvenance>,
+    /// The antennas that were looked up, the base's first.
+    pub antennas: Vec<AntennaProvenance>,
+    /// Rows of odometry that belong to no epoch, where there is odometry.
+    pub unmatched_odometry: Option<usize>,
+    /// What was left out of each file, the rover's first.
+    pub left_out: Vec<(String, LeftOut)>,
+}
+
+/// Where the base stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseProvenance {
+    /// Marker, antenna and the source of the position.
+    pub site: BaseSite,
+    /// Single-point positions of which the base's position is the mean; zero where another source
+    /// gives it.
+    pub averaged: u64,
+    /// How often messages moved the base, as those of virtual bases do.
+    pub moves: u64,
+}
+
+/// What was corrected for one receiver's antenna.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AntennaProvenance {
+    /// "rover" or "base".
+    pub receiver: &'static str,
+    /// Type; empty where nothing names it.
+    pub antenna: String,
+    /// Radome.
+    pub radome: String,
+    /// Both, as header or message have them.
+    pub name: String,
+    /// Frequencies with a calibrated phase centre; `None` where the antenna is not calibrated.
+    pub frequencies: Option<usize>,
+    /// Signals without a calibration, which were not corrected.
+    pub uncalibrated: Vec<Signal>,
+    /// Epochs that were not corrected because no position of the receiver was known.
+    pub unplaced_epochs: u64,
+}
+
+impl Provenance {
+    /// It as lines of text; those that need attention begin with "warning: ".
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        if let Some(base) = &self.base {
+            lines.push("positions are of the rover's antenna reference point".to_owned());
+            lines.extend(base.lines());
+        }
+        lines.extend(self.antennas.iter().flat_map(AntennaProvenance::lines));
+        if let Some(rows) = self.unmatched_odometry {
+            lines.push(format!("odometry: {rows} rows without an epoch"));
+        }
+        lines
+    }
+}
+
+impl BaseProvenance {
+    fn lines(&self) -> Vec<String> {
+        let Ecef(marker) = self.site.marker;
+        let [height_m, east_m, north_m] = self.site.antenna_delta_hen_m;
+        let source = match self.site.source {
+            PositionSource::Given => "as given",
+            PositionSource::Header => "from its header",
+            PositionSource::Message => "from its messages 1005 and 1006",
+            PositionSource::SinglePoints => "from its own single-point positions",
+        };
+        let mut lines = vec![format!(
+            "base: marker at {:.4},{:.4},{:.4} (ECEF, m) {source}, antenna reference point \
+             {height_m:.4} m above, {east_m:.4} m east, {north_m:.4} m north of it",
+            marker.x, marker.y, marker.z
+        )];
+        if self.site.source == PositionSource::SinglePoints {
+            lines.push(format!(
+                "warning: base: nothing tells its position; the mean of {} single-point positions \
+                 may be metres off, and all positions relative to it by as much",
+                self.averaged
+            ));
+        }
+        if 0 < self.moves {
+            lines.push(format!(
+                "base: messages moved it {} times; each epoch uses the position of its time",
+                self.moves
+            ));
+        }
+        lines
+    }
+}
+
+impl AntennaProvenance {
+    fn lines(&self) -> Vec<String> {
+        let Self { receiver, antenna, radome, .. } = self;
+        let Some(frequencies) = self.frequencies else {
+            let name = if antenna.is_empty() { "unnamed" } else { &self.name };
+            return vec![format!(
+                "warning: {receiver}: antenna {name} is not in the ANTEX file; its observations \
+                 are not corrected"
+            )];
+        };
+        let mut lines = vec![format!(
+            "{receiver}: antenna {antenna} {radome}, phase centres on {frequencies} frequencies"
+        )];
+        if !self.uncalibrated.is_empty() {
+            let names: Vec<_> = self.uncalibrated.iter().map(Signal::to_string).collect();
+            let names = names.join(", ");
+            lines.push(format!("warning: {receiver}: not calibrated, not corrected: {names}"));
+        }
+        if 0 < self.unplaced_epochs {
+            lines.push(format!(
+                "warning: {receiver}: {} epochs are not corrected: no position was known",
+                self.unplaced_epochs
+            ));
+        }
+        lines
+    }
+}

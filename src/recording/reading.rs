@@ -1,0 +1,194 @@
+//! A recording, read epoch by epoch.
+
+use crate::config::PositioningOptions;
+use crate::formats::receiver::TimeReference;
+use crate::formats::{antex, odometry};
+use crate::gnss::{Epoch, GpsTime, Navigation};
+use crate::positioning::Aiding;
+
+use super::antenna::ReceiverAntenna;
+use super::base::BaseRecording;
+use super::navigation::{Dating, LeftOutOf, NavigationFiles};
+use super::observations::{ObservationFile, ReportedSite, observations};
+use super::odometry::OdometryRows;
+use super::{AnswerKind, ApproximatePosition, BasePosition, Input, Provenance, RecordingError};
+
+/// The files of a recording and how to read them.
+pub struct RecordingInputs {
+    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3.
+    pub rover: Input,
+    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides.
+    pub navigation: Vec<Input>,
+    /// Observations of the base, for modes relative to one.
+    pub base: Option<Input>,
+    /// Where the base's position must come from; `None`: from the best source there is.
+    pub base_position: Option<BasePosition>,
+    /// Phase centres of antennas (ANTEX); headers and messages name the antennas.
+    pub antex: Option<Input>,
+    /// Displacements measured by another sensor (CSV).
+    pub odometry: Option<Input>,
+    /// Dates receiver data that have no GPS week.
+    pub reference: Option<TimeReference>,
+    /// First epoch, GPS seconds of week; `None`: the file's first.
+    pub from_s: Option<f64>,
+    /// Last epoch, GPS seconds of week; `None`: the file's last.
+    pub to_s: Option<f64>,
+}
+
+impl RecordingInputs {
+    /// All epochs of a rover, and nothing else.
+    pub const fn of_rover(rover: Input) -> Self {
+        Self {
+            rover,
+            navigation: Vec::new(),
+            base: None,
+            base_position: None,
+            antex: None,
+            odometry: None,
+            reference: None,
+            from_s: None,
+            to_s: None,
+        }
+    }
+
+    /// Refuses a mode that needs a base where there is none, and an answer that a mode has not.
+    ///
+    /// # Errors
+    /// Either of these.
+    pub fn check(
+        &self,
+        options: &PositioningOptions,
+        answer: AnswerKind,
+    ) -> Result<(), RecordingError> {
+        let mode = options.mode.name();
+        if options.mode.is_relative() && self.base.is_none() {
+            return Err(RecordingError::BaseRequired { mode });
+        }
+        if answer != AnswerKind::Causal && !options.mode.has_window() {
+            return Err(RecordingError::NoSuchAnswer { mode, answer: answer.name() });
+        }
+        Ok(())
+    }
+
+    fn is_outside(&self, time: GpsTime) -> bool {
+        let seconds = time.seconds_of_week();
+        self.from_s.is_some_and(|from| seconds < from) || self.to_s.is_some_and(|to| to < seconds)
+    }
+}
+
+/// A recording that is being read, epoch by epoch.
+pub struct Recording<'a> {
+    inputs: &'a RecordingInputs,
+    navigation: Navigation,
+    left_out: LeftOutOf<'a>,
+    rover: ObservationFile,
+    base: Option<BaseRecording<'a>>,
+    /// The rover's antenna, and where the rover is.
+    antenna: Option<(ReceiverAntenna, ApproximatePosition)>,
+    odometry: Option<OdometryRows>,
+}
+
+impl<'a> Recording<'a> {
+    /// Reads the navigation data and the header of the observations.
+    ///
+    /// # Errors
+    /// A file cannot be read, or nothing dates it or gives the base's position.
+    pub fn open(inputs: &'a RecordingInputs) -> Result<Self, RecordingError> {
+        let observed: Vec<&Input> = std::iter::once(&inputs.rover).chain(&inputs.base).collect();
+        let files = NavigationFiles::read(&inputs.navigation, &observed, inputs.reference)?;
+        let NavigationFiles { navigation, left_out, dating } = files;
+        let rover = observations(&inputs.rover, &dating, &navigation)?;
+        let base = open_base(inputs, &dating, &navigation)?;
+        let odometry = inputs.odometry.as_ref().map(read_odometry).transpose()?;
+        let mut recording =
+            Self { inputs, navigation, left_out, rover, base, antenna: None, odometry };
+        recording.find_antennas()?;
+        Ok(recording)
+    }
+
+    /// The broadcast navigation data.
+    pub const fn navigation(&self) -> &Navigation {
+        &self.navigation
+    }
+
+    /// What an estimator needs for the epoch read last.
+    pub fn aiding(&self) -> Aiding<'_> {
+        let base = self.base.as_ref().map(BaseRecording::aiding);
+        Aiding { navigation: &self.navigation, base }
+    }
+
+    /// Reads the next epoch of the span asked for into `epoch`; false at the end.
+    ///
+    /// # Errors
+    /// The rover's file or the base's cannot be read on.
+    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RecordingError> {
+        let damaged = |error| self.inputs.rover.damaged(&error);
+        loop {
+            if !self.rover.read_epoch(epoch).map_err(damaged)? {
+                return Ok(false);
+            }
+            // Also for epochs outside the span, so that their rows are not left for later ones.
+            epoch.odometry = self.odometry.as_mut().and_then(|rows| rows.at(epoch.time));
+            if self.inputs.is_outside(epoch.time) {
+                continue;
+            }
+            if let Some((antenna, position)) = &mut self.antenna {
+                let position = position.at(epoch, &self.navigation);
+                antenna.correct(epoch, position, &self.navigation);
+            }
+            if let Some(base) = &mut self.base {
+                base.follow(epoch.time, &self.navigation)?;
+            }
+            return Ok(true);
+        }
+    }
+
+    /// Looks up the antennas that headers and messages name.
+    fn find_antennas(&mut self) -> Result<(), RecordingError> {
+        let Some(input) = &self.inputs.antex else { return Ok(()) };
+        let catalogue = antex::read(input.open()?).map_err(|error| {
+            let remedy = "name an ANTEX file of absolute calibrations";
+            input.not_understood(&error, remedy)
+        })?;
+        let site = ReportedSite::of(&self.inputs.rover, &self.rover)?;
+        let antenna = ReceiverAntenna::new("rover", &site.antenna, &catalogue);
+        self.antenna = Some((antenna, ApproximatePosition::new(site.marker)));
+        if let Some(base) = &mut self.base {
+            base.find_antenna(&catalogue);
+        }
+        Ok(())
+    }
+
+    /// What the positions of the epochs read so far rest on.
+    pub fn provenance(&self) -> Provenance {
+        let rover_name = self.inputs.rover.name();
+        let mut left_out = vec![(rover_name, self.rover.left_out())];
+        left_out.extend(self.base.as_ref().map(BaseRecording::left_out));
+        // A file of observations and navigation data is listed once.
+        let navigation = self.left_out.iter().filter(|(name, _)| *name != rover_name);
+        left_out.extend(navigation.cloned());
+        let base_antenna = self.base.as_ref().and_then(BaseRecording::antenna_provenance);
+        let rover_antenna = self.antenna.as_ref().map(|(antenna, _)| antenna.provenance());
+        Provenance {
+            base: self.base.as_ref().map(BaseRecording::provenance),
+            antennas: base_antenna.into_iter().chain(rover_antenna).collect(),
+            unmatched_odometry: self.odometry.as_ref().map(OdometryRows::unmatched),
+            left_out: left_out.into_iter().map(|(name, left)| (name.to_owned(), left)).collect(),
+        }
+    }
+}
+
+fn open_base<'a>(
+    inputs: &'a RecordingInputs,
+    dating: &Dating,
+    navigation: &Navigation,
+) -> Result<Option<BaseRecording<'a>>, RecordingError> {
+    let open = |input| BaseRecording::open(input, inputs.base_position, dating, navigation);
+    inputs.base.as_ref().map(open).transpose()
+}
+
+fn read_odometry(input: &Input) -> Result<OdometryRows, RecordingError> {
+    let rows = odometry::read(input.open()?)
+        .map_err(|error| input.not_understood(&error, "correct the file at that line"))?;
+    Ok(OdometryRows::new(rows))
+}

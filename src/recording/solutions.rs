@@ -1,0 +1,192 @@
+//! The positions of a recording.
+
+use std::collections::VecDeque;
+
+use crate::config::PositioningOptions;
+use crate::gnss::{Epoch, GpsTime, LeapSeconds, Solution};
+
+use super::{AnswerKind, Provenance, Recording, RecordingError, RecordingInputs, Solver};
+
+/// The positions of a recording, in the order in which the estimator gives them: one for each
+/// epoch of the span asked for.
+///
+/// An error ends the iteration. A recording without an epoch in the span is one.
+///
+/// ```no_run
+/// use std::fs::File;
+/// use std::io::BufReader;
+///
+/// use graphfix::config::{Mode, PositioningOptions, Profile};
+/// use graphfix::recording::{AnswerKind, Input, RecordingInputs, Solutions};
+///
+/// let file = |path: &'static str| {
+///     Input::new(path.to_owned(), move || Ok(Box::new(BufReader::new(File::open(path)?))))
+/// };
+/// let inputs = RecordingInputs {
+///     navigation: vec![file("navigation.rnx")],
+///     base: Some(file("base.obs")),
+///     ..RecordingInputs::of_rover(file("rover.obs"))
+/// };
+/// let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+/// let mut solutions = Solutions::open(&inputs, options, AnswerKind::Causal)?;
+/// for solution in &mut solutions {
+///     println!("{:?}", solution?.estimate);
+/// }
+/// println!("{}", solutions.provenance().lines().join("\n"));
+/// # Ok::<(), graphfix::recording::RecordingError>(())
+/// ```
+pub struct Solutions<'a> {
+    inputs: &'a RecordingInputs,
+    recording: Recording<'a>,
+    /// `None` once it has answered everything.
+    solver: Option<Solver>,
+    epoch: Epoch,
+    has_epochs: bool,
+    /// Answers not yet given.
+    due: VecDeque<Solution>,
+}
+
+impl<'a> Solutions<'a> {
+    /// Opens the files and reads what comes before the first epoch.
+    ///
+    /// # Errors
+    /// A file cannot be read, nothing dates it or gives the base's position, or the options and
+    /// the kind of answer ask for what the recording or the mode has not.
+    pub fn open(
+        inputs: &'a RecordingInputs,
+        options: PositioningOptions,
+        answer: AnswerKind,
+    ) -> Result<Self, RecordingError> {
+        inputs.check(&options, answer)?;
+        Ok(Self {
+            inputs,
+            recording: Recording::open(inputs)?,
+            solver: Some(Solver::new(options, answer)),
+            epoch: Epoch::new(GpsTime::EPOCH),
+            has_epochs: false,
+            due: VecDeque::new(),
+        })
+    }
+
+    /// Leap seconds as the navigation data have them.
+    pub fn leap_seconds(&self) -> LeapSeconds {
+        self.recording.navigation().leap_seconds
+    }
+
+    /// What the positions given so far rest on.
+    pub fn provenance(&self) -> Provenance {
+        self.recording.provenance()
+    }
+
+    /// Positions the next epoch; at the end, what the estimator still has to answer.
+    fn advance(&mut self) -> Result<(), RecordingError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        if self.recording.read_epoch(&mut self.epoch)? {
+            self.has_epochs = true;
+            self.due.extend(solver.advance(&self.epoch, &self.recording.aiding()));
+            return Ok(());
+        }
+        self.due.extend(self.solver.take().map(Solver::finish).unwrap_or_default());
+        if !self.has_epochs {
+            return Err(RecordingError::NoEpochs { name: self.inputs.rover.name().to_owned() });
+        }
+        Ok(())
+    }
+}
+
+impl Iterator for Solutions<'_> {
+    type Item = Result<Solution, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while self.due.is_empty() && self.solver.is_some() {
+            if let Err(error) = self.advance() {
+                self.solver = None;
+                return Some(Err(error));
+            }
+        }
+        self.due.pop_front().map(Ok)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Mode, Profile};
+    use crate::formats::rinex::{
+        ObservationHeader, ObservationWriter, RinexVersion, write_navigation,
+    };
+    use crate::gnss::PositionSource;
+    use crate::recording::Input;
+    use crate::simulation::{Scenario, Simulator, signals};
+
+    const EPOCHS: usize = 20;
+
+    fn options(mode: Mode) -> PositioningOptions {
+        PositioningOptions::new(mode, Profile::General)
+    }
+
+    /// A simulated rover with a base whose header gives no position.
+    fn simulated() -> RecordingInputs {
+        let scenario = Scenario { duration_s: EPOCHS as f64 - 1.0, ..Scenario::rtk_open() };
+        let mut header = ObservationHeader::new(RinexVersion::new(3, 5));
+        for constellation in &scenario.constellations {
+            header.codes[constellation.index()] = signals(*constellation).to_vec();
+        }
+        let simulator = Simulator::new(scenario, 1);
+        let mut navigation = Vec::new();
+        write_navigation(&mut navigation, simulator.navigation()).unwrap();
+        let writer = || ObservationWriter::new(Vec::new(), &header).unwrap();
+        let (mut rover, mut base) = (writer(), writer());
+        for epoch in simulator {
+            rover.write_epoch(&epoch.rover).unwrap();
+            base.write_epoch(&epoch.base.unwrap()).unwrap();
+        }
+        let input = |name: &str, bytes: Vec<u8>| Input::from_bytes(name.to_owned(), bytes.into());
+        RecordingInputs {
+            navigation: vec![input("navigation", navigation)],
+            base: Some(input("base", base.finish().unwrap())),
+            ..RecordingInputs::of_rover(input("rover", rover.finish().unwrap()))
+        }
+    }
+
+    /// Whatever the kind of answer, each epoch has one, in the order of time.
+    #[test]
+    fn each_epoch_is_answered_once() {
+        let inputs = simulated();
+        for answer in [AnswerKind::Causal, AnswerKind::FixedLag, AnswerKind::Batch] {
+            let solutions = Solutions::open(&inputs, options(Mode::Fgo), answer).unwrap();
+            let times: Vec<GpsTime> = solutions.map(|solution| solution.unwrap().time).collect();
+            assert_eq!(times.len(), EPOCHS, "{answer:?}");
+            assert!(times.is_sorted(), "{answer:?}");
+        }
+    }
+
+    #[test]
+    fn the_provenance_names_the_source_of_the_base_position() {
+        let inputs = simulated();
+        let mut solutions =
+            Solutions::open(&inputs, options(Mode::RtkFgo), AnswerKind::Causal).unwrap();
+        assert_eq!(solutions.by_ref().filter(Result::is_ok).count(), EPOCHS);
+        let base = solutions.provenance().base.unwrap();
+        assert_eq!(base.site.source, PositionSource::SinglePoints);
+        assert_eq!(base.averaged, EPOCHS as u64);
+    }
+
+    #[test]
+    fn what_the_recording_has_not_is_refused() {
+        let refusal = |inputs: &RecordingInputs, mode, answer| {
+            Solutions::open(inputs, options(mode), answer).map(drop).unwrap_err()
+        };
+        let inputs = simulated();
+        let refused = refusal(&inputs, Mode::Spp, AnswerKind::Batch);
+        assert!(matches!(refused, RecordingError::NoSuchAnswer { .. }), "{refused}");
+        let alone = RecordingInputs { base: None, ..simulated() };
+        let refused = refusal(&alone, Mode::RtkEkf, AnswerKind::Causal);
+        assert!(matches!(refused, RecordingError::BaseRequired { .. }), "{refused}");
+        let late = RecordingInputs { from_s: Some(604_799.0), ..simulated() };
+        let mut solutions = Solutions::open(&late, options(Mode::Spp), AnswerKind::Causal).unwrap();
+        let refused = solutions.next().unwrap().unwrap_err();
+        assert!(matches!(refused, RecordingError::NoEpochs { .. }), "{refused}");
+        assert!(solutions.next().is_none());
+    }
+}
