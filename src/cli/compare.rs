@@ -1,4 +1,4 @@
-//! `graphfix compare`: several modes over one recording, and a report of them.
+//! `graphfix compare`: positions one recording in several modes and writes a report.
 
 use std::fs::File;
 use std::io::{BufReader, IsTerminal, Write};
@@ -19,27 +19,27 @@ use super::Failure;
 use super::option_arguments::assignments;
 use super::recording::RecordingArguments;
 
-/// Methods that one report can hold and still be read.
+/// Largest number of methods of one report: more lines cannot be told apart in a plot.
 const METHODS_MAX: usize = 7;
 
-/// Runs several modes over one recording and writes their errors and tracks as one HTML page.
+/// Positions one recording in several modes and writes their errors and tracks as one HTML page.
 ///
-/// The page holds Table 1 and Figure 5 of Wen & Hsu (2021), with a base Table 2 and Figure 6, and
-/// needs no other file. Without a truth it tells how far the methods agree.
+/// The page has Table 1 and Figure 5 of Wen & Hsu (2021), with a base also Table 2 and Figure 6.
+/// It needs no other file. Without a truth it compares the methods with each other.
 #[derive(Debug, Args)]
 pub(crate) struct CompareArguments {
     #[command(flatten)]
     recording: RecordingArguments,
-    /// What to compare, as MODE[:causal|smoothed|batch][@PROFILE], separated by commas.
+    /// Methods to compare, as MODE[:causal|smoothed|batch][@PROFILE], separated by commas.
     #[arg(long, value_name = "METHOD,METHOD…", value_delimiter = ',', required = true)]
     modes: Vec<MethodName>,
-    /// Set of defaults of the methods that name none.
+    /// Profile of the methods that name none.
     #[arg(long, value_name = "NAME", default_value = "general")]
     profile: String,
     /// Overrides one option of every method, as in ionosphere=none; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
-    /// Length of the sliding window of modes that have one (s).
+    /// Length of the sliding window, in modes that have one (s).
     #[arg(long, value_name = "SECONDS")]
     window: Option<String>,
     /// Truth: CSV of gps_week,tow,lat_deg,lon_deg,height_m or gps_week,tow,x_m,y_m,z_m.
@@ -54,15 +54,15 @@ pub(crate) struct CompareArguments {
         num_args = 3
     )]
     static_ecef: Option<Vec<f64>>,
-    /// A fix within this is correct (m).
+    /// Largest error of a correct fix (m).
     #[arg(long, value_name = "M", default_value_t = 0.10)]
     fix_tol: f64,
-    /// Where to write the report; the name ends in .html.
+    /// Report to write; the name ends in .html.
     #[arg(long, value_name = "REPORT.html")]
     output: PathBuf,
 }
 
-/// A method as users write it.
+/// A method as written on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct MethodName {
     mode: String,
@@ -83,7 +83,7 @@ impl FromStr for MethodName {
             None => (rest, AnswerKind::Causal.name()),
         };
         let answer = AnswerKind::from_name(answer).ok_or_else(|| {
-            format!("{answer:?} is no kind of answer; allowed: causal, smoothed, batch")
+            format!("{answer:?} is not a kind of answer; allowed: causal, smoothed, batch")
         })?;
         Ok(Self { mode: mode.to_owned(), answer, profile })
     }
@@ -124,7 +124,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     };
     let page = comparison.html().map_err(|error| unwritable(&error))?;
     std::fs::write(&arguments.output, page).map_err(|error| unwritable(&error))?;
-    // Err: nobody reads the table.
+    // Err: standard output is closed.
     std::io::stdout().write_all(table(&comparison).as_bytes()).ok();
     Ok(())
 }
@@ -195,7 +195,7 @@ fn solve(
     })
 }
 
-/// Errors, or fix rates where there is no truth, one line for each method.
+/// One line for each method: its errors, or its number of epochs without a truth.
 fn table(comparison: &Comparison) -> String {
     let mut text = String::new();
     for (index, method) in comparison.methods.iter().enumerate() {

@@ -15,12 +15,12 @@ use super::option_arguments::OptionArguments;
 pub(crate) struct ConfigArguments {
     #[command(flatten)]
     options: OptionArguments,
-    /// Answers in JSON.
+    /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
-/// The configuration in force, as JSON shows it.
+/// The configuration in force, in JSON.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 struct ConfigurationView {
@@ -47,7 +47,7 @@ impl From<OptionEntry> for OptionView {
     }
 }
 
-/// Prints the options that `arguments` put in force.
+/// Prints the options in force with these arguments.
 pub(crate) fn run(arguments: &ConfigArguments) -> Result<(), Failure> {
     let options = arguments.options.options()?;
     let text = if arguments.json { json(&options) } else { table(&options) };

@@ -1,4 +1,5 @@
-//! A device's side of the gRPC door: one session, pushed to in order, over broken connections too.
+//! A client as a device uses it: pushes to one session in order, and connects again if the
+//! connection is lost.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,18 +23,18 @@ const LONGEST_DELAY: Duration = Duration::from_secs(5);
 #[derive(Clone)]
 pub(super) struct Connection {
     channel: Channel,
-    /// For how long a service that does not answer is tried again.
+    /// Duration of the attempts to reach a service that does not answer.
     patience: Duration,
 }
 
-/// One session of a device. Pushes follow one another: the next waits for the answer of the last.
+/// One session of a device. A push is sent after the answer to the previous one.
 pub(super) struct Device {
     connection: Connection,
     positioning: PositioningClient<Channel>,
     session: v1::Session,
 }
 
-/// What became of a push.
+/// The result of a push.
 #[derive(Debug, Default)]
 pub(super) struct Pushed {
     /// Solutions of epochs acknowledged in this answer.
@@ -42,17 +43,18 @@ pub(super) struct Pushed {
     pub(super) refusals: Vec<(u64, String)>,
     /// Epochs found committed after a connection was lost before their answer.
     pub(super) recovered: usize,
-    /// Times that the service was tried again.
+    /// Number of further attempts.
     pub(super) retries: usize,
-    /// What a device may forget.
+    /// Number of the last committed epoch: the device may delete epochs up to it.
     pub(super) durable_through: Option<u64>,
 }
 
 impl Connection {
-    /// To the service at `server`, such as `http://127.0.0.1:8080`; connected when first used.
+    /// A connection to the service at `server`, such as `http://127.0.0.1:8080`; it connects when
+    /// it is first used.
     ///
     /// # Errors
-    /// A text that is no address.
+    /// `server` is not an address.
     pub(super) fn to(server: &str, patience: Duration) -> Result<Self, Failure> {
         let endpoint = Endpoint::from_shared(server.to_owned()).map_err(|error| {
             let message = format!("--server {server:?}: {error}");
@@ -67,10 +69,10 @@ impl Connection {
         Ok(Self { channel: endpoint.connect_lazy(), patience })
     }
 
-    /// Pushes a navigation file; answers how many of its ephemerides are new.
+    /// Pushes a navigation file; returns the number of new ephemerides.
     ///
     /// # Errors
-    /// A file that cannot be read or is refused.
+    /// The file cannot be read, or the service refuses it.
     pub(super) async fn push_navigation(&self, path: &Path) -> Result<u64, Failure> {
         let content = std::fs::read(path).map_err(|error| {
             let message = format!("{}: {error}", path.display());
@@ -79,10 +81,10 @@ impl Connection {
         self.push_navigation_bytes(content.into()).await
     }
 
-    /// Pushes navigation data as RINEX; answers how many ephemerides are new.
+    /// Pushes navigation data as RINEX; returns the number of new ephemerides.
     ///
     /// # Errors
-    /// Content that is refused.
+    /// The service refuses the content.
     pub(super) async fn push_navigation_bytes(&self, content: Bytes) -> Result<u64, Failure> {
         let mut client = NavigationClient::new(self.channel.clone());
         let mut retry = Retry::new(self.patience);
@@ -95,10 +97,10 @@ impl Connection {
         }
     }
 
-    /// Opens a session, or takes up the one named.
+    /// Opens a new session, or continues the one named.
     ///
     /// # Errors
-    /// A configuration that is refused, or no such session.
+    /// The configuration is refused, or the session does not exist.
     pub(super) async fn open(
         &self,
         existing: Option<&str>,
@@ -130,11 +132,11 @@ impl Device {
         &self.session
     }
 
-    /// Pushes epochs and waits until they are committed. A connection that is lost is made again,
-    /// and what the service has not committed is sent again.
+    /// Pushes epochs and waits until they are committed. After a lost connection it connects again
+    /// and sends the epochs that the service has not committed.
     ///
     /// # Errors
-    /// A refusal of the whole push, or a service that does not come back.
+    /// The whole push is refused, or the service does not answer again.
     pub(super) async fn push(&mut self, mut epochs: Vec<v1::Epoch>) -> Result<Pushed, Failure> {
         let mut pushed = Pushed::default();
         let mut retry = Retry::new(self.connection.patience);
@@ -164,11 +166,11 @@ impl Device {
         Ok(pushed)
     }
 
-    /// Pushes bytes of a receiver and waits until they are stored. Bytes sent again after a
-    /// connection was lost change nothing.
+    /// Pushes bytes of a receiver and waits until they are stored. Bytes that are sent again after
+    /// a lost connection change nothing.
     ///
     /// # Errors
-    /// A refusal, or a service that does not come back.
+    /// The bytes are refused, or the service does not answer again.
     pub(super) async fn push_raw(&mut self, piece: v1::PushRawRequest) -> Result<Pushed, Failure> {
         let mut pushed = Pushed::default();
         let mut retry = Retry::new(self.connection.patience);
@@ -187,7 +189,7 @@ impl Device {
         }
     }
 
-    /// How far the session is committed, once the service answers again.
+    /// The session as committed, once the service answers again.
     async fn durable_through(&self, retry: &mut Retry) -> Result<Option<u64>, Failure> {
         let mut client = SessionsClient::new(self.connection.channel.clone());
         loop {
@@ -216,13 +218,13 @@ impl Pushed {
     }
 }
 
-/// Whether the session refused every epoch of a push, which then is the device's to skip.
+/// Whether the session refused every epoch of a push; the device then skips them.
 fn refuses_epochs(status: &Status) -> bool {
     let code = grpc::code_of(status);
     matches!(code.as_deref(), Some("SEQUENCE_CONFLICT" | "SEQUENCE_SUPERSEDED" | "OUT_OF_ORDER"))
 }
 
-/// Exponential backoff within a device's patience; an answer that asks for a delay is given it.
+/// Exponential backoff within a device's patience; a delay in the answer takes precedence.
 struct Retry {
     patience: Duration,
     since: Option<Instant>,
@@ -237,7 +239,7 @@ impl Retry {
     /// Waits before the next attempt.
     ///
     /// # Errors
-    /// The refusal itself, where time does not cure it or patience is at its end.
+    /// The refusal itself, if waiting does not help or the patience has ended.
     async fn wait(&mut self, status: &Status) -> Result<(), Failure> {
         let asked = status.get_details_retry_info().and_then(|info| info.retry_delay);
         let passing = matches!(
@@ -247,7 +249,7 @@ impl Retry {
                 | GrpcCode::Cancelled
                 | GrpcCode::DeadlineExceeded
         );
-        // A request that exceeds a limit is not cured by time: it comes without a delay.
+        // A refusal without a delay, such as an exceeded limit, is permanent.
         let since = *self.since.get_or_insert_with(Instant::now);
         if asked.is_none() && (!passing || self.patience < since.elapsed()) {
             return Err(failure(status));

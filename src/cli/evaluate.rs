@@ -33,10 +33,10 @@ pub(crate) struct EvaluateArguments {
     /// One fixed true position instead: degrees, degrees, ellipsoidal metres.
     #[arg(long = "static", value_name = "LAT,LON,H", allow_hyphen_values = true)]
     static_place: Option<Triple>,
-    /// First second of week judged (s).
+    /// First second of week to evaluate (s).
     #[arg(long, value_name = "TOW", alias = "start")]
     from: Option<f64>,
-    /// Last second of week judged (s).
+    /// Last second of week to evaluate (s).
     #[arg(long, value_name = "TOW", alias = "end")]
     to: Option<f64>,
     /// Rover observations (RINEX): their epochs are the expected ones.
@@ -54,10 +54,10 @@ pub(crate) struct EvaluateArguments {
     /// Longest gap of the truth that is interpolated (s).
     #[arg(long, value_name = "S", default_value_t = 1.5)]
     max_gap: f64,
-    /// Added to the solution's times (s).
+    /// Offset added to the times of the solution (s).
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_hyphen_values = true)]
     shift: f64,
-    /// Judges only these quality numbers, as in 1,2.
+    /// Evaluate only these quality numbers, as in 1,2.
     #[arg(long, value_name = "Q,Q", value_delimiter = ',')]
     q: Vec<i64>,
     /// Largest error of a correct fix (m).
@@ -66,7 +66,7 @@ pub(crate) struct EvaluateArguments {
     /// Prints JSON.
     #[arg(long)]
     json: bool,
-    /// Draws track, errors over time and their distribution; the name ends in .svg or .png.
+    /// Plot of track, errors over time and their distribution; the name ends in .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
 }

@@ -21,10 +21,10 @@ const HALF_WEEK_S: f64 = 302_400.0;
 /// The arguments that date receiver data without a GPS week.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct TimeArguments {
-    /// GPS week of RTCM 3 files, which do not tell it; else the navigation data must.
+    /// GPS week of RTCM 3 data, which do not contain it. Default: from the navigation data.
     #[arg(long, value_name = "WEEK", conflicts_with = "start_time", value_parser = weeks())]
     week: Option<i64>,
-    /// About when RTCM 3 files begin, GPS time, within half a day: 2019-03-24T12:00:00.
+    /// Approximate start of RTCM 3 data, GPS time, within half a day: 2019-03-24T12:00:00.
     #[arg(long, value_name = "TIME")]
     start_time: Option<StartTime>,
 }
@@ -62,7 +62,7 @@ impl FromStr for StartTime {
 }
 
 impl TimeArguments {
-    /// What the arguments give.
+    /// The reference time that the arguments give.
     pub(crate) fn reference(&self) -> Option<TimeReference> {
         let middle = |week: i64| {
             let week = i32::try_from(week).expect("the parser bounds it");

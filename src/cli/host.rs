@@ -1,4 +1,4 @@
-//! What the commands share that run a service or ask one: threads, the log, the end.
+//! Threads, the log and interruption, for the commands that run a service or call one.
 
 use std::future::Future;
 

@@ -1,4 +1,4 @@
-//! `--mode`, `--profile` and `--set`, which several commands take.
+//! The arguments `--mode`, `--profile` and `--set` of several commands.
 
 use clap::Args;
 
@@ -12,7 +12,7 @@ pub(crate) struct OptionArguments {
     /// Estimator: spp, ekf, fgo, rtk-ekf or rtk-fgo.
     #[arg(long, value_name = "MODE", default_value = "spp")]
     pub(crate) mode: String,
-    /// Set of defaults: general, urban-vehicle, static, phone or paper.
+    /// Profile (set of defaults): general, urban-vehicle, static, phone or paper.
     #[arg(long, value_name = "NAME", default_value = "general")]
     pub(crate) profile: String,
     /// Overrides one option, as in ionosphere=none; may be repeated. See `graphfix config`.
@@ -21,7 +21,7 @@ pub(crate) struct OptionArguments {
 }
 
 impl OptionArguments {
-    /// The options asked for.
+    /// The options given.
     pub(crate) fn options(&self) -> Result<PositioningOptions, Failure> {
         let mut options =
             PositioningOptions::new(Mode::parse(&self.mode)?, Profile::parse(&self.profile)?);
@@ -35,7 +35,7 @@ impl OptionArguments {
 /// Option and value of each `--set`.
 ///
 /// # Errors
-/// One that assigns nothing.
+/// A `--set` without "=".
 pub(crate) fn assignments(set: &[String]) -> Result<Vec<(&str, &str)>, Failure> {
     let mut all = Vec::with_capacity(set.len());
     for assignment in set {

@@ -1,4 +1,4 @@
-//! How fast a file is played, and how far it has come.
+//! Speed and progress of a file that is played.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -7,14 +7,14 @@ use crate::contract::v1;
 
 use super::device::Pushed;
 
-/// How fast a file is played.
+/// The speed at which a file is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Speed {
     Factor(f64),
     Max,
 }
 
-/// The speed of a text.
+/// Parses a speed.
 pub(super) fn parse_speed(text: &str) -> Result<Speed, String> {
     match text.parse::<f64>() {
         _ if text == "max" => Ok(Speed::Max),

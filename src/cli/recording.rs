@@ -12,16 +12,16 @@ use super::files::{self, TimeArguments};
 /// The arguments that name a recording.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RecordingArguments {
-    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3, told apart by their content.
+    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3, recognised by their content.
     #[arg(long, value_name = "FILE")]
     pub(crate) rover: PathBuf,
     /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides; may be repeated.
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     nav: Vec<PathBuf>,
-    /// Phase centres of antennas (ANTEX); the headers name the antennas of rover and base.
+    /// Phase centres of antennas (ANTEX); headers and messages name the antennas of rover and base.
     #[arg(long, value_name = "FILE")]
     antex: Option<PathBuf>,
-    /// Displacements of another sensor, CSV as simulate writes it; each goes to the epoch within
+    /// Displacements of another sensor, CSV as simulate writes it; each belongs to the epoch within
     /// 0.05 s of its time.
     #[arg(long, value_name = "FILE")]
     odometry: Option<PathBuf>,
@@ -36,9 +36,9 @@ pub(crate) struct RecordingArguments {
     /// Observations of the base, for modes relative to one.
     #[arg(long, value_name = "FILE")]
     base: Option<PathBuf>,
-    /// Position of the base's marker, ECEF (m); its header's antenna offset is added. Of UBX and
-    /// RTCM 3 data the position in messages 1005 and 1006 takes the header's place. Not given: from
-    /// these, and where they tell none, the mean of the base's own single-point positions.
+    /// Position of the base's marker, ECEF (m); the antenna offset of the header is added. Default:
+    /// the position in the header, or in messages 1005 and 1006 of UBX and RTCM 3 data; without
+    /// these, the mean of the base's own single-point positions.
     #[arg(long, value_name = "X,Y,Z|from-header", allow_hyphen_values = true, requires = "base")]
     #[arg(value_parser = base_position)]
     base_position: Option<BasePosition>,

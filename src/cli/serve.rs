@@ -17,37 +17,37 @@ use super::host;
 /// Runs the service until it is interrupted.
 #[derive(Clone, Debug, Args)]
 pub(super) struct ServeArguments {
-    /// TOML file; what it does not name is standard, what follows here overrides it.
+    /// TOML file; its missing keys have their defaults, and the other arguments override it.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
-    /// Address and port; loopback only, as long as there are no keys and no TLS.
-    /// Standard: 127.0.0.1:8080.
+    /// Address and port; only loopback addresses, because there are no keys and no TLS yet.
+    /// Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
-    /// sqlite://FILE (created if absent) or postgres://…; standard: sqlite://graphfix.db.
+    /// sqlite://FILE (created if absent) or postgres://…; default: sqlite://graphfix.db.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
     database: Option<String>,
-    /// Host that clients may have the service ask for data, such as a caster: HOST, HOST:PORT or
-    /// *.DOMAIN; may be repeated. Standard: none.
+    /// Host that the service may connect to for clients, such as a caster: HOST, HOST:PORT or
+    /// *.DOMAIN; may be repeated. Default: none.
     #[arg(long, value_name = "HOST", env = "GRAPHFIX_FETCH_HOSTS", value_delimiter = ',')]
     fetch_host: Vec<String>,
-    /// Let these hosts be at addresses of private networks.
+    /// Allow these hosts to have addresses of private networks.
     #[arg(long, env = "GRAPHFIX_FETCH_PRIVATE")]
     fetch_private: bool,
-    /// Address of RINEX navigation files to fetch each hour, with {yyyy}, {ddd} and the like for
-    /// the day; may be repeated.
+    /// Address of RINEX navigation files that are fetched each hour, with placeholders of the day
+    /// such as {yyyy} and {ddd}; may be repeated.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_NAV_ARCHIVES", value_delimiter = ' ')]
     nav_archive: Vec<String>,
-    /// What is logged, such as info or graphfix=debug.
+    /// Filter of the log, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
-    /// Log one JSON object a line.
+    /// Log one JSON object per line.
     #[arg(long, env = "GRAPHFIX_LOG_JSON")]
     log_json: bool,
 }
 
 impl ServeArguments {
-    /// The file's configuration with what the arguments override, checked.
+    /// The configuration of file and arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
         let mut configuration = match &self.config {
             None => ServiceConfiguration::standard(),
@@ -74,7 +74,7 @@ impl ServeArguments {
 /// Runs the service.
 ///
 /// # Errors
-/// A configuration that is refused, an address in use, a database that cannot be opened.
+/// The configuration is refused, the address is in use, or the database cannot be opened.
 pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
     let configuration = arguments.configuration()?;
     host::start_log(&configuration)?;

@@ -1,4 +1,4 @@
-//! `graphfix simulate`: observations with known truth as files.
+//! `graphfix simulate`: writes files of simulated observations and their truth.
 
 use std::fs::{File, create_dir_all};
 use std::io::{BufWriter, Write};
@@ -16,40 +16,40 @@ use crate::gnss::constants::{SECONDS_PER_HOUR, SECONDS_PER_WEEK};
 use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
 use crate::simulation::{Scenario, Simulator, signals};
 
-/// The files written.
+/// The names of the files.
 const FILES: [&str; 6] =
     ["rover.obs", "base.obs", "navigation.rnx", "odometry.csv", "truth.csv", "README.txt"];
-/// Longest simulation and shortest interval: what one file shall hold.
+/// Longest simulation and shortest interval, which bound the size of the files.
 const LONGEST_S: f64 = SECONDS_PER_WEEK;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
-/// Beyond it the base would be below the rover's horizon.
+/// A longer baseline would put the base below the rover's horizon.
 const LONGEST_BASELINE_M: f64 = 1e5;
 
 /// Simulates a rover and its base and writes RINEX 3.05 files and the truth.
 #[derive(Debug, Args)]
 pub(crate) struct SimulateArguments {
-    /// What is simulated: open-sky, urban-canyon, rtk-open, rtk-canyon or clean.
+    /// Scenario: open-sky, urban-canyon, rtk-open, rtk-canyon or clean.
     #[arg(long, value_name = "NAME")]
     scenario: String,
-    /// The same seed gives the same files.
+    /// Seed of the random numbers; the same seed gives the same files.
     #[arg(long, value_name = "N")]
     seed: u64,
-    /// Folder to write to; it is made if it is not there.
+    /// Folder to write to; it is created if absent.
     #[arg(long, value_name = "DIR")]
     output: PathBuf,
-    /// Length (s); the scenario's own where not given.
+    /// Duration (s); default: the scenario's.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
-    /// Epochs per second (Hz); the scenario's own where not given.
+    /// Epochs per second (Hz); default: the scenario's.
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
-    /// From the origin to the base (m); the scenario's own where not given.
+    /// Distance from the origin to the base (m); default: the scenario's.
     #[arg(long, value_name = "M")]
     baseline: Option<f64>,
-    /// Receives one frequency only.
+    /// Simulate one frequency only.
     #[arg(long)]
     single_frequency: bool,
-    /// Writes over files that are there.
+    /// Overwrite existing files.
     #[arg(long)]
     force: bool,
 }
@@ -59,7 +59,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     let scenario = arguments.scenario()?;
     let folder = &arguments.output;
     if let Some(name) = FILES.iter().find(|name| !arguments.force && folder.join(name).exists()) {
-        let message = format!("{} is there already", folder.join(name).display());
+        let message = format!("{} exists", folder.join(name).display());
         return Err(Failure::new("FILE_EXISTS", message, "name another folder or add --force"));
     }
     create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     let readme = folder.join("README.txt");
     let written = create(&readme)?.write_all(summary.as_bytes());
     written.map_err(|error| not_writable(&readme, &error))?;
-    // Err: the reader of a pipe has seen enough.
+    // Err: standard output is closed.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
 }
@@ -111,7 +111,7 @@ impl SimulateArguments {
     }
 }
 
-/// Writes rover, base, odometry and truth; returns how many epochs there are.
+/// Writes rover, base, odometry and truth; returns the number of epochs.
 fn write_epochs(
     folder: &Path,
     scenario: &Scenario,
@@ -202,7 +202,7 @@ fn summary(
         );
     }
     text += "navigation.rnx  what the satellites broadcast (RINEX 3.05)\n\
-             odometry.csv    how far and whereto its wheels say it drove, for solve --odometry\n\
+             odometry.csv    displacements measured by the wheels, for solve --odometry\n\
              truth.csv       where the rover's antenna was: gps_week,tow,x_m,y_m,z_m\n";
     text
 }

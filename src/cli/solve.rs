@@ -26,21 +26,21 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Positions a file of observations, without a server or a database.
 ///
-/// Reads RINEX 2 to 4, CRINEX, UBX and RTCM 3, gzip too. The solution's epochs are named by the
-/// receiver's tags.
+/// Reads RINEX 2 to 4, CRINEX, UBX and RTCM 3, also packed with gzip. The times of the solution are
+/// the receiver's epoch tags.
 #[derive(Debug, Args)]
 pub(crate) struct SolveArguments {
     #[command(flatten)]
     recording: RecordingArguments,
     #[command(flatten)]
     options: OptionArguments,
-    /// Length of the window of mode fgo in seconds, or `batch` for everything at once.
+    /// Length of the window in seconds, in modes that have one; or `batch` for all epochs at once.
     #[arg(long, value_name = "SECONDS|batch")]
     window: Option<String>,
-    /// Write each epoch as it is once it leaves the window of mode fgo, smoothed by what followed.
+    /// Write the smoothed solution of each epoch, computed when the epoch leaves the window.
     #[arg(long)]
     smoothed: bool,
-    /// Where to write; the name's ending chooses .pos, .csv or .geojson.
+    /// File to write; its name ends in .pos, .csv or .geojson.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
 }
@@ -69,13 +69,13 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
     progress.clear();
     let summary = summary(&tally, &solutions.provenance(), began.elapsed());
-    // Err: nobody reads the summary.
+    // Err: standard output is closed.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
 }
 
 impl SolveArguments {
-    /// The options asked for, `--window` among them.
+    /// The options given, with `--window`.
     fn options(&self) -> Result<PositioningOptions, Failure> {
         let mut options = self.options.options()?;
         if !options.mode.has_window() && (self.window.is_some() || self.smoothed) {
@@ -102,7 +102,7 @@ pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
     Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
 }
 
-/// The solution file, in the format its name asks for.
+/// The solution file, in the format of its name's ending.
 pub(super) enum Output {
     Pos(pos::Writer<BufWriter<File>>),
     Csv(csv::Writer<BufWriter<File>>),
@@ -154,7 +154,7 @@ impl Output {
 struct Tally {
     epochs: u64,
     answered: u64,
-    /// Epochs by the code of a reason their answer gave, in order of first appearance.
+    /// Number of epochs by the code of a reason in their solution, in order of first appearance.
     reasons: Vec<(&'static str, u64)>,
 }
 

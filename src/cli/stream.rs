@@ -1,4 +1,4 @@
-//! `graphfix stream`: plays a file to a service as a device would.
+//! `graphfix stream`: sends a file to a service as a device does.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -22,11 +22,11 @@ use super::stream_raw::Bytestream;
 /// Epochs of one push at full speed.
 const BATCH: usize = 256;
 
-/// Plays observations to a service as a device would, and survives its restarts.
+/// Sends observations to a service as a device does, also across restarts of the service.
 #[derive(Clone, Debug, Args)]
 pub(super) struct StreamArguments {
-    /// Observations, plain or gzip: RINEX or CRINEX, whose epochs are numbered from 1 in their
-    /// order, or the bytes of a receiver (UBX, RTCM 3), which are sent as they are.
+    /// Observations, plain or gzip. The epochs of RINEX and CRINEX are numbered from 1; the bytes
+    /// of a receiver (UBX, RTCM 3) are sent unchanged.
     #[arg(long, value_name = "FILE")]
     rover: PathBuf,
     /// The service.
@@ -35,7 +35,7 @@ pub(super) struct StreamArguments {
     /// Navigation files to push first.
     #[arg(long, value_name = "FILE")]
     nav: Vec<PathBuf>,
-    /// How fast: 1 is real time, 10 ten times as fast, max as fast as acknowledged.
+    /// Speed: 1 is real time, 10 is ten times as fast, max is as fast as the service answers.
     #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = parse_speed)]
     speed: Speed,
     /// An existing session to resume after the last epoch it committed.
@@ -47,19 +47,19 @@ pub(super) struct StreamArguments {
     /// Profile of a new session.
     #[arg(long, value_name = "NAME", default_value = "general")]
     profile: String,
-    /// About when RTCM 3 bytes begin, GPS time, within half a day: 2019-03-24T12:00:00. Standard:
+    /// Approximate start of RTCM 3 data, GPS time, within half a day: 2019-03-24T12:00:00. Default:
     /// the service's clock.
     #[arg(long, value_name = "TIME")]
     start_time: Option<StartTime>,
-    /// Seconds for which a service that does not answer is tried again.
+    /// Duration of the attempts to reach a service that does not answer (s).
     #[arg(long, value_name = "SECONDS", default_value_t = 60)]
     patience: u64,
 }
 
-/// Streams a file.
+/// Sends the file.
 ///
 /// # Errors
-/// A file that cannot be read, a refusal that time does not cure, or a service that stays away.
+/// The file cannot be read, the service refuses it, or the service does not answer again.
 pub(super) fn run(arguments: StreamArguments) -> Result<(), Failure> {
     host::block_on(stream(arguments))
 }
@@ -100,7 +100,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reads and encodes the next push while the last one is on its way.
+/// Reads and encodes the next push while the service processes the previous one.
 async fn at_full_speed(
     rover: &mut Rover,
     device: &mut Device,
@@ -109,7 +109,7 @@ async fn at_full_speed(
     let mut batch = rover.batch(BATCH)?;
     while !batch.is_empty() {
         let (pushed, next) = tokio::join!(device.push(batch), async {
-            // The push is sent before the reader takes the thread.
+            // Send the push before reading blocks the thread.
             tokio::task::yield_now().await;
             rover.batch(BATCH)
         });
@@ -119,7 +119,7 @@ async fn at_full_speed(
     Ok(())
 }
 
-/// Sends each epoch when it is due; those that fell due meanwhile go together.
+/// Sends each epoch when it is due. Epochs that became due during a push are sent together.
 async fn paced(
     rover: &mut Rover,
     device: &mut Device,
@@ -142,7 +142,7 @@ async fn paced(
     Ok(())
 }
 
-/// The observation file, its epochs numbered.
+/// The observation file with numbered epochs.
 struct Rover {
     reader: ObservationReader<Box<dyn std::io::BufRead + Send>>,
     path: PathBuf,

@@ -1,4 +1,4 @@
-//! Playing the bytes of a receiver as they are.
+//! Sends the bytes of a receiver unchanged.
 
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -15,12 +15,12 @@ use super::device::Device;
 use super::files;
 use super::progress::{Progress, Speed};
 
-/// Bytes of a piece at full speed.
+/// Bytes of a chunk at full speed.
 const PIECE_BYTES: usize = 64 << 10;
-/// Bytes looked at together where they are sent when they are due: an epoch has more.
+/// Bytes of a chunk that is searched for the end of an epoch; an epoch has more.
 const PACE_BYTES: usize = 256;
 
-/// A receiver's file, being played.
+/// A receiver's file that is being sent.
 pub(super) struct Bytestream<'a> {
     path: &'a Path,
     input: Box<dyn BufRead>,
@@ -29,7 +29,7 @@ pub(super) struct Bytestream<'a> {
 }
 
 impl<'a> Bytestream<'a> {
-    /// The file after its first `skipped` bytes; `near` dates it where it tells no week.
+    /// The file after its first `skipped` bytes; `near` dates data without a GPS week.
     pub(super) fn open(
         path: &'a Path,
         skipped: u64,
@@ -41,7 +41,7 @@ impl<'a> Bytestream<'a> {
         Ok(Self { path, input, offset: skipped, near })
     }
 
-    /// Up to `length` bytes, fewer only at the end.
+    /// Reads `length` bytes, or fewer at the end.
     fn read(&mut self, length: usize) -> Result<Vec<u8>, Failure> {
         let mut bytes = Vec::with_capacity(length);
         let read = self.input.by_ref().take(length as u64).read_to_end(&mut bytes);
@@ -49,10 +49,10 @@ impl<'a> Bytestream<'a> {
         Ok(bytes)
     }
 
-    /// Plays it to its end.
+    /// Sends the file to its end.
     ///
     /// # Errors
-    /// The file cannot be read, or the service refuses its bytes or stays away.
+    /// The file cannot be read, or the service refuses its bytes or does not answer again.
     pub(super) async fn play(
         mut self,
         device: &mut Device,
@@ -72,7 +72,8 @@ impl<'a> Bytestream<'a> {
         }
     }
 
-    /// Sends each epoch's bytes when they are due; those that fell due meanwhile go together.
+    /// Sends the bytes of each epoch when they are due. Epochs that became due during a push go
+    /// together.
     async fn paced(
         &mut self,
         factor: f64,

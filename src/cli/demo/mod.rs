@@ -1,4 +1,4 @@
-//! `graphfix demo`: the service, a simulated fleet and what comes of it, in one command.
+//! `graphfix demo`: the service, a simulated fleet and its positions, in one command.
 
 mod fleet;
 mod table;
@@ -24,11 +24,11 @@ use super::Failure;
 use super::device::Connection;
 use super::host;
 
-/// Where the service is looked for first.
+/// The port that is tried first.
 const PORT: u16 = 8080;
 
-/// Starts the service on this machine alone, simulates a fleet, streams it over gRPC and shows how
-/// well it is positioned; then keeps serving until interrupted. Nothing is kept.
+/// Starts the service on this machine, simulates a fleet, sends its observations over gRPC and
+/// shows the errors of the positions; then serves until interrupted. Nothing is kept.
 #[derive(Clone, Debug, Args)]
 pub(super) struct DemoArguments {
     /// Devices, alternately under open sky and among high buildings.
@@ -39,14 +39,14 @@ pub(super) struct DemoArguments {
     #[arg(long, value_name = "SECONDS", default_value_t = 120)]
     #[arg(value_parser = value_parser!(u32).range(1..=3600))]
     duration: u32,
-    /// How much faster than real time.
+    /// Speed as a multiple of real time.
     #[arg(long, value_name = "FACTOR", default_value_t = 4)]
     #[arg(value_parser = value_parser!(u32).range(1..=1000))]
     speed: u32,
-    /// Chooses the simulated errors.
+    /// Seed of the simulated errors.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// End with the summary instead of serving on.
+    /// Exit after the summary.
     #[arg(long)]
     exit: bool,
 }
@@ -54,7 +54,7 @@ pub(super) struct DemoArguments {
 /// Runs the demo.
 ///
 /// # Errors
-/// No port, no temporary folder, or the service fails.
+/// There is no free port or no temporary folder, or the service fails.
 pub(super) fn run(arguments: DemoArguments) -> Result<(), Failure> {
     host::block_on(demo(arguments))
 }
@@ -68,7 +68,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let opened = app::open(&configuration, Patience::standard(), FeedOptions::standard());
     let app = opened.await?;
     let (stop, stopped) = oneshot::channel::<()>();
-    // Err: the demo failed and dropped its end, which stops the service too.
+    // Err: the demo failed and dropped the sender, which also stops the service.
     let serving = tokio::spawn(app.serve(listener, async { drop(stopped.await) }));
     println!("serving gRPC and REST at http://{address}/ (open it: /docs explains every call)");
 
@@ -86,7 +86,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     played
 }
 
-/// Streams the fleet and shows how it fares.
+/// Drives the fleet and shows its errors.
 async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     let duration_s = f64::from(arguments.duration);
     let open = Scenario { duration_s, base: None, ..Scenario::open_sky() };
@@ -125,7 +125,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The standard port, or any free one where it is taken.
+/// The standard port, or a free one if it is in use.
 async fn listener() -> Result<TcpListener, Failure> {
     match TcpListener::bind(("127.0.0.1", PORT)).await {
         Ok(listener) => Ok(listener),
@@ -154,7 +154,7 @@ impl TemporaryFolder {
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
-        // Err: the system's own cleaning finds what is left.
+        // Err: the system removes old files of the temporary folder.
         std::fs::remove_dir_all(&self.0).ok();
     }
 }
