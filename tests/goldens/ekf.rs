@@ -4,6 +4,7 @@ use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::gnss::{Ecef, Status};
 use graphfix::positioning::Estimator;
 
+use super::measured;
 use crate::support::data;
 use crate::support::recording::{Errors, Recording, canyon};
 
@@ -11,21 +12,20 @@ use crate::support::recording::{Errors, Recording, canyon};
 #[test]
 fn the_paper_profile_errs_like_the_papers_filter() {
     let Some(recording) = canyon() else { return };
-    let errors = Errors::in_the_canyon(&recording.causal(Mode::Ekf, Profile::Paper));
-    assert!((12.0..=16.0).contains(&errors.mean_m), "{}", errors.mean_m);
-    assert!((10.0..=16.0).contains(&errors.deviation_m), "{}", errors.deviation_m);
+    let solutions = recording.causal(Mode::Ekf, Profile::Paper);
+    measured::EKF_CANYON_PAPER.holds(&Errors::in_the_canyon(&solutions));
 }
 
 #[test]
 fn in_the_canyon_the_filter_beats_single_points_and_is_honest() {
     let Some(recording) = canyon() else { return };
-    for profile in [Profile::UrbanVehicle, Profile::General] {
+    for (profile, measured) in [
+        (Profile::UrbanVehicle, measured::EKF_CANYON_VEHICLE),
+        (Profile::General, measured::EKF_CANYON_GENERAL),
+    ] {
         let solutions = recording.causal(Mode::Ekf, profile);
         assert!(solutions.iter().all(|solution| solution.status == Status::Ekf));
-        let errors = Errors::in_the_canyon(&solutions);
-        // Single points: 11.2 m.
-        assert!(errors.mean_m <= 4.5, "{profile:?}: {}", errors.mean_m);
-        assert!(0.8 <= errors.inside, "{profile:?}: {}", errors.inside);
+        measured.holds(&Errors::in_the_canyon(&solutions));
     }
 }
 
@@ -37,10 +37,7 @@ fn a_day_of_a_reference_station() {
     let solutions = recording.causal(Mode::Ekf, Profile::General);
     assert_eq!(solutions.len(), 2_880);
     let truth = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
-    let errors = Errors::of(&solutions, |_| truth);
-    assert!(errors.mean_m <= 0.80, "{}", errors.mean_m);
-    assert!(errors.greatest_m <= 3.0, "{}", errors.greatest_m);
-    assert!(0.9 <= errors.inside, "{}", errors.inside);
+    measured::EKF_STATION.holds(&Errors::of(&solutions, |_| truth));
 }
 
 /// A clone goes on with the same bits; so does one copied into another's storage.

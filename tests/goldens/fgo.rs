@@ -9,6 +9,7 @@ use graphfix::gnss::{SatelliteId, Solution, Status};
 use graphfix::positioning::Estimator;
 use graphfix::simulation::{Scenario, Simulator};
 
+use super::measured;
 use crate::support::data;
 use crate::support::recording::{Errors, Recording, canyon};
 
@@ -25,22 +26,23 @@ fn the_paper_profile_gives_the_papers_row() {
 #[test]
 fn a_car_in_the_canyon_at_once() {
     let Some(recording) = canyon() else { return };
-    let errors = Errors::in_the_canyon(&recording.causal(Mode::Fgo, Profile::UrbanVehicle));
-    assert!(errors.mean_m <= 2.9, "{}", errors.mean_m);
-    assert!(errors.deviation_m <= 1.7, "{}", errors.deviation_m);
-    assert!(errors.greatest_m <= 8.5, "{}", errors.greatest_m);
-    assert!(0.8 <= errors.inside, "{}", errors.inside);
+    let solutions = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
+    measured::FGO_CANYON_AT_ONCE.holds(&Errors::in_the_canyon(&solutions));
 }
 
 #[test]
 fn a_car_in_the_canyon_smoothed() {
     let Some(recording) = canyon() else { return };
+    let solutions = recording.smoothed(Profile::UrbanVehicle);
+    measured::FGO_CANYON_SMOOTHED.holds(&Errors::in_the_canyon(&solutions));
+}
+
+#[test]
+fn a_car_in_the_canyon_in_batch() {
+    let Some(recording) = canyon() else { return };
     let errors = Errors::in_the_canyon(&recording.batch(Profile::UrbanVehicle));
-    assert!(errors.mean_m <= 2.4, "{}", errors.mean_m);
-    assert!(errors.deviation_m <= 1.2, "{}", errors.deviation_m);
-    assert!(errors.greatest_m <= 5.5, "{}", errors.greatest_m);
+    measured::FGO_CANYON_BATCH.holds(&errors);
     assert!(errors.up_m.abs() < 7.0, "{}", errors.up_m);
-    assert!(0.8 <= errors.inside, "{}", errors.inside);
 }
 
 /// No Doppler, an epoch every 30 s. Single points have 0.79 m.
@@ -50,13 +52,12 @@ fn a_day_of_a_reference_station_smoothed() {
     let recording = Recording::read(&folder, "hers0010.18O", &["brdc0010.18n"]);
     let truth = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
     let profile = Profile::General;
-    for (solutions, mean_m) in
-        [(recording.smoothed(profile), 0.6), (recording.batch(profile), 0.45)]
-    {
+    for (solutions, measured) in [
+        (recording.smoothed(profile), measured::FGO_STATION_SMOOTHED),
+        (recording.batch(profile), measured::FGO_STATION_BATCH),
+    ] {
         assert_eq!(solutions.len(), 2_880);
-        let errors = Errors::of(&solutions, |_| truth);
-        assert!(errors.mean_m <= mean_m, "{}", errors.mean_m);
-        assert!(0.9 <= errors.inside, "{}", errors.inside);
+        measured.holds(&Errors::of(&solutions, |_| truth));
     }
 }
 

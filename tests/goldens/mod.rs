@@ -3,6 +3,7 @@
 mod antennas;
 mod ekf;
 mod fgo;
+mod measured;
 mod rinex;
 mod rtk;
 mod spp;

@@ -60,18 +60,21 @@ pub(crate) fn canyon() -> Option<Recording> {
     Some(recording)
 }
 
-/// Horizontal mean, deviation and maximum, mean of the height's error, share inside the ellipse.
+/// Horizontal mean, deviation and maximum, mean of the height's error, 95 % of the errors in space,
+/// share inside the stated 95 % ellipse.
 pub(crate) struct Errors {
     pub(crate) mean_m: f64,
     pub(crate) deviation_m: f64,
     pub(crate) greatest_m: f64,
     pub(crate) up_m: f64,
+    pub(crate) spatial_95_m: f64,
     pub(crate) inside: f64,
 }
 
 impl Errors {
     pub(crate) fn of(solutions: &[Solution], truth: impl Fn(GpsTime) -> Ecef) -> Self {
-        let (mut horizontal_m, mut up_m, mut inside) = (Vec::new(), 0.0, 0);
+        let (mut horizontal_m, mut spatial_m) = (Vec::new(), Vec::new());
+        let (mut up_m, mut inside) = (0.0, 0);
         for solution in solutions {
             let estimate = solution.estimate.as_ref().expect("every epoch is answered");
             let frame = LocalFrame::at(truth(solution.time));
@@ -81,16 +84,19 @@ impl Errors {
             // 5.991: chi-square limit of two degrees of freedom at 95 %.
             inside += usize::from((error.xy().transpose() * plane * error.xy()).x < 5.991);
             horizontal_m.push(error.xy().norm());
+            spatial_m.push(error.norm());
             up_m += error.z;
         }
         let count = horizontal_m.len() as f64;
         let mean_m = horizontal_m.iter().sum::<f64>() / count;
+        spatial_m.sort_by(f64::total_cmp);
         let squares: f64 = horizontal_m.iter().map(|error| (error - mean_m).powi(2)).sum();
         Self {
             mean_m,
             deviation_m: (squares / (count - 1.0)).sqrt(),
             greatest_m: horizontal_m.iter().copied().fold(0.0, f64::max),
             up_m: up_m / count,
+            spatial_95_m: spatial_m[(spatial_m.len() - 1) * 95 / 100],
             inside: inside as f64 / count,
         }
     }
