@@ -1,4 +1,4 @@
-//! Every refusal: in the table of `docs/errors.md`, and answered so by the REST door.
+//! Every refusal stands in `docs/errors.md`, and the REST door answers with its code and status.
 
 use std::collections::BTreeSet;
 
@@ -83,7 +83,7 @@ fn the_document_and_the_table_are_one_set() {
     assert_eq!(rows.len(), Code::ALL.len(), "docs/errors.md has a row that is no code");
 }
 
-/// What is sent takes its code from the table: no other room spells one.
+/// Every room takes its codes from the table: none spells one.
 #[test]
 fn no_room_spells_a_code_again() {
     const ROOMS: [&str; 11] = [
@@ -123,7 +123,7 @@ fn push(change: impl FnOnce(&mut Value)) -> Value {
     json!({ "epochs": [epoch] })
 }
 
-/// Requests by JSON, each with what it must be refused as: method, path, body, code, field.
+/// Requests with JSON bodies that must be refused: method, path, body, code, field.
 fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Code, &'static str)> {
     let epochs = format!("/v1/sessions/{session}/epochs");
     let solutions = format!("/v1/sessions/{session}/solutions");
@@ -256,11 +256,11 @@ fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Co
     ]
 }
 
-/// Requests about bases: one that stands somewhere, holds an epoch and is in use, and one that
-/// nobody knows the place of. There may be no third, nor a third epoch.
+/// Requests about two bases: `used` has a position and an epoch, and a session uses it; the position
+/// of `unlocated` is unknown. More than two bases, or two epochs, are not allowed.
 fn base_requests(
     used: &str,
-    placeless: &str,
+    unlocated: &str,
 ) -> Vec<(&'static str, String, Value, Code, &'static str)> {
     let bases = "/v1/bases".to_owned();
     let epochs = format!("/v1/bases/{used}/epochs");
@@ -311,7 +311,7 @@ fn base_requests(
         ("DELETE", format!("{bases}/{used}"), json!({}), Code::BaseInUse, "base"),
         (
             "POST",
-            format!("{bases}/{placeless}/epochs"),
+            format!("{bases}/{unlocated}/epochs"),
             push(|_| ()),
             Code::BasePositionMissing,
             "base",
@@ -322,7 +322,7 @@ fn base_requests(
     ]
 }
 
-/// Bodies that are no JSON requests: path, content type, body, code.
+/// Bodies other than JSON requests: path, content type, body, code.
 fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     let rinex = |line: &str| format!("{line}\n").into_bytes();
     let nav = |version: &str, kind: &str| {
@@ -353,14 +353,14 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     ]
 }
 
-/// A RINEX observation file whose header does not say what the columns are.
+/// A RINEX observation file whose header does not list the observation types.
 fn header_without_types() -> Vec<u8> {
     let first =
         format!("{:>9}{:11}{:<20}{:20}RINEX VERSION / TYPE\n", "3.05", "", "OBSERVATION DATA", "G");
     format!("{first}{:60}END OF HEADER\n", "").into_bytes()
 }
 
-/// Chunks of raw bytes: query, body, code, field. What is stored is one byte.
+/// Chunks of raw bytes: query, body, code, field. One byte is stored already.
 fn pieces() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
     vec![
         ("", vec![0; 50_001], Code::PieceTooLarge, "content"),
@@ -461,7 +461,7 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
     assert_eq!(seen, all, "a code has no test");
 }
 
-/// Starts of the service that must fail: an argument, the configuration, the code.
+/// Starts of the service that must fail: argument, configuration, code.
 fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
     let nothing = "--log=info";
     vec![
@@ -500,7 +500,7 @@ fn a_refused_start_has_its_code_and_remedy() {
     }
 }
 
-/// What time cures says when to come back.
+/// A refusal that passes by itself has a delay.
 #[test]
 fn a_full_mailbox_asks_for_a_delay() {
     let retry_after = std::time::Duration::from_millis(100);
