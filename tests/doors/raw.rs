@@ -356,7 +356,7 @@ async fn what_is_no_stream_is_refused() {
     for (bytes, expected) in [
         (garbage.clone(), "RAW_FORMAT_UNKNOWN"),
         (gzip(&garbage), "RAW_FORMAT_UNKNOWN"),
-        (gzip(&gzip(&PAIR.base_file(None))), "RAW_FORMAT_UNKNOWN"),
+        (gzip(&gzip(&PAIR.base_file(None)[..50_000])), "RAW_FORMAT_UNKNOWN"),
         (vec![0x1f, 0x8b, 9, 0], "RINEX_READ_FAILED"),
         (damaged, "RINEX_READ_FAILED"),
         (gzip(&bomb()), "DECOMPRESSED_TOO_LARGE"),
