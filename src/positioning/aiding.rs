@@ -30,7 +30,7 @@ pub struct BaseAiding<'a> {
     /// The station.
     pub station: &'a BaseStation,
     /// Its epochs in order of time, no later than the rover's by more than its clock may be off.
-    /// Those given before are passed over; all since then are wanted, because each may tell of a
-    /// cycle slip.
+    /// Epochs given before are ignored; all since then are needed, since each may report a cycle
+    /// slip.
     pub epochs: &'a [Epoch],
 }

@@ -1,5 +1,7 @@
 //! What every mode is: state as plain data, and the memory it computes in apart from it.
 
+use std::fmt::Debug;
+
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::Snapshot;
@@ -28,9 +30,9 @@ impl<'a> EpochInputs<'a> {
 ///
 /// The state is all that the next answers depend on besides options and navigation data: copies and
 /// snapshots of it go on with the same bits.
-pub(super) trait Engine: Clone + Snapshot {
+pub(super) trait Engine: Clone + Debug + Snapshot {
     /// Memory to compute in. No answer depends on what an earlier epoch left in it.
-    type Scratch: Default;
+    type Scratch: Default + Debug;
 
     /// The state before the first epoch; with `revises`, a mode with a window answers epochs again
     /// as they leave it.

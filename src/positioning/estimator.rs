@@ -10,7 +10,7 @@ use super::aiding::Aiding;
 use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
-use super::rtk::{RtkFilter, RtkWindow, RtkWindowScratch};
+use super::rtk::{RtkFilter, RtkWindow};
 use super::setup::Setup;
 use super::spp::SinglePoints;
 
@@ -346,7 +346,7 @@ pub struct Batch {
 #[derive(Debug)]
 enum Whole {
     Alone(Box<WholeChain>),
-    Relative(Box<(RtkWindow, RtkWindowScratch)>),
+    Relative(Box<(RtkWindow, <RtkWindow as Engine>::Scratch)>),
 }
 
 impl Batch {

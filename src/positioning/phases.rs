@@ -15,34 +15,34 @@ use super::clock_jump::whole_milliseconds_m;
 use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
 use super::ranging::{median, sighted};
 
-/// What thermal noise adds to a phase difference at that C/N0 (m).
+/// Thermal noise of a phase difference at that C/N0 (m).
 const THERMAL_M: f64 = 0.004;
 /// Phase multipath and noise on the frequencies whose difference shows the ionosphere (m).
 const PHASE_M: f64 = 0.003;
-/// How long the ionosphere model's error takes to become another (s): satellites cross the sky in
-/// hours, and the ionosphere follows the sun.
+/// Correlation time of the ionosphere model's error (s): satellites cross the sky in hours, and the
+/// ionosphere follows the sun.
 const MODEL_LASTS_S: f64 = 1_800.0;
-/// A change of the ionosphere this many standard deviations off what is modelled is a slip.
+/// A change of the ionosphere this many standard deviations from the model is a slip.
 const IONOSPHERE_SIGMAS: f64 = 5.0;
-/// Differences that miss whole milliseconds by more than this have another clock (m): 0.1 ms.
+/// Differences further than this from whole milliseconds have another clock (m): 0.1 ms.
 const CLOCK_DIFFERS_M: f64 = 3e4;
 
-/// A carrier phase to be continued.
+/// A carrier phase of the last epoch.
 #[derive(Clone, Copy, Debug)]
 struct Kept {
     satellite: SatelliteId,
     code: ObservationCode,
-    /// Place of its satellite among the epoch's sights.
+    /// Index of its satellite among the epoch's sights.
     sight: u16,
     /// Free of satellite clock, troposphere and ionosphere (m).
     corrected_m: f64,
     half_cycle: bool,
-    /// The model's delay that it was freed of (m).
+    /// The modelled ionospheric delay (m).
     ionosphere_m: f64,
     second: Option<SecondPhase>,
 }
 
-/// What a phase on a second frequency adds.
+/// The phase on a second frequency.
 #[derive(Clone, Copy, Debug)]
 struct SecondPhase {
     code: ObservationCode,
@@ -72,8 +72,8 @@ impl Kept {
         })
     }
 
-    /// By how much the ionosphere changed beyond its model since `before` (m), as far as the second
-    /// frequency of `measurement`, which this is, tells.
+    /// Change of the ionospheric delay since `before` beyond its model (m), by the second frequency
+    /// of `measurement`, the measurement of this phase.
     fn unmodelled_m(&self, before: &Self, measurement: &Measurement, interval_s: f64) -> f64 {
         let (Some(old), Some(new)) = (&before.second, &self.second) else { return 0.0 };
         let Some(second) = measurement.second.as_ref() else { return 0.0 };
@@ -92,12 +92,12 @@ impl Kept {
         if IONOSPHERE_SIGMAS.powi(2) * (model_m2 + noise_m2) < missed_m * missed_m {
             return 0.0;
         }
-        // As for an infinite variance: no model.
+        // Written so that an infinite variance means no model.
         missed_m / (1.0 + noise_m2 / model_m2)
     }
 }
 
-/// What thermal noise adds to the difference of two phases (m).
+/// Thermal noise of the difference of two phases (m).
 fn thermal_m(cn0_db_hz: Option<f64>) -> f64 {
     let decades = (REFERENCE_CN0_DB_HZ - cn0_db_hz.unwrap_or(REFERENCE_CN0_DB_HZ)) / 20.0;
     THERMAL_M * (std::f64::consts::LN_10 * decades).exp()
@@ -124,7 +124,7 @@ pub(super) struct ClockScratch {
 }
 
 impl Phases {
-    /// Forgets them: no difference spans what follows.
+    /// Forgets them.
     pub(super) fn clear(&mut self) {
         self.kept.clear();
         self.sights.clear();
@@ -138,7 +138,7 @@ impl Phases {
         self.sights.extend_from_slice(sights);
     }
 
-    /// Whether they are of satellites of their own, `sights` of them, if any are kept.
+    /// Whether they refer to their own satellites, of which there are `sights`.
     pub(super) fn is_within(&self, sights: usize) -> bool {
         let is_known = |kept: &Kept| usize::from(kept.sight) < sights;
         self.kept.is_empty() || self.sights.len() == sights && self.kept.iter().all(is_known)
@@ -149,7 +149,7 @@ impl Phases {
         &self.sights
     }
 
-    /// Differences from the phases kept to those of `list`, `interval_s` later.
+    /// Differences from the kept phases to those of `list`, `interval_s` later.
     ///
     /// A satellite is left out after a loss of lock, and where only one end may be off by half a
     /// cycle; where both may, the half cycle is most likely the same and the kernel judges.
@@ -227,7 +227,8 @@ mod tests {
     /// What the ionosphere changed (m), of which the model knew nothing.
     const CHANGE_M: f64 = 0.04;
 
-    /// A satellite overhead, its phases advanced by the ionosphere and cycles slipped on the second.
+    /// A satellite overhead, its phases advanced by the ionosphere and cycles slipped on the
+    /// second.
     fn measurement(ionosphere_m: f64, model_m2: f64, slipped_m: f64) -> Measurement {
         let satellite = "G01".parse().unwrap();
         let code = |text| ObservationCode::parse(text).unwrap();
@@ -296,8 +297,8 @@ mod tests {
         assert!((change_m(0.0, 30.0, 0.0) + CHANGE_M).abs() < 1e-8);
     }
 
-    /// One cycle of L2 looks like 0.244/0.647 = 0.38 m of ionosphere, three like 1.13 m: beyond what
-    /// 1 s (5·16 mm) and 30 s (5·85 mm) allow.
+    /// One cycle of L2 looks like 0.244/0.647 = 0.38 m of ionosphere, three like 1.13 m: beyond
+    /// what 1 s (5·16 mm) and 30 s (5·85 mm) allow.
     #[test]
     fn a_slip_of_the_second_phase_is_not_the_ionosphere() {
         let slipped_m = change_m(25.0, 30.0, -3.0 * 0.244);

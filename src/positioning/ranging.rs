@@ -1,6 +1,6 @@
 //! The satellites that an epoch sees, and its pseudorange factors with what names them.
 
-use crate::gnss::{Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
+use crate::gnss::{Constellation, Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::Row;
 use crate::snapshot::snapshot_fields;
 
@@ -8,7 +8,7 @@ use super::Measurement;
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 
-/// The measurements above the mask, each with the place of its satellite among the epoch's sights.
+/// The measurements above the mask, each with the index of its satellite among the epoch's sights.
 pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measurement)> {
     (0..).zip(list.iter().filter(|measurement| measurement.is_above_mask))
 }
@@ -35,26 +35,26 @@ pub(super) fn rates<'a>(
     })
 }
 
-/// A pseudorange with what names it.
+/// A pseudorange factor with its satellite and ephemeris.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ranging {
     pub(super) factor: PseudorangeFactor,
-    /// Place of its satellite among the epoch's sights.
+    /// Index of its satellite among the epoch's sights.
     pub(super) sight: u16,
     pub(super) satellite: SatelliteId,
     /// Time and issue of its ephemeris.
     pub(super) toe: GpsTime,
     pub(super) issue: u32,
-    /// Place of its inter-system bias among all; `None` for the reference constellation.
+    /// Index of its inter-system bias; `None` for the reference constellation.
     pub(super) bias: Option<u32>,
-    /// Standard deviation of what the ionosphere's model puts into it (m).
+    /// Standard deviation of the ionosphere's model in it (m).
     pub(super) ionosphere_m: f64,
-    /// Standard deviation of what the troposphere's does (m).
+    /// Standard deviation of the troposphere's model in it (m).
     pub(super) troposphere_m: f64,
 }
 
 impl Ranging {
-    /// Of a placed measurement, its satellite at place `sight`.
+    /// Of a placed measurement whose satellite is `sight`.
     pub(super) fn new(sight: u16, measurement: &Measurement, bias: Option<u32>) -> Self {
         let factor = PseudorangeFactor {
             corrected_range_m: measurement.corrected_range_m,
@@ -77,7 +77,7 @@ impl Ranging {
         EphemerisIssue { satellite: self.satellite, toe: self.toe, issue: self.issue }
     }
 
-    /// The bias in force (m), of all of them.
+    /// Its inter-system bias (m).
     pub(super) fn bias_m(&self, biases_m: &[f64]) -> f64 {
         self.bias.map_or(0.0, |variable| biases_m[variable as usize])
     }
@@ -89,9 +89,64 @@ impl Ranging {
     }
 
     /// Measured less predicted (m).
-    pub(super) fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
+    fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
         let row = self.linearize(lines, state, biases_m);
         -row.residual / self.factor.inverse_sigma
+    }
+}
+
+/// The pseudoranges of an epoch as seen from a state.
+#[derive(Clone, Copy)]
+pub(super) struct SeenRanges<'a> {
+    pub(super) ranges: &'a [Ranging],
+    /// Lines of sight from the state.
+    pub(super) lines: &'a [Line],
+    pub(super) state: &'a State,
+}
+
+impl SeenRanges<'_> {
+    /// Finds the clock, and biases that begin, from the medians of the pseudoranges.
+    ///
+    /// Returns measured less predicted clock (m), if any pseudorange shows it. `biases_m` and
+    /// `begun` take in the biases of constellations that have not begun; `begins` is called with
+    /// the index and value of each. Without any clock yet, the first constellation's stands in for
+    /// the reference's.
+    pub(super) fn settle_clock(
+        &self,
+        biases_m: &mut [f64],
+        begun: &mut [bool; Constellation::COUNT],
+        numbers: &mut Vec<f64>,
+        mut begins: impl FnMut(usize, f64),
+    ) -> Option<f64> {
+        let index = |range: &Ranging| range.satellite.constellation.index();
+        let known = |range: &&Ranging| range.bias.is_none() || begun[index(range)];
+        let mut clock_m = self.median_miss_m(known, biases_m, numbers);
+        for constellation in Constellation::ALL.into_iter().map(Constellation::index) {
+            let of = |range: &&Ranging| index(range) == constellation;
+            let first = self.ranges.iter().find(of).filter(|_| !begun[constellation]);
+            let Some(variable) = first.and_then(|range| range.bias) else { continue };
+            let variable = variable as usize;
+            biases_m[variable] = 0.0;
+            let own_m = self.median_miss_m(of, biases_m, numbers).unwrap_or(0.0);
+            biases_m[variable] = own_m - *clock_m.get_or_insert(own_m);
+            begun[constellation] = true;
+            begins(variable, biases_m[variable]);
+        }
+        clock_m
+    }
+
+    /// Median of measured less predicted pseudoranges (m), of those that `is_wanted` admits.
+    fn median_miss_m(
+        &self,
+        is_wanted: impl Fn(&&Ranging) -> bool,
+        biases_m: &[f64],
+        numbers: &mut Vec<f64>,
+    ) -> Option<f64> {
+        let Self { ranges, lines, state } = *self;
+        let wanted = ranges.iter().filter(is_wanted);
+        numbers.clear();
+        numbers.extend(wanted.map(|range| range.miss_m(lines, state, biases_m)));
+        median(numbers)
     }
 }
 
@@ -106,7 +161,7 @@ snapshot_fields!(Ranging {
     troposphere_m,
 });
 
-/// The lower median; `None` of nothing. Reorders.
+/// The lower median; `None` of an empty list. Reorders the list.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len().checked_sub(1)? / 2;
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)

@@ -244,7 +244,8 @@ mod tests {
         assert!((repetition(600.0, 30.0) - 1.0).abs() < 1e-6);
     }
 
-    /// Nine of one constellation, five redundant: with one rejected four still agree; with two, not.
+    /// Nine of one constellation, five redundant: with one rejected four still agree; with two,
+    /// not.
     #[test]
     fn agreement_needs_redundancy_and_few_rejected() {
         let of = |rejected: usize| {

@@ -139,9 +139,9 @@ fn invert_positive(normal: &Matrix4<f64>) -> Option<Matrix4<f64>> {
 mod tests {
     use super::*;
 
-    /// Satellites along the axes, three of them on one, whose first Doppler is 6 m/s off. The normal
-    /// equations 4v + 2d = 6, 2v + 8d = 6 of that axis give v = 9/7 and d = 3/7; Huber's weights
-    /// bound what one Doppler can do.
+    /// Satellites along the axes, three of them on one, whose first Doppler is 6 m/s off. The
+    /// normal equations 4v + 2d = 6, 2v + 8d = 6 of that axis give v = 9/7 and d = 3/7; Huber's
+    /// weights bound what one Doppler can do.
     #[test]
     fn plain_least_squares_believes_every_doppler_alike() {
         let slopes =

@@ -83,6 +83,15 @@ impl<T: Snapshot> Snapshot for Option<T> {
     }
 }
 
+/// Nothing.
+impl Snapshot for () {
+    fn save(&self, _writer: &mut SnapshotWriter) {}
+
+    fn load(_reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
+        Ok(())
+    }
+}
+
 impl<A: Snapshot, B: Snapshot> Snapshot for (A, B) {
     fn save(&self, writer: &mut SnapshotWriter) {
         self.0.save(writer);

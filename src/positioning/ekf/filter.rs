@@ -1,4 +1,4 @@
-//! The filter over epochs: how it begins, goes on, is lost and begins anew.
+//! The filter over epochs: start, prediction, update, and restart once it is lost.
 
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ use crate::positioning::factors::{
     CLOCK, DRIFT, OdometryFactor, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{Ranging, look, median, rates, sighted};
+use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::standstill::Standstill;
@@ -23,26 +23,26 @@ use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
 use crate::snapshot::state_fields;
 
-use super::belief::{BIAS, Belief};
+use super::gaussian::{BIAS, Gaussian};
 use super::rows::Rows;
 
-/// Deviation of the first position about its start (m): says nearly nothing.
+/// Standard deviation of the first position about its start (m): wider than any measurement.
 const START_M: f64 = 1e4;
-/// Deviation of a velocity that is not known, per axis (m/s).
+/// Standard deviation of an unknown velocity, per axis (m/s).
 const START_M_S: f64 = 100.0;
-/// Speed taken for a deviation where no Doppler gives the velocity to go on with (m/s).
+/// Standard deviation of the velocity where no Doppler gives it (m/s).
 const UNKNOWN_SPEED_M_S: f64 = 50.0;
-/// Deviation of a clock that begins (m).
+/// Standard deviation of a clock that begins (m).
 const START_CLOCK_M: f64 = 1e5;
-/// Deviation of an inter-system bias before it is measured (m): 1 µs.
+/// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 const BIAS_M: f64 = 300.0;
-/// Distance from the frame's origin at which the filter starts anew (m): up has turned by 1°.
+/// Distance from the frame's origin at which the filter restarts (m): up has turned by 1°.
 const FRAME_LIMIT_M: f64 = 1e5;
-/// Most that a reflection no stronger than the signal shifts a phase at L1, a quarter wavelength
-/// (m). No kernel judges the filter's differences and the test trusts those that come first, so
-/// that the bound stands for the deviation: with 0.01 m, `hers-hert` errs by up to 26 m.
+/// Least standard deviation of a phase difference (m): a quarter wavelength at L1, the bound of
+/// multipath from a reflection no stronger than the signal. The filter has no kernel for phases,
+/// and its test accepts the first rows: with 0.01 m, `hers-hert` has errors of up to 26 m.
 const PHASE_BOUND_M: f64 = 0.05;
-/// How long most pseudoranges may fail the test before the filter takes itself for lost (s).
+/// How long most pseudoranges may fail the test before the filter restarts (s).
 const LOST_S: f64 = 10.0;
 
 /// What the filter knows between epochs.
@@ -50,7 +50,7 @@ const LOST_S: f64 = 10.0;
 struct Known {
     time: GpsTime,
     frame: LocalFrame,
-    belief: Belief,
+    gaussian: Gaussian,
     /// Constellations whose bias has begun.
     begun: [bool; Constellation::COUNT],
     phases: Phases,
@@ -61,11 +61,11 @@ struct Known {
     failing_s: f64,
 }
 
-state_fields!(Known { time, frame, belief, begun, phases, issues, standstill, failing_s });
+state_fields!(Known { time, frame, gaussian, begun, phases, issues, standstill, failing_s });
 
 /// A causal estimator that keeps one state.
 #[derive(Debug)]
-pub(in crate::positioning) struct KalmanFilter {
+pub(crate) struct KalmanFilter {
     /// None before the first position.
     known: Option<Known>,
 }
@@ -74,7 +74,7 @@ state_fields!(KalmanFilter { known });
 
 /// Memory to compute in.
 #[derive(Debug, Default)]
-pub(in crate::positioning) struct FilterScratch {
+pub(crate) struct FilterScratch {
     single_point: SinglePoint,
     velocity: VelocityEstimator,
     measurements: Measurements,
@@ -101,7 +101,7 @@ impl Engine for KalmanFilter {
         if interval_s <= 0.0 {
             return scratch.single_point.solve(inputs, None);
         }
-        let is_far = FRAME_LIMIT_M < position(&known.belief.state()).norm();
+        let is_far = FRAME_LIMIT_M < position(&known.gaussian.state()).norm();
         let is_over = inputs.options().graph.gap_s < interval_s || is_far;
         let solution = if is_over { None } else { scratch.go_on(inputs, known, interval_s) };
         solution.unwrap_or_else(|| self.begin(inputs, scratch))
@@ -127,7 +127,7 @@ impl KalmanFilter {
 }
 
 impl FilterScratch {
-    /// One epoch more; `None` where the filter is lost.
+    /// Predicts and updates by one epoch; `None` where the filter is lost.
     fn go_on(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -136,7 +136,7 @@ impl FilterScratch {
     ) -> Option<Solution> {
         let (setup, graph) = (inputs.setup, &inputs.options().graph);
         let walks = graph.motion.then_some((&setup.motion, &setup.clock));
-        known.belief.predict(walks, interval_s);
+        known.gaussian.predict(walks, interval_s);
         known.time = inputs.epoch.time;
         if !graph.motion {
             known.begun = [false; Constellation::COUNT];
@@ -144,11 +144,11 @@ impl FilterScratch {
             let wandered_m2 = graph.bias_walk_m.powi(2) * interval_s;
             for constellation in Constellation::ALL.into_iter().map(Constellation::index) {
                 if known.begun[constellation] {
-                    known.belief.loosen(BIAS + constellation, wandered_m2);
+                    known.gaussian.loosen(BIAS + constellation, wandered_m2);
                 }
             }
         }
-        let receiver = known.frame.to_ecef(Enu(position(&known.belief.state())));
+        let receiver = known.frame.to_ecef(Enu(position(&known.gaussian.state())));
         self.observe(inputs, &known.frame, receiver)?;
         self.settle_clock(known, Some(interval_s), graph);
         self.rates(&known.frame, receiver, inputs.options());
@@ -157,13 +157,13 @@ impl FilterScratch {
             let sigma_m = graph.phase_sigma_m.max(PHASE_BOUND_M);
             let Self { measurements, rows: Rows { sights, phases, .. }, clock, .. } = self;
             known.phases.differences(&measurements.list, sigma_m, interval_s, phases);
-            let states = [&known.belief.past(), &known.belief.state()];
+            let states = [&known.gaussian.past(), &known.gaussian.state()];
             known.phases.follow_clock(sights, states, phases, clock);
         }
         self.other_sensors(known, receiver, setup, interval_s);
         let share = (interval_s / graph.independence_s).min(1.0);
         let before = known.phases.sights();
-        self.rows.enter(&mut known.belief, before, setup.innovation_limit, share, graph);
+        self.rows.enter(&mut known.gaussian, before, setup.innovation_limit, share, graph);
         let is_failing = self.rows.used.len() * 2 < self.rows.ranges.len();
         known.failing_s = if is_failing { known.failing_s + interval_s } else { 0.0 };
         if LOST_S < known.failing_s && self.can_begin(inputs) {
@@ -172,8 +172,8 @@ impl FilterScratch {
         Some(self.finish(inputs, known, interval_s))
     }
 
-    /// Ends the carrier phases whose ephemeris changed: the step between two ephemerides would pass
-    /// for a displacement, and no kernel is here to judge it.
+    /// Ends the carrier phases whose ephemeris changed: without a kernel, the step between two
+    /// ephemerides would count as a displacement.
     fn end_arcs(&mut self, before: &[EphemerisIssue]) {
         for measurement in &mut self.measurements.list {
             let is_new = !before.contains(&measurement.ephemeris);
@@ -189,8 +189,8 @@ impl FilterScratch {
         let over = |odometry| OdometryFactor::over(interval_s, &known.frame, receiver, odometry);
         rows.odometry = self.measurements.odometry.as_ref().and_then(over);
         if let Some(test) = &setup.standstill {
-            let stands = known.standstill.observe(test, &rows.rates, Some(interval_s));
-            rows.standstill = stands.then(|| ZeroVelocityFactor::new(interval_s));
+            let is_still = known.standstill.observe(test, &rows.rates, Some(interval_s));
+            rows.standstill = is_still.then(|| ZeroVelocityFactor::new(interval_s));
         }
     }
 
@@ -209,7 +209,7 @@ impl FilterScratch {
         let mut known = Known {
             time: inputs.epoch.time,
             frame: LocalFrame::at(estimate.position),
-            belief: Belief::zero(),
+            gaussian: Gaussian::zero(),
             begun: [false; Constellation::COUNT],
             phases: Phases::default(),
             issues: Vec::new(),
@@ -227,31 +227,32 @@ impl FilterScratch {
             None => (Vector3::zeros(), 0.0),
         };
         for axis in 0..3 {
-            known.belief.renew(axis, 0.0, START_M);
-            known.belief.renew(VELOCITY + axis, local[axis], START_M_S);
+            known.gaussian.renew(axis, 0.0, START_M);
+            known.gaussian.renew(VELOCITY + axis, local[axis], START_M_S);
         }
-        known.belief.renew(DRIFT, drift_m_s, CRYSTAL_DRIFT_M_S);
+        known.gaussian.renew(DRIFT, drift_m_s, CRYSTAL_DRIFT_M_S);
         self.settle_clock(&mut known, None, &options.graph);
         if velocity.is_some() {
             self.rates(&known.frame, estimate.position, options);
-            // What contradicts the epoch's own velocity, where the filter knows none yet.
-            let state = known.belief.state();
+            // The filter has no velocity yet: test against the epoch's own.
+            let state = known.gaussian.state();
             self.rows.rates.retain(|rate| rate.linearize(&state).residual.powi(2) <= limit);
         }
         let all = std::mem::take(&mut self.rows.ranges);
         let is_used =
             |range: &&Ranging| estimate.satellites_used.binary_search(&range.satellite).is_ok();
         self.rows.ranges.extend(all.iter().filter(is_used));
-        self.rows.enter(&mut known.belief, &[], limit, 1.0, &options.graph);
+        self.rows.enter(&mut known.gaussian, &[], limit, 1.0, &options.graph);
         self.rows.ranges = all;
-        // As wide as single-point positioning says, which knows how well its residuals fit.
-        let own = known.belief.state_covariance().fixed_view::<3, 3>(0, 0).trace();
-        known.belief.scale((estimate.covariance.trace() / own).max(1.0));
+        // At least as wide as the single point, whose covariance includes the fit of its residuals.
+        let own = known.gaussian.state_covariance().fixed_view::<3, 3>(0, 0).trace();
+        known.gaussian.scale((estimate.covariance.trace() / own).max(1.0));
         let solution = self.finish(inputs, &mut known, options.graph.independence_s);
         Some((known, solution))
     }
 
-    /// Measurements placed and their pseudoranges; `None` where no receiver can be.
+    /// The epoch's measurements, placed at `receiver`, and its pseudoranges; `None` where no
+    /// receiver can be.
     fn observe(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -263,7 +264,7 @@ impl FilterScratch {
         rows.clear();
         measurements.gather(epoch, navigation, inputs.options());
         measurements.place(receiver, epoch.time, navigation, inputs.options())?;
-        // The least suspect first; the satellite decides among equals.
+        // Most precise first; equals in the order of their satellites.
         measurements.list.sort_unstable_by(|a, b| {
             a.variance_m2.total_cmp(&b.variance_m2).then(a.satellite.cmp(&b.satellite))
         });
@@ -277,44 +278,28 @@ impl FilterScratch {
         Some(())
     }
 
-    /// Finds clocks that begin or jumped from the median of the pseudoranges.
+    /// Starts clocks, and follows jumps of the receiver's, by the medians of the pseudoranges.
     ///
-    /// Without an interval all begin; without a motion model the receiver's does at every epoch.
+    /// Without an interval all clocks start; without a motion model the receiver's starts at every
+    /// epoch.
     fn settle_clock(&mut self, known: &mut Known, interval_s: Option<f64>, graph: &GraphOptions) {
-        let state = known.belief.state();
+        let state = known.gaussian.state();
         self.rows.see(&state);
-        let Rows { ranges, lines, misses_m, .. } = &mut self.rows;
-        let begun = known.begun;
-        let is_known = |range: &&Ranging| range.bias.is_none_or(|bias| begun[bias as usize]);
-        misses_m.clear();
-        let of_known = ranges.iter().filter(is_known);
-        misses_m.extend(of_known.map(|range| range.miss_m(lines, &state, known.belief.biases_m())));
-        let mut miss_m = median(misses_m);
-        for constellation in Constellation::ALL {
-            let place = constellation.index();
-            let of = |range: &&Ranging| range.bias == Some(place as u32);
-            if known.begun[place] || !ranges.iter().any(|range| of(&range)) {
-                continue;
-            }
-            known.belief.renew(BIAS + place, 0.0, BIAS_M);
-            known.begun[place] = true;
-            misses_m.clear();
-            let misses = ranges.iter().filter(of);
-            let biases_m = known.belief.biases_m();
-            misses_m.extend(misses.map(|range| range.miss_m(lines, &state, biases_m)));
-            let own_m = median(misses_m).unwrap_or(0.0);
-            // Without any clock yet, the first constellation's stands in for GPS's.
-            let clock_m = *miss_m.get_or_insert(own_m);
-            known.belief.shift(BIAS + place, own_m - clock_m);
-        }
+        let Rows { ranges, lines, numbers, .. } = &mut self.rows;
+        let Known { gaussian, begun, .. } = known;
+        let mut biases_m = [0.0; Constellation::COUNT];
+        biases_m.copy_from_slice(gaussian.biases_m());
+        let begins = |index, mean_m| gaussian.renew(BIAS + index, mean_m, BIAS_M);
+        let seen = SeenRanges { ranges, lines, state: &state };
+        let miss_m = seen.settle_clock(&mut biases_m, begun, numbers, begins);
         let miss_m = miss_m.unwrap_or(0.0);
         let jump_m = interval_s.filter(|_| graph.motion).and_then(|s| jump_m(miss_m, s));
         match jump_m {
-            Some(jump_m) => known.belief.shift(CLOCK, jump_m),
-            None => known.belief.renew(CLOCK, state[CLOCK] + miss_m, START_CLOCK_M),
+            Some(jump_m) => known.gaussian.shift(CLOCK, jump_m),
+            None => known.gaussian.renew(CLOCK, state[CLOCK] + miss_m, START_CLOCK_M),
         }
         if !graph.motion && interval_s.is_some() {
-            known.belief.renew(DRIFT, 0.0, CRYSTAL_DRIFT_M_S);
+            known.gaussian.renew(DRIFT, 0.0, CRYSTAL_DRIFT_M_S);
         }
     }
 
@@ -329,7 +314,7 @@ impl FilterScratch {
     /// Keeps what the next epoch needs and answers this one.
     fn finish(&mut self, inputs: &EpochInputs<'_>, known: &mut Known, interval_s: f64) -> Solution {
         let options = inputs.options();
-        let has_velocity = options.graph.motion || self.paced(known, options);
+        let has_velocity = options.graph.motion || self.set_doppler_velocity(known, options);
         if options.graph.phase {
             known.issues.clear();
             known.issues.extend(self.measurements.list.iter().map(|m| m.ephemeris));
@@ -339,7 +324,7 @@ impl FilterScratch {
         self.measurements.aiding_reasons(&mut reasons);
         let odometry = self.measurements.odometry.filter(|_| self.rows.odometry.is_none());
         reasons.extend(odometry.map(|o| Reason::OdometryUnused { interval_s: o.interval_s }));
-        let (state, biases_m) = (known.belief.state(), known.belief.biases_m());
+        let (state, biases_m) = (known.gaussian.state(), known.gaussian.biases_m());
         self.rows.see(&state);
         let Rows { used, lines, ranges, weights, .. } = &mut self.rows;
         let is_used = |range: &Ranging| used.binary_search(&range.satellite).is_ok();
@@ -356,7 +341,7 @@ impl FilterScratch {
             time: known.time,
             frame: &known.frame,
             state: &state,
-            covariance: &known.belief.state_covariance(),
+            covariance: &known.gaussian.state_covariance(),
             biases_m,
             lines,
             ranges,
@@ -372,14 +357,14 @@ impl FilterScratch {
         answer.solution()
     }
 
-    /// Without a motion model, the velocity that carries on to the next epoch: this epoch's own
-    /// from Doppler, (11) of Wen & Hsu (2021); returns whether there is one.
-    fn paced(&mut self, known: &mut Known, options: &PositioningOptions) -> bool {
-        let place = known.frame.to_ecef(Enu(position(&known.belief.state())));
+    /// Without a motion model, sets the velocity that predicts the next epoch: this epoch's own
+    /// from Doppler, (11) of Wen & Hsu (2021). Returns whether there is one.
+    fn set_doppler_velocity(&mut self, known: &mut Known, options: &PositioningOptions) -> bool {
+        let receiver = known.frame.to_ecef(Enu(position(&known.gaussian.state())));
         let list = &self.measurements.list;
         let is_used = |index: usize| list[index].is_above_mask;
         let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => self.velocity.estimate(place, list, is_used, options),
+            DopplerUse::Velocity => self.velocity.estimate(receiver, list, is_used, options),
             DopplerUse::None | DopplerUse::Satellites => None,
         };
         let (local, sigma_m_s) = match &velocity {
@@ -390,10 +375,10 @@ impl FilterScratch {
             None => (Vector3::zeros(), UNKNOWN_SPEED_M_S),
         };
         for axis in 0..3 {
-            known.belief.renew(VELOCITY + axis, local[axis], sigma_m_s);
+            known.gaussian.renew(VELOCITY + axis, local[axis], sigma_m_s);
         }
         if let Some(velocity) = &velocity {
-            known.belief.renew(DRIFT, velocity.clock_drift_m_s, sigma_m_s);
+            known.gaussian.renew(DRIFT, velocity.clock_drift_m_s, sigma_m_s);
         }
         velocity.is_some()
     }

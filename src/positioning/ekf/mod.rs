@@ -9,9 +9,10 @@
 //! p₊ = p + Δt·v, v₊ = v, covariance of the noise per axis
 //! [q²Δt³/3 + (0.02 m)²·Δt, q²Δt²/2; q²Δt²/2, q²Δt]
 //!
-//! and the same for [b; d] with h²Δt in place of the link's; biases wander. Measurements are the
-//! graph's whitened rows r with Jacobian J, one after the other: S = J P Jᵀ + R, K = P Jᵀ/S,
-//! x ← x − K·r, P ← (I − K J)·P·(I − K J)ᵀ + R·K·Kᵀ (Joseph's form, Bucy & Joseph 1968).
+//! and the same for [b; d] with h²Δt in place of the trapezoid's variance; biases are random walks.
+//! Measurements are the graph's whitened rows r with Jacobian J, one after the other: S = J P Jᵀ +
+//! R, K = P Jᵀ/S, x ← x − K·r, P ← (I − K J)·P·(I − K J)ᵀ + R·K·Kᵀ (Joseph's form, Bucy & Joseph
+//! 1968).
 //!
 //! The innovation test leaves a row out whose r²/S exceeds the chi-square limit of one degree of
 //! freedom at `false_alarm_probability`; without `fault_exclusion` none is made. Rows of one kind
@@ -21,8 +22,8 @@
 //! Sources: Kalman (1960); Brown & Hwang (1997) for the models; Jazwinski (1970), *Stochastic
 //! Processes and Filtering Theory*, chapter 8, for the extended filter.
 
-mod belief;
 mod filter;
+mod gaussian;
 mod rows;
 
-pub(super) use filter::{FilterScratch, KalmanFilter};
+pub(super) use filter::KalmanFilter;

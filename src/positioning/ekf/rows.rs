@@ -8,7 +8,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::ranging::Ranging;
 
-use super::belief::{Belief, Innovation};
+use super::gaussian::{Gaussian, Innovation};
 
 /// The rows of one epoch; the memory is reused.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ pub(super) struct Rows {
     /// Weight of each pseudorange: 1 if it passed the test, else 0.
     pub(super) weights: Vec<f64>,
     /// Memory for medians (m).
-    pub(super) misses_m: Vec<f64>,
+    pub(super) numbers: Vec<f64>,
 }
 
 impl Rows {
@@ -48,7 +48,7 @@ impl Rows {
     /// test, `share` the share of their information that pseudoranges keep.
     pub(super) fn enter(
         &mut self,
-        belief: &mut Belief,
+        gaussian: &mut Gaussian,
         before: &[Sight],
         limit: f64,
         share: f64,
@@ -57,39 +57,39 @@ impl Rows {
         if graph.vertical_velocity_m_s.is_finite() && graph.motion {
             let inverse_sigma = graph.vertical_velocity_m_s.recip();
             let level = ComponentFactor { column: VELOCITY + 2, mean: 0.0, inverse_sigma };
-            let row = Innovation::row(&level.linearize(&belief.state()), None);
-            belief.update(&row, f64::INFINITY);
+            let row = Innovation::row(&level.linearize(&gaussian.state()), None);
+            gaussian.update(&row, f64::INFINITY);
         }
         if let Some(standstill) = &self.standstill {
             for axis in 0..3 {
-                let place = standstill.place(axis, &belief.past(), &belief.state());
-                belief.update(&Innovation::link(&place), f64::INFINITY);
-                let pace = standstill.pace(axis, &belief.state());
-                belief.update(&Innovation::row(&pace, None), f64::INFINITY);
+                let position = standstill.position_row(axis, &gaussian.past(), &gaussian.state());
+                gaussian.update(&Innovation::link(&position), f64::INFINITY);
+                let velocity = standstill.velocity_row(axis, &gaussian.state());
+                gaussian.update(&Innovation::row(&velocity, None), f64::INFINITY);
             }
         }
         if let Some(odometry) = &self.odometry {
             for row in 0..3 {
-                let link = odometry.linearize(row, &belief.past(), &belief.state());
-                belief.update(&Innovation::link(&link), limit);
+                let link = odometry.linearize(row, &gaussian.past(), &gaussian.state());
+                gaussian.update(&Innovation::link(&link), limit);
             }
         }
         for phase in &self.phases {
-            let (past, state) = (belief.past(), belief.state());
+            let (past, state) = (gaussian.past(), gaussian.state());
             let from = before[usize::from(phase.before)].range(&position(&past));
             let to = self.sights[usize::from(phase.after)].range(&position(&state));
             let link = phase.linearize((&from, &past), (&to, &state));
-            belief.update(&Innovation::link(&link), limit);
+            gaussian.update(&Innovation::link(&link), limit);
         }
         for rate in &self.rates {
-            belief.update(&Innovation::row(&rate.linearize(&belief.state()), None), limit);
+            gaussian.update(&Innovation::row(&rate.linearize(&gaussian.state()), None), limit);
         }
         for range in &self.ranges {
-            let state = belief.state();
+            let state = gaussian.state();
             let line = self.sights[usize::from(range.sight)].range(&position(&state));
-            let row = range.factor.linearize(&line, &state, range.bias_m(belief.biases_m()));
-            let bias = range.bias.map(|place| (place as usize, range.factor.inverse_sigma));
-            if belief.update(&Innovation::row(&row, bias).tempered(share), limit) {
+            let row = range.factor.linearize(&line, &state, range.bias_m(gaussian.biases_m()));
+            let bias = range.bias.map(|index| (index as usize, range.factor.inverse_sigma));
+            if gaussian.update(&Innovation::row(&row, bias).tempered(share), limit) {
                 self.used.push(range.satellite);
             }
         }

@@ -7,19 +7,19 @@ use crate::snapshot::snapshot_fields;
 ///
 /// r = (β − β₀) / σ, ∂r/∂β = 1/σ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct BiasFactor {
+pub(crate) struct BiasFactor {
     /// The border variable.
-    pub(in crate::positioning) variable: usize,
+    pub(crate) variable: usize,
     /// β₀ (m).
-    pub(in crate::positioning) mean_m: f64,
+    pub(crate) mean_m: f64,
     /// 1/σ (1/m).
-    pub(in crate::positioning) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 impl BiasFactor {
     /// Whitened residual, and its Jacobian on the bias.
     #[inline]
-    pub(in crate::positioning) fn linearize(&self, bias_m: f64) -> (Row<0>, f64) {
+    pub(crate) fn linearize(&self, bias_m: f64) -> (Row<0>, f64) {
         let residual = (bias_m - self.mean_m) * self.inverse_sigma;
         (Row { residual, columns: [], jacobian: [] }, self.inverse_sigma)
     }

@@ -6,29 +6,29 @@ use crate::snapshot::snapshot_fields;
 
 use super::{CLOCK, DRIFT, State};
 
-/// How far the receiver's clock wanders.
+/// Random walk of the receiver's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct ClockWalk {
+pub(crate) struct ClockWalk {
     /// Of the clock (m/√s).
-    pub(in crate::positioning) clock_m: f64,
+    pub(crate) clock_m: f64,
     /// Of the drift (m/s/√s).
-    pub(in crate::positioning) drift_m_s: f64,
+    pub(crate) drift_m_s: f64,
 }
 
 impl ClockWalk {
     /// The walks that options ask for.
-    pub(in crate::positioning) fn of(options: &GraphOptions) -> Self {
+    pub(crate) fn of(options: &GraphOptions) -> Self {
         Self { clock_m: options.clock_walk_m, drift_m_s: options.drift_walk_m_s }
     }
 
     /// σ₁² (m²).
-    pub(in crate::positioning) fn link_m2(&self, interval_s: f64) -> f64 {
+    pub(crate) fn link_m2(&self, interval_s: f64) -> f64 {
         let (h, q) = (self.clock_m, self.drift_m_s);
         h * h * interval_s + q * q * interval_s.powi(3) / 12.0
     }
 
     /// σ₂² (m²/s²).
-    pub(in crate::positioning) fn drift_m2_s2(&self, interval_s: f64) -> f64 {
+    pub(crate) fn drift_m2_s2(&self, interval_s: f64) -> f64 {
         self.drift_m_s.powi(2) * interval_s
     }
 }
@@ -44,7 +44,7 @@ impl ClockWalk {
 /// Source: the two-state clock of Brown & Hwang (1997), *Introduction to Random Signals and Applied
 /// Kalman Filtering*, with the drift's share as in [`super::MotionFactor`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct ClockFactor {
+pub(crate) struct ClockFactor {
     interval_s: f64,
     jump_m: f64,
     inverse_clock: f64,
@@ -52,12 +52,8 @@ pub(in crate::positioning) struct ClockFactor {
 }
 
 impl ClockFactor {
-    /// Over an interval (s), with the jump J (m), or `None` where the clock starts anew.
-    pub(in crate::positioning) fn new(
-        walk: &ClockWalk,
-        interval_s: f64,
-        jump_m: Option<f64>,
-    ) -> Self {
+    /// Over an interval (s), with the jump J (m), or `None` where the clock starts again.
+    pub(crate) fn new(walk: &ClockWalk, interval_s: f64, jump_m: Option<f64>) -> Self {
         let inverse = |_| walk.link_m2(interval_s).sqrt().recip();
         Self {
             interval_s,
@@ -69,7 +65,7 @@ impl ClockFactor {
 
     /// r₁ and its Jacobian on [b; d] and [b₊; d₊].
     #[inline]
-    pub(in crate::positioning) fn clock(&self, state: &State, next: &State) -> Link<2, 2> {
+    pub(crate) fn clock_row(&self, state: &State, next: &State) -> Link<2, 2> {
         let (w, half) = (self.inverse_clock, 0.5 * self.interval_s);
         let moved = next[CLOCK] - state[CLOCK] - self.jump_m;
         Link {
@@ -83,7 +79,7 @@ impl ClockFactor {
 
     /// r₂ and its Jacobian on d and d₊.
     #[inline]
-    pub(in crate::positioning) fn drift(&self, state: &State, next: &State) -> Link<1, 1> {
+    pub(crate) fn drift_row(&self, state: &State, next: &State) -> Link<1, 1> {
         let w = self.inverse_drift;
         Link {
             residual: (next[DRIFT] - state[DRIFT]) * w,
@@ -108,18 +104,18 @@ mod tests {
     #[test]
     fn residuals_worked_by_hand() {
         let factor = ClockFactor::new(&WALK, 1.0, Some(5.0));
-        let clock = factor.clock(&state(), &next_state()).residual;
+        let clock = factor.clock_row(&state(), &next_state()).residual;
         assert!((clock + 4.75 / 0.12_f64.sqrt()).abs() < 1e-9, "{clock}");
-        let drift = factor.drift(&state(), &next_state()).residual;
+        let drift = factor.drift_row(&state(), &next_state()).residual;
         assert!((drift + 0.5 / 0.6).abs() < 1e-12, "{drift}");
-        let anew = ClockFactor::new(&WALK, 1.0, None);
-        assert_eq!(anew.clock(&state(), &next_state()).residual, 0.0);
+        let restarted = ClockFactor::new(&WALK, 1.0, None);
+        assert_eq!(restarted.clock_row(&state(), &next_state()).residual, 0.0);
     }
 
     #[test]
     fn the_jacobians_are_the_derivatives() {
         let factor = ClockFactor::new(&WALK, 2.0, Some(5.0));
-        check_link(|a, b| factor.clock(a, b));
-        check_link(|a, b| factor.drift(a, b));
+        check_link(|a, b| factor.clock_row(a, b));
+        check_link(|a, b| factor.drift_row(a, b));
     }
 }

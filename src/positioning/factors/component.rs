@@ -2,34 +2,41 @@
 
 use nalgebra::SVector;
 
-use crate::graph::Row;
+use crate::graph::{Estimate, Kernel, Row, System};
 use crate::snapshot::snapshot_fields;
 
 /// Component factor on one state.
 ///
 /// r = (xᵢ − m) / σ
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct ComponentFactor {
+pub(crate) struct ComponentFactor {
     /// i.
-    pub(in crate::positioning) column: usize,
+    pub(crate) column: usize,
     /// m, in the column's unit.
-    pub(in crate::positioning) mean: f64,
+    pub(crate) mean: f64,
     /// 1/σ.
-    pub(in crate::positioning) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 impl ComponentFactor {
     /// Whitened residual and its Jacobian on xᵢ.
     #[inline]
-    pub(in crate::positioning) fn linearize<const S: usize>(
-        &self,
-        state: &SVector<f64, S>,
-    ) -> Row<1> {
+    pub(crate) fn linearize<const S: usize>(&self, state: &SVector<f64, S>) -> Row<1> {
         Row {
             residual: (state[self.column] - self.mean) * self.inverse_sigma,
             columns: [self.column],
             jacobian: [self.inverse_sigma],
         }
+    }
+
+    /// Adds its row on state `k` of an estimate.
+    pub(crate) fn add_to<const S: usize>(
+        &self,
+        k: usize,
+        estimate: &Estimate<S>,
+        system: &mut System<S>,
+    ) {
+        system.add(k, &self.linearize(&estimate.states[k]), &Kernel::QUADRATIC);
     }
 }
 

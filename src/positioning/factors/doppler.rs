@@ -7,7 +7,7 @@ use crate::graph::{Row, SharingRow};
 use crate::models::{SatelliteState, range_rate};
 use crate::snapshot::snapshot_fields;
 
-use super::{DRIFT, PACE, State, VELOCITY};
+use super::{DRIFT, State, VELOCITY, VELOCITY_AND_DRIFT};
 
 /// Doppler factor on the velocity and the clock drift of one state.
 ///
@@ -19,7 +19,7 @@ use super::{DRIFT, PACE, State, VELOCITY};
 ///
 /// Source: Wen & Hsu (2021), equations (3) to (6), with the signs of `models::range_rate`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct DopplerFactor {
+pub(crate) struct DopplerFactor {
     slope: Vector3<f64>,
     /// z − ρ̇₀ (m/s).
     rate_m_s: f64,
@@ -28,7 +28,7 @@ pub(in crate::positioning) struct DopplerFactor {
 
 impl DopplerFactor {
     /// Of a rate measured at about `receiver`.
-    pub(in crate::positioning) fn new(
+    pub(crate) fn new(
         frame: &LocalFrame,
         receiver: Ecef,
         satellite: &SatelliteState,
@@ -46,21 +46,18 @@ impl DopplerFactor {
 
     /// Whitened residual and its Jacobian on [v; d].
     #[inline]
-    pub(in crate::positioning) fn linearize(&self, state: &State) -> Row<4> {
+    pub(crate) fn linearize(&self, state: &State) -> Row<4> {
         let (g, w) = (&self.slope, self.inverse_sigma);
         let along = g.x * state[VELOCITY] + g.y * state[VELOCITY + 1] + g.z * state[VELOCITY + 2];
         Row {
             residual: (along + state[DRIFT] - self.rate_m_s) * w,
-            columns: PACE,
+            columns: VELOCITY_AND_DRIFT,
             jacobian: [g.x * w, g.y * w, g.z * w, w],
         }
     }
 
     /// The same on the velocity alone, the drift shared by all satellites and eliminated.
-    pub(in crate::positioning) fn linearize_sharing(
-        &self,
-        velocity: &Vector3<f64>,
-    ) -> SharingRow<3> {
+    pub(crate) fn linearize_sharing(&self, velocity: &Vector3<f64>) -> SharingRow<3> {
         let (g, w) = (&self.slope, self.inverse_sigma);
         let row = Row {
             residual: (g.dot(velocity) - self.rate_m_s) * w,

@@ -16,24 +16,19 @@ use super::State;
 ///
 /// Source: Wen & Hsu (2021), equations (11) and (12).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct DopplerVelocityFactor {
+pub(crate) struct DopplerVelocityFactor {
     /// v (m/s).
-    pub(in crate::positioning) velocity_m_s: Vector3<f64>,
+    pub(crate) velocity_m_s: Vector3<f64>,
     /// Δt (s).
-    pub(in crate::positioning) interval_s: f64,
+    pub(crate) interval_s: f64,
     /// 1/σ (s/m).
-    pub(in crate::positioning) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 impl DopplerVelocityFactor {
     /// Whitened residual of one axis and its Jacobian on that axis of p and p₊.
     #[inline]
-    pub(in crate::positioning) fn linearize(
-        &self,
-        axis: usize,
-        state: &State,
-        next: &State,
-    ) -> Link<1, 1> {
+    pub(crate) fn linearize(&self, axis: usize, state: &State, next: &State) -> Link<1, 1> {
         let pace = self.inverse_sigma / self.interval_s;
         let moved = (next[axis] - state[axis]) * pace;
         Link {

@@ -53,9 +53,9 @@ pub(super) const CLOCK: usize = 6;
 /// Column of the clock's drift.
 pub(super) const DRIFT: usize = 7;
 /// Columns of position and clock.
-pub(super) const PLACE: [usize; 4] = [0, 1, 2, CLOCK];
+pub(super) const POSITION_AND_CLOCK: [usize; 4] = [0, 1, 2, CLOCK];
 /// Columns of velocity and drift.
-pub(super) const PACE: [usize; 4] = [VELOCITY, VELOCITY + 1, VELOCITY + 2, DRIFT];
+pub(super) const VELOCITY_AND_DRIFT: [usize; 4] = [VELOCITY, VELOCITY + 1, VELOCITY + 2, DRIFT];
 
 /// The state of one epoch.
 pub(super) type State = nalgebra::SVector<f64, STATE>;

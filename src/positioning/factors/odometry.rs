@@ -20,7 +20,7 @@ const INTERVAL_TOLERANCE_S: f64 = 0.05;
 /// left [−cos ψ, sin ψ, 0]; u = ∂(R·d)/∂ψ = [n, −e, 0] for R·d = [e, n, u] carries its deviation
 /// σ_ψ. The body is taken for level: Σ must allow for slopes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct OdometryFactor {
+pub(crate) struct OdometryFactor {
     /// R·d (m).
     displacement_m: Vector3<f64>,
     /// L⁻¹ (1/m).
@@ -30,7 +30,7 @@ pub(in crate::positioning) struct OdometryFactor {
 impl OdometryFactor {
     /// Of a displacement at about `place` between epochs `interval_s` apart; `None` where it took
     /// another time, or its covariance is none.
-    pub(in crate::positioning) fn over(
+    pub(crate) fn over(
         interval_s: f64,
         frame: &LocalFrame,
         place: Ecef,
@@ -57,12 +57,7 @@ impl OdometryFactor {
 
     /// Whitened residual `row` and its Jacobian on p and p₊.
     #[inline]
-    pub(in crate::positioning) fn linearize(
-        &self,
-        row: usize,
-        state: &State,
-        next: &State,
-    ) -> Link<3, 3> {
+    pub(crate) fn linearize(&self, row: usize, state: &State, next: &State) -> Link<3, 3> {
         let w = [0, 1, 2].map(|column| self.whitening[(row, column)]);
         let miss = |axis: usize| next[axis] - state[axis] - self.displacement_m[axis];
         Link {

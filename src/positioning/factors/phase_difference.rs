@@ -3,7 +3,7 @@
 use crate::graph::Link;
 use crate::snapshot::snapshot_fields;
 
-use super::{CLOCK, Line, PLACE, State};
+use super::{CLOCK, Line, POSITION_AND_CLOCK, State};
 
 /// Phase-difference factor between two states.
 ///
@@ -16,22 +16,22 @@ use super::{CLOCK, Line, PLACE, State};
 /// Source: van Graas & Soloviev (2004), *Precise velocity estimation using a stand-alone GPS
 /// receiver*, Navigation 51(4).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct PhaseDifferenceFactor {
+pub(crate) struct PhaseDifferenceFactor {
     /// Place of the satellite among the sights of the earlier epoch.
-    pub(in crate::positioning) before: u16,
+    pub(crate) before: u16,
     /// Place of it among those of the later epoch.
-    pub(in crate::positioning) after: u16,
+    pub(crate) after: u16,
     /// Δφ (m).
-    pub(in crate::positioning) change_m: f64,
+    pub(crate) change_m: f64,
     /// 1/σ (1/m).
-    pub(in crate::positioning) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 impl PhaseDifferenceFactor {
     /// Whitened residual and its Jacobian on [p; b] and [p₊; b₊], the satellite seen from the
     /// position of either.
     #[inline]
-    pub(in crate::positioning) fn linearize(
+    pub(crate) fn linearize(
         &self,
         ((from_m, old), state): (&Line, &State),
         ((to_m, new), next): (&Line, &State),
@@ -40,9 +40,9 @@ impl PhaseDifferenceFactor {
         let moved = to_m - from_m + next[CLOCK] - state[CLOCK];
         Link {
             residual: (moved - self.change_m) * w,
-            columns: PLACE,
+            columns: POSITION_AND_CLOCK,
             jacobian: [-old.x * w, -old.y * w, -old.z * w, -w],
-            next_columns: PLACE,
+            next_columns: POSITION_AND_CLOCK,
             next_jacobian: [new.x * w, new.y * w, new.z * w, w],
         }
     }

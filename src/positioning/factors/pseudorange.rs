@@ -3,7 +3,7 @@
 use crate::graph::Row;
 use crate::snapshot::snapshot_fields;
 
-use super::{CLOCK, Line, PLACE, State};
+use super::{CLOCK, Line, POSITION_AND_CLOCK, State};
 
 /// Pseudorange factor on one state and, for a further constellation, its bias.
 ///
@@ -14,26 +14,21 @@ use super::{CLOCK, Line, PLACE, State};
 ///
 /// Source: Wen & Hsu (2021), equations (9) and (10), whose clock is one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct PseudorangeFactor {
+pub(crate) struct PseudorangeFactor {
     /// P (m).
-    pub(in crate::positioning) corrected_range_m: f64,
+    pub(crate) corrected_range_m: f64,
     /// 1/σ (1/m).
-    pub(in crate::positioning) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 impl PseudorangeFactor {
     /// Whitened residual and its Jacobian on [p; b], the satellite seen from the state's position.
     #[inline]
-    pub(in crate::positioning) fn linearize(
-        &self,
-        (range_m, slope): &Line,
-        state: &State,
-        bias_m: f64,
-    ) -> Row<4> {
+    pub(crate) fn linearize(&self, (range_m, slope): &Line, state: &State, bias_m: f64) -> Row<4> {
         let w = self.inverse_sigma;
         Row {
             residual: (range_m + state[CLOCK] + bias_m - self.corrected_range_m) * w,
-            columns: PLACE,
+            columns: POSITION_AND_CLOCK,
             jacobian: [slope.x * w, slope.y * w, slope.z * w, w],
         }
     }
@@ -75,7 +70,8 @@ mod tests {
         assert!((slope / 2.0 - FACTOR.inverse_sigma).abs() < 1e-6);
     }
 
-    /// The Sagnac term is 1.4 m here, half of it over σ; a factor without it would be wrong by as much.
+    /// The Sagnac term is 1.4 m here, half of it over σ; a factor without it would be wrong by as
+    /// much.
     #[test]
     fn the_earth_turns() {
         let frame = frame();

@@ -7,14 +7,14 @@ use crate::models::geometric_range;
 use crate::snapshot::snapshot_fields;
 
 /// What a sight shows from one place: the range ρ (m), and its slope ∂ρ/∂p.
-pub(in crate::positioning) type Line = (f64, Vector3<f64>);
+pub(crate) type Line = (f64, Vector3<f64>);
 
 /// A satellite as seen from anywhere near the origin of a local frame.
 ///
 /// ρ(p) = ‖s − p‖ + a + gᵀp: the Sagnac term is linear in the receiver's position, so that the
 /// frame's origin o gives its value a and its slope g once, exactly; s, p, g local.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct Sight {
+pub(crate) struct Sight {
     satellite_m: Vector3<f64>,
     sagnac_m: f64,
     sagnac_slope: Vector3<f64>,
@@ -22,7 +22,7 @@ pub(in crate::positioning) struct Sight {
 
 impl Sight {
     /// Of a satellite at transmission.
-    pub(in crate::positioning) fn new(frame: &LocalFrame, satellite: Ecef) -> Self {
+    pub(crate) fn new(frame: &LocalFrame, satellite: Ecef) -> Self {
         let line = satellite.0 - frame.origin.0;
         let distance_m = line.norm();
         let (range_m, slope) = geometric_range(satellite, frame.origin);
@@ -35,7 +35,7 @@ impl Sight {
 
     /// Range from a local position (m), and ∂ρ/∂p.
     #[inline]
-    pub(in crate::positioning) fn range(&self, position: &Vector3<f64>) -> Line {
+    pub(crate) fn range(&self, position: &Vector3<f64>) -> Line {
         let line = self.satellite_m - position;
         let distance_m = line.norm();
         let range_m = distance_m + self.sagnac_m + self.sagnac_slope.dot(position);

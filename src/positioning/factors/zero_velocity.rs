@@ -12,27 +12,22 @@ const STANDING_M_S: f64 = 0.02;
 ///
 /// r₁ = (p₊ − p) / (σ·Δt), r₂ = v₊ / σ
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::positioning) struct ZeroVelocityFactor {
-    inverse_place: f64,
-    inverse_pace: f64,
+pub(crate) struct ZeroVelocityFactor {
+    inverse_position: f64,
+    inverse_velocity: f64,
 }
 
 impl ZeroVelocityFactor {
     /// Over an interval (s).
-    pub(in crate::positioning) fn new(interval_s: f64) -> Self {
-        let inverse_pace = STANDING_M_S.recip();
-        Self { inverse_place: inverse_pace / interval_s, inverse_pace }
+    pub(crate) fn new(interval_s: f64) -> Self {
+        let inverse_velocity = STANDING_M_S.recip();
+        Self { inverse_position: inverse_velocity / interval_s, inverse_velocity }
     }
 
     /// r₁ of one axis and its Jacobian on that axis of p and p₊.
     #[inline]
-    pub(in crate::positioning) fn place(
-        &self,
-        axis: usize,
-        state: &State,
-        next: &State,
-    ) -> Link<1, 1> {
-        let w = self.inverse_place;
+    pub(crate) fn position_row(&self, axis: usize, state: &State, next: &State) -> Link<1, 1> {
+        let w = self.inverse_position;
         Link {
             residual: (next[axis] - state[axis]) * w,
             columns: [axis],
@@ -44,17 +39,17 @@ impl ZeroVelocityFactor {
 
     /// r₂ of one axis and its Jacobian on that axis of v₊.
     #[inline]
-    pub(in crate::positioning) fn pace(&self, axis: usize, next: &State) -> Row<1> {
+    pub(crate) fn velocity_row(&self, axis: usize, next: &State) -> Row<1> {
         let rate = VELOCITY + axis;
         Row {
-            residual: next[rate] * self.inverse_pace,
+            residual: next[rate] * self.inverse_velocity,
             columns: [rate],
-            jacobian: [self.inverse_pace],
+            jacobian: [self.inverse_velocity],
         }
     }
 }
 
-snapshot_fields!(ZeroVelocityFactor { inverse_place, inverse_pace });
+snapshot_fields!(ZeroVelocityFactor { inverse_position, inverse_velocity });
 
 #[cfg(test)]
 mod tests {
@@ -65,18 +60,18 @@ mod tests {
     #[test]
     fn residuals_worked_by_hand() {
         let factor = ZeroVelocityFactor::new(2.0);
-        let place = factor.place(1, &state(), &next_state()).residual;
-        assert!((place + 75.0).abs() < 1e-9, "{place}");
-        let pace = factor.pace(1, &next_state()).residual;
-        assert!((pace + 125.0).abs() < 1e-9, "{pace}");
+        let position = factor.position_row(1, &state(), &next_state()).residual;
+        assert!((position + 75.0).abs() < 1e-9, "{position}");
+        let velocity = factor.velocity_row(1, &next_state()).residual;
+        assert!((velocity + 125.0).abs() < 1e-9, "{velocity}");
     }
 
     #[test]
     fn the_jacobians_are_the_derivatives() {
         let factor = ZeroVelocityFactor::new(2.0);
         for axis in 0..3 {
-            check_link(|a, b| factor.place(axis, a, b));
-            check_row(&next_state(), |next| factor.pace(axis, next));
+            check_link(|a, b| factor.position_row(axis, a, b));
+            check_row(&next_state(), |next| factor.velocity_row(axis, next));
         }
     }
 }

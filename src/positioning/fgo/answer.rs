@@ -12,7 +12,7 @@ use crate::positioning::uncertainty::{ErrorModel, Residuals};
 use super::chain::Chain;
 use super::epoch::GraphEpoch;
 
-/// Residuals of epochs this far away tell how large errors are now (s).
+/// The variance factor uses residuals of epochs within this time (s).
 const NEIGHBOURS_S: f64 = 15.0;
 
 /// Memory to answer in.
@@ -63,7 +63,7 @@ pub(super) fn solution(
     answer.solution()
 }
 
-/// What the residuals of epoch `k` and its neighbours sum up to.
+/// Sums of the residuals of epoch `k` and its neighbours.
 fn residuals_around(chain: &Chain, k: usize) -> Residuals {
     let time = chain.epochs[k].time;
     let near = |epoch: &GraphEpoch| (epoch.time - time).abs() <= NEIGHBOURS_S;

@@ -12,11 +12,11 @@ use crate::positioning::velocity::VelocityEstimator;
 use super::answer::{AnswerScratch, solution};
 use super::chain::{Chain, ChainScratch, NewEpoch};
 
-/// A smoother over everything it is given.
+/// A smoother over a whole recording.
 #[derive(Debug)]
-pub(in crate::positioning) struct WholeChain {
+pub(crate) struct WholeChain {
     chain: Chain,
-    /// What each epoch of the chain is by itself, for where the chain cannot be solved.
+    /// The single point of each epoch in the chain, for where the chain cannot be solved.
     alone: Vec<Solution>,
     solutions: Vec<Solution>,
     single_point: SinglePoint,
@@ -26,8 +26,8 @@ pub(in crate::positioning) struct WholeChain {
 }
 
 impl WholeChain {
-    /// One that has seen nothing.
-    pub(in crate::positioning) fn new(setup: &Setup) -> Self {
+    /// A chain without epochs.
+    pub(crate) fn new(setup: &Setup) -> Self {
         Self {
             chain: Chain::new(if setup.options.graph.motion { 0 } else { usize::MAX }),
             alone: Vec::new(),
@@ -40,11 +40,11 @@ impl WholeChain {
     }
 
     /// Takes one epoch; those not after the last one are answered by themselves.
-    pub(in crate::positioning) fn push(&mut self, inputs: &EpochInputs<'_>) {
+    pub(crate) fn push(&mut self, inputs: &EpochInputs<'_>) {
         let EpochInputs { epoch, navigation, .. } = *inputs;
         let options = inputs.options();
-        let place = |solution: &Solution| Some(solution.estimate.as_ref()?.position);
-        let start = self.alone.last().and_then(place);
+        let position_of = |solution: &Solution| Some(solution.estimate.as_ref()?.position);
+        let start = self.alone.last().and_then(position_of);
         let alone = self.single_point.solve(inputs, start);
         let interval_s = self.chain.last_time().map(|last| epoch.time - last);
         if interval_s.is_some_and(|interval_s| interval_s <= 0.0) {
@@ -91,7 +91,7 @@ impl WholeChain {
     }
 
     /// All answers, in order of time.
-    pub(in crate::positioning) fn finish(mut self, setup: &Setup) -> Vec<Solution> {
+    pub(crate) fn finish(mut self, setup: &Setup) -> Vec<Solution> {
         self.solve(setup);
         self.solutions.sort_by_key(|solution| solution.time);
         self.solutions

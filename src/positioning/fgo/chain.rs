@@ -1,4 +1,4 @@
-//! The chain of epochs in a graph: how it begins, grows and forgets.
+//! The chain of epochs in a graph: start, growth, marginalisation.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::positioning::factors::{
     MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{Ranging, look, median, rates, sighted};
+use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::uncertainty::{Residuals, repetition};
@@ -25,18 +25,18 @@ use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
 
-/// Deviation of the first position about its start (m): says nearly nothing.
+/// Standard deviation of the first position about its start (m): wider than any measurement.
 const START_M: f64 = 1e4;
-/// Deviation of the first velocity about zero, per axis (m/s).
+/// Standard deviation of the first velocity about its start, per axis (m/s).
 const START_M_S: f64 = 100.0;
-/// Deviation of the first clock (m): far more than any receiver leaves after the median.
+/// Standard deviation of the first clock about the median of the pseudoranges (m).
 const START_CLOCK_M: f64 = 1e5;
-/// Deviation of an inter-system bias before it is measured (m): 1 µs.
+/// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 const BIAS_M: f64 = 300.0;
-/// Speed taken for a deviation where no Doppler gives the velocity of a tie (m/s).
+/// Standard deviation of the velocity between epochs where no Doppler gives it (m/s).
 const UNKNOWN_SPEED_M_S: f64 = 50.0;
 
-/// The epochs in the graph, their estimate, and the prior of those before.
+/// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
 pub(super) struct Chain {
     pub(super) frame: LocalFrame,
@@ -50,9 +50,9 @@ pub(super) struct Chain {
     sequence: usize,
     /// Time of its first epoch.
     started: GpsTime,
-    /// Whether an epoch has been seen whose pseudoranges agree.
+    /// Whether the pseudoranges of some epoch have agreed with one another.
     is_proven: bool,
-    /// Epochs whose own biases may be alive at once; zero where biases are constant.
+    /// Number of epochs with biases of their own; zero where biases are constant.
     ring: usize,
 }
 
@@ -87,16 +87,16 @@ pub(super) struct ChainScratch {
 /// An epoch to be added to a chain.
 pub(super) struct NewEpoch<'a> {
     pub(super) time: GpsTime,
-    /// About where its state is.
+    /// Its state, approximately.
     pub(super) guess: State,
-    /// Placed there.
+    /// Placed at that state.
     pub(super) measurements: &'a Measurements,
     /// Local, from its Doppler alone, where the tie needs it (m/s).
     pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
 }
 
 impl Chain {
-    /// An empty chain; `ring` is how many epochs may have biases of their own, zero for constant
+    /// An empty chain; `ring` is the number of epochs with biases of their own, zero for constant
     /// biases.
     pub(super) fn new(ring: usize) -> Self {
         Self {
@@ -119,12 +119,12 @@ impl Chain {
         self.epochs.last().map(|epoch| epoch.time)
     }
 
-    /// Epochs that may have biases of their own.
+    /// Number of epochs with biases of their own.
     pub(super) fn ring(&self) -> usize {
         self.ring
     }
 
-    /// Takes the newest epoch back.
+    /// Removes the newest epoch.
     pub(super) fn drop_newest(&mut self) {
         self.epochs.pop();
         self.estimate.states.pop();
@@ -149,15 +149,15 @@ impl Chain {
         self.is_proven = false;
     }
 
-    /// Where the newest state will be at `time`, if nothing happens.
+    /// The newest state moved on to `time` by its velocity and drift.
     pub(super) fn predicted(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.last_time(), self.estimate.states.last()) else {
             return State::zeros();
         };
         let interval_s = time - last;
         let mut next = *state;
-        for (place, rate) in [(0, VELOCITY), (1, VELOCITY + 1), (2, VELOCITY + 2), (CLOCK, DRIFT)] {
-            next[place] += interval_s * state[rate];
+        for (moved, rate) in [(0, VELOCITY), (1, VELOCITY + 1), (2, VELOCITY + 2), (CLOCK, DRIFT)] {
+            next[moved] += interval_s * state[rate];
         }
         next
     }
@@ -185,7 +185,7 @@ impl Chain {
         factors.ionosphere_fallback = measurements.ionosphere_fallback;
         look(&self.frame, &measurements.list, &mut factors.sights);
         self.range(factors, &measurements.list);
-        let miss_m = self.settle_clock(&mut guess, scratch);
+        let clock_m = self.settle_clock(&mut guess, scratch);
         let factors = &mut scratch.factors;
         let receiver = self.frame.to_ecef(Enu(position(&guess)));
         if options.doppler == DopplerUse::Satellites {
@@ -194,7 +194,7 @@ impl Chain {
             factors.rates.extend(rates(list, &self.frame, receiver, sigma_m_s));
         }
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
-            factors.tie = Some(self.tie(interval_s, miss_m, setup));
+            factors.tie = Some(self.tie(interval_s, clock_m, setup));
             if options.phase {
                 let (list, sigma_m) = (&measurements.list, options.phase_sigma_m);
                 let phases = &mut factors.phases;
@@ -212,9 +212,9 @@ impl Chain {
         let spacing_s = interval_s.unwrap_or(options.independence_s);
         let mut share = (spacing_s / options.independence_s).min(1.0);
         if let Some(test) = &setup.standstill {
-            let stands = self.standstill.observe(test, &factors.rates, interval_s);
-            factors.standstill = interval_s.filter(|_| stands).map(ZeroVelocityFactor::new);
-            if stands {
+            let is_still = self.standstill.observe(test, &factors.rates, interval_s);
+            factors.standstill = interval_s.filter(|_| is_still).map(ZeroVelocityFactor::new);
+            if is_still {
                 // At rest multipath repeats: the weight is that of Δt over its correlation time.
                 share = (spacing_s / options.correlation_s).min(share);
             }
@@ -239,7 +239,7 @@ impl Chain {
         let present = |c: Constellation| {
             list.iter().any(|m| m.is_above_mask && !m.is_excluded && m.satellite.constellation == c)
         };
-        // Constant biases refer to GPS, whether present or not; those of one epoch to its first.
+        // Constant biases refer to GPS, biases per epoch to its first constellation.
         let reference = match self.ring {
             0 => Some(Constellation::Gps),
             _ => Constellation::ALL.into_iter().find(|c| present(*c)),
@@ -256,48 +256,26 @@ impl Chain {
         }
     }
 
-    /// Sets the clock of `guess` and biases that begin; returns by how much the clock missed its
-    /// prediction (m), if it could be seen.
+    /// Sets the clock of `guess` and the biases that begin; returns measured less predicted clock
+    /// (m), if any pseudorange shows it.
     fn settle_clock(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
         let ChainScratch { factors, numbers, lines, .. } = scratch;
-        let known = |range: &Ranging, begun: &[bool]| match range.bias {
-            None => true,
-            Some(_) => begun[range.satellite.constellation.index()],
-        };
         factors.see(guess, lines);
-        numbers.clear();
-        for range in factors.ranges.iter().filter(|range| known(range, &self.begun)) {
-            numbers.push(range.miss_m(lines, guess, &self.estimate.border));
-        }
-        let mut miss = median(numbers);
-        for constellation in Constellation::ALL {
-            let of = |range: &&Ranging| range.satellite.constellation == constellation;
-            let Some(first) = factors.ranges.iter().find(of) else { continue };
-            let (Some(variable), false) = (first.bias, self.begun[constellation.index()]) else {
-                continue;
-            };
-            numbers.clear();
-            let variable = variable as usize;
-            self.estimate.border[variable] = 0.0;
-            let of_own = |r: &Ranging| r.miss_m(lines, guess, &self.estimate.border);
-            numbers.extend(factors.ranges.iter().filter(of).map(of_own));
-            let own = median(numbers).unwrap_or(0.0);
-            // Without any clock yet, the first constellation's stands in for the reference's.
-            let clock_m = *miss.get_or_insert(own);
-            let mean_m = own - clock_m;
-            self.estimate.border[variable] = mean_m;
-            self.begun[constellation.index()] = true;
-            let inverse_sigma = BIAS_M.recip();
-            factors.biases.push(BiasFactor { variable, mean_m, inverse_sigma });
-        }
-        guess[CLOCK] += miss.unwrap_or(0.0);
-        miss
+        let Factors { ranges, biases, .. } = factors;
+        let begins = |variable, mean_m| {
+            biases.push(BiasFactor { variable, mean_m, inverse_sigma: BIAS_M.recip() });
+        };
+        let seen = SeenRanges { ranges, lines, state: guess };
+        let biases_m = &mut self.estimate.border;
+        let clock_m = seen.settle_clock(biases_m, &mut self.begun, numbers, begins);
+        guess[CLOCK] += clock_m.unwrap_or(0.0);
+        clock_m
     }
 
     /// The tie to the epoch before.
-    fn tie(&self, interval_s: f64, miss_m: Option<f64>, setup: &Setup) -> Tie {
+    fn tie(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> Tie {
         if setup.options.graph.motion {
-            let jump_m = jump_m(miss_m.unwrap_or(0.0), interval_s);
+            let jump_m = jump_m(clock_m.unwrap_or(0.0), interval_s);
             let motion = MotionFactor::new(&setup.motion, interval_s);
             return Tie::Motion(motion, ClockFactor::new(&setup.clock, interval_s, jump_m));
         }
@@ -326,8 +304,8 @@ impl Chain {
 
     /// Age of the chain at `time` while no epoch has proven its start (s).
     ///
-    /// Where the first epochs see few satellites or mostly reflections, a redescending kernel may
-    /// settle on the wrong ones, and what follows agrees with the prior that they leave.
+    /// If the first epochs have few satellites or mostly reflections, a redescending kernel may
+    /// settle on the wrong ones, and later epochs agree with the prior that these leave.
     pub(super) fn unproven_s(&self, time: GpsTime) -> Option<f64> {
         (!self.is_proven).then(|| time - self.started)
     }
@@ -347,7 +325,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Linearises and factors the chain at its estimate; no factor of an earlier solve is state.
+    /// Linearises and factors the chain at its estimate.
     pub(super) fn factor(
         &self,
         settings: &GraphSettings,
@@ -370,9 +348,9 @@ impl Chain {
             && self.prior.variables().all(|variable| variable < border)
     }
 
-    /// Whether every factor names variables, numbers and satellites that there are.
+    /// Whether every factor refers to variables, columns and satellites that exist.
     fn names_what_it_holds(&self, border: usize) -> bool {
-        // The first epoch's phases go back to one that is forgotten.
+        // The first epoch's phases refer to an epoch that is marginalised.
         let before =
             |k: usize| k.checked_sub(1).map_or(usize::MAX, |k| self.epochs[k].factors.sights.len());
         self.epochs.iter().enumerate().all(|(k, epoch)| epoch.factors.is_within(border, before(k)))
@@ -384,7 +362,8 @@ impl Chain {
         self.epochs.len() < self.sequence
     }
 
-    /// Marginalises the oldest epoch into the prior; biases wander by `bias_walk_m` (m/√s).
+    /// Marginalises the oldest epoch into the prior; the biases' random walk is `bias_walk_m`
+    /// (m/√s).
     pub(super) fn forget_oldest(
         &mut self,
         settings: &GraphSettings,
@@ -410,7 +389,7 @@ impl Chain {
     }
 }
 
-/// What is known of single numbers of a state.
+/// Adds the priors of single numbers of a state.
 fn regularize(factors: &mut Factors, is_first: bool, guess: &State, options: &GraphOptions) {
     let mut add = |column: usize, mean: f64, sigma: f64| {
         factors.components.push(ComponentFactor { column, mean, inverse_sigma: sigma.recip() });

@@ -8,8 +8,8 @@ use crate::gnss::{GpsTime, Reason, SatelliteId};
 use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
-    MotionFactor, OdometryFactor, PACE, PLACE, PhaseDifferenceFactor, STATE, Sight, State,
-    ZeroVelocityFactor, position,
+    MotionFactor, OdometryFactor, POSITION_AND_CLOCK, PhaseDifferenceFactor, STATE, Sight, State,
+    VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
 };
 use crate::positioning::measurements::aiding_reasons;
 use crate::positioning::ranging::Ranging;
@@ -18,19 +18,20 @@ use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-/// Trust in the phase of a satellite whose pseudorange is rejected: epochs with no other stay tied.
-const TRUST_MIN: f64 = 0.1;
-/// Wheels slip: Huber's kernel, 95 % efficient under normal errors, bounds what that does.
+/// Weight of the phase of a satellite whose pseudorange is rejected: it keeps epochs without other
+/// phases linked.
+const PHASE_WEIGHT_MIN: f64 = 0.1;
+/// Kernel of odometry, since wheels slip: Huber's, 95 % efficient under normal errors.
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(1.345);
-/// That of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
+/// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
 const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
 
-/// What ties an epoch to the one before, besides carrier phase.
+/// What links an epoch to the previous one, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Tie {
-    /// Velocity and drift carry position and clock on.
+    /// Position and clock by velocity and drift.
     Motion(MotionFactor, ClockFactor),
-    /// The velocity solved from the earlier epoch's Doppler does.
+    /// Position by the velocity solved from the previous epoch's Doppler.
     DopplerVelocity(DopplerVelocityFactor),
 }
 
@@ -39,52 +40,52 @@ pub(super) enum Tie {
 pub(super) struct Seen {
     /// Lines of sight, from the epoch's state.
     lines: Vec<Line>,
-    /// How far a satellite's phase is the direct signal's: as far as its pseudorange is not
-    /// rejected. A reflection's phase is as steady as any and moves with the reflection; where
-    /// several are followed at once, they agree with one another and not with the car.
-    trust: Vec<f64>,
+    /// Weight of each satellite's phase: that of its pseudorange. The phase of a reflection is as
+    /// steady as a direct one but moves with the reflection; several reflections agree with one
+    /// another and not with the receiver.
+    phase_weights: Vec<f64>,
 }
 
 /// One epoch of the chain.
 #[derive(Clone, Debug)]
 pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
-    /// Share of information its pseudoranges keep, because errors last.
+    /// Share of their information that pseudoranges keep, since errors are correlated in time.
     pub(super) share: f64,
-    /// How many epochs repeat one error.
+    /// Number of epochs that repeat one error.
     pub(super) repetition: f64,
-    /// What its pseudoranges missed by in the last solve.
+    /// Residuals of its pseudoranges in the last solve.
     pub(super) residuals: Residuals,
-    /// Never changed once the epoch is in the chain: copies of a state share them.
+    /// They never change once the epoch is in the chain: copies of a state share them.
     pub(super) factors: Arc<Factors>,
 }
 
 snapshot_fields!(GraphEpoch { time, share, repetition, residuals, factors });
 
-/// The factors of one epoch, and what its answer tells of its measurements.
+/// The factors of one epoch, and what its answer reports of its measurements.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Factors {
-    /// Satellites above the mask, by whose places factors name them.
+    /// Satellites above the mask; factors refer to them by index.
     pub(super) sights: Vec<Sight>,
     pub(super) ranges: Vec<Ranging>,
     pub(super) rates: Vec<DopplerFactor>,
-    /// From the epoch before to this one.
+    /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
-    /// From the epoch before to this one; `None` for the first of a chain.
+    /// From the previous epoch to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
-    /// From the epoch before to this one: one or none, in a list because most epochs have none.
+    /// From the previous epoch to this one: one or none, in a list because most epochs have none.
     pub(super) odometry: Vec<OdometryFactor>,
-    /// Where the receiver stood still since the epoch before.
+    /// Present if the receiver has been at rest since the previous epoch.
     pub(super) standstill: Option<ZeroVelocityFactor>,
     pub(super) components: Vec<ComponentFactor>,
     pub(super) biases: Vec<BiasFactor>,
-    /// Local velocity from this epoch's Doppler alone, where the tie needs it (m/s).
+    /// Local velocity from this epoch's Doppler alone, where the next tie needs it (m/s).
     pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
-    /// Satellites for which no ephemeris was held.
+    /// Satellites without an ephemeris.
     pub(super) without_ephemeris: Vec<SatelliteId>,
-    /// The ionosphere model that stood in for the one asked for.
+    /// The ionosphere model used in place of the chosen one.
     pub(super) ionosphere_fallback: Option<&'static str>,
-    /// How long the displacement took that was not used (s).
+    /// Interval of a displacement that was not used (s).
     pub(super) unused_odometry_s: Option<f64>,
     /// Index in the ring of per-epoch biases.
     pub(super) slot: usize,
@@ -108,7 +109,7 @@ snapshot_fields!(Factors {
 });
 
 impl Factors {
-    /// Empties the lists; their memory stays.
+    /// Empties the lists and keeps their memory.
     pub(super) fn clear(&mut self) {
         self.sights.clear();
         self.ranges.clear();
@@ -125,14 +126,14 @@ impl Factors {
         self.doppler_velocity_m_s = None;
     }
 
-    /// What the epoch lacked, into `reasons`.
+    /// Appends what the epoch lacked to `reasons`.
     pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
         aiding_reasons(&self.without_ephemeris, self.ionosphere_fallback, reasons);
         let unused = |interval_s| Reason::OdometryUnused { interval_s };
         reasons.extend(self.unused_odometry_s.map(unused));
     }
 
-    /// Whether its state's velocity means anything.
+    /// Whether the velocity of its state is estimated.
     pub(super) fn carries_velocity(&self) -> bool {
         !matches!(self.tie, Some(Tie::DopplerVelocity(_)))
     }
@@ -160,8 +161,8 @@ impl Factors {
         }))
     }
 
-    /// Adds what touches this epoch's state alone, and the border; sees and trusts what the links
-    /// to it will ask. Pseudoranges keep `share` of their information.
+    /// Adds the factors on this epoch's state alone and on the border; computes the lines of sight
+    /// and phase weights that its links need. Pseudoranges keep `share` of their information.
     fn add_to(
         &self,
         k: usize,
@@ -173,15 +174,15 @@ impl Factors {
     ) {
         let (state, biases_m) = (&estimate.states[k], &estimate.border);
         self.see(state, &mut seen.lines);
-        seen.trust.clear();
-        seen.trust.resize(self.sights.len(), 1.0);
+        seen.phase_weights.clear();
+        seen.phase_weights.resize(self.sights.len(), 1.0);
         let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
         for range in &self.ranges {
             let row = range.linearize(&seen.lines, state, biases_m);
-            let (loss, trust) = kernels.pseudorange.loss_and_weight(row.residual);
-            seen.trust[usize::from(range.sight)] = trust.max(TRUST_MIN);
+            let (loss, kernel_weight) = kernels.pseudorange.loss_and_weight(row.residual);
+            seen.phase_weights[usize::from(range.sight)] = kernel_weight.max(PHASE_WEIGHT_MIN);
             losses += loss;
-            let weight = share * trust;
+            let weight = share * kernel_weight;
             sum.add(row.residual, &row.jacobian, weight);
             if let Some(variable) = range.bias {
                 let border = [(variable as usize, range.factor.inverse_sigma)];
@@ -189,35 +190,34 @@ impl Factors {
             }
         }
         system.add_cost(share * losses);
-        system.add_sum(k, &PLACE, &sum);
+        system.add_sum(k, &POSITION_AND_CLOCK, &sum);
         let mut sum = RowSum::ZERO;
         for rate in &self.rates {
             let row = rate.linearize(state);
             let weight = system.weigh(row.residual, &kernels.doppler);
             sum.add(row.residual, &row.jacobian, weight);
         }
-        system.add_sum(k, &PACE, &sum);
-        for component in &self.components {
-            system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
-        }
+        system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
+        self.components.iter().for_each(|component| component.add_to(k, estimate, system));
         for bias in &self.biases {
             let (row, slope) = bias.linearize(estimate.border[bias.variable]);
             system.add_with_border(k, &row, &[(bias.variable, slope)], &Kernel::QUADRATIC);
         }
     }
 
-    /// Sees and trusts as [`Self::add_to`] does, and adds nothing.
+    /// Computes lines of sight and phase weights as [`Self::add_to`] does, and adds nothing.
     fn look(&self, state: &State, biases_m: &[f64], pseudorange: &Kernel, seen: &mut Seen) {
         self.see(state, &mut seen.lines);
-        seen.trust.clear();
-        seen.trust.resize(self.sights.len(), 1.0);
+        seen.phase_weights.clear();
+        seen.phase_weights.resize(self.sights.len(), 1.0);
         for range in &self.ranges {
             let residual = range.linearize(&seen.lines, state, biases_m).residual;
-            seen.trust[usize::from(range.sight)] = pseudorange.weight(residual).max(TRUST_MIN);
+            seen.phase_weights[usize::from(range.sight)] =
+                pseudorange.weight(residual).max(PHASE_WEIGHT_MIN);
         }
     }
 
-    /// Adds what ties this epoch, state `k + 1`, to the one before, state `k`, as seen from either.
+    /// Adds the factors between this epoch, state `k + 1`, and the previous one, state `k`.
     fn add_tie_to(
         &self,
         k: usize,
@@ -231,10 +231,10 @@ impl Factors {
         for phase in &self.phases {
             let (from, to) = (usize::from(phase.before), usize::from(phase.after));
             let link = phase.linearize((&before.lines[from], state), (&seen.lines[to], next));
-            let kernel = kernels.phase.tempered(seen.trust[to]);
+            let kernel = kernels.phase.tempered(seen.phase_weights[to]);
             sum.add(&link, system.weigh(link.residual, &kernel));
         }
-        system.add_link_sum(k, (&PLACE, &PLACE), &sum);
+        system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
         for odometry in &self.odometry {
             for row in 0..3 {
                 system.add_link(k, &odometry.linearize(row, state, next), &ODOMETRY_KERNEL);
@@ -242,8 +242,8 @@ impl Factors {
         }
         if let Some(standstill) = &self.standstill {
             for axis in 0..3 {
-                system.add_link(k, &standstill.place(axis, state, next), &Kernel::QUADRATIC);
-                system.add(k + 1, &standstill.pace(axis, next), &Kernel::QUADRATIC);
+                system.add_link(k, &standstill.position_row(axis, state, next), &Kernel::QUADRATIC);
+                system.add(k + 1, &standstill.velocity_row(axis, next), &Kernel::QUADRATIC);
             }
         }
         match &self.tie {
@@ -255,13 +255,9 @@ impl Factors {
                 links.iter().for_each(|link| system.add_link_weighted(k, link, weight));
             }
             Some(Tie::Motion(motion, clock)) => {
-                for axis in 0..3 {
-                    let place = motion.place(axis, state, next);
-                    system.add_link(k, &place, &Kernel::QUADRATIC);
-                    system.add_link(k, &motion.pace(axis, state, next), &Kernel::QUADRATIC);
-                }
-                system.add_link(k, &clock.clock(state, next), &Kernel::QUADRATIC);
-                system.add_link(k, &clock.drift(state, next), &Kernel::QUADRATIC);
+                motion.add_to(k, estimate, system);
+                system.add_link(k, &clock.clock_row(state, next), &Kernel::QUADRATIC);
+                system.add_link(k, &clock.drift_row(state, next), &Kernel::QUADRATIC);
             }
         }
     }
@@ -292,8 +288,8 @@ impl Snapshot for Tie {
 }
 
 impl Factors {
-    /// Whether its factors name only variables below `border`, numbers of a state, and satellites
-    /// of its own and among the `before` of the epoch before.
+    /// Whether its factors refer to variables below `border`, columns of a state, its own
+    /// satellites and the `before` satellites of the previous epoch only.
     pub(super) fn is_within(&self, border: usize, before: usize) -> bool {
         let is_known = |range: &Ranging| {
             usize::from(range.sight) < self.sights.len()
@@ -308,7 +304,7 @@ impl Factors {
     }
 }
 
-/// All factors of a chain, as the solver wants them.
+/// All factors of a chain, as a problem of the solver.
 pub(super) struct Rows<'a> {
     pub(super) epochs: &'a [GraphEpoch],
     pub(super) prior: &'a Prior<STATE>,
@@ -318,7 +314,7 @@ pub(super) struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Adds what touches the first of the epochs: itself, the tie to the second, and the prior.
+    /// Adds what touches the first epoch: its factors, the links to the second, and the prior.
     pub(super) fn add_oldest(&mut self, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
         let kernels = self.kernels.last();
         let [before, seen] = &mut *self.seen;

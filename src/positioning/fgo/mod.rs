@@ -12,4 +12,4 @@ mod epoch;
 mod window;
 
 pub(super) use batch::WholeChain;
-pub(super) use window::{SlidingWindow, WindowScratch};
+pub(super) use window::SlidingWindow;

@@ -16,14 +16,14 @@ use crate::snapshot::state_fields;
 use super::answer::{AnswerScratch, solution};
 use super::chain::{Chain, ChainScratch, NewEpoch};
 
-/// Epochs a window holds at least, however far apart they are.
+/// Least number of epochs in a window, however far apart they are.
 const EPOCHS_MIN: usize = 10;
-/// Distance from the frame's origin at which the graph starts again (m): up has turned by 1°.
+/// Distance from the frame's origin at which the window restarts (m): up has turned by 1°.
 const FRAME_LIMIT_M: f64 = 1e5;
 
 /// A causal estimator over a sliding window.
 #[derive(Debug)]
-pub(in crate::positioning) struct SlidingWindow {
+pub(crate) struct SlidingWindow {
     /// Whether epochs are answered again when they leave.
     revises: bool,
     chain: Chain,
@@ -33,7 +33,7 @@ state_fields!(SlidingWindow { revises, chain });
 
 /// Memory to compute in.
 #[derive(Debug)]
-pub(in crate::positioning) struct WindowScratch {
+pub(crate) struct WindowScratch {
     single_point: SinglePoint,
     velocity: VelocityEstimator,
     measurements: Measurements,
@@ -122,7 +122,7 @@ impl Engine for SlidingWindow {
     }
 }
 
-/// Epochs that may have biases of their own; zero where biases are constant.
+/// Number of epochs with biases of their own; zero where biases are constant.
 fn ring(options: &PositioningOptions) -> usize {
     match options.graph.motion {
         true => 0,
@@ -205,7 +205,7 @@ impl SlidingWindow {
         chain.append(new, inputs.setup, chain_scratch);
     }
 
-    /// How many of the oldest epochs leave when one at `time` comes.
+    /// Number of oldest epochs that leave when one at `time` comes.
     fn leaving(&self, time: GpsTime, options: &PositioningOptions) -> usize {
         let epochs = &self.chain.epochs;
         let count = epochs.len() + 1;

@@ -19,7 +19,7 @@ use super::weights::{constellation_factor, receiver_weights};
 use super::{Measurement, SecondFrequency};
 
 /// Relative humidity of the standard atmosphere, 0 … 1; RTKLIB's `REL_HUMI`.
-pub(in crate::positioning) const RELATIVE_HUMIDITY: f64 = 0.7;
+pub(crate) const RELATIVE_HUMIDITY: f64 = 0.7;
 
 /// The atmosphere above one place at one time.
 pub(super) struct Atmosphere<'a> {

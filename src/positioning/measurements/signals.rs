@@ -9,7 +9,7 @@ use crate::gnss::{Band, Constellation, ObservationCode, Signal};
 /// E1, B1I); elsewhere pilots before combined before data channels; GPS L2 semi-codeless P(Y)
 /// before L2C, because T_GD of the legacy message is that of P(Y). Codes are those of RINEX 3.05,
 /// tables 4 to 10.
-pub(in crate::positioning) fn preference(signal: Signal, band: Band) -> Option<u8> {
+pub(crate) fn preference(signal: Signal, band: Band) -> Option<u8> {
     use Constellation as C;
     let order: &[&str] = match (signal.constellation, band) {
         (C::Gps, Band::L1) => &["1C", "1W", "1P", "1Y", "1L", "1X", "1S"],

@@ -18,7 +18,7 @@ const GLONASS_FACTOR: f64 = 1.5;
 /// buildings weaken a signal, the reflections that come with it.
 /// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²), which then is the whole variance.
 /// `rtklib`: σ² = 0.3² + 0.3²/sin E, and 0.3² for code biases.
-pub(in crate::positioning) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeights {
+pub(crate) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeights {
     match options.weighting {
         WeightModel::Rtklib => MeasurementWeights {
             elevation: ElevationTerm::InverseSine {
@@ -49,7 +49,7 @@ pub(in crate::positioning) fn receiver_weights(options: &PositioningOptions) -> 
 }
 
 /// Factor on the receiver's variance of a constellation's code.
-pub(in crate::positioning) const fn constellation_factor(constellation: Constellation) -> f64 {
+pub(crate) const fn constellation_factor(constellation: Constellation) -> f64 {
     match constellation {
         // Half the chip rate of GPS, and inter-channel biases of FDMA.
         Constellation::Glonass => GLONASS_FACTOR * GLONASS_FACTOR,

@@ -12,72 +12,71 @@ use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::geometry::{Geometry, UNDETERMINED};
 
-use super::epoch::{RtkEpoch, STATE, State};
-use super::front::UsableBase;
-use super::integers::Resolution;
+use super::ambiguity::Resolution;
+use super::observed::{RtkEpoch, STATE, State, UsableBase};
 
-/// What the answer of an epoch is made of.
-pub(super) struct Findings<'a> {
+/// What the solution of an epoch is made from.
+pub(crate) struct AnswerParts<'a> {
     /// Frame of the state.
-    pub(super) frame: &'a LocalFrame,
-    pub(super) epoch: &'a RtkEpoch,
-    pub(super) state: &'a State,
+    pub(crate) frame: &'a LocalFrame,
+    pub(crate) epoch: &'a RtkEpoch,
+    pub(crate) state: &'a State,
     /// Of the state.
-    pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
-    pub(super) differences: &'a SingleDifferences,
-    pub(super) resolution: Resolution,
-    pub(super) base: UsableBase<'a>,
-    pub(super) reasons: Vec<Reason>,
-    pub(super) options: &'a RtkOptions,
+    pub(crate) covariance: &'a SMatrix<f64, STATE, STATE>,
+    pub(crate) differences: &'a SingleDifferences,
+    pub(crate) resolution: Resolution,
+    pub(crate) base: UsableBase<'a>,
+    pub(crate) reasons: Vec<Reason>,
+    pub(crate) options: &'a RtkOptions,
 }
 
-/// What the ionosphere's gradient puts into a position over such a baseline, ENU (m²).
+/// Covariance of a position by the ionosphere's gradient over a baseline, ENU (m²).
 ///
-/// For minutes it is the same for every epoch and satellite, so that no number of them averages it
-/// out: g·d in each horizontal direction, twice that upward, where the delay acts with one sign.
-pub(super) fn gradient_covariance(options: &RtkOptions, baseline_m: f64) -> Matrix3<f64> {
+/// The gradient lasts for minutes and is the same for all satellites: it does not average out. It
+/// is g·d in each horizontal direction and twice that upward, where the delay acts with one sign.
+pub(crate) fn gradient_covariance(options: &RtkOptions, baseline_m: f64) -> Matrix3<f64> {
     let sigma_m = options.ionosphere_gradient * baseline_m;
     Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 4.0)) * (sigma_m * sigma_m)
 }
 
 /// The solution of an epoch.
-pub(super) fn solution(findings: Findings<'_>) -> Solution {
-    let Findings { frame, epoch, state, covariance, differences, .. } = findings;
-    let (resolution, base, mut reasons) = (findings.resolution, findings.base, findings.reasons);
+pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
+    let AnswerParts { frame, epoch, state, covariance, differences, .. } = parts;
+    let (resolution, base, mut reasons) = (parts.resolution, parts.base, parts.reasons);
     let rotation = &frame.rotation;
     let to_ecef = |c: &Matrix3<f64>| rotation.transpose() * c * rotation;
-    let (status, place, uncertainty, held, probability) = match resolution.outcome {
+    let (status, local, uncertainty, held, probability) = match resolution.outcome {
         Ok(fixed) => {
             let probability = Some(fixed.probability);
             (Status::Fixed, fixed.position, fixed.covariance, fixed.held, probability)
         }
         Err(reason) => {
             reasons.push(reason);
-            let place = state.fixed_rows::<3>(0).into_owned();
+            let local = state.fixed_rows::<3>(0).into_owned();
             let uncertainty = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-            (Status::Float, place, uncertainty, 0, None)
+            (Status::Float, local, uncertainty, 0, None)
         }
     };
     reasons.extend(base.doubt);
-    let position = frame.to_ecef(Enu(place));
+    let position = frame.to_ecef(Enu(local));
     let baseline_m = position.0 - base.station.antenna_reference_point.0;
-    let uncertainty = uncertainty + gradient_covariance(findings.options, baseline_m.norm());
+    let uncertainty = uncertainty + gradient_covariance(parts.options, baseline_m.norm());
     let mut used: Vec<_> = differences.list.iter().map(|d| d.common).collect();
     used.sort_unstable_by_key(|&common| differences.satellites[common].satellite);
     used.dedup();
     let of = |common: &usize| &differences.satellites[*common];
     let velocity = state.fixed_rows::<3>(VELOCITY).into_owned();
-    let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
+    let velocity_covariance = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
     let at = state.fixed_rows::<3>(0).into_owned();
     let slope = |common: usize| epoch.sights[common].range(&at).1;
     let geometry = Geometry::of(used.iter().map(|c| (of(c).satellite.constellation, slope(*c))));
-    let clock_m = clock_m(epoch, differences, &used, &place);
+    let clock_m = clock_m(epoch, differences, &used, &local);
     let estimate = SolutionEstimate {
         position,
         covariance: to_ecef(&uncertainty),
         velocity: Some(Velocity {
             velocity_m_s: rotation.transpose() * velocity,
-            covariance: to_ecef(&pace),
+            covariance: to_ecef(&velocity_covariance),
             clock_drift_m_s: 0.0,
         }),
         clock_m,
@@ -102,20 +101,20 @@ pub(super) fn solution(findings: Findings<'_>) -> Solution {
     Solution { time: epoch.time, status, estimate, reasons, provenance }
 }
 
-/// The rover's clock (m), from the mean of the first constellation's pseudoranges: the ionosphere,
-/// which differences cancel, is in it.
+/// The rover's clock (m), from the mean of the first constellation's pseudoranges; it includes the
+/// ionospheric delay, which differences cancel.
 fn clock_m(
     epoch: &RtkEpoch,
     differences: &SingleDifferences,
     used: &[usize],
-    place: &Vector3<f64>,
+    local: &Vector3<f64>,
 ) -> f64 {
     let constellation = |c: &&usize| differences.satellites[**c].satellite.constellation;
     let Some(first) = used.iter().map(|c| constellation(&c)).min() else { return 0.0 };
     let mut count = 0;
     let mut sum_m = 0.0;
     for &common in used.iter().filter(|c| constellation(c) == first) {
-        let (range_m, _) = epoch.sights[common].range(place);
+        let (range_m, _) = epoch.sights[common].range(local);
         sum_m += differences.satellites[common].rover_range_m - range_m;
         count += 1;
     }

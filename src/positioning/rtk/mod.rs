@@ -1,33 +1,24 @@
 //! Positions relative to a base: double differences with integer ambiguities.
 //!
-//! `base` remembers the base's newest epoch, `arcs` which ambiguities live, `epoch` holds the
-//! factors of one epoch, `chain` builds and forgets them, `integers` resolves the ambiguities, and
-//! [`RtkWindow`] answers each epoch as it comes. [`RtkFilter`] is its comparator: the same rows in
-//! an extended Kalman filter, whose state `belief` holds. `docs/estimation.md` tells why things are
-//! as they are.
+//! | room | what lives there |
+//! |---|---|
+//! | `observed` | what rover and base observe together: base, arcs, rows, noise |
+//! | `ambiguity` | from float ambiguities to integers, and the position they give |
+//! | `tracking` | arcs, held integers and noise from epoch to epoch, shared by both estimators |
+//! | `answer` | from a state with its ambiguities to a solution |
+//! | `relative` | the driver: one epoch in order, with or without a usable base |
+//! | `window` | [`RtkWindow`]: a window of epochs in the graph, answered again as they leave |
+//! | `filter` | [`RtkFilter`]: the same rows in an extended Kalman filter, for comparison |
+//!
+//! `docs/estimation.md` has the equations.
 
+mod ambiguity;
 mod answer;
-mod answered;
-mod arcs;
-mod base;
-mod belief;
-mod biases;
-mod chain;
-mod epoch;
 mod filter;
-mod float;
-mod front;
-mod heard;
-mod held;
-mod history;
-mod integers;
-mod joint;
-mod labels;
-mod noise;
-mod placed;
-mod revision;
+mod observed;
+mod relative;
 mod tracking;
 mod window;
 
 pub(super) use filter::RtkFilter;
-pub(super) use window::{RtkWindow, RtkWindowScratch};
+pub(super) use window::RtkWindow;

@@ -9,7 +9,7 @@ use super::SinglePoint;
 
 /// The last position, from which the next epoch is solved.
 #[derive(Debug)]
-pub(in crate::positioning) struct SinglePoints {
+pub(crate) struct SinglePoints {
     start: Option<Ecef>,
 }
 

@@ -1,4 +1,4 @@
-//! Mean and covariance of the filter's state: prediction and update.
+//! The filter's state as a normal distribution: prediction and update.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -24,22 +24,22 @@ pub(super) struct Innovation {
     slope: Vector,
     /// r = (model − measured)/σ.
     residual: f64,
-    /// R: one, or more where errors last.
+    /// R: one, or more where errors are correlated in time.
     variance: f64,
 }
 
 impl Innovation {
-    /// Of a row on the epoch's state, and on a bias: its place and Jacobian.
+    /// A row on the epoch's state and on a bias, given by index and Jacobian.
     pub(super) fn row<const N: usize>(row: &Row<N>, bias: Option<(usize, f64)>) -> Self {
         let mut slope = Vector::zeros();
         row.columns.iter().zip(row.jacobian).for_each(|(column, value)| slope[*column] = value);
-        if let Some((place, value)) = bias {
-            slope[BIAS + place] = value;
+        if let Some((index, value)) = bias {
+            slope[BIAS + index] = value;
         }
         Self { slope, residual: row.residual, variance: 1.0 }
     }
 
-    /// Of a row between the position and clock of the epoch before and this epoch's state.
+    /// A row between the position and clock of the previous epoch and this epoch's state.
     pub(super) fn link<const N: usize, const M: usize>(link: &Link<N, M>) -> Self {
         let mut slope = Vector::zeros();
         let next = link.next_columns.iter().zip(link.next_jacobian);
@@ -50,7 +50,7 @@ impl Innovation {
         Self { slope, residual: link.residual, variance: 1.0 }
     }
 
-    /// The same with R for a share of the information.
+    /// The same with the R of a share of the information.
     pub(super) fn tempered(self, share: f64) -> Self {
         Self { variance: share.recip(), ..self }
     }
@@ -61,17 +61,17 @@ fn past_column(column: usize) -> usize {
     PAST + column.min(3)
 }
 
-/// What is believed of the state.
+/// Mean and covariance of the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Belief {
+pub(super) struct Gaussian {
     mean: Vector,
     covariance: Matrix,
 }
 
-snapshot_fields!(Belief { mean, covariance });
+snapshot_fields!(Gaussian { mean, covariance });
 
-impl Belief {
-    /// Numbers known to be zero.
+impl Gaussian {
+    /// Zero with certainty.
     pub(super) fn zero() -> Self {
         Self { mean: Vector::zeros(), covariance: Matrix::zeros() }
     }
@@ -104,7 +104,7 @@ impl Belief {
         self.covariance *= factor;
     }
 
-    /// Begins a number anew, independent of the others.
+    /// Sets a number, independent of the others.
     pub(super) fn renew(&mut self, column: usize, mean: f64, sigma: f64) {
         self.mean[column] = mean;
         self.covariance.row_mut(column).fill(0.0);
@@ -112,7 +112,7 @@ impl Belief {
         self.covariance[(column, column)] = sigma * sigma;
     }
 
-    /// Moves a number that is known to have moved.
+    /// Shifts a number by a known amount.
     pub(super) fn shift(&mut self, column: usize, by: f64) {
         self.mean[column] += by;
     }
@@ -122,41 +122,42 @@ impl Belief {
         self.covariance[(column, column)] += variance;
     }
 
-    /// Goes on by an interval (s), the epoch left behind remembered; without walks nothing
-    /// wanders.
+    /// Predicts over an interval (s) and keeps the previous position and clock; without walks no
+    /// noise is added.
     pub(super) fn predict(&mut self, walks: Option<(&MotionWalk, &ClockWalk)>, interval_s: f64) {
         let mut step = Matrix::identity();
         for axis in 0..3 {
             step[(axis, VELOCITY + axis)] = interval_s;
         }
         step[(CLOCK, DRIFT)] = interval_s;
-        for (place, column) in [0, 1, 2, CLOCK].into_iter().enumerate() {
-            step[(PAST + place, PAST + place)] = 0.0;
-            step[(PAST + place, column)] = 1.0;
+        for (index, column) in [0, 1, 2, CLOCK].into_iter().enumerate() {
+            step[(PAST + index, PAST + index)] = 0.0;
+            step[(PAST + index, column)] = 1.0;
         }
         self.mean = step * self.mean;
         self.covariance = step * self.covariance * step.transpose();
         let Some((motion, clock)) = walks else { return };
         for axis in 0..3 {
             let (link, walk) =
-                (motion.link_m2(axis, interval_s), motion.pace_m2_s2(axis, interval_s));
-            self.wander(axis, VELOCITY + axis, link, walk, interval_s);
+                (motion.link_m2(axis, interval_s), motion.velocity_m2_s2(axis, interval_s));
+            self.add_noise(axis, VELOCITY + axis, link, walk, interval_s);
         }
         let (link, walk) = (clock.link_m2(interval_s), clock.drift_m2_s2(interval_s));
-        self.wander(CLOCK, DRIFT, link, walk, interval_s);
+        self.add_noise(CLOCK, DRIFT, link, walk, interval_s);
         self.make_symmetric();
     }
 
-    /// A rate that wanders by `walk`, and what it moves by its trapezoid, uncertain by `link`.
-    fn wander(&mut self, place: usize, rate: usize, link: f64, walk: f64, interval_s: f64) {
+    /// Noise of a rate with variance `walk`, and of what it moves by the trapezoid with variance
+    /// `link`.
+    fn add_noise(&mut self, moved: usize, rate: usize, link: f64, walk: f64, interval_s: f64) {
         let half_s = 0.5 * interval_s;
-        self.covariance[(place, place)] += half_s * half_s * walk + link;
-        self.covariance[(place, rate)] += half_s * walk;
-        self.covariance[(rate, place)] += half_s * walk;
+        self.covariance[(moved, moved)] += half_s * half_s * walk + link;
+        self.covariance[(moved, rate)] += half_s * walk;
+        self.covariance[(rate, moved)] += half_s * walk;
         self.covariance[(rate, rate)] += walk;
     }
 
-    /// Takes a row in if the test's limit allows it; returns whether it did.
+    /// Updates with a row unless r²/S exceeds the limit; returns whether it did.
     pub(super) fn update(&mut self, innovation: &Innovation, limit: f64) -> bool {
         let Innovation { slope, residual, variance } = innovation;
         let carried = self.covariance * slope;
@@ -194,12 +195,12 @@ mod tests {
     const MOTION: MotionWalk = MotionWalk { velocity_m_s: [2.0, 2.0, 1.0] };
     const CLOCK_WALK: ClockWalk = ClockWalk { clock_m: 0.3, drift_m_s: 0.5 };
 
-    fn belief() -> Belief {
-        let mut belief = Belief::zero();
+    fn gaussian() -> Gaussian {
+        let mut gaussian = Gaussian::zero();
         for column in 0..STATE {
-            belief.renew(column, 1.0 + column as f64, 2.0 + 0.5 * column as f64);
+            gaussian.renew(column, 1.0 + column as f64, 2.0 + 0.5 * column as f64);
         }
-        belief
+        gaussian
     }
 
     fn row(column: usize, residual: f64) -> Innovation {
@@ -209,39 +210,39 @@ mod tests {
     /// East 1 ± 2 m, measured as 5 ± 2 m: halfway at 3 ± √2 m.
     #[test]
     fn an_update_worked_by_hand() {
-        let mut belief = belief();
-        assert!(!belief.update(&row(0, -2.0), 1.99), "the square of 4 m over 8 m² is 2");
-        assert!(belief.update(&row(0, -2.0), 2.01));
-        assert!((belief.state()[0] - 3.0).abs() < 1e-12);
-        assert!((belief.state_covariance()[(0, 0)] - 2.0).abs() < 1e-12);
+        let mut gaussian = gaussian();
+        assert!(!gaussian.update(&row(0, -2.0), 1.99), "the square of 4 m over 8 m² is 2");
+        assert!(gaussian.update(&row(0, -2.0), 2.01));
+        assert!((gaussian.state()[0] - 3.0).abs() < 1e-12);
+        assert!((gaussian.state_covariance()[(0, 0)] - 2.0).abs() < 1e-12);
     }
 
     /// 20 m off is 10 standard deviations of the measurement and √(100/2) of the innovation.
     #[test]
     fn an_innovation_beyond_the_limit_changes_nothing() {
-        let mut tested = belief();
+        let mut tested = gaussian();
         assert!(!tested.update(&row(0, -10.0), 10.8));
-        assert_eq!(tested, belief());
+        assert_eq!(tested, gaussian());
         assert!(tested.update(&row(0, -10.0).tempered(0.01), 10.8));
     }
 
     /// The information of a sum is the sum of the information: P⁻¹ + Σ JᵀJ/R.
     #[test]
     fn updates_add_information() {
-        let mut belief = belief();
-        belief.predict(Some((&MOTION, &CLOCK_WALK)), 2.0);
+        let mut gaussian = gaussian();
+        gaussian.predict(Some((&MOTION, &CLOCK_WALK)), 2.0);
         let columns = [0, 3, CLOCK];
         let rows = [[0.4, -0.3, 1.0], [-0.7, 0.1, 1.0], [0.2, 0.9, 0.5]].map(|jacobian| {
             Innovation::row(&Row { residual: 0.3, columns, jacobian }, None).tempered(0.5)
         });
-        let mut information = belief.state_covariance().try_inverse().unwrap();
+        let mut information = gaussian.state_covariance().try_inverse().unwrap();
         for row in &rows {
             let slope = row.slope.fixed_rows::<STATE>(0);
             information += slope * slope.transpose() / row.variance;
-            assert!(belief.update(row, f64::INFINITY));
+            assert!(gaussian.update(row, f64::INFINITY));
         }
         let expected = information.try_inverse().unwrap();
-        let difference = (belief.state_covariance() - expected).norm();
+        let difference = (gaussian.state_covariance() - expected).norm();
         assert!(difference < 1e-12 * expected.norm(), "{difference}");
     }
 
@@ -249,8 +250,8 @@ mod tests {
     /// prediction from a state that is known: J Q Jᵀ = 1 for each, and none correlates.
     #[test]
     fn the_prediction_is_that_of_the_graphs_factors() {
-        let mut belief = Belief::zero();
-        belief.predict(Some((&MOTION, &CLOCK_WALK)), 2.0);
+        let mut gaussian = Gaussian::zero();
+        gaussian.predict(Some((&MOTION, &CLOCK_WALK)), 2.0);
         let (at, next) = (State::zeros(), State::zeros());
         let motion = MotionFactor::new(&MOTION, 2.0);
         let clock = ClockFactor::new(&CLOCK_WALK, 2.0, Some(0.0));
@@ -261,29 +262,30 @@ mod tests {
             slope
         };
         for axis in 0..3 {
-            let (place, pace) = (motion.place(axis, &at, &next), motion.pace(axis, &at, &next));
-            rows.push(slope(&place.next_columns, &place.next_jacobian));
-            rows.push(slope(&pace.next_columns, &pace.next_jacobian));
+            let (level, rate) =
+                (motion.position_row(axis, &at, &next), motion.velocity_row(axis, &at, &next));
+            rows.push(slope(&level.next_columns, &level.next_jacobian));
+            rows.push(slope(&rate.next_columns, &rate.next_jacobian));
         }
-        let (place, pace) = (clock.clock(&at, &next), clock.drift(&at, &next));
-        rows.push(slope(&place.next_columns, &place.next_jacobian));
-        rows.push(slope(&pace.next_columns, &pace.next_jacobian));
+        let (level, rate) = (clock.clock_row(&at, &next), clock.drift_row(&at, &next));
+        rows.push(slope(&level.next_columns, &level.next_jacobian));
+        rows.push(slope(&rate.next_columns, &rate.next_jacobian));
         for (i, a) in rows.iter().enumerate() {
             for (j, b) in rows.iter().enumerate() {
-                let product = (a.transpose() * belief.state_covariance() * b).x;
+                let product = (a.transpose() * gaussian.state_covariance() * b).x;
                 let expected = f64::from(i == j);
                 assert!((product - expected).abs() < 1e-9, "{i} {j}: {product}");
             }
         }
     }
 
-    /// A displacement of 7 ± 0.1 m from a place known to 2 m: the place stays unknown, the
-    /// displacement does not.
+    /// A displacement of 7 ± 0.1 m from a position known to 2 m: it makes the displacement known,
+    /// the position stays uncertain.
     #[test]
     fn a_link_measures_against_the_epoch_before() {
-        let mut belief = belief();
-        belief.predict(Some((&MOTION, &CLOCK_WALK)), 1.0);
-        let moved = belief.state()[0] - belief.past()[0];
+        let mut gaussian = gaussian();
+        gaussian.predict(Some((&MOTION, &CLOCK_WALK)), 1.0);
+        let moved = gaussian.state()[0] - gaussian.past()[0];
         let link = Link {
             residual: (moved - 7.0) / 0.1,
             columns: [0],
@@ -291,8 +293,8 @@ mod tests {
             next_columns: [0],
             next_jacobian: [10.0],
         };
-        assert!(belief.update(&Innovation::link(&link), f64::INFINITY));
-        assert!((belief.state()[0] - belief.past()[0] - 7.0).abs() < 0.01);
-        assert!(1.9 < belief.state_covariance()[(0, 0)].sqrt());
+        assert!(gaussian.update(&Innovation::link(&link), f64::INFINITY));
+        assert!((gaussian.state()[0] - gaussian.past()[0] - 7.0).abs() < 0.01);
+        assert!(1.9 < gaussian.state_covariance()[(0, 0)].sqrt());
     }
 }

@@ -1,69 +1,70 @@
-//! What satellites delay two ranging codes of one carrier differently.
+//! Code biases: the delay of one ranging code against another of the same carrier, by satellite.
 //!
 //! Where rover and base track different codes of one carrier, such as P1 and C1, single differences
 //! of pseudoranges carry a bias of each satellite. It changes by less than 6 cm in five months (the
-//! IGS's mean values of P1 − C1, Ray 2005, IGSMAIL-5078), so that positions with integers held tell
-//! it once for all that follows. What all satellites share is the group's offset.
+//! IGS's mean values of P1 − C1, Ray 2005, IGSMAIL-5078), so that it is learnt from fixed positions
+//! once and for all. What all satellites share is the group's offset.
 
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
 use crate::snapshot::{snapshot_fields, state_fields};
 
-/// Standard deviation before any is seen (m): RTKLIB's `ERR_CBIAS`; the IGS's 30 values have 0.28.
+/// Standard deviation before anything is learnt (m): RTKLIB's `ERR_CBIAS`; the IGS's 30 values have
+/// 0.28.
 const PRIOR_M: f64 = 0.3;
-/// At the least (m): what multipath that comes again each day leaves.
+/// Least standard deviation (m): multipath that repeats every day.
 const LEAST_M: f64 = 0.05;
-/// A pseudorange that misses by more standard deviations tells nothing.
+/// Pseudoranges with a residual beyond this many standard deviations are not learnt from.
 const GROSS_SIGMAS: f64 = 3.0;
-/// Biases held; those beyond them stay as uncertain as at first.
-const HELD_MAX: usize = 1024;
+/// Most biases kept; further ones stay at their prior.
+const BIASES_MAX: usize = 1024;
 
 /// The bias of one satellite between two codes, as far as it is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct CodeBias {
+pub(crate) struct CodeBias {
     satellite: SatelliteId,
     /// Codes at rover and base.
     codes: [ObservationCode; 2],
     /// Rover less base (m).
-    pub(super) bias_m: f64,
+    pub(crate) bias_m: f64,
     /// (m²).
-    pub(super) variance_m2: f64,
+    pub(crate) variance_m2: f64,
 }
 
 snapshot_fields!(CodeBias { satellite, codes, bias_m, variance_m2 });
 
-/// All that were met.
+/// All biases that have occurred.
 #[derive(Debug, Default)]
-pub(super) struct CodeBiases {
+pub(crate) struct CodeBiases {
     list: Vec<CodeBias>,
 }
 
 state_fields!(CodeBiases { list });
 
 impl CodeBiases {
-    /// The bias of a difference and, where its codes differ, its place, if there is one left.
-    pub(super) fn of(&mut self, difference: &SingleDifference) -> (CodeBias, Option<usize>) {
+    /// The bias of a difference and, where its codes differ and it is kept, its index.
+    pub(crate) fn of(&mut self, difference: &SingleDifference) -> (CodeBias, Option<usize>) {
         let SingleDifference { satellite, codes, .. } = *difference;
         if difference.shares_code {
             return (CodeBias { satellite, codes, bias_m: 0.0, variance_m2: 0.0 }, None);
         }
         let is_it = |bias: &CodeBias| (bias.satellite, bias.codes) == (satellite, codes);
-        if let Some(place) = self.list.iter().position(is_it) {
-            return (self.list[place], Some(place));
+        if let Some(index) = self.list.iter().position(is_it) {
+            return (self.list[index], Some(index));
         }
         let new = CodeBias { satellite, codes, bias_m: 0.0, variance_m2: PRIOR_M.powi(2) };
-        if HELD_MAX <= self.list.len() {
+        if BIASES_MAX <= self.list.len() {
             return (new, None);
         }
         self.list.push(new);
         (new, Some(self.list.len() - 1))
     }
 
-    /// Takes what a pseudorange, corrected for the bias at `place`, is longer than the range to a
-    /// position that is known (m); its variance, the bias's own included (m²); and the share of it
-    /// that is new, since errors last.
-    pub(super) fn learn(&mut self, place: usize, excess_m: f64, variance_m2: f64, share: f64) {
-        let Some(bias) = self.list.get_mut(place) else { return };
+    /// Updates the bias at `index` from one pseudorange: what it exceeds the range to a known
+    /// position by once corrected (m), its variance with the bias's own (m²), and the share of its
+    /// information that is independent.
+    pub(crate) fn learn(&mut self, index: usize, excess_m: f64, variance_m2: f64, share: f64) {
+        let Some(bias) = self.list.get_mut(index) else { return };
         if GROSS_SIGMAS.powi(2) * variance_m2 < excess_m.powi(2) {
             return;
         }
@@ -99,8 +100,8 @@ mod tests {
     #[test]
     fn biases_are_learnt() {
         let mut biases = CodeBiases::default();
-        let (bias, place) = biases.of(&difference(7));
-        assert_eq!((bias.bias_m, bias.variance_m2, place), (0.0, 0.09, Some(0)));
+        let (bias, index) = biases.of(&difference(7));
+        assert_eq!((bias.bias_m, bias.variance_m2, index), (0.0, 0.09, Some(0)));
         biases.learn(0, 0.4, 0.18, 1.0);
         let (bias, _) = biases.of(&difference(7));
         assert!((bias.bias_m - 0.2).abs() < 1e-12 && (bias.variance_m2 - 0.045).abs() < 1e-12);
@@ -116,24 +117,24 @@ mod tests {
         assert_eq!(biases.of(&difference(8)).1, Some(1));
         assert_eq!(biases.of(&difference(7)).1, Some(0));
         let alike = SingleDifference { shares_code: true, ..difference(9) };
-        let (bias, place) = biases.of(&alike);
-        assert_eq!((bias.variance_m2, place), (0.0, None));
+        let (bias, index) = biases.of(&alike);
+        assert_eq!((bias.variance_m2, index), (0.0, None));
     }
 
     #[test]
-    fn what_is_held_is_bounded() {
+    fn what_is_kept_is_bounded() {
         let mut biases = CodeBiases::default();
-        let mut codes = (0..=HELD_MAX).map(|k| {
+        let mut codes = (0..=BIASES_MAX).map(|k| {
             let letter = |k: usize| b'A' + (k % 26) as u8;
             let code = |band: usize, k: usize| ObservationCode::new(b'1' + band as u8, letter(k));
             [code(k / 676, k / 26), code(0, k)].map(Option::unwrap)
         });
-        let mut place = |biases: &mut CodeBiases| {
+        let mut index = |biases: &mut CodeBiases| {
             biases.of(&SingleDifference { codes: codes.next().unwrap(), ..difference(1) }).1
         };
-        for k in 0..HELD_MAX {
-            assert_eq!(place(&mut biases), Some(k));
+        for k in 0..BIASES_MAX {
+            assert_eq!(index(&mut biases), Some(k));
         }
-        assert_eq!(place(&mut biases), None);
+        assert_eq!(index(&mut biases), None);
     }
 }

@@ -1,63 +1,61 @@
-//! Integers found at one time, held at another.
+//! Integers found at one epoch, held at another.
 
 use crate::config::RtkOptions;
 use crate::lambda::{KnownScale, Partial, Resolver};
 use crate::positioning::differencing::DifferenceGroup;
+use crate::positioning::rtk::observed::{ArcReference, FREEDOM_LEAST, HeldInteger};
 
-use super::answered::Named;
-use super::arcs::Label;
+use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 use super::float::FloatSolution;
 use super::integers::{DISAGREEMENT, lambda_options};
-use super::joint::{Joint, condition, doubted};
-use super::noise::FREEDOM_LEAST;
-use super::placed::{FIXED_SIGMA_M, FixedPosition, fixed_position};
+use super::joint::{Joint, condition, given_unfixed_ambiguities};
 
-/// An ambiguity of an epoch.
-pub(super) struct Ambiguity<'a> {
-    pub(super) named: &'a Named,
-    pub(super) label: Option<Label>,
+/// An ambiguity of an earlier epoch, with its integer by now.
+pub(crate) struct EarlierAmbiguity<'a> {
+    pub(crate) arc: &'a ArcReference,
+    pub(crate) held: Option<HeldInteger>,
 }
 
-/// Conditions an epoch on the integers of its ambiguities that have labels; `None` where these are
-/// too few, or place it too roughly, or do not agree with it.
+/// Conditions an epoch on the known integers of its ambiguities; `None` where these are too few,
+/// leave the position too uncertain, or do not agree with the epoch.
 ///
-/// They agree where the real-valued ones are about there, and those without a label do not make
-/// them improbable. Errors that last longer than their variances say can put the real-valued ones
-/// further off; then they agree if a search finds them and no others.
-pub(super) fn hold(
+/// They agree if the float ambiguities lie within 2σ rms of them and the unfixed ones do not
+/// contradict. Errors that last longer than their covariance says put float ambiguities further
+/// off; then they agree if a search finds them and no others.
+pub(crate) fn condition_on_known_integers(
     float: &FloatSolution,
-    ambiguities: &[Ambiguity<'_>],
+    ambiguities: &[EarlierAmbiguity<'_>],
     probability: f64,
     resolver: &mut Resolver,
     options: &RtkOptions,
 ) -> Option<FixedPosition> {
-    let (mut places, mut integers) = (Vec::new(), Vec::new());
-    let mut without = Vec::new();
+    let (mut pairs, mut integers) = (Vec::new(), Vec::new());
+    let mut unfixed = Vec::new();
     for (i, ambiguity) in ambiguities.iter().enumerate() {
-        let Some(reference) = reference(ambiguities, ambiguity.named.group).filter(|&r| r != i)
+        let Some(reference) = reference(ambiguities, ambiguity.arc.group).filter(|&r| r != i)
         else {
             continue;
         };
         let zero = &ambiguities[reference];
-        let pair = (float.place(ambiguity.named.variable)?, float.place(zero.named.variable)?);
-        match ambiguity.label.zip(zero.label).and_then(|(own, zero)| own.less(zero)) {
+        let pair = (float.index(ambiguity.arc.variable)?, float.index(zero.arc.variable)?);
+        match ambiguity.held.zip(zero.held).and_then(|(own, zero)| own.minus(zero)) {
             Some(integer) => {
-                places.push(pair);
+                pairs.push(pair);
                 integers.push(integer);
             }
-            None => without.push(pair),
+            None => unfixed.push(pair),
         }
     }
     let held = integers.len();
     if held < options.fixed_min {
         return None;
     }
-    places.extend(without);
-    let joint = Joint::of_differences(float, &places);
-    let (known, others): (Vec<usize>, Vec<usize>) = (0..places.len()).partition(|&i| i < held);
+    pairs.extend(unfixed);
+    let joint = Joint::of_differences(float, &pairs);
+    let (known, others): (Vec<usize>, Vec<usize>) = (0..pairs.len()).partition(|&i| i < held);
     let values: Vec<f64> = integers.iter().map(|&integer| integer as f64).collect();
     let (rest, squared_norm) = condition(&joint, &known, &values, &others)?;
-    let probability = doubted(probability, &rest);
+    let probability = given_unfixed_ambiguities(probability, &rest);
     let agree = options.hold_probability_min <= probability
         && (squared_norm <= DISAGREEMENT * held as f64
             || are_found(&joint.of(&known), &integers, resolver, options));
@@ -65,11 +63,11 @@ pub(super) fn hold(
     (agree && fixed.horizontal_sigma_m() <= FIXED_SIGMA_M).then_some(fixed)
 }
 
-/// The first ambiguity of a group with the newest label.
-fn reference(ambiguities: &[Ambiguity<'_>], group: DifferenceGroup) -> Option<usize> {
-    let labelled = ambiguities.iter().enumerate().filter(|(_, a)| a.named.group == group);
-    let origins = labelled.filter_map(|(i, a)| Some((a.label?.origin, i)));
-    origins.max_by_key(|&(origin, i)| (origin, std::cmp::Reverse(i))).map(|(_, i)| i)
+/// The first ambiguity of a group with the newest datum.
+fn reference(ambiguities: &[EarlierAmbiguity<'_>], group: DifferenceGroup) -> Option<usize> {
+    let of_group = ambiguities.iter().enumerate().filter(|(_, a)| a.arc.group == group);
+    let datums = of_group.filter_map(|(i, a)| Some((a.held?.datum, i)));
+    datums.max_by_key(|&(datum, i)| (datum, std::cmp::Reverse(i))).map(|(_, i)| i)
 }
 
 /// Whether a search finds these integers and no others.
@@ -126,29 +124,30 @@ mod tests {
         }
     }
 
-    fn named() -> [Named; N] {
+    fn arcs() -> [ArcReference; N] {
         let code = ObservationCode::parse("1C").unwrap();
         let gps = SatelliteId::new(Constellation::Gps, 3).unwrap();
         let group = DifferenceGroup::of(gps, Band::L1, [code; 2]);
-        std::array::from_fn(|k| Named { serial: k as u64, variable: 10 + k, group })
+        std::array::from_fn(|k| ArcReference { serial: k as u64, variable: 10 + k, group })
     }
 
-    fn held(float: &FloatSolution, labels: [Option<i64>; N]) -> Option<FixedPosition> {
-        let named = named();
-        let label = |integer| Label { origin: 4, integer };
-        let both = named.iter().zip(labels);
+    fn held(float: &FloatSolution, integers: [Option<i64>; N]) -> Option<FixedPosition> {
+        let arcs = arcs();
+        let held = |cycles| HeldInteger { datum: 4, cycles };
+        let both = arcs.iter().zip(integers);
         let ambiguities: Vec<_> =
-            both.map(|(named, integer)| Ambiguity { named, label: integer.map(label) }).collect();
+            both.map(|(arc, integer)| EarlierAmbiguity { arc, held: integer.map(held) }).collect();
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        hold(float, &ambiguities, 0.9999, &mut Resolver::with_capacity(N), &options.rtk)
+        let resolver = &mut Resolver::with_capacity(N);
+        condition_on_known_integers(float, &ambiguities, 0.9999, resolver, &options.rtk)
     }
 
     fn right() -> [Option<i64>; N] {
         std::array::from_fn(|k| Some(100 + (k * k) as i64))
     }
 
-    /// 0.2 m off, the right integers lead back, whatever they are counted from; so they do where
-    /// the ambiguities are further from them than is likely, if nothing else is as near.
+    /// From 0.2 m off, the right integers lead back, whatever their datum; also where the float
+    /// ambiguities are improbably far from them, if no others are as near.
     #[test]
     fn integers_lead_back() {
         for float in [float(0.2, 0.01), float(0.2, 0.002)] {
@@ -158,20 +157,20 @@ mod tests {
         }
     }
 
-    /// Wrong integers, too few of them, and such as those without a label contradict, are not held.
+    /// Wrong integers, too few, and those that unfixed ambiguities contradict are not held.
     #[test]
     fn what_does_not_agree_is_not_held() {
         let float = float(0.2, 0.01);
-        let mut labels = right();
-        labels[5] = Some(126);
-        assert!(held(&float, labels).is_none());
+        let mut integers = right();
+        integers[5] = Some(126);
+        assert!(held(&float, integers).is_none());
         let few = std::array::from_fn(|k| right()[k].filter(|_| k < 4));
         assert!(held(&float, few).is_none(), "three double differences");
-        let mut labels = right();
-        (labels[1], labels[2]) = (None, None);
-        assert!(held(&float, labels).is_some());
-        let mut astray = float.clone();
-        (astray.ambiguities[1], astray.ambiguities[2]) = (1.5 - 0.06, 4.5 - 0.12);
-        assert!(held(&astray, labels).is_none());
+        let mut integers = right();
+        (integers[1], integers[2]) = (None, None);
+        assert!(held(&float, integers).is_some());
+        let mut contradicting = float.clone();
+        (contradicting.ambiguities[1], contradicting.ambiguities[2]) = (1.5 - 0.06, 4.5 - 0.12);
+        assert!(held(&contradicting, integers).is_none());
     }
 }

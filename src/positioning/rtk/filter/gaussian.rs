@@ -1,39 +1,37 @@
-//! Mean and covariance of the filter's state: prediction and update.
+//! The filter's state as a normal distribution: prediction and update.
 
 use nalgebra::{DMatrix, SMatrix};
 
 use crate::graph::{SharingRow, shared_offset};
 use crate::positioning::factors::{MotionWalk, VELOCITY};
+use crate::positioning::rtk::ambiguity::FloatSolution;
+use crate::positioning::rtk::observed::{AmbiguityStart, CarrierArc, STATE, State};
 use crate::positioning::setup::OFFSET_KERNEL;
 use crate::snapshot::state_fields;
-
-use super::arcs::Arc;
-use super::epoch::{AmbiguityStart, STATE, State};
-use super::float::FloatSolution;
 
 /// Column of the offset that the rows of one group share.
 const OFFSET: usize = STATE;
 /// Column of the first ambiguity.
 const AMBIGUITY: usize = OFFSET + 1;
-/// Deviation of a group's offset about the rows' own (m): says next to nothing.
+/// Standard deviation of a group's offset about the rows' own (m): wider than any row.
 const OFFSET_M: f64 = 1e3;
 
-/// What is believed of [p; v; o; N…]: position, velocity, the offset of the group that entered last
-/// and the ambiguities by their border variables.
+/// Mean and covariance of [p; v; o; N…]: position, velocity, the offset of the group that entered
+/// last and the ambiguities by their border variables.
 #[derive(Debug)]
-pub(super) struct Belief {
+pub(crate) struct Gaussian {
     mean: Vec<f64>,
-    /// By columns; zero where a variable has never begun.
+    /// By columns; zero where a variable has not begun.
     covariance: Vec<f64>,
 }
 
-state_fields!(Belief { mean, covariance });
+state_fields!(Gaussian { mean, covariance });
 
-/// Storage to take rows in.
+/// Memory for updates.
 #[derive(Debug, Default)]
-pub(super) struct Gains {
+pub(crate) struct Gains {
     numbers: Vec<f64>,
-    /// Rows, and whether they fail the test before any has entered.
+    /// Rows, each with whether it fails the test before any has entered.
     order: Vec<(bool, usize)>,
     /// Mean that the rows were linearised at.
     at: Vec<f64>,
@@ -43,7 +41,7 @@ pub(super) struct Gains {
     left: Vec<f64>,
 }
 
-/// Places and slopes of what a row names: position, offset, ambiguity.
+/// Columns and slopes of what a row names: position, offset, ambiguity.
 #[derive(Clone, Copy)]
 struct Slope {
     columns: [usize; 5],
@@ -66,31 +64,31 @@ impl Slope {
     }
 }
 
-impl Belief {
-    /// Numbers known to be zero, no ambiguities.
-    pub(super) fn zero() -> Self {
+impl Gaussian {
+    /// Zero with certainty, no ambiguities.
+    pub(crate) fn zero() -> Self {
         Self { mean: vec![0.0; AMBIGUITY], covariance: vec![0.0; AMBIGUITY * AMBIGUITY] }
     }
 
-    /// Whether each number has its covariances, and how many ambiguities there are.
-    pub(super) fn ambiguities(&self) -> Option<usize> {
+    /// Number of ambiguities; `None` where mean and covariance differ in size.
+    pub(crate) fn ambiguities(&self) -> Option<usize> {
         let size = self.mean.len();
         let is_whole = size.checked_mul(size) == Some(self.covariance.len());
         size.checked_sub(AMBIGUITY).filter(|_| is_whole)
     }
 
     /// Position and velocity.
-    pub(super) fn state(&self) -> State {
+    pub(crate) fn state(&self) -> State {
         State::from_column_slice(&self.mean[..STATE])
     }
 
     /// Ambiguities by border variable (cycles).
-    pub(super) fn border(&self) -> &[f64] {
+    pub(crate) fn border(&self) -> &[f64] {
         &self.mean[AMBIGUITY..]
     }
 
     /// Covariance of position and velocity.
-    pub(super) fn state_covariance(&self) -> SMatrix<f64, STATE, STATE> {
+    pub(crate) fn state_covariance(&self) -> SMatrix<f64, STATE, STATE> {
         SMatrix::from_fn(|row, column| self.at(row, column))
     }
 
@@ -104,7 +102,7 @@ impl Belief {
     }
 
     /// Position and the ambiguities of some arcs.
-    pub(super) fn float<'a>(&self, arcs: impl Iterator<Item = &'a Arc>) -> FloatSolution {
+    pub(crate) fn float<'a>(&self, arcs: impl Iterator<Item = &'a CarrierArc>) -> FloatSolution {
         let variables: Vec<usize> = arcs.map(|arc| arc.variable).collect();
         let named = variables.iter().map(|variable| AMBIGUITY + variable);
         let columns: Vec<usize> = (0..3).chain(named).collect();
@@ -117,8 +115,8 @@ impl Belief {
         }
     }
 
-    /// Begins a number of the state anew, independent of the others.
-    pub(super) fn renew(&mut self, column: usize, mean: f64, sigma: f64) {
+    /// Sets a number of the state, independent of the others.
+    pub(crate) fn renew(&mut self, column: usize, mean: f64, sigma: f64) {
         for other in 0..self.mean.len() {
             *self.at_mut(other, column) = 0.0;
             *self.at_mut(column, other) = 0.0;
@@ -128,7 +126,7 @@ impl Belief {
     }
 
     /// Begins an ambiguity.
-    pub(super) fn begin(&mut self, start: &AmbiguityStart) {
+    pub(crate) fn begin(&mut self, start: &AmbiguityStart) {
         let column = AMBIGUITY + start.variable;
         let (size, wanted) = (self.mean.len(), column + 1);
         if size < wanted {
@@ -143,8 +141,8 @@ impl Belief {
         self.renew(column, start.mean, start.inverse_sigma.recip());
     }
 
-    /// Goes on by an interval (s).
-    pub(super) fn predict(&mut self, walk: &MotionWalk, interval_s: f64) {
+    /// Predicts over an interval (s).
+    pub(crate) fn predict(&mut self, walk: &MotionWalk, interval_s: f64) {
         let half_s = 0.5 * interval_s;
         for axis in 0..3 {
             let rate = VELOCITY + axis;
@@ -155,28 +153,29 @@ impl Belief {
             for other in 0..self.mean.len() {
                 *self.at_mut(other, axis) += interval_s * self.at(other, rate);
             }
-            let (link, pace) = (walk.link_m2(axis, interval_s), walk.pace_m2_s2(axis, interval_s));
-            *self.at_mut(axis, axis) += half_s * half_s * pace + link;
-            *self.at_mut(axis, rate) += half_s * pace;
-            *self.at_mut(rate, axis) += half_s * pace;
-            *self.at_mut(rate, rate) += pace;
+            let (link, change) =
+                (walk.link_m2(axis, interval_s), walk.velocity_m2_s2(axis, interval_s));
+            *self.at_mut(axis, axis) += half_s * half_s * change + link;
+            *self.at_mut(axis, rate) += half_s * change;
+            *self.at_mut(rate, axis) += half_s * change;
+            *self.at_mut(rate, rate) += change;
         }
     }
 
-    /// Takes in the rows of one group, linearised at the mean; those that fail the test's limit are
-    /// left out. Returns how many entered.
+    /// Updates with the rows of one group, linearised at the mean; rows that fail the innovation
+    /// test are left out. Returns how many entered.
     ///
-    /// Their offset begins anew, next to where the rows themselves put it. They enter in the order
-    /// of their standard deviations, those last that fail the test against that offset: the least
-    /// suspect settle offset and position, against which the others are tested.
-    pub(super) fn enter(&mut self, rows: &[SharingRow<3>], limit: f64, gains: &mut Gains) -> usize {
+    /// The group's offset starts where the rows themselves put it. They enter in the order of their
+    /// standard deviations, rows that fail the test against that offset last: offset and position
+    /// are then settled by the least suspect rows when the others are tested.
+    pub(crate) fn enter(&mut self, rows: &[SharingRow<3>], limit: f64, gains: &mut Gains) -> usize {
         let offset_m = shared_offset(rows, &OFFSET_KERNEL, &mut gains.numbers);
         self.renew(OFFSET, offset_m, 0.0);
         let mut order = std::mem::take(&mut gains.order);
         order.clear();
         order.extend((0..rows.len()).map(|i| {
-            let miss = rows[i].row.residual + rows[i].by_offset * offset_m;
-            (limit * self.innovation_variance(&rows[i]) < miss * miss, i)
+            let residual = rows[i].row.residual + rows[i].by_offset * offset_m;
+            (limit * self.innovation_variance(&rows[i]) < residual * residual, i)
         }));
         let sigma = |i: usize| rows[i].by_offset.recip();
         order.sort_by(|&(a_fails, a), &(b_fails, b)| {
@@ -208,8 +207,8 @@ impl Belief {
         sum
     }
 
-    /// Takes in one row of residual r and variance R: S = J P Jᵀ + R, K = P Jᵀ/S, x ← x − K·r and
-    /// P ← (I − K J)·P·(I − K J)ᵀ + R·K·Kᵀ. False where r²/S is beyond the limit.
+    /// Updates with one row of residual r and variance R: S = J P Jᵀ + R, K = P Jᵀ/S, x ← x − K·r
+    /// and P ← (I − K J)·P·(I − K J)ᵀ + R·K·Kᵀ. Returns false where r²/S exceeds the limit.
     fn update(
         &mut self,
         slope: &Slope,
@@ -255,20 +254,19 @@ mod tests {
 
     use super::*;
     use crate::graph::Row;
-    use crate::positioning::rtk::epoch::State;
 
     const WALK: MotionWalk = MotionWalk { velocity_m_s: [2.0, 2.0, 1.0] };
     const START: [f64; 2] = [30.0, 5.0];
 
-    fn belief(ambiguities: usize) -> Belief {
-        let mut belief = Belief::zero();
+    fn gaussian(ambiguities: usize) -> Gaussian {
+        let mut gaussian = Gaussian::zero();
         for column in 0..STATE {
-            belief.renew(column, 0.1 * column as f64, START[column / 3]);
+            gaussian.renew(column, 0.1 * column as f64, START[column / 3]);
         }
         for variable in 0..ambiguities {
-            belief.begin(&AmbiguityStart { variable, mean: 0.0, inverse_sigma: 0.01 });
+            gaussian.begin(&AmbiguityStart { variable, mean: 0.0, inverse_sigma: 0.01 });
         }
-        belief
+        gaussian
     }
 
     /// A row at the mean [0; 0.1; 0.2], N = 0 that measures `m` along a unit vector by two angles.
@@ -296,7 +294,7 @@ mod tests {
     #[test]
     fn rows_of_groups_are_least_squares_with_free_offsets() {
         let (ambiguities, groups) = (7, [sky(0.5, 40.0, None), sky(0.004, -70.0, Some(0))]);
-        let mut belief = belief(ambiguities);
+        let mut gaussian = gaussian(ambiguities);
         let size = STATE + ambiguities + groups.len();
         let mut information = DMatrix::zeros(size, size);
         let mut right = DVector::zeros(size);
@@ -320,41 +318,41 @@ mod tests {
                 information += &slope * slope.transpose() * row.share;
                 slopes.push(slope);
             }
-            // What the rows say is linear: they are moved to where the belief is now.
+            // The rows are linear: their residuals are moved to the present mean.
             let known = DVector::from_iterator(
                 size,
-                belief.state().iter().chain(belief.border()).copied().chain([0.0; 2]),
+                gaussian.state().iter().chain(gaussian.border()).copied().chain([0.0; 2]),
             );
             let mut moved = group.clone();
             for (row, slope) in moved.iter_mut().zip(&slopes) {
                 let at = row.row.jacobian[1] * 0.1 + row.row.jacobian[2] * 0.2;
                 row.row.residual += slope.dot(&known) - at;
             }
-            assert_eq!(belief.enter(&moved, f64::INFINITY, &mut gains), 7);
+            assert_eq!(gaussian.enter(&moved, f64::INFINITY, &mut gains), 7);
         }
         let covariance = information.try_inverse().unwrap();
         let expected = &covariance * right;
         let arcs = (0..ambiguities).map(|variable| STATE + variable);
-        for (column, known) in (0..STATE).chain(arcs).zip(known_of(&belief)) {
+        for (column, known) in (0..STATE).chain(arcs).zip(known_of(&gaussian)) {
             let sigma = covariance[(column, column)].sqrt();
-            let miss = (known - expected[column]) / sigma;
-            // The offsets' own deviation of 1 km is all that parts them.
-            assert!(miss.abs() < 1e-4, "column {column}: {miss} σ");
+            let residual = (known - expected[column]) / sigma;
+            // The only difference is the prior of the offsets, 1 km.
+            assert!(residual.abs() < 1e-4, "column {column}: {residual} σ");
         }
         for row in 0..STATE {
             for column in 0..STATE {
                 let sigmas = (covariance[(row, row)] * covariance[(column, column)]).sqrt();
-                let miss = (belief.at(row, column) - covariance[(row, column)]) / sigmas;
-                assert!(miss.abs() < 1e-4, "{row} {column}: {miss}");
+                let residual = (gaussian.at(row, column) - covariance[(row, column)]) / sigmas;
+                assert!(residual.abs() < 1e-4, "{row} {column}: {residual}");
             }
         }
     }
 
-    fn known_of(belief: &Belief) -> Vec<f64> {
-        belief.state().iter().chain(belief.border()).copied().collect()
+    fn known_of(gaussian: &Gaussian) -> Vec<f64> {
+        gaussian.state().iter().chain(gaussian.border()).copied().collect()
     }
 
-    /// A phase a cycle off is left out, wherever it stands in its group, and changes nothing.
+    /// A phase a cycle off is left out, wherever it is in its group, and changes nothing.
     #[test]
     fn a_slip_is_left_out() {
         let mut gains = Gains::default();
@@ -362,20 +360,20 @@ mod tests {
         let slope = |k: usize| Slope::of(&row(0.0, at(k), 1.0, None)).values;
         let truth = [0.02, -0.01, 0.03];
         let range_m = |k: usize| (0..3).map(|axis| slope(k)[axis] * truth[axis]).sum::<f64>();
-        let phases = |known: &Belief| -> Vec<_> {
+        let phases = |known: &Gaussian| -> Vec<_> {
             let moved: Vec<f64> = (0..3).map(|axis| known.mean[axis] - 0.1 * axis as f64).collect();
             let way_m = |k: usize| (0..3).map(|axis| slope(k)[axis] * moved[axis]).sum::<f64>();
             (0..7).map(|k| row(range_m(k) - 70.0 - way_m(k), at(k), 0.004, None)).collect()
         };
-        let mut settled = belief(0);
-        assert_eq!(settled.enter(&phases(&belief(0)), 10.83, &mut gains), 7);
+        let mut settled = gaussian(0);
+        assert_eq!(settled.enter(&phases(&gaussian(0)), 10.83, &mut gains), 7);
         for slipped in 0..7 {
             let mut group = phases(&settled);
             group[slipped].row.residual += 0.19 / 0.004;
-            let mut belief = settled.clone();
-            assert_eq!(belief.enter(&group, 10.83, &mut gains), 6, "row {slipped}");
+            let mut gaussian = settled.clone();
+            assert_eq!(gaussian.enter(&group, 10.83, &mut gains), 6, "row {slipped}");
             for (axis, truth_m) in truth.iter().enumerate() {
-                assert!((belief.mean[axis] - truth_m).abs() < 1e-4, "row {slipped}");
+                assert!((gaussian.mean[axis] - truth_m).abs() < 1e-4, "row {slipped}");
             }
         }
     }
@@ -384,20 +382,20 @@ mod tests {
     /// q²Δt, and q²Δt²/2 between them; with an ambiguity tied to it, the tie goes along.
     #[test]
     fn a_prediction_worked_by_hand() {
-        let mut belief = belief(1);
+        let mut gaussian = gaussian(1);
         for column in 0..STATE {
-            belief.renew(column, 1.0, 0.0);
+            gaussian.renew(column, 1.0, 0.0);
         }
-        belief.predict(&WALK, 3.0);
-        assert_eq!(belief.state(), State::from([4.0, 4.0, 4.0, 1.0, 1.0, 1.0]));
-        let covariance = belief.state_covariance();
+        gaussian.predict(&WALK, 3.0);
+        assert_eq!(gaussian.state(), State::from([4.0, 4.0, 4.0, 1.0, 1.0, 1.0]));
+        let covariance = gaussian.state_covariance();
         assert!((covariance[(0, 0)] - (4.0 * 27.0 / 3.0 + 4e-4 * 3.0)).abs() < 1e-12);
         assert!((covariance[(2, 5)] - 4.5).abs() < 1e-12);
         assert!((covariance[(5, 2)] - 4.5).abs() < 1e-12);
         assert!((covariance[(4, 4)] - 12.0).abs() < 1e-12);
-        *belief.at_mut(AMBIGUITY, VELOCITY) = 0.25;
-        *belief.at_mut(VELOCITY, AMBIGUITY) = 0.25;
-        belief.predict(&WALK, 2.0);
-        assert_eq!((belief.at(AMBIGUITY, 0), belief.at(0, AMBIGUITY)), (0.5, 0.5));
+        *gaussian.at_mut(AMBIGUITY, VELOCITY) = 0.25;
+        *gaussian.at_mut(VELOCITY, AMBIGUITY) = 0.25;
+        gaussian.predict(&WALK, 2.0);
+        assert_eq!((gaussian.at(AMBIGUITY, 0), gaussian.at(0, AMBIGUITY)), (0.5, 0.5));
     }
 }

@@ -1,34 +1,34 @@
-//! The window of epochs in the graph: how it begins, grows and forgets.
+//! The window of epochs in the graph: start, growth, marginalisation.
 
-use nalgebra::Matrix3;
-
-use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, SatelliteId};
+use crate::gnss::{Ecef, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
     Departure, Elimination, EliminationError, Estimate, Phase, Prior, Problem, System, Workspace,
     optimize,
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::{ComponentFactor, MotionFactor, VELOCITY};
+use crate::positioning::rtk::observed::{
+    NewRows, RowScratch, Rows, RtkEpoch, STATE, Slips, State, cut_slips, fill,
+};
+use crate::positioning::rtk::tracking::Tracking;
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::snapshot::state_fields;
 
-use super::epoch::{Rows, RtkEpoch, STATE, Scratch, State};
 use super::history::History;
-use super::tracking::Tracking;
 
-/// Deviation of the first position about its start (m): says nearly nothing.
-pub(super) const START_M: f64 = 1e4;
-/// Deviation of the first velocity about zero, per axis (m/s).
-pub(super) const START_M_S: f64 = 100.0;
+/// Standard deviation of the first position about its start (m): wider than any measurement.
+const START_M: f64 = 1e4;
+/// Standard deviation of the first velocity about its start, per axis (m/s).
+const START_M_S: f64 = 100.0;
 
-/// The epochs in the graph, their estimate, and the prior of those before.
+/// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
-pub(super) struct Chain {
-    pub(super) frame: LocalFrame,
-    pub(super) epochs: Vec<RtkEpoch>,
-    pub(super) estimate: Estimate<STATE>,
-    pub(super) prior: Prior<STATE>,
-    pub(super) tracking: Tracking,
+pub(crate) struct Chain {
+    pub(crate) frame: LocalFrame,
+    pub(crate) epochs: Vec<RtkEpoch>,
+    pub(crate) estimate: Estimate<STATE>,
+    pub(crate) prior: Prior<STATE>,
+    pub(crate) tracking: Tracking,
 }
 
 state_fields!(Chain { frame, epochs, estimate, prior, tracking } checked by is_whole);
@@ -43,7 +43,7 @@ impl Chain {
     }
 
     /// An empty chain.
-    pub(super) fn new() -> Self {
+    pub(crate) fn empty() -> Self {
         Self {
             frame: LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)),
             epochs: Vec::new(),
@@ -53,19 +53,8 @@ impl Chain {
         }
     }
 
-    /// Time of the newest epoch.
-    pub(super) fn last_time(&self) -> Option<GpsTime> {
-        self.epochs.last().map(|epoch| epoch.time)
-    }
-
-    /// Forgets everything and puts the origin at `start`.
-    pub(super) fn begin(&mut self, start: Ecef) {
-        self.clear();
-        self.frame = LocalFrame::at(start);
-    }
-
     /// Forgets everything.
-    pub(super) fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.epochs.clear();
         self.estimate.states.clear();
         self.estimate.border.clear();
@@ -73,12 +62,12 @@ impl Chain {
         self.tracking.clear();
     }
 
-    /// Where the newest state will be at `time`, if nothing happens.
-    pub(super) fn predicted(&self, time: GpsTime) -> State {
-        let (Some(last), Some(state)) = (self.last_time(), self.estimate.states.last()) else {
+    /// The newest state moved on to `time` by its velocity.
+    pub(crate) fn expected(&self, time: GpsTime) -> State {
+        let (Some(last), Some(state)) = (self.epochs.last(), self.estimate.states.last()) else {
             return State::zeros();
         };
-        let interval_s = time - last;
+        let interval_s = time - last.time;
         let mut next = *state;
         for axis in 0..3 {
             next[axis] += interval_s * state[VELOCITY + axis];
@@ -86,23 +75,17 @@ impl Chain {
         next
     }
 
-    /// The ECEF position of a state.
-    pub(super) fn place(&self, state: &State) -> Ecef {
-        self.frame.to_ecef(Enu(state.fixed_rows::<3>(0).into_owned()))
-    }
-
-    /// Adds an epoch whose state is about `guess`.
-    pub(super) fn append(
+    /// Adds an epoch whose state is approximately `guess`.
+    pub(crate) fn append(
         &mut self,
         time: GpsTime,
         guess: State,
         differences: &SingleDifferences,
         setup: &Setup,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
     ) {
-        let mut epoch = RtkEpoch::new();
-        epoch.time = time;
-        let interval_s = self.last_time().map(|last| time - last);
+        let interval_s = self.epochs.last().map(|last| time - last.time);
+        let mut epoch = RtkEpoch { time, ..RtkEpoch::default() };
         epoch.motion = interval_s.map(|interval_s| MotionFactor::new(&setup.motion, interval_s));
         if interval_s.is_none() {
             let mut add = |column: usize, sigma: f64| {
@@ -112,18 +95,22 @@ impl Chain {
             (0..3).for_each(|axis| add(axis, START_M));
             (VELOCITY..STATE).for_each(|rate| add(rate, START_M_S));
         }
-        let Self { tracking, frame, estimate, .. } = self;
+        let Self { tracking: Tracking { arcs, receivers, .. }, frame, estimate, .. } = self;
         let (border, options) = (&mut estimate.border, &setup.options);
-        tracking.fill(&mut epoch, frame, &guess, differences, border, options, scratch);
+        #[rustfmt::skip]
+        let new = NewRows {
+            frame, guess: &guess, differences, options, arcs, receivers, border, scratch,
+        };
+        fill(&mut epoch, new);
         self.estimate.states.push(guess);
         self.epochs.push(epoch);
     }
 
-    /// Solves the window.
-    pub(super) fn solve(
+    /// Moves the estimate to the minimum of the objective.
+    pub(crate) fn optimize(
         &mut self,
         settings: &GraphSettings,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
         workspace: &mut Workspace<STATE>,
     ) -> Result<(), EliminationError> {
         let is_young = self.epochs.iter().any(|epoch| epoch.motion.is_none());
@@ -133,11 +120,11 @@ impl Chain {
         optimize(&mut rows, estimate, how, workspace).map(|_| ())
     }
 
-    /// Factors the window where it stands; no factor of an earlier solve is state.
-    pub(super) fn factor(
+    /// Linearises and factors the window at its estimate.
+    pub(crate) fn factor(
         &self,
         settings: &GraphSettings,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
         workspace: &mut Workspace<STATE>,
     ) -> Result<(), EliminationError> {
         let Workspace { system, elimination, .. } = workspace;
@@ -148,36 +135,29 @@ impl Chain {
         elimination.factor(system, 0.0)
     }
 
-    /// Begins the arcs anew whose newest phase contradicts the others; returns whether any did.
-    pub(super) fn cut_slips(
+    /// Restarts the arcs whose newest phase has slipped; returns whether any did.
+    pub(crate) fn cut_slips(
         &mut self,
         settings: &GraphSettings,
         slipped: &mut Vec<SatelliteId>,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
     ) -> bool {
         let Self { epochs, estimate, tracking, .. } = self;
         let (Some(epoch), Some(state)) = (epochs.last_mut(), estimate.states.last()) else {
             return false;
         };
         let kernel = settings.kernels.last().phase;
-        tracking.cut_slips(epoch, state, &mut estimate.border, &kernel, slipped, scratch)
+        let (arcs, border) = (&mut tracking.arcs, &mut estimate.border);
+        cut_slips(epoch, state, Slips { arcs, border, kernel, slipped }, scratch)
     }
 
-    /// Learns from the newest epoch how noisy pseudoranges are, by its position's covariance.
-    pub(super) fn learn_noise(&mut self, covariance: &Matrix3<f64>, scratch: &mut Scratch) {
-        let Self { epochs, estimate, tracking, .. } = self;
-        if let (Some(epoch), Some(state)) = (epochs.last(), estimate.states.last()) {
-            tracking.learn_noise(epoch, state, &estimate.border, covariance, scratch);
-        }
-    }
-
-    /// Marginalises the oldest epoch into the prior, and with it the ambiguities nothing names.
-    /// `history`, if there is one, learns how what is gone depends on what stays.
-    pub(super) fn forget_oldest(
+    /// Marginalises the oldest epoch into the prior, and the ambiguities that nothing refers to.
+    /// `history` keeps how they depend on what stays.
+    pub(crate) fn forget_oldest(
         &mut self,
         settings: &GraphSettings,
         history: Option<&mut History>,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
         (system, elimination): &mut (System<STATE>, Elimination<STATE>),
     ) -> Result<(), EliminationError> {
         let carried = self.prior.variables().count();

@@ -1,27 +1,28 @@
-//! Position and double differences together: what holding integers does to the rest, and what the
-//! rest says of the integers.
+//! Position and double differences jointly: conditioning on integers, and the evidence of the
+//! ambiguities left float.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::float::FloatSolution;
 
-/// Share of the carriers that follow no direct signal or hide a slip, before any is looked at.
-const ASTRAY: f64 = 0.1;
-/// Wrapped to a cycle, a normal density of this deviation (cycles) is one to 1.4 %.
+/// Prior probability that a carrier tracks a reflection or hides a slip.
+const FAULTY: f64 = 0.1;
+/// Above this σ (cycles) a wrapped normal is uniform to 1.4 %: the ambiguity carries no evidence.
 const SILENT_CYCLES: f64 = 0.5;
-/// Least deviation of a carrier from what others say of it (cycles): what multipath leaves to it.
+/// Least σ of an ambiguity given the others (cycles): carrier multipath.
 const UNCERTAIN_CYCLES: f64 = 0.05;
 
 /// Position and ambiguities with their joint covariance, position first.
-pub(super) struct Joint {
-    pub(super) estimate: DVector<f64>,
-    pub(super) covariance: DMatrix<f64>,
+pub(crate) struct Joint {
+    pub(crate) estimate: DVector<f64>,
+    pub(crate) covariance: DMatrix<f64>,
 }
 
 impl Joint {
-    /// Position and double differences of ambiguities, each of two places in the float solution.
-    pub(super) fn of_differences(float: &FloatSolution, places: &[(usize, usize)]) -> Self {
-        let n = places.len();
+    /// Position and double differences of ambiguities, each given by two indices in the float
+    /// solution.
+    pub(crate) fn of_differences(float: &FloatSolution, pairs: &[(usize, usize)]) -> Self {
+        let n = pairs.len();
         let mut joint =
             Self { estimate: DVector::zeros(3 + n), covariance: DMatrix::zeros(3 + n, 3 + n) };
         for axis in 0..3 {
@@ -30,14 +31,14 @@ impl Joint {
                 joint.covariance[(axis, other)] = float.covariance[(axis, other)];
             }
         }
-        for (j, &(b, s)) in places.iter().enumerate() {
+        for (j, &(b, s)) in pairs.iter().enumerate() {
             joint.estimate[3 + j] = float.ambiguities[b] - float.ambiguities[s];
             for axis in 0..3 {
                 let cross = float.covariance[(axis, 3 + b)] - float.covariance[(axis, 3 + s)];
                 joint.covariance[(axis, 3 + j)] = cross;
                 joint.covariance[(3 + j, axis)] = cross;
             }
-            for (i, &(a, r)) in places[..=j].iter().enumerate() {
+            for (i, &(a, r)) in pairs[..=j].iter().enumerate() {
                 let own = float.between(a, b) - float.between(a, s);
                 let references = float.between(r, b) - float.between(r, s);
                 joint.covariance[(3 + i, 3 + j)] = own - references;
@@ -47,13 +48,13 @@ impl Joint {
         joint
     }
 
-    /// How many ambiguities there are.
-    pub(super) fn ambiguities(&self) -> usize {
+    /// Number of ambiguities.
+    pub(crate) fn ambiguities(&self) -> usize {
         self.estimate.len() - 3
     }
 
     /// Position and some of the ambiguities.
-    pub(super) fn of(&self, wanted: &[usize]) -> Self {
+    pub(crate) fn of(&self, wanted: &[usize]) -> Self {
         let kept: Vec<usize> = (0..3).chain(wanted.iter().map(|i| 3 + i)).collect();
         let m = kept.len();
         Self {
@@ -64,24 +65,24 @@ impl Joint {
 }
 
 /// A probability whose odds are multiplied.
-pub(super) fn at_odds(factor: f64, probability: f64) -> f64 {
+pub(crate) fn scale_odds(factor: f64, probability: f64) -> f64 {
     // Rounded it may be above one, which the next factor would multiply.
     (probability * factor / (probability * factor + 1.0 - probability)).min(1.0)
 }
 
-/// The probability of integers that were the first of `tried` subsets to pass: each had its chance
-/// to pass by chance (Bonferroni's bound on the odds). Other doubts are factors on `tried`.
-pub(super) fn chosen_of(tried: f64, probability: f64) -> f64 {
+/// The probability of integers that were the first of `tried` subsets to pass, each of which may
+/// pass by chance: Bonferroni's bound on the odds.
+pub(crate) fn bonferroni(tried: f64, probability: f64) -> f64 {
     probability / (probability + tried.max(1.0) * (1.0 - probability))
 }
 
-/// The probability of integers given what the ambiguities left real-valued make of them.
+/// The probability of integers given the ambiguities left float.
 ///
-/// Were they wrong, the others' parts beyond integers d would be anything, with density one. Are
-/// they right, a carrier goes astray with probability ε, else its d is normal, wrapped to a cycle,
-/// with density f: the odds change by (1 − ε)·f(d) + ε, where that speaks against them. What speaks
-/// for them is not independent of what found them and does not count.
-pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
+/// If the integers are wrong, the fractional parts d of the others are uniform, with density one.
+/// If they are right, a carrier is faulty with probability ε, else its d is a wrapped normal of
+/// density f: the odds change by (1 − ε)·f(d) + ε, where that is below one. Evidence in favour is
+/// not independent of the search and does not count.
+pub(crate) fn given_unfixed_ambiguities(probability: f64, rest: &Joint) -> f64 {
     let against = |i: usize| {
         let variance = rest.covariance[(i, i)].max(UNCERTAIN_CYCLES.powi(2));
         if SILENT_CYCLES.powi(2) < variance {
@@ -91,10 +92,10 @@ pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
         let normal = |k: f64| (-0.5 * (beyond + k).powi(2) / variance).exp();
         let density = [-2.0, -1.0, 0.0, 1.0, 2.0].map(normal).iter().sum::<f64>()
             / (std::f64::consts::TAU * variance).sqrt();
-        ((1.0 - ASTRAY) * density + ASTRAY).min(1.0)
+        ((1.0 - FAULTY) * density + FAULTY).min(1.0)
     };
     let factor: f64 = (3..rest.estimate.len()).map(against).product();
-    at_odds(factor, probability)
+    scale_odds(factor, probability)
 }
 
 /// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and
@@ -103,7 +104,7 @@ pub(super) fn doubted(probability: f64, rest: &Joint) -> f64 {
 /// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
 ///
 /// Source: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*.
-pub(super) fn condition(
+pub(crate) fn condition(
     joint: &Joint,
     known: &[usize],
     values: &[f64],
@@ -133,8 +134,8 @@ pub(super) fn condition(
 mod tests {
     use super::*;
 
-    /// One position coordinate tied to two ambiguities, x = 0.2·a₁ + 0.1·a₂ exactly; holding a₁ at 1
-    /// and then a₂ at −2 puts x at 0, whichever order.
+    /// One position coordinate tied to two ambiguities, x = 0.2·a₁ + 0.1·a₂ exactly; holding a₁ at
+    /// 1 and then a₂ at −2 puts x at 0, whichever order.
     #[test]
     fn conditioning_worked_by_hand() {
         let slope = [0.2, 0.1];
@@ -160,27 +161,30 @@ mod tests {
         assert!(at_once.estimate[0].abs() < 1e-9 && at_once.covariance[(0, 0)] < 2e-6);
     }
 
-    /// Of two carriers left real-valued, each known to 0.1 cycles, one agrees and one is half a cycle
-    /// off: the odds 99 become 99·(0.9·f(½) + 0.1), f(½) = 2·e^(−12.5)/(0.1·√2π).
+    /// Of two carriers left real-valued, each known to 0.1 cycles, one agrees and one is half a
+    /// cycle off: the odds 99 become 99·(0.9·f(½) + 0.1), f(½) = 2·e^(−12.5)/(0.1·√2π).
     #[test]
     fn doubt_worked_by_hand() {
         let mut rest = Joint { estimate: DVector::zeros(5), covariance: DMatrix::zeros(5, 5) };
         (3..5).for_each(|i| rest.covariance[(i, i)] = 0.01);
         rest.estimate[3] = 7.02;
-        assert!((doubted(0.99, &rest) - 0.99).abs() < 1e-12, "agreement adds nothing");
+        assert!(
+            (given_unfixed_ambiguities(0.99, &rest) - 0.99).abs() < 1e-12,
+            "agreement adds nothing"
+        );
         rest.estimate[4] = -2.5;
         let density = 2.0 * (-12.5_f64).exp() / (0.1 * std::f64::consts::TAU.sqrt());
         let odds = 99.0 * (0.9 * density + 0.1);
-        assert!((doubted(0.99, &rest) - odds / (1.0 + odds)).abs() < 1e-6);
+        assert!((given_unfixed_ambiguities(0.99, &rest) - odds / (1.0 + odds)).abs() < 1e-6);
         // What is known to a cycle says nothing.
         rest.covariance[(4, 4)] = 1.0;
-        assert!((doubted(0.99, &rest) - 0.99).abs() < 1e-6);
+        assert!((given_unfixed_ambiguities(0.99, &rest) - 0.99).abs() < 1e-6);
     }
 
     #[test]
     fn more_tries_are_more_chances_to_be_wrong() {
-        assert_eq!(chosen_of(1.0, 0.9), 0.9);
-        assert!((chosen_of(9.0, 0.9) - 0.5).abs() < 1e-12);
-        assert_eq!(chosen_of(5.0, 1.0), 1.0);
+        assert_eq!(bonferroni(1.0, 0.9), 0.9);
+        assert!((bonferroni(9.0, 0.9) - 0.5).abs() < 1e-12);
+        assert_eq!(bonferroni(5.0, 1.0), 1.0);
     }
 }

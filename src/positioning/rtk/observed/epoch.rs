@@ -8,19 +8,22 @@ use crate::positioning::factors::{ComponentFactor, DopplerFactor, Line, MotionFa
 use crate::positioning::setup::{AnnealedKernels, Kernels};
 use crate::snapshot::{snapshot_fields, state_fields};
 
+/// Standard deviation of an ambiguity about its start (cycles): 200 m.
+const START_CYCLES: f64 = 1e3;
+
 /// Numbers in a state: local position (m) and velocity (m/s).
-pub(super) const STATE: usize = 6;
+pub(crate) const STATE: usize = 6;
 
 /// The state of one epoch.
-pub(super) type State = SVector<f64, STATE>;
+pub(crate) type State = SVector<f64, STATE>;
 
 /// The ambiguity of a carrier phase.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ambiguity {
+pub(crate) struct EpochAmbiguity {
     /// Border variable (cycles).
-    pub(super) variable: usize,
+    pub(crate) variable: usize,
     /// λ (m).
-    pub(super) wavelength_m: f64,
+    pub(crate) wavelength_m: f64,
 }
 
 /// A single difference as a row: r = (ρ(s, p) + λN + o − z) / σ, o shared by its group.
@@ -28,18 +31,18 @@ pub(super) struct Ambiguity {
 /// Wen & Hsu (2021), (15) and (16), before the difference between satellites; N is there for
 /// carrier phases.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct DifferenceFactor {
-    /// Place of its satellite in [`RtkEpoch::sights`].
-    pub(super) sight: usize,
+pub(crate) struct DifferenceFactor {
+    /// Index of its satellite in [`RtkEpoch::sights`].
+    pub(crate) sight: usize,
     /// z (m).
-    pub(super) range_m: f64,
+    pub(crate) range_m: f64,
     /// 1/σ (1/m).
-    pub(super) inverse_sigma: f64,
-    /// Share of information kept because errors last.
-    pub(super) share: f64,
-    pub(super) ambiguity: Option<Ambiguity>,
-    /// Place of the code bias that z was corrected for, if its codes differ.
-    pub(super) bias: Option<usize>,
+    pub(crate) inverse_sigma: f64,
+    /// Share of its information that is kept, since errors are correlated in time.
+    pub(crate) share: f64,
+    pub(crate) ambiguity: Option<EpochAmbiguity>,
+    /// Index of the code bias that z was corrected for, if its codes differ.
+    pub(crate) bias: Option<usize>,
 }
 
 impl DifferenceFactor {
@@ -49,7 +52,7 @@ impl DifferenceFactor {
         let w = self.inverse_sigma;
         let (ambiguity_m, border) = match self.ambiguity {
             None => (0.0, None),
-            Some(Ambiguity { variable, wavelength_m }) => {
+            Some(EpochAmbiguity { variable, wavelength_m }) => {
                 (wavelength_m * border[variable], Some((variable, wavelength_m * w)))
             }
         };
@@ -62,75 +65,62 @@ impl DifferenceFactor {
 
 /// Rows that share an offset.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Group {
-    pub(super) begin: usize,
-    pub(super) end: usize,
-    pub(super) is_carrier: bool,
+pub(crate) struct Group {
+    pub(crate) begin: usize,
+    pub(crate) end: usize,
+    pub(crate) is_carrier: bool,
 }
 
-/// What is known of an ambiguity before any phase: next to nothing.
+/// Prior of an ambiguity that begins: much wider than the phases determine it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct AmbiguityStart {
-    pub(super) variable: usize,
+pub(crate) struct AmbiguityStart {
+    pub(crate) variable: usize,
     /// (cycles).
-    pub(super) mean: f64,
+    pub(crate) mean: f64,
     /// (1/cycles).
-    pub(super) inverse_sigma: f64,
+    pub(crate) inverse_sigma: f64,
 }
 
 /// One epoch of the window.
 #[derive(Debug)]
-pub(super) struct RtkEpoch {
-    pub(super) time: GpsTime,
-    pub(super) sights: Vec<Sight>,
-    pub(super) rows: Vec<DifferenceFactor>,
-    pub(super) groups: Vec<Group>,
-    /// The rover's Doppler shifts, whose drift is one.
-    pub(super) rates: Vec<DopplerFactor>,
-    /// From the epoch before; `None` for the first.
-    pub(super) motion: Option<MotionFactor>,
-    pub(super) components: Vec<ComponentFactor>,
-    pub(super) starts: Vec<AmbiguityStart>,
+pub(crate) struct RtkEpoch {
+    pub(crate) time: GpsTime,
+    pub(crate) sights: Vec<Sight>,
+    pub(crate) rows: Vec<DifferenceFactor>,
+    pub(crate) groups: Vec<Group>,
+    /// The rover's Doppler shifts, of one common drift.
+    pub(crate) rates: Vec<DopplerFactor>,
+    /// From the previous epoch; `None` for the first.
+    pub(crate) motion: Option<MotionFactor>,
+    pub(crate) components: Vec<ComponentFactor>,
+    pub(crate) starts: Vec<AmbiguityStart>,
 }
 
 /// Memory to linearise in.
 #[derive(Debug, Default)]
-pub(super) struct Scratch {
+pub(crate) struct RowScratch {
     ranges: Vec<Line>,
-    pub(super) rows: Vec<SharingRow<3>>,
-    pub(super) numbers: Vec<f64>,
+    pub(crate) rows: Vec<SharingRow<3>>,
+    pub(crate) numbers: Vec<f64>,
     /// Whitened residuals.
-    pub(super) residuals: Vec<f64>,
+    pub(crate) residuals: Vec<f64>,
 }
 
-impl Scratch {
-    /// Range to a satellite seen last (m).
-    pub(super) fn range_m(&self, sight: usize) -> f64 {
+impl RowScratch {
+    /// Range to a satellite by the last [`RtkEpoch::see`] (m).
+    pub(crate) fn range_m(&self, sight: usize) -> f64 {
         self.ranges[sight].0
     }
 }
 
-snapshot_fields!(Ambiguity { variable, wavelength_m });
+snapshot_fields!(EpochAmbiguity { variable, wavelength_m });
 snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity, bias });
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
 state_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });
 
-impl RtkEpoch {
-    /// Whether its factors name only satellites of its own, variables below `border` and numbers of
-    /// a state.
-    pub(super) fn is_within(&self, border: usize) -> bool {
-        let is_known = |row: &DifferenceFactor| {
-            row.sight < self.sights.len()
-                && row.ambiguity.is_none_or(|ambiguity| ambiguity.variable < border)
-        };
-        self.rows.iter().all(is_known)
-            && self.groups.iter().all(|g| g.begin <= g.end && g.end <= self.rows.len())
-            && self.components.iter().all(|component| component.column < STATE)
-            && self.starts.iter().all(|start| start.variable < border)
-    }
-
-    pub(super) fn new() -> Self {
+impl Default for RtkEpoch {
+    fn default() -> Self {
         Self {
             time: GpsTime::EPOCH,
             sights: Vec::new(),
@@ -142,9 +132,24 @@ impl RtkEpoch {
             starts: Vec::new(),
         }
     }
+}
 
-    /// Empties the lists; their memory stays.
-    pub(super) fn clear(&mut self) {
+impl RtkEpoch {
+    /// Whether its factors refer to its own satellites, variables below `border` and columns of a
+    /// state only.
+    pub(crate) fn is_within(&self, border: usize) -> bool {
+        let is_known = |row: &DifferenceFactor| {
+            row.sight < self.sights.len()
+                && row.ambiguity.is_none_or(|ambiguity| ambiguity.variable < border)
+        };
+        self.rows.iter().all(is_known)
+            && self.groups.iter().all(|g| g.begin <= g.end && g.end <= self.rows.len())
+            && self.components.iter().all(|component| component.column < STATE)
+            && self.starts.iter().all(|start| start.variable < border)
+    }
+
+    /// Empties the lists and keeps their memory.
+    pub(crate) fn clear(&mut self) {
         self.sights.clear();
         self.rows.clear();
         self.groups.clear();
@@ -155,14 +160,14 @@ impl RtkEpoch {
     }
 
     /// Ranges and slopes of all satellites from a state, into the scratch.
-    pub(super) fn see(&self, state: &State, scratch: &mut Scratch) {
+    pub(crate) fn see(&self, state: &State, scratch: &mut RowScratch) {
         let position = state.fixed_rows::<3>(0).into_owned();
         scratch.ranges.clear();
         scratch.ranges.extend(self.sights.iter().map(|sight| sight.range(&position)));
     }
 
     /// The rows of a group at offset zero, into the scratch, after [`Self::see`].
-    pub(super) fn linearize_group(&self, group: &Group, border: &[f64], scratch: &mut Scratch) {
+    pub(crate) fn linearize_group(&self, group: &Group, border: &[f64], scratch: &mut RowScratch) {
         let (ranges, rows) = (&scratch.ranges, &mut scratch.rows);
         let factors = &self.rows[group.begin..group.end];
         rows.clear();
@@ -170,19 +175,19 @@ impl RtkEpoch {
     }
 
     /// The rows of the Doppler shifts at drift zero, into the scratch.
-    pub(super) fn linearize_rates(&self, state: &State, scratch: &mut Scratch) {
+    pub(crate) fn linearize_rates(&self, state: &State, scratch: &mut RowScratch) {
         let velocity = state.fixed_rows::<3>(3).into_owned();
         scratch.rows.clear();
         scratch.rows.extend(self.rates.iter().map(|rate| rate.linearize_sharing(&velocity)));
     }
 
-    /// Adds what touches this epoch's state alone, and the border.
-    pub(super) fn add_to(
+    /// Adds the factors on this epoch's state alone and on the border.
+    pub(crate) fn add_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
         kernels: &Kernels,
-        scratch: &mut Scratch,
+        scratch: &mut RowScratch,
         system: &mut System<STATE>,
     ) {
         let state = &estimate.states[k];
@@ -194,9 +199,7 @@ impl RtkEpoch {
         }
         self.linearize_rates(state, scratch);
         system.add_sharing_offset(k, &scratch.rows, &kernels.doppler);
-        for component in &self.components {
-            system.add(k, &component.linearize(state), &Kernel::QUADRATIC);
-        }
+        self.components.iter().for_each(|component| component.add_to(k, estimate, system));
         for start in &self.starts {
             let residual = (estimate.border[start.variable] - start.mean) * start.inverse_sigma;
             let row = Row { residual, columns: [], jacobian: [] };
@@ -205,34 +208,41 @@ impl RtkEpoch {
         }
     }
 
-    /// Adds the motion from the epoch before, state `k`, to this one, state `k + 1`.
-    pub(super) fn add_tie_to(
+    /// Adds the motion from the previous epoch, state `k`, to this one, state `k + 1`.
+    pub(crate) fn add_tie_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
         system: &mut System<STATE>,
     ) {
-        let Some(motion) = &self.motion else { return };
-        let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
-        for axis in 0..3 {
-            system.add_link(k, &motion.place(axis, state, next), &Kernel::QUADRATIC);
-            system.add_link(k, &motion.pace(axis, state, next), &Kernel::QUADRATIC);
+        if let Some(motion) = &self.motion {
+            motion.add_to(k, estimate, system);
         }
     }
 
-    /// Whether a row names the border variable.
-    pub(super) fn names(&self, variable: usize) -> bool {
+    /// Starts an ambiguity at `mean` (cycles), and sets it in `border`.
+    pub(crate) fn start_ambiguity(&mut self, border: &mut Vec<f64>, variable: usize, mean: f64) {
+        if border.len() <= variable {
+            border.resize(variable + 1, 0.0);
+        }
+        border[variable] = mean;
+        let inverse_sigma = START_CYCLES.recip();
+        self.starts.push(AmbiguityStart { variable, mean, inverse_sigma });
+    }
+
+    /// Whether a row depends on the border variable.
+    pub(crate) fn names(&self, variable: usize) -> bool {
         let named = |row: &DifferenceFactor| row.ambiguity.is_some_and(|a| a.variable == variable);
         self.rows.iter().any(named)
     }
 }
 
-/// All factors of a window, as the solver wants them.
-pub(super) struct Rows<'a> {
-    pub(super) epochs: &'a [RtkEpoch],
-    pub(super) prior: &'a Prior<STATE>,
-    pub(super) kernels: &'a AnnealedKernels,
-    pub(super) scratch: &'a mut Scratch,
+/// All factors of a window, as a problem of the solver.
+pub(crate) struct Rows<'a> {
+    pub(crate) epochs: &'a [RtkEpoch],
+    pub(crate) prior: &'a Prior<STATE>,
+    pub(crate) kernels: &'a AnnealedKernels,
+    pub(crate) scratch: &'a mut RowScratch,
 }
 
 impl Problem<STATE> for Rows<'_> {

@@ -1,76 +1,75 @@
-//! Where an epoch is once its integers are known, and where its phases then place it.
+//! The position with integers: by the float solution conditioned on them, then by the phases.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::graph::{Kernel, SharingRow, shared_offset};
+use crate::positioning::rtk::observed::{
+    Arcs, CarrierArc, EpochAmbiguity, RowScratch, RtkEpoch, State,
+};
 use crate::positioning::setup::{CARRIER_KERNEL, OFFSET_KERNEL};
 
-use super::arcs::Arcs;
-use super::epoch::{Ambiguity, RtkEpoch, Scratch, State};
 use super::joint::Joint;
 
-/// Deviation of the position that is set out from (m): says next to nothing.
+/// Standard deviation of the start of the iterations (m): wider than anything the phases say.
 const START_M: f64 = 10.0;
-/// Factors on the kernel's width, one iteration after another: what is astray is seen from where
-/// the others agree.
+/// Factors on the kernel's width, one iteration each: outliers show once the others agree.
 const WIDENINGS: [f64; 7] = [4.0, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0];
-/// Iterations with the kernel of offsets before.
+/// Iterations with the convex kernel of offsets before those.
 const CONVEX_ITERATIONS: usize = 3;
-/// Share of a satellite's information below which nothing checks it.
-const CHECKED_LEAST: f64 = 1e-9;
-/// Information on the cycles that all phases of a group have in common (1/cycles²): 1000 cycles.
+/// Share of a satellite's information below which no other satellite checks it.
+const REDUNDANCY_MIN: f64 = 1e-9;
+/// Prior information on the cycles common to all phases of a group (1/cycles²): 1000 cycles.
 const COMMON_INFORMATION: f64 = 1e-6;
-/// A position is within centimetres whose horizontal standard deviation is at most this in every
-/// direction (m): 95 % of its errors are within 12 cm.
-pub(super) const FIXED_SIGMA_M: f64 = 0.05;
+/// Largest horizontal standard deviation of a fix (m): 95 % of its errors are within 12 cm.
+pub(crate) const FIXED_SIGMA_M: f64 = 0.05;
 
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FixedPosition {
+pub(crate) struct FixedPosition {
     /// Local (m).
-    pub(super) position: Vector3<f64>,
+    pub(crate) position: Vector3<f64>,
     /// (m²).
-    pub(super) covariance: Matrix3<f64>,
-    /// Double differences held.
-    pub(super) held: usize,
-    /// Estimated probability that they are right.
-    pub(super) probability: f64,
+    pub(crate) covariance: Matrix3<f64>,
+    /// Double differences with integers.
+    pub(crate) held: usize,
+    /// Probability that all of them are right.
+    pub(crate) probability: f64,
 }
 
 impl FixedPosition {
     /// Greatest horizontal standard deviation (m).
-    pub(super) fn horizontal_sigma_m(&self) -> f64 {
+    pub(crate) fn horizontal_sigma_m(&self) -> f64 {
         let horizontal = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
         horizontal.symmetric_eigenvalues().max().sqrt()
     }
 }
 
-/// A position by phases with integers.
+/// A position by phases with integers alone.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Placed {
+pub(crate) struct PhasePosition {
     /// Local (m).
-    pub(super) position: Vector3<f64>,
+    pub(crate) position: Vector3<f64>,
     /// (m²).
-    pub(super) covariance: Matrix3<f64>,
-    /// Greatest horizontal error by one satellite astray, over the norm of the whitened
-    /// residuals that it leaves (m); infinite where no other checks a satellite.
-    hidden_m: f64,
+    pub(crate) covariance: Matrix3<f64>,
+    /// Largest horizontal shift by one faulty satellite over the norm of the whitened residuals
+    /// that it leaves (m); infinite where no other satellite checks it.
+    slope_m: f64,
 }
 
-impl Placed {
-    /// How far one satellite astray may have moved the position (m), by the sum of the squares of
-    /// so many whitened residuals.
+impl PhasePosition {
+    /// Largest shift of the position by one faulty satellite (m), given `squares`, the sum of the
+    /// squares of that many whitened residuals.
     ///
     /// An error b of satellite s, common to its signals, moves the position by b·C·Σ wa and leaves
-    /// residuals of the norm b·√(Σ w − (Σ wa)ᵀ·C·(Σ wa)), sums over the rows of s: one is known by
-    /// the other. What is beyond one for each residual is put down to the worst satellite.
+    /// residuals of the norm b·√(Σ w − (Σ wa)ᵀ·C·(Σ wa)), sums over the rows of s; so one follows
+    /// from the other. Excess χ² is attributed to the satellite with the largest slope.
     ///
     /// Source: the characteristic slope of receiver autonomous integrity monitoring; Zhao, Song &
     /// Wang (2024), *An improved RAIM availability assessment method based on the characteristic
     /// slope*, Sensors 24, 3283.
-    pub(super) fn hidden_shift_m(&self, squares: f64, residuals: usize) -> f64 {
+    pub(crate) fn undetected_shift_m(&self, squares: f64, residuals: usize) -> f64 {
         let beyond = squares - residuals as f64;
-        if beyond <= 0.0 { 0.0 } else { self.hidden_m * beyond.sqrt() }
+        if beyond <= 0.0 { 0.0 } else { self.slope_m * beyond.sqrt() }
     }
 }
 
@@ -83,17 +82,17 @@ struct Phase {
 /// The position that the phases of an epoch agree on, from `start` on; `None` where they do not
 /// determine one.
 ///
-/// A graph gives a phase a share of its weight, since errors last, and what goes before has told
-/// the ambiguity the rest. With integers there is no ambiguity to be told: each phase counts in
-/// full here, by [`CARRIER_KERNEL`], which leaves out what is astray. Each group has its offset
-/// and, where wavelengths differ, cycles common to all.
-pub(super) fn place(
+/// The graph gives a phase a share of its weight, since errors last; earlier epochs have determined
+/// its ambiguity. With integers there is no ambiguity left: each phase counts in full, under
+/// [`CARRIER_KERNEL`], which rejects outliers. Each group has its offset and, where wavelengths
+/// differ, cycles common to all.
+pub(crate) fn position_from_fixed_phases(
     epoch: &RtkEpoch,
     start: &Vector3<f64>,
     border: &[f64],
     arcs: &Arcs,
-    scratch: &mut Scratch,
-) -> Option<Placed> {
+    scratch: &mut RowScratch,
+) -> Option<PhasePosition> {
     let groups = phases(epoch, start, border, arcs, scratch);
     let convex = std::iter::repeat_n(OFFSET_KERNEL, CONVEX_ITERATIONS);
     let kernels = convex.chain(WIDENINGS.map(|factor| CARRIER_KERNEL.widened(factor)));
@@ -103,8 +102,36 @@ pub(super) fn place(
         covariance = information.try_inverse()?;
         moved += covariance * pull;
     }
-    let hidden_m = hidden_slope_m(&groups, epoch.sights.len());
-    Some(Placed { position: start + moved, covariance, hidden_m })
+    let slope_m = characteristic_slope_m(&groups, epoch.sights.len());
+    Some(PhasePosition { position: start + moved, covariance, slope_m })
+}
+
+/// Puts the integers of the newest datum in place of the ambiguities in rows of one group, and
+/// drops the other rows. What the datum leaves in common is the mean of the float ambiguities:
+/// where wavelengths differ, that is not an offset.
+pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
+    let held = |row: &SharingRow<3>| {
+        let (variable, _) = row.border?;
+        let is_its = |arc: &&CarrierArc| arc.variable == variable;
+        arcs.list().iter().find(is_its)?.held
+    };
+    let newest = rows.iter().filter_map(held).map(|held| held.datum).max();
+    let (mut common, mut count) = (0.0, 0.0);
+    for row in rows.iter() {
+        if let Some((own, (variable, _))) = held(row).zip(row.border)
+            && Some(own.datum) == newest
+        {
+            common += border[variable] - own.cycles as f64;
+            count += 1.0;
+        }
+    }
+    common /= f64::max(count, 1.0);
+    rows.retain_mut(|row| {
+        let own = held(row).filter(|held| Some(held.datum) == newest);
+        let (Some(held), Some((variable, slope))) = (own, row.border) else { return false };
+        row.row.residual += (held.cycles as f64 + common - border[variable]) * slope;
+        true
+    });
 }
 
 /// The phases with integers of each group, linearised at a position.
@@ -113,7 +140,7 @@ fn phases(
     position: &Vector3<f64>,
     border: &[f64],
     arcs: &Arcs,
-    scratch: &mut Scratch,
+    scratch: &mut RowScratch,
 ) -> Vec<Vec<Phase>> {
     let mut state = State::zeros();
     state.fixed_rows_mut::<3>(0).copy_from(position);
@@ -121,11 +148,11 @@ fn phases(
     let mut groups = Vec::new();
     for group in epoch.groups.iter().filter(|group| group.is_carrier) {
         epoch.linearize_group(group, border, scratch);
-        arcs.put_labels(border, &mut scratch.rows);
+        subtract_integers(arcs, border, &mut scratch.rows);
         let factors = &epoch.rows[group.begin..group.end];
         let phase = |row: &SharingRow<3>| {
             let (variable, _) = row.border?;
-            let is_its = |ambiguity: Ambiguity| ambiguity.variable == variable;
+            let is_its = |ambiguity: EpochAmbiguity| ambiguity.variable == variable;
             let factor = factors.iter().find(|factor| factor.ambiguity.is_some_and(is_its))?;
             Some(Phase { sight: factor.sight, row: SharingRow { share: 1.0, ..*row } })
         };
@@ -139,11 +166,11 @@ fn normal_equations(
     groups: &[Vec<Phase>],
     moved: &Vector3<f64>,
     kernel: &Kernel,
-    scratch: &mut Scratch,
+    scratch: &mut RowScratch,
 ) -> (Vector3<f64>, Matrix3<f64>) {
     let known = START_M.powi(-2);
     let (mut pull, mut information) = (-moved * known, Matrix3::identity() * known);
-    let Scratch { rows, numbers, .. } = scratch;
+    let RowScratch { rows, numbers, .. } = scratch;
     for group in groups {
         rows.clear();
         rows.extend(group.iter().map(|phase| {
@@ -151,7 +178,7 @@ fn normal_equations(
             row.row.residual += Vector3::from(row.row.jacobian).dot(moved);
             row
         }));
-        take_common_cycles_out(rows);
+        subtract_common_cycles(rows);
         let offset_m = shared_offset(rows, kernel, numbers);
         let (mut total, mut mean) = (0.0, Vector3::zeros());
         numbers.clear();
@@ -187,10 +214,9 @@ fn wavelength_m(row: &SharingRow<3>) -> f64 {
     row.border.map_or(0.0, |(_, slope)| slope / row.by_offset)
 }
 
-/// Takes out of the residuals of a group what cycles common to all explain. Where wavelengths
-/// differ, as GLONASS's do, that is no offset, and so uncertain before position and integers are
-/// known that the graph's estimate leaves centimetres.
-pub(super) fn take_common_cycles_out(rows: &mut [SharingRow<3>]) {
+/// Frees the residuals of a group of the cycles common to all. Where wavelengths differ, as
+/// GLONASS's do, these are not an offset; the graph determines them only to centimetres.
+pub(crate) fn subtract_common_cycles(rows: &mut [SharingRow<3>]) {
     let (mut total, mut mean_m, mut mean_miss_m) = (0.0, 0.0, 0.0);
     for row in rows.iter() {
         let weight = row.by_offset.powi(2);
@@ -219,8 +245,8 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// See [`Placed::hidden_m`]; of cycles common to all, as if they were known.
-fn hidden_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
+/// See [`PhasePosition::slope_m`]; of cycles common to all, as if they were known.
+fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     let mut information = Matrix3::zeros();
     let mut sums = vec![(0.0, Vector3::zeros()); satellites];
     for group in groups {
@@ -239,7 +265,7 @@ fn hidden_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     let slopes = sums.iter().filter(|(alone, _)| 0.0 < *alone).map(|(alone, moving)| {
         let shift = covariance * moving;
         let left = alone - moving.dot(&shift);
-        match CHECKED_LEAST * alone < left {
+        match REDUNDANCY_MIN * alone < left {
             true => shift.xy().norm() / left.sqrt(),
             false => f64::INFINITY,
         }
@@ -247,8 +273,8 @@ fn hidden_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     slopes.fold(0.0, f64::max)
 }
 
-/// Where joint estimates leave the position with so many integers held.
-pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
+/// The position of a joint estimate that is conditioned on `held` integers.
+pub(crate) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
     FixedPosition {
         position: joint.estimate.fixed_rows::<3>(0).into_owned(),
         covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
@@ -259,24 +285,23 @@ pub(super) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> Fi
 
 #[cfg(test)]
 mod tests {
-    use super::super::arcs::{Arc, Label};
-    use super::super::epoch::{DifferenceFactor, Group};
     use super::*;
     use crate::gnss::{
         Band, Constellation, Ecef, GpsTime, LocalFrame, ObservationCode, SatelliteId,
     };
     use crate::positioning::factors::Sight;
+    use crate::positioning::rtk::observed::{DifferenceFactor, Group, HeldInteger};
 
     const SATELLITES: usize = 10;
     const WAVELENGTH_M: f64 = 0.19;
     const SIGMA_M: f64 = 0.01;
     const TRUTH: [f64; 3] = [0.3, -0.2, 0.5];
 
-    /// An epoch at [`TRUTH`] with integers 3k and a common offset of 7 m; the phase of one satellite
-    /// is too long by so much.
-    fn epoch(satellites: usize, astray: usize, by_m: f64) -> (RtkEpoch, Vec<f64>, Arcs) {
+    /// An epoch at [`TRUTH`] with integers 3k and a common offset of 7 m; the phase of one
+    /// satellite is too long by so much.
+    fn epoch(satellites: usize, faulty: usize, by_m: f64) -> (RtkEpoch, Vec<f64>, Arcs) {
         let frame = LocalFrame::at(Ecef(Vector3::new(4.0e6, 1.0e6, 4.85e6)));
-        let (mut epoch, mut arcs) = (RtkEpoch::new(), Arcs::default());
+        let (mut epoch, mut arcs) = (RtkEpoch::default(), Vec::new());
         let code = ObservationCode::parse("1C").unwrap();
         for k in 0..satellites {
             let (azimuth, elevation) = (2.4 * k as f64, 0.3 + 0.12 * k as f64);
@@ -285,17 +310,17 @@ mod tests {
             let satellite = Ecef(frame.origin.0 + frame.rotation.transpose() * line * 2.2e7);
             let sight = Sight::new(&frame, satellite);
             let (range_m, _) = sight.range(&Vector3::from(TRUTH));
-            let error_m = if k == astray { by_m } else { 0.0 };
+            let error_m = if k == faulty { by_m } else { 0.0 };
             epoch.sights.push(sight);
             epoch.rows.push(DifferenceFactor {
                 sight: k,
                 range_m: range_m + 3.0 * k as f64 * WAVELENGTH_M + 7.0 + error_m,
                 inverse_sigma: SIGMA_M.recip(),
                 share: 0.2,
-                ambiguity: Some(Ambiguity { variable: k, wavelength_m: WAVELENGTH_M }),
+                ambiguity: Some(EpochAmbiguity { variable: k, wavelength_m: WAVELENGTH_M }),
                 bias: None,
             });
-            arcs.list.push(Arc {
+            arcs.push(CarrierArc {
                 satellite: SatelliteId::new(Constellation::Gps, 1 + k as u8).unwrap(),
                 band: Band::L1,
                 codes: [code; 2],
@@ -306,53 +331,62 @@ mod tests {
                 epochs: 9,
                 half_cycle: false,
                 elevation_rad: elevation,
-                label: Some(Label { origin: 1, integer: 3 * k as i64 }),
+                held: Some(HeldInteger { datum: 1, cycles: 3 * k as i64 }),
             });
         }
         epoch.groups.push(Group { begin: 0, end: satellites, is_carrier: true });
         let border = (0..satellites).map(|k| 3.0 * k as f64).collect();
-        (epoch, border, arcs)
+        (epoch, border, Arcs::of(arcs))
     }
 
-    fn placed(satellites: usize, astray: usize, by_m: f64) -> Placed {
-        let (epoch, border, arcs) = epoch(satellites, astray, by_m);
-        place(&epoch, &Vector3::zeros(), &border, &arcs, &mut Scratch::default()).unwrap()
+    fn by_phases(satellites: usize, faulty: usize, by_m: f64) -> PhasePosition {
+        let (epoch, border, arcs) = epoch(satellites, faulty, by_m);
+        position_from_fixed_phases(
+            &epoch,
+            &Vector3::zeros(),
+            &border,
+            &arcs,
+            &mut RowScratch::default(),
+        )
+        .unwrap()
     }
 
-    fn horizontal_error_m(placed: &Placed) -> f64 {
-        (placed.position - Vector3::from(TRUTH)).xy().norm()
+    fn horizontal_error_m(found: &PhasePosition) -> f64 {
+        (found.position - Vector3::from(TRUTH)).xy().norm()
     }
 
     /// Whatever share of its weight a phase had, its σ of 1 cm is about that of the position. Among
-    /// ten satellites any one that is a cycle astray is left out.
+    /// ten satellites any one that is off by a cycle is rejected.
     #[test]
     fn phases_that_agree_place_the_rover() {
-        let right = placed(SATELLITES, 0, 0.0);
+        let right = by_phases(SATELLITES, 0, 0.0);
         assert!((right.position - Vector3::from(TRUTH)).norm() < 1e-4, "{right:?}");
         let sigma_m = right.covariance[(0, 0)].sqrt();
         assert!((0.005..0.02).contains(&sigma_m), "{sigma_m}");
-        for astray in 0..SATELLITES {
-            let one = placed(SATELLITES, astray, WAVELENGTH_M);
-            assert!(horizontal_error_m(&one) < 0.01, "{astray}: {one:?}");
+        for faulty in 0..SATELLITES {
+            let one = by_phases(SATELLITES, faulty, WAVELENGTH_M);
+            assert!(horizontal_error_m(&one) < 0.01, "{faulty}: {one:?}");
         }
     }
 
-    /// An error too small to be left out moves the position by no more than its residuals tell;
-    /// that of the worst satellite by just that.
+    /// An error too small to be left out moves the position by no more than follows from its
+    /// residuals; that of the worst satellite by just that.
     #[test]
     fn residuals_bound_what_one_satellite_does() {
         let mut worst: f64 = 0.0;
-        for astray in 0..SATELLITES {
-            let (epoch, border, arcs) = epoch(SATELLITES, astray, 1e-3);
-            let scratch = &mut Scratch::default();
-            let one = place(&epoch, &Vector3::zeros(), &border, &arcs, scratch).unwrap();
+        for faulty in 0..SATELLITES {
+            let (epoch, border, arcs) = epoch(SATELLITES, faulty, 1e-3);
+            let scratch = &mut RowScratch::default();
+            let one =
+                position_from_fixed_phases(&epoch, &Vector3::zeros(), &border, &arcs, scratch)
+                    .unwrap();
             let groups = phases(&epoch, &one.position, &border, &arcs, scratch);
             let quadratic = &Kernel::QUADRATIC;
             let rows: Vec<_> = groups[0].iter().map(|phase| phase.row).collect();
             let offset_m = shared_offset(&rows, quadratic, &mut Vec::new());
-            let miss = |row: &SharingRow<3>| row.row.residual + row.by_offset * offset_m;
-            let norm = rows.iter().map(|row| miss(row).powi(2)).sum::<f64>().sqrt();
-            worst = worst.max(horizontal_error_m(&one) / (norm * one.hidden_m));
+            let residual = |row: &SharingRow<3>| row.row.residual + row.by_offset * offset_m;
+            let norm = rows.iter().map(|row| residual(row).powi(2)).sum::<f64>().sqrt();
+            worst = worst.max(horizontal_error_m(&one) / (norm * one.slope_m));
         }
         assert!((0.95..1.02).contains(&worst), "{worst}");
     }
@@ -376,7 +410,7 @@ mod tests {
             }
         };
         let mut rows: Vec<_> = (0..8).map(row).collect();
-        take_common_cycles_out(&mut rows);
+        subtract_common_cycles(&mut rows);
         let miss_m = |k: usize| (rows[k].row.residual - rows[0].row.residual) * SIGMA_M;
         assert!((1..8).filter(|&k| k != 3).all(|k| miss_m(k).abs() < 1.5e-3));
         assert!((miss_m(3) - 0.01).abs() < 1e-3, "{}", miss_m(3));
@@ -385,10 +419,10 @@ mod tests {
     /// With four satellites nothing checks any; residuals as large as expected still hide nothing.
     #[test]
     fn what_nothing_checks_may_hide_anything() {
-        let four = placed(4, 0, 0.0);
-        assert_eq!(four.hidden_shift_m(4.1, 4), f64::INFINITY);
-        assert_eq!(four.hidden_shift_m(4.0, 4), 0.0);
-        let shift_m = placed(SATELLITES, 0, 0.0).hidden_shift_m(16.0, SATELLITES);
+        let four = by_phases(4, 0, 0.0);
+        assert_eq!(four.undetected_shift_m(4.1, 4), f64::INFINITY);
+        assert_eq!(four.undetected_shift_m(4.0, 4), 0.0);
+        let shift_m = by_phases(SATELLITES, 0, 0.0).undetected_shift_m(16.0, SATELLITES);
         assert!((0.01..0.2).contains(&shift_m), "{shift_m}");
     }
 }

@@ -1,29 +1,26 @@
-//! Position and ambiguities before any is known to be an integer.
+//! The float solution: position and real-valued ambiguities.
 
 use nalgebra::{DMatrix, Vector3};
 
 use crate::graph::Covariances;
+use crate::positioning::rtk::observed::{STATE, State};
 
-use super::epoch::{STATE, State};
-
-/// Position and ambiguities of one epoch with their joint covariance, whichever estimator they are
-/// of.
+/// Position and float ambiguities of one epoch with their joint covariance.
 #[derive(Clone, Debug)]
-pub(super) struct FloatSolution {
+pub(crate) struct FloatSolution {
     /// Local (m).
-    pub(super) position: Vector3<f64>,
+    pub(crate) position: Vector3<f64>,
     /// Border variables of the ambiguities.
-    pub(super) variables: Vec<usize>,
+    pub(crate) variables: Vec<usize>,
     /// The ambiguities (cycles), in that order.
-    pub(super) ambiguities: Vec<f64>,
+    pub(crate) ambiguities: Vec<f64>,
     /// (3 + n)×(3 + n), the position first.
-    pub(super) covariance: DMatrix<f64>,
+    pub(crate) covariance: DMatrix<f64>,
 }
 
 impl FloatSolution {
-    /// Of a state of the graph, which the covariances have reached; the ambiguities are in their
-    /// order.
-    pub(super) fn of_graph(
+    /// Of the state of the graph that `covariances` belong to; `ambiguities` in their order.
+    pub(crate) fn of_graph(
         state: &State,
         ambiguities: Vec<f64>,
         covariances: &Covariances<STATE>,
@@ -49,13 +46,13 @@ impl FloatSolution {
         Self { position: state.fixed_rows::<3>(0).into_owned(), ambiguities, variables, covariance }
     }
 
-    /// Place of a border variable among the ambiguities.
-    pub(super) fn place(&self, variable: usize) -> Option<usize> {
+    /// Index of a border variable among the ambiguities.
+    pub(crate) fn index(&self, variable: usize) -> Option<usize> {
         self.variables.iter().position(|&known| known == variable)
     }
 
-    /// Covariance of two ambiguities, by their places.
-    pub(super) fn between(&self, a: usize, b: usize) -> f64 {
+    /// Covariance of two ambiguities, by their indices.
+    pub(crate) fn between(&self, a: usize, b: usize) -> f64 {
         self.covariance[(3 + a, 3 + b)]
     }
 }

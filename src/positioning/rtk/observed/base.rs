@@ -1,4 +1,4 @@
-//! What is remembered of the base between epochs of the rover.
+//! The base between epochs of the rover.
 
 use nalgebra::Vector3;
 
@@ -10,10 +10,10 @@ use crate::snapshot::{snapshot_fields, state_fields};
 
 /// Base epochs whose single-point positions are averaged to check the stated one.
 const CHECKS_MAX: u32 = 10;
-/// A base whose stated position changes by more has moved (m): messages tell tenths of millimetres.
+/// A base whose stated position changes by more has moved (m): RTCM resolves 0.1 mm.
 const MOVED_M: f64 = 1e-3;
 
-/// How far the stated position of a base is from what the base observes.
+/// Difference between a base's stated position and its single points.
 #[derive(Clone, Copy, Debug)]
 struct PositionCheck {
     stated: Ecef,
@@ -21,16 +21,16 @@ struct PositionCheck {
     count: u32,
 }
 
-/// The newest base epoch, and where the base may have slipped since it was last used.
+/// The newest base epoch, and where the base may have slipped since the rover's last epoch.
 #[derive(Debug, Default)]
-pub(super) struct BaseMemory {
-    /// The name of the base, and where it stood last.
+pub(crate) struct BaseMemory {
+    /// Name and last position of the base.
     station: Option<(String, Ecef)>,
     newest: Option<Epoch>,
     /// Satellites and codes that lost lock.
-    pub(super) lost: Vec<(SatelliteId, ObservationCode)>,
+    lost: Vec<(SatelliteId, ObservationCode)>,
     /// The base lost power.
-    pub(super) power_failed: bool,
+    power_failed: bool,
     check: Option<PositionCheck>,
 }
 
@@ -38,23 +38,23 @@ snapshot_fields!(PositionCheck { stated, sum_m, count });
 state_fields!(BaseMemory { station, newest, lost, power_failed, check });
 
 impl BaseMemory {
-    /// From the base that is remembered to this one, where it is another (m).
-    pub(super) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
-        let (_, place) = self.station.as_ref().filter(|(name, _)| *name != station.name)?;
-        Some(place.distance_m(station.antenna_reference_point))
+    /// Distance from the known base to this one, where this is another (m).
+    pub(crate) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
+        let (_, known) = self.station.as_ref().filter(|(name, _)| *name != station.name)?;
+        Some(known.distance_m(station.antenna_reference_point))
     }
 
-    /// Remembers which base it is.
-    pub(super) fn know(&mut self, station: &BaseStation) {
-        let place = station.antenna_reference_point;
+    /// Keeps the name and position of the base.
+    pub(crate) fn know(&mut self, station: &BaseStation) {
+        let position = station.antenna_reference_point;
         match &mut self.station {
-            Some((name, known)) if *name == station.name => *known = place,
-            other => *other = Some((station.name.clone(), place)),
+            Some((name, known)) if *name == station.name => *known = position,
+            other => *other = Some((station.name.clone(), position)),
         }
     }
 
-    /// Takes the epochs that are new and not later than the rover's at `time`.
-    pub(super) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
+    /// Takes in the epochs that are new and not later than the rover's at `time`.
+    pub(crate) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
         for epoch in epochs {
             let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
             if !is_new || BASE_LATER_S < epoch.time - time {
@@ -74,9 +74,9 @@ impl BaseMemory {
         }
     }
 
-    /// How far the stated position is from the mean of the base's own single-point positions (m),
-    /// ten epochs of which are taken; `None` while there is none.
-    pub(super) fn position_error_m(
+    /// Distance of the stated position from the mean of the base's first ten single points (m);
+    /// `None` while there is none.
+    pub(crate) fn position_error_m(
         &mut self,
         station: &BaseStation,
         single_point: &mut SinglePoint,
@@ -99,22 +99,20 @@ impl BaseMemory {
         (0 < check.count).then(|| check.sum_m.norm() / f64::from(check.count))
     }
 
-    /// How far the base moved since it was used last (m); `None` where it stands where it stood.
-    ///
-    /// Its phases are then those of another place, and none of them can be relied upon to go on.
-    pub(super) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
+    /// Distance that the base moved since it was used last (m); `None` where it has not. Its phases
+    /// are then those of another position: no arc continues.
+    pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
         let stated = self.check?.stated;
         Some(stated.distance_m(station.antenna_reference_point)).filter(|m| MOVED_M < *m)
     }
 
     /// The newest epoch.
-    pub(super) fn newest(&self) -> Option<&Epoch> {
+    pub(crate) fn newest(&self) -> Option<&Epoch> {
         self.newest.as_ref()
     }
 
-    /// Forgets the slips, which have been dealt with.
-    pub(super) fn settle(&mut self) {
-        self.lost.clear();
-        self.power_failed = false;
+    /// Whether the base lost power since the last call, and what lost lock on it.
+    pub(crate) fn take_losses(&mut self) -> (bool, Vec<(SatelliteId, ObservationCode)>) {
+        (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost))
     }
 }

@@ -1,0 +1,79 @@
+//! Held integers: the only file that sets and drops them.
+
+use crate::positioning::rtk::observed::{Arcs, HeldInteger};
+use crate::snapshot::snapshot_fields;
+
+/// Highest probability that integers are held with: a slip may have passed unseen.
+const CERTAIN: f64 = 1.0 - 1e-6;
+
+/// How the held integers came about.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct HoldState {
+    /// Consecutive epochs that found the same integers.
+    pub(crate) consecutive_epochs: u32,
+    pub(crate) probability: f64,
+    pub(crate) ratio: Option<f64>,
+    pub(crate) success_rate: Option<f64>,
+    /// Number of the period: how often all integers have been dropped.
+    pub(crate) period: u32,
+    /// The last period whose integers were found to be wrong.
+    pub(crate) refuted: Option<u32>,
+    /// Whether enough consecutive epochs have found them since they were first found.
+    pub(crate) was_held: bool,
+    /// Number of datums so far.
+    pub(crate) datums: u32,
+}
+
+snapshot_fields!(HoldState {
+    consecutive_epochs,
+    probability,
+    ratio,
+    success_rate,
+    period,
+    refuted,
+    was_held,
+    datums,
+});
+
+/// The integers that a search found.
+pub(crate) struct Found {
+    pub(crate) probability: f64,
+    pub(crate) ratio: Option<f64>,
+    pub(crate) success_rate: f64,
+}
+
+impl HoldState {
+    /// Holds an integer of `arc` against `reference`, which begins a datum if it has none.
+    pub(crate) fn hold(&mut self, arcs: &mut Arcs, arc: usize, reference: usize, integer: i64) {
+        let zero = arcs.list()[reference].held.unwrap_or_else(|| {
+            self.datums += 1;
+            HeldInteger { datum: self.datums, cycles: 0 }
+        });
+        arcs.hold(reference, Some(zero));
+        arcs.hold(arc, Some(HeldInteger { cycles: zero.cycles + integer, ..zero }));
+    }
+
+    /// Forgets the integer of one arc, which refers to another datum than its group's.
+    pub(crate) fn forget(&mut self, arcs: &mut Arcs, arc: usize) {
+        arcs.hold(arc, None);
+    }
+
+    /// Takes in that a search of all ambiguities found the integers; `keeps_probability` where
+    /// enough of them agree with those held, so that the evidence of satellites gone since is not
+    /// lost.
+    pub(crate) fn found(&mut self, found: &Found, keeps_probability: bool, hold_epochs: u32) {
+        self.consecutive_epochs += 1;
+        self.was_held |= hold_epochs <= self.consecutive_epochs;
+        let kept = if keeps_probability { self.probability } else { 0.0 };
+        self.probability = found.probability.max(kept).min(CERTAIN);
+        (self.ratio, self.success_rate) = (found.ratio, Some(found.success_rate));
+    }
+
+    /// Drops all integers, because they are wrong or because too few are left.
+    pub(crate) fn drop_all(&mut self, arcs: &mut Arcs, are_wrong: bool) {
+        arcs.drop_held();
+        let refuted = if are_wrong { Some(self.period) } else { self.refuted };
+        let (period, datums) = (self.period + 1, self.datums);
+        *self = Self { period, refuted, datums, ..Self::default() };
+    }
+}

@@ -1,0 +1,615 @@
+//! The search for integers among float ambiguities.
+//!
+//! Integers once found are held with their arcs, each relative to a datum of its group. They are no
+//! part of the graph: at each epoch the float solution is conditioned on them, after a test of
+//! whether it still agrees, and they are dropped when it does not. Ambiguities without an integer
+//! are then searched for in what that leaves.
+
+use nalgebra::DMatrix;
+
+use crate::config::RtkOptions;
+use crate::gnss::{Constellation, GpsTime, Reason};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, Rejection, Resolver, odds_at_scale};
+use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
+
+use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
+use super::float::FloatSolution;
+use super::hold::{Found, HoldState};
+use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
+
+/// Ambiguities that storage is made for at first.
+const CAPACITY: usize = 64;
+/// Candidates whose likelihoods make up the posterior probability.
+const CANDIDATES: usize = 4;
+/// Most nodes of the search tree in one epoch.
+const NODES_MAX: usize = 20_000;
+/// Most subsets tried in one epoch.
+const ATTEMPTS_MAX: usize = 12;
+/// Most subsets tried when new ambiguities join held integers; the search repeats each epoch.
+const OTHERS_ATTEMPTS_MAX: usize = 3;
+/// ‖â − z‖² per held integer below which they are accepted without a search: 2σ rms.
+pub(crate) const DISAGREEMENT: f64 = 4.0;
+
+/// Outcome of a search.
+#[derive(Clone, Debug)]
+pub(crate) struct Resolution {
+    /// Double-differenced ambiguities.
+    pub(crate) ambiguities: usize,
+    /// Ambiguities that began this epoch and have no integer yet.
+    pub(crate) begun: usize,
+    pub(crate) ratio: Option<f64>,
+    pub(crate) success_rate: Option<f64>,
+    pub(crate) outcome: Result<FixedPosition, Reason>,
+}
+
+impl Resolution {
+    /// The same, refused for a reason.
+    pub(crate) fn refused(self, reason: Reason) -> Self {
+        Self { outcome: Err(reason), ..self }
+    }
+
+    /// Rejects a fix with σ_h > 5 cm, or with fewer than half of the ambiguities fixed that have
+    /// been tracked before this epoch.
+    pub(crate) fn require_precise(self) -> Self {
+        let expected = self.ambiguities - self.begun;
+        let precise = |fixed: FixedPosition| {
+            let sigma_m = fixed.horizontal_sigma_m();
+            if FIXED_SIGMA_M < sigma_m {
+                return Err(Reason::FixImprecise { sigma_m });
+            }
+            if 2 * fixed.held < expected { Err(Reason::FixRejected) } else { Ok(fixed) }
+        };
+        Self { outcome: self.outcome.and_then(precise), ..self }
+    }
+}
+
+/// Which integers are asked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct IntegerQuestion<'a> {
+    /// Of the arcs with a phase at this time.
+    pub(crate) time: GpsTime,
+    pub(crate) float: &'a FloatSolution,
+    pub(crate) noise: KnownNoise,
+    pub(crate) options: &'a RtkOptions,
+}
+
+/// A double difference against the reference of its group, as indices of arcs.
+#[derive(Clone, Copy, Debug)]
+struct DoubleDifference {
+    arc: usize,
+    reference: usize,
+    /// Its integer, where both arcs hold one of the same datum.
+    known: Option<i64>,
+}
+
+/// How a search of all ambiguities is judged.
+#[derive(Clone, Copy, Debug)]
+struct Judgement<'a> {
+    options: &'a Options,
+    /// Divisor of the odds.
+    odds_divisor: f64,
+    /// Consecutive epochs after which integers are held.
+    hold_epochs: u32,
+    /// Integers were held and no longer agree with the float solution.
+    were_held: bool,
+}
+
+/// Searches for integers; its memory is used again.
+#[derive(Debug)]
+pub(crate) struct IntegerSearch {
+    pub(crate) resolver: Resolver,
+    pairs: Vec<DoubleDifference>,
+    /// Index of each arc's ambiguity in the float solution.
+    indices: Vec<Option<usize>>,
+    order: Vec<usize>,
+}
+
+impl Default for IntegerSearch {
+    fn default() -> Self {
+        Self {
+            resolver: Resolver::with_capacity(CAPACITY),
+            pairs: Vec::new(),
+            indices: Vec::new(),
+            order: Vec::new(),
+        }
+    }
+}
+
+impl IntegerSearch {
+    /// Searches for the integers of the arcs present, and holds what it finds.
+    pub(crate) fn resolve(
+        &mut self,
+        arcs: &mut Arcs,
+        hold: &mut HoldState,
+        question: &IntegerQuestion<'_>,
+    ) -> Resolution {
+        let IntegerQuestion { time, float, noise, options } = *question;
+        let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
+        self.difference(arcs.list(), is_eligible, float);
+        for pair in self.pairs.iter().filter(|pair| pair.known.is_none()) {
+            if arcs.list()[pair.reference].held.is_some() {
+                hold.forget(arcs, pair.arc);
+            }
+        }
+        if self.pairs.len() < options.fixed_min {
+            let (used, needed) = (self.pairs.len(), options.fixed_min);
+            return self.refused(Reason::TooFewCommonSatellites { used, needed });
+        }
+        let joint = self.joint(float);
+        let lambda = lambda_options(options, noise.scale);
+        let were_held = options.hold_epochs <= hold.consecutive_epochs;
+        let held = Options { probability_min: options.hold_probability_min, ..lambda };
+        if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &held) {
+            return resolution;
+        }
+        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
+        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
+        let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
+        // Held integers that no longer agree are wrong only if others are found.
+        if were_held && hold_epochs <= hold.consecutive_epochs {
+            hold.drop_all(arcs, false);
+        }
+        resolution
+    }
+
+    fn refused(&self, reason: Reason) -> Resolution {
+        let ambiguities = self.pairs.len();
+        let (ratio, success_rate) = (None, None);
+        Resolution { ambiguities, begun: 0, ratio, success_rate, outcome: Err(reason) }
+    }
+
+    /// Conditions on the held integers, then searches for those of the others. `None` where too few
+    /// are held, or these no longer agree with the float solution.
+    fn resolve_held(
+        &mut self,
+        arcs: &mut Arcs,
+        hold: &mut HoldState,
+        joint: &Joint,
+        options: &Options,
+    ) -> Option<Resolution> {
+        let known = self.which(|pair| pair.known.is_some());
+        let others = self.which(|pair| pair.known.is_none());
+        if known.len() < options.fixed_min {
+            return None;
+        }
+        let values: Vec<f64> =
+            known.iter().map(|&i| self.pairs[i].known.unwrap_or(0) as f64).collect();
+        let (mut rest, squared_norm) = condition(joint, &known, &values, &others)?;
+        let odds = match DISAGREEMENT * (known.len() as f64) < squared_norm {
+            true => {
+                self.odds_against_the_best(arcs.list(), joint, &known, squared_norm, options)?
+            }
+            false => 1.0,
+        };
+        let against_others = scale_odds(odds, hold.probability);
+        let probability = given_unfixed_ambiguities(against_others, &rest);
+        if probability < options.probability_min {
+            return None;
+        }
+        let mut held = known.len();
+        if !others.is_empty() {
+            let lambda = Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*options };
+            let indices: Vec<usize> = (0..others.len()).collect();
+            let outcome = self.search(arcs.list(), &rest, &indices, &others, &lambda);
+            if outcome.is_some_and(|outcome| outcome.rejection.is_none())
+                && let Some(left) = self.condition_on_found(&rest, &indices)
+            {
+                held += self.hold_found(arcs, hold, &others);
+                rest = left;
+            }
+        }
+        let is_new = |arc: &CarrierArc| arc.epochs == 1 && arc.held.is_none();
+        Some(Resolution {
+            ambiguities: self.pairs.len(),
+            begun: self.pairs.iter().filter(|pair| is_new(&arcs.list()[pair.arc])).count(),
+            ratio: hold.ratio,
+            success_rate: hold.success_rate,
+            outcome: Ok(fixed_position(&rest, held, probability)),
+        })
+    }
+
+    /// Odds of the integers of the pairs `known`, whose squared norm is given, against the best
+    /// ones: at most one. `None` where the search fails.
+    ///
+    /// Errors that last put float ambiguities further from their integers than their covariance
+    /// says; this is no evidence against the integers as long as no others fit better.
+    fn odds_against_the_best(
+        &mut self,
+        arcs: &[CarrierArc],
+        joint: &Joint,
+        known: &[usize],
+        squared_norm: f64,
+        options: &Options,
+    ) -> Option<f64> {
+        let anything = Options {
+            success_rate_min: 0.0,
+            ratio_min: 0.0,
+            probability_min: 0.0,
+            fixed_min: known.len(),
+            attempts_max: 1,
+            ..*options
+        };
+        let best = self.search(arcs, joint, known, known, &anything)?.squared_norm?;
+        Some(odds_at_scale([squared_norm, best.min(squared_norm)], known.len(), options.scale?))
+    }
+
+    /// Searches for the integers of all ambiguities; they must be found in consecutive epochs
+    /// before they are held.
+    ///
+    /// A candidate set that contradicts the integers so far replaces them only if its probability
+    /// is higher, and from the next epoch on.
+    fn resolve_all(
+        &mut self,
+        arcs: &mut Arcs,
+        hold: &mut HoldState,
+        joint: &Joint,
+        judgement: &Judgement<'_>,
+    ) -> Resolution {
+        let Judgement { options, odds_divisor, hold_epochs, were_held } = *judgement;
+        let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
+        for wanted in self.subsets(arcs.list(), options.fixed_min) {
+            let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
+            let Some(outcome) = found else { continue };
+            tried += outcome.attempts;
+            resolution.ratio = outcome.ratio;
+            resolution.success_rate = Some(outcome.success_rate);
+            if let Some(reason) = refusal(&outcome, options) {
+                resolution.outcome = Err(reason);
+                continue;
+            }
+            resolution.outcome = Err(Reason::FixRejected);
+            let stated =
+                bonferroni(odds_divisor * tried as f64, outcome.probability.unwrap_or(0.0));
+            let Some(rest) = self.condition_on_found(joint, &wanted) else { continue };
+            let probability = given_unfixed_ambiguities(stated, &rest);
+            if probability < options.probability_min {
+                continue;
+            }
+            let [agreeing, contradicting] = self.compare_with_known(&wanted);
+            if 0 < contradicting {
+                if probability <= hold.probability {
+                    continue;
+                }
+                hold.drop_all(arcs, true);
+                return resolution;
+            }
+            if were_held {
+                hold.drop_all(arcs, false);
+            }
+            let held = self.hold_found(arcs, hold, &wanted);
+            let Outcome { ratio, success_rate, .. } = outcome;
+            let found = Found { probability, ratio, success_rate };
+            hold.found(&found, options.fixed_min <= agreeing, hold_epochs);
+            resolution.outcome = Ok(fixed_position(&rest, held, probability));
+            return resolution;
+        }
+        resolution
+    }
+
+    /// Numbers of the integers found last, among the pairs `wanted`, that agree with the known ones
+    /// and that contradict them.
+    fn compare_with_known(&self, wanted: &[usize]) -> [usize; 2] {
+        let found = wanted.iter().zip(self.resolver.fix().entries());
+        let both = found.filter_map(|(&i, entry)| self.pairs[i].known.zip(*entry));
+        both.fold([0, 0], |[agreeing, contradicting], (known, found)| match known == found {
+            true => [agreeing + 1, contradicting],
+            false => [agreeing, contradicting + 1],
+        })
+    }
+
+    /// The sets of pairs to search, one after another until integers are found: groups with one
+    /// wavelength, where there are others; all; and all but one group.
+    ///
+    /// Receivers of different makers may not agree on the phase of one signal.
+    fn subsets(&self, arcs: &[CarrierArc], fixed_min: usize) -> Vec<Vec<usize>> {
+        let group = |pair: &DoubleDifference| arcs[pair.arc].group();
+        let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let mut subsets: Vec<Vec<usize>> = Vec::new();
+        let mut add = |wanted: Vec<usize>| {
+            if fixed_min <= wanted.len() && !subsets.contains(&wanted) {
+                subsets.push(wanted);
+            }
+        };
+        add(self.which(|pair| has_one_wavelength(&arcs[pair.arc])));
+        add(self.which(|_| true));
+        groups.iter().for_each(|out| add(self.which(|pair| group(pair) != *out)));
+        subsets
+    }
+
+    /// Position and the ambiguities left float, conditioned on the integers found last of those at
+    /// `wanted`, ascending; `None` where the covariance does not allow it.
+    fn condition_on_found(&self, joint: &Joint, wanted: &[usize]) -> Option<Joint> {
+        let found = wanted.iter().zip(self.resolver.fix().entries());
+        let (held, values): (Vec<usize>, Vec<f64>) =
+            found.filter_map(|(&i, entry)| Some((i, (*entry)? as f64))).unzip();
+        let all = 0..joint.ambiguities();
+        let left: Vec<usize> = all.filter(|i| held.binary_search(i).is_err()).collect();
+        condition(joint, &held, &values, &left).map(|(rest, _)| rest)
+    }
+
+    /// Indices of the pairs that `is_wanted` admits.
+    fn which(&self, is_wanted: impl Fn(&DoubleDifference) -> bool) -> Vec<usize> {
+        (0..self.pairs.len()).filter(|&i| is_wanted(&self.pairs[i])).collect()
+    }
+
+    /// Searches for the integers of the pairs `wanted`, whose estimates and covariances are at
+    /// `indices` of `joint`.
+    fn search(
+        &mut self,
+        arcs: &[CarrierArc],
+        joint: &Joint,
+        indices: &[usize],
+        wanted: &[usize],
+        options: &Options,
+    ) -> Option<Outcome> {
+        let n = wanted.len();
+        let float: Vec<f64> = indices.iter().map(|i| joint.estimate[3 + i]).collect();
+        let between = |i: usize, j: usize| joint.covariance[(3 + indices[i], 3 + indices[j])];
+        let covariance = DMatrix::from_fn(n, n, between);
+        let strength = |&i: &usize| {
+            let arc = &arcs[self.pairs[wanted[i]].arc];
+            (arc.epochs.min(2), arc.elevation_rad)
+        };
+        self.order.clear();
+        self.order.extend(0..n);
+        self.order.sort_by(|a, b| {
+            let ((a_epochs, a), (b_epochs, b)) = (strength(a), strength(b));
+            a_epochs.cmp(&b_epochs).then(a.total_cmp(&b))
+        });
+        let partial = Partial::Ordered(&self.order);
+        self.resolver.resolve(&float, &covariance, partial, options).ok()
+    }
+
+    /// Holds the integers found last of the pairs `wanted`; returns their number.
+    fn hold_found(&self, arcs: &mut Arcs, hold: &mut HoldState, wanted: &[usize]) -> usize {
+        let entries = self.resolver.fix().entries();
+        let found = wanted.iter().zip(entries).filter_map(|(&i, entry)| Some((i, (*entry)?)));
+        let mut count = 0;
+        for (i, integer) in found {
+            let DoubleDifference { arc, reference, .. } = self.pairs[i];
+            hold.hold(arcs, arc, reference, integer);
+            count += 1;
+        }
+        count
+    }
+
+    /// Double differences of the eligible arcs, each against one of its group: the highest of those
+    /// that hold an integer, if any do.
+    fn difference(
+        &mut self,
+        arcs: &[CarrierArc],
+        is_eligible: impl Fn(&CarrierArc) -> bool,
+        float: &FloatSolution,
+    ) {
+        self.indices.clear();
+        self.indices
+            .extend(arcs.iter().map(|arc| float.index(arc.variable).filter(|_| is_eligible(arc))));
+        self.pairs.clear();
+        for (arc, own) in arcs.iter().enumerate() {
+            if self.indices[arc].is_none() {
+                continue;
+            }
+            let rank = |arc: &CarrierArc| (arc.held.is_some(), arc.elevation_rad);
+            let mut reference = arc;
+            for (other, candidate) in arcs.iter().enumerate() {
+                let is_better = rank(&arcs[reference]) < rank(candidate);
+                if is_better && self.indices[other].is_some() && candidate.group() == own.group() {
+                    reference = other;
+                }
+            }
+            if reference != arc {
+                let both = own.held.zip(arcs[reference].held);
+                let known = both.and_then(|(own, zero)| own.minus(zero));
+                self.pairs.push(DoubleDifference { arc, reference, known });
+            }
+        }
+    }
+
+    /// Position and double differences with their covariance.
+    fn joint(&self, float: &FloatSolution) -> Joint {
+        let index = |arc: usize| self.indices[arc].expect("arcs of double differences have one");
+        let pairs: Vec<_> =
+            self.pairs.iter().map(|pair| (index(pair.arc), index(pair.reference))).collect();
+        Joint::of_differences(float, &pairs)
+    }
+}
+
+/// Whether all arcs of the group have one wavelength, so that what they share is an offset.
+fn has_one_wavelength(arc: &CarrierArc) -> bool {
+    arc.satellite.constellation != Constellation::Glonass
+}
+
+/// Whether the ambiguity of an arc may be an integer.
+pub(crate) fn may_be_integer(arc: &CarrierArc, options: &RtkOptions) -> bool {
+    !arc.half_cycle && options.elevation_mask_rad <= arc.elevation_rad
+}
+
+/// Options of the search for a scale of the noise.
+pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
+    Options {
+        success_rate_min: options.success_rate_min,
+        ratio_min: options.ratio_min,
+        probability_min: options.found_probability_min(),
+        scale: Some(scale),
+        fixed_min: options.fixed_min,
+        candidates: CANDIDATES,
+        nodes_max: NODES_MAX,
+        attempts_max: ATTEMPTS_MAX,
+    }
+}
+
+/// Why integers were not accepted, if they were not.
+fn refusal(outcome: &Outcome, options: &Options) -> Option<Reason> {
+    Some(match outcome.rejection? {
+        Rejection::Ratio => Reason::RatioBelowThreshold {
+            ratio: outcome.ratio.unwrap_or(1.0),
+            threshold: options.ratio_min,
+        },
+        Rejection::Probability | Rejection::SuccessRate | Rejection::SearchLimit => {
+            Reason::SuccessRateTooLow { success_rate: outcome.success_rate }
+        }
+        Rejection::TooFew | Rejection::Magnitude => Reason::FixRejected,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+
+    use super::*;
+    use crate::config::{Mode, PositioningOptions, Profile};
+    use crate::gnss::{Band, ObservationCode, SatelliteId};
+    use crate::positioning::rtk::observed::{HeldInteger, Receivers, Residuals};
+
+    const N: usize = 7;
+
+    /// Arcs of one group, of which one stands highest.
+    fn arcs(highest: usize) -> Arcs {
+        let code = ObservationCode::parse("1C").unwrap();
+        let arc = |k: usize| CarrierArc {
+            satellite: SatelliteId::new(Constellation::Gps, 1 + k as u8).unwrap(),
+            band: Band::L1,
+            codes: [code; 2],
+            variable: k,
+            serial: k as u64,
+            frequency_hz: 1_575.42e6,
+            last: GpsTime::EPOCH,
+            epochs: 5,
+            half_cycle: false,
+            elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },
+            held: None,
+        };
+        Arcs::of((0..N).map(arc).collect())
+    }
+
+    /// Ambiguities at integers k², 0.05 cycles off at the most and 25.3 off in common, a metre of
+    /// the position each moves them by two cycles or less.
+    fn float() -> FloatSolution {
+        let wave = |k: usize| (1.7 * k as f64).sin();
+        let tie = |i: usize, axis: usize| match i.checked_sub(3) {
+            None => f64::from(u8::from(i == axis)),
+            Some(k) => 2.0 * ((1 + axis) as f64 * k as f64).cos(),
+        };
+        let mut covariance = DMatrix::identity(3 + N, 3 + N) * 4e-4;
+        for i in 0..3 + N {
+            for j in 0..3 + N {
+                // Known to 5 cm along each axis, and to a cycle in common.
+                let real = (0..3).map(|axis| 0.0025 * tie(i, axis) * tie(j, axis)).sum::<f64>();
+                covariance[(i, j)] += real + if i < 3 || j < 3 { 0.0 } else { 1.0 };
+            }
+        }
+        FloatSolution {
+            position: Vector3::new(5.0, -3.0, 2.0),
+            variables: (0..N).collect(),
+            ambiguities: (0..N).map(|k| 25.3 + (k * k) as f64 + 0.05 * wave(k)).collect(),
+            covariance,
+        }
+    }
+
+    fn resolved(arcs: &mut Arcs, hold: &mut HoldState, float: &FloatSolution) -> Resolution {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let noise = Receivers::new().known_noise(&Residuals::NONE);
+        let time = GpsTime::EPOCH;
+        let question = IntegerQuestion { time, float, noise, options: &options.rtk };
+        IntegerSearch::default().resolve(arcs, hold, &question)
+    }
+
+    fn integers(arcs: &Arcs) -> Vec<i64> {
+        arcs.list().iter().map(|arc| arc.held.unwrap().cycles).collect()
+    }
+
+    fn hold_all(arcs: &mut Arcs, integers: impl Iterator<Item = i64>) {
+        for (index, cycles) in integers.enumerate() {
+            arcs.hold(index, Some(HeldInteger { datum: 1, cycles }));
+        }
+    }
+
+    /// Whichever satellite is the reference, the same integers, position and probability are found.
+    #[test]
+    fn the_reference_satellite_does_not_matter() {
+        let found = |highest: usize| {
+            let (mut arcs, mut hold) = (arcs(highest), HoldState::default());
+            let fixed = resolved(&mut arcs, &mut hold, &float()).outcome.unwrap();
+            let all = integers(&arcs);
+            assert_eq!((fixed.held, all[highest]), (N - 1, 0));
+            (fixed, all.iter().map(|integer| integer - all[0]).collect::<Vec<_>>())
+        };
+        let (fixed, integers) = found(0);
+        assert_eq!(integers, (0..N).map(|k| (k * k) as i64).collect::<Vec<_>>());
+        for highest in 1..N {
+            let (other, others) = found(highest);
+            assert_eq!(others, integers, "{highest}");
+            assert!((other.position - fixed.position).norm() < 1e-9, "{highest}");
+            assert!((other.covariance - fixed.covariance).norm() < 1e-12, "{highest}");
+            assert!((other.probability - fixed.probability).abs() < 1e-9, "{highest}");
+        }
+    }
+
+    /// A candidate set that contradicts more probable integers is refused; a more probable one
+    /// replaces them at the next epoch, and they are marked as wrong.
+    #[test]
+    fn the_more_probable_integers_win() {
+        let others: Vec<i64> = (0..N as i64).map(|k| k * k + k % 2).collect();
+        for consecutive_epochs in [1, 1000] {
+            let with_others = || {
+                let mut arcs = arcs(0);
+                hold_all(&mut arcs, others.iter().copied());
+                arcs
+            };
+            let probability = 1.0 - 1e-6;
+            let certain =
+                HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+            let (mut known, mut hold) = (with_others(), certain);
+            assert!(resolved(&mut known, &mut hold, &float()).outcome.is_err());
+            assert_eq!(hold.refuted, None);
+            match consecutive_epochs {
+                1 => assert_eq!(integers(&known), others),
+                _ => assert!(known.list().iter().all(|arc| arc.held.is_none()), "out of reach"),
+            }
+            let mut arcs = with_others();
+            let mut hold = HoldState { probability: 0.99, ..certain };
+            assert!(resolved(&mut arcs, &mut hold, &float()).outcome.is_err());
+            assert_eq!((hold.refuted, hold.period), (Some(4), 5));
+            assert!(resolved(&mut arcs, &mut hold, &float()).outcome.is_ok());
+            assert_eq!(integers(&arcs), (0..N as i64).map(|k| k * k).collect::<Vec<_>>());
+        }
+    }
+
+    /// Held integers that the float ambiguities are 3σ off stay as long as no others fit better.
+    #[test]
+    fn held_integers_stay_while_none_fit_better() {
+        let mut arcs = arcs(0);
+        hold_all(&mut arcs, (0..N as i64).map(|k| k * k));
+        let (consecutive_epochs, probability) = (1000, 1.0 - 1e-6);
+        let mut hold =
+            HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+        let mut off = float();
+        for (k, ambiguity) in off.ambiguities.iter_mut().enumerate() {
+            *ambiguity += 0.15 * (1.7 * k as f64).sin();
+        }
+        let resolution = resolved(&mut arcs, &mut hold, &off);
+        assert_eq!(resolution.outcome.unwrap().held, N - 1);
+        assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
+    }
+
+    /// Four of eight ambiguities are enough, four of nine are not unless one has just begun, nor
+    /// are eight that leave the position uncertain by more than 5 cm.
+    #[test]
+    fn few_integers_or_an_uncertain_position_are_refused() {
+        let outcome = |ambiguities, begun, held, sigma_m: f64| {
+            let covariance = Matrix3::identity() * sigma_m.powi(2);
+            let position = Vector3::zeros();
+            let fixed = FixedPosition { position, covariance, held, probability: 0.999 };
+            let (ratio, success_rate) = (None, None);
+            let outcome = Ok(fixed);
+            Resolution { ambiguities, begun, ratio, success_rate, outcome }
+                .require_precise()
+                .outcome
+        };
+        assert!(outcome(8, 0, 4, 0.04).is_ok() && outcome(9, 1, 4, 0.04).is_ok());
+        assert!(matches!(outcome(9, 0, 4, 0.04), Err(Reason::FixRejected)));
+        assert!(matches!(outcome(8, 0, 8, 0.06), Err(Reason::FixImprecise { .. })));
+    }
+}

@@ -1,0 +1,19 @@
+//! From float ambiguities to integers, and back to the position.
+
+mod conditioning;
+mod fixed_position;
+mod float;
+mod hold;
+mod integer_history;
+mod integers;
+mod joint;
+
+pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
+pub(crate) use fixed_position::{
+    FixedPosition, PhasePosition, position_from_fixed_phases, subtract_common_cycles,
+    subtract_integers,
+};
+pub(crate) use float::FloatSolution;
+pub(crate) use hold::HoldState;
+pub(crate) use integer_history::{HoldPeriod, IntegerHistory};
+pub(crate) use integers::{IntegerQuestion, IntegerSearch, Resolution, may_be_integer};

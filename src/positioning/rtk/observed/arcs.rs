@@ -1,0 +1,270 @@
+//! Carrier arcs: the only file that changes them.
+//!
+//! An arc is one carrier of one satellite, tracked by rover and base without a slip. It has one
+//! border variable of the graph for all its epochs; the variable is free again once nothing names
+//! it.
+
+use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
+use crate::snapshot::{snapshot_fields, state_fields};
+
+use super::losses::Losses;
+
+/// An arc that has not ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct CarrierArc {
+    pub(crate) satellite: SatelliteId,
+    pub(crate) band: Band,
+    /// Codes at rover and base.
+    pub(crate) codes: [ObservationCode; 2],
+    /// Border variable of its ambiguity.
+    pub(crate) variable: usize,
+    /// Number of arcs that began before it; never used again, unlike the variable.
+    pub(crate) serial: u64,
+    pub(crate) frequency_hz: f64,
+    /// Time of its newest phase.
+    pub(crate) last: GpsTime,
+    /// Number of its phases so far.
+    pub(crate) epochs: u32,
+    /// Whether the newest phase may be off by half a cycle.
+    pub(crate) half_cycle: bool,
+    /// Elevation at the newest phase (rad).
+    pub(crate) elevation_rad: f64,
+    /// Its integer, once found.
+    pub(crate) held: Option<HeldInteger>,
+}
+
+/// The ambiguity of an arc relative to a datum (cycles). Only differences between arcs of one
+/// datum mean anything.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HeldInteger {
+    /// Number of the datum: one arc of one group, at the time its integers were found.
+    pub(crate) datum: u32,
+    pub(crate) cycles: i64,
+}
+
+impl HeldInteger {
+    /// The integer between two arcs; `None` where they refer to different datums.
+    pub(crate) fn minus(self, other: Self) -> Option<i64> {
+        (self.datum == other.datum).then(|| self.cycles - other.cycles)
+    }
+}
+
+/// What an epoch keeps of an arc that it used.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArcReference {
+    pub(crate) serial: u64,
+    /// Border variable the arc had at that epoch.
+    pub(crate) variable: usize,
+    pub(crate) group: DifferenceGroup,
+}
+
+impl CarrierArc {
+    /// What the ambiguities share whose differences are integers.
+    pub(crate) fn group(&self) -> DifferenceGroup {
+        DifferenceGroup::of(self.satellite, self.band, self.codes)
+    }
+
+    /// What an epoch keeps of it.
+    pub(crate) fn reference(&self) -> ArcReference {
+        ArcReference { serial: self.serial, variable: self.variable, group: self.group() }
+    }
+
+    fn is_of(&self, difference: &SingleDifference) -> bool {
+        self.satellite == difference.satellite && self.codes == difference.codes
+    }
+}
+
+/// All arcs that have not ended, and which border variables are free.
+#[derive(Debug, Default)]
+pub(crate) struct Arcs {
+    /// In the order they began.
+    list: Vec<CarrierArc>,
+    /// Border variables in use, by arcs or by epochs still in the window.
+    in_use: Vec<bool>,
+    /// Number of arcs that have begun.
+    begun: u64,
+}
+
+snapshot_fields!(HeldInteger { datum, cycles });
+snapshot_fields!(ArcReference { serial, variable, group });
+snapshot_fields!(CarrierArc {
+    satellite,
+    band,
+    codes,
+    variable,
+    serial,
+    frequency_hz,
+    last,
+    epochs,
+    half_cycle,
+    elevation_rad,
+    held,
+});
+state_fields!(Arcs { list, in_use, begun });
+
+impl Arcs {
+    /// Arcs as given, for tests.
+    #[cfg(test)]
+    pub(crate) fn of(list: Vec<CarrierArc>) -> Self {
+        Self { in_use: vec![true; list.len()], begun: list.len() as u64, list }
+    }
+
+    /// The arcs in the order they began.
+    pub(crate) fn list(&self) -> &[CarrierArc] {
+        &self.list
+    }
+
+    /// The arcs with a phase at `time`.
+    pub(crate) fn present(&self, time: GpsTime) -> impl Iterator<Item = &CarrierArc> {
+        self.list.iter().filter(move |arc| arc.last == time)
+    }
+
+    /// Whether every arc has one of the first `border` variables.
+    pub(crate) fn is_within(&self, border: usize) -> bool {
+        self.list.iter().all(|arc| arc.variable < border && arc.variable < self.in_use.len())
+    }
+
+    /// Whether an arc has the variable.
+    pub(crate) fn has(&self, variable: usize) -> bool {
+        self.list.iter().any(|arc| arc.variable == variable)
+    }
+
+    /// Ends all.
+    pub(crate) fn clear(&mut self) {
+        self.list.clear();
+        self.in_use.clear();
+    }
+
+    /// Ends the arcs that a receiver says it lost and those without a phase for `gap_s` before
+    /// `time`; appends their satellites to `ended`.
+    pub(crate) fn end_lost(
+        &mut self,
+        losses: &Losses,
+        time: GpsTime,
+        gap_s: f64,
+        ended: &mut Vec<SatelliteId>,
+    ) {
+        let is_over =
+            |arc: &CarrierArc| gap_s < time - arc.last || losses.has(arc.satellite, arc.codes);
+        self.end(is_over, ended);
+    }
+
+    /// Ends the arcs whose half-cycle flag changed: the phase may have moved by half a cycle.
+    pub(crate) fn end_flipped(
+        &mut self,
+        differences: &[SingleDifference],
+        ended: &mut Vec<SatelliteId>,
+    ) {
+        let is_over = |arc: &CarrierArc| {
+            let flips =
+                |d: &SingleDifference| d.carrier.is_some() && d.half_cycle != arc.half_cycle;
+            differences.iter().any(|d| arc.is_of(d) && flips(d))
+        };
+        self.end(is_over, ended);
+    }
+
+    fn end(&mut self, is_over: impl Fn(&CarrierArc) -> bool, ended: &mut Vec<SatelliteId>) {
+        self.list.retain(|arc| {
+            let over = is_over(arc);
+            if over {
+                ended.push(arc.satellite);
+            }
+            !over
+        });
+    }
+
+    /// Whether the arc of a difference has a phase at `time` already.
+    pub(crate) fn has_phase(&self, difference: &SingleDifference, time: GpsTime) -> bool {
+        let arc = self.list.iter().find(|arc| arc.is_of(difference));
+        arc.is_some_and(|arc| arc.last == time)
+    }
+
+    /// Takes the phase of a difference at `time` into its arc; the arc's variable and the time
+    /// since its last phase (s). `None` where there is no arc to continue.
+    pub(crate) fn go_on(
+        &mut self,
+        difference: &SingleDifference,
+        time: GpsTime,
+        elevation_rad: f64,
+    ) -> Option<(usize, f64)> {
+        let arc = self.list.iter_mut().find(|arc| arc.is_of(difference))?;
+        let since_s = time - arc.last;
+        (arc.last, arc.elevation_rad) = (time, elevation_rad);
+        arc.epochs += 1;
+        Some((arc.variable, since_s))
+    }
+
+    /// Begins an arc; returns its variable, which nothing else names.
+    pub(crate) fn begin(
+        &mut self,
+        difference: &SingleDifference,
+        time: GpsTime,
+        elevation_rad: f64,
+    ) -> usize {
+        let variable = self.take_variable();
+        let serial = self.take_serial();
+        self.list.push(CarrierArc {
+            satellite: difference.satellite,
+            band: difference.band,
+            codes: difference.codes,
+            variable,
+            serial,
+            frequency_hz: difference.frequency_hz,
+            last: time,
+            epochs: 1,
+            half_cycle: difference.half_cycle,
+            elevation_rad,
+            held: None,
+        });
+        variable
+    }
+
+    /// Ends the arc with a variable and begins another in its place; its satellite and the new
+    /// variable. `None` where there is no such arc, or it began with this epoch.
+    pub(crate) fn restart(&mut self, variable: usize) -> Option<(SatelliteId, usize)> {
+        let index = self.list.iter().position(|arc| arc.variable == variable)?;
+        if self.list[index].epochs == 1 {
+            return None;
+        }
+        let (variable, serial) = (self.take_variable(), self.take_serial());
+        let arc = &mut self.list[index];
+        (arc.variable, arc.serial, arc.epochs, arc.held) = (variable, serial, 1, None);
+        Some((arc.satellite, variable))
+    }
+
+    /// Sets or forgets the integer of one arc.
+    pub(crate) fn hold(&mut self, index: usize, held: Option<HeldInteger>) {
+        self.list[index].held = held;
+    }
+
+    /// Forgets the integers of all arcs.
+    pub(crate) fn drop_held(&mut self) {
+        self.list.iter_mut().for_each(|arc| arc.held = None);
+    }
+
+    fn take_serial(&mut self) -> u64 {
+        self.begun += 1;
+        self.begun - 1
+    }
+
+    /// A border variable that nothing names.
+    fn take_variable(&mut self) -> usize {
+        let free = self.in_use.iter().position(|used| !used);
+        let variable = free.unwrap_or(self.in_use.len());
+        if variable == self.in_use.len() {
+            self.in_use.push(true);
+        }
+        self.in_use[variable] = true;
+        variable
+    }
+
+    /// Frees the variables that no arc has and `is_named` does not name.
+    pub(crate) fn release(&mut self, is_named: impl Fn(usize) -> bool) {
+        for variable in 0..self.in_use.len() {
+            if self.in_use[variable] && !self.has(variable) && !is_named(variable) {
+                self.in_use[variable] = false;
+            }
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! What is new of rover and base at an epoch, and whether the base can be used.
+//!
+//! Shared by the graph and the filter, so that both see the same measurements and refuse the same
+//! epochs.
+
+use crate::gnss::{BaseStation, Ecef, GpsTime, Reason, SatelliteId};
+use crate::positioning::differencing::{BaseSide, SingleDifferences};
+use crate::positioning::engine::EpochInputs;
+use crate::positioning::spp::SinglePoint;
+use crate::snapshot::state_fields;
+
+use super::base::BaseMemory;
+use super::losses::Losses;
+
+/// Tolerance of tags at the limit of the base's age (s).
+const TAG_SLACK_S: f64 = 1e-3;
+/// A base whose stated position is off by more is reported as doubtful (m).
+const DOUBTFUL_M: f64 = 10.0;
+/// A base whose stated position is off by more is refused (m).
+const REFUSED_M: f64 = 100.0;
+
+/// A base that can be used.
+#[derive(Clone, Debug)]
+pub(crate) struct UsableBase<'a> {
+    pub(crate) station: &'a BaseStation,
+    /// Age of its newest epoch (s).
+    pub(crate) age_s: f64,
+    /// Why its position is doubtful, if it is.
+    pub(crate) doubt: Option<Reason>,
+}
+
+/// What an epoch brought of the base and of slips.
+#[derive(Debug, Default)]
+pub(crate) struct Received {
+    pub(crate) losses: Losses,
+    /// Distance from the last epoch's base, where this is another (m).
+    pub(crate) base_changed_m: Option<f64>,
+    /// Distance that the base moved before this epoch (m).
+    pub(crate) base_moved_m: Option<f64>,
+}
+
+/// Memory to take an epoch in.
+#[derive(Debug, Default)]
+pub(crate) struct Intake {
+    pub(crate) single_point: SinglePoint,
+    pub(crate) differences: SingleDifferences,
+    /// Satellites whose arcs ended at this epoch.
+    pub(crate) slipped: Vec<SatelliteId>,
+}
+
+/// The base as far as it is known, and the newest epoch answered.
+#[derive(Debug, Default)]
+pub(crate) struct BaseTracking {
+    base: BaseMemory,
+    /// Time of the newest epoch answered.
+    last: Option<GpsTime>,
+}
+
+state_fields!(BaseTracking { base, last });
+
+impl BaseTracking {
+    /// Takes in an epoch and what is new of the base; `None` where the epoch is not after the last
+    /// one, which changes nothing.
+    pub(crate) fn receive(&mut self, inputs: &EpochInputs<'_>) -> Option<Received> {
+        let epoch = inputs.epoch;
+        if self.last.is_some_and(|last| epoch.time <= last) {
+            return None;
+        }
+        self.last = Some(epoch.time);
+        let base = inputs.base.as_ref();
+        let base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
+        if base_changed_m.is_some() {
+            self.base = BaseMemory::default();
+        }
+        if let Some(base) = base {
+            self.base.take(base.epochs, epoch.time);
+            self.base.know(base.station);
+        }
+        let base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
+        let lost = epoch.observations.iter().filter(|observation| observation.loss_of_lock);
+        let (power_failed, base_lost) = self.base.take_losses();
+        let losses = Losses {
+            all: epoch.power_failure
+                || power_failed
+                || base_moved_m.is_some()
+                || inputs.options().rtk.single_epoch,
+            rover: lost.map(|lost| (lost.satellite, lost.code)).collect(),
+            base: base_lost,
+        };
+        Some(Received { losses, base_changed_m, base_moved_m })
+    }
+
+    /// The base, or why it cannot be used.
+    pub(crate) fn usable<'a>(
+        &mut self,
+        inputs: &EpochInputs<'a>,
+        single_point: &mut SinglePoint,
+    ) -> Result<UsableBase<'a>, Reason> {
+        let station = inputs.base.map(|base| base.station).ok_or(Reason::BaseMissing)?;
+        let newest = self.base.newest().ok_or(Reason::BaseMissing)?;
+        let age_s = inputs.epoch.time - newest.time;
+        if inputs.options().rtk.base_age_max_s + TAG_SLACK_S < age_s {
+            return Err(Reason::BaseStale { age_s });
+        }
+        let error_m = self.base.position_error_m(station, single_point, inputs);
+        let doubt = error_m
+            .filter(|error_m| DOUBTFUL_M < *error_m)
+            .map(|distance_m| Reason::BasePositionDoubtful { distance_m });
+        if let (Some(doubt), true) = (&doubt, error_m.is_some_and(|m| REFUSED_M < m)) {
+            return Err(doubt.clone());
+        }
+        Ok(UsableBase { station, age_s, doubt })
+    }
+
+    /// Differences an epoch of a rover about at `rover` against the base.
+    pub(crate) fn difference(
+        &self,
+        inputs: &EpochInputs<'_>,
+        rover: Ecef,
+        station: &BaseStation,
+        differences: &mut SingleDifferences,
+    ) -> Result<(), Reason> {
+        let EpochInputs { epoch, navigation, .. } = *inputs;
+        let length_m = rover.distance_m(station.antenna_reference_point);
+        if inputs.options().rtk.baseline_max_m < length_m {
+            return Err(Reason::BaselineTooLong { length_m });
+        }
+        let newest = self.base.newest().ok_or(Reason::BaseMissing)?;
+        let side = BaseSide { station, epoch: newest };
+        let gathered = differences.gather(epoch, rover, &side, navigation, inputs.options());
+        gathered.ok_or(Reason::NotConverged)?;
+        let (used, needed) = differences.used_and_needed();
+        match used < needed {
+            true => Err(Reason::TooFewCommonSatellites { used, needed }),
+            false => Ok(()),
+        }
+    }
+}

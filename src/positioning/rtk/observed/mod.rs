@@ -1,0 +1,25 @@
+//! What rover and base observe together, before any estimate.
+
+mod arcs;
+mod base;
+mod base_tracking;
+mod code_biases;
+mod epoch;
+mod losses;
+mod noise;
+mod pseudorange_age;
+mod receivers;
+mod residuals;
+mod rows;
+mod slips;
+
+pub(crate) use arcs::{ArcReference, Arcs, CarrierArc, HeldInteger};
+pub(crate) use base_tracking::{BaseTracking, Intake, Received, UsableBase};
+pub(crate) use epoch::{AmbiguityStart, EpochAmbiguity, RowScratch, Rows, RtkEpoch, STATE, State};
+#[cfg(test)]
+pub(crate) use epoch::{DifferenceFactor, Group};
+pub(crate) use noise::{FREEDOM_LEAST, KnownNoise, Residuals};
+pub(crate) use receivers::Receivers;
+pub(crate) use residuals::{carrier_residuals, window_residuals};
+pub(crate) use rows::{NewRows, fill};
+pub(crate) use slips::{SLIP_ROUNDS, Slips, cut_slips};

@@ -1,0 +1,102 @@
+//! The time since the last pseudorange of each carrier: errors last, whether its phase is tracked
+//! or not.
+
+use crate::gnss::{GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::differencing::SingleDifference;
+use crate::snapshot::{snapshot_fields, state_fields};
+
+/// Most carriers kept; pseudoranges of further ones count in full.
+const CARRIERS_MAX: usize = 1024;
+
+/// When a carrier last had a pseudorange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct LastPseudorange {
+    satellite: SatelliteId,
+    /// Codes at rover and base.
+    codes: [ObservationCode; 2],
+    last: GpsTime,
+}
+
+/// When each carrier last had a pseudorange.
+#[derive(Debug, Default)]
+pub(crate) struct LastPseudoranges {
+    list: Vec<LastPseudorange>,
+}
+
+snapshot_fields!(LastPseudorange { satellite, codes, last });
+state_fields!(LastPseudoranges { list });
+
+impl LastPseudoranges {
+    /// Share of a pseudorange's information that is independent of the carrier's last one: the time
+    /// since then over the correlation time of errors, at most one.
+    pub(crate) fn independent_share(
+        &mut self,
+        difference: &SingleDifference,
+        time: GpsTime,
+        correlation_s: f64,
+    ) -> f64 {
+        let SingleDifference { satellite, codes, .. } = *difference;
+        let is_it =
+            |last: &&mut LastPseudorange| (last.satellite, last.codes) == (satellite, codes);
+        if let Some(known) = self.list.iter_mut().find(is_it) {
+            let share = ((time - known.last) / correlation_s).min(1.0);
+            known.last = time;
+            return share;
+        }
+        if self.list.len() < CARRIERS_MAX {
+            self.list.push(LastPseudorange { satellite, codes, last: time });
+        }
+        1.0
+    }
+
+    /// Forgets carriers without a pseudorange since `time`.
+    pub(crate) fn forget_before(&mut self, time: GpsTime) {
+        self.list.retain(|known| time <= known.last);
+    }
+
+    /// Forgets all.
+    pub(crate) fn clear(&mut self) {
+        self.list.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::{Band, Constellation};
+
+    fn difference(number: u8, code: &str) -> SingleDifference {
+        SingleDifference {
+            common: 0,
+            satellite: SatelliteId::new(Constellation::Gps, number).unwrap(),
+            band: Band::L1,
+            codes: [code, "1C"].map(|code| ObservationCode::parse(code).unwrap()),
+            shares_code: code == "1C",
+            frequency_hz: 1_575.42e6,
+            pseudorange: None,
+            carrier: None,
+            rover_lost_lock: false,
+            half_cycle: false,
+        }
+    }
+
+    /// Errors of 30 s: what comes 6 s after the last is a fifth new, what comes 40 s after it all
+    /// new.
+    #[test]
+    fn a_pseudorange_soon_after_another_counts_in_part() {
+        let mut ages = LastPseudoranges::default();
+        let at = |seconds: f64| GpsTime::EPOCH + seconds;
+        let mut share = |number, code, seconds| {
+            ages.independent_share(&difference(number, code), at(seconds), 30.0)
+        };
+        assert_eq!(share(7, "1C", 0.0), 1.0);
+        assert_eq!(share(7, "1C", 6.0), 0.2);
+        assert_eq!(share(7, "1W", 6.0), 1.0, "another code");
+        assert_eq!(share(8, "1C", 6.0), 1.0, "another satellite");
+        assert_eq!(share(7, "1C", 46.0), 1.0);
+        ages.forget_before(at(46.0));
+        assert_eq!(ages.list.len(), 1);
+        ages.clear();
+        assert_eq!(ages.independent_share(&difference(7, "1C"), at(47.0), 30.0), 1.0);
+    }
+}

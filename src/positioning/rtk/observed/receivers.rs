@@ -1,0 +1,85 @@
+//! What is learnt of rover and base as receivers: their noise, and their code biases.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::positioning::setup::OFFSET_KERNEL;
+use crate::snapshot::state_fields;
+
+use super::code_biases::CodeBiases;
+use super::epoch::{RowScratch, RtkEpoch, State};
+use super::noise::{KnownNoise, NoiseScale, Residuals};
+use super::pseudorange_age::LastPseudoranges;
+use super::residuals::{leverage, pseudorange_residuals, whitened};
+
+/// Noise and biases of the pair of receivers.
+#[derive(Debug)]
+pub(crate) struct Receivers {
+    pub(crate) last_pseudoranges: LastPseudoranges,
+    pub(crate) pseudorange_noise: NoiseScale,
+    pub(crate) carrier_noise: NoiseScale,
+    pub(crate) biases: CodeBiases,
+}
+
+state_fields!(Receivers { last_pseudoranges, pseudorange_noise, carrier_noise, biases });
+
+impl Receivers {
+    /// Noise as stated, no biases.
+    pub(crate) fn new() -> Self {
+        Self {
+            last_pseudoranges: LastPseudoranges::default(),
+            pseudorange_noise: NoiseScale::stated(),
+            carrier_noise: NoiseScale::stated(),
+            biases: CodeBiases::default(),
+        }
+    }
+
+    /// The pseudoranges' noise, with the residuals of a window that was solved.
+    pub(crate) fn known_noise(&self, residuals: &Residuals) -> KnownNoise {
+        self.pseudorange_noise.known(residuals)
+    }
+
+    /// Learns the pseudoranges' noise from an epoch that was solved.
+    ///
+    /// A pseudorange of leverage h = aᵀCa/σ² and share s, C the position's covariance, leaves a
+    /// residual of variance (1 − (2s − 1)·h)·σ²: the sum of (2s − 1)·h is what the epoch has
+    /// determined of its position. Where phases tie it to those before, that is little.
+    pub(crate) fn learn_noise(
+        &mut self,
+        epoch: &RtkEpoch,
+        state: &State,
+        covariance: &Matrix3<f64>,
+        scratch: &mut RowScratch,
+    ) {
+        let groups = pseudorange_residuals(epoch, state, scratch);
+        let by_position = leverage(epoch, state, covariance, scratch, |share| 2.0 * share - 1.0);
+        self.pseudorange_noise.learn(&mut scratch.residuals, groups as f64 + by_position);
+    }
+
+    /// Learns the code biases from a position with integers held.
+    pub(crate) fn learn_biases(
+        &mut self,
+        epoch: &RtkEpoch,
+        position: &Vector3<f64>,
+        scratch: &mut RowScratch,
+    ) {
+        if epoch.rows.iter().all(|factor| factor.bias.is_none()) {
+            return;
+        }
+        let mut state = State::zeros();
+        state.fixed_rows_mut::<3>(0).copy_from(position);
+        epoch.see(&state, scratch);
+        for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+            let factors = &epoch.rows[group.begin..group.end];
+            if factors.iter().all(|factor| factor.bias.is_none()) {
+                continue;
+            }
+            epoch.linearize_group(group, &[], scratch);
+            let RowScratch { rows, numbers, .. } = &mut *scratch;
+            for (factor, residual) in factors.iter().zip(whitened(rows, &OFFSET_KERNEL, numbers)) {
+                let Some(index) = factor.bias else { continue };
+                let sigma_m = factor.inverse_sigma.recip();
+                self.biases.learn(index, -residual * sigma_m, sigma_m.powi(2), factor.share);
+            }
+        }
+    }
+}

@@ -1,0 +1,334 @@
+//! The driver of an estimate relative to a base: one epoch in order, whichever solver it is for.
+//!
+//! First what is new of the base is taken in. If the base can be used, the rover is located,
+//! differenced against it and solved; else an estimator without a base answers. The solver keeps
+//! its ambiguities while the base is missing.
+
+use std::fmt::Debug;
+
+use nalgebra::SMatrix;
+
+use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
+use crate::positioning::differencing::SingleDifferences;
+use crate::positioning::engine::{Engine, EpochInputs};
+use crate::positioning::factors::VELOCITY;
+use crate::positioning::setup::Setup;
+use crate::snapshot::{Snapshot, state_fields};
+
+use super::ambiguity::Resolution;
+use super::answer::{AnswerParts, solution};
+use super::observed::{Arcs, BaseTracking, Intake, Received, RtkEpoch, STATE, State, UsableBase};
+use super::tracking::Tracking;
+
+/// Distance from the frame's origin at which the solver restarts (m): up has turned by 1°.
+const FRAME_LIMIT_M: f64 = 1e5;
+
+/// A solver of differences: a window of epochs, or a filter.
+pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
+    /// The estimator that answers while there is no base.
+    type Alone: Engine;
+    /// The epochs that may be answered again.
+    type Past: Clone + Debug + Snapshot;
+    /// Memory to solve in.
+    type Scratch: Default + Debug;
+
+    /// A solver before its first epoch.
+    fn new() -> Self;
+
+    /// No epochs yet; kept only if `revises`.
+    fn past(revises: bool) -> Self::Past;
+
+    /// Time of the newest epoch; `None` where the solver must restart.
+    fn last_time(&self) -> Option<GpsTime>;
+
+    /// The state at `time` by the velocity of the newest epoch.
+    fn predicted(&self, time: GpsTime) -> State;
+
+    /// The frame of the states.
+    fn frame(&self) -> &LocalFrame;
+
+    /// Arcs, integers and noise.
+    fn tracking(&mut self) -> &mut Tracking;
+
+    /// Forgets all states and arcs and puts the origin at `start`.
+    fn begin(&mut self, start: Ecef, guess: &State);
+
+    /// Forgets everything, for another base.
+    fn forget(&mut self);
+
+    /// Solves an epoch and its integers.
+    ///
+    /// # Errors
+    /// The epoch cannot be solved; the solver has dropped its states and arcs.
+    fn solve(
+        &mut self,
+        new: NewEpoch<'_>,
+        past: &mut Self::Past,
+        scratch: &mut Self::Scratch,
+    ) -> Result<Resolved, Reason>;
+
+    /// The epoch that was solved last.
+    fn epoch<'a>(&'a self, scratch: &'a Self::Scratch) -> &'a RtkEpoch;
+
+    /// Takes an answer in, relative to the base or not, and answers epochs that leave again.
+    fn remember(
+        &self,
+        _answer: (&Solution, bool),
+        _inputs: &EpochInputs<'_>,
+        _past: &mut Self::Past,
+        _scratch: &mut Self::Scratch,
+        _revisions: &mut Vec<Solution>,
+    ) {
+    }
+
+    /// Answers all epochs again, for the last time.
+    fn answer_all(
+        &self,
+        _setup: &Setup,
+        _past: &mut Self::Past,
+        _scratch: &mut Self::Scratch,
+        _revisions: &mut Vec<Solution>,
+    ) {
+    }
+
+    /// Makes all answers final as they are: the states are gone.
+    fn leave_all(_past: &mut Self::Past, _revisions: &mut Vec<Solution>) {}
+
+    /// Time of the oldest epoch that may be answered again.
+    fn oldest(_past: &Self::Past) -> Option<GpsTime> {
+        None
+    }
+}
+
+/// An epoch to be solved.
+pub(crate) struct NewEpoch<'a> {
+    pub(crate) time: GpsTime,
+    /// Its state, approximately.
+    pub(crate) guess: State,
+    pub(crate) differences: &'a SingleDifferences,
+    pub(crate) setup: &'a Setup,
+    /// Satellites whose arcs ended; the solver appends to it.
+    pub(crate) slipped: &'a mut Vec<SatelliteId>,
+}
+
+/// The state of an epoch with its integers.
+pub(crate) struct Resolved {
+    pub(crate) state: State,
+    pub(crate) covariance: SMatrix<f64, STATE, STATE>,
+    pub(crate) resolution: Resolution,
+}
+
+/// An estimator relative to a base.
+#[derive(Debug)]
+pub(crate) struct Relative<S: RelativeSolver> {
+    solver: S,
+    base: BaseTracking,
+    /// Answers while there is no base to use.
+    alone: Option<Box<S::Alone>>,
+    past: S::Past,
+}
+
+state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, alone, past });
+
+/// Memory to compute in.
+#[derive(Debug)]
+pub(crate) struct RelativeScratch<S: RelativeSolver> {
+    intake: Intake,
+    alone: <S::Alone as Engine>::Scratch,
+    solver: S::Scratch,
+}
+
+impl<S: RelativeSolver> Default for RelativeScratch<S> {
+    fn default() -> Self {
+        Self { intake: Intake::default(), alone: Default::default(), solver: S::Scratch::default() }
+    }
+}
+
+/// An epoch that was differenced against a base.
+struct Differenced<'a> {
+    guess: State,
+    base: UsableBase<'a>,
+    reasons: Vec<Reason>,
+}
+
+impl<S: RelativeSolver> Engine for Relative<S> {
+    type Scratch = RelativeScratch<S>;
+
+    fn new(_setup: &Setup, revises: bool) -> Self {
+        let (solver, past) = (S::new(), S::past(revises));
+        Self { solver, base: BaseTracking::default(), alone: None, past }
+    }
+
+    fn fits(&self, setup: &Setup) -> bool {
+        self.alone.as_ref().is_none_or(|alone| alone.fits(setup))
+    }
+
+    /// An epoch that is not after the last one is answered by itself and changes nothing.
+    fn advance(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Solution {
+        let Some(received) = self.base.receive(inputs) else {
+            return scratch.intake.single_point.solve(inputs, None);
+        };
+        let changed = received.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
+        let differenced = self.difference(inputs, &received, scratch, revisions);
+        let answered = differenced.and_then(|epoch| self.solve(inputs, epoch, scratch, revisions));
+        let is_relative = answered.is_ok();
+        let solution = match answered {
+            Ok(solution) => {
+                self.alone = None;
+                solution
+            }
+            Err(reason) => {
+                let fresh = || Box::new(S::Alone::new(inputs.setup, false));
+                let alone = self.alone.get_or_insert_with(fresh);
+                let mut solution = alone.advance(inputs, &mut scratch.alone, &mut Vec::new());
+                solution.reasons.extend(changed.into_iter().chain([reason]));
+                solution
+            }
+        };
+        let answer = (&solution, is_relative);
+        self.solver.remember(answer, inputs, &mut self.past, &mut scratch.solver, revisions);
+        solution
+    }
+
+    fn finish(
+        &mut self,
+        setup: &Setup,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) {
+        self.solver.answer_all(setup, &mut self.past, &mut scratch.solver, revisions);
+    }
+
+    fn oldest_unrevised(&self) -> Option<GpsTime> {
+        S::oldest(&self.past)
+    }
+}
+
+impl<S: RelativeSolver> Relative<S> {
+    /// Everything up to the differences of the epoch, or the reason why there are none.
+    fn difference<'a>(
+        &mut self,
+        inputs: &EpochInputs<'a>,
+        received: &Received,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Result<Differenced<'a>, Reason> {
+        if received.base_changed_m.is_some() {
+            let (past, solver) = (&mut self.past, &mut scratch.solver);
+            self.solver.answer_all(inputs.setup, past, solver, revisions);
+            self.solver.forget();
+        }
+        let (time, rtk) = (inputs.epoch.time, &inputs.options().rtk);
+        let Intake { single_point, slipped, .. } = &mut scratch.intake;
+        slipped.clear();
+        let arcs = &mut self.solver.tracking().arcs;
+        arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
+        let base = self.base.usable(inputs, single_point)?;
+        let guess = self.locate(inputs, scratch, revisions)?;
+        let rover = position(self.solver.frame(), &guess);
+        let Intake { differences, slipped, .. } = &mut scratch.intake;
+        self.base.difference(inputs, rover, base.station, differences)?;
+        self.solver.tracking().arcs.end_flipped(&differences.list, slipped);
+        let mut reasons = Vec::new();
+        if !differences.without_ephemeris.is_empty() {
+            let satellites = differences.without_ephemeris.clone();
+            reasons.push(Reason::EphemerisMissing { satellites });
+        }
+        let Received { base_changed_m, base_moved_m, .. } = received;
+        reasons.extend(base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m }));
+        reasons.extend(base_moved_m.map(|distance_m| Reason::BaseMoved { distance_m }));
+        Ok(Differenced { guess, base, reasons })
+    }
+
+    /// The approximate state of the rover; restarts the solver where it cannot predict one.
+    fn locate(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Result<State, Reason> {
+        let (time, options) = (inputs.epoch.time, inputs.options());
+        let mut start = None;
+        if let Some(last) = self.solver.last_time() {
+            let guess = self.solver.predicted(time);
+            let is_near = guess.fixed_rows::<3>(0).norm() < FRAME_LIMIT_M;
+            if options.rtk.single_epoch {
+                start = Some((position(self.solver.frame(), &guess), State::zeros()));
+            } else if time - last <= options.graph.gap_s && is_near {
+                return Ok(guess);
+            }
+        }
+        let (start, guess) = match start {
+            Some(start) => start,
+            None => {
+                let alone = scratch.intake.single_point.solve(inputs, None);
+                let estimate = alone.estimate.ok_or(Reason::NotConverged)?;
+                let mut guess = State::zeros();
+                if let Some(velocity) = &estimate.velocity {
+                    let local = LocalFrame::at(estimate.position).rotation * velocity.velocity_m_s;
+                    guess.fixed_rows_mut::<3>(VELOCITY).copy_from(&local);
+                }
+                (estimate.position, guess)
+            }
+        };
+        self.solver.answer_all(inputs.setup, &mut self.past, &mut scratch.solver, revisions);
+        self.solver.begin(start, &guess);
+        Ok(guess)
+    }
+
+    /// Solves and answers an epoch that was differenced.
+    fn solve(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        epoch: Differenced<'_>,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Result<Solution, Reason> {
+        let Differenced { guess, base, mut reasons } = epoch;
+        let Intake { differences, slipped, .. } = &mut scratch.intake;
+        let (time, setup) = (inputs.epoch.time, inputs.setup);
+        let new = NewEpoch { time, guess, differences, setup, slipped };
+        let resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
+        let resolved = resolved.inspect_err(|_| S::leave_all(&mut self.past, revisions))?;
+        reasons.extend(slip_reasons(slipped, &self.solver.tracking().arcs, time));
+        Ok(solution(AnswerParts {
+            frame: self.solver.frame(),
+            epoch: self.solver.epoch(&scratch.solver),
+            state: &resolved.state,
+            covariance: &resolved.covariance,
+            differences,
+            resolution: resolved.resolution,
+            reasons,
+            base,
+            options: &setup.options.rtk,
+        }))
+    }
+}
+
+/// The ECEF position of a state.
+fn position(frame: &LocalFrame, state: &State) -> Ecef {
+    frame.to_ecef(Enu(state.fixed_rows::<3>(0).into_owned()))
+}
+
+/// The satellites whose arcs ended, and those that may be off by half a cycle.
+fn slip_reasons(slipped: &mut Vec<SatelliteId>, arcs: &Arcs, time: GpsTime) -> Vec<Reason> {
+    let mut reasons = Vec::new();
+    if !slipped.is_empty() {
+        slipped.sort_unstable();
+        slipped.dedup();
+        reasons.push(Reason::CycleSlips { satellites: slipped.clone() });
+    }
+    let halves = arcs.present(time).filter(|arc| arc.half_cycle);
+    let mut satellites: Vec<_> = halves.map(|arc| arc.satellite).collect();
+    if !satellites.is_empty() {
+        satellites.sort_unstable();
+        satellites.dedup();
+        reasons.push(Reason::HalfCycleUnresolved { satellites });
+    }
+    reasons
+}

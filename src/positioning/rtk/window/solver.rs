@@ -1,0 +1,212 @@
+//! Solves a window of differences, and answers epochs again.
+
+use std::ops::Range;
+
+use nalgebra::Matrix3;
+
+use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
+use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
+use crate::positioning::engine::EpochInputs;
+use crate::positioning::fgo::SlidingWindow;
+use crate::positioning::rtk::ambiguity::{FloatSolution, IntegerSearch};
+use crate::positioning::rtk::observed::{
+    RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, State, window_residuals,
+};
+use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
+use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
+use crate::positioning::setup::Setup;
+
+use super::chain::Chain;
+use super::history::{FactoredWindow, History};
+
+/// Memory to solve in.
+#[derive(Debug)]
+pub(crate) struct ChainScratch {
+    rows: RowScratch,
+    search: IntegerSearch,
+    workspace: Workspace<STATE>,
+    covariances: Covariances<STATE>,
+    smoother: Smoother<STATE>,
+    oldest: (System<STATE>, Elimination<STATE>),
+}
+
+impl Default for ChainScratch {
+    fn default() -> Self {
+        Self {
+            rows: RowScratch::default(),
+            search: IntegerSearch::default(),
+            workspace: Workspace::new(BorderLife::WholeChain),
+            covariances: Covariances::new(),
+            smoother: Smoother::new(),
+            oldest: (System::new(BorderLife::WholeChain), Elimination::new()),
+        }
+    }
+}
+
+impl RelativeSolver for Chain {
+    type Alone = SlidingWindow;
+    type Past = Option<History>;
+    type Scratch = ChainScratch;
+
+    fn new() -> Self {
+        Self::empty()
+    }
+
+    fn past(revises: bool) -> Option<History> {
+        revises.then(History::default)
+    }
+
+    fn last_time(&self) -> Option<GpsTime> {
+        self.epochs.last().map(|epoch| epoch.time)
+    }
+
+    fn predicted(&self, time: GpsTime) -> State {
+        self.expected(time)
+    }
+
+    fn frame(&self) -> &LocalFrame {
+        &self.frame
+    }
+
+    fn tracking(&mut self) -> &mut Tracking {
+        &mut self.tracking
+    }
+
+    fn begin(&mut self, start: Ecef, _guess: &State) {
+        self.clear();
+        self.frame = LocalFrame::at(start);
+    }
+
+    fn forget(&mut self) {
+        self.clear();
+        self.tracking = Tracking::new();
+    }
+
+    fn solve(
+        &mut self,
+        new: NewEpoch<'_>,
+        past: &mut Option<History>,
+        scratch: &mut ChainScratch,
+    ) -> Result<Resolved, Reason> {
+        let (setup, slipped) = (new.setup, new.slipped);
+        self.append(new.time, new.guess, new.differences, setup, &mut scratch.rows);
+        if self.settle(setup, slipped, past.as_mut(), scratch).is_none() {
+            self.clear();
+            return Err(Reason::NotConverged);
+        }
+        let ChainScratch { rows, search, workspace, covariances, .. } = scratch;
+        covariances.newest(&workspace.elimination);
+        let covariance = position_covariance(covariances);
+        let Self { tracking, estimate, epochs, .. } = self;
+        let epoch = epochs.last().expect("a window that was solved has an epoch");
+        let state = estimate.states.last().expect("one state for each epoch");
+        tracking.learn_noise(epoch, state, &covariance, rows);
+        let variables = covariances.variables().iter();
+        let ambiguities = variables.map(|&variable| estimate.border[variable]).collect();
+        let solved = SolvedEpoch {
+            epoch,
+            border: &estimate.border,
+            float: &FloatSolution::of_graph(state, ambiguities, covariances),
+            residuals: window_residuals(epochs, &estimate.states, &covariance, rows),
+        };
+        let resolution = tracking.resolve(&solved, &setup.options, search, rows);
+        Ok(Resolved { state: *state, covariance: *covariances.state(), resolution })
+    }
+
+    fn epoch<'a>(&'a self, _scratch: &'a ChainScratch) -> &'a RtkEpoch {
+        self.epochs.last().expect("a window that was solved has an epoch")
+    }
+
+    fn remember(
+        &self,
+        (solution, is_relative): (&Solution, bool),
+        inputs: &EpochInputs<'_>,
+        past: &mut Option<History>,
+        scratch: &mut ChainScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        let Some(history) = past else { return };
+        let options = inputs.options();
+        match is_relative {
+            true => history.push(solution.clone(), &self.tracking, &options.rtk),
+            false => history.push_alone(solution.clone()),
+        }
+        let due = history.due(inputs.epoch.time, &options.graph);
+        self.revise(due.clone(), inputs.setup, history, scratch);
+        if !inputs.setup.is_batch {
+            revisions.extend(history.leave(due.end));
+        }
+    }
+
+    fn answer_all(
+        &self,
+        setup: &Setup,
+        past: &mut Option<History>,
+        scratch: &mut ChainScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        if let Some(history) = past {
+            self.revise(history.all(), setup, history, scratch);
+        }
+        Self::leave_all(past, revisions);
+    }
+
+    fn leave_all(past: &mut Option<History>, revisions: &mut Vec<Solution>) {
+        if let Some(history) = past {
+            revisions.extend(history.leave(history.all().end));
+            *history = History::default();
+        }
+    }
+
+    fn oldest(past: &Option<History>) -> Option<GpsTime> {
+        past.as_ref()?.oldest_time()
+    }
+}
+
+impl Chain {
+    /// Marginalises the epochs that leave and solves the window, until no slip is found.
+    fn settle(
+        &mut self,
+        setup: &Setup,
+        slipped: &mut Vec<SatelliteId>,
+        mut history: Option<&mut History>,
+        scratch: &mut ChainScratch,
+    ) -> Option<()> {
+        let ChainScratch { rows, workspace, oldest, .. } = scratch;
+        let settings = &setup.relative;
+        while setup.options.rtk.window_epochs < self.epochs.len() {
+            self.forget_oldest(settings, history.as_deref_mut(), rows, oldest).ok()?;
+        }
+        for _ in 0..SLIP_ROUNDS {
+            self.optimize(settings, rows, workspace).ok()?;
+            if !self.cut_slips(settings, slipped, rows) {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// Answers some epochs again; where the window cannot be factored, their answers stand.
+    fn revise(
+        &self,
+        epochs: Range<usize>,
+        setup: &Setup,
+        history: &mut History,
+        scratch: &mut ChainScratch,
+    ) {
+        let ChainScratch { rows, search, workspace, smoother, .. } = scratch;
+        if history.has_graph(epochs.clone())
+            && self.factor(&setup.relative, rows, workspace).is_ok()
+        {
+            let Self { estimate, frame, .. } = self;
+            let (elimination, resolver) = (&workspace.elimination, &mut search.resolver);
+            let window = FactoredWindow { elimination, estimate, frame, smoother, resolver };
+            history.revise(epochs, window, &setup.options.rtk);
+        }
+    }
+}
+
+/// Covariance of the newest position (m²).
+fn position_covariance(covariances: &Covariances<STATE>) -> Matrix3<f64> {
+    covariances.state().fixed_view::<3, 3>(0, 0).into_owned()
+}
