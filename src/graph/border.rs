@@ -8,7 +8,7 @@ use nalgebra::SVector;
 
 use crate::graph::block::{BadPivot, Rank};
 use crate::graph::lanes::{Lanes, ROWS, Tiles, across, lanes, products, solve_block, subtract};
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 
 /// Lower triangle of a symmetric matrix, or its Cholesky factor.
 ///
@@ -20,17 +20,7 @@ pub(crate) struct Packed {
     columns: Vec<Lanes>,
 }
 
-impl Clone for Packed {
-    fn clone(&self) -> Self {
-        Self { size: self.size, columns: self.columns.clone() }
-    }
-
-    fn clone_from(&mut self, source: &Self) {
-        let Self { size, columns } = self;
-        *size = source.size;
-        columns.clone_from(&source.columns);
-    }
-}
+clone_fields!(Packed { size, columns });
 
 impl Snapshot for Packed {
     /// Writes the triangle row by row.

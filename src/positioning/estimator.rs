@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Epoch, GpsTime, Solution};
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 
 use super::aiding::Aiding;
 use super::ekf::KalmanFilter;
@@ -139,6 +139,8 @@ pub struct EstimatorState {
     revisions: Vec<Solution>,
 }
 
+clone_fields!(EstimatorState { setup, mode, revisions });
+
 impl EstimatorState {
     /// The state before the first epoch; with `revises`, a mode with a window answers epochs again
     /// as they leave it.
@@ -210,21 +212,6 @@ impl EstimatorState {
         }
         reader.finish()?;
         Ok(Self { setup, mode, revisions: Vec::new() })
-    }
-}
-
-impl Clone for EstimatorState {
-    fn clone(&self) -> Self {
-        let setup = Arc::clone(&self.setup);
-        Self { setup, mode: self.mode.clone(), revisions: self.revisions.clone() }
-    }
-
-    /// Copies into the storage already held.
-    fn clone_from(&mut self, source: &Self) {
-        let Self { setup, mode, revisions } = self;
-        setup.clone_from(&source.setup);
-        mode.clone_from(&source.mode);
-        revisions.clone_from(&source.revisions);
     }
 }
 

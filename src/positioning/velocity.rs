@@ -44,6 +44,21 @@ pub(super) struct VelocityEstimator {
 }
 
 impl VelocityEstimator {
+    /// Velocity by the Doppler of all measurements above the mask, where the options use it as a
+    /// whole rather than satellite by satellite.
+    pub(super) fn estimate_whole(
+        &mut self,
+        position: Ecef,
+        measurements: &[Measurement],
+        options: &PositioningOptions,
+    ) -> Option<Velocity> {
+        let is_used = |index: usize| measurements[index].is_above_mask;
+        match options.graph.doppler {
+            DopplerUse::Velocity => self.estimate(position, measurements, is_used, options),
+            DopplerUse::None | DopplerUse::Satellites => None,
+        }
+    }
+
     /// Velocity at `position` from the measurements that `is_used` accepts; `None` if their Doppler
     /// does not determine it.
     pub(super) fn estimate(

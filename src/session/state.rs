@@ -8,7 +8,7 @@ use crate::aiding::bases::BaseInput;
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
 
 use super::base_selection::{BaseSelection, BaseSource};
@@ -41,6 +41,8 @@ pub(super) struct State {
     /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
 }
+
+clone_fields!(State { estimator, configuration_hash, base_selection, last, unrevised, unsaved });
 
 /// The solution of an epoch, and the revisions of earlier epochs that it led to.
 pub(super) struct Advanced {
@@ -180,29 +182,5 @@ impl State {
         let configuration_hash = configuration.hash.clone();
         let last = Some((seq, time));
         Ok(Self { estimator, configuration_hash, base_selection, last, unrevised, unsaved: 0 })
-    }
-}
-
-impl Clone for State {
-    fn clone(&self) -> Self {
-        Self {
-            estimator: self.estimator.clone(),
-            configuration_hash: self.configuration_hash.clone(),
-            base_selection: self.base_selection,
-            last: self.last,
-            unrevised: self.unrevised.clone(),
-            unsaved: self.unsaved,
-        }
-    }
-
-    /// Copies into the storage that `self` already has.
-    fn clone_from(&mut self, source: &Self) {
-        let Self { estimator, configuration_hash, base_selection, last, unrevised, unsaved } = self;
-        estimator.clone_from(&source.estimator);
-        configuration_hash.clone_from(&source.configuration_hash);
-        *base_selection = source.base_selection;
-        *last = source.last;
-        unrevised.clone_from(&source.unrevised);
-        *unsaved = source.unsaved;
     }
 }

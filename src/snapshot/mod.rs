@@ -64,17 +64,10 @@ macro_rules! snapshot_fields {
     };
 }
 
-/// Implements [`Snapshot`] as `snapshot_fields!` does, and [`Clone`], whose `clone_from` copies
-/// every field into the storage already held.
-macro_rules! state_fields {
-    (
-        generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }
-        $(checked by $check:ident)?
-    ) => {
-        $crate::snapshot::snapshot_fields!(
-            generic [$($generic)*] $type { $($field),* } $(checked by $check)?
-        );
-
+/// Implements [`Clone`] for a struct, with a `clone_from` that copies every field into the storage
+/// that is there already.
+macro_rules! clone_fields {
+    (generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }) => {
         impl<$($generic)*> Clone for $type {
             fn clone(&self) -> Self {
                 Self { $($field: Clone::clone(&self.$field)),* }
@@ -85,6 +78,22 @@ macro_rules! state_fields {
                 $(Clone::clone_from($field, &source.$field);)*
             }
         }
+    };
+    ($type:ty { $($field:ident),* $(,)? }) => {
+        $crate::snapshot::clone_fields!(generic [] $type { $($field),* });
+    };
+}
+
+/// `snapshot_fields!` and `clone_fields!` in one.
+macro_rules! state_fields {
+    (
+        generic [$($generic:tt)*] $type:ty { $($field:ident),* $(,)? }
+        $(checked by $check:ident)?
+    ) => {
+        $crate::snapshot::snapshot_fields!(
+            generic [$($generic)*] $type { $($field),* } $(checked by $check)?
+        );
+        $crate::snapshot::clone_fields!(generic [$($generic)*] $type { $($field),* });
     };
     ($type:ty { $($field:ident),* $(,)? } $(checked by $check:ident)?) => {
         $crate::snapshot::state_fields!(
@@ -121,4 +130,4 @@ macro_rules! snapshot_variants {
     };
 }
 
-pub(crate) use {snapshot_fields, snapshot_variants, state_fields};
+pub(crate) use {clone_fields, snapshot_fields, snapshot_variants, state_fields};

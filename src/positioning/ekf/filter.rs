@@ -362,11 +362,7 @@ impl FilterScratch {
     fn set_doppler_velocity(&mut self, known: &mut Known, options: &PositioningOptions) -> bool {
         let receiver = known.frame.to_ecef(Enu(position(&known.gaussian.state())));
         let list = &self.measurements.list;
-        let is_used = |index: usize| list[index].is_above_mask;
-        let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => self.velocity.estimate(receiver, list, is_used, options),
-            DopplerUse::None | DopplerUse::Satellites => None,
-        };
+        let velocity = self.velocity.estimate_whole(receiver, list, options);
         let (local, sigma_m_s) = match &velocity {
             Some(velocity) => (
                 known.frame.rotation * velocity.velocity_m_s,

@@ -1,16 +1,14 @@
 //! The whole chain at once: all epochs first, then all answers.
 
-use crate::config::DopplerUse;
 use crate::gnss::{Enu, Reason, Solution};
 use crate::graph::{BorderLife, Covariances, Workspace};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::factors::{DRIFT, STATE, VELOCITY, position};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
-use crate::positioning::velocity::VelocityEstimator;
 
 use super::answer::{AnswerScratch, solution};
-use super::chain::{Chain, ChainScratch, NewEpoch};
+use super::chain::{Chain, ChainScratch};
 
 /// A smoother over a whole recording.
 #[derive(Debug)]
@@ -20,7 +18,6 @@ pub(crate) struct WholeChain {
     alone: Vec<Solution>,
     solutions: Vec<Solution>,
     single_point: SinglePoint,
-    velocity: VelocityEstimator,
     scratch: ChainScratch,
     workspace: Workspace<STATE>,
 }
@@ -33,7 +30,6 @@ impl WholeChain {
             alone: Vec::new(),
             solutions: Vec::new(),
             single_point: SinglePoint::default(),
-            velocity: VelocityEstimator::default(),
             scratch: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WhileTouched),
         }
@@ -77,16 +73,7 @@ impl WholeChain {
             self.solutions.push(alone);
             return;
         }
-        let list = &measurements.list;
-        let is_used = |index: usize| list[index].is_above_mask;
-        let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => self.velocity.estimate(receiver, list, is_used, options),
-            DopplerUse::None | DopplerUse::Satellites => None,
-        };
-        let local = velocity.map(|velocity| self.chain.frame.rotation * velocity.velocity_m_s);
-        let time = epoch.time;
-        let new = NewEpoch { time, guess, measurements, doppler_velocity_m_s: local };
-        self.chain.append(new, inputs.setup, &mut self.scratch);
+        self.chain.append(epoch.time, guess, measurements, inputs.setup, &mut self.scratch);
         self.alone.push(alone);
     }
 

@@ -20,6 +20,7 @@ use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::uncertainty::{Residuals, repetition};
+use crate::positioning::velocity::VelocityEstimator;
 use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
@@ -82,17 +83,7 @@ pub(super) struct ChainScratch {
     lines: Vec<Line>,
     seen: [Seen; 2],
     clock: ClockScratch,
-}
-
-/// An epoch to be added to a chain.
-pub(super) struct NewEpoch<'a> {
-    pub(super) time: GpsTime,
-    /// Its state, approximately.
-    pub(super) guess: State,
-    /// Placed at that state.
-    pub(super) measurements: &'a Measurements,
-    /// Local, from its Doppler alone, where the tie needs it (m/s).
-    pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
+    velocity: VelocityEstimator,
 }
 
 impl Chain {
@@ -162,16 +153,25 @@ impl Chain {
         next
     }
 
-    /// Adds an epoch.
+    /// Adds an epoch whose state is approximately `guess`, where the measurements are placed.
     ///
     /// The guess's clock and the biases of constellations met for the first time are set from the
     /// median of the pseudoranges.
-    pub(super) fn append(&mut self, new: NewEpoch<'_>, setup: &Setup, scratch: &mut ChainScratch) {
-        let NewEpoch { time, mut guess, measurements, doppler_velocity_m_s } = new;
+    pub(super) fn append(
+        &mut self,
+        time: GpsTime,
+        mut guess: State,
+        measurements: &Measurements,
+        setup: &Setup,
+        scratch: &mut ChainScratch,
+    ) {
         let options = &setup.options.graph;
         let factors = &mut scratch.factors;
         factors.clear();
-        factors.doppler_velocity_m_s = doppler_velocity_m_s;
+        let receiver = self.frame.to_ecef(Enu(position(&guess)));
+        let velocity =
+            scratch.velocity.estimate_whole(receiver, &measurements.list, &setup.options);
+        factors.doppler_velocity_m_s = velocity.map(|v| self.frame.rotation * v.velocity_m_s);
         factors.slot = self.sequence % self.ring.max(1);
         let needed = Constellation::COUNT * (factors.slot + 1);
         if self.estimate.border.len() < needed {
@@ -187,7 +187,6 @@ impl Chain {
         self.range(factors, &measurements.list);
         let clock_m = self.settle_clock(&mut guess, scratch);
         let factors = &mut scratch.factors;
-        let receiver = self.frame.to_ecef(Enu(position(&guess)));
         if options.doppler == DopplerUse::Satellites {
             let sigma_m_s = setup.options.doppler_sigma_m_s;
             let list = measurements.list.iter();

@@ -2,7 +2,7 @@
 
 use nalgebra::SMatrix;
 
-use crate::config::{DopplerUse, PositioningOptions};
+use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, Reason, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, System, Workspace};
 use crate::positioning::Measurements;
@@ -10,11 +10,10 @@ use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::{DRIFT, STATE, State, VELOCITY, position};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
-use crate::positioning::velocity::VelocityEstimator;
 use crate::snapshot::state_fields;
 
 use super::answer::{AnswerScratch, solution};
-use super::chain::{Chain, ChainScratch, NewEpoch};
+use super::chain::{Chain, ChainScratch};
 
 /// Least number of epochs in a window, however far apart they are.
 const EPOCHS_MIN: usize = 10;
@@ -35,7 +34,6 @@ state_fields!(SlidingWindow { revises, chain });
 #[derive(Debug)]
 pub(crate) struct WindowScratch {
     single_point: SinglePoint,
-    velocity: VelocityEstimator,
     measurements: Measurements,
     chain: ChainScratch,
     workspace: Workspace<STATE>,
@@ -49,7 +47,6 @@ impl Default for WindowScratch {
     fn default() -> Self {
         Self {
             single_point: SinglePoint::default(),
-            velocity: VelocityEstimator::default(),
             measurements: Measurements::default(),
             chain: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WholeChain),
@@ -98,7 +95,13 @@ impl Engine for SlidingWindow {
         }
         let leaving = self.leaving(time, options);
         self.revise(leaving, inputs.setup, scratch, revisions);
-        self.append(guess, inputs, scratch);
+        self.chain.append(
+            inputs.epoch.time,
+            guess,
+            &scratch.measurements,
+            inputs.setup,
+            &mut scratch.chain,
+        );
         match self.solve(leaving, inputs.setup, scratch) {
             Some(solution) => solution,
             None => {
@@ -170,7 +173,13 @@ impl SlidingWindow {
             guess.fixed_rows_mut::<3>(VELOCITY).copy_from(&local);
             guess[DRIFT] = velocity.clock_drift_m_s;
         }
-        self.append(guess, inputs, scratch);
+        self.chain.append(
+            inputs.epoch.time,
+            guess,
+            &scratch.measurements,
+            inputs.setup,
+            &mut scratch.chain,
+        );
         let solution = self.solve(0, inputs.setup, scratch);
         if solution.is_none() {
             self.chain.clear();
@@ -187,22 +196,6 @@ impl SlidingWindow {
             revisions.push(alone.clone());
         }
         alone
-    }
-
-    fn append(&mut self, guess: State, inputs: &EpochInputs<'_>, scratch: &mut WindowScratch) {
-        let WindowScratch { velocity, measurements, chain: chain_scratch, .. } = scratch;
-        let (chain, options) = (&mut self.chain, inputs.options());
-        let receiver = chain.frame.to_ecef(Enu(position(&guess)));
-        let list = &measurements.list;
-        let is_used = |index: usize| list[index].is_above_mask;
-        let velocity = match options.graph.doppler {
-            DopplerUse::Velocity => velocity.estimate(receiver, list, is_used, options),
-            DopplerUse::None | DopplerUse::Satellites => None,
-        };
-        let local = velocity.map(|velocity| chain.frame.rotation * velocity.velocity_m_s);
-        let time = inputs.epoch.time;
-        let new = NewEpoch { time, guess, measurements, doppler_velocity_m_s: local };
-        chain.append(new, inputs.setup, chain_scratch);
     }
 
     /// Number of oldest epochs that leave when one at `time` comes.
