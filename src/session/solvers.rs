@@ -18,12 +18,12 @@ const SPARE_STATES: usize = 64;
 #[derive(Clone)]
 pub(super) struct Solvers {
     permits: Arc<Semaphore>,
-    spares: Spares,
+    memory: MemoryPool,
 }
 
 /// Memory that all sessions share, so that a session at rest needs its state only.
 #[derive(Clone, Default)]
-pub(super) struct Spares {
+pub(super) struct MemoryPool {
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -36,11 +36,11 @@ struct Shared {
 
 impl Solvers {
     pub(super) fn new(threads: NonZeroUsize) -> Self {
-        Self { permits: Arc::new(Semaphore::new(threads.get())), spares: Spares::default() }
+        Self { permits: Arc::new(Semaphore::new(threads.get())), memory: MemoryPool::default() }
     }
 
-    pub(super) fn spares(&self) -> &Spares {
-        &self.spares
+    pub(super) fn memory(&self) -> &MemoryPool {
+        &self.memory
     }
 
     /// Runs `work` on a thread of the pool.
@@ -68,19 +68,19 @@ impl Solvers {
         &self,
         work: impl FnOnce(&mut Scratch) -> T + Send + 'static,
     ) -> Result<T, SessionError> {
-        let spares = self.spares.clone();
+        let memory = self.memory.clone();
         let with_scratch = move || {
-            let scratch = spares.shared().scratches.pop();
+            let scratch = memory.shared().scratches.pop();
             let mut scratch = scratch.unwrap_or_default();
             let done = work(&mut scratch);
-            spares.shared().scratches.push(scratch);
+            memory.shared().scratches.push(scratch);
             done
         };
         self.run(with_scratch).await
     }
 }
 
-impl Spares {
+impl MemoryPool {
     /// A copy of `state`, in storage that an earlier one left.
     pub(super) fn copy_of(&self, state: &State) -> State {
         let spare = self.shared().states.pop();
@@ -94,7 +94,7 @@ impl Spares {
     }
 
     /// Keeps the storage of a state that is no longer needed.
-    pub(super) fn keep(&self, state: State) {
+    pub(super) fn recycle(&self, state: State) {
         let mut shared = self.shared();
         if shared.states.len() < SPARE_STATES {
             shared.states.push(state);

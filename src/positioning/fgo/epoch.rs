@@ -62,6 +62,52 @@ pub(super) struct GraphEpoch {
 
 snapshot_fields!(GraphEpoch { time, share, repetition, residuals, factors });
 
+impl GraphEpoch {
+    /// Adds the factors on this epoch's state alone and on the border; computes the lines of sight
+    /// and phase weights that its links need.
+    fn add_to(
+        &self,
+        k: usize,
+        estimate: &Estimate<STATE>,
+        kernels: &Kernels,
+        seen: &mut Seen,
+        system: &mut System<STATE>,
+    ) {
+        let (state, biases_m) = (&estimate.states[k], &estimate.border);
+        let Self { share, factors, .. } = self;
+        factors.see(state, &mut seen.lines);
+        seen.phase_weights.clear();
+        seen.phase_weights.resize(factors.sights.len(), 1.0);
+        let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
+        for range in &factors.ranges {
+            let row = range.linearize(&seen.lines, state, biases_m);
+            let (loss, kernel_weight) = kernels.pseudorange.loss_and_weight(row.residual);
+            seen.phase_weights[usize::from(range.sight)] = kernel_weight.max(PHASE_WEIGHT_MIN);
+            losses += loss;
+            let weight = *share * kernel_weight;
+            sum.add(row.residual, &row.jacobian, weight);
+            if let Some(variable) = range.bias {
+                let border = [(variable as usize, range.factor.inverse_sigma)];
+                system.add_border(k, &row, &border, weight);
+            }
+        }
+        system.add_cost(*share * losses);
+        system.add_sum(k, &POSITION_AND_CLOCK, &sum);
+        let mut sum = RowSum::ZERO;
+        for rate in &factors.rates {
+            let row = rate.linearize(state);
+            let weight = system.weigh(row.residual, &kernels.doppler);
+            sum.add(row.residual, &row.jacobian, weight);
+        }
+        system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
+        factors.components.iter().for_each(|component| component.add_to(k, estimate, system));
+        for bias in &factors.biases {
+            let (row, slope) = bias.linearize(estimate.border[bias.variable]);
+            system.add_with_border(k, &row, &[(bias.variable, slope)], &Kernel::QUADRATIC);
+        }
+    }
+}
+
 /// The factors of one epoch, and what its answer reports of its measurements.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Factors {
@@ -159,50 +205,6 @@ impl Factors {
             let pull = kernel.weight(residual) * residual;
             (range.satellite.constellation, pull, kernel.pull_slope(residual))
         }))
-    }
-
-    /// Adds the factors on this epoch's state alone and on the border; computes the lines of sight
-    /// and phase weights that its links need. Pseudoranges keep `share` of their information.
-    fn add_to(
-        &self,
-        k: usize,
-        share: f64,
-        estimate: &Estimate<STATE>,
-        kernels: &Kernels,
-        seen: &mut Seen,
-        system: &mut System<STATE>,
-    ) {
-        let (state, biases_m) = (&estimate.states[k], &estimate.border);
-        self.see(state, &mut seen.lines);
-        seen.phase_weights.clear();
-        seen.phase_weights.resize(self.sights.len(), 1.0);
-        let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
-        for range in &self.ranges {
-            let row = range.linearize(&seen.lines, state, biases_m);
-            let (loss, kernel_weight) = kernels.pseudorange.loss_and_weight(row.residual);
-            seen.phase_weights[usize::from(range.sight)] = kernel_weight.max(PHASE_WEIGHT_MIN);
-            losses += loss;
-            let weight = share * kernel_weight;
-            sum.add(row.residual, &row.jacobian, weight);
-            if let Some(variable) = range.bias {
-                let border = [(variable as usize, range.factor.inverse_sigma)];
-                system.add_border(k, &row, &border, weight);
-            }
-        }
-        system.add_cost(share * losses);
-        system.add_sum(k, &POSITION_AND_CLOCK, &sum);
-        let mut sum = RowSum::ZERO;
-        for rate in &self.rates {
-            let row = rate.linearize(state);
-            let weight = system.weigh(row.residual, &kernels.doppler);
-            sum.add(row.residual, &row.jacobian, weight);
-        }
-        system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
-        self.components.iter().for_each(|component| component.add_to(k, estimate, system));
-        for bias in &self.biases {
-            let (row, slope) = bias.linearize(estimate.border[bias.variable]);
-            system.add_with_border(k, &row, &[(bias.variable, slope)], &Kernel::QUADRATIC);
-        }
     }
 
     /// Computes lines of sight and phase weights as [`Self::add_to`] does, and adds nothing.
@@ -320,7 +322,7 @@ impl Rows<'_> {
         let [before, seen] = &mut *self.seen;
         let [first, second, ..] = self.epochs else { return };
         self.prior.add_to(0, estimate, system);
-        first.factors.add_to(0, first.share, estimate, &kernels, before, system);
+        first.add_to(0, estimate, &kernels, before, system);
         let factors = &second.factors;
         factors.look(&estimate.states[1], &estimate.border, &kernels.pseudorange, seen);
         factors.add_tie_to(0, estimate, &kernels, [before, seen], system);
@@ -332,11 +334,11 @@ impl Problem<STATE> for Rows<'_> {
         let kernels = self.kernels.at(phase);
         let [before, seen] = &mut *self.seen;
         self.prior.add_to(0, estimate, system);
-        for (k, GraphEpoch { share, factors, .. }) in self.epochs.iter().enumerate() {
+        for (k, epoch) in self.epochs.iter().enumerate() {
             std::mem::swap(before, seen);
-            factors.add_to(k, *share, estimate, &kernels, seen, system);
+            epoch.add_to(k, estimate, &kernels, seen, system);
             if 0 < k {
-                factors.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
+                epoch.factors.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
             }
         }
     }

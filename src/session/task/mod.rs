@@ -236,7 +236,7 @@ impl Task {
             self.store.commit(batch).await?;
         }
         let durable_through = state.last.map(|(seq, _)| seq);
-        self.solvers.spares().keep(committed);
+        self.solvers.memory().recycle(committed);
         let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
         let base = state.base().filter(|_| !configuration.bases.is_none());
         if let (Some(base), Some(estimate)) = (base, newest) {
@@ -290,9 +290,9 @@ impl Task {
     ) -> Result<(SolvedBatch, State), SessionError> {
         let aiding = self.aiding_for(configuration, &epochs);
         let (configuration, limit) = (configuration.clone(), self.observations_per_epoch);
-        let spares = self.solvers.spares().clone();
+        let memory = self.solvers.memory().clone();
         let work = move |scratch: &mut Scratch| {
-            let state = spares.copy_of(&committed);
+            let state = memory.copy_of(&committed);
             let estimation = &configuration.estimation;
             (SolvedBatch::position(state, epochs, &aiding, estimation, limit, scratch), committed)
         };
