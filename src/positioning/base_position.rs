@@ -6,6 +6,7 @@
 use nalgebra::Vector3;
 
 use crate::gnss::Ecef;
+use crate::snapshot::snapshot_fields;
 
 /// Epochs whose single-point positions are averaged.
 const EPOCHS_MAX: u32 = 10;
@@ -23,6 +24,8 @@ pub struct BasePositionCheck {
     /// time.
     pub epochs: u32,
 }
+
+snapshot_fields!(BasePositionCheck { sum_m, epochs });
 
 /// The result of a check, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,25 +1,14 @@
 //! The base between epochs of the rover.
 
-use nalgebra::Vector3;
-
 use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::BasePositionCheck;
 use crate::positioning::aiding::BASE_LATER_S;
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
-use crate::snapshot::{snapshot_fields, state_fields};
+use crate::snapshot::state_fields;
 
-/// Base epochs whose single-point positions are averaged to check the stated one.
-const CHECKS_MAX: u32 = 10;
 /// A base whose stated position changes by more has moved (m): RTCM resolves 0.1 mm.
 const MOVED_M: f64 = 1e-3;
-
-/// Difference between a base's stated position and its single points.
-#[derive(Clone, Copy, Debug)]
-struct PositionCheck {
-    stated: Ecef,
-    sum_m: Vector3<f64>,
-    count: u32,
-}
 
 /// The newest base epoch, and where the base may have slipped since the rover's last epoch.
 #[derive(Debug, Default)]
@@ -31,10 +20,10 @@ pub(crate) struct BaseMemory {
     lost: Vec<(SatelliteId, ObservationCode)>,
     /// The base lost power.
     power_failed: bool,
-    check: Option<PositionCheck>,
+    /// The stated position, and its check.
+    check: Option<(Ecef, BasePositionCheck)>,
 }
 
-snapshot_fields!(PositionCheck { stated, sum_m, count });
 state_fields!(BaseMemory { station, newest, lost, power_failed, check });
 
 impl BaseMemory {
@@ -74,35 +63,33 @@ impl BaseMemory {
         }
     }
 
-    /// Distance of the stated position from the mean of the base's first ten single points (m);
-    /// `None` while there is none.
-    pub(crate) fn position_error_m(
+    /// The check of the stated position, which takes in the newest epoch until it has enough.
+    pub(crate) fn checked(
         &mut self,
         station: &BaseStation,
         single_point: &mut SinglePoint,
         inputs: &EpochInputs<'_>,
-    ) -> Option<f64> {
+    ) -> BasePositionCheck {
         let stated = station.antenna_reference_point;
-        let fresh = PositionCheck { stated, sum_m: Vector3::zeros(), count: 0 };
-        let mut check = self.check.filter(|check| check.stated == stated).unwrap_or(fresh);
-        if check.count < CHECKS_MAX
+        let known = self.check.filter(|(position, _)| *position == stated);
+        let mut check = known.map_or_else(BasePositionCheck::new, |(_, check)| check);
+        if !check.is_done()
             && let Some(newest) = &self.newest
         {
             let of_base = EpochInputs { epoch: newest, ..*inputs };
             let alone = single_point.solve(&of_base, Some(stated));
             if let Some(estimate) = alone.estimate {
-                check.sum_m += estimate.position.0 - stated.0;
-                check.count += 1;
+                check.add(stated, estimate.position);
             }
         }
-        self.check = Some(check);
-        (0 < check.count).then(|| check.sum_m.norm() / f64::from(check.count))
+        self.check = Some((stated, check));
+        check
     }
 
     /// Distance that the base moved since it was used last (m); `None` where it has not. Its phases
     /// are then those of another position: no arc continues.
     pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
-        let stated = self.check?.stated;
+        let (stated, _) = self.check?;
         Some(stated.distance_m(station.antenna_reference_point)).filter(|m| MOVED_M < *m)
     }
 

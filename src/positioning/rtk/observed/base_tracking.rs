@@ -4,6 +4,8 @@
 //! epochs.
 
 use crate::gnss::{BaseStation, Ecef, GpsTime, Reason, SatelliteId};
+use crate::positioning::BasePositionVerdict;
+use crate::positioning::aiding::TAG_SLACK_S;
 use crate::positioning::differencing::{BaseSide, SingleDifferences};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
@@ -11,13 +13,6 @@ use crate::snapshot::state_fields;
 
 use super::base::BaseMemory;
 use super::losses::Losses;
-
-/// Tolerance of tags at the limit of the base's age (s).
-const TAG_SLACK_S: f64 = 1e-3;
-/// A base whose stated position is off by more is reported as doubtful (m).
-const DOUBTFUL_M: f64 = 10.0;
-/// A base whose stated position is off by more is refused (m).
-const REFUSED_M: f64 = 100.0;
 
 /// A base that can be used.
 #[derive(Clone, Debug)]
@@ -102,13 +97,15 @@ impl BaseTracking {
         if inputs.options().rtk.base_age_max_s + TAG_SLACK_S < age_s {
             return Err(Reason::BaseStale { age_s });
         }
-        let error_m = self.base.position_error_m(station, single_point, inputs);
-        let doubt = error_m
-            .filter(|error_m| DOUBTFUL_M < *error_m)
-            .map(|distance_m| Reason::BasePositionDoubtful { distance_m });
-        if let (Some(doubt), true) = (&doubt, error_m.is_some_and(|m| REFUSED_M < m)) {
-            return Err(doubt.clone());
-        }
+        let check = self.base.checked(station, single_point, inputs);
+        let distance_m = check.distance_m().unwrap_or(0.0);
+        let doubt = match check.verdict() {
+            BasePositionVerdict::Unchecked | BasePositionVerdict::Agrees => None,
+            BasePositionVerdict::Doubtful => Some(Reason::BasePositionDoubtful { distance_m }),
+            BasePositionVerdict::Refused => {
+                return Err(Reason::BasePositionDoubtful { distance_m });
+            }
+        };
         Ok(UsableBase { station, age_s, doubt })
     }
 
