@@ -10,10 +10,8 @@
 //! on the variables alive there, never on all there are; what is left after the last state is
 //! solved densely.
 //!
-//! A general sparse Cholesky (faer 0.24, symbolic part reused) takes 53 µs for 30 states of 8, this
-//! one 12 µs; for 1000 states with 24 border variables alive at a time 25 ms, this one 6 ms. faer's
-//! dense Cholesky is faster on more than about a hundred border variables alive at once, which no
-//! recording reaches with the default options: `docs/accuracy.md`, *Border of the factor graph*.
+//! A general sparse Cholesky (faer 0.24) takes 53 µs for 30 states of 8, this one 12 µs. Comparisons
+//! with more border variables are in `docs/accuracy.md`, *Border of the factor graph*.
 
 use nalgebra::{SMatrix, SVector};
 

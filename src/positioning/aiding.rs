@@ -8,6 +8,9 @@ pub const BASE_LATER_S: f64 = 0.02;
 /// Tolerance of time tags where the age of a base's epoch meets its limit (s).
 pub(crate) const TAG_SLACK_S: f64 = 1e-3;
 
+/// A base whose stated position changes by more than this has moved (m): messages state 0.1 mm.
+pub(crate) const BASE_MOVED_M: f64 = 1e-3;
+
 /// What an epoch needs beside its own observations.
 #[derive(Clone, Copy, Debug)]
 pub struct Aiding<'a> {

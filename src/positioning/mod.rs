@@ -35,8 +35,8 @@ mod standstill;
 mod uncertainty;
 mod velocity;
 
-pub(crate) use aiding::TAG_SLACK_S;
 pub use aiding::{Aiding, BASE_LATER_S, BaseAiding};
+pub(crate) use aiding::{BASE_MOVED_M, TAG_SLACK_S};
 pub use antenna::correct_for_antenna;
 pub use base_position::{BasePositionCheck, BasePositionVerdict};
 pub use estimator::{Batch, Estimator, EstimatorState, Scratch};

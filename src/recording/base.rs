@@ -8,15 +8,12 @@ use crate::gnss::{
     AntennaCatalogue, BaseSite, BaseStation, Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation,
     PositionSource,
 };
-use crate::positioning::{Aiding, BASE_LATER_S, BaseAiding, Estimator};
+use crate::positioning::{Aiding, BASE_LATER_S, BASE_MOVED_M, BaseAiding, Estimator};
 
 use super::antenna::ReceiverAntenna;
 use super::navigation::Dating;
 use super::observations::{ObservationFile, ReportedSite, observations};
 use super::{AntennaProvenance, BaseProvenance, Input, RecordingError};
-
-/// A base that messages place further away than this has moved (m): their unit is 0.1 mm.
-const MOVED_M: f64 = 1e-3;
 
 /// Where a base's position must come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,7 +105,7 @@ impl<'a> BaseRecording<'a> {
                 self.ahead = Some((epoch, point));
                 return Ok(());
             }
-            if MOVED_M < self.station.antenna_reference_point.distance_m(point) {
+            if BASE_MOVED_M < self.station.antenna_reference_point.distance_m(point) {
                 self.station.antenna_reference_point = point;
                 self.moves += 1;
             }
