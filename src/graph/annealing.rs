@@ -88,7 +88,7 @@ impl Schedule {
     }
 
     /// The stages.
-    pub fn stages(&self) -> &[Stage] {
+    pub(crate) fn stages(&self) -> &[Stage] {
         &self.0
     }
 }

@@ -349,6 +349,7 @@ impl Packed {
     }
 
     /// How many numbers fit into the storage without a new allocation.
+    #[cfg(test)]
     pub(crate) fn capacity(&self) -> usize {
         self.columns.capacity() * ROWS
     }

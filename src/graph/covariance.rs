@@ -106,13 +106,13 @@ impl<const S: usize> Covariances<S> {
     }
 
     /// Covariance of the border variables at two positions of [`Covariances::variables`].
-    pub fn border_at(&self, a: usize, b: usize) -> f64 {
+    pub(crate) fn border_at(&self, a: usize, b: usize) -> f64 {
         self.border.get(a, b)
     }
 
     /// Covariance between the state reached and the border variable at a position of
     /// [`Covariances::variables`].
-    pub fn cross_at(&self, position: usize) -> &SVector<f64, S> {
+    pub(crate) fn cross_at(&self, position: usize) -> &SVector<f64, S> {
         &self.cross[position]
     }
 
@@ -122,7 +122,8 @@ impl<const S: usize> Covariances<S> {
     }
 
     /// Covariance between the state reached and a border variable; `None` unless it is alive there.
-    pub fn cross(&self, variable: usize) -> Option<&SVector<f64, S>> {
+    #[cfg(test)]
+    pub(crate) fn cross(&self, variable: usize) -> Option<&SVector<f64, S>> {
         self.position(variable).map(|position| &self.cross[position])
     }
 

@@ -443,7 +443,7 @@ impl<const S: usize> Elimination<S> {
 
     /// gᵀ·H⁻¹·g: the squared length of the step in standard deviations. It is twice the decrease of
     /// the cost in the linearised problem.
-    pub fn decrement(&self) -> f64 {
+    pub(crate) fn decrement(&self) -> f64 {
         let states: f64 = self.steps.iter().map(|step| step.forward.norm_squared()).sum();
         let retired: f64 = self.retired.iter().map(|gone| gone.forward * gone.forward).sum();
         states + retired + dot(&self.last_forward, &self.last_forward)
@@ -481,7 +481,8 @@ impl<const S: usize> Elimination<S> {
     }
 
     /// How many numbers fit into the storage without a new allocation.
-    pub fn capacity(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn capacity(&self) -> usize {
         let blocks = self.steps.capacity() * (2 * S * S + 2 * S);
         let columns = (self.columns.capacity() + self.front.columns.capacity()) * S;
         let retired = self.retired.capacity() * (S + 2) + self.retired_rows.capacity();

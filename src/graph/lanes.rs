@@ -98,6 +98,7 @@ impl<const S: usize> Tiles<S> {
         }
     }
 
+    #[cfg(test)]
     pub(crate) fn capacity(&self) -> usize {
         self.0.capacity() * ROWS * S
     }

@@ -72,7 +72,7 @@ impl<const S: usize> Prior<S> {
     ///
     /// With e the unit vector of one variable and q the variance, Σ + q·e·eᵀ has the information
     /// Λ − Λe·eᵀΛ·q/(1 + q·eᵀΛe) (Woodbury 1950). `scratch` is overwritten.
-    pub fn loosen_border(&mut self, variance: f64, scratch: &mut Vec<f64>) {
+    pub(crate) fn loosen_border(&mut self, variance: f64, scratch: &mut Vec<f64>) {
         for i in 0..self.border.len() {
             let factor = variance / (1.0 + variance * self.matrix.get(i, i));
             let (column, pull) = (self.border[i].column, self.border[i].gradient);

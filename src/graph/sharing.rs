@@ -21,7 +21,7 @@ const OFFSET_ITERATIONS: usize = 4;
 
 /// A whitened row on one state, the offset of its group and at most one border variable.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SharingRow<const N: usize> {
+pub(crate) struct SharingRow<const N: usize> {
     /// The row at offset zero; all rows of a group have the same columns.
     pub row: Row<N>,
     /// c = ∂r/∂o, above zero.
@@ -34,7 +34,7 @@ pub struct SharingRow<const N: usize> {
 
 /// The offset o that minimises Σ ρ(rᵢ + cᵢ·o), by iterations that begin at the median of −rᵢ/cᵢ.
 /// Zero without rows.
-pub fn shared_offset<const N: usize>(
+pub(crate) fn shared_offset<const N: usize>(
     rows: &[SharingRow<N>],
     kernel: &Kernel,
     scratch: &mut Vec<f64>,
@@ -78,7 +78,7 @@ impl<const S: usize> System<S> {
     /// Adds a group of rows on state `k` with an unknown offset in common; returns the offset.
     ///
     /// A single row adds nothing: the offset explains all of it.
-    pub fn add_sharing_offset<const N: usize>(
+    pub(crate) fn add_sharing_offset<const N: usize>(
         &mut self,
         k: usize,
         rows: &[SharingRow<N>],

@@ -26,7 +26,7 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, s
 
 /// The distribution of a marginalised state given the next state and the border variables.
 #[derive(Clone, Debug)]
-pub struct Departure<const S: usize> {
+pub(crate) struct Departure<const S: usize> {
     factor: Factor<S>,
     coupling: SMatrix<f64, S, S>,
     forward: SVector<f64, S>,
@@ -56,7 +56,7 @@ impl<const S: usize> Departure<S> {
     /// system was linearised. No row on the second state may touch a border variable.
     ///
     /// [`Prior::marginalize`]: crate::graph::Prior::marginalize
-    pub fn of(elimination: &Elimination<S>, estimate: &Estimate<S>, carried: usize) -> Self {
+    pub(crate) fn of(elimination: &Elimination<S>, estimate: &Estimate<S>, carried: usize) -> Self {
         let step = elimination.steps.last().expect("a state was marginalised");
         let mut variables = elimination.front.variables.clone();
         for retired in elimination.retired.iter().rev() {
@@ -142,7 +142,7 @@ impl<const S: usize> Departure<S> {
 /// Mean and covariance of one state and the border variables alive there, reached from the newest
 /// state backward.
 #[derive(Clone, Debug)]
-pub struct Smoother<const S: usize> {
+pub(crate) struct Smoother<const S: usize> {
     state: SVector<f64, S>,
     /// In the order of [`Covariances::variables`].
     border: Vec<f64>,
@@ -155,7 +155,7 @@ pub struct Smoother<const S: usize> {
 
 impl<const S: usize> Smoother<S> {
     /// Without a state reached.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             state: SVector::zeros(),
             border: Vec::new(),
@@ -166,7 +166,7 @@ impl<const S: usize> Smoother<S> {
     }
 
     /// Begins at the newest state of a solved window.
-    pub fn begin(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) {
+    pub(crate) fn begin(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) {
         self.covariances.newest(elimination);
         self.reached = estimate.states.len().checked_sub(1);
         self.read(estimate);
@@ -181,7 +181,7 @@ impl<const S: usize> Smoother<S> {
     }
 
     /// Goes to the state before in the window; returns false at its oldest state.
-    pub fn go_back(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) -> bool {
+    pub(crate) fn go_back(&mut self, elimination: &Elimination<S>, estimate: &Estimate<S>) -> bool {
         let Some(before) = self.reached.and_then(|reached| reached.checked_sub(1)) else {
             return false;
         };
@@ -195,7 +195,7 @@ impl<const S: usize> Smoother<S> {
     /// before it.
     ///
     /// Returns false and changes nothing if the departure is not that of the state before.
-    pub fn go_back_to(&mut self, departure: &Departure<S>) -> bool {
+    pub(crate) fn go_back_to(&mut self, departure: &Departure<S>) -> bool {
         let left = departure.left();
         let mut stayed = departure.variables.clone();
         let mut border_at = departure.border_at.clone();
@@ -231,17 +231,17 @@ impl<const S: usize> Smoother<S> {
     }
 
     /// Mean of the state reached.
-    pub fn state(&self) -> &SVector<f64, S> {
+    pub(crate) fn state(&self) -> &SVector<f64, S> {
         &self.state
     }
 
     /// Means of the border variables alive there, in the order of [`Covariances::variables`].
-    pub fn border(&self) -> &[f64] {
+    pub(crate) fn border(&self) -> &[f64] {
         &self.border
     }
 
     /// Covariances of the state reached and of the border variables alive there.
-    pub fn covariances(&self) -> &Covariances<S> {
+    pub(crate) fn covariances(&self) -> &Covariances<S> {
         &self.covariances
     }
 }

@@ -8,7 +8,7 @@ use crate::graph::system::{Link, System};
 
 /// Normal equations of rows on the same N coordinates of one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RowSum<const N: usize> {
+pub(crate) struct RowSum<const N: usize> {
     /// Σ w·jjᵀ, both triangles.
     matrix: [[f64; N]; N],
     /// Σ w·jr.
@@ -17,11 +17,11 @@ pub struct RowSum<const N: usize> {
 
 impl<const N: usize> RowSum<N> {
     /// The sum of no rows.
-    pub const ZERO: Self = Self { matrix: [[0.0; N]; N], gradient: [0.0; N] };
+    pub(crate) const ZERO: Self = Self { matrix: [[0.0; N]; N], gradient: [0.0; N] };
 
     /// Adds a row with its weight, which [`System::weigh`] returns.
     #[inline]
-    pub fn add(&mut self, residual: f64, jacobian: &[f64; N], weight: f64) {
+    pub(crate) fn add(&mut self, residual: f64, jacobian: &[f64; N], weight: f64) {
         let scaled = jacobian.map(|slope| slope * weight);
         for (column, factor) in self.matrix.iter_mut().zip(scaled) {
             for (value, slope) in column.iter_mut().zip(jacobian) {
@@ -36,7 +36,7 @@ impl<const N: usize> RowSum<N> {
 
 /// Normal equations of rows on the same N coordinates of one state and M of the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LinkSum<const N: usize, const M: usize> {
+pub(crate) struct LinkSum<const N: usize, const M: usize> {
     earlier: RowSum<N>,
     later: RowSum<M>,
     /// Σ w·j₊jᵀ with j₊ the later state's Jacobian; indexed by the earlier coordinate first.
@@ -45,13 +45,13 @@ pub struct LinkSum<const N: usize, const M: usize> {
 
 impl<const N: usize, const M: usize> LinkSum<N, M> {
     /// The sum of no rows.
-    pub const ZERO: Self =
+    pub(crate) const ZERO: Self =
         Self { earlier: RowSum::ZERO, later: RowSum::ZERO, coupling: [[0.0; M]; N] };
 
     /// Adds a row with its weight, which [`System::weigh`] returns. Its coordinates must be those
     /// of the other rows.
     #[inline]
-    pub fn add(&mut self, link: &Link<N, M>, weight: f64) {
+    pub(crate) fn add(&mut self, link: &Link<N, M>, weight: f64) {
         self.earlier.add(link.residual, &link.jacobian, weight);
         self.later.add(link.residual, &link.next_jacobian, weight);
         for (column, slope) in self.coupling.iter_mut().zip(link.jacobian) {
@@ -67,7 +67,12 @@ impl<const S: usize> System<S> {
     /// Adds summed rows on the coordinates `columns` of state `k`, ascending, none twice. Their
     /// losses are not added: [`System::weigh`] has done so.
     #[inline]
-    pub fn add_sum<const N: usize>(&mut self, k: usize, columns: &[usize; N], sum: &RowSum<N>) {
+    pub(crate) fn add_sum<const N: usize>(
+        &mut self,
+        k: usize,
+        columns: &[usize; N],
+        sum: &RowSum<N>,
+    ) {
         let block = &mut self.diagonal[k].data.0;
         let gradient = &mut self.gradient[k].data.0[0];
         for j in 0..N {
@@ -82,7 +87,7 @@ impl<const S: usize> System<S> {
     /// Adds summed rows on the coordinates `columns` of state `k` and `next` of state `k + 1`;
     /// otherwise like [`System::add_sum`].
     #[inline]
-    pub fn add_link_sum<const N: usize, const M: usize>(
+    pub(crate) fn add_link_sum<const N: usize, const M: usize>(
         &mut self,
         k: usize,
         (columns, next): (&[usize; N], &[usize; M]),

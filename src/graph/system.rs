@@ -170,13 +170,13 @@ impl<const S: usize> System<S> {
     }
 
     /// Adds to the cost a loss that no row of the system has.
-    pub fn add_cost(&mut self, cost: f64) {
+    pub(crate) fn add_cost(&mut self, cost: f64) {
         self.cost.add_loss(cost);
     }
 
     /// Adds the loss of a residual to the cost; returns the weight that the kernel gives it.
     #[inline]
-    pub fn weigh(&mut self, residual: f64, kernel: &Kernel) -> f64 {
+    pub(crate) fn weigh(&mut self, residual: f64, kernel: &Kernel) -> f64 {
         self.cost.add(residual, kernel)
     }
 
@@ -190,7 +190,7 @@ impl<const S: usize> System<S> {
 
     /// Adds a row on state `k` with a known weight, without its loss.
     #[inline]
-    pub fn add_weighted<const N: usize>(&mut self, k: usize, row: &Row<N>, weight: f64) {
+    pub(crate) fn add_weighted<const N: usize>(&mut self, k: usize, row: &Row<N>, weight: f64) {
         let block = &mut self.diagonal[k].data.0;
         let gradient = &mut self.gradient[k].data.0[0];
         for j in 0..N {
@@ -218,7 +218,7 @@ impl<const S: usize> System<S> {
 
     /// Adds a row on states `k` and `k + 1` with a known weight, without its loss.
     #[inline]
-    pub fn add_link_weighted<const N: usize, const M: usize>(
+    pub(crate) fn add_link_weighted<const N: usize, const M: usize>(
         &mut self,
         k: usize,
         link: &Link<N, M>,
@@ -256,7 +256,7 @@ impl<const S: usize> System<S> {
     /// Adds the border part of a row on state `k` with a known weight. [`System::add_weighted`]
     /// adds the rest.
     #[inline]
-    pub fn add_border<const N: usize>(
+    pub(crate) fn add_border<const N: usize>(
         &mut self,
         k: usize,
         row: &Row<N>,
@@ -292,7 +292,8 @@ impl<const S: usize> System<S> {
     }
 
     /// How many numbers fit into the storage without a new allocation.
-    pub fn capacity(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn capacity(&self) -> usize {
         let blocks = (self.diagonal.capacity() + self.coupling.capacity()) * S * S;
         let border = self.touched.iter().map(|touched| {
             let columns = touched.columns.capacity() * S + touched.variables.capacity();
