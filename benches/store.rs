@@ -98,6 +98,7 @@ async fn whole_desk(store: &Store, size: u64, epochs: u64) {
                 profile: "general".to_owned(),
                 overrides: BTreeMap::new(),
                 base: BaseChoice::None,
+                antenna: String::new(),
             };
             let id = sessions.create(new).await.expect("the session is created").id;
             for first in (0..epochs).step_by(size as usize) {
@@ -122,6 +123,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
         base: BaseChoice::None,
+        antenna: None,
     };
     store.create_session(&unique, &settings, 0).await.expect("the session is stored").key
 }

@@ -60,6 +60,12 @@ pub enum AidingError {
         /// Number of epochs in the mean.
         epochs: u32,
     },
+    /// There is no calibration of a named antenna.
+    #[error("antenna {name:?} is not calibrated")]
+    AntennaUnknown {
+        /// Type and radome, as named.
+        name: String,
+    },
     /// One push has more than a base may store.
     #[error(
         "one push has {epochs} epochs of {bytes} bytes; a base takes at most \
@@ -91,6 +97,7 @@ impl AidingError {
             Self::BaseInUse { .. } => Code::BaseInUse,
             Self::BasePositionMissing { .. } => Code::BasePositionMissing,
             Self::BasePositionRefused { .. } => Code::BasePositionRefused,
+            Self::AntennaUnknown { .. } => Code::AntennaUnknown,
             Self::BaseTooLarge { .. } => Code::BaseTooLarge,
             Self::Store(error) => error.code(),
         }

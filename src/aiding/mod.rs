@@ -5,11 +5,13 @@
 //! never wait. A push builds the next state, commits what is new, and then replaces the present
 //! state. [`BaseBroker`] does the same for base stations and their epochs.
 
+mod antennas;
 pub mod bases;
 mod error;
 mod limits;
 mod navigation;
 
+pub use antennas::Antennas;
 pub use bases::BaseBroker;
 pub use error::AidingError;
 pub use limits::AidingLimits;
@@ -17,25 +19,51 @@ pub use navigation::{
     NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation, SatelliteCoverage,
 };
 
+use std::sync::Arc;
+
+use crate::gnss::AntennaCatalogue;
 use crate::store::Store;
 
-/// Both brokers. All clones share them.
+/// Both brokers, and the calibrations of antennas. All clones share them.
 #[derive(Clone)]
 pub struct AidingDesk {
     /// Broadcast ephemerides.
     pub navigation: NavigationBroker,
     /// Base stations.
     pub bases: BaseBroker,
+    /// Calibrations of antennas.
+    pub antennas: Antennas,
 }
 
 impl AidingDesk {
-    /// Opens the desk with what the store has.
+    /// Opens the desk with what the store has, and without calibrations of antennas.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
     pub async fn open(store: Store, limits: AidingLimits) -> Result<Self, AidingError> {
+        Self::open_with(store, limits, AntennaCatalogue::default()).await
+    }
+
+    /// Opens the desk with what the store has and with calibrations of antennas. A base whose
+    /// antenna is among them has that calibration from its next epoch on.
+    ///
+    /// # Errors
+    /// The store fails, or a row is corrupt.
+    pub async fn open_with(
+        store: Store,
+        limits: AidingLimits,
+        catalogue: AntennaCatalogue,
+    ) -> Result<Self, AidingError> {
+        let antennas = Antennas::new(store.clone(), Arc::new(catalogue));
         let navigation = NavigationBroker::open(store.clone(), limits.clone()).await?;
-        let bases = BaseBroker::open(store, navigation.clone(), limits).await?;
-        Ok(Self { navigation, bases })
+        let bases = BaseBroker::open(store, navigation.clone(), antennas.clone(), limits).await?;
+        if !antennas.is_empty() {
+            for id in bases.ids() {
+                if let Some(site) = bases.site(&id)? {
+                    bases.set_site(&id, &site).await?;
+                }
+            }
+        }
+        Ok(Self { navigation, bases, antennas })
     }
 }

@@ -1,5 +1,7 @@
 //! Why a service does not open, or stops.
 
+use std::path::PathBuf;
+
 use crate::aiding::AidingError;
 use crate::feeds::FetchError;
 use crate::http::ServerError;
@@ -18,6 +20,14 @@ pub enum AppError {
     /// A source of data.
     #[error(transparent)]
     Fetch(#[from] FetchError),
+    /// The operator's calibrations of antennas.
+    #[error("{}: {reason}", path.display())]
+    Antex {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The listener.
     #[error(transparent)]
     Server(#[from] ServerError),
@@ -30,6 +40,7 @@ impl AppError {
             Self::Store(error) => error.code(),
             Self::Aiding(error) => error.code(),
             Self::Fetch(error) => error.code(),
+            Self::Antex { .. } => Code::AntexInvalid,
             Self::Server(_) => Code::ListenerFailed,
         }
     }

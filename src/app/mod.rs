@@ -5,7 +5,9 @@
 
 mod error;
 
+use std::fs::File;
 use std::future::Future;
+use std::io::BufReader;
 use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
 use std::time::Duration;
@@ -14,8 +16,8 @@ use tokio::net::TcpListener;
 
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::config::{
-    BasesConfiguration, CasterConfiguration, Limits, NavigationConfiguration, NetworkConfiguration,
-    ServiceConfiguration,
+    AntennasConfiguration, BasesConfiguration, CasterConfiguration, Limits,
+    NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
 use crate::contract::Service;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
@@ -23,6 +25,8 @@ use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
     NetworkRequest, Patience,
 };
+use crate::formats::{antex, decompress};
+use crate::gnss::AntennaCatalogue;
 use crate::http;
 use crate::session::{SessionLimits, Sessions};
 use crate::store::Store;
@@ -42,20 +46,23 @@ pub struct App {
 /// other hosts are made with `patience` and kept as `feed_options` say.
 ///
 /// # Errors
-/// The database cannot be opened or read, or an address of a source is invalid or not allowed.
+/// The database or the ANTEX file cannot be read, or an address of a source is invalid or not
+/// allowed.
 pub async fn open(
     configuration: &ServiceConfiguration,
     patience: Patience,
     feed_options: FeedOptions,
 ) -> Result<App, AppError> {
-    let ServiceConfiguration { database, fetch, navigation, bases, limits, .. } = configuration;
+    let ServiceConfiguration { database, fetch, navigation, bases, antennas, limits, .. } =
+        configuration;
+    let catalogue = antenna_catalogue(antennas)?;
     let sources = navigation_sources(navigation)?;
     let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
     let connector = Connector::new(policy, patience, fetch.ca_file.as_deref())?;
     // What the operator names may be anywhere; what clients name only at the hosts listed.
     let operator_connector = Connector::new(sources.policy()?, patience, fetch.ca_file.as_deref())?;
     let store = Store::open(database).await?;
-    let aiding = AidingDesk::open(store.clone(), aiding_limits(limits)).await?;
+    let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
@@ -89,6 +96,14 @@ impl App {
         self.service.feeds().close().await;
         self.store.close().await;
     }
+}
+
+/// The calibrations of the operator's file; none without one.
+fn antenna_catalogue(configuration: &AntennasConfiguration) -> Result<AntennaCatalogue, AppError> {
+    let Some(path) = &configuration.antex else { return Ok(AntennaCatalogue::default()) };
+    let invalid = |reason: String| AppError::Antex { path: path.clone(), reason };
+    let file = File::open(path).map_err(|error| invalid(error.to_string()))?;
+    antex::read(decompress(BufReader::new(file))).map_err(|error| invalid(error.to_string()))
 }
 
 fn navigation_sources(

@@ -38,6 +38,10 @@ pub(super) struct ServeArguments {
     /// such as {yyyy} and {ddd}; may be repeated.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_NAV_ARCHIVES", value_delimiter = ' ')]
     nav_archive: Vec<String>,
+    /// Phase centres of antennas (ANTEX), for sessions that name the rover's antenna.
+    /// Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_ANTEX")]
+    antex: Option<PathBuf>,
     /// Filter of the log, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
@@ -64,6 +68,7 @@ impl ServeArguments {
         configuration.fetch.hosts.extend(self.fetch_host);
         configuration.fetch.private_addresses |= self.fetch_private;
         configuration.navigation.archives.extend(self.nav_archive);
+        configuration.antennas.antex = self.antex.or(configuration.antennas.antex);
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         configuration.check()?;

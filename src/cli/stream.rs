@@ -47,6 +47,10 @@ pub(super) struct StreamArguments {
     /// Profile of a new session.
     #[arg(long, value_name = "NAME", default_value = "general")]
     profile: String,
+    /// Type and radome of the rover's antenna, for a new session that corrects for antennas. The
+    /// service must have a calibration of it.
+    #[arg(long, value_name = "NAME", default_value = "")]
+    antenna: String,
     /// Approximate start of RTCM 3 data, GPS time, within half a day: 2019-03-24T12:00:00. Default:
     /// the service's clock.
     #[arg(long, value_name = "TIME")]
@@ -78,6 +82,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
         label: label.unwrap_or_default().chars().take(200).collect(),
         mode: arguments.mode,
         profile: arguments.profile,
+        antenna: arguments.antenna,
         ..Default::default()
     };
     let mut device = connection.open(arguments.session.as_deref(), new).await?;

@@ -26,6 +26,7 @@ pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
 pub(crate) use service::ServiceConfigurationError;
 pub use service::{
-    BasesConfiguration, CasterConfiguration, FetchConfiguration, IntakeLimits, Limits,
-    LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
+    AntennasConfiguration, BasesConfiguration, CasterConfiguration, FetchConfiguration,
+    IntakeLimits, Limits, LogConfiguration, NavigationConfiguration, NetworkConfiguration,
+    ServiceConfiguration,
 };

@@ -32,6 +32,8 @@ pub struct ServiceConfiguration {
     pub navigation: NavigationConfiguration,
     /// Sources of base stations.
     pub bases: BasesConfiguration,
+    /// Phase centres of antennas.
+    pub antennas: AntennasConfiguration,
     /// Limits on what the service accepts.
     pub limits: Limits,
 }
@@ -61,6 +63,15 @@ pub struct BasesConfiguration {
     pub table_interval_s: u64,
     /// Time without need after which a stream is disconnected (s).
     pub idle_s: u64,
+}
+
+/// Phase centres of antennas.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AntennasConfiguration {
+    /// ANTEX file of absolute calibrations, plain or gzip. Sessions that name the rover's antenna
+    /// correct observations for it and for the base's.
+    pub antex: Option<PathBuf>,
 }
 
 /// An NTRIP caster with many streams.
@@ -238,6 +249,7 @@ impl ServiceConfiguration {
                 casters: Vec::new(),
             },
             bases: BasesConfiguration { networks: Vec::new(), table_interval_s: 3600, idle_s: 300 },
+            antennas: AntennasConfiguration { antex: None },
             limits: Limits::standard(),
         }
     }

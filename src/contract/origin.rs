@@ -77,6 +77,7 @@ impl From<AidingError> for Refusal {
             | AidingError::BaseInUse { .. }
             | AidingError::BasePositionMissing { .. }
             | AidingError::BasePositionRefused { .. } => Some("base"),
+            AidingError::AntennaUnknown { .. } => Some("antenna"),
             AidingError::TooManyEphemerides { .. }
             | AidingError::TooManyBases { .. }
             | AidingError::BaseTooLarge { .. } => None,

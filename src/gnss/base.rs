@@ -3,9 +3,11 @@
 //! The position stated for a base is that of its *marker*. The observations of its receiver, and
 //! every position relative to it, refer to its *antenna reference point*.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 
-use super::{Ecef, Enu, LocalFrame};
+use super::{AntennaCalibration, Ecef, Enu, LocalFrame};
 
 /// A receiver at a known position, which rovers are positioned against.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,6 +60,8 @@ pub struct BaseSite {
     pub antenna_delta_hen_m: [f64; 3],
     /// Antenna type and radome; empty if unknown.
     pub antenna: String,
+    /// Phase centres of that antenna, where they are known.
+    pub calibration: Option<Arc<AntennaCalibration>>,
     /// Source of the marker's position.
     pub source: PositionSource,
 }
@@ -86,6 +90,7 @@ mod tests {
             marker: Ecef::new(6_378_137.0, 0.0, 0.0),
             antenna_delta_hen_m: [1.5, 0.2, -0.3],
             antenna: String::new(),
+            calibration: None,
             source: PositionSource::Given,
         };
         let base = site.station("HERT".to_owned());

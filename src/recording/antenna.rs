@@ -1,12 +1,17 @@
-//! The antennas of a recording: what their phase centres add to observations is taken off.
+//! Corrections of a recording's observations for the phase centres of its antennas.
 
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::gnss::{
-    AntennaCalibration, AntennaCatalogue, Ecef, Epoch, Navigation, Signal, split_antenna_name,
+    AntennaCalibration, AntennaCatalogue, Ecef, Epoch, GpsTime, Navigation, Signal,
+    split_antenna_name,
 };
 use crate::positioning::{Aiding, Estimator, correct_for_antenna};
+use crate::snapshot::snapshot_fields;
 
 use super::AntennaProvenance;
+
+/// A single-point position is used for this long (s).
+const LASTS_S: f64 = 60.0;
 
 /// The antenna of one receiver.
 pub(super) struct ReceiverAntenna {
@@ -31,7 +36,7 @@ impl ReceiverAntenna {
         }
     }
 
-    /// Brings the observations to the antenna reference point.
+    /// Corrects the observations to the antenna reference point.
     pub(super) fn correct(
         &mut self,
         epoch: &mut Epoch,
@@ -66,24 +71,35 @@ impl ReceiverAntenna {
     }
 }
 
-/// The rover's position to some metres, from its own pseudoranges: it gives the directions in which
-/// antenna corrections are taken.
+/// The rover's position to some kilometres, for the directions in which antenna corrections are
+/// taken: an error of 1 km turns a direction by 5·10⁻⁵ rad, and moves the correction for a phase
+/// centre 10 cm off the antenna reference point by 5 µm.
+///
+/// It is a single-point position, taken again when it is a minute old.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ApproximatePosition {
-    single_point: Estimator,
     position: Option<Ecef>,
+    /// Time of the single-point position; `None` where a header or message reports the position.
+    since: Option<GpsTime>,
 }
+
+snapshot_fields!(ApproximatePosition { position, since });
 
 impl ApproximatePosition {
     /// `reported` serves until there is a single-point position.
-    pub fn new(reported: Option<Ecef>) -> Self {
-        let options = PositioningOptions::new(Mode::Spp, Profile::General);
-        Self { single_point: Estimator::new(options), position: reported }
+    pub const fn new(reported: Option<Ecef>) -> Self {
+        Self { position: reported, since: None }
     }
 
     /// The position at an epoch; the last one where the epoch gives none.
     pub fn at(&mut self, epoch: &Epoch, navigation: &Navigation) -> Option<Ecef> {
-        let solution = self.single_point.advance(epoch, &Aiding::alone(navigation));
-        self.position = solution.estimate.map(|estimate| estimate.position).or(self.position);
+        if self.since.is_none_or(|since| LASTS_S < epoch.time - since) {
+            let options = PositioningOptions::new(Mode::Spp, Profile::General);
+            let solution = Estimator::new(options).advance(epoch, &Aiding::alone(navigation));
+            if let Some(estimate) = solution.estimate {
+                (self.position, self.since) = (Some(estimate.position), Some(epoch.time));
+            }
+        }
         self.position
     }
 }

@@ -75,7 +75,13 @@ impl<'a> BaseRecording<'a> {
                 (LocalFrame::at(point).to_ecef(below), PositionSource::SinglePoints)
             }
         };
-        let site = BaseSite { marker, antenna_delta_hen_m, antenna: reported.antenna, source };
+        let site = BaseSite {
+            marker,
+            antenna_delta_hen_m,
+            antenna: reported.antenna,
+            calibration: None,
+            source,
+        };
         Ok(Self {
             input,
             station: site.station(reported.name),

@@ -206,6 +206,9 @@ codes! {
     /// The epoch is older than the base's newest epoch, and the base does not have it.
     BaseOutOfOrder = "BASE_OUT_OF_ORDER", Precondition,
         "send a base's epochs in order of time; create another base for older data";
+    /// The ANTEX file of the service has no calibration of the named antenna, or there is none.
+    AntennaUnknown = "ANTENNA_UNKNOWN", Malformed,
+        "name type and radome as the IGS does, or let the operator add them to the ANTEX file";
     /// The push exceeds what one base may store.
     BaseTooLarge = "BASE_TOO_LARGE", TooLarge,
         "push a shorter span, or let the operator raise limits.epochs_per_base and bytes_per_base";
@@ -337,6 +340,8 @@ codes! {
     FetchHostInvalid = "FETCH_HOST_INVALID", NoCall, "list hosts as host, host:port or *.domain";
     /// The file fetch.ca_file cannot be read.
     CertificatesInvalid = "CERTIFICATES_INVALID", NoCall, "name a PEM file of certificates";
+    /// The file antennas.antex cannot be read.
+    AntexInvalid = "ANTEX_INVALID", NoCall, "name an ANTEX file of absolute calibrations";
     /// The interval between requests to an archive is shorter than a minute.
     ArchiveIntervalTooShort = "ARCHIVE_INTERVAL_TOO_SHORT", NoCall,
         "raise the interval; 3600 s is usual";

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
-use crate::store::{BaseChoice, SessionSettings, StoredConfiguration};
+use crate::store::{AntennaName, BaseChoice, SessionSettings, StoredConfiguration};
 
 use super::SessionError;
 
@@ -33,14 +33,40 @@ pub(super) fn settings(
     profile: String,
     overrides: BTreeMap<String, String>,
     base: BaseChoice,
+    antenna: Option<AntennaName>,
 ) -> Result<SessionSettings, SessionError> {
     let options = options(&mode, &profile, &overrides)?;
     base_of(options.mode, &base)?;
     let active_configuration =
         options.entries().into_iter().map(|entry| (entry.name.to_owned(), entry.value));
     let configuration = active_configuration.collect();
-    let configuration_hash = options.configuration_hash().into();
-    Ok(SessionSettings { label, mode, profile, overrides, configuration, configuration_hash, base })
+    let calibration = antenna.as_ref().map(|antenna| &*antenna.calibration);
+    let configuration_hash = configuration_hash(&options, calibration).into();
+    Ok(SessionSettings {
+        label,
+        mode,
+        profile,
+        overrides,
+        configuration,
+        configuration_hash,
+        base,
+        antenna,
+    })
+}
+
+/// The hash of a configuration: of its options and, if the session corrects for antennas, of the
+/// calibration of the rover's antenna.
+pub(super) fn configuration_hash(
+    options: &PositioningOptions,
+    calibration: Option<&str>,
+) -> String {
+    let hash = options.configuration_hash();
+    match calibration {
+        None => hash,
+        Some(calibration) => {
+            blake3::hash(format!("{hash}\nantenna={calibration}\n").as_bytes()).to_hex().to_string()
+        }
+    }
 }
 
 /// The bases that a mode uses: none if it is not relative to a base.

@@ -14,7 +14,7 @@ use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::clock::unix_ms;
 use crate::store::{
-    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
+    AntennaName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
 use super::configuration::{settings, stored_options};
@@ -92,11 +92,12 @@ impl Sessions {
     /// Creates a session and stores it.
     ///
     /// # Errors
-    /// A configuration or base does not exist, the label is too long, or the store fails.
+    /// A configuration, base or antenna does not exist, the label is too long, or the store fails.
     pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
         self.check_label(&new.label)?;
         let base = self.base_names(new.base)?;
-        let settings = settings(new.label, new.mode, new.profile, new.overrides, base)?;
+        let antenna = self.antenna_name(&new.antenna).await?;
+        let settings = settings(new.label, new.mode, new.profile, new.overrides, base, antenna)?;
         let id = SessionId::random();
         let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
         info(id, row)
@@ -133,7 +134,8 @@ impl Sessions {
     /// are positioned with the new configuration; epochs already in the mailbox may be, too.
     ///
     /// # Errors
-    /// No session has this id, the session is closed, or a configuration or base does not exist.
+    /// No session has this id, the session is closed, or a configuration, base or antenna does not
+    /// exist.
     pub async fn update(
         &self,
         id: &SessionId,
@@ -151,12 +153,17 @@ impl Sessions {
             None => row.settings.base,
             Some(base) => self.base_names(base)?,
         };
+        let antenna = match update.antenna {
+            None => row.settings.antenna,
+            Some(antenna) => self.antenna_name(&antenna).await?,
+        };
         row.settings = settings(
             update.label.unwrap_or(row.settings.label),
             update.mode.unwrap_or(row.settings.mode),
             update.profile.unwrap_or(row.settings.profile),
             overrides,
             base,
+            antenna,
         )?;
         self.desk.store.update_session(row.key, &row.settings).await?;
         if let Some(handle) = self.tasks().handles.get(id) {
@@ -320,6 +327,14 @@ impl Sessions {
         Ok(choice.try_map(|id| self.desk.aiding.bases.name(&id))?)
     }
 
+    /// The calibrated antenna of a name; none for an empty name.
+    async fn antenna_name(&self, name: &str) -> Result<Option<AntennaName>, SessionError> {
+        if name.trim().is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(self.desk.aiding.antennas.keep(name).await?))
+    }
+
     pub(super) fn store(&self) -> &Store {
         &self.desk.store
     }
@@ -474,5 +489,6 @@ fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
         durable_through: row.last_seq,
         raw_through: row.raw_through,
         base: row.settings.base.try_map(|base| Ok::<_, SessionError>(base.id))?,
+        antenna: row.settings.antenna,
     })
 }

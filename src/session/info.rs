@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 use crate::id::{Id, Kind};
+use crate::store::AntennaName;
 
 /// The kind of a [`SessionId`].
 pub enum SessionKind {}
@@ -30,6 +31,8 @@ pub struct NewSession {
     pub overrides: BTreeMap<String, String>,
     /// The bases of a mode relative to one.
     pub base: BaseChoice<BaseId>,
+    /// Type and radome of the rover's antenna; empty: no antenna corrections.
+    pub antenna: String,
 }
 
 /// The changes of a session. Fields that are `None` or empty change nothing.
@@ -47,6 +50,8 @@ pub struct SessionUpdate {
     pub clear_overrides: Vec<String>,
     /// New bases, or none.
     pub base: Option<BaseChoice<BaseId>>,
+    /// New type and radome of the rover's antenna; empty: no antenna corrections.
+    pub antenna: Option<String>,
 }
 
 /// A stored session.
@@ -76,4 +81,6 @@ pub struct SessionInfo {
     pub raw_through: Option<u64>,
     /// Ids of the bases of a mode relative to one.
     pub base: BaseChoice<Arc<str>>,
+    /// The rover's antenna, if the session corrects for antennas.
+    pub antenna: Option<AntennaName>,
 }

@@ -68,6 +68,7 @@
 //! # Ok(()) }
 //! ```
 
+mod antenna;
 mod base_selection;
 mod batch;
 mod configuration;

@@ -8,8 +8,8 @@ use crate::aiding::AidingDesk;
 use crate::gnss::LeapSeconds;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
-use super::configuration::base_of;
-use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration};
+use super::configuration::{base_of, configuration_hash};
+use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, calibration};
 use super::solvers::Solvers;
 use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
@@ -64,14 +64,17 @@ impl Recomputation {
         let row = store.session(id.as_str()).await?;
         let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })?;
         let active = match change {
-            None => active_configuration(&store, id.as_str()).await?,
+            None => active_configuration(&store, &aiding, id.as_str()).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
                 let asked = request.base.clone().try_map(|id| aiding.bases.name(&id))?;
                 let base = if asked.is_none() { &row.settings.base } else { &asked };
                 let bases = base_of(options.mode, base)?;
-                let hash = options.configuration_hash().into();
-                let estimation = Configuration { version: VERSION.into(), hash, options };
+                let antenna = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
+                let hash = configuration_hash(&options, antenna).into();
+                let antenna = calibration(&aiding, antenna).await?;
+                let version = VERSION.into();
+                let estimation = Configuration { version, hash, options, antenna };
                 ActiveConfiguration { estimation, bases }
             }
         };

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
-use crate::gnss::Epoch;
+use crate::gnss::{AntennaCalibration, Epoch};
 use crate::positioning::Scratch;
 use crate::store::{BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
 
@@ -152,7 +152,9 @@ impl Replay {
     async fn configuration(&self, hash: &Arc<str>) -> Result<Arc<Configuration>, SessionError> {
         match &self.with {
             ReplayWith::Options(active) => Ok(Arc::new(active.estimation.clone())),
-            ReplayWith::Stored => configuration_of(&self.store, hash).await.map(Arc::new),
+            ReplayWith::Stored => {
+                configuration_of(&self.store, &self.aiding, hash).await.map(Arc::new)
+            }
         }
     }
 
@@ -196,23 +198,42 @@ impl PageBases {
 }
 
 /// The options of a stored configuration.
-async fn configuration_of(store: &Store, hash: &Arc<str>) -> Result<Configuration, SessionError> {
+async fn configuration_of(
+    store: &Store,
+    aiding: &AidingDesk,
+    hash: &Arc<str>,
+) -> Result<Configuration, SessionError> {
     let kept = store.configuration(hash).await?;
     let options = kept_options(&kept)?;
-    Ok(Configuration { version: VERSION.into(), hash: hash.clone(), options })
+    let antenna = calibration(aiding, kept.calibration.as_deref()).await?;
+    Ok(Configuration { version: VERSION.into(), hash: hash.clone(), options, antenna })
+}
+
+/// The stored calibration of a hash, if there is one.
+pub(super) async fn calibration(
+    aiding: &AidingDesk,
+    hash: Option<&str>,
+) -> Result<Option<Arc<AntennaCalibration>>, SessionError> {
+    match hash {
+        Some(hash) => Ok(Some(aiding.antennas.kept(hash).await?)),
+        None => Ok(None),
+    }
 }
 
 /// The options and bases for a session's next epochs.
 pub(super) async fn active_configuration(
     store: &Store,
+    aiding: &AidingDesk,
     id: &str,
 ) -> Result<ActiveConfiguration, SessionError> {
     let row = store.session(id).await?;
     let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
     let options: PositioningOptions = stored_options(&row.settings)?;
     let bases = base_of(options.mode, &row.settings.base)?;
+    let antenna = row.settings.antenna.map(|antenna| antenna.calibration);
+    let antenna = calibration(aiding, antenna.as_deref()).await?;
     let hash = row.settings.configuration_hash;
-    let estimation = Configuration { version: VERSION.into(), hash, options };
+    let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
     Ok(ActiveConfiguration { estimation, bases })
 }
 
@@ -245,7 +266,8 @@ pub(super) async fn restored(
 
 async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {
     let Some(stored) = replay.store.snapshot(replay.key).await? else { return Ok(None) };
-    let configuration = configuration_of(&replay.store, &stored.configuration_hash).await?;
+    let configuration =
+        configuration_of(&replay.store, &replay.aiding, &stored.configuration_hash).await?;
     match State::decode(stored.seq, &stored.content, &configuration) {
         Ok(state) => Ok(Some(state)),
         Err(error) => {

@@ -7,11 +7,14 @@ use crate::aiding::bases::{BaseChoice, BaseId, BaseInput};
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
+use crate::recording::ApproximatePosition;
 use crate::store::{SessionSettings, StoredSolution};
 
+use super::antenna::corrected;
 use super::base_selection::{BaseSelection, BaseSource};
 use super::desk::Sessions;
-use super::state::VERSION;
+use super::replay::calibration;
+use super::state::{Configuration, VERSION};
 use super::{SequencedEpoch, SessionError, SessionId, configuration};
 
 /// How to solve a session's present window.
@@ -133,7 +136,14 @@ impl Sessions {
             .map(|stored| Ok(SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch()? }));
         let epochs = sequenced.collect::<Result<_, SessionError>>()?;
         let navigation = self.aiding().navigation.current().navigation;
-        let computed = self.compute(options, epochs, navigation, base).await?;
+        let hash = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
+        let estimation = Configuration {
+            version: VERSION.into(),
+            hash: configuration::configuration_hash(&options, hash).into(),
+            options,
+            antenna: calibration(self.aiding(), hash).await?,
+        };
+        let computed = self.compute(estimation, epochs, navigation, base).await?;
         Ok(computed.into_iter().next_back().expect("an epoch gives an answer"))
     }
 
@@ -165,26 +175,33 @@ impl Sessions {
         };
         let base = self.base_names(burst.base)?;
         let base = configuration::base_of(options.mode, &base)?;
-        self.compute(options, burst.epochs, navigation, base).await
+        let (version, antenna) = (VERSION.into(), None);
+        let hash = options.configuration_hash().into();
+        let estimation = Configuration { version, hash, options, antenna };
+        self.compute(estimation, burst.epochs, navigation, base).await
     }
 
     async fn compute(
         &self,
-        options: PositioningOptions,
+        estimation: Configuration,
         epochs: Vec<SequencedEpoch>,
         navigation: Arc<Navigation>,
         base: BaseChoice,
     ) -> Result<Vec<Computed>, SessionError> {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().next().zip(times().next_back());
-        let source = BaseSource::new(&self.aiding().bases, &base, span, &options);
-        let version: Arc<str> = VERSION.into();
-        let configuration_hash: Arc<str> = options.configuration_hash().into();
+        let source = BaseSource::new(&self.aiding().bases, &base, span, &estimation.options);
         let work = move |scratch: &mut Scratch| {
+            let Configuration { version, hash: configuration_hash, options, antenna } = estimation;
             let mut estimator = EstimatorState::new(options.clone(), false);
             let mut selection = BaseSelection::default();
-            let position = |SequencedEpoch { seq, epoch }| {
-                let input = selection.next(&source, &epoch, &navigation, &options);
+            let mut antenna_position = ApproximatePosition::default();
+            let position = |SequencedEpoch { seq, mut epoch }| {
+                let mut input = selection.next(&source, &epoch, &navigation, &options);
+                if let Some(antenna) = &antenna {
+                    let (rover, base) = (&mut antenna_position, input.as_ref());
+                    (epoch, input) = corrected(antenna, rover, &epoch, &navigation, base);
+                }
                 let base = input.as_ref().and_then(BaseInput::aiding);
                 let aiding = Aiding { navigation: &navigation, base };
                 let solution = estimator.advance(&epoch, &aiding, scratch);

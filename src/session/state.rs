@@ -6,17 +6,19 @@ use std::sync::Arc;
 
 use crate::aiding::bases::BaseInput;
 use crate::config::PositioningOptions;
-use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
+use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
+use crate::recording::ApproximatePosition;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
 
+use super::antenna;
 use super::base_selection::{BaseSelection, BaseSource};
 
 /// Version of this program, stored with each solution.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Version of the layout around an estimator's snapshot.
-const LAYOUT: u16 = 3;
+const LAYOUT: u16 = 4;
 
 /// The program version and options that compute a solution.
 #[derive(Clone, Debug)]
@@ -24,6 +26,8 @@ pub(super) struct Configuration {
     pub(super) version: Arc<str>,
     pub(super) hash: Arc<str>,
     pub(super) options: PositioningOptions,
+    /// Calibration of the rover's antenna, if the session corrects for antennas.
+    pub(super) antenna: Option<Arc<AntennaCalibration>>,
 }
 
 /// A session's estimator after its last epoch.
@@ -34,6 +38,8 @@ pub(super) struct State {
     pub(super) configuration_hash: Arc<str>,
     /// The base that it uses.
     base_selection: BaseSelection,
+    /// The rover's approximate position, for antenna corrections.
+    antenna_position: ApproximatePosition,
     /// Number and time of the last epoch.
     pub(super) last: Option<(u64, GpsTime)>,
     /// Epochs that the estimator may still revise, in order.
@@ -42,7 +48,15 @@ pub(super) struct State {
     pub(super) unsaved: usize,
 }
 
-clone_fields!(State { estimator, configuration_hash, base_selection, last, unrevised, unsaved });
+clone_fields!(State {
+    estimator,
+    configuration_hash,
+    base_selection,
+    antenna_position,
+    last,
+    unrevised,
+    unsaved,
+});
 
 /// The solution of an epoch, and the revisions of earlier epochs that it led to.
 pub(super) struct Advanced {
@@ -57,6 +71,7 @@ impl State {
             estimator: EstimatorState::new(configuration.options.clone(), true),
             configuration_hash: configuration.hash.clone(),
             base_selection: BaseSelection::default(),
+            antenna_position: ApproximatePosition::default(),
             last: None,
             unrevised: VecDeque::new(),
             unsaved: 0,
@@ -90,9 +105,10 @@ impl State {
 
     /// Solves the next epoch.
     ///
-    /// If the configuration differs from that of the previous epoch, a new estimator starts: the
-    /// epochs in the old one's window get their last revision, and nothing is carried over. If the
-    /// base differs, the estimator itself restarts everything relative to it.
+    /// If the configuration differs from that of the previous epoch, or the base's antenna has
+    /// another calibration, a new estimator starts: the epochs in the old one's window get their
+    /// last revision, and nothing is carried over. If the base differs, the estimator itself
+    /// restarts what is relative to the base.
     pub(super) fn advance(
         &mut self,
         seq: u64,
@@ -103,13 +119,24 @@ impl State {
         scratch: &mut Scratch,
     ) -> Advanced {
         let mut revisions = Vec::new();
-        if !self.continues_with(configuration) {
+        let is_corrected = configuration.antenna.is_some();
+        let is_recalibrated = is_corrected && base.is_some_and(BaseInput::is_recalibrated);
+        if !self.continues_with(configuration) || is_recalibrated {
             revisions = self.finish(scratch);
             self.estimator = EstimatorState::new(configuration.options.clone(), true);
             self.configuration_hash = configuration.hash.clone();
             self.base_selection.restart();
         }
         self.unrevised.push_back((seq, epoch.time));
+        let position = &mut self.antenna_position;
+        let corrected = configuration
+            .antenna
+            .as_ref()
+            .map(|antenna| antenna::corrected(antenna, position, epoch, navigation, base));
+        let (epoch, base) = match &corrected {
+            None => (epoch, base),
+            Some((epoch, base)) => (epoch, base.as_ref()),
+        };
         let aiding = Aiding { navigation, base: base.and_then(BaseInput::aiding) };
         let solution = self.estimator.advance(epoch, &aiding, scratch);
         self.base_selection.update(base, &solution);
@@ -162,6 +189,7 @@ impl State {
         let mut writer = SnapshotWriter::new(LAYOUT);
         time.save(&mut writer);
         self.base_selection.save(&mut writer);
+        self.antenna_position.save(&mut writer);
         self.unrevised.save(&mut writer);
         writer.bytes(&self.estimator.snapshot());
         Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), writer.finish()))
@@ -176,11 +204,20 @@ impl State {
         let mut reader = SnapshotReader::open(content, LAYOUT)?;
         let time = GpsTime::load(&mut reader)?;
         let base_selection = Snapshot::load(&mut reader)?;
+        let antenna_position = Snapshot::load(&mut reader)?;
         let unrevised = Snapshot::load(&mut reader)?;
         let estimator = EstimatorState::restore(configuration.options.clone(), reader.bytes()?)?;
         reader.finish()?;
         let configuration_hash = configuration.hash.clone();
         let last = Some((seq, time));
-        Ok(Self { estimator, configuration_hash, base_selection, last, unrevised, unsaved: 0 })
+        Ok(Self {
+            estimator,
+            configuration_hash,
+            base_selection,
+            antenna_position,
+            last,
+            unrevised,
+            unsaved: 0,
+        })
     }
 }

@@ -1,9 +1,11 @@
 //! Base stations, their sites and their epochs.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource};
+use crate::gnss::{AntennaCalibration, BaseSite, Ecef, Epoch, GpsTime, PositionSource};
 
+use super::antennas::calibration_hash;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
@@ -170,18 +172,29 @@ struct RawSite {
     north_m: f64,
     antenna: String,
     source: String,
+    calibration: Option<String>,
 }
 
 impl RawSite {
-    fn parse(self) -> Result<(u64, BaseSite), StoreError> {
+    /// The site; `kept` has the calibrations by hash.
+    fn parse(
+        self,
+        kept: &BTreeMap<String, Arc<AntennaCalibration>>,
+    ) -> Result<(u64, BaseSite), StoreError> {
         let source = PositionSource::from_name(&self.source).ok_or_else(|| {
             let why = format!("{:?} is not a source of a position", self.source);
             StoreError::CorruptText { what: "base", why }
         })?;
+        let calibration = self.calibration.map(|hash| {
+            let known = kept.get(&hash).cloned();
+            let why = format!("no calibration has the hash {hash:?}");
+            known.ok_or(StoreError::CorruptText { what: "antenna calibration", why })
+        });
         let site = BaseSite {
             marker: Ecef::new(self.x_m, self.y_m, self.z_m),
             antenna_delta_hen_m: [self.height_m, self.east_m, self.north_m],
             antenna: self.antenna,
+            calibration: calibration.transpose()?,
             source,
         };
         Ok((self.since as u64, site))
@@ -190,11 +203,12 @@ impl RawSite {
 
 /// The previous site is replaced if no epoch was observed with it.
 const UPSERT_SITE: &str = "INSERT INTO base_sites
-    (base, since, x_m, y_m, z_m, height_m, east_m, north_m, antenna, source)
-    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)
+    (base, since, x_m, y_m, z_m, height_m, east_m, north_m, antenna, source, calibration)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)
     ON CONFLICT (base, since) DO UPDATE SET x_m = excluded.x_m, y_m = excluded.y_m,
     z_m = excluded.z_m, height_m = excluded.height_m, east_m = excluded.east_m,
-    north_m = excluded.north_m, antenna = excluded.antenna, source = excluded.source";
+    north_m = excluded.north_m, antenna = excluded.antenna, source = excluded.source,
+    calibration = excluded.calibration";
 const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
@@ -210,7 +224,7 @@ const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 /// Binds a site after its base.
 macro_rules! site {
     ($base:expr, $since:expr, $site:expr) => {{
-        let BaseSite { marker: Ecef(marker), antenna_delta_hen_m: delta, antenna, source } = $site;
+        let BaseSite { marker: Ecef(marker), antenna_delta_hen_m: delta, antenna, .. } = $site;
         sqlx::query(UPSERT_SITE)
             .bind($base.0)
             .bind($since as i64)
@@ -221,7 +235,8 @@ macro_rules! site {
             .bind(delta[1])
             .bind(delta[2])
             .bind(antenna)
-            .bind(source.name())
+            .bind($site.source.name())
+            .bind($site.calibration.as_deref().map(calibration_hash))
     }};
 }
 
@@ -245,6 +260,7 @@ impl Store {
         archive: Option<&str>,
         created_unix_ms: i64,
     ) -> Result<BaseKey, StoreError> {
+        self.keep_calibration_of(site).await?;
         writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
@@ -282,6 +298,7 @@ impl Store {
             let sql = "SELECT * FROM base_sites ORDER BY base, since";
             sqlx::query_as(sql).fetch_all(pool).await
         });
+        let kept = self.calibrations().await?;
         let base = |(key, id, label, created_unix_ms, archive): NamedRow| {
             let (key, sites) = (BaseKey(key), Vec::new());
             BaseRow { key, id, label, created_unix_ms, sites, feed: None, archive }
@@ -293,7 +310,7 @@ impl Store {
         let mut bases: Vec<BaseRow> = rows.into_iter().map(base).collect();
         for site in sites.map_err(StoreError::database(failed))? {
             if let Ok(index) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
-                bases[index].sites.push(site.parse()?);
+                bases[index].sites.push(site.parse(&kept)?);
             }
         }
         for feed in feeds.map_err(StoreError::database(failed))? {
@@ -337,6 +354,7 @@ impl Store {
         base: BaseKey,
         change: &BaseChange<'_>,
     ) -> Result<(), StoreError> {
+        self.keep_calibration_of(change.site.map(|(_, site)| site)).await?;
         writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
@@ -359,6 +377,14 @@ impl Store {
             };
             pushed.await.map_err(StoreError::database("storing a base's epochs"))
         })
+    }
+
+    /// Stores the calibration of a site's antenna, if it has one.
+    async fn keep_calibration_of(&self, site: Option<&BaseSite>) -> Result<(), StoreError> {
+        match site.and_then(|site| site.calibration.as_deref()) {
+            Some(calibration) => self.keep_calibration(calibration).await,
+            None => Ok(()),
+        }
     }
 
     /// Deletes a base and its epochs, unless an open session uses it. Returns whether it did.

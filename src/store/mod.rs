@@ -10,6 +10,7 @@
 //! [`Store::commit`] passes epochs and solutions to the committer. It writes those of many sessions
 //! in one transaction, and answers each session when the transaction is committed.
 
+mod antennas;
 mod bases;
 mod codec;
 mod committer;
@@ -29,6 +30,7 @@ use std::sync::Arc;
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 
+pub use antennas::AntennaName;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
 pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
+use super::{AntennaName, BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 
@@ -30,6 +30,8 @@ pub struct SessionSettings {
     pub configuration_hash: Arc<str>,
     /// The bases of a mode relative to one.
     pub base: BaseChoice,
+    /// The rover's antenna, if the session corrects for antennas.
+    pub antenna: Option<AntennaName>,
 }
 
 /// A configuration that has solved epochs.
@@ -41,6 +43,8 @@ pub struct StoredConfiguration {
     pub profile: String,
     /// All options with their values in force.
     pub configuration: BTreeMap<String, String>,
+    /// Hash of the calibration of the rover's antenna, if the session corrects for antennas.
+    pub calibration: Option<Arc<str>>,
 }
 
 /// A stored session.
@@ -79,10 +83,15 @@ struct RawSession {
     base: Option<i64>,
     base_id: Option<String>,
     base_choice: i32,
+    antenna: Option<String>,
+    calibration: Option<String>,
 }
 
 /// A base among which a session takes the nearest: key of the session, key and id of the base.
 type CandidateRow = (i64, i64, String);
+
+/// Mode, profile and options of a configuration, and the hash of the rover antenna's calibration.
+type ConfigurationRow = (String, String, String, Option<String>);
 
 impl RawSession {
     /// Decodes the row. `candidates` has the bases of sessions that take the nearest of several.
@@ -100,6 +109,9 @@ impl RawSession {
                 return Err(StoreError::CorruptText { what: "session", why });
             }
         };
+        let antenna = self.antenna.zip(self.calibration);
+        let antenna = antenna
+            .map(|(name, calibration)| AntennaName { name, calibration: calibration.into() });
         Ok(SessionRow {
             key: SessionKey(self.key),
             id: self.id,
@@ -111,6 +123,7 @@ impl RawSession {
                 configuration: options_from(&self.configuration)?,
                 configuration_hash: self.configuration_hash.into(),
                 base,
+                antenna,
             },
             created_unix_ms: self.created_unix_ms,
             closed_unix_ms: self.closed_unix_ms,
@@ -166,7 +179,8 @@ macro_rules! select_sessions {
             "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq, ",
             "(SELECT through FROM raw_streams WHERE raw_streams.session = sessions.key) ",
             "AS raw_through, ",
-            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, base_choice ",
+            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, ",
+            "base_choice, antenna, calibration ",
             "FROM sessions ",
             $condition
         )
@@ -190,8 +204,9 @@ impl Store {
                 let mut transaction = pool.begin().await?;
                 let insert = sqlx::query_as(
                     "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
-                                           configuration_hash, created_unix_ms, base, base_choice)
-                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10) RETURNING key",
+                                           configuration_hash, created_unix_ms, base, base_choice,
+                                           antenna, calibration)
+                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12) RETURNING key",
                 )
                 .bind(id)
                 .bind(&settings.label)
@@ -202,7 +217,9 @@ impl Store {
                 .bind(&*settings.configuration_hash)
                 .bind(created_unix_ms)
                 .bind(base_column(&settings.base))
-                .bind(choice_column(&settings.base));
+                .bind(choice_column(&settings.base))
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration));
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 insert_candidates!(transaction, key, &settings.base);
                 transaction.commit().await?;
@@ -296,7 +313,7 @@ impl Store {
                 let update = sqlx::query(
                     "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
                             configuration = $6, configuration_hash = $7, base = $8,
-                            base_choice = $9
+                            base_choice = $9, antenna = $10, calibration = $11
                      WHERE key = $1",
                 )
                 .bind(key.0)
@@ -307,7 +324,9 @@ impl Store {
                 .bind(options_text(&settings.configuration))
                 .bind(&*settings.configuration_hash)
                 .bind(base_column(&settings.base))
-                .bind(choice_column(&settings.base));
+                .bind(choice_column(&settings.base))
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration));
                 update.execute(&mut *transaction).await?;
                 let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
                 clear.execute(&mut *transaction).await?;
@@ -321,13 +340,14 @@ impl Store {
     /// Stores a configuration under its hash, for replay. Equal hashes mean equal configurations.
     async fn store_configuration(&self, settings: &SessionSettings) -> Result<(), StoreError> {
         let stored = writing!(&self.pool, pool => sqlx::query(
-            "INSERT INTO configurations (hash, mode, profile, configuration)
-             VALUES ($1, $2, $3, $4) ON CONFLICT (hash) DO NOTHING",
+            "INSERT INTO configurations (hash, mode, profile, configuration, calibration)
+             VALUES ($1, $2, $3, $4, $5) ON CONFLICT (hash) DO NOTHING",
         )
         .bind(&*settings.configuration_hash)
         .bind(&settings.mode)
         .bind(&settings.profile)
         .bind(options_text(&settings.configuration))
+        .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration))
         .execute(pool)
         .await
         .map(drop));
@@ -339,15 +359,22 @@ impl Store {
     /// # Errors
     /// No configuration has this hash, or the database fails.
     pub async fn configuration(&self, hash: &str) -> Result<StoredConfiguration, StoreError> {
-        let row: Result<Option<(String, String, String)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT mode, profile, configuration FROM configurations WHERE hash = $1";
+        let row: Result<Option<ConfigurationRow>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT mode, profile, configuration, calibration
+                       FROM configurations WHERE hash = $1";
             sqlx::query_as(sql).bind(hash).fetch_optional(pool).await
         });
         let row = row.map_err(StoreError::database("reading a configuration"))?;
-        let (mode, profile, configuration) = row.ok_or_else(|| StoreError::CorruptText {
-            what: "configuration",
-            why: format!("none has the hash {hash:?}"),
-        })?;
-        Ok(StoredConfiguration { mode, profile, configuration: options_from(&configuration)? })
+        let (mode, profile, configuration, calibration) =
+            row.ok_or_else(|| StoreError::CorruptText {
+                what: "configuration",
+                why: format!("none has the hash {hash:?}"),
+            })?;
+        Ok(StoredConfiguration {
+            mode,
+            profile,
+            configuration: options_from(&configuration)?,
+            calibration: calibration.map(Into::into),
+        })
     }
 }

@@ -87,6 +87,7 @@ fn new_session(mode: &str, base: Option<&BaseId>) -> NewSession {
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
         base: base.cloned().into(),
+        antenna: String::new(),
     }
 }
 

@@ -27,6 +27,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::TooManyActiveSessions, "tests/doors/sessions.rs"),
     (Code::EstimatorFailed, "src/session/solvers.rs"),
     (Code::BasePositionRefused, "tests/doors/bases.rs"),
+    (Code::AntennaUnknown, "tests/doors/session_antennas.rs"),
     (Code::BaseForgotten, "tests/doors/bases.rs"),
     (Code::NavigationForgotten, "tests/invariance/windows.rs"),
     (Code::Internal, "src/http/server.rs"),
@@ -473,6 +474,7 @@ fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
         (nothing, "[bases]\ntable_interval_s = 9", Code::TableIntervalTooShort),
         (nothing, "[fetch]\nhosts = [\"a b\"]", Code::FetchHostInvalid),
         (nothing, "[fetch]\nca_file = \"/no/such/file\"", Code::CertificatesInvalid),
+        (nothing, "[antennas]\nantex = \"/no/such/file\"", Code::AntexInvalid),
         ("--database=mysql://x/y", "", Code::DatabaseUrlInvalid),
         ("--listen=TAKEN", "", Code::AddressUnavailable),
     ]

@@ -75,6 +75,7 @@ fn site(marker: Ecef) -> BaseSite {
         marker,
         antenna_delta_hen_m: [0.0; 3],
         antenna: String::new(),
+        calibration: None,
         source: PositionSource::Given,
     }
 }
@@ -132,6 +133,7 @@ fn new_session(base: BaseChoice<BaseId>) -> NewSession {
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
         base,
+        antenna: String::new(),
     }
 }
 

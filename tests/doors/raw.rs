@@ -49,6 +49,7 @@ async fn created(sessions: &Sessions) -> SessionId {
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
+        antenna: String::new(),
     };
     sessions.create(new).await.unwrap().id
 }

@@ -74,6 +74,7 @@ fn new_session() -> NewSession {
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
+        antenna: String::new(),
     }
 }
 

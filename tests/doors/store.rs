@@ -37,6 +37,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         configuration: BTreeMap::new(),
         configuration_hash: "c0ffee".into(),
         base: BaseChoice::None,
+        antenna: None,
     };
     store.create_session(id, &settings, 0).await.unwrap().key
 }

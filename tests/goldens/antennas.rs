@@ -5,38 +5,22 @@ use std::path::Path;
 use std::process::Command;
 
 use graphfix::config::{Mode, PositioningOptions, Profile};
-use graphfix::formats::antex;
 use graphfix::gnss::LocalFrame;
 use graphfix::positioning::{Aiding, Estimator, correct_for_antenna};
 use graphfix::simulation::{Motion, Scenario, Simulator};
 
+use crate::support::antex::antex;
+
 /// An invented antenna: phase centre 2 cm north, 1 cm west and 15 cm up on L1, no variations.
 fn sample() -> String {
-    let record = |contents: &str, label: &str| format!("{contents:<60}{label}\n");
-    let zeros: String = (0..=18).map(|_| format!("{:8.2}", 0.0)).collect();
-    [
-        record(&format!("{:>8}{:12}M", "1.4", ""), "ANTEX VERSION / SYST"),
-        record("A", "PCV TYPE / REFANT"),
-        record("", "END OF HEADER"),
-        record("", "START OF ANTENNA"),
-        record(&format!("{:<16}{:<4}", "MAKER123.00", "NONE"), "TYPE / SERIAL NO"),
-        record("     0.0", "DAZI"),
-        record("     0.0  90.0   5.0", "ZEN1 / ZEN2 / DZEN"),
-        record("     1", "# OF FREQUENCIES"),
-        record("   G01", "START OF FREQUENCY"),
-        record("     20.00    -10.00    150.00", "NORTH / EAST / UP"),
-        format!("   NOAZI{zeros}\n"),
-        record("   G01", "END OF FREQUENCY"),
-        record("", "END OF ANTENNA"),
-    ]
-    .concat()
+    antex(&[("MAKER123.00", "     20.00    -10.00    150.00")])
 }
 
 /// Perfect observations are those of the phase centre: corrected, they give the antenna reference
 /// point 15 cm below it, 2 cm south and 1 cm east, to 2 mm.
 #[test]
 fn positions_come_down_to_the_reference_point() {
-    let catalogue = antex::read(sample().as_bytes()).unwrap();
+    let catalogue = graphfix::formats::antex::read(sample().as_bytes()).unwrap();
     let antenna = catalogue.receiver("MAKER123.00     NONE", "").unwrap();
     let scenario =
         Scenario { motion: Motion::Static, frequencies: 1, duration_s: 5.0, ..Scenario::clean() };

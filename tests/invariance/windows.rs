@@ -45,6 +45,7 @@ async fn created(sessions: &Sessions, mode: &str) -> SessionId {
         profile: "urban-vehicle".to_owned(),
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
+        antenna: String::new(),
     };
     sessions.create(new).await.unwrap().id
 }

@@ -4,7 +4,7 @@ use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use graphfix::app::{self, App};
-use graphfix::config::{FetchConfiguration, Limits, ServiceConfiguration};
+use graphfix::config::{AntennasConfiguration, FetchConfiguration, Limits, ServiceConfiguration};
 use graphfix::contract::Service;
 use graphfix::feeds::FeedOptions;
 use serde_json::{Value, json};
@@ -12,6 +12,9 @@ use tower::ServiceExt;
 
 use super::casters::{BRISK, PATIENCE};
 use super::wait::until;
+
+/// The operator's calibrations of antennas, in the folder of the database.
+const ANTEX: &str = "antennas.atx";
 
 pub(crate) struct Doors {
     pub(crate) router: Router,
@@ -34,6 +37,13 @@ impl Doors {
         Self::within(tempfile::tempdir().unwrap(), limits, options).await
     }
 
+    /// Where these antennas are calibrated.
+    pub(crate) async fn with_antex(antex: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(ANTEX), antex).unwrap();
+        Self::within(folder, Limits::standard(), BRISK).await
+    }
+
     /// The service after it has stopped and started again.
     pub(crate) async fn restarted(self) -> Self {
         self.app.close().await;
@@ -42,9 +52,11 @@ impl Doors {
 
     async fn within(folder: tempfile::TempDir, limits: Limits, options: FeedOptions) -> Self {
         let hosts = ["localhost", "127.0.0.1"].map(str::to_owned).to_vec();
+        let antex = folder.path().join(ANTEX);
         let configuration = ServiceConfiguration {
             database: format!("sqlite://{}", folder.path().join("test.db").display()),
             fetch: FetchConfiguration { hosts, private_addresses: true, ca_file: None },
+            antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
             limits,
             ..ServiceConfiguration::standard()
         };

@@ -1,5 +1,6 @@
 //! What the tests share: data, databases, a service in this process, streams, and waiting.
 
+pub(crate) mod antex;
 pub(crate) mod casters;
 pub(crate) mod data;
 pub(crate) mod database;

@@ -52,6 +52,7 @@ impl Pair {
             marker,
             antenna_delta_hen_m: [0.0; 3],
             antenna: String::new(),
+            calibration: None,
             source: PositionSource::Given,
         };
         NewBase { label: "base".to_owned(), site: Some(site), feed: None, archive: None }

@@ -38,7 +38,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
         &["gnss", "id", "refusal", "clock", "config", "models", "formats", "positioning", "store"],
     ),
     ("feeds", &["gnss", "refusal", "clock", "formats", "aiding"]),
-    ("recording", &["gnss", "config", "formats", "positioning"]),
+    ("recording", &["gnss", "config", "snapshot", "formats", "positioning"]),
     (
         "session",
         &[
@@ -52,6 +52,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "store",
             "reception",
             "aiding",
+            "recording",
         ],
     ),
     (
@@ -71,7 +72,13 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ),
     ("grpc", &["refusal", "contract"]),
     ("http", &["refusal", "contract", "grpc"]),
-    ("app", &["refusal", "config", "store", "aiding", "feeds", "session", "contract", "http"]),
+    (
+        "app",
+        &[
+            "gnss", "refusal", "config", "formats", "store", "aiding", "feeds", "session",
+            "contract", "http",
+        ],
+    ),
     (
         "cli",
         &[

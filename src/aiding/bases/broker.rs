@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use crate::aiding::{AidingError, AidingLimits, NavigationBroker};
+use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
 use crate::positioning::{BasePositionCheck, BasePositionVerdict};
@@ -28,6 +28,7 @@ const CHECKED_EPOCHS: usize = 20;
 pub struct BaseBroker {
     store: Store,
     navigation: NavigationBroker,
+    antennas: Antennas,
     limits: AidingLimits,
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
     /// Locked while a base is created, so that their number never exceeds the limit.
@@ -43,6 +44,7 @@ impl BaseBroker {
     pub async fn open(
         store: Store,
         navigation: NavigationBroker,
+        antennas: Antennas,
         limits: AidingLimits,
     ) -> Result<Self, AidingError> {
         let mut bases = BTreeMap::new();
@@ -64,18 +66,20 @@ impl BaseBroker {
         }
         let bases = Arc::new(RwLock::new(bases));
         let (creating, nearest_base_requests) = Default::default();
-        Ok(Self { store, navigation, limits, bases, creating, nearest_base_requests })
+        Ok(Self { store, navigation, antennas, limits, bases, creating, nearest_base_requests })
     }
 
     /// Creates a base and stores it.
     ///
     /// # Errors
-    /// There are as many bases as allowed, the label is too long, or the store fails.
-    pub async fn create(&self, new: NewBase) -> Result<BaseInfo, AidingError> {
+    /// There are as many bases as allowed, the label is too long, the antenna is not calibrated, or
+    /// the store fails.
+    pub async fn create(&self, mut new: NewBase) -> Result<BaseInfo, AidingError> {
         let (length, limit) = (new.label.chars().count(), self.limits.label_characters);
         if limit < length {
             return Err(AidingError::LabelTooLong { length, limit });
         }
+        new.site = new.site.map(|site| self.antennas.of_new_base(&site)).transpose()?;
         let _creating = self.creating.lock().await;
         let limit = self.limits.bases;
         if limit <= self.read().len() {
@@ -126,6 +130,11 @@ impl BaseBroker {
     /// No base has this id.
     pub fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
         Ok(self.base(id)?.name().clone())
+    }
+
+    /// Every base, by id.
+    pub fn ids(&self) -> Vec<BaseId> {
+        self.read().keys().cloned().collect()
     }
 
     /// Every base that is filled by a caster's stream.
@@ -276,9 +285,10 @@ impl BaseBroker {
         self.base(id)?; // Not deleted meanwhile.
         self.refresh(&base).await?;
         epochs.iter_mut().for_each(|epoch| epoch.odometry = None);
+        let site = site.map(|site| self.antennas.calibrated(site, base.stored().site()));
         let (new_site, in_force, mut check, mut new) = {
             let stored = base.stored();
-            let new_site = stored.new_site(site);
+            let new_site = stored.new_site(site.as_ref());
             let check = if new_site.is_some() { BasePositionCheck::new() } else { stored.check };
             let in_force = new_site.map(|(_, site)| site).or(stored.site()).cloned();
             (new_site, in_force, check, Vec::new())

@@ -40,6 +40,7 @@ impl BaseFile {
             marker,
             antenna_delta_hen_m: header.antenna_delta_hen_m,
             antenna: header.antenna.clone(),
+            calibration: None,
             source: PositionSource::Header,
         });
         let mut epochs = Vec::new();

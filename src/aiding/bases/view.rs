@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::gnss::{BaseSite, BaseStation, Epoch, GpsTime};
-use crate::positioning::{BASE_LATER_S, BaseAiding};
+use crate::gnss::{AntennaCalibration, BaseSite, BaseStation, Epoch, GpsTime, Navigation};
+use crate::positioning::{BASE_LATER_S, BaseAiding, correct_for_antenna};
 use crate::store::{BaseName, BaseUse, StoredBaseEpoch};
 
 /// A base and its epochs of a span of time. It does not change when the base does.
@@ -22,6 +22,10 @@ pub struct BaseInput {
     /// The numbers of the epochs. Replay uses them to give the estimator the same epochs again.
     pub used: BaseUse,
     station: Option<BaseStation>,
+    /// The calibration of the station's antenna.
+    calibration: Option<Arc<AntennaCalibration>>,
+    /// Whether the epochs given before have another calibration.
+    is_recalibrated: bool,
     epochs: Vec<Epoch>,
 }
 
@@ -74,8 +78,17 @@ impl BaseView {
             stored.epoch().expect("it was encoded here, or read when the desk was opened")
         };
         let site = self.site_at(used.through);
-        let station = site.map(|site| site.station(self.name.id.to_string()));
-        BaseInput { used, station, epochs: epochs.iter().map(read).collect() }
+        let before = self.site_at(used.after);
+        let calibration = site.and_then(|site| site.calibration.clone());
+        let is_recalibrated =
+            before.is_some_and(|before| is_other(&before.calibration, &calibration));
+        BaseInput {
+            used,
+            station: site.map(|site| site.station(self.name.id.to_string())),
+            calibration,
+            is_recalibrated,
+            epochs: epochs.iter().map(read).collect(),
+        }
     }
 
     /// The site of the base at its epoch `number`; none for number 0, which is before the first
@@ -86,10 +99,36 @@ impl BaseView {
     }
 }
 
+/// Whether two calibrations differ; usually both are the same object.
+fn is_other(
+    before: &Option<Arc<AntennaCalibration>>,
+    now: &Option<Arc<AntennaCalibration>>,
+) -> bool {
+    match (before, now) {
+        (Some(before), Some(now)) => !Arc::ptr_eq(before, now) && before != now,
+        (None, None) => false,
+        _ => true,
+    }
+}
+
 impl BaseInput {
     /// The input of the estimator; `None` while the base has no position or no epoch.
     pub fn aiding(&self) -> Option<BaseAiding<'_>> {
         let station = self.station.as_ref()?;
         Some(BaseAiding { station, epochs: &self.epochs })
+    }
+
+    /// Whether the epochs given before have another calibration of the antenna.
+    pub const fn is_recalibrated(&self) -> bool {
+        self.is_recalibrated
+    }
+
+    /// Reduces the observations to the antenna reference point, if the antenna is calibrated.
+    pub fn correct_for_antenna(&mut self, navigation: &Navigation) {
+        let (Some(station), Some(calibration)) = (&self.station, &self.calibration) else { return };
+        let (point, mut uncalibrated) = (station.antenna_reference_point, Vec::new());
+        for epoch in &mut self.epochs {
+            correct_for_antenna(epoch, calibration, point, navigation, &mut uncalibrated);
+        }
     }
 }

@@ -194,7 +194,8 @@ fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
         }
     };
     let antenna = request.antenna.clone();
-    Ok(Some(BaseSite { marker, antenna_delta_hen_m, antenna, source: PositionSource::Given }))
+    let (calibration, source) = (None, PositionSource::Given);
+    Ok(Some(BaseSite { marker, antenna_delta_hen_m, antenna, calibration, source }))
 }
 
 fn result(
@@ -264,5 +265,6 @@ fn site_message(site: &BaseSite) -> v1::BaseSite {
         antenna_reference_point: Some(ecef(site.antenna_reference_point())),
         antenna: site.antenna.clone(),
         source: site.source.name().to_owned(),
+        antenna_calibrated: site.calibration.is_some(),
     }
 }

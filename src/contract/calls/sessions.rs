@@ -25,6 +25,7 @@ pub async fn create(
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
         base: base_choice(service, &request.base, &request.bases)?,
+        antenna: request.antenna,
     };
     Ok(message(service.sessions().create(new).await?))
 }
@@ -77,6 +78,7 @@ pub async fn update(
         overrides: request.overrides,
         clear_overrides: request.clear_overrides,
         base,
+        antenna: request.antenna,
     };
     Ok(message(service.sessions().update(&id, update).await?))
 }
@@ -110,6 +112,8 @@ fn message(info: SessionInfo) -> v1::Session {
         }
         BaseChoice::Nearest => (NEAREST.to_owned(), Vec::new()),
     };
+    let (antenna, antenna_calibration) =
+        info.antenna.map(|antenna| (antenna.name, antenna.calibration)).unwrap_or_default();
     v1::Session {
         session: info.id.to_string(),
         label: info.label,
@@ -124,5 +128,7 @@ fn message(info: SessionInfo) -> v1::Session {
         raw_through: info.raw_through,
         base,
         bases,
+        antenna,
+        antenna_calibration: antenna_calibration.to_string(),
     }
 }

@@ -51,6 +51,7 @@ impl Station {
             marker: LocalFrame::at(point).to_ecef(below),
             antenna_delta_hen_m: [height_m, 0.0, 0.0],
             antenna: self.antenna.clone(),
+            calibration: None,
             source: PositionSource::Message,
         })
     }

@@ -323,7 +323,7 @@ impl Task {
     }
 
     async fn active_configuration(&self) -> Result<ActiveConfiguration, SessionError> {
-        active_configuration(&self.store, self.id.as_str()).await
+        active_configuration(&self.store, &self.aiding, self.id.as_str()).await
     }
 
     /// The state after the last committed epoch.

@@ -1,9 +1,11 @@
-//! Rows as bytes: a compact binary form of epochs, solutions and ephemerides.
+//! Rows as bytes: a compact binary form of epochs, solutions, ephemerides and
+//! calibrations of antennas.
 //!
 //! Each form starts with its version and is canonical: equal values give equal bytes, and each
 //! `f64` is restored bit by bit. Integers are LEB128 with variable length (signed ones zigzag),
 //! times are nanoseconds, `f64` is little-endian IEEE 754. Corrupt bytes give a [`CodecError`].
 
+mod antenna;
 mod bytes;
 mod ephemeris;
 mod epoch;
@@ -11,6 +13,7 @@ mod epoch;
 mod sample;
 mod solution;
 
+pub(super) use antenna::{decode_calibration, encode_calibration};
 pub(super) use ephemeris::{
     NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
 };
@@ -122,6 +125,11 @@ mod tests {
         #[test]
         fn solutions_round_trip(solution in sample::solution()) {
             assert_round_trip(&solution, |s| encode_solution(s, "0.1.0", "c0ffee"), solution_of);
+        }
+
+        #[test]
+        fn calibrations_round_trip(calibration in sample::calibration()) {
+            assert_round_trip(&calibration, encode_calibration, decode_calibration);
         }
 
         #[test]

@@ -7,10 +7,11 @@ use proptest::prelude::*;
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    BaseEpochIssue, Constellation, Cycles, Dops, Ecef, Ephemeris, EphemerisIssue, Epoch,
-    GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, Observation,
-    ObservationCode, Odometry, OdometryFrame, Provenance, Reason, RelativeEstimate, SatelliteId,
-    Solution, SolutionEstimate, Status, Velocity,
+    AntennaCalibration, BaseEpochIssue, Constellation, Cycles, Dops, Ecef, Ephemeris,
+    EphemerisIssue, Epoch, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris,
+    NavigationMessage, Observation, ObservationCode, Odometry, OdometryFrame, PhaseCentrePattern,
+    Provenance, Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status,
+    Velocity,
 };
 
 use super::ephemeris::MESSAGES;
@@ -60,6 +61,34 @@ fn observation() -> impl Strategy<Value = Observation> {
             carrier_phase: v[1].map(Cycles),
             doppler_hz: v[2],
             cn0_db_hz: v[3],
+        },
+    )
+}
+
+fn pattern() -> impl Strategy<Value = PhaseCentrePattern> {
+    let rows = vec(vec(number(), 0..4), 0..4);
+    (constellation(), any::<u8>(), vector(), number(), number(), rows).prop_map(
+        |(constellation, band_digit, offset_m, first_zenith_rad, zenith_step_rad, rows)| {
+            PhaseCentrePattern {
+                constellation,
+                band_digit,
+                offset_m,
+                first_zenith_rad,
+                zenith_step_rad,
+                variations_m: rows.first().cloned().unwrap_or_default(),
+                azimuth_variations_m: rows,
+            }
+        },
+    )
+}
+
+pub(super) fn calibration() -> impl Strategy<Value = AntennaCalibration> {
+    (["[A-Z0-9.]{0,16}", "[A-Z]{0,4}", "[0-9]{0,5}"], vec(pattern(), 0..3)).prop_map(
+        |([antenna, radome, serial], patterns)| AntennaCalibration {
+            antenna,
+            radome,
+            serial,
+            patterns,
         },
     )
 }

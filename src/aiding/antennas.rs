@@ -1,0 +1,76 @@
+//! Calibrations of receivers' antennas: those of the operator's ANTEX file, and those in use.
+
+use std::sync::Arc;
+
+use crate::gnss::{AntennaCalibration, AntennaCatalogue, BaseSite};
+use crate::store::{AntennaName, Store};
+
+use super::AidingError;
+
+/// The desk for calibrations of receivers' antennas. All clones share the same calibrations.
+///
+/// A calibration is stored when a session or a base begins to use it. So the session continues, and
+/// is replayed, without the operator's file.
+#[derive(Clone)]
+pub struct Antennas {
+    store: Store,
+    catalogue: Arc<AntennaCatalogue>,
+}
+
+impl Antennas {
+    pub(super) const fn new(store: Store, catalogue: Arc<AntennaCatalogue>) -> Self {
+        Self { store, catalogue }
+    }
+
+    /// Whether there is no ANTEX file, or none of receivers' antennas.
+    pub fn is_empty(&self) -> bool {
+        self.catalogue.receivers.is_empty()
+    }
+
+    /// Looks up an antenna by type and radome and stores its calibration.
+    ///
+    /// # Errors
+    /// The ANTEX file does not have it, or the store fails.
+    pub async fn keep(&self, name: &str) -> Result<AntennaName, AidingError> {
+        let calibration = self.find(name)?;
+        self.store.keep_calibration(calibration).await?;
+        Ok(AntennaName::of(calibration))
+    }
+
+    /// The stored calibration of a hash.
+    ///
+    /// # Errors
+    /// There is none, or the store fails.
+    pub async fn kept(&self, hash: &str) -> Result<Arc<AntennaCalibration>, AidingError> {
+        Ok(Arc::new(self.store.calibration(hash).await?))
+    }
+
+    /// The site of a new base with the calibration of its antenna.
+    ///
+    /// # Errors
+    /// The ANTEX file does not have the antenna that the site names.
+    pub(super) fn of_new_base(&self, site: &BaseSite) -> Result<BaseSite, AidingError> {
+        if !site.antenna.is_empty() && !self.is_empty() {
+            self.find(&site.antenna)?;
+        }
+        Ok(self.calibrated(site, None))
+    }
+
+    /// The site with the calibration of its antenna: from the ANTEX file, else from the site
+    /// `before`, if that has the same antenna.
+    pub(super) fn calibrated(&self, site: &BaseSite, before: Option<&BaseSite>) -> BaseSite {
+        let same = before.filter(|before| before.antenna == site.antenna);
+        let same = same.and_then(|before| before.calibration.clone());
+        let calibration = match self.catalogue.receiver(&site.antenna, "") {
+            Some(known) if same.as_deref() == Some(known) => same,
+            Some(known) => Some(Arc::new(known.clone())),
+            None => same,
+        };
+        BaseSite { calibration, ..site.clone() }
+    }
+
+    fn find(&self, name: &str) -> Result<&AntennaCalibration, AidingError> {
+        let found = self.catalogue.receiver(name, "");
+        found.ok_or_else(|| AidingError::AntennaUnknown { name: name.to_owned() })
+    }
+}
