@@ -14,6 +14,9 @@
 //! Sources: Huber (1964), *Robust estimation of a location parameter*; Zhang (1997), *Parameter
 //! estimation techniques*, table 1; Barron (2019), *A general and adaptive robust loss function*.
 
+/// Width of Huber's kernel that keeps 95 % efficiency on normal errors.
+pub(crate) const HUBER_WIDTH: f64 = 1.345;
+
 /// Shape of a kernel; the [module documentation](self) has the formulas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Law {

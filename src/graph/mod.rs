@@ -106,6 +106,7 @@ pub use annealing::{AnnealedKernel, Phase, Schedule, Stage};
 pub use covariance::Covariances;
 pub use elimination::{Elimination, EliminationError, Variable};
 pub use estimate::Estimate;
+pub(crate) use kernel::HUBER_WIDTH;
 pub use kernel::{Kernel, Law};
 pub use optimizer::{OptimizerOptions, Outcome, Problem, Summary, Workspace, optimize};
 pub use prior::Prior;

@@ -6,7 +6,7 @@
 //! x_k = x̄_k + L⁻ᵀ·(y − Gᵀ·δ_{k+1} − W·δ_β) + L⁻ᵀ·ε, ε standard normal
 //!
 //! with δ the difference from where the rows were linearised. The border variables retired with it
-//! have the like. A [`Departure`] holds both. A [`Smoother`] begins at the newest state of a solved
+//! have the like. A `Departure` holds both. A `Smoother` begins at the newest state of a solved
 //! window and carries mean and covariance of (one state, the border variables alive there) backward
 //! through the departures, which takes of the order of S²·n + S·n² operations a state for n border
 //! variables. The rows of a marginalised state keep their linearisation and their kernel weights.

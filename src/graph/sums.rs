@@ -1,6 +1,7 @@
 //! Rows on the same coordinates, summed before they are added to a system.
 //!
-//! All rows of one kind at a state, such as the ranges measured there, depend on the same few coordinates.
+//! All rows of one kind at a state, such as the ranges measured there, depend on the same few
+//! coordinates.
 //! Σ w·jjᵀ and Σ w·jr of their Jacobians j are then small and dense, and are added to the state's
 //! block once.
 

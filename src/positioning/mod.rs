@@ -32,6 +32,7 @@ mod setup;
 mod snapshot;
 mod spp;
 mod standstill;
+mod starts;
 mod uncertainty;
 mod velocity;
 

@@ -1,21 +1,19 @@
 //! What the options mean to the estimators: worked out once, shared by all copies of a state.
 
 use crate::config::{GraphOptions, KernelLaw, PositioningOptions};
-use crate::graph::{AnnealedKernel, Kernel, Law, OptimizerOptions, Phase, Schedule};
+use crate::graph::{AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, Phase, Schedule};
 
 use super::chi_square::ChiSquareLimits;
 use super::factors::{ClockWalk, MotionWalk};
 use super::standstill::StandstillTest;
 
-/// Huber's constant: 95 % efficiency under normal errors.
-const HUBER: f64 = 1.345;
 /// A solve ends with a step shorter than this many standard deviations of the answer.
 const TOLERANCE: f64 = 1e-2;
 /// The same for redescending kernels: they reject what would slow a solve down.
 const ANNEALED_TOLERANCE: f64 = 5e-2;
 
 /// Kernel of the estimate of a group's offset.
-pub(super) const OFFSET_KERNEL: Kernel = Kernel::huber(HUBER);
+pub(super) const OFFSET_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Final kernel of carrier phases against a base, after annealing: 4σ.
 pub(super) const CARRIER_KERNEL: Kernel = Kernel::geman_mcclure(4.0);
 
@@ -127,7 +125,7 @@ impl GraphSettings {
         // Redescending kernels have many minima: the solve is annealed.
         match law {
             Law::Cauchy | Law::GemanMcClure => Self {
-                kernels: kernels(Kernel::huber(HUBER)),
+                kernels: kernels(Kernel::huber(HUBER_WIDTH)),
                 update: solve(Schedule::graduated(1, 2.0, 2.0, 1, 1), ANNEALED_TOLERANCE),
                 whole: solve(Schedule::graduated(2, 15.0, 2.0, 1, 10), ANNEALED_TOLERANCE),
             },
@@ -155,5 +153,5 @@ impl GraphSettings {
 
 /// A kernel that begins as Huber's.
 fn annealed(target: Kernel) -> AnnealedKernel {
-    AnnealedKernel { convex: Kernel::huber(HUBER), target }
+    AnnealedKernel { convex: Kernel::huber(HUBER_WIDTH), target }
 }

@@ -11,12 +11,11 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 
 use crate::config::{DopplerUse, PositioningOptions, REFERENCE_CN0_DB_HZ};
 use crate::gnss::{Ecef, Velocity};
+use crate::graph::HUBER_WIDTH;
 use crate::models::range_rate;
 
 use super::Measurement;
 
-/// Huber's constant: 95 % efficiency under normal errors.
-const HUBER: f64 = 1.345;
 /// C/N0 assumed where none is reported (dB-Hz).
 pub(super) const CN0_IF_MISSING_DB_HZ: f64 = REFERENCE_CN0_DB_HZ;
 /// Largest number of solutions; the weights settle to a millimetre per second within it.
@@ -77,7 +76,7 @@ impl VelocityEstimator {
                 self.rows.iter_mut().for_each(|row| row.root_weight = root_weight);
                 solve(&self.rows, f64::INFINITY)
             }
-            DopplerUse::None | DopplerUse::Satellites => solve(&self.rows, HUBER),
+            DopplerUse::None | DopplerUse::Satellites => solve(&self.rows, HUBER_WIDTH),
         }
     }
 }
@@ -170,7 +169,7 @@ mod tests {
         let plain = solve(&rows, f64::INFINITY).unwrap();
         assert!((plain.velocity_m_s - Vector3::new(9.0 / 7.0, 0.0, 0.0)).norm() < 1e-12);
         assert!((plain.clock_drift_m_s - 3.0 / 7.0).abs() < 1e-12);
-        let robust = solve(&rows, HUBER).unwrap();
+        let robust = solve(&rows, HUBER_WIDTH).unwrap();
         assert!(robust.velocity_m_s.norm() < 0.2, "{}", robust.velocity_m_s.norm());
     }
 }

@@ -19,6 +19,9 @@ use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::standstill::Standstill;
+use crate::positioning::starts::{
+    FRAME_LIMIT_M, LOST_S, START_CLOCK_M, START_M, START_M_S, UNKNOWN_SPEED_M_S,
+};
 use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
 use crate::snapshot::state_fields;
@@ -26,24 +29,12 @@ use crate::snapshot::state_fields;
 use super::gaussian::{BIAS, Gaussian};
 use super::rows::Rows;
 
-/// Standard deviation of the first position about its start (m): wider than any measurement.
-const START_M: f64 = 1e4;
-/// Standard deviation of an unknown velocity, per axis (m/s).
-const START_M_S: f64 = 100.0;
-/// Standard deviation of the velocity where no Doppler gives it (m/s).
-const UNKNOWN_SPEED_M_S: f64 = 50.0;
-/// Standard deviation of a clock that begins (m).
-const START_CLOCK_M: f64 = 1e5;
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 const BIAS_M: f64 = 300.0;
-/// Distance from the frame's origin at which the filter restarts (m): up has turned by 1°.
-const FRAME_LIMIT_M: f64 = 1e5;
 /// Least standard deviation of a phase difference (m): a quarter wavelength at L1, the bound of
 /// multipath from a reflection no stronger than the signal. The filter has no kernel for phases,
 /// and its test accepts the first rows: with 0.01 m, `hers-hert` has errors of up to 26 m.
 const PHASE_BOUND_M: f64 = 0.05;
-/// How long most pseudoranges may fail the test before the filter restarts (s).
-const LOST_S: f64 = 10.0;
 
 /// What the filter knows between epochs.
 #[derive(Debug)]

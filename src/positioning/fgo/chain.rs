@@ -19,6 +19,9 @@ use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
+use crate::positioning::starts::{
+    START_CLOCK_M, START_M, START_M_S, UNKNOWN_SPEED_M_S, start_frame,
+};
 use crate::positioning::uncertainty::{Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
 use crate::positioning::{Measurement, Measurements};
@@ -26,16 +29,8 @@ use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
 
-/// Standard deviation of the first position about its start (m): wider than any measurement.
-const START_M: f64 = 1e4;
-/// Standard deviation of the first velocity about its start, per axis (m/s).
-const START_M_S: f64 = 100.0;
-/// Standard deviation of the first clock about the median of the pseudoranges (m).
-const START_CLOCK_M: f64 = 1e5;
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 const BIAS_M: f64 = 300.0;
-/// Standard deviation of the velocity between epochs where no Doppler gives it (m/s).
-const UNKNOWN_SPEED_M_S: f64 = 50.0;
 
 /// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
@@ -91,7 +86,7 @@ impl Chain {
     /// biases.
     pub(super) fn new(ring: usize) -> Self {
         Self {
-            frame: LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)),
+            frame: start_frame(),
             epochs: Vec::new(),
             estimate: Estimate::new(),
             prior: Prior::none(),

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use crate::gnss::{GpsTime, Reason, SatelliteId};
+use crate::graph::HUBER_WIDTH;
 use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
@@ -22,7 +23,7 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 /// phases linked.
 const PHASE_WEIGHT_MIN: f64 = 0.1;
 /// Kernel of odometry, since wheels slip: Huber's, 95 % efficient under normal errors.
-const ODOMETRY_KERNEL: Kernel = Kernel::huber(1.345);
+const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
 const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
 

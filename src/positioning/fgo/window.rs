@@ -10,15 +10,11 @@ use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::{DRIFT, STATE, State, VELOCITY, position};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
+use crate::positioning::starts::{FRAME_LIMIT_M, WINDOW_EPOCHS_MIN};
 use crate::snapshot::state_fields;
 
 use super::answer::{AnswerScratch, solution};
 use super::chain::{Chain, ChainScratch};
-
-/// Least number of epochs in a window, however far apart they are.
-const EPOCHS_MIN: usize = 10;
-/// Distance from the frame's origin at which the window restarts (m): up has turned by 1°.
-const FRAME_LIMIT_M: f64 = 1e5;
 
 /// A causal estimator over a sliding window.
 #[derive(Debug)]
@@ -208,7 +204,7 @@ impl SlidingWindow {
             return over;
         }
         let late = epochs.iter().filter(|epoch| options.graph.window_s < time - epoch.time).count();
-        over.max(late.min(count.saturating_sub(EPOCHS_MIN)))
+        over.max(late.min(count.saturating_sub(WINDOW_EPOCHS_MIN)))
     }
 
     /// Answers the oldest `count` epochs again, from all that the window has seen. Where the normal

@@ -13,15 +13,13 @@ use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::setup::Setup;
+use crate::positioning::starts::FRAME_LIMIT_M;
 use crate::snapshot::{Snapshot, state_fields};
 
 use super::ambiguity::Resolution;
 use super::answer::{AnswerParts, solution};
 use super::observed::{Arcs, BaseTracking, Intake, Received, RtkEpoch, STATE, State, UsableBase};
 use super::tracking::Tracking;
-
-/// Distance from the frame's origin at which the solver restarts (m): up has turned by 1°.
-const FRAME_LIMIT_M: f64 = 1e5;
 
 /// A solver of differences: a window of epochs, or a filter.
 pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {

@@ -12,6 +12,7 @@
 //! for early ones, because a reflected path is longer than the direct one and never shorter.
 
 use crate::gnss::Ecef;
+use crate::graph::HUBER_WIDTH;
 
 use super::least_squares::{Row, Step};
 use super::{EpochInputs, Fit, LAST_STEP_M, SinglePoint};
@@ -22,7 +23,7 @@ const REDUNDANCY_MIN: f64 = 1e-6;
 /// that share a reflection can always be found to agree.
 const DEGREES_LEFT_MIN: usize = 3;
 /// Huber's constant for late signals (residual negative): 95 % efficiency under normal errors.
-const HUBER_LATE: f64 = 1.345;
+const HUBER_LATE: f64 = HUBER_WIDTH;
 /// Huber's constant for early signals.
 const HUBER_EARLY: f64 = 2.0 * HUBER_LATE;
 /// Reweighted solutions at most.

@@ -10,16 +10,13 @@ use crate::positioning::rtk::observed::{
 use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
 use crate::positioning::setup::Setup;
+use crate::positioning::starts::{LOST_S, START_M_S, start_frame};
 use crate::snapshot::state_fields;
 
 use super::gaussian::{Gains, Gaussian};
 
 /// Standard deviation of the first position about its start (m): wider than any measurement.
 const START_M: f64 = 1e3;
-/// Standard deviation of the first velocity about its start, per axis (m/s).
-const START_M_S: f64 = 100.0;
-/// How long most pseudoranges may fail the test before the filter restarts (s).
-const LOST_S: f64 = 10.0;
 
 /// State of the filter between epochs.
 #[derive(Debug)]
@@ -68,7 +65,7 @@ impl RelativeSolver for FilterState {
     fn new() -> Self {
         Self {
             time: None,
-            frame: LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)),
+            frame: start_frame(),
             gaussian: Gaussian::zero(),
             tracking: Tracking::new(),
             failing_s: 0.0,

@@ -3,12 +3,10 @@
 use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::BasePositionCheck;
 use crate::positioning::aiding::BASE_LATER_S;
+use crate::positioning::aiding::BASE_MOVED_M;
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
-
-/// A base whose stated position changes by more has moved (m): RTCM resolves 0.1 mm.
-const MOVED_M: f64 = 1e-3;
 
 /// The newest base epoch, and where the base may have slipped since the rover's last epoch.
 #[derive(Debug, Default)]
@@ -90,7 +88,7 @@ impl BaseMemory {
     /// are then those of another position: no arc continues.
     pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
         let (stated, _) = self.check?;
-        Some(stated.distance_m(station.antenna_reference_point)).filter(|m| MOVED_M < *m)
+        Some(stated.distance_m(station.antenna_reference_point)).filter(|m| BASE_MOVED_M < *m)
     }
 
     /// The newest epoch.

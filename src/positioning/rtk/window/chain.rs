@@ -1,6 +1,6 @@
 //! The window of epochs in the graph: start, growth, marginalisation.
 
-use crate::gnss::{Ecef, GpsTime, LocalFrame, SatelliteId};
+use crate::gnss::{GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
     Departure, Elimination, EliminationError, Estimate, Phase, Prior, Problem, System, Workspace,
     optimize,
@@ -12,14 +12,10 @@ use crate::positioning::rtk::observed::{
 };
 use crate::positioning::rtk::tracking::Tracking;
 use crate::positioning::setup::{GraphSettings, Setup};
+use crate::positioning::starts::{START_M, START_M_S, start_frame};
 use crate::snapshot::state_fields;
 
 use super::history::History;
-
-/// Standard deviation of the first position about its start (m): wider than any measurement.
-const START_M: f64 = 1e4;
-/// Standard deviation of the first velocity about its start, per axis (m/s).
-const START_M_S: f64 = 100.0;
 
 /// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
@@ -45,7 +41,7 @@ impl Chain {
     /// An empty chain.
     pub(crate) fn empty() -> Self {
         Self {
-            frame: LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0)),
+            frame: start_frame(),
             epochs: Vec::new(),
             estimate: Estimate::new(),
             prior: Prior::none(),

@@ -15,13 +15,11 @@ use crate::lambda::Resolver;
 use crate::positioning::rtk::ambiguity::{IntegerHistory, may_be_integer};
 use crate::positioning::rtk::observed::{CarrierArc, STATE};
 use crate::positioning::rtk::tracking::Tracking;
+use crate::positioning::starts::WINDOW_EPOCHS_MIN;
 use crate::snapshot::state_fields;
 
 use super::record::EpochRecord;
 use super::revision::Revision;
-
-/// Least number of epochs that wait, however far apart they are.
-const EPOCHS_MIN: usize = 10;
 
 /// The epochs without a last answer, in order of time.
 #[derive(Debug, Default)]
@@ -92,7 +90,7 @@ impl History {
         let waiting = self.records.range(self.revised..);
         let count = waiting.len();
         let is_late = |record: &&Arc<EpochRecord>| options.window_s < time - record.solution.time;
-        let late = waiting.take_while(is_late).count().min(count.saturating_sub(EPOCHS_MIN));
+        let late = waiting.take_while(is_late).count().min(count.saturating_sub(WINDOW_EPOCHS_MIN));
         let over = count.saturating_sub(options.window_epochs_max);
         self.revised..self.revised + over.max(late)
     }
