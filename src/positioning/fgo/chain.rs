@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use crate::config::{DopplerUse, GraphOptions};
-use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame};
+use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry};
 use crate::graph::{
     Elimination, EliminationError, Estimate, OptimizerOptions, Phase, Prior, Problem, System,
     Workspace, optimize,
@@ -168,10 +168,8 @@ impl Chain {
             scratch.velocity.estimate_whole(receiver, &measurements.list, &setup.options);
         factors.doppler_velocity_m_s = velocity.map(|v| self.frame.rotation * v.velocity_m_s);
         factors.slot = self.sequence % self.ring.max(1);
-        let needed = Constellation::COUNT * (factors.slot + 1);
-        if self.estimate.border.len() < needed {
-            self.estimate.border.resize(needed, 0.0);
-        }
+        let border = &mut self.estimate.border;
+        border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
         let interval_s = self.last_time().map(|last| time - last);
         if interval_s.is_none() {
             self.started = time;
@@ -198,10 +196,7 @@ impl Chain {
             }
         }
         if let Some(odometry) = &measurements.odometry {
-            let over =
-                |interval_s| OdometryFactor::over(interval_s, &self.frame, receiver, odometry);
-            factors.odometry.extend(interval_s.and_then(over));
-            factors.unused_odometry_s = factors.odometry.is_empty().then_some(odometry.interval_s);
+            self.add_odometry(factors, odometry, interval_s, receiver);
         }
         let spacing_s = interval_s.unwrap_or(options.independence_s);
         let mut share = (spacing_s / options.independence_s).min(1.0);
@@ -226,6 +221,19 @@ impl Chain {
             factors: Arc::new(factors.clone()),
         });
         self.sequence += 1;
+    }
+
+    /// The displacement by odometry, where it covers the interval.
+    fn add_odometry(
+        &self,
+        factors: &mut Factors,
+        odometry: &Odometry,
+        interval_s: Option<f64>,
+        receiver: Ecef,
+    ) {
+        let over = |interval_s| OdometryFactor::over(interval_s, &self.frame, receiver, odometry);
+        factors.odometry.extend(interval_s.and_then(over));
+        factors.unused_odometry_s = factors.odometry.is_empty().then_some(odometry.interval_s);
     }
 
     /// Pseudorange factors of the measurements that are used.
