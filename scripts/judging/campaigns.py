@@ -11,9 +11,9 @@ FAULTS = (
 )
 # Those that draw nothing need one seed only.
 DRAWN = ("bad-start", "reflect", "jump", "wild", "slips", "half", "gaps", "shuffle")
-SHORT_RECORDINGS = ("tst-2019", "berlin", "ublox.f9p.splitter", "pixel4", "galway-walk", "spirent-dynamic")
-SHORT_FAULTS = ("thin=5", "bad-start=20", "blackout=120:20", "jump=120:50")
-SHORT_FAULTY = ("tst-2019", "galway-walk")
+SHORT_FAULTS = ("thin=5", "bad-start=20", "blackout=120:20", "jump=120:50", "steps", "shuffle")
+SHORT_FAULTY = ("tst-2019", "berlin", "galway-walk")
+SHORT_DRIVES = 12
 START_EVERY_S = 30.0
 START_LENGTH_S = 120.0
 
