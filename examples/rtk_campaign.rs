@@ -27,7 +27,7 @@ use graphfix::gnss::{
     BaseStation, Constellation, Ecef, Ephemeris, LocalFrame, Navigation, Solution, Status,
 };
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
-use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator, navigation, signals};
+use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator, navigation};
 
 /// Horizontal error above which a fix is wrong (m).
 const WRONG_M: f64 = 0.1;
@@ -156,8 +156,7 @@ fn write_observations<'a>(
 ) -> Result<(), Fault> {
     let mut codes = [const { Vec::new() }; Constellation::COUNT];
     for constellation in &scenario.constellations {
-        codes[constellation.index()] =
-            signals(*constellation).into_iter().take(scenario.frequencies).collect();
+        codes[constellation.index()] = scenario.signals(*constellation).collect();
     }
     let channel = |list: &[Ephemeris]| {
         let first = list.first()?;

@@ -14,7 +14,7 @@ use crate::formats::rinex::{
 use crate::formats::truth::{self, TruthRow};
 use crate::gnss::constants::{SECONDS_PER_HOUR, SECONDS_PER_WEEK};
 use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
-use crate::simulation::{Scenario, Simulator, signals};
+use crate::simulation::{RandomDrive, Scenario, Simulator};
 
 /// The names of the files.
 const FILES: [&str; 6] =
@@ -28,7 +28,7 @@ const LONGEST_BASELINE_M: f64 = 1e5;
 /// Simulates a rover and its base and writes RINEX 3.05 files and the truth.
 #[derive(Debug, Args)]
 pub(crate) struct SimulateArguments {
-    /// Scenario: open-sky, urban-canyon, rtk-open, rtk-canyon or clean.
+    /// Scenario: open-sky, urban-canyon, rtk-open, rtk-canyon, clean or random-drive.
     #[arg(long, value_name = "NAME")]
     scenario: String,
     /// Seed of the random numbers; the same seed gives the same files.
@@ -56,7 +56,7 @@ pub(crate) struct SimulateArguments {
 
 /// Simulates and writes.
 pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
-    let scenario = arguments.scenario()?;
+    let (scenario, meaning) = arguments.scenario()?;
     let folder = &arguments.output;
     if let Some(name) = FILES.iter().find(|name| !arguments.force && folder.join(name).exists()) {
         let message = format!("{} exists", folder.join(name).display());
@@ -69,7 +69,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     write_navigation(create(&folder.join("navigation.rnx"))?, &navigation)
         .map_err(|error| not_writable(&folder.join("navigation.rnx"), &error))?;
     let epochs = write_epochs(folder, &scenario, simulator)?;
-    let summary = summary(arguments, &scenario, epochs, base_position);
+    let summary = summary(arguments, (&scenario, &meaning), epochs, base_position);
     let readme = folder.join("README.txt");
     let written = create(&readme)?.write_all(summary.as_bytes());
     written.map_err(|error| not_writable(&readme, &error))?;
@@ -79,12 +79,27 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
 }
 
 impl SimulateArguments {
-    fn scenario(&self) -> Result<Scenario, Failure> {
-        let mut scenario = Scenario::by_name(&self.scenario).ok_or_else(|| {
-            let names: Vec<_> = Scenario::NAMES.iter().map(|(name, _)| *name).collect();
+    /// The scenario of the name, and what it is.
+    fn named(&self) -> Result<(Scenario, String), Failure> {
+        if self.scenario == RandomDrive::NAME.0 {
+            let drive = RandomDrive::draw(self.seed);
+            return Ok((drive.scenario, format!("{}\n{}", RandomDrive::NAME.1, drive.description)));
+        }
+        let all = Scenario::NAMES.into_iter().chain([RandomDrive::NAME]);
+        let found = Scenario::by_name(&self.scenario);
+        let meaning = all.clone().find(|(name, _)| *name == self.scenario);
+        let Some((scenario, (_, meaning))) = found.zip(meaning) else {
+            let names: Vec<_> = all.map(|(name, _)| name).collect();
             let message = format!("no scenario is named {:?}", self.scenario);
-            Failure::new("UNKNOWN_SCENARIO", message, format!("one of {}", names.join(", ")))
-        })?;
+            let remedy = format!("one of {}", names.join(", "));
+            return Err(Failure::new("UNKNOWN_SCENARIO", message, remedy));
+        };
+        Ok((scenario, meaning.to_owned()))
+    }
+
+    /// The same with the options asked for.
+    fn scenario(&self) -> Result<(Scenario, String), Failure> {
+        let (mut scenario, meaning) = self.named()?;
         if let Some(duration_s) = self.duration {
             if !(0.0..=LONGEST_S).contains(&duration_s) {
                 return Err(out_of_range("--duration", duration_s, 0.0, LONGEST_S));
@@ -107,7 +122,7 @@ impl SimulateArguments {
         if self.single_frequency {
             scenario.frequencies = 1;
         }
-        Ok(scenario)
+        Ok((scenario, meaning))
     }
 }
 
@@ -156,8 +171,7 @@ fn header(
 ) -> ObservationHeader {
     let mut codes = [const { Vec::new() }; Constellation::COUNT];
     for constellation in &scenario.constellations {
-        codes[constellation.index()] =
-            signals(*constellation).into_iter().take(scenario.frequencies).collect();
+        codes[constellation.index()] = scenario.signals(*constellation).collect();
     }
     let channel = |list: &[Ephemeris]| {
         let first = list.first()?;
@@ -179,11 +193,10 @@ fn header(
 
 fn summary(
     arguments: &SimulateArguments,
-    scenario: &Scenario,
+    (scenario, meaning): (&Scenario, &str),
     epochs: usize,
     base: Option<Ecef>,
 ) -> String {
-    let named = Scenario::NAMES.iter().find(|(name, _)| *name == arguments.scenario);
     let mut text = format!(
         "Simulated by graphfix {}: scenario {}, seed {}\n{}\n\n\
          {epochs} epochs from GPS {} on, every {} s\n\
@@ -191,7 +204,7 @@ fn summary(
         env!("CARGO_PKG_VERSION"),
         arguments.scenario,
         arguments.seed,
-        named.map_or("", |(_, meaning)| meaning),
+        meaning,
         scenario.start,
         scenario.interval_s,
     );

@@ -117,7 +117,7 @@ mod tests {
     };
     use crate::gnss::PositionSource;
     use crate::recording::Input;
-    use crate::simulation::{Scenario, Simulator, signals};
+    use crate::simulation::{Scenario, Simulator};
 
     const EPOCHS: usize = 20;
 
@@ -130,7 +130,7 @@ mod tests {
         let scenario = Scenario { duration_s: EPOCHS as f64 - 1.0, ..Scenario::rtk_open() };
         let mut header = ObservationHeader::new(RinexVersion::new(3, 5));
         for constellation in &scenario.constellations {
-            header.codes[constellation.index()] = signals(*constellation).to_vec();
+            header.codes[constellation.index()] = scenario.signals(*constellation).collect();
         }
         let simulator = Simulator::new(scenario, 1);
         let mut navigation = Vec::new();

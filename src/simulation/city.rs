@@ -17,8 +17,6 @@ const LONGEST_LOOK: usize = 40;
 const OFF_THE_WALL_M: f64 = 1e-3;
 /// Wavelength for which diffraction is computed (m): L1.
 const WAVELENGTH_M: f64 = 0.19;
-/// Larger diffraction losses count as blocked (dB).
-const DIFFRACTION_LIMIT_DB: f64 = 25.0;
 
 /// Dimensions of a city.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +39,8 @@ pub struct CityPlan {
     pub reflecting_share: f64,
     /// Largest excess path of a reflection that a receiver tracks (m).
     pub longest_excess_m: f64,
+    /// Largest loss of a diffracted signal (dB).
+    pub diffraction_limit_db: f64,
 }
 
 impl CityPlan {
@@ -56,6 +56,7 @@ impl CityPlan {
             pane_m: 15.0,
             reflecting_share: 0.75,
             longest_excess_m: 200.0,
+            diffraction_limit_db: 25.0,
         }
     }
 }
@@ -174,7 +175,8 @@ impl City {
         let gap_m = self.height_m(hit.block) - hit.point.z;
         let edge = Vector3::new(hit.point.x, hit.point.y, hit.point.z + gap_m + OFF_THE_WALL_M);
         let bent = Diffraction::over_edge(gap_m * ray.xy().norm(), (hit.point - from).norm());
-        let is_heard = bent.loss_db < DIFFRACTION_LIMIT_DB && self.first_wall(&edge, ray).is_none();
+        let is_heard =
+            bent.loss_db < self.plan.diffraction_limit_db && self.first_wall(&edge, ray).is_none();
         is_heard.then_some(bent)
     }
 
@@ -300,6 +302,7 @@ mod tests {
             pane_m: 15.0,
             reflecting_share: 1.0,
             longest_excess_m: 200.0,
+            diffraction_limit_db: 25.0,
         };
         City::new(plan, 1)
     }

@@ -15,17 +15,21 @@
 mod city;
 mod constellation;
 mod motion;
+mod oddities;
 mod odometry;
 mod place;
 mod random;
+mod random_drive;
 mod receiver;
 mod scenario;
 mod track;
 
 pub use city::CityPlan;
-pub use motion::Motion;
-pub use receiver::{PhaseTruth, signals};
-pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario};
+pub use motion::{Motion, Traffic};
+pub use oddities::Oddities;
+pub use random_drive::{DriveKind, RandomDrive};
+pub use receiver::PhaseTruth;
+pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario, SecondBand};
 
 use std::sync::Arc;
 
@@ -33,6 +37,7 @@ use nalgebra::Vector3;
 
 use self::city::City;
 use self::motion::Path;
+use self::oddities::OddReceiver;
 use self::odometry::Odometer;
 use self::place::Place;
 use self::random::Random;
@@ -42,6 +47,7 @@ use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation, Odometry};
 const ROVER_STREAM: u64 = 1;
 const BASE_STREAM: u64 = 2;
 const ODOMETRY_STREAM: u64 = 3;
+const ODDITIES_STREAM: u64 = 4;
 const IONOSPHERE_STREAM: u64 = 21;
 
 /// One epoch of a simulation.
@@ -49,7 +55,7 @@ const IONOSPHERE_STREAM: u64 = 21;
 pub struct SimulatedEpoch {
     /// Observations of the rover.
     pub rover: Epoch,
-    /// Observations of the base at the same time tag; `None` without base.
+    /// Observations of the base at its own due tag; `None` without base.
     pub base: Option<Epoch>,
     /// The truth of the rover's carrier phases, in the order of its observations.
     pub rover_phases: Vec<PhaseTruth>,
@@ -75,6 +81,7 @@ pub struct Simulator {
     path: Path,
     city: Option<City>,
     rover: Receiver,
+    oddities: Option<OddReceiver>,
     base: Option<(Receiver, Ecef)>,
     odometer: Odometer,
     next_index: u64,
@@ -111,7 +118,22 @@ impl Simulator {
             .base
             .map(|enu| (receiver(scenario.base_errors, BASE_STREAM), frame.to_ecef(enu)));
         let odometer = Odometer::new(Random::new(seed, ODOMETRY_STREAM));
-        Self { scenario, seed, navigation, frame, path, city, rover, base, odometer, next_index: 0 }
+        let oddities = scenario
+            .oddities
+            .map(|oddities| OddReceiver::new(oddities, seed, Random::new(seed, ODDITIES_STREAM)));
+        Self {
+            scenario,
+            seed,
+            navigation,
+            frame,
+            path,
+            city,
+            rover,
+            oddities,
+            base,
+            odometer,
+            next_index: 0,
+        }
     }
 
     /// The broadcast navigation data.
@@ -142,8 +164,9 @@ impl Iterator for Simulator {
             return None;
         }
         self.next_index += 1;
-        let tag = self.scenario.start + elapsed_s;
-        let received = self.rover.advance_clock(tag);
+        let due = self.scenario.start + elapsed_s;
+        let received = self.rover.advance_clock(due);
+        let tag = due + self.rover.steering_s();
         let (position, velocity_m_s, local) = self.rover_at(received);
         let open = Surroundings {
             navigation: &self.navigation,
@@ -153,10 +176,14 @@ impl Iterator for Simulator {
             seed: self.seed,
         };
         let around = Surroundings { city: self.city.as_ref().map(|city| (city, local)), ..open };
-        let (rover, rover_phases) = self.rover.observe(tag, position, velocity_m_s, &around);
+        let (mut rover, mut rover_phases) =
+            self.rover.observe(tag, position, velocity_m_s, &around);
+        if let Some(oddities) = &mut self.oddities {
+            oddities.disturb(&mut rover, &mut rover_phases, &self.navigation);
+        }
         let base = self.base.as_mut().map(|(receiver, position)| {
-            receiver.advance_clock(tag);
-            receiver.observe(tag, *position, Vector3::zeros(), &open)
+            receiver.advance_clock(due);
+            receiver.observe(due, *position, Vector3::zeros(), &open)
         });
         let (base, base_phases) = base.unzip();
         let base_phases = base_phases.unwrap_or_default();

@@ -6,21 +6,48 @@ use super::city::City;
 use super::place::Place;
 use super::random::Random;
 
-/// Acceleration and deceleration of a car in town (m/s²).
-const ACCELERATION_M_S2: f64 = 2.0;
-/// Speed between the turns (m/s).
-const CRUISE_M_S: f64 = 12.0;
-/// Speed through a turn (m/s).
-const TURN_M_S: f64 = 4.0;
-/// Radius of a turn (m).
-const TURN_RADIUS_M: f64 = 8.0;
-/// Distance from the street's centre to the car's lane, to its right (m).
-const LANE_M: f64 = 3.0;
-/// Probability that a traffic light is red; below, the range of waiting times (s).
-const RED_PROBABILITY: f64 = 0.35;
-const RED_S: (f64, f64) = (8.0, 35.0);
-/// Number of crossings that the car stays within, counted from its start.
+/// Number of crossings that the rover stays within, counted from its start.
 const TOWN_CORNERS: i64 = 5;
+
+/// How the rover moves through the streets of a city.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Traffic {
+    /// Speed between the turns (m/s).
+    pub cruise_m_s: f64,
+    /// Acceleration and deceleration (m/s²).
+    pub acceleration_m_s2: f64,
+    /// Speed through a turn (m/s).
+    pub turn_m_s: f64,
+    /// Radius of a turn (m).
+    pub turn_radius_m: f64,
+    /// Distance from the street's centre to the lane, to its right (m).
+    pub lane_m: f64,
+    /// Probability that a traffic light is red.
+    pub red_probability: f64,
+    /// Range of waiting times at a red light (s).
+    pub red_s: (f64, f64),
+    /// Start between the first crossing (0) and the second (1); at most 0.6.
+    pub start_share: f64,
+    /// Time at rest at the start (s).
+    pub start_wait_s: f64,
+}
+
+impl Traffic {
+    /// A car in town that starts at a crossing.
+    pub const fn town() -> Self {
+        Self {
+            cruise_m_s: 12.0,
+            acceleration_m_s2: 2.0,
+            turn_m_s: 4.0,
+            turn_radius_m: 8.0,
+            lane_m: 3.0,
+            red_probability: 0.35,
+            red_s: (8.0, 35.0),
+            start_share: 0.0,
+            start_wait_s: 0.0,
+        }
+    }
+}
 
 /// The kind of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +62,7 @@ pub enum Motion {
         speed_m_s: f64,
     },
     /// Through the streets of the scenario's city, with turns and red lights.
-    Streets,
+    Streets(Traffic),
 }
 
 /// A path for a given duration.
@@ -75,8 +102,10 @@ impl Path {
                 half_length_m,
                 rate_rad_s: std::f64::consts::TAU * speed_m_s / (EIGHT_LENGTH * half_length_m),
             },
-            (Motion::Streets, Some(city)) => Drive::through(city, duration_s, seed).into_path(),
-            (Motion::Static, _) | (Motion::Streets, None) => Self::Static,
+            (Motion::Streets(traffic), Some(city)) => {
+                Drive::through(city, traffic, duration_s, seed).into_path()
+            }
+            (Motion::Static, _) | (Motion::Streets(_), None) => Self::Static,
         }
     }
 
@@ -133,6 +162,7 @@ fn drive_at(
 
 /// A drive under construction.
 struct Drive {
+    traffic: Traffic,
     segments: Vec<Segment>,
     phases: Vec<Phase>,
     heading: Vector2<f64>,
@@ -144,18 +174,22 @@ struct Drive {
 }
 
 impl Drive {
-    fn through(city: &City, duration_s: f64, seed: u64) -> Self {
+    fn through(city: &City, traffic: Traffic, duration_s: f64, seed: u64) -> Self {
         let mut random = Random::new(seed, 11);
         let (sin, cos) = city.street_azimuth_rad.sin_cos();
         let mut drive = Self {
+            traffic,
             segments: Vec::new(),
             phases: Vec::new(),
             heading: Vector2::new(sin, cos),
-            end: Vector2::new(0.0, -LANE_M),
+            end: Vector2::new(traffic.start_share * city.pitch_m(), -traffic.lane_m),
             length_m: 0.0,
             time_s: 0.0,
             speed_m_s: 0.0,
         };
+        if 0.0 < traffic.start_wait_s {
+            drive.wait(traffic.start_wait_s);
+        }
         let mut corner = (0_i64, 0_i64);
         let mut direction = (1_i64, 0_i64);
         while drive.time_s <= duration_s {
@@ -178,11 +212,13 @@ impl Drive {
     ) {
         let vector = |d: (i64, i64)| Vector2::new(d.0 as f64, d.1 as f64);
         let (now, then) = (vector(direction), vector(next));
-        let lane = |d: Vector2<f64>| Vector2::new(d.y, -d.x) * LANE_M;
+        let lane = |d: Vector2<f64>| Vector2::new(d.y, -d.x) * self.traffic.lane_m;
         let node = Vector2::new(corner.0 as f64, corner.1 as f64) * pitch_m;
         let bend = now.perp(&then);
         let crossing = if bend == 0.0 { node + lane(now) } else { node + lane(now) + lane(then) };
-        let arc = if bend == 0.0 { 0.0 } else { TURN_RADIUS_M };
+        let Traffic { cruise_m_s, turn_m_s, turn_radius_m, red_probability, red_s, .. } =
+            self.traffic;
+        let arc = if bend == 0.0 { 0.0 } else { turn_radius_m };
         let straight = (crossing - self.end).dot(&now) - arc;
         self.segments.push(Segment {
             from_m: self.length_m,
@@ -190,29 +226,29 @@ impl Drive {
             direction: now,
             curvature_per_m: 0.0,
         });
-        let is_red = random.chance(RED_PROBABILITY);
+        let is_red = random.chance(red_probability);
         let leaving = match (is_red, bend == 0.0) {
             (true, _) => 0.0,
-            (false, true) => CRUISE_M_S,
-            (false, false) => TURN_M_S,
+            (false, true) => cruise_m_s,
+            (false, false) => turn_m_s,
         };
-        self.travel(straight, leaving, CRUISE_M_S);
+        self.travel(straight, leaving, cruise_m_s);
         if is_red {
-            self.wait(random.uniform(RED_S.0, RED_S.1));
+            self.wait(random.uniform(red_s.0, red_s.1));
         }
         self.length_m += straight;
         self.end += now * straight;
         if bend != 0.0 {
-            let length = std::f64::consts::FRAC_PI_2 * TURN_RADIUS_M;
+            let length = std::f64::consts::FRAC_PI_2 * turn_radius_m;
             self.segments.push(Segment {
                 from_m: self.length_m,
                 start: self.end,
                 direction: now,
-                curvature_per_m: bend / TURN_RADIUS_M,
+                curvature_per_m: bend / turn_radius_m,
             });
-            self.travel(length, TURN_M_S, TURN_M_S);
+            self.travel(length, turn_m_s, turn_m_s);
             self.length_m += length;
-            self.end += (now + then) * TURN_RADIUS_M;
+            self.end += (now + then) * turn_radius_m;
         }
     }
 
@@ -247,7 +283,7 @@ impl Drive {
 
     /// Covers a distance and ends with a given speed: accelerates, cruises, brakes.
     fn travel(&mut self, length_m: f64, leaving_m_s: f64, limit_m_s: f64) {
-        let (v0, v1, a) = (self.speed_m_s, leaving_m_s, ACCELERATION_M_S2);
+        let (v0, v1, a) = (self.speed_m_s, leaving_m_s, self.traffic.acceleration_m_s2);
         // v² of the highest speed if acceleration and braking alone cover the distance.
         let peak = (a * length_m + 0.5 * (v0 * v0 + v1 * v1)).max(0.0).sqrt();
         let top = peak.min(limit_m_s).max(v0.max(v1));
@@ -290,7 +326,8 @@ mod tests {
     fn paths() -> Vec<Path> {
         let city = City::new(CityPlan::dense(), 5);
         let eight = Motion::Loop { half_length_m: 300.0, speed_m_s: 10.0 };
-        vec![Path::new(eight, None, 600.0, 1), Path::new(Motion::Streets, Some(&city), 600.0, 1)]
+        let streets = Motion::Streets(Traffic::town());
+        vec![Path::new(eight, None, 600.0, 1), Path::new(streets, Some(&city), 600.0, 1)]
     }
 
     /// Velocity is the derivative of position, and neither jumps.
@@ -319,7 +356,7 @@ mod tests {
         let mean = speeds(eight)[..steps].iter().sum::<f64>() / steps as f64;
         assert!((mean - 10.0).abs() < 0.05, "{mean}");
         let driving = speeds(drive);
-        assert!(driving.iter().all(|v| *v < CRUISE_M_S + 1e-9));
+        assert!(driving.iter().all(|v| *v < Traffic::town().cruise_m_s + 1e-9));
         let standing = driving.iter().filter(|v| **v < 1e-9).count();
         assert!((100..4000).contains(&standing), "{standing}");
     }

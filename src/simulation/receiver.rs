@@ -8,7 +8,7 @@ use super::city::{Arrival, City};
 use super::place::Place;
 use super::random::{Random, normal_of_place};
 use super::scenario::{
-    Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
+    Atmosphere, ReceiverClock, ReceiverErrors, Scenario, SecondBand, signal_in_space_sigma_m,
 };
 use super::track::{Measured, Track};
 use crate::gnss::constants::{GPS_L1_HZ, LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
@@ -35,15 +35,28 @@ const SIGNAL_IN_SPACE: u64 = 32;
 const SHELL_HEIGHT_M: f64 = 350e3;
 const EARTH_RADIUS_M: f64 = 6_371e3;
 
+/// Code errors on L5, E5a and B2a relative to L1: the code is ten times as fast, which divides
+/// thermal noise by √10 and the bound of multipath by 10.
+const FAST_CODE_SCALE: f64 = 0.3;
+const FAST_CODE_BAND: u8 = 5;
+
 /// Observation codes received of a constellation, in order of preference.
-pub fn signals(constellation: Constellation) -> [ObservationCode; 2] {
-    let names = match constellation {
-        Constellation::Gps | Constellation::Qzss => ["1C", "2L"],
-        Constellation::Glonass => ["1C", "2C"],
-        Constellation::Galileo => ["1C", "7Q"],
-        Constellation::BeiDou => ["2I", "6I"],
+pub(super) fn signals(
+    constellation: Constellation,
+    second: SecondBand,
+) -> [Option<ObservationCode>; 2] {
+    use Constellation as C;
+    let names = match (constellation, second) {
+        (C::Gps | C::Qzss, SecondBand::L2) => [Some("1C"), Some("2L")],
+        (C::Gps | C::Qzss | C::Galileo, SecondBand::L5) => [Some("1C"), Some("5Q")],
+        (C::Glonass, SecondBand::L2) => [Some("1C"), Some("2C")],
+        (C::Glonass, SecondBand::L5) => [Some("1C"), None],
+        (C::Galileo, SecondBand::L2) => [Some("1C"), Some("7Q")],
+        (C::BeiDou, SecondBand::L2) => [Some("2I"), Some("6I")],
+        (C::BeiDou, SecondBand::L5) => [Some("2I"), Some("5P")],
     };
-    names.map(|name| ObservationCode::parse(name).expect("the codes are RINEX 3's"))
+    let parse = |name| ObservationCode::parse(name).expect("the codes are RINEX 3's");
+    names.map(|name| name.map(parse))
 }
 
 /// A receiver and the state on which its next epoch depends.
@@ -52,8 +65,11 @@ pub(super) struct Receiver {
     errors: Option<ReceiverErrors>,
     clock_options: ReceiverClock,
     random: Random,
+    /// Offset of the oscillator from GPS time (m).
     clock_m: f64,
     drift_m_s: f64,
+    /// Written tag less due tag (s).
+    steering_s: f64,
     last: Option<GpsTime>,
     tracks: BTreeMap<SatelliteId, Track>,
 }
@@ -104,6 +120,16 @@ impl Surroundings<'_> {
     }
 }
 
+/// The receiver's clock error as each kind of measurement contains it.
+struct Clock {
+    /// In pseudoranges (m).
+    code_m: f64,
+    /// Pseudorange clock less carrier-phase clock (m).
+    code_less_phase_m: f64,
+    /// In Dopplers (m/s).
+    drift_m_s: f64,
+}
+
 /// Geometry and delays of a satellite's direct path.
 struct DirectPath {
     state: SatelliteState,
@@ -135,10 +161,11 @@ impl Receiver {
         let clock_m = SPEED_OF_LIGHT * random.uniform(-1.0, 1.0) * clock_options.offset_s;
         let drift_m_s = SPEED_OF_LIGHT * random.uniform(-1.0, 1.0) * clock_options.drift;
         let tracks = BTreeMap::new();
-        Self { errors, clock_options, random, clock_m, drift_m_s, last: None, tracks }
+        let steering_s = 0.0;
+        Self { errors, clock_options, random, clock_m, drift_m_s, steering_s, last: None, tracks }
     }
 
-    /// Propagates the clock to an epoch's tag; returns the true time of reception.
+    /// Propagates the clock to the tag that is due; returns the true time of reception.
     pub(super) fn advance_clock(&mut self, tag: GpsTime) -> GpsTime {
         if let Some(last) = self.last {
             let dt = tag - last;
@@ -151,12 +178,21 @@ impl Receiver {
                 self.clock_m -= LIGHT_MILLISECOND_M.copysign(self.clock_m);
             }
         }
+        let step_s = self.clock_options.tag_step_s;
+        if 0.0 < step_s {
+            self.steering_s = -(self.clock_m / SPEED_OF_LIGHT / step_s).round() * step_s;
+        }
         tag - self.clock_m / SPEED_OF_LIGHT
     }
 
-    /// Offset of the clock (m).
+    /// Written tag less due tag (s).
+    pub(super) fn steering_s(&self) -> f64 {
+        self.steering_s
+    }
+
+    /// Offset of the written tag from GPS time (m).
     pub(super) fn clock_m(&self) -> f64 {
-        self.clock_m
+        self.clock_m + SPEED_OF_LIGHT * self.steering_s
     }
 
     /// Drift of the clock (m/s).
@@ -174,7 +210,7 @@ impl Receiver {
         velocity_m_s: Vector3<f64>,
         surroundings: &Surroundings<'_>,
     ) -> (Epoch, Vec<PhaseTruth>) {
-        let time = tag - self.clock_m / SPEED_OF_LIGHT;
+        let time = tag - self.clock_m() / SPEED_OF_LIGHT;
         let receiver = position.to_geodetic();
         let troposphere = surroundings.atmosphere.and_then(|atmosphere| {
             let humidity = atmosphere.relative_humidity;
@@ -232,14 +268,17 @@ impl Receiver {
         if !track.is_received(sky.time, cn0, &arrival, is_first, errors, random) {
             return;
         }
-        for (index, code) in
-            signals(satellite.constellation).into_iter().take(scenario.frequencies).enumerate()
-        {
-            let clock = (self.clock_m, self.drift_m_s);
+        let steered_m = SPEED_OF_LIGHT * self.steering_s;
+        let clock = Clock {
+            code_m: self.clock_m + steered_m,
+            code_less_phase_m: if self.clock_options.phase_follows_tag { 0.0 } else { steered_m },
+            drift_m_s: self.drift_m_s,
+        };
+        for (index, code) in scenario.signals(satellite.constellation).enumerate() {
             let half_cycle = sky.time < track.resolved_at[index];
             let half_cycles = if half_cycle { track.half_cycles[index] } else { 0.0 };
             let ambiguity_cycles = track.ambiguities[index] + half_cycles;
-            let ideal = sky.ideal(ephemeris, code, &path, clock, ambiguity_cycles);
+            let ideal = sky.ideal(ephemeris, code, &path, &clock, ambiguity_cycles);
             let cn0 = cn0 - SECOND_SIGNAL_LOSS_DB * index as f64;
             let measured = track.disturb(ideal, index, cn0, &path.look, &arrival, errors, random);
             let doppler_hz = Some(measured.doppler_m_s / measured.wavelength_m);
@@ -299,7 +338,7 @@ impl Sky<'_> {
         ephemeris: &Ephemeris,
         code: ObservationCode,
         path: &DirectPath,
-        (clock_m, drift_m_s): (f64, f64),
+        clock: &Clock,
         ambiguity: f64,
     ) -> Measured {
         let satellite = ephemeris.satellite();
@@ -320,13 +359,16 @@ impl Sky<'_> {
         let wavelength_m = SPEED_OF_LIGHT / frequency_hz;
         let group_delay_m = group_delay_m(ephemeris, code).unwrap_or(0.0);
         let signal_in_space_m = self.surroundings.signal_in_space_m(satellite);
-        let common_m =
-            path.range_m + clock_m - path.state.clock_m + path.troposphere_m + signal_in_space_m;
+        let common_m = path.range_m + clock.code_m - path.state.clock_m
+            + path.troposphere_m
+            + signal_in_space_m;
+        let phase_m = common_m - ionosphere_m + ambiguity * wavelength_m;
         Measured {
             wavelength_m,
+            code_scale: if code.band_digit() == FAST_CODE_BAND { FAST_CODE_SCALE } else { 1.0 },
             pseudorange_m: common_m + ionosphere_m + group_delay_m,
-            phase_m: common_m - ionosphere_m + ambiguity * wavelength_m,
-            doppler_m_s: -(path.rate_m_s + drift_m_s - path.state.clock_drift_m_s),
+            phase_m: phase_m - clock.code_less_phase_m,
+            doppler_m_s: -(path.rate_m_s + clock.drift_m_s - path.state.clock_drift_m_s),
         }
     }
 }

@@ -1,9 +1,11 @@
 //! Scenarios: sky, surroundings, rover, receivers and atmosphere, with their parameters.
 
 use super::city::CityPlan;
-use super::motion::Motion;
+use super::motion::{Motion, Traffic};
+use super::oddities::Oddities;
+use super::receiver::signals;
 use crate::gnss::constants::{SECONDS_PER_DAY, SECONDS_PER_HOUR};
-use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients};
+use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients, ObservationCode};
 
 /// All parameters of a simulation except its seed.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +30,8 @@ pub struct Scenario {
     pub constellations: Vec<Constellation>,
     /// Number of signals received of each satellite, 1 or 2.
     pub frequencies: usize,
+    /// Band of the second signal.
+    pub second_band: SecondBand,
     /// Satellites below this elevation are not received (rad).
     pub elevation_mask_rad: f64,
     /// Whether broadcast orbits and clocks have errors of `signal_in_space_sigma_m`.
@@ -38,8 +42,19 @@ pub struct Scenario {
     pub rover_errors: Option<ReceiverErrors>,
     /// Errors of the base's receiver; `None`: error-free.
     pub base_errors: Option<ReceiverErrors>,
+    /// Behaviour of the rover's receiver beyond noise; `None` for an ordinary receiver.
+    pub oddities: Option<Oddities>,
     /// Clocks of both receivers.
     pub clock: ReceiverClock,
+}
+
+/// The band of a receiver's second signal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SecondBand {
+    /// L2, G2, E5b or B3.
+    L2,
+    /// L5, E5a or B2a, whose code is ten times as fast. GLONASS has no such signal.
+    L5,
 }
 
 /// Delays in the atmosphere.
@@ -76,6 +91,8 @@ pub struct ReceiverErrors {
     pub multipath_correlation_s: f64,
     /// Distance over which multipath decorrelates (m).
     pub multipath_correlation_m: f64,
+    /// Loss of the antenna relative to a good one (dB).
+    pub antenna_loss_db: f64,
     /// Standard deviation of slow fading of C/N0 (dB).
     pub fading_db: f64,
     /// Correlation time of fading (s).
@@ -110,6 +127,12 @@ pub struct ReceiverClock {
     pub drift_walk_m_s: f64,
     /// Whether an offset beyond half a millisecond is corrected by one millisecond.
     pub millisecond_jumps: bool,
+    /// Step by which the rover steers its tags to GPS time (s); 0 for no steering. Phones steer in
+    /// steps of 100 ns. Pseudoranges refer to the steered tag, Dopplers to the oscillator: the
+    /// Doppler clock drift is then not the derivative of the pseudorange clock.
+    pub tag_step_s: f64,
+    /// Whether carrier phases refer to the steered tag; otherwise to the oscillator.
+    pub phase_follows_tag: bool,
 }
 
 /// Standard deviation of the range error of broadcast orbits and clocks (m): an assumption, of the
@@ -137,6 +160,7 @@ impl ReceiverErrors {
             phase_multipath_m: 0.004,
             multipath_correlation_s: 100.0,
             multipath_correlation_m: 100.0,
+            antenna_loss_db: 0.0,
             fading_db: 0.7,
             fading_correlation_s: 20.0,
             slips_per_hour: 0.05,
@@ -159,6 +183,7 @@ impl ReceiverErrors {
             phase_multipath_m: 0.012,
             multipath_correlation_s: 100.0,
             multipath_correlation_m: 40.0,
+            antenna_loss_db: 0.0,
             fading_db: 3.0,
             fading_correlation_s: 4.0,
             slips_per_hour: 2.0,
@@ -169,6 +194,11 @@ impl ReceiverErrors {
             tracking_threshold_db_hz: 20.0,
             reacquisition_s: 1.0,
         }
+    }
+
+    /// The same with independent slips of each signal and with half cycles.
+    pub(super) const fn slipping(self) -> Self {
+        Self { slip_cycles: (1.0, 5.0), slips_together: false, half_cycle_s: 3.0, ..self }
     }
 }
 
@@ -203,6 +233,12 @@ impl Scenario {
         }
     }
 
+    /// Observation codes tracked of a constellation.
+    pub fn signals(&self, constellation: Constellation) -> impl Iterator<Item = ObservationCode> {
+        let all = signals(constellation, self.second_band);
+        all.into_iter().flatten().take(self.frequencies)
+    }
+
     /// Five minutes at 1 Hz on a figure of eight under open sky, two frequencies, with base.
     pub fn open_sky() -> Self {
         Self {
@@ -222,6 +258,7 @@ impl Scenario {
                 Constellation::BeiDou,
             ],
             frequencies: 2,
+            second_band: SecondBand::L2,
             elevation_mask_rad: 5_f64.to_radians(),
             broadcast_errors: true,
             atmosphere: Some(Atmosphere {
@@ -236,12 +273,15 @@ impl Scenario {
             }),
             rover_errors: Some(ReceiverErrors::open_sky()),
             base_errors: Some(ReceiverErrors::open_sky()),
+            oddities: None,
             clock: ReceiverClock {
                 offset_s: 1e-5,
                 drift: 3e-8,
                 offset_walk_m: 0.05,
                 drift_walk_m_s: 0.02,
                 millisecond_jumps: false,
+                tag_step_s: 0.0,
+                phase_follows_tag: true,
             },
         }
     }
@@ -250,7 +290,7 @@ impl Scenario {
     pub fn urban_canyon() -> Self {
         Self {
             duration_s: 600.0,
-            motion: Motion::Streets,
+            motion: Motion::Streets(Traffic::town()),
             city: Some(CityPlan::dense()),
             base: Some(Enu(nalgebra::Vector3::new(-2_400.0, 1_800.0, 60.0))),
             rover_errors: Some(ReceiverErrors::urban()),
@@ -287,19 +327,13 @@ impl Scenario {
     ///
     /// The gradient is 2 mm/km, towards the north-east.
     fn for_rtk(self) -> Self {
-        let slipping = |errors: ReceiverErrors| ReceiverErrors {
-            slip_cycles: (1.0, 5.0),
-            slips_together: false,
-            half_cycle_s: 3.0,
-            ..errors
-        };
         let atmosphere = self
             .atmosphere
             .map(|atmosphere| Atmosphere { ionosphere_gradient: [1.2e-6, 1.6e-6], ..atmosphere });
         Self {
             atmosphere,
-            rover_errors: self.rover_errors.map(slipping),
-            base_errors: self.base_errors.map(slipping),
+            rover_errors: self.rover_errors.map(ReceiverErrors::slipping),
+            base_errors: self.base_errors.map(ReceiverErrors::slipping),
             ..self
         }
     }

@@ -39,6 +39,8 @@ pub(super) struct Track {
 /// Measurements of one signal in metres; Doppler positive on approach, as in RINEX.
 pub(super) struct Measured {
     pub(super) wavelength_m: f64,
+    /// Factor of the code's noise and multipath; smaller for a faster code.
+    pub(super) code_scale: f64,
     pub(super) pseudorange_m: f64,
     pub(super) phase_m: f64,
     pub(super) doppler_m_s: f64,
@@ -80,6 +82,7 @@ impl Track {
         let Some(errors) = errors else {
             return clear_db;
         };
+        let clear_db = clear_db - errors.antenna_loss_db;
         // Reflectors pass by as the antenna moves.
         let passed_s = way_m / errors.multipath_correlation_m * errors.multipath_correlation_s;
         for process in self.multipath.iter_mut().chain(&mut self.phase_multipath) {
@@ -187,9 +190,10 @@ impl Track {
             Arrival::Diffracted(bent) => (bent.excess_m, 0.0),
             Arrival::Direct { .. } | Arrival::Blocked => (0.0, 0.0),
         };
-        let Measured { wavelength_m, pseudorange_m, phase_m, doppler_m_s } = ideal;
+        let Measured { wavelength_m, code_scale, pseudorange_m, phase_m, doppler_m_s } = ideal;
         let late = Measured {
             wavelength_m,
+            code_scale,
             pseudorange_m: pseudorange_m + excess_m,
             phase_m: phase_m + excess_m,
             doppler_m_s: doppler_m_s - excess_rate_m_s,
@@ -208,11 +212,13 @@ impl Track {
         let limit_m = PHASE_MULTIPATH_LIMIT * wavelength_m;
         let phase_multipath_m =
             errors.phase_multipath_m * low * self.phase_multipath[index].value();
+        let multipath_m = errors.code_multipath_m * low * self.multipath[index].value();
         Measured {
             wavelength_m,
+            code_scale,
             pseudorange_m: late.pseudorange_m
-                + errors.code_multipath_m * low * self.multipath[index].value()
-                + errors.code_m * thermal * random.normal(),
+                + code_scale * multipath_m
+                + code_scale * (errors.code_m * thermal * random.normal()),
             phase_m: late.phase_m
                 + phase_multipath_m.clamp(-limit_m, limit_m)
                 + errors.phase_m * thermal * random.normal(),

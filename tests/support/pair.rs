@@ -11,7 +11,7 @@ use graphfix::gnss::{
 };
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
 use graphfix::session::SequencedEpoch;
-use graphfix::simulation::{Scenario, Simulator, signals};
+use graphfix::simulation::{Scenario, Simulator};
 
 pub(crate) struct Pair {
     /// Numbered from 1.
@@ -92,8 +92,7 @@ impl Pair {
     pub(crate) fn file_of(&self, epochs: &[Epoch], position: Option<Ecef>) -> Vec<u8> {
         let mut codes = [const { Vec::new() }; Constellation::COUNT];
         for constellation in &self.scenario.constellations {
-            codes[constellation.index()] =
-                signals(*constellation).into_iter().take(self.scenario.frequencies).collect();
+            codes[constellation.index()] = self.scenario.signals(*constellation).collect();
         }
         let channel = |list: &[Ephemeris]| {
             let first = list.first()?;
