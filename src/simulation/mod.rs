@@ -17,6 +17,7 @@ mod constellation;
 mod motion;
 mod oddities;
 mod odometry;
+mod phase_truth;
 mod place;
 mod random;
 mod random_drive;
@@ -27,8 +28,8 @@ mod track;
 pub use city::CityPlan;
 pub use motion::{Motion, Traffic};
 pub use oddities::Oddities;
+pub use phase_truth::PhaseTruth;
 pub use random_drive::{DriveKind, RandomDrive};
-pub use receiver::PhaseTruth;
 pub use scenario::{Atmosphere, ReceiverClock, ReceiverErrors, Scenario, SecondBand};
 
 use std::sync::Arc;

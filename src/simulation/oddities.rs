@@ -5,8 +5,8 @@
 
 use std::collections::BTreeMap;
 
+use super::phase_truth::PhaseTruth;
 use super::random::{GaussMarkov, Random, of_place};
-use super::receiver::PhaseTruth;
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Constellation, Cycles, Epoch, GpsTime, Navigation, Observation, ObservationCode, SatelliteId,
@@ -372,7 +372,7 @@ mod tests {
                 count += 1.0;
             }
         }
-        let (sigma, correlation) = ((squares / count as f64).sqrt(), products / squares);
+        let (sigma, correlation) = ((squares / count).sqrt(), products / squares);
         assert!((sigma - 0.4).abs() < 0.02, "{sigma}");
         // e^(−1).
         assert!((correlation - 0.368).abs() < 0.05, "{correlation}");

@@ -400,9 +400,9 @@ mod tests {
                 base: None,
                 ..scenario
             };
-            let mut simulator = Simulator::new(scenario, seed);
+            let simulator = Simulator::new(scenario, seed);
             let navigation = simulator.navigation().clone();
-            while let Some(epoch) = simulator.next() {
+            for epoch in simulator {
                 let mut of_group: BTreeMap<_, Vec<(f64, f64)>> = BTreeMap::new();
                 for one in &epoch.rover.observations {
                     let range_m = one.pseudorange_m.unwrap();

@@ -5,16 +5,17 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::city::{Arrival, City};
+use super::phase_truth::PhaseTruth;
 use super::place::Place;
 use super::random::{Random, normal_of_place};
 use super::scenario::{
-    Atmosphere, ReceiverClock, ReceiverErrors, Scenario, SecondBand, signal_in_space_sigma_m,
+    Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
 };
 use super::track::{Measured, Track};
 use crate::gnss::constants::{GPS_L1_HZ, LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
 use crate::gnss::{
-    Constellation, Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation,
-    Observation, ObservationCode, SatelliteId, Signal,
+    Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation, Observation,
+    ObservationCode, SatelliteId, Signal,
 };
 use crate::models::troposphere::{Mapping, Troposphere};
 use crate::models::{
@@ -40,25 +41,6 @@ const EARTH_RADIUS_M: f64 = 6_371e3;
 const FAST_CODE_SCALE: f64 = 0.3;
 const FAST_CODE_BAND: u8 = 5;
 
-/// Observation codes received of a constellation, in order of preference.
-pub(super) fn signals(
-    constellation: Constellation,
-    second: SecondBand,
-) -> [Option<ObservationCode>; 2] {
-    use Constellation as C;
-    let names = match (constellation, second) {
-        (C::Gps | C::Qzss, SecondBand::L2) => [Some("1C"), Some("2L")],
-        (C::Gps | C::Qzss | C::Galileo, SecondBand::L5) => [Some("1C"), Some("5Q")],
-        (C::Glonass, SecondBand::L2) => [Some("1C"), Some("2C")],
-        (C::Glonass, SecondBand::L5) => [Some("1C"), None],
-        (C::Galileo, SecondBand::L2) => [Some("1C"), Some("7Q")],
-        (C::BeiDou, SecondBand::L2) => [Some("2I"), Some("6I")],
-        (C::BeiDou, SecondBand::L5) => [Some("2I"), Some("5P")],
-    };
-    let parse = |name| ObservationCode::parse(name).expect("the codes are RINEX 3's");
-    names.map(|name| name.map(parse))
-}
-
 /// A receiver and the state on which its next epoch depends.
 #[derive(Clone, Debug)]
 pub(super) struct Receiver {
@@ -72,18 +54,6 @@ pub(super) struct Receiver {
     steering_s: f64,
     last: Option<GpsTime>,
     tracks: BTreeMap<SatelliteId, Track>,
-}
-
-/// The true values of a carrier phase.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PhaseTruth {
-    /// Its ambiguity N (cycles): an integer, or a half-integer while the half cycle is unresolved.
-    /// A slip changes it.
-    pub ambiguity_cycles: f64,
-    /// Elevation of the satellite (rad).
-    pub elevation_rad: f64,
-    /// Whether the phase is that of a reflection, whose path changes as the rover moves.
-    pub is_reflected: bool,
 }
 
 /// Surroundings of an antenna at an instant.

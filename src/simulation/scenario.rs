@@ -3,7 +3,6 @@
 use super::city::CityPlan;
 use super::motion::{Motion, Traffic};
 use super::oddities::Oddities;
-use super::receiver::signals;
 use crate::gnss::constants::{SECONDS_PER_DAY, SECONDS_PER_HOUR};
 use crate::gnss::{Constellation, Enu, Geodetic, GpsTime, KlobucharCoefficients, ObservationCode};
 
@@ -348,4 +347,19 @@ impl Scenario {
             ..Self::open_sky()
         }
     }
+}
+/// Observation codes received of a constellation, in order of preference.
+fn signals(constellation: Constellation, second: SecondBand) -> [Option<ObservationCode>; 2] {
+    use Constellation as C;
+    let names = match (constellation, second) {
+        (C::Gps | C::Qzss, SecondBand::L2) => [Some("1C"), Some("2L")],
+        (C::Gps | C::Qzss | C::Galileo, SecondBand::L5) => [Some("1C"), Some("5Q")],
+        (C::Glonass, SecondBand::L2) => [Some("1C"), Some("2C")],
+        (C::Glonass, SecondBand::L5) => [Some("1C"), None],
+        (C::Galileo, SecondBand::L2) => [Some("1C"), Some("7Q")],
+        (C::BeiDou, SecondBand::L2) => [Some("2I"), Some("6I")],
+        (C::BeiDou, SecondBand::L5) => [Some("2I"), Some("5P")],
+    };
+    let parse = |name| ObservationCode::parse(name).expect("the codes are RINEX 3's");
+    names.map(|name| name.map(parse))
 }
