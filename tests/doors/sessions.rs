@@ -180,11 +180,11 @@ async fn other_content_under_a_number_is_a_conflict(database: Database) {
 async fn gaps_are_fine_and_the_past_is_refused(database: Database) {
     let sessions = desk(&database.store().await).await;
     let id = created(&sessions).await;
-    sessions.submit(&id, batch([0, 10, 20])).await.unwrap();
+    sessions.submit(&id, batch([5, 10, 20])).await.unwrap();
     let outcomes = sessions.submit(&id, batch([15, 30, 25, 40])).await.unwrap().outcomes;
     assert_eq!(*refusal(&outcomes[0]), EpochRefusal::Superseded { seq: 15, last: 40 });
     assert_eq!(*refusal(&outcomes[2]), EpochRefusal::Superseded { seq: 25, last: 40 });
-    assert_eq!(stored_numbers(&sessions, &id).await, [0, 10, 20, 30, 40]);
+    assert_eq!(stored_numbers(&sessions, &id).await, [5, 10, 20, 30, 40]);
 }
 
 async fn an_epoch_not_later_in_time_is_refused(database: Database) {
@@ -500,7 +500,7 @@ async fn requests_are_solved_without_a_trace(database: Database) {
 async fn real_epochs_give_the_same_bits_after_restarts() {
     let Some(folder) = data::set("tst-2019") else { return };
     let epochs = reading::epochs(&folder.join("COM3_190428_124409.obs"));
-    let numbered = (0..600).zip(epochs).map(|(seq, epoch)| SequencedEpoch { seq, epoch });
+    let numbered = (1..=600).zip(epochs).map(|(seq, epoch)| SequencedEpoch { seq, epoch });
     let epochs: Vec<_> = numbered.collect();
     let database = Database::sqlite();
     let store = database.store().await;
