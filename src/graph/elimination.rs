@@ -9,8 +9,6 @@
 //! [`BorderLife::WhileTouched`] it is eliminated after the last one, so the cost per state depends
 //! on the variables alive there, never on all there are; what is left after the last state is
 //! solved densely.
-//!
-//! A general sparse Cholesky (faer 0.24) takes 53 µs for 30 states of 8, this one 12 µs.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -64,6 +64,32 @@ impl<const N: usize, const M: usize> LinkSum<N, M> {
     }
 }
 
+impl<const N: usize, const M: usize> LinkSum<N, M> {
+    /// Frees an offset o that enters every row as the later coordinate `column` does, and is itself
+    /// known to be zero within 1/√`information`: eliminates it by its Schur complement. The rows
+    /// were added with their residuals at o = `at`.
+    pub(crate) fn free_offset(&mut self, column: usize, at: f64, information: f64) {
+        let by_later = self.later.matrix[column];
+        let by_earlier: [f64; N] = std::array::from_fn(|i| self.coupling[i][column]);
+        let total = by_later[column] + information;
+        if total <= 0.0 {
+            return;
+        }
+        let gradient = (self.later.gradient[column] + information * at) / total;
+        for i in 0..N {
+            let factor = by_earlier[i] / total;
+            self.earlier.gradient[i] -= by_earlier[i] * gradient;
+            (0..N).for_each(|j| self.earlier.matrix[i][j] -= factor * by_earlier[j]);
+            (0..M).for_each(|j| self.coupling[i][j] -= factor * by_later[j]);
+        }
+        for i in 0..M {
+            let factor = by_later[i] / total;
+            self.later.gradient[i] -= by_later[i] * gradient;
+            (0..M).for_each(|j| self.later.matrix[i][j] -= factor * by_later[j]);
+        }
+    }
+}
+
 impl<const S: usize> System<S> {
     /// Adds summed rows on the coordinates `columns` of state `k`, ascending, none twice. Their
     /// losses are not added: [`System::weigh`] has done so.
@@ -122,6 +148,40 @@ mod tests {
             next_columns: COLUMNS.1,
             next_jacobian: [0.7, residual, -0.2],
         })
+    }
+
+    /// Against the dense normal equations with the offset as an unknown of its own, which is 0.4 with
+    /// a prior of information 2 about zero.
+    #[test]
+    fn a_free_offset_is_an_unknown_of_the_dense_solve() {
+        let (at, information) = (0.4, 2.0);
+        let mut sum = LinkSum::ZERO;
+        let (mut h, mut g) = (nalgebra::SMatrix::<f64, 6, 6>::zeros(), nalgebra::SVector::zeros());
+        for link in links() {
+            sum.add(&link, 1.5);
+            let [a, b] = link.jacobian;
+            let [c, d, e] = link.next_jacobian;
+            let row = nalgebra::SVector::<f64, 6>::from([a, b, c, d, e, d]);
+            h += row * row.transpose() * 1.5;
+            g += row * link.residual * 1.5;
+        }
+        h[(5, 5)] += information;
+        g[5] += information * at;
+        sum.free_offset(1, at, information);
+        let last = h.column(5).into_owned();
+        let reduced = h - last * last.transpose() / last[5];
+        let gradient = g - last * (g[5] / last[5]);
+        for i in 0..2 {
+            assert!((sum.earlier.gradient[i] - gradient[i]).abs() < 1e-12);
+            (0..3).for_each(|j| assert!((sum.coupling[i][j] - reduced[(i, 2 + j)]).abs() < 1e-12));
+            (0..2)
+                .for_each(|j| assert!((sum.earlier.matrix[i][j] - reduced[(i, j)]).abs() < 1e-12));
+        }
+        for i in 0..3 {
+            assert!((sum.later.gradient[i] - gradient[2 + i]).abs() < 1e-12);
+            let dense = |j: usize| reduced[(2 + i, 2 + j)];
+            (0..3).for_each(|j| assert!((sum.later.matrix[i][j] - dense(j)).abs() < 1e-12));
+        }
     }
 
     /// Rows that are summed first give the same system as rows added one by one.
