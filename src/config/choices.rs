@@ -64,6 +64,8 @@ named_choice! {
         Cauchy = "cauchy",
         /// Geman and McClure's kernel: redescending, with bounded loss.
         GemanMcclure = "geman-mcclure",
+        /// Mixture of direct signal, late reflection and fault; learns the receiver's noise.
+        Mixture = "mixture",
     }
 }
 

@@ -95,7 +95,7 @@ impl GraphOptions {
             window_s: 10.0,
             window_epochs_max: 30,
             orbit_clock_sigma_m: 1.0,
-            pseudorange_kernel: KernelLaw::GemanMcclure,
+            pseudorange_kernel: KernelLaw::Mixture,
             early_width: 4.0,
             late_width: 2.0,
             independence_s: 1.0,

@@ -31,8 +31,8 @@ pub(super) const GRAPH_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "pseudorange_kernel", unit: "",
-        meaning: "robust kernel of the pseudoranges",
-        allowed: "quadratic, huber, cauchy, geman-mcclure",
+        meaning: "robust kernel of the pseudoranges, or mixture, which learns the receiver",
+        allowed: "quadratic, huber, cauchy, geman-mcclure, mixture",
         get: |o| o.graph.pseudorange_kernel.name().to_owned(),
         set: |o, text| KernelLaw::from_name(text).map(|v| o.graph.pseudorange_kernel = v),
     },

@@ -15,6 +15,7 @@ mod antenna;
 mod base_position;
 mod chi_square;
 mod clock_jump;
+mod code_error;
 mod differencing;
 mod ekf;
 mod engine;
@@ -25,6 +26,7 @@ mod geometry;
 mod measurements;
 mod phases;
 mod ranging;
+mod receiver;
 mod rtk;
 #[cfg(test)]
 mod scenario;

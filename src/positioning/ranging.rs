@@ -1,10 +1,11 @@
 //! The satellites that an epoch sees, and its pseudorange factors with what names them.
 
 use crate::gnss::{Constellation, Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
-use crate::graph::Row;
+use crate::graph::{Kernel, Law, Row};
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
+use super::code_error::{CodeError, Evaluated};
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 
@@ -22,16 +23,18 @@ pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Si
 /// Doppler rows, in the frame, of a receiver about at `receiver`, of the measurements above the
 /// mask; `sigma_m_s` is their standard deviation at the reference C/N0.
 pub(super) fn rates<'a>(
-    list: impl Iterator<Item = &'a Measurement>,
+    sighted: impl Iterator<Item = (u16, &'a Measurement)>,
     frame: &LocalFrame,
     receiver: Ecef,
     sigma_m_s: f64,
 ) -> impl Iterator<Item = DopplerFactor> {
-    list.filter(|m| m.is_above_mask && !m.is_excluded).filter_map(move |measurement| {
+    sighted.filter(|(_, m)| !m.is_excluded).filter_map(move |(sight, measurement)| {
         let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
         let sigma_m_s = variance_m2_s2(sigma_m_s, cn0_db_hz).sqrt();
         let rate_m_s = measurement.range_rate_m_s?;
-        Some(DopplerFactor::new(frame, receiver, &measurement.state, rate_m_s, sigma_m_s))
+        let state = &measurement.state;
+        let factor = DopplerFactor::new(frame, receiver, state, rate_m_s, sigma_m_s);
+        Some(factor.of_sight(sight))
     })
 }
 
@@ -51,6 +54,20 @@ pub(super) struct Ranging {
     pub(super) ionosphere_m: f64,
     /// Standard deviation of the troposphere's model in it (m).
     pub(super) troposphere_m: f64,
+    /// Probability that it is a reflection, before its residual is known; `None` where its kernel
+    /// judges it by itself.
+    pub(super) reflected: Option<f64>,
+}
+
+/// A pseudorange in the normal equations: its row counts with a weight and a residual that a
+/// quadratic loss with the same slope would have.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Judged {
+    pub(super) loss: f64,
+    pub(super) residual: f64,
+    pub(super) weight: f64,
+    /// How far it is the direct signal, 0 … 1.
+    pub(super) direct: f64,
 }
 
 impl Ranging {
@@ -69,6 +86,7 @@ impl Ranging {
             bias,
             ionosphere_m: measurement.ionosphere_share_m,
             troposphere_m: measurement.troposphere_share_m,
+            reflected: None,
         }
     }
 
@@ -88,8 +106,34 @@ impl Ranging {
         self.factor.linearize(&lines[usize::from(self.sight)], state, self.bias_m(biases_m))
     }
 
+    /// Sets the error model that judges it.
+    pub(super) fn follow(&mut self, error: CodeError) {
+        self.factor.inverse_sigma = error.sigma_m.recip();
+        self.reflected = Some(error.reflected);
+    }
+
+    /// Its error model, where it has one.
+    pub(super) fn error(&self) -> Option<CodeError> {
+        let sigma_m = self.factor.inverse_sigma.recip();
+        self.reflected.map(|reflected| CodeError { sigma_m, reflected })
+    }
+
+    /// What a whitened residual (model − measured) counts for. The error model judges it, but in
+    /// the
+    /// convex opening of a solve, which a Huber kernel marks.
+    #[inline]
+    pub(super) fn judge(&self, residual: f64, kernel: &Kernel) -> Judged {
+        match self.error().filter(|_| kernel.law != Law::Huber) {
+            Some(error) => Judged::of_mixture(residual, &error),
+            None => {
+                let (loss, weight) = kernel.loss_and_weight(residual);
+                Judged { loss, residual, weight, direct: weight }
+            }
+        }
+    }
+
     /// Measured less predicted (m).
-    fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
+    pub(super) fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
         let row = self.linearize(lines, state, biases_m);
         -row.residual / self.factor.inverse_sigma
     }
@@ -159,7 +203,24 @@ snapshot_fields!(Ranging {
     bias,
     ionosphere_m,
     troposphere_m,
+    reflected,
 });
+
+impl Judged {
+    /// Weight below which a row says nothing.
+    const NEGLIGIBLE: f64 = 1e-9;
+
+    fn of_mixture(residual: f64, error: &CodeError) -> Self {
+        let Evaluated { density, slope, curvature, direct } =
+            error.evaluate(-residual * error.sigma_m);
+        let loss = -density.ln();
+        let weight = curvature * error.sigma_m * error.sigma_m;
+        if weight < Self::NEGLIGIBLE {
+            return Self { loss, residual: 0.0, weight: 0.0, direct };
+        }
+        Self { loss, residual: -slope * error.sigma_m / weight, weight, direct }
+    }
+}
 
 /// The lower median; `None` of an empty list. Reorders the list.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {

@@ -31,6 +31,8 @@ pub(super) struct Setup {
     pub(super) standstill: Option<StandstillTest>,
     /// The graph of a receiver without a base.
     pub(super) alone: GraphSettings,
+    /// Whether the noise and the clocks of the receiver are learnt.
+    pub(super) learns: bool,
     /// The graph of differences against a base.
     pub(super) relative: GraphSettings,
     /// Whether epochs are answered at the end alone, from the whole recording.
@@ -41,6 +43,7 @@ impl Setup {
     /// For epochs that are answered as they come.
     pub(super) fn new(options: PositioningOptions) -> Self {
         let residual_limits = ChiSquareLimits::new(options.false_alarm_probability);
+        let learns = options.graph.motion && options.graph.pseudorange_kernel == KernelLaw::Mixture;
         Self {
             innovation_limit: match options.fault_exclusion {
                 true => residual_limits.at(1),
@@ -50,16 +53,27 @@ impl Setup {
             motion: MotionWalk::of(&options.graph),
             clock: ClockWalk::of(&options.graph),
             standstill: options.graph.zero_velocity.then(StandstillTest::new),
-            alone: GraphSettings::alone(&options.graph),
+            alone: match learns {
+                true => GraphSettings::learning(),
+                false => GraphSettings::alone(&options.graph),
+            },
+            learns,
             relative: GraphSettings::relative(&options.graph),
             is_batch: false,
             options,
         }
     }
 
+    /// Whether pseudoranges are judged by the mixture, with what is learnt of the receiver.
+    pub(super) fn judges_by_mixture(&self) -> bool {
+        self.learns && !self.is_batch
+    }
+
     /// For a recording that is smoothed as a whole.
     pub(super) fn batch(options: PositioningOptions) -> Self {
-        Self { is_batch: true, ..Self::new(options) }
+        // A whole recording is annealed from single points, which the mixture cannot be.
+        let alone = GraphSettings::alone(&options.graph);
+        Self { is_batch: true, alone, ..Self::new(options) }
     }
 }
 
@@ -69,6 +83,8 @@ pub(super) struct Kernels {
     pub(super) pseudorange: Kernel,
     pub(super) doppler: Kernel,
     pub(super) phase: Kernel,
+    /// Whether Doppler and phase count as far as the pseudorange of their satellite is direct.
+    pub(super) follow_code: bool,
 }
 
 /// Robust kernels by kind of measurement, with the convex ones they begin as.
@@ -77,6 +93,7 @@ pub(super) struct AnnealedKernels {
     pub(super) pseudorange: AnnealedKernel,
     doppler: Kernel,
     phase: AnnealedKernel,
+    follow_code: bool,
 }
 
 impl AnnealedKernels {
@@ -86,6 +103,7 @@ impl AnnealedKernels {
             pseudorange: self.pseudorange.at(phase),
             doppler: self.doppler,
             phase: self.phase.at(phase),
+            follow_code: self.follow_code,
         }
     }
 
@@ -111,7 +129,7 @@ impl GraphSettings {
             KernelLaw::Quadratic => Law::Quadratic,
             KernelLaw::Huber => Law::Huber,
             KernelLaw::Cauchy => Law::Cauchy,
-            KernelLaw::GemanMcclure => Law::GemanMcClure,
+            KernelLaw::GemanMcclure | KernelLaw::Mixture => Law::GemanMcClure,
         };
         // A late signal is longer than the model: its residual (model − measured) is negative.
         let target = Kernel::new(law, options.early_width)
@@ -120,6 +138,7 @@ impl GraphSettings {
             pseudorange: AnnealedKernel { convex, target },
             doppler: Kernel::cauchy(options.doppler_width),
             phase: annealed(Kernel::geman_mcclure(options.phase_width)),
+            follow_code: false,
         };
         let solve = |schedule, tolerance| OptimizerOptions { schedule, tolerance, damping: 0.0 };
         // Redescending kernels have many minima: the solve is annealed.
@@ -137,6 +156,25 @@ impl GraphSettings {
         }
     }
 
+    /// For pseudoranges under the mixture, which needs no kernel of its own once a solve is past
+    /// its
+    /// convex opening, and Doppler and phase under the law by which their scale is learnt.
+    fn learning() -> Self {
+        let opening = Kernel::huber(HUBER_WIDTH);
+        let solve =
+            |schedule| OptimizerOptions { schedule, tolerance: ANNEALED_TOLERANCE, damping: 0.0 };
+        Self {
+            kernels: AnnealedKernels {
+                pseudorange: AnnealedKernel { convex: opening, target: Kernel::QUADRATIC },
+                doppler: student(),
+                phase: AnnealedKernel { convex: opening, target: student() },
+                follow_code: true,
+            },
+            update: solve(Schedule::direct(6)),
+            whole: solve(Schedule::graduated(2, 1.0, 2.0, 1, 12)),
+        }
+    }
+
     fn relative(options: &GraphOptions) -> Self {
         let solve = |schedule| OptimizerOptions { schedule, tolerance: TOLERANCE, damping: 0.0 };
         Self {
@@ -144,11 +182,18 @@ impl GraphSettings {
                 pseudorange: annealed(Kernel::geman_mcclure(3.0)),
                 doppler: Kernel::cauchy(options.doppler_width),
                 phase: annealed(CARRIER_KERNEL),
+                follow_code: false,
             },
             update: solve(Schedule::graduated(1, 1.0, 2.0, 1, 3)),
             whole: solve(Schedule::graduated(4, 8.0, 2.0, 1, 4)),
         }
     }
+}
+
+/// Student's t of three degrees of freedom, but for a factor of 4/3 on its weights: Cauchy's kernel
+/// of width √3.
+pub(super) fn student() -> Kernel {
+    Kernel::cauchy(3_f64.sqrt())
 }
 
 /// A kernel that begins as Huber's.

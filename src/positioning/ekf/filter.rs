@@ -297,7 +297,7 @@ impl FilterScratch {
     /// Doppler rows of the measurements that are used.
     fn rates(&mut self, frame: &LocalFrame, receiver: Ecef, options: &PositioningOptions) {
         if options.graph.doppler == DopplerUse::Satellites {
-            let list = self.measurements.list.iter();
+            let list = sighted(&self.measurements.list);
             self.rows.rates.extend(rates(list, frame, receiver, options.doppler_sigma_m_s));
         }
     }

@@ -33,6 +33,17 @@ impl ClockWalk {
     }
 }
 
+/// A step of one clock against another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ClockTie {
+    /// Expected (m).
+    pub(crate) mean_m: f64,
+    /// Squared scale of Student's t of three degrees of freedom (m²).
+    pub(crate) scale_m2: f64,
+}
+
+snapshot_fields!(ClockTie { mean_m, scale_m2 });
+
 /// Clock factor between two states, two rows.
 ///
 /// r₁ = (b₊ − b − J − Δt·(d + d₊)/2) / σ₁, σ₁² = h²Δt + q²Δt³/12
@@ -61,6 +72,13 @@ impl ClockFactor {
             inverse_clock: jump_m.map_or(0.0, inverse),
             inverse_drift: (walk.drift_m_s * interval_s.sqrt()).recip(),
         }
+    }
+
+    /// The same where the code's clock moves against the integral of the drift: J grows by the
+    /// expected step, σ₁² by its squared scale.
+    pub(in crate::positioning) fn with_tie(self, tie: ClockTie) -> Self {
+        let variance_m2 = self.inverse_clock.powi(-2) + tie.scale_m2;
+        Self { jump_m: self.jump_m + tie.mean_m, inverse_clock: variance_m2.sqrt().recip(), ..self }
     }
 
     /// r₁ and its Jacobian on [b; d] and [b₊; d₊].
@@ -110,6 +128,18 @@ mod tests {
         assert!((drift + 0.5 / 0.6).abs() < 1e-12, "{drift}");
         let restarted = ClockFactor::new(&WALK, 1.0, None);
         assert_eq!(restarted.clock_row(&state(), &next_state()).residual, 0.0);
+    }
+
+    /// σ₁² = 0.3² + 0.6²/12 + 4 m²; 12 − 5 − 11.75 − 30 m over its root.
+    #[test]
+    fn a_tie_moves_and_loosens_the_clock() {
+        let factor = ClockFactor::new(&WALK, 1.0, Some(5.0));
+        let tied = factor.with_tie(ClockTie { mean_m: 30.0, scale_m2: 4.0 });
+        let residual = tied.clock_row(&state(), &next_state()).residual;
+        assert!((residual + 34.75 / 4.12_f64.sqrt()).abs() < 1e-9, "{residual}");
+        let free = ClockFactor::new(&WALK, 1.0, None);
+        let free = free.with_tie(ClockTie { mean_m: 30.0, scale_m2: 4.0 });
+        assert_eq!(free.clock_row(&state(), &next_state()).residual, 0.0);
     }
 
     #[test]

@@ -24,6 +24,8 @@ pub(crate) struct DopplerFactor {
     /// z − ρ̇₀ (m/s).
     rate_m_s: f64,
     inverse_sigma: f64,
+    /// Index of its satellite among the epoch's sights.
+    pub(in crate::positioning) sight: u16,
 }
 
 impl DopplerFactor {
@@ -41,7 +43,18 @@ impl DopplerFactor {
             slope: frame.rotation * rate.by_velocity.transpose(),
             rate_m_s: measured_m_s - rate.rate_m_s,
             inverse_sigma: sigma_m_s.recip(),
+            sight: 0,
         }
+    }
+
+    /// The same, of the satellite with index `sight` among the epoch's sights.
+    pub(in crate::positioning) fn of_sight(self, sight: u16) -> Self {
+        Self { sight, ..self }
+    }
+
+    /// The same with its standard deviation multiplied.
+    pub(in crate::positioning) fn scaled(self, factor: f64) -> Self {
+        Self { inverse_sigma: self.inverse_sigma / factor, ..self }
     }
 
     /// Whitened residual and its Jacobian on [v; d].
@@ -68,7 +81,7 @@ impl DopplerFactor {
     }
 }
 
-snapshot_fields!(DopplerFactor { slope, rate_m_s, inverse_sigma });
+snapshot_fields!(DopplerFactor { slope, rate_m_s, inverse_sigma, sight });
 
 #[cfg(test)]
 mod tests {

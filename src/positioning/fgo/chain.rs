@@ -17,6 +17,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
+use crate::positioning::receiver::{ReceiverModel, Signal};
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::starts::{
@@ -28,9 +29,10 @@ use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
+use super::watch::Watch;
 
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
-const BIAS_M: f64 = 300.0;
+pub(super) const BIAS_M: f64 = 300.0;
 
 /// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
@@ -41,13 +43,16 @@ pub(super) struct Chain {
     pub(super) prior: Prior<STATE>,
     phases: Phases,
     standstill: Standstill,
+    /// What is learnt of the receiver; outlives a restart.
+    pub(super) receiver: ReceiverModel,
+    pub(super) watch: Watch,
     /// Constellations whose constant bias has begun.
-    begun: [bool; Constellation::COUNT],
+    pub(super) begun: [bool; Constellation::COUNT],
     sequence: usize,
     /// Time of its first epoch.
     started: GpsTime,
     /// Whether the pseudoranges of some epoch have agreed with one another.
-    is_proven: bool,
+    pub(super) is_proven: bool,
     /// Number of epochs with biases of their own; zero where biases are constant.
     ring: usize,
 }
@@ -60,6 +65,8 @@ state_fields!(
         prior,
         phases,
         standstill,
+        receiver,
+        watch,
         begun,
         sequence,
         started,
@@ -74,11 +81,13 @@ state_fields!(
 pub(super) struct ChainScratch {
     /// The epoch that is being built.
     factors: Factors,
-    numbers: Vec<f64>,
-    lines: Vec<Line>,
-    seen: [Seen; 2],
+    pub(super) numbers: Vec<f64>,
+    pub(super) lines: Vec<Line>,
+    pub(super) seen: [Seen; 2],
     clock: ClockScratch,
     velocity: VelocityEstimator,
+    /// Of the newest epoch's pseudoranges.
+    pub(super) signals: Vec<Signal>,
 }
 
 impl Chain {
@@ -92,6 +101,8 @@ impl Chain {
             prior: Prior::none(),
             phases: Phases::default(),
             standstill: Standstill::default(),
+            receiver: ReceiverModel::default(),
+            watch: Watch::default(),
             begun: [false; Constellation::COUNT],
             sequence: 0,
             started: GpsTime::EPOCH,
@@ -130,6 +141,7 @@ impl Chain {
         self.prior = Prior::none();
         self.phases.clear();
         self.standstill = Standstill::default();
+        self.watch = Watch::default();
         self.begun = [false; Constellation::COUNT];
         self.sequence = 0;
         self.is_proven = false;
@@ -171,44 +183,44 @@ impl Chain {
         let border = &mut self.estimate.border;
         border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
         let interval_s = self.last_time().map(|last| time - last);
-        if interval_s.is_none() {
-            self.started = time;
-        }
+        self.started = interval_s.map_or(time, |_| self.started);
         factors.without_ephemeris.clone_from(&measurements.without_ephemeris);
         factors.ionosphere_fallback = measurements.ionosphere_fallback;
-        look(&self.frame, &measurements.list, &mut factors.sights);
-        self.range(factors, &measurements.list);
-        let clock_m = self.settle_clock(&mut guess, scratch);
-        let factors = &mut scratch.factors;
-        if options.doppler == DopplerUse::Satellites {
-            let sigma_m_s = setup.options.doppler_sigma_m_s;
-            let list = measurements.list.iter();
-            factors.rates.extend(rates(list, &self.frame, receiver, sigma_m_s));
+        let spacing_s = interval_s.unwrap_or(options.independence_s);
+        if setup.learns {
+            self.receiver.observe(&measurements.list, interval_s);
         }
+        look(&self.frame, &measurements.list, &mut factors.sights);
+        self.range(measurements, setup, scratch);
+        let clock_m = self.settle_clock(&mut guess, scratch);
+        self.add_rates(receiver, &measurements.list, setup, scratch);
+        let factors = &mut scratch.factors;
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
             factors.tie = Some(self.tie(interval_s, clock_m, setup));
+            factors.phase_clock =
+                setup.learns.then(|| self.receiver.phase_against_code(interval_s));
             if options.phase {
                 let (list, sigma_m) = (&measurements.list, options.phase_sigma_m);
                 let phases = &mut factors.phases;
                 self.phases.differences(list, sigma_m, interval_s, phases);
                 let (sights, states) = (&factors.sights, [before, &guess]);
                 self.phases.follow_clock(sights, states, phases, &mut scratch.clock);
+                let scale =
+                    if setup.judges_by_mixture() { self.receiver.phase_scale() } else { 1.0 };
+                phases.iter_mut().for_each(|phase| phase.inverse_sigma /= scale);
             }
         }
         if let Some(odometry) = &measurements.odometry {
             self.add_odometry(factors, odometry, interval_s, receiver);
         }
-        let spacing_s = interval_s.unwrap_or(options.independence_s);
-        let mut share = (spacing_s / options.independence_s).min(1.0);
-        if let Some(test) = &setup.standstill {
-            let is_still = self.standstill.observe(test, &factors.rates, interval_s);
-            factors.standstill = interval_s.filter(|_| is_still).map(ZeroVelocityFactor::new);
-            if is_still {
-                // At rest multipath repeats: the weight is that of Δt over its correlation time.
-                share = (spacing_s / options.correlation_s).min(share);
-            }
-        }
+        let share = self.independent_share(interval_s, setup, scratch);
+        let factors = &mut scratch.factors;
         regularize(factors, interval_s.is_none(), &guess, options);
+        if setup.learns {
+            let sigma_m_s = self.receiver.vertical_sigma_m_s(spacing_s);
+            let (column, inverse_sigma) = (VELOCITY + 2, sigma_m_s.recip());
+            factors.components.push(ComponentFactor { column, mean: 0.0, inverse_sigma });
+        }
         if options.phase {
             self.phases.keep(&factors.sights, &measurements.list);
         }
@@ -221,6 +233,28 @@ impl Chain {
             factors: Arc::new(factors.clone()),
         });
         self.sequence += 1;
+    }
+
+    /// Share of independent information in the epoch's pseudoranges; finds a standstill.
+    fn independent_share(
+        &mut self,
+        interval_s: Option<f64>,
+        setup: &Setup,
+        scratch: &mut ChainScratch,
+    ) -> f64 {
+        let (options, factors) = (&setup.options.graph, &mut scratch.factors);
+        let spacing_s = interval_s.unwrap_or(options.independence_s);
+        let share = match setup.judges_by_mixture() {
+            true => self.receiver.independent_share(spacing_s),
+            false => (spacing_s / options.independence_s).min(1.0),
+        };
+        let Some(test) = &setup.standstill else { return share };
+        if !self.standstill.observe(test, &factors.rates, interval_s) {
+            return share;
+        }
+        factors.standstill = interval_s.map(ZeroVelocityFactor::new);
+        // At rest multipath repeats: the weight is that of Δt over its correlation time.
+        (spacing_s / options.correlation_s).min(share)
     }
 
     /// The displacement by odometry, where it covers the interval.
@@ -236,8 +270,28 @@ impl Chain {
         factors.unused_odometry_s = factors.odometry.is_empty().then_some(odometry.interval_s);
     }
 
+    /// Doppler factors of the measurements that are used.
+    fn add_rates(
+        &self,
+        receiver: Ecef,
+        list: &[Measurement],
+        setup: &Setup,
+        scratch: &mut ChainScratch,
+    ) {
+        if setup.options.graph.doppler != DopplerUse::Satellites {
+            return;
+        }
+        let is_new = |m: &Measurement| !setup.learns || !self.receiver.repeats_rate(m);
+        let scale = if setup.judges_by_mixture() { self.receiver.doppler_scale() } else { 1.0 };
+        let list = sighted(list).filter(|(_, m)| is_new(m));
+        let rates = rates(list, &self.frame, receiver, setup.options.doppler_sigma_m_s);
+        scratch.factors.rates.extend(rates.map(|rate| rate.scaled(scale)));
+    }
+
     /// Pseudorange factors of the measurements that are used.
-    fn range(&mut self, factors: &mut Factors, list: &[Measurement]) {
+    fn range(&mut self, measurements: &Measurements, setup: &Setup, scratch: &mut ChainScratch) {
+        let (list, factors) = (&measurements.list, &mut scratch.factors);
+        scratch.signals.clear();
         let present = |c: Constellation| {
             list.iter().any(|m| m.is_above_mask && !m.is_excluded && m.satellite.constellation == c)
         };
@@ -251,7 +305,13 @@ impl Chain {
             let constellation = measurement.satellite.constellation;
             let further = Some(constellation) != reference;
             let bias = further.then_some((first + constellation.index()) as u32);
-            factors.ranges.push(Ranging::new(sight, measurement, bias));
+            let mut range = Ranging::new(sight, measurement, bias);
+            if setup.judges_by_mixture() {
+                let signal = Signal::of(measurement);
+                range.follow(self.receiver.code_error(&signal));
+                scratch.signals.push(signal);
+            }
+            factors.ranges.push(range);
         }
         if self.ring != 0 {
             self.begun = [false; Constellation::COUNT];
@@ -279,7 +339,11 @@ impl Chain {
         if setup.options.graph.motion {
             let jump_m = jump_m(clock_m.unwrap_or(0.0), interval_s);
             let motion = MotionFactor::new(&setup.motion, interval_s);
-            return Tie::Motion(motion, ClockFactor::new(&setup.clock, interval_s, jump_m));
+            let mut clock = ClockFactor::new(&setup.clock, interval_s, jump_m);
+            if setup.learns {
+                clock = clock.with_tie(self.receiver.code_against_doppler(interval_s));
+            }
+            return Tie::Motion(motion, clock);
         }
         let velocity = self.epochs.last().and_then(|before| before.factors.doppler_velocity_m_s);
         let sigma_m_s = match velocity {
@@ -300,7 +364,8 @@ impl Chain {
         for (epoch, state) in self.epochs.iter_mut().zip(states) {
             epoch.factors.see(state, lines);
             epoch.residuals = epoch.factors.residuals(lines, state, border, &kernel);
-            self.is_proven |= epoch.residuals.agree();
+            // Where hypotheses compete, they prove a position.
+            self.is_proven |= !settings.kernels.last().follow_code && epoch.residuals.agree();
         }
     }
 

@@ -8,13 +8,13 @@ use crate::gnss::{GpsTime, Reason, SatelliteId};
 use crate::graph::HUBER_WIDTH;
 use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
-    BiasFactor, ClockFactor, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
+    BiasFactor, ClockFactor, ClockTie, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
     MotionFactor, OdometryFactor, POSITION_AND_CLOCK, PhaseDifferenceFactor, STATE, Sight, State,
     VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
 };
 use crate::positioning::measurements::aiding_reasons;
-use crate::positioning::ranging::Ranging;
-use crate::positioning::setup::{AnnealedKernels, Kernels};
+use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::setup::{AnnealedKernels, Kernels, student};
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
@@ -26,6 +26,12 @@ const PHASE_WEIGHT_MIN: f64 = 0.1;
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
 const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
+/// Weight from which on a pseudorange counts as used.
+const USED_WEIGHT: f64 = 0.25;
+/// Index of the clock in [`POSITION_AND_CLOCK`].
+const CLOCK_INDEX: usize = 3;
+/// Reweighted solutions for the step of the phase's clock.
+const CLOCK_ITERATIONS: usize = 5;
 
 /// What links an epoch to the previous one, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
@@ -40,11 +46,14 @@ pub(super) enum Tie {
 #[derive(Debug, Default)]
 pub(super) struct Seen {
     /// Lines of sight, from the epoch's state.
-    lines: Vec<Line>,
-    /// Weight of each satellite's phase: that of its pseudorange. The phase of a reflection is as
-    /// steady as a direct one but moves with the reflection; several reflections agree with one
-    /// another and not with the receiver.
+    pub(super) lines: Vec<Line>,
+    /// Weight of each satellite's phase: how far its pseudorange is direct. The phase of a
+    /// reflection is as steady as a direct one but moves with the reflection; several reflections
+    /// agree with one another and not with the receiver.
     phase_weights: Vec<f64>,
+    /// Residual, 1/σ (1/m) and weight of each phase difference.
+    phases: Vec<(f64, f64, f64)>,
+    numbers: Vec<f64>,
 }
 
 /// One epoch of the chain.
@@ -81,11 +90,12 @@ impl GraphEpoch {
         seen.phase_weights.resize(factors.sights.len(), 1.0);
         let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
         for range in &factors.ranges {
-            let row = range.linearize(&seen.lines, state, biases_m);
-            let (loss, kernel_weight) = kernels.pseudorange.loss_and_weight(row.residual);
-            seen.phase_weights[usize::from(range.sight)] = kernel_weight.max(PHASE_WEIGHT_MIN);
-            losses += loss;
-            let weight = *share * kernel_weight;
+            let mut row = range.linearize(&seen.lines, state, biases_m);
+            let judged = range.judge(row.residual, &kernels.pseudorange);
+            seen.phase_weights[usize::from(range.sight)] = judged.direct.max(PHASE_WEIGHT_MIN);
+            losses += judged.loss;
+            row.residual = judged.residual;
+            let weight = *share * judged.weight;
             sum.add(row.residual, &row.jacobian, weight);
             if let Some(variable) = range.bias {
                 let border = [(variable as usize, range.factor.inverse_sigma)];
@@ -97,7 +107,11 @@ impl GraphEpoch {
         let mut sum = RowSum::ZERO;
         for rate in &factors.rates {
             let row = rate.linearize(state);
-            let weight = system.weigh(row.residual, &kernels.doppler);
+            let direct = match kernels.follow_code {
+                true => seen.phase_weights[usize::from(rate.sight)],
+                false => 1.0,
+            };
+            let weight = system.weigh(row.residual, &kernels.doppler.tempered(direct));
             sum.add(row.residual, &row.jacobian, weight);
         }
         system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
@@ -118,6 +132,8 @@ pub(super) struct Factors {
     pub(super) rates: Vec<DopplerFactor>,
     /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
+    /// How the phase's clock moves against the code's; `None` where they are one.
+    pub(super) phase_clock: Option<ClockTie>,
     /// From the previous epoch to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
     /// From the previous epoch to this one: one or none, in a list because most epochs have none.
@@ -143,6 +159,7 @@ snapshot_fields!(Factors {
     ranges,
     rates,
     phases,
+    phase_clock,
     tie,
     odometry,
     standstill,
@@ -162,6 +179,7 @@ impl Factors {
         self.ranges.clear();
         self.rates.clear();
         self.phases.clear();
+        self.phase_clock = None;
         self.components.clear();
         self.biases.clear();
         self.without_ephemeris.clear();
@@ -203,8 +221,12 @@ impl Factors {
     ) -> Residuals {
         Residuals::of(self.ranges.iter().map(|range| {
             let residual = range.linearize(lines, state, biases_m).residual;
-            let pull = kernel.weight(residual) * residual;
-            (range.satellite.constellation, pull, kernel.pull_slope(residual))
+            let judged = range.judge(residual, kernel);
+            let slope = match range.reflected {
+                None => kernel.pull_slope(residual),
+                Some(_) => f64::from(u8::from(USED_WEIGHT <= judged.direct)),
+            };
+            (range.satellite.constellation, judged.weight * judged.residual, slope)
         }))
     }
 
@@ -215,8 +237,8 @@ impl Factors {
         seen.phase_weights.resize(self.sights.len(), 1.0);
         for range in &self.ranges {
             let residual = range.linearize(&seen.lines, state, biases_m).residual;
-            seen.phase_weights[usize::from(range.sight)] =
-                pseudorange.weight(residual).max(PHASE_WEIGHT_MIN);
+            let judged = range.judge(residual, pseudorange);
+            seen.phase_weights[usize::from(range.sight)] = judged.direct.max(PHASE_WEIGHT_MIN);
         }
     }
 
@@ -226,18 +248,11 @@ impl Factors {
         k: usize,
         estimate: &Estimate<STATE>,
         kernels: &Kernels,
-        [before, seen]: [&Seen; 2],
+        [before, seen]: [&mut Seen; 2],
         system: &mut System<STATE>,
     ) {
         let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
-        let mut sum = LinkSum::ZERO;
-        for phase in &self.phases {
-            let (from, to) = (usize::from(phase.before), usize::from(phase.after));
-            let link = phase.linearize((&before.lines[from], state), (&seen.lines[to], next));
-            let kernel = kernels.phase.tempered(seen.phase_weights[to]);
-            sum.add(&link, system.weigh(link.residual, &kernel));
-        }
-        system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
+        self.add_phases_to(k, estimate, kernels, [before, seen], system);
         for odometry in &self.odometry {
             for row in 0..3 {
                 system.add_link(k, &odometry.linearize(row, state, next), &ODOMETRY_KERNEL);
@@ -259,11 +274,103 @@ impl Factors {
             }
             Some(Tie::Motion(motion, clock)) => {
                 motion.add_to(k, estimate, system);
-                system.add_link(k, &clock.clock_row(state, next), &Kernel::QUADRATIC);
+                let kernel = if self.phase_clock.is_some() { student() } else { Kernel::QUADRATIC };
+                system.add_link(k, &clock.clock_row(state, next), &kernel);
                 system.add_link(k, &clock.drift_row(state, next), &Kernel::QUADRATIC);
             }
         }
     }
+}
+
+impl Factors {
+    /// Adds the phase differences to the previous epoch; eliminates the step of their clock against
+    /// the code's.
+    fn add_phases_to(
+        &self,
+        k: usize,
+        estimate: &Estimate<STATE>,
+        kernels: &Kernels,
+        [before, seen]: [&mut Seen; 2],
+        system: &mut System<STATE>,
+    ) {
+        let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
+        let Seen { lines, phase_weights, phases, numbers } = seen;
+        let link = |phase: &PhaseDifferenceFactor| {
+            let (from, to) = (usize::from(phase.before), usize::from(phase.after));
+            phase.linearize((&before.lines[from], state), (&lines[to], next))
+        };
+        phases.clear();
+        phases.extend(self.phases.iter().map(|phase| {
+            let mut direct = phase_weights[usize::from(phase.after)];
+            if kernels.follow_code {
+                direct = direct.min(before.phase_weights[usize::from(phase.before)]);
+            }
+            (link(phase).residual, phase.inverse_sigma, direct)
+        }));
+        numbers.clear();
+        numbers.extend(phases.iter().map(|(residual, inverse_sigma, _)| -residual / inverse_sigma));
+        let middle_m = median(numbers);
+        let step = self
+            .phase_clock
+            .zip(middle_m)
+            .map(|(tie, middle_m)| clock_step(tie, middle_m, phases, &kernels.phase));
+        let step_m = step.map_or(0.0, |(step_m, _)| step_m);
+        let mut sum = LinkSum::ZERO;
+        for (phase, (_, inverse_sigma, direct)) in self.phases.iter().zip(&*phases) {
+            let mut link = link(phase);
+            link.residual += step_m * inverse_sigma;
+            let kernel = kernels.phase.tempered(*direct);
+            sum.add(&link, system.weigh(link.residual, &kernel));
+        }
+        if let (Some(tie), Some((_, information))) = (self.phase_clock, step) {
+            let off_m = step_m - tie.mean_m;
+            system.add_cost(0.5 * information * off_m * off_m);
+            sum.free_offset(CLOCK_INDEX, off_m, information);
+        }
+        system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
+    }
+
+    /// Whitened residuals of the phase differences between two states, the median step of their
+    /// clock taken out.
+    pub(super) fn phase_residuals(
+        &self,
+        [before, lines]: [&[Line]; 2],
+        [state, next]: [&State; 2],
+        numbers: &mut Vec<f64>,
+    ) -> Vec<f64> {
+        let residual = |phase: &PhaseDifferenceFactor| {
+            let (from, to) = (usize::from(phase.before), usize::from(phase.after));
+            phase.linearize((&before[from], state), (&lines[to], next)).residual
+        };
+        numbers.clear();
+        numbers.extend(self.phases.iter().map(|phase| -residual(phase) / phase.inverse_sigma));
+        let step_m = median(numbers).unwrap_or(0.0);
+        self.phases.iter().map(|phase| residual(phase) + step_m * phase.inverse_sigma).collect()
+    }
+}
+
+/// The likeliest step of the phase's clock against the code's (m), of residual, 1/σ and weight of
+/// each phase difference, from about `start_m`; and the information of its tie there (1/m²).
+fn clock_step(
+    tie: ClockTie,
+    start_m: f64,
+    phases: &[(f64, f64, f64)],
+    kernel: &Kernel,
+) -> (f64, f64) {
+    let prior = tie.scale_m2.recip();
+    let (mut step_m, mut information) = (start_m, prior);
+    for _ in 0..CLOCK_ITERATIONS {
+        let off_m = step_m - tie.mean_m;
+        information = prior / (1.0 + off_m * off_m * prior / 3.0);
+        let (mut weight, mut pull) = (information, -information * tie.mean_m);
+        for (residual, inverse_sigma, direct) in phases {
+            let trust = kernel.tempered(*direct).weight(residual + inverse_sigma * step_m);
+            weight += trust * inverse_sigma * inverse_sigma;
+            pull += trust * inverse_sigma * residual;
+        }
+        step_m = -pull / weight;
+    }
+    (step_m, information)
 }
 
 impl Snapshot for Tie {

@@ -9,6 +9,9 @@ mod answer;
 mod batch;
 mod chain;
 mod epoch;
+mod hypotheses;
+mod learning;
+mod watch;
 mod window;
 
 pub(super) use batch::WholeChain;

@@ -89,7 +89,7 @@ impl Engine for SlidingWindow {
         if scratch.measure(inputs, receiver).is_none() {
             return self.restart(inputs, scratch, revisions);
         }
-        let leaving = self.leaving(time, options);
+        let leaving = self.leaving(time, inputs.setup);
         self.revise(leaving, inputs.setup, scratch, revisions);
         self.chain.append(
             inputs.epoch.time,
@@ -195,11 +195,12 @@ impl SlidingWindow {
     }
 
     /// Number of oldest epochs that leave when one at `time` comes.
-    fn leaving(&self, time: GpsTime, options: &PositioningOptions) -> usize {
+    fn leaving(&self, time: GpsTime, setup: &Setup) -> usize {
+        let options = &setup.options;
         let epochs = &self.chain.epochs;
         let count = epochs.len() + 1;
         let over = count.saturating_sub(options.graph.window_epochs_max);
-        if self.chain.unproven_s(time).is_some() {
+        if !setup.learns && self.chain.unproven_s(time).is_some() {
             // What is marginalised cannot be corrected any more.
             return over;
         }
@@ -244,7 +245,13 @@ impl SlidingWindow {
         // Until the first epoch is forgotten, its minimum can still be left for a better one.
         let how = if chain.has_past() { &settings.update } else { &settings.whole };
         chain.solve(settings, how, chain_scratch, workspace).ok()?;
+        if setup.learns && chain.reconsider(chain_scratch) {
+            chain.solve(settings, &settings.whole, chain_scratch, workspace).ok()?;
+        }
         covariances.newest(&workspace.elimination);
+        if setup.learns {
+            chain.learn(covariances.state(), chain_scratch);
+        }
         let newest = chain.epochs.len() - 1;
         Some(solution(chain, newest, covariances.state(), setup, answer))
     }

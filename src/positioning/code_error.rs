@@ -1,0 +1,185 @@
+//! The likelihood of a pseudorange error: direct signal, reflection, or fault.
+//!
+//! With s = measured − modelled (m), so that late signals are positive:
+//!
+//! p(s) = (1 − ε)·[(1 − π)·N(s; 0, σ²) + π·E(s; σ, λ)] + ε/W
+//!
+//! N is the noise of a direct signal. E is that noise plus an exponential extra path of mean λ, the
+//! exponentially modified Gaussian E = (1/λ)·exp(σ²/2λ² − s/λ)·Φ(u), u = s/σ − σ/λ. The uniform
+//! rest ε/W bounds what a fault can do. J = −ln p is minimised by expectation maximisation: with
+//! the responsibilities γ_D and γ_R of the direct and the reflected signal, and h = φ(u)/Φ(u),
+//!
+//! dJ/ds = γ_D·s/σ² + γ_R·(1/λ − h/σ), curvature γ_D/σ² + γ_R·h·(u + h)/σ² ≥ 0:
+//!
+//! E is log-concave, so that each step solves a convex problem.
+//!
+//! Sources: Grushka (1972), *Characterization of exponentially modified Gaussian peaks in
+//! chromatography*, Anal. Chem. 44; Dempster, Laird & Rubin (1977), *Maximum likelihood from
+//! incomplete data via the EM algorithm*, J. R. Stat. Soc. B 39.
+
+use std::f64::consts::{FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_SQRT_PI, TAU};
+
+use crate::snapshot::snapshot_fields;
+
+/// λ (m): the extra path of one bounce in a street is about the street's width.
+const EXTRA_PATH_M: f64 = 40.0;
+/// ε: pseudoranges that neither a direct signal nor a reflection explains.
+const FAULT_SHARE: f64 = 0.02;
+/// W (m): ten extra paths.
+const FAULT_WIDTH_M: f64 = 400.0;
+
+/// Error model of one pseudorange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CodeError {
+    /// σ (m).
+    pub(super) sigma_m: f64,
+    /// π: probability that the signal is a reflection.
+    pub(super) reflected: f64,
+}
+
+snapshot_fields!(CodeError { sigma_m, reflected });
+
+/// The likelihood at one residual.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Evaluated {
+    /// p(s) (1/m).
+    pub(super) density: f64,
+    /// dJ/ds (1/m).
+    pub(super) slope: f64,
+    /// Curvature of the expectation's bound (1/m²).
+    pub(super) curvature: f64,
+    /// γ_D: probability that the signal is direct, given its residual.
+    pub(super) direct: f64,
+}
+
+impl CodeError {
+    /// The likelihood at s = measured − modelled (m), with slope and curvature of J.
+    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
+        let Self { sigma_m, reflected } = *self;
+        let (z, u) = (s_m / sigma_m, s_m / sigma_m - sigma_m / EXTRA_PATH_M);
+        let normal = (-0.5 * z * z).exp();
+        let (late, hazard) = late_part(u, s_m, normal, sigma_m / EXTRA_PATH_M);
+        let known = 1.0 - FAULT_SHARE;
+        let direct = known * (1.0 - reflected) * normal / (sigma_m * TAU.sqrt());
+        let late = known * reflected * late / EXTRA_PATH_M;
+        let density = direct + late + FAULT_SHARE / FAULT_WIDTH_M;
+        let (direct, late) = (direct / density, late / density);
+        Evaluated {
+            density,
+            slope: direct * z / sigma_m + late * (EXTRA_PATH_M.recip() - hazard / sigma_m),
+            curvature: (direct + late * hazard * (u + hazard)) / (sigma_m * sigma_m),
+            direct,
+        }
+    }
+}
+
+/// Σ ln p, by logarithms of products: one for each dozen densities.
+pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
+    // No density is below 0.02/400 m: twelve make 10⁻⁵² at the least.
+    let (mut sum, mut product) = (0.0, 1.0_f64);
+    for density in densities {
+        product *= density;
+        if product < 1e-50 {
+            sum += product.ln();
+            product = 1.0;
+        }
+    }
+    sum + product.ln()
+}
+
+/// λ·E at s, and h, of exp(−z²/2) and σ/λ.
+///
+/// exp(σ²/2λ² − s/λ) is exp(−z²/2)/exp(−u²/2), so that with erfcx(x) = exp(x²)·erfc(x) the left
+/// side
+/// needs no further exponential: λ·E = ½·exp(−z²/2)·erfcx(−u/√2), h = √(2/π)/erfcx(−u/√2).
+fn late_part(u: f64, s_m: f64, normal: f64, ratio: f64) -> (f64, f64) {
+    if u <= 0.0 {
+        let scaled = erfcx(-u * FRAC_1_SQRT_2);
+        return (0.5 * normal * scaled, (2.0 * FRAC_1_PI).sqrt() / scaled);
+    }
+    let falling = (0.5 * ratio * ratio - s_m / EXTRA_PATH_M).exp();
+    let tail = (-0.5 * u * u).exp();
+    let cdf = 1.0 - 0.5 * tail * erfcx(u * FRAC_1_SQRT_2);
+    (falling * cdf, tail / (TAU.sqrt() * cdf))
+}
+
+/// exp(x²)·erfc(x) for x ≥ 0, with a relative error below 10⁻⁴.
+///
+/// Below 2 by Abramowitz & Stegun (1964), *Handbook of Mathematical Functions*, 7.1.26; beyond by
+/// the continued fraction 7.1.14.
+fn erfcx(x: f64) -> f64 {
+    if x < 2.0 {
+        const A: [f64; 5] =
+            [0.254_829_592, -0.284_496_736, 1.421_413_741, -1.453_152_027, 1.061_405_429];
+        let t = (1.0 + 0.327_591_1 * x).recip();
+        return t * (A[0] + t * (A[1] + t * (A[2] + t * (A[3] + t * A[4]))));
+    }
+    let fraction = (1..=8).rev().fold(x, |inner, k| x + 0.5 * f64::from(k) / inner);
+    FRAC_2_SQRT_PI * 0.5 / fraction
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const TYPICAL: CodeError = CodeError { sigma_m: 4.0, reflected: 0.3 };
+
+    /// ∫ p ds over ±2 km is one less what of the uniform part lies outside its own width: the
+    /// direct and reflected parts sum to 1 − ε, and the uniform density is not cut off.
+    #[test]
+    fn the_density_sums_to_one() {
+        let step_m = 0.05;
+        let mass: f64 = (-40_000..40_000)
+            .map(|k| TYPICAL.evaluate(f64::from(k) * step_m).density * step_m)
+            .sum();
+        let uniform = FAULT_SHARE / FAULT_WIDTH_M * 4_000.0;
+        assert!((mass - uniform - (1.0 - FAULT_SHARE)).abs() < 1e-6, "{mass}");
+    }
+
+    /// A normal density of σ = 4 m at zero is 0.0997356 1/m; E there is
+    /// exp(0.005)/40·Φ(−0.1) = 0.0251253·0.4601722 = 0.0115620 1/m; so
+    /// p = 0.98·(0.7·0.0997356 + 0.3·0.0115620) + 0.00005 = 0.0718678.
+    #[test]
+    fn a_density_worked_by_hand() {
+        let density = TYPICAL.evaluate(0.0).density;
+        assert!((density - 0.071_867_8).abs() < 1e-6, "{density}");
+    }
+
+    #[test]
+    fn late_signals_are_reflections_and_early_ones_are_not_excused() {
+        let [early, on_time, late, wild] = [-40.0, 0.0, 40.0, 1e7].map(|s_m| TYPICAL.evaluate(s_m));
+        assert!(0.9 < on_time.direct && late.direct < 0.01 && wild.direct < 1e-9);
+        assert!(early.density < late.density, "{late:?} {early:?}");
+        assert!(0.0 < late.slope && late.slope <= EXTRA_PATH_M.recip(), "{late:?}");
+        assert_eq!((wild.slope, wild.curvature), (0.0, 0.0));
+    }
+
+    /// erfc of Abramowitz & Stegun, table 7.1, at ½, 1 and 2; for large x erfcx tends to 1/(x·√π).
+    #[test]
+    fn the_scaled_error_function_worked_apart() {
+        for (x, erfc) in [(0.5, 0.479_500_122_2), (1.0, 0.157_299_207_1), (2.0, 0.004_677_734_98)] {
+            let expected = erfc * f64::exp(x * x);
+            assert!((erfcx(x) / expected - 1.0).abs() < 1e-4, "{} {expected}", erfcx(x));
+        }
+        assert!((erfcx(2.0 - 1e-12) / erfcx(2.0) - 1.0).abs() < 1e-4);
+        assert!((erfcx(1e4) * 1e4 * std::f64::consts::PI.sqrt() - 1.0).abs() < 1e-8);
+    }
+
+    proptest! {
+        #[test]
+        fn the_slope_is_the_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
+            let (error, h) = (CodeError { sigma_m, reflected: 0.4 }, 1e-4);
+            let loss = |s_m: f64| -error.evaluate(s_m).density.ln();
+            let central = (loss(s_m + h) - loss(s_m - h)) / (2.0 * h);
+            let slope = error.evaluate(s_m).slope;
+            prop_assert!((slope - central).abs() < 1e-4 + 2e-3 * slope.abs(), "{slope} {central}");
+        }
+
+        #[test]
+        fn the_curvature_is_never_negative(s_m in -1e4..1e4, sigma_m in 0.8..50.0) {
+            let at = CodeError { sigma_m, reflected: 0.5 }.evaluate(s_m);
+            prop_assert!(0.0 <= at.curvature && at.slope.is_finite() && 0.0 < at.density);
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! Which position the pseudoranges of the last half minute agree on.
+//!
+//! The trajectory is taken as rigid: an offset d of its position and an offset c of the clock of
+//! each constellation leave the residuals s − gᵀd − c, with s = measured − modelled (m) along the
+//! trajectory as it stands and g = ∂ρ/∂p. Hypotheses (d, c) compete by their cost
+//!
+//! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
+//!
+//! J is the likelihood of [`CodeError`], with one term for each satellite and ten seconds, κ of
+//! which
+//! are independent. Inter-system biases of the graph hold within β once they are known. T is
+//! Student's t of three degrees of freedom with a scale of 10 m: a trajectory that has been right
+//! for
+//! a while (a → 1) is not a hundred metres off. Two hypotheses have the odds exp(−Δcost).
+//!
+//! Candidates are the positions of minimal subsets of satellites, drawn with the probability that
+//! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24); the best, and the
+//! trajectory itself, are refined by expectation maximisation. The draws follow from the time of
+//! the epoch, so that a replay makes the same.
+
+use nalgebra::{SMatrix, SVector, Vector3};
+
+use crate::gnss::{Constellation, SatelliteId};
+use crate::positioning::code_error::{CodeError, log_product};
+use crate::snapshot::snapshot_fields;
+
+/// Position and a clock for each constellation.
+const UNKNOWNS: usize = 3 + Constellation::COUNT;
+/// An offset (m): position, local, and clocks by constellation.
+type Unknowns = SVector<f64, UNKNOWNS>;
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Subsets drawn: one of four direct satellites is among them with 93 % where half are direct.
+const SUBSETS: usize = 40;
+/// Draws after which a subset is given up.
+const DRAWS_MAX: usize = 60;
+/// Candidates refined.
+const REFINED: usize = 2;
+/// Iterations of a refinement at most, and the step that ends it (m).
+const ITERATIONS_MAX: usize = 12;
+const LAST_STEP_M: f64 = 0.3;
+/// Longest step (m): beyond it the likelihood's curvature means nothing.
+const STEP_MAX_M: f64 = 30.0;
+/// Candidates nearer to each other than this, horizontally, are one (m).
+const DISTINCT_M: f64 = 8.0;
+/// Candidates farther away are no candidates: horizontally and vertically (m).
+const REACH_M: (f64, f64) = (1e3, 300.0);
+/// Scale of the offset of a settled trajectory (m).
+const SETTLED_M: f64 = 10.0;
+
+/// The residual of one satellite over some seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pooled {
+    pub(super) satellite: SatelliteId,
+    /// ∂ρ/∂p, local.
+    pub(super) slope: Vector3<f64>,
+    /// Median of measured − modelled (m).
+    pub(super) residual_m: f64,
+    pub(super) error: CodeError,
+}
+
+snapshot_fields!(Pooled { satellite, slope, residual_m, error });
+
+/// What is known besides residuals.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Knowledge {
+    /// κ.
+    pub(super) independent: f64,
+    /// β (m); infinite where inter-system biases are not known yet.
+    pub(super) bias_sigma_m: f64,
+    /// a.
+    pub(super) settled: f64,
+}
+
+/// An offset of the trajectory that explains the residuals.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Offset {
+    x: Unknowns,
+    cost: f64,
+}
+
+impl Offset {
+    /// Of the position, local (m).
+    pub(super) fn position_m(&self) -> Vector3<f64> {
+        self.x.fixed_rows::<3>(0).into_owned()
+    }
+
+    /// Of a constellation's clock (m).
+    pub(super) fn clock_m(&self, constellation: Constellation) -> f64 {
+        self.x[3 + constellation.index()]
+    }
+
+    fn horizontal_m(&self) -> f64 {
+        self.x[0].hypot(self.x[1])
+    }
+}
+
+/// What the residuals say of other positions.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Rivalry {
+    /// Nothing: there is no redundancy.
+    Undetermined,
+    /// No candidate lies elsewhere.
+    Unrivalled,
+    /// The likeliest candidate elsewhere.
+    Rival {
+        /// Where it is, from the trajectory as it stands.
+        offset: Offset,
+        /// Logarithm of its odds against the trajectory.
+        log_odds: f64,
+    },
+}
+
+/// Residuals with what is known of them.
+struct Evidence<'a> {
+    pool: &'a [Pooled],
+    knowledge: Knowledge,
+    /// Constellations among them.
+    present: [bool; Constellation::COUNT],
+}
+
+/// Looks for the likeliest position more than [`DISTINCT_M`] away from where the trajectory is;
+/// `seed`
+/// decides the draws.
+pub(super) fn rivalry(pool: &[Pooled], knowledge: Knowledge, seed: u64) -> Rivalry {
+    let mut present = [false; Constellation::COUNT];
+    pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
+    let evidence = Evidence { pool, knowledge, present };
+    if evidence.satellites() < 3 + evidence.clocks() + 1 {
+        return Rivalry::Undetermined;
+    }
+    let stands = evidence.refine(Unknowns::zeros(), false);
+    let refined = evidence.candidates(seed).into_iter().map(|x| evidence.refine(x, true));
+    let moved = evidence.refine(stands.x, true);
+    let elsewhere = refined.chain([moved]).filter(|c| DISTINCT_M < c.horizontal_m());
+    match elsewhere.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
+        Some(offset) => Rivalry::Rival { offset, log_odds: stands.cost - offset.cost },
+        None => Rivalry::Unrivalled,
+    }
+}
+
+impl Evidence<'_> {
+    fn satellites(&self) -> usize {
+        let mut satellites: Vec<_> = self.pool.iter().map(|pooled| pooled.satellite).collect();
+        satellites.sort_unstable();
+        satellites.dedup();
+        satellites.len()
+    }
+
+    /// Whether the graph's inter-system biases are known, so that one clock serves all.
+    fn shares_clock(&self) -> bool {
+        self.knowledge.bias_sigma_m.is_finite()
+    }
+
+    /// Clocks that a subset must determine.
+    fn clocks(&self) -> usize {
+        if self.shares_clock() { 1 } else { self.present.iter().filter(|p| **p).count() }
+    }
+
+    fn mean_clock_m(&self, x: &Unknowns) -> f64 {
+        let clocks = (0..Constellation::COUNT).filter(|i| self.present[*i]).map(|i| x[3 + i]);
+        let (sum, count) = clocks.fold((0.0, 0.0), |(sum, n), clock| (sum + clock, n + 1.0));
+        sum / count
+    }
+
+    fn residual_m(pooled: &Pooled, x: &Unknowns) -> f64 {
+        let Pooled { slope, .. } = pooled;
+        let along_m = slope.x * x[0] + slope.y * x[1] + slope.z * x[2];
+        pooled.residual_m - along_m - x[3 + pooled.satellite.constellation.index()]
+    }
+
+    fn cost(&self, x: &Unknowns) -> f64 {
+        let Knowledge { independent, bias_sigma_m, settled } = self.knowledge;
+        let mean_m = self.mean_clock_m(x);
+        let present = (0..Constellation::COUNT).filter(|i| self.present[*i]);
+        let biases = present.map(|i| 0.5 * ((x[3 + i] - mean_m) / bias_sigma_m).powi(2));
+        let student = |square: f64| 2.0 * (square / (3.0 * SETTLED_M * SETTLED_M)).ln_1p();
+        let moved = student(x[0] * x[0] + x[1] * x[1]) + student(x[2] * x[2]);
+        let density = |p: &Pooled| p.error.evaluate(Self::residual_m(p, x)).density;
+        -independent * log_product(self.pool.iter().map(density))
+            + biases.sum::<f64>()
+            + settled * moved
+    }
+
+    /// Expectation maximisation from `x`, of the clocks alone where the position does not move.
+    fn refine(&self, mut x: Unknowns, moves: bool) -> Offset {
+        for _ in 0..ITERATIONS_MAX {
+            let (normal, right) = self.normal_equations(&x, moves);
+            let Some(factor) = normal.cholesky() else { break };
+            let step = factor.solve(&right);
+            let length_m = step.amax();
+            x += step * (STEP_MAX_M / length_m).min(1.0);
+            if length_m < LAST_STEP_M {
+                break;
+            }
+        }
+        Offset { x, cost: self.cost(&x) }
+    }
+
+    /// Lower triangle of the normal equations of a step from `x`, and their right side.
+    fn normal_equations(&self, x: &Unknowns, moves: bool) -> (Normal, Unknowns) {
+        // What no row determines stays: positions far below, and clocks of absent constellations.
+        const WEAK: f64 = 1e-9;
+        const HELD: f64 = 1e12;
+        let Knowledge { independent, bias_sigma_m, .. } = self.knowledge;
+        let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
+        (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
+        let (mean_m, tie) = (self.mean_clock_m(x), bias_sigma_m.powi(-2));
+        for i in 0..Constellation::COUNT {
+            let c = 3 + i;
+            normal[(c, c)] = if self.present[i] { WEAK + tie } else { HELD };
+            right[c] = if self.present[i] { -tie * (x[c] - mean_m) } else { 0.0 };
+        }
+        for pooled in self.pool {
+            let at = pooled.error.evaluate(Self::residual_m(pooled, x));
+            let (slope, curvature) = (independent * at.slope, independent * at.curvature);
+            let c = 3 + pooled.satellite.constellation.index();
+            normal[(c, c)] += curvature;
+            right[c] += slope;
+            for i in (0..3).filter(|_| moves) {
+                right[i] += slope * pooled.slope[i];
+                normal[(c, i)] += curvature * pooled.slope[i];
+                for j in 0..=i {
+                    normal[(i, j)] += curvature * pooled.slope[i] * pooled.slope[j];
+                }
+            }
+        }
+        (normal, right)
+    }
+
+    /// The best distinct positions of the subsets drawn, best first.
+    fn candidates(&self, seed: u64) -> Vec<Unknowns> {
+        let mut draws = Draws(seed);
+        let mut found: Vec<Offset> = (0..SUBSETS)
+            .filter_map(|_| self.solve_subset(&self.draw_subset(&mut draws)))
+            .map(|x| Offset { x, cost: self.cost(&x) })
+            .collect();
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        let mut distinct: Vec<Offset> = Vec::with_capacity(REFINED);
+        for offset in found {
+            let apart = |other: &Offset| {
+                DISTINCT_M < (other.position_m() - offset.position_m()).xy().norm()
+            };
+            if distinct.len() < REFINED && distinct.iter().all(apart) {
+                distinct.push(offset);
+            }
+        }
+        distinct.into_iter().map(|offset| offset.x).collect()
+    }
+
+    /// Satellites that determine a position and their clocks, each by one of its terms.
+    fn draw_subset(&self, draws: &mut Draws) -> Vec<usize> {
+        let total: f64 = self.pool.iter().map(|pooled| 1.0 - pooled.error.reflected).sum();
+        let (mut subset, mut drawn) = (Vec::with_capacity(UNKNOWNS), [false; Constellation::COUNT]);
+        for _ in 0..DRAWS_MAX {
+            let clocks = if self.shares_clock() { 1 } else { drawn.iter().filter(|d| **d).count() };
+            if !subset.is_empty() && 3 + clocks <= subset.len() {
+                break;
+            }
+            let mut left = draws.next() * total;
+            let reached = |pooled: &Pooled| {
+                left -= 1.0 - pooled.error.reflected;
+                left < 0.0
+            };
+            let index = self.pool.iter().position(reached).unwrap_or(self.pool.len() - 1);
+            let satellite = self.pool[index].satellite;
+            if subset.iter().all(|other: &usize| self.pool[*other].satellite != satellite) {
+                subset.push(index);
+                drawn[satellite.constellation.index()] = true;
+            }
+        }
+        subset
+    }
+
+    /// The offset that leaves no residual in the terms of a subset; clocks that it does not
+    /// determine are set from the early third of their own residuals.
+    fn solve_subset(&self, subset: &[usize]) -> Option<Unknowns> {
+        let (mut normal, mut right) = (Normal::identity() * 1e-10, Unknowns::zeros());
+        let mut drawn = [self.shares_clock(); Constellation::COUNT];
+        for index in subset {
+            let Pooled { satellite, slope, residual_m, .. } = &self.pool[*index];
+            let system = if self.shares_clock() { 0 } else { satellite.constellation.index() };
+            drawn[system] = true;
+            let mut row = Unknowns::zeros();
+            row.fixed_rows_mut::<3>(0).copy_from(slope);
+            row[3 + system] = 1.0;
+            normal += row * row.transpose();
+            right += row * *residual_m;
+        }
+        let mut x = normal.cholesky()?.solve(&right);
+        let (horizontal_m, vertical_m) = REACH_M;
+        if !(x[0].hypot(x[1]) < horizontal_m && x[2].abs() < vertical_m) {
+            return None;
+        }
+        if self.shares_clock() {
+            let clock_m = x[3];
+            x.rows_mut(3, Constellation::COUNT).fill(clock_m);
+        }
+        for system in (0..Constellation::COUNT).filter(|i| self.present[*i] && !drawn[*i]) {
+            let of = |p: &&Pooled| p.satellite.constellation.index() == system;
+            let mut own: Vec<f64> = self
+                .pool
+                .iter()
+                .filter(of)
+                .map(|p| Self::residual_m(p, &x) + x[3 + system])
+                .collect();
+            let third = own.len() / 3;
+            x[3 + system] = *own.select_nth_unstable_by(third, f64::total_cmp).1;
+        }
+        Some(x)
+    }
+}
+
+/// Evenly distributed numbers in 0 … 1 that follow from a seed.
+///
+/// Steele, Lea & Flood (2014), *Fast splittable pseudorandom number generators*, OOPSLA:
+/// SplitMix64.
+struct Draws(u64);
+
+impl Draws {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KNOWN: Knowledge = Knowledge { independent: 1.0, bias_sigma_m: 6.0, settled: 0.0 };
+
+    /// Twelve satellites around, seen from a trajectory that is `off` its true position; those of
+    /// `late` are reflections, 45 m late.
+    fn pool(off: Vector3<f64>, late: &[usize]) -> Vec<Pooled> {
+        let pooled = |index: usize| {
+            let azimuth = index as f64 * 2.4;
+            let elevation = 0.4 + 0.08 * index as f64;
+            let slope = -Vector3::new(
+                azimuth.sin() * elevation.cos(),
+                azimuth.cos() * elevation.cos(),
+                elevation.sin(),
+            );
+            let reflection_m = if late.contains(&index) { 45.0 } else { 0.0 };
+            let satellite =
+                format!("{}{:02}", if index.is_multiple_of(2) { 'G' } else { 'E' }, index + 1);
+            Pooled {
+                satellite: satellite.parse().unwrap(),
+                slope,
+                residual_m: -slope.dot(&off) + reflection_m + 0.3 * (index as f64).sin(),
+                error: CodeError { sigma_m: 2.0, reflected: 0.3 },
+            }
+        };
+        (0..12).map(pooled).collect()
+    }
+
+    /// The rival that must be there, and its log odds.
+    fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
+        match rivalry(pool, knowledge, 7) {
+            Rivalry::Rival { offset, log_odds } => (offset, log_odds),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_trajectory_that_is_off_has_a_likelier_rival_where_the_truth_is() {
+        let off = Vector3::new(40.0, -25.0, 30.0);
+        for bias_sigma_m in [6.0, f64::INFINITY] {
+            let knowledge = Knowledge { bias_sigma_m, ..KNOWN };
+            let (offset, log_odds) = found(&pool(off, &[0, 5, 9]), knowledge);
+            assert!(20.0 < log_odds, "{log_odds}");
+            assert!((offset.position_m() + off).norm() < 3.0, "{offset:?}");
+        }
+    }
+
+    #[test]
+    fn a_trajectory_that_is_right_has_none() {
+        let rivalry = rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, 7);
+        let is_right = match rivalry {
+            Rivalry::Unrivalled => true,
+            Rivalry::Rival { log_odds, .. } => log_odds < -10.0,
+            Rivalry::Undetermined => false,
+        };
+        assert!(is_right, "{rivalry:?}");
+    }
+
+    /// 60 m off, T(60 m) = 2·ln(1 + 3600/300) = 5.13; and nothing for the height.
+    #[test]
+    fn a_settled_trajectory_is_moved_for_more() {
+        let pool = pool(Vector3::new(60.0, 0.0, 0.0), &[]);
+        let odds = |settled| found(&pool, Knowledge { settled, ..KNOWN }).1;
+        assert!((odds(0.0) - odds(1.0) - 5.13).abs() < 0.3, "{} {}", odds(0.0), odds(1.0));
+    }
+
+    #[test]
+    fn too_few_satellites_decide_nothing() {
+        let rivalry = rivalry(&pool(Vector3::zeros(), &[])[..4], KNOWN, 7);
+        assert!(matches!(rivalry, Rivalry::Undetermined));
+    }
+}

@@ -1,0 +1,164 @@
+//! Noise of pseudoranges and chance of reflection by C/N0, relative to a level that is learnt.
+//!
+//! Receivers state C/N0 differently and streets differ in how much they weaken a direct signal.
+//! One number carries both: S₀, the C/N0 at which half of the signals are reflections. With
+//! a = S − S₀ (dB):
+//!
+//! π = 1/(1 + e^(a/3 dB)), within 0.02 … 0.98
+//! σ² = (1 m)² + ½·(0.5 m/sin E)² + (4 m·10^(−a/20))²
+//!
+//! S₀ has a normal prior of 32 ± 6 dB-Hz on a grid of 2 dB. Its likelihood is that of the
+//! residuals,
+//! each counted by its independent share. The floor of 1 m is multipath of a strong signal with
+//! orbit and clock; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999, SIGMA-ε). Slope
+//! and
+//! width of π and the 4 m come from tables of pseudorange errors by C/N0 of one receiver
+//! (docs/estimation.md).
+
+use std::f64::consts::LN_10;
+
+use crate::gnss::SatelliteId;
+use crate::positioning::Measurement;
+use crate::snapshot::snapshot_fields;
+
+use super::grid::Grid;
+use super::kept;
+use crate::positioning::code_error::{CodeError, log_product};
+
+/// First value of the grid and its step (dB-Hz).
+const FIRST_DB_HZ: f64 = 20.0;
+const STEP_DB: f64 = 2.0;
+/// Up to 48 dB-Hz.
+const VALUES: usize = 15;
+/// Mean and standard deviation of the prior (dB-Hz).
+const PRIOR_DB_HZ: (f64, f64) = (32.0, 6.0);
+/// Decline of the chance of reflection (dB).
+const LOGISTIC_DB: f64 = 3.0;
+/// Bounds of the chance of reflection: C/N0 alone never makes certain.
+const REFLECTED: std::ops::RangeInclusive<f64> = 0.02..=0.98;
+/// Standard deviation of a strong signal (m).
+const FLOOR_M: f64 = 1.0;
+/// Part that grows towards the horizon (m).
+const ELEVATION_M: f64 = 0.5;
+/// Standard deviation by noise at S₀ (m).
+const NOISE_M: f64 = 4.0;
+/// C/N0 taken where the receiver states none (dB-Hz): S₀ is then learnt against it.
+const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
+
+/// What the noise of a pseudorange depends on.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::positioning) struct Signal {
+    pub(in crate::positioning) cn0_db_hz: Option<f64>,
+    pub(in crate::positioning) elevation_rad: f64,
+}
+
+impl Signal {
+    /// Of a placed measurement.
+    pub(in crate::positioning) fn of(measurement: &Measurement) -> Self {
+        Self { cn0_db_hz: measurement.cn0_db_hz, elevation_rad: measurement.look.elevation_rad }
+    }
+}
+
+/// A pseudorange residual with what its noise depends on.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::positioning) struct CodeResidual {
+    pub(in crate::positioning) satellite: SatelliteId,
+    pub(in crate::positioning) signal: Signal,
+    /// Standard deviation in force (m).
+    pub(in crate::positioning) sigma_m: f64,
+    /// Measured − modelled (m).
+    pub(in crate::positioning) residual_m: f64,
+}
+
+/// What is known of S₀.
+#[derive(Clone, Debug)]
+pub(super) struct CodeNoise {
+    level: Grid<VALUES>,
+}
+
+snapshot_fields!(CodeNoise { level });
+
+impl Default for CodeNoise {
+    fn default() -> Self {
+        Self { level: Grid::new(prior) }
+    }
+}
+
+fn level_db_hz(index: f64) -> f64 {
+    FIRST_DB_HZ + STEP_DB * index
+}
+
+fn prior(index: f64) -> f64 {
+    let (mean, deviation) = PRIOR_DB_HZ;
+    -0.5 * ((level_db_hz(index) - mean) / deviation).powi(2)
+}
+
+impl CodeNoise {
+    /// Error model of a pseudorange at the mean of S₀.
+    pub(super) fn error(&self, signal: &Signal) -> CodeError {
+        error_at(level_db_hz(self.level.moments().0), signal)
+    }
+
+    /// Takes in the residuals of an epoch, each for `share` of an independent one.
+    pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[CodeResidual]) {
+        self.level.fade(kept(interval_s), prior);
+        self.level.update(|index| {
+            let level = level_db_hz(index);
+            let density =
+                |r: &CodeResidual| error_at(level, &r.signal).evaluate(r.residual_m).density;
+            share * log_product(residuals.iter().map(density))
+        });
+    }
+}
+
+/// Error model for S₀ = `level_db_hz`.
+fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
+    let Signal { cn0_db_hz, elevation_rad } = *signal;
+    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - level_db_hz;
+    let reflected = (1.0 + (above_db / LOGISTIC_DB).exp()).recip();
+    let noise_m = NOISE_M * (-above_db * (LN_10 / 20.0)).exp();
+    // The mask keeps elevations above some degrees; 0.1 is 6°.
+    let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
+    CodeError {
+        sigma_m: (FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + noise_m * noise_m).sqrt(),
+        reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// At S₀ and the zenith half are reflections: σ² = 1 + ½·0.25 + 16; 20 dB above, 0.4 m of
+    /// noise.
+    #[test]
+    fn the_model_worked_by_hand() {
+        let error = |cn0_db_hz| {
+            let elevation_rad = std::f64::consts::FRAC_PI_2;
+            error_at(32.0, &Signal { cn0_db_hz: Some(cn0_db_hz), elevation_rad })
+        };
+        let at = error(32.0);
+        assert!((at.reflected - 0.5).abs() < 1e-12);
+        assert!((at.sigma_m - 17.125_f64.sqrt()).abs() < 1e-12);
+        let strong = error(52.0);
+        assert!((strong.sigma_m - 1.285_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(strong.reflected, 0.02);
+    }
+
+    /// Residuals of half a metre at 30 dB-Hz lower the level; 30 m late ones raise it.
+    #[test]
+    fn the_level_follows_the_residuals() {
+        let learnt = |residual_m: f64| {
+            let mut noise = CodeNoise::default();
+            let residual = CodeResidual {
+                satellite: "G01".parse().unwrap(),
+                signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0 },
+                sigma_m: 4.0,
+                residual_m,
+            };
+            (0..60).for_each(|_| noise.learn(1.0, 0.1, &[residual; 8]));
+            level_db_hz(noise.level.moments().0)
+        };
+        assert!(learnt(0.5) < 26.0 && 36.0 < learnt(30.0), "{} {}", learnt(0.5), learnt(30.0));
+    }
+}
