@@ -51,6 +51,7 @@
 //! let receiver = Simulator::new(Scenario { duration_s: 5.0, ..Scenario::open_sky() }, 1);
 //! aiding.navigation.push((**receiver.navigation()).clone(), "simulation").await?;
 //! let new = NewSession {
+//!     antenna: String::new(),
 //!     label: "a receiver".into(),
 //!     mode: "fgo".into(),
 //!     profile: "general".into(),
