@@ -14,7 +14,7 @@ use super::base_archive::{ArchiveStatus, BaseArchive};
 use super::network::{NetworkHealth, NetworkRequest, RunningNetwork, Streams};
 use super::ntrip::{Credentials, NtripVersion, StreamRequest};
 use super::sources::{NavigationSources, Source, SourceStatus};
-use super::stream::{Stream, StreamHints, StreamStatus};
+use super::stream::{Stream, StreamHints, StreamMeans, StreamStatus};
 use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptions, FetchError};
 
 /// The identity of a stream. Bases with the same key share one connection.
@@ -185,9 +185,7 @@ impl Feeds {
             key.request.clone(),
             StreamHints { near: feed.near, position: feed.position, follows },
             status.clone(),
-            connector.clone(),
-            aiding.clone(),
-            *options,
+            StreamMeans { connector: connector.clone(), aiding: aiding.clone(), options: *options },
             stopped,
         );
         let task = tokio::spawn(stream.run());

@@ -12,7 +12,7 @@ use crate::clock::unix_ms;
 use super::archive::{Archive, ArchiveTemplate};
 use super::health::{ArchiveHealth, FeedHealth, SourceHealth};
 use super::ntrip::{Caster, StreamRequest};
-use super::stream::{Stream, StreamHints, StreamStatus};
+use super::stream::{Stream, StreamHints, StreamMeans, StreamStatus};
 use super::{Connector, FeedOptions, FetchError, FetchPolicy};
 
 /// The operator's sources of ephemerides.
@@ -106,9 +106,7 @@ impl Source {
             request,
             StreamHints::default(),
             status.clone(),
-            connector,
-            aiding,
-            options,
+            StreamMeans { connector, aiding, options },
             stopped,
         );
         let task = tokio::spawn(stream.run());

@@ -84,6 +84,13 @@ struct StationEpochs {
     epochs: Vec<Epoch>,
 }
 
+/// What a stream connects with and what it fills.
+pub(super) struct StreamMeans {
+    pub(super) connector: Connector,
+    pub(super) aiding: AidingDesk,
+    pub(super) options: FeedOptions,
+}
+
 /// The state of a stream's task.
 pub(super) struct Stream {
     request: StreamRequest,
@@ -101,15 +108,14 @@ pub(super) struct Stream {
 
 impl Stream {
     /// A stream that is not requested yet.
-    pub(super) const fn new(
+    pub(super) fn new(
         request: StreamRequest,
         hints: StreamHints,
         status: Arc<StreamStatus>,
-        connector: Connector,
-        aiding: AidingDesk,
-        options: FeedOptions,
+        means: StreamMeans,
         stopped: watch::Receiver<bool>,
     ) -> Self {
+        let StreamMeans { connector, aiding, options } = means;
         Self {
             request,
             hints,

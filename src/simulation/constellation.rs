@@ -5,6 +5,8 @@
 //! depend on the satellite alone, so simulations of the same time have the same sky. The elements
 //! of successive issues describe one orbit: a change of issue causes no step.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Vector3;
 
 use super::random::of_place;
@@ -83,10 +85,31 @@ pub(super) fn navigation(
 
 fn orbits(constellation: Constellation) -> Vec<Orbit> {
     match constellation {
-        Constellation::Gps => walker(constellation, 1..=30, 6, 2, 26_559_710.0, 55.0, 0.008),
-        Constellation::Galileo => walker(constellation, 1..=24, 3, 1, 29_599_800.0, 56.0, 0.0002),
+        Constellation::Gps => Walker {
+            planes: 6,
+            phasing: 2,
+            axis_m: 26_559_710.0,
+            inclination_deg: 55.0,
+            eccentricity: 0.008,
+        }
+        .orbits(constellation, 1..=30),
+        Constellation::Galileo => Walker {
+            planes: 3,
+            phasing: 1,
+            axis_m: 29_599_800.0,
+            inclination_deg: 56.0,
+            eccentricity: 0.0002,
+        }
+        .orbits(constellation, 1..=24),
         Constellation::BeiDou => {
-            let mut all = walker(constellation, 19..=42, 3, 1, 27_906_100.0, 55.0, 0.0008);
+            let medium = Walker {
+                planes: 3,
+                phasing: 1,
+                axis_m: 27_906_100.0,
+                inclination_deg: 55.0,
+                eccentricity: 0.0008,
+            };
+            let mut all = medium.orbits(constellation, 19..=42);
             let inclined = (0..3).map(|k| geosynchronous(constellation, 43 + k, k, 110.0, 55.0));
             all.extend(inclined);
             let longitudes = [(59, 140.0), (60, 80.0), (61, 110.5)];
@@ -103,34 +126,38 @@ fn orbits(constellation: Constellation) -> Vec<Orbit> {
 
 /// Walker constellation t/p/f: t satellites in p planes, phase difference f·360°/t between
 /// neighbouring planes; Walker (1984).
-fn walker(
-    constellation: Constellation,
-    numbers: std::ops::RangeInclusive<u8>,
+struct Walker {
     planes: usize,
     phasing: usize,
     axis_m: f64,
     inclination_deg: f64,
     eccentricity: f64,
-) -> Vec<Orbit> {
-    let total = numbers.clone().count();
-    let per_plane = total / planes;
-    let orbit = |(index, number): (usize, u8)| {
-        let (plane, slot) = (index / per_plane, index % per_plane);
-        let phase = 360.0 * (slot as f64 / per_plane as f64)
-            + 360.0 * (phasing * plane) as f64 / total as f64;
-        Orbit {
-            satellite: satellite(constellation, number),
-            axis_m,
-            eccentricity,
-            inclination_deg,
+}
+
+impl Walker {
+    fn orbits(&self, constellation: Constellation, numbers: RangeInclusive<u8>) -> Vec<Orbit> {
+        let Self { planes, phasing, axis_m, inclination_deg, eccentricity } = *self;
+        let total = numbers.clone().count();
+        let per_plane = total / planes;
+        let orbit = |(index, number): (usize, u8)| {
+            let (plane, slot) = (index / per_plane, index % per_plane);
+            let phase = 360.0 * (slot as f64 / per_plane as f64)
+                + 360.0 * (phasing * plane) as f64 / total as f64;
             // Constellations are rotated against one another so that they fill each other's gaps.
-            node_deg: 360.0 * plane as f64 / planes as f64 + 17.0 * constellation.index() as f64,
-            perigee_deg: 0.0,
-            mean_anomaly_deg: phase,
-            node_rate: -8e-9,
-        }
-    };
-    numbers.enumerate().map(orbit).collect()
+            let rotation_deg = 17.0 * constellation.index() as f64;
+            Orbit {
+                satellite: satellite(constellation, number),
+                axis_m,
+                eccentricity,
+                inclination_deg,
+                node_deg: 360.0 * plane as f64 / planes as f64 + rotation_deg,
+                perigee_deg: 0.0,
+                mean_anomaly_deg: phase,
+                node_rate: -8e-9,
+            }
+        };
+        numbers.enumerate().map(orbit).collect()
+    }
 }
 
 /// One of three satellites on a common figure of eight around a longitude.

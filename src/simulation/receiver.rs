@@ -11,7 +11,7 @@ use super::random::{Random, normal_of_place};
 use super::scenario::{
     Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
 };
-use super::track::{Measured, Track};
+use super::track::{Measured, Reception, Track};
 use crate::gnss::constants::{GPS_L1_HZ, LIGHT_MILLISECOND_M, SPEED_OF_LIGHT};
 use crate::gnss::{
     Cycles, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, LocalFrame, Navigation, Observation,
@@ -233,9 +233,10 @@ impl Receiver {
             });
         let errors = self.errors.as_ref();
         let way_m = elapsed_s * sky.velocity_m_s.norm();
-        let cn0 = track.advance((elapsed_s, way_m), &path.look, &arrival, errors, random);
+        let reception = Reception { time: sky.time, look: &path.look, arrival: &arrival, errors };
+        let cn0 = track.advance((elapsed_s, way_m), &reception, random);
         let is_first = self.last.is_none();
-        if !track.is_received(sky.time, cn0, &arrival, is_first, errors, random) {
+        if !track.is_received(&reception, cn0, is_first, random) {
             return;
         }
         let steered_m = SPEED_OF_LIGHT * self.steering_s;
@@ -250,7 +251,7 @@ impl Receiver {
             let ambiguity_cycles = track.ambiguities[index] + half_cycles;
             let ideal = sky.ideal(ephemeris, code, &path, &clock, ambiguity_cycles);
             let cn0 = cn0 - SECOND_SIGNAL_LOSS_DB * index as f64;
-            let measured = track.disturb(ideal, index, cn0, &path.look, &arrival, errors, random);
+            let measured = track.disturb(ideal, index, cn0, &reception, random);
             let doppler_hz = Some(measured.doppler_m_s / measured.wavelength_m);
             epoch.observations.push(Observation {
                 loss_of_lock: track.lost_lock[index],

@@ -17,6 +17,14 @@ const CALM_SHARE: f64 = 0.25;
 /// Largest carrier multipath: a quarter of a wavelength.
 const PHASE_MULTIPATH_LIMIT: f64 = 0.25;
 
+/// How a signal comes to the receiver at an epoch.
+pub(super) struct Reception<'a> {
+    pub(super) time: GpsTime,
+    pub(super) look: &'a LookAngles,
+    pub(super) arrival: &'a Arrival,
+    pub(super) errors: Option<&'a ReceiverErrors>,
+}
+
 /// State of a satellite between epochs.
 #[derive(Clone, Debug)]
 pub(super) struct Track {
@@ -67,11 +75,10 @@ impl Track {
     pub(super) fn advance(
         &mut self,
         (elapsed_s, way_m): (f64, f64),
-        look: &LookAngles,
-        arrival: &Arrival,
-        errors: Option<&ReceiverErrors>,
+        reception: &Reception<'_>,
         random: &mut Random,
     ) -> f64 {
+        let Reception { look, arrival, errors, .. } = *reception;
         let lost_db = HORIZON_LOSS_DB * (1.0 - look.elevation_rad.sin()).powi(2);
         let reflection_db = match arrival {
             Arrival::Reflected(reflection) => reflection.loss_db,
@@ -95,13 +102,12 @@ impl Track {
     /// Whether there are measurements; a change of reception starts new ambiguities.
     pub(super) fn is_received(
         &mut self,
-        time: GpsTime,
+        reception: &Reception<'_>,
         cn0: f64,
-        arrival: &Arrival,
         is_first: bool,
-        errors: Option<&ReceiverErrors>,
         random: &mut Random,
     ) -> bool {
+        let Reception { time, arrival, errors, .. } = *reception;
         let threshold = errors.map_or(f64::NEG_INFINITY, |e| e.tracking_threshold_db_hz);
         if matches!(arrival, Arrival::Blocked) || cn0 < threshold {
             self.since = None;
@@ -173,17 +179,15 @@ impl Track {
     }
 
     /// Adds reflection, multipath and noise.
-    #[expect(clippy::too_many_arguments, reason = "each is another cause of an error")]
     pub(super) fn disturb(
         &self,
         ideal: Measured,
         index: usize,
         cn0: f64,
-        look: &LookAngles,
-        arrival: &Arrival,
-        errors: Option<&ReceiverErrors>,
+        reception: &Reception<'_>,
         random: &mut Random,
     ) -> Measured {
+        let Reception { look, arrival, errors, .. } = *reception;
         let (excess_m, excess_rate_m_s) = match arrival {
             Arrival::Reflected(reflection) => (reflection.excess_m, reflection.excess_rate_m_s),
             // The excess is centimetres; its rate is below the noise.

@@ -13,7 +13,9 @@ use std::fs;
 use std::path::Path;
 
 use modules::Modules;
-use source::{before_tests, code_of, code_only, functions, identifier, literals, root, rust_files};
+use source::{
+    Function, before_tests, code_of, code_only, functions, identifier, literals, root, rust_files,
+};
 
 /// Module → modules it names, all of which stand before it here. Neither more nor fewer: a
 /// permission that nobody uses fails as a name without a permission does.
@@ -138,6 +140,24 @@ const GNSS_WORDS: &[&str] = &[
 const FILE_LINES: usize = 500;
 const FUNCTION_LINES: usize = 70;
 const LINE_CHARACTERS: usize = 100;
+/// Lines that nine of ten functions do not exceed.
+const MOST_FUNCTION_LINES: usize = 26;
+/// Parameters of a function besides `self`.
+const PARAMETERS: usize = 5;
+/// Functions with more: file, name, parameters.
+const MANY_PARAMETERS: &[(&str, &str, usize)] = &[
+    ("graph/optimizer.rs", "run_stage", 6),
+    ("graph/sharing.rs", "add_group_border", 6),
+    ("models/ionosphere/mod.rs", "broadcast_delay_m", 6),
+    ("models/ionosphere/nequick.rs", "nequick_delay_m", 6),
+    ("positioning/rtk/observed/residuals.rs", "gather", 6),
+    ("session/batch.rs", "advance", 7),
+    ("session/batch.rs", "position", 6),
+    ("session/configuration.rs", "settings", 6),
+    ("session/state.rs", "advance", 6),
+    ("session/task/mod.rs", "process", 6),
+    ("store/bases.rs", "create_base", 6),
+];
 
 #[test]
 fn every_folder_has_its_rule() {
@@ -279,9 +299,9 @@ fn files_functions_and_lines_are_short() {
         if FILE_LINES < lines {
             wrong.push(format!("{} has {lines} lines before its tests", file.display()));
         }
-        for (line, length, name) in functions(&code_only(&text)) {
-            if FUNCTION_LINES < length {
-                wrong.push(format!("{}:{line}: fn {name} has {length} lines", file.display()));
+        for Function { name, line, lines, .. } in functions(&code_only(&text)) {
+            if FUNCTION_LINES < lines {
+                wrong.push(format!("{}:{line}: fn {name} has {lines} lines", file.display()));
             }
         }
         for (index, line) in text.lines().enumerate() {
@@ -291,6 +311,35 @@ fn files_functions_and_lines_are_short() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Functions with more than [`PARAMETERS`] are listed, with the number they have.
+#[test]
+fn functions_take_few_parameters() {
+    let (mut wrong, mut listed) = (Vec::new(), BTreeSet::new());
+    let mut lengths = Vec::new();
+    for file in rust_files(&root()) {
+        let path = file.strip_prefix(root()).expect("found below").display().to_string();
+        for Function { name, line, lines, parameters } in functions(&code_of(&file)) {
+            lengths.push(lines);
+            let entry = (path.as_str(), name.as_str(), parameters);
+            match MANY_PARAMETERS.iter().find(|many| **many == entry) {
+                Some(many) => _ = listed.insert(many),
+                None if PARAMETERS < parameters => {
+                    wrong.push(format!("{path}:{line}: fn {name} has {parameters} parameters"));
+                }
+                None => {}
+            }
+        }
+    }
+    let unused = MANY_PARAMETERS.iter().filter(|many| !listed.contains(many));
+    wrong.extend(unused.map(|(path, name, n)| format!("{path}: no fn {name} with {n} parameters")));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+
+    lengths.sort_unstable();
+    let (count, tenth) = (lengths.len(), lengths[lengths.len() * 9 / 10]);
+    println!("{count} functions, nine of ten have at most {tenth} lines");
+    assert!(tenth <= MOST_FUNCTION_LINES, "nine of ten functions have at most {tenth} lines");
 }
 
 /// The modules of a folder, whatever its depth, do not name each other in a circle.

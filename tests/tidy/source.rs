@@ -128,12 +128,22 @@ pub(super) fn identifier(text: &str) -> &str {
     &text[..end]
 }
 
-/// Functions of a text whose comments and literals are blanked: first line, lines, name.
-pub(super) fn functions(code: &str) -> Vec<(usize, usize, String)> {
+/// A function of a text.
+pub(super) struct Function {
+    pub(super) name: String,
+    /// First line, from one.
+    pub(super) line: usize,
+    pub(super) lines: usize,
+    /// Parameters besides `self`.
+    pub(super) parameters: usize,
+}
+
+/// Functions with a body, of a text whose comments and literals are blanked.
+pub(super) fn functions(code: &str) -> Vec<Function> {
     let mut found = Vec::new();
     for (at, _) in code.match_indices("fn ") {
         let name = identifier(&code[at + 3..]);
-        let Some(open) = code[at..].find(['{', ';']) else { continue };
+        let Some(open) = signature_end(&code[at..]) else { continue };
         if !starts_word(code, at) || name.is_empty() || code[at + open..].starts_with(';') {
             continue;
         }
@@ -143,10 +153,48 @@ pub(super) fn functions(code: &str) -> Vec<(usize, usize, String)> {
             depth == 0
         });
         let body = &code[at..at + open + end.expect("braces close")];
-        let first = code[..at].matches('\n').count() + 1;
-        found.push((first, body.matches('\n').count() + 1, name.to_owned()));
+        found.push(Function {
+            name: name.to_owned(),
+            line: code[..at].matches('\n').count() + 1,
+            lines: body.matches('\n').count() + 1,
+            parameters: parameters(&code[at + 3 + name.len()..at + open]),
+        });
     }
     found
+}
+
+/// Byte at which a function's body or the `;` in its place begins; that of `[u8; 4]` is neither.
+fn signature_end(code: &str) -> Option<usize> {
+    let mut depth = 0;
+    code.find(|c| {
+        depth += i32::from("([".contains(c)) - i32::from(")]".contains(c));
+        depth == 0 && "{;".contains(c)
+    })
+}
+
+/// Number of parameters besides `self` in a signature, which begins behind the function's name.
+fn parameters(signature: &str) -> usize {
+    // An arrow's `>` closes nothing.
+    let signature = signature.replace("->", "  ");
+    let (mut depth, mut is_listed) = (0, false);
+    let (mut count, mut parameter) = (0, String::new());
+    for c in signature.chars() {
+        match c {
+            '(' if depth == 0 => is_listed = true,
+            ',' | ')' if is_listed && depth == 1 => {
+                let is_self = parameter.split([':', ' ', '&']).any(|word| word == "self");
+                count += usize::from(!parameter.trim().is_empty() && !is_self);
+                parameter.clear();
+                if c == ')' {
+                    return count;
+                }
+            }
+            c if is_listed => parameter.push(c),
+            _ => {}
+        }
+        depth += i32::from("([<".contains(c)) - i32::from(")]>".contains(c));
+    }
+    panic!("the parameters do not end: {signature}")
 }
 
 /// Whether no identifier runs into the word at that byte.
@@ -161,7 +209,10 @@ fn the_scanner_sees_code_and_not_words() {
     let code = code_only(text);
     assert!(!code.contains("crate::x") && !code.contains("crate::y") && code.contains("crate::z"));
     assert_eq!(literals(text), [(1, "\"crate::x\""), (2, "'\"'")]);
-    let lengths = functions("fn a() {\n  {\n  }\n}\nfn b();\nimpl X { fn c(&self) {} }");
-    let seen: Vec<_> = lengths.iter().map(|(line, n, name)| (*line, *n, name.as_str())).collect();
-    assert_eq!(seen, [(1, 4, "a"), (6, 1, "c")]);
+    let text = "fn a() {\n  {\n  }\n}\nfn b();\nimpl X { fn c(&mut self, _: u8) {} }
+        fn d<F: Fn(u8, u8) -> u8>(\n f: [F; 2],\n by: BTreeMap<u8, (u8, u8)>,\n) -> (u8, u8) {}";
+    let found = functions(text);
+    let seen: Vec<_> =
+        found.iter().map(|f| (f.line, f.lines, f.name.as_str(), f.parameters)).collect();
+    assert_eq!(seen, [(1, 4, "a", 0), (6, 1, "c", 1), (7, 4, "d", 2)]);
 }

@@ -52,7 +52,7 @@ impl LegacyState {
         let mut records = Vec::with_capacity(satellites);
         for _ in 0..satellites {
             let number = bits.unsigned(6);
-            let l1 = First::read(&mut bits, [b"1C", b"1P"], 24, 8, LIGHT_MILLISECOND_M, |_| None);
+            let l1 = First::read(&mut bits, &FirstLayout::GPS, |_| None);
             let l2 = has_l2.then(|| Second::read(&mut bits, [b"2X", b"2P", b"2D", b"2W"]));
             let satellite = match SBAS.contains(&number) {
                 true => Err(Refusal::OtherConstellation),
@@ -82,8 +82,7 @@ impl LegacyState {
         for _ in 0..satellites {
             let number = bits.unsigned(6);
             let channel = |bits: &mut Bits<'_>| Some(bits.unsigned(5) as i8 - 7);
-            let l1 =
-                First::read(&mut bits, [b"1C", b"1P"], 25, 7, 2.0 * LIGHT_MILLISECOND_M, channel);
+            let l1 = First::read(&mut bits, &FirstLayout::GLONASS, channel);
             let l2 = has_l2.then(|| Second::read(&mut bits, [b"2C", b"2P", b"2C", b"2P"]));
             let satellite = super::satellite(Constellation::Glonass, number);
             records.push(Record { satellite, channel: l1.channel, l1, l2 });
@@ -191,6 +190,29 @@ struct Part {
     cn0: u64,
 }
 
+/// How a constellation encodes the pseudorange of L1: modulo a length, and the number of those.
+struct FirstLayout {
+    /// Observation codes by the indicator of the code.
+    codes: [&'static [u8; 2]; 2],
+    /// Bits of the pseudorange modulo `whole_m`, and of the number of `whole_m`.
+    range_bits: u32,
+    whole_bits: u32,
+    whole_m: f64,
+}
+
+impl FirstLayout {
+    /// 1002 and 1004.
+    const GPS: Self =
+        Self { codes: [b"1C", b"1P"], range_bits: 24, whole_bits: 8, whole_m: LIGHT_MILLISECOND_M };
+    /// 1010 and 1012.
+    const GLONASS: Self = Self {
+        codes: [b"1C", b"1P"],
+        range_bits: 25,
+        whole_bits: 7,
+        whole_m: 2.0 * LIGHT_MILLISECOND_M,
+    };
+}
+
 /// Fields of L1: pseudorange, phase difference, lock and C/N0.
 struct First {
     part: Part,
@@ -200,12 +222,10 @@ struct First {
 impl First {
     fn read(
         bits: &mut Bits<'_>,
-        codes: [&[u8; 2]; 2],
-        range_bits: u32,
-        whole_bits: u32,
-        whole_m: f64,
+        layout: &FirstLayout,
         channel: impl Fn(&mut Bits<'_>) -> Option<i8>,
     ) -> Self {
+        let FirstLayout { codes, range_bits, whole_bits, whole_m } = *layout;
         let code = code(codes[bits.unsigned(1) as usize]);
         let channel = channel(bits);
         let fraction_m = bits.scaled(range_bits, RANGE_UNIT_M);
