@@ -23,7 +23,7 @@ use crate::contract::Service;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
-    NetworkRequest, Patience,
+    NetworkRequest, TimeLimits,
 };
 use crate::formats::{antex, decompress};
 use crate::gnss::AntennaCatalogue;
@@ -43,14 +43,14 @@ pub struct App {
 }
 
 /// Opens the database and the desks, and starts what brings ephemerides and bases. Connections to
-/// other hosts are made with `patience` and kept as `feed_options` say.
+/// other hosts are made with `time_limits` and kept as `feed_options` say.
 ///
 /// # Errors
 /// The database or the ANTEX file cannot be read, or an address of a source is invalid or not
 /// allowed.
 pub async fn open(
     configuration: &ServiceConfiguration,
-    patience: Patience,
+    time_limits: TimeLimits,
     feed_options: FeedOptions,
 ) -> Result<App, AppError> {
     let ServiceConfiguration { database, fetch, navigation, bases, antennas, limits, .. } =
@@ -58,9 +58,10 @@ pub async fn open(
     let catalogue = antenna_catalogue(antennas)?;
     let sources = navigation_sources(navigation)?;
     let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
-    let connector = Connector::new(policy, patience, fetch.ca_file.as_deref())?;
+    let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
     // What the operator names may be anywhere; what clients name only at the hosts listed.
-    let operator_connector = Connector::new(sources.policy()?, patience, fetch.ca_file.as_deref())?;
+    let operator_connector =
+        Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
     let store = Store::open(database).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));

@@ -171,11 +171,11 @@ impl Device {
     ///
     /// # Errors
     /// The bytes are refused, or the service does not answer again.
-    pub(super) async fn push_raw(&mut self, piece: v1::PushRawRequest) -> Result<Pushed, Failure> {
+    pub(super) async fn push_raw(&mut self, chunk: v1::PushRawRequest) -> Result<Pushed, Failure> {
         let mut pushed = Pushed::default();
         let mut retry = Retry::new(self.connection.patience);
         loop {
-            match self.positioning.push_raw(piece.clone()).await {
+            match self.positioning.push_raw(chunk.clone()).await {
                 Ok(answer) => {
                     let v1::PushRawResponse { results, durable_through, .. } = answer.into_inner();
                     pushed.take(v1::PushEpochsResponse { results, durable_through });

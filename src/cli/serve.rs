@@ -8,7 +8,7 @@ use tokio::net::TcpListener;
 
 use crate::app;
 use crate::config::ServiceConfiguration;
-use crate::feeds::{FeedOptions, Patience};
+use crate::feeds::{FeedOptions, TimeLimits};
 use crate::refusal::Code;
 
 use super::Failure;
@@ -91,7 +91,7 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
         let message = format!("{}: {error}", configuration.listen);
         Failure::of(Code::AddressUnavailable, message)
     })?;
-    let opened = app::open(&configuration, Patience::standard(), FeedOptions::standard());
+    let opened = app::open(&configuration, TimeLimits::standard(), FeedOptions::standard());
     let app = opened.await?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");

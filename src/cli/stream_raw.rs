@@ -119,8 +119,8 @@ impl<'a> Bytestream<'a> {
         self.offset += content.len() as u64;
         let session = device.session().session.clone();
         let near = self.near.map(Into::into);
-        let piece = v1::PushRawRequest { session, offset, content, end, near };
-        progress.count(&device.push_raw(piece).await?);
+        let chunk = v1::PushRawRequest { session, offset, content, end, near };
+        progress.count(&device.push_raw(chunk).await?);
         Ok(())
     }
 }

@@ -22,7 +22,7 @@ use super::{FetchError, FetchPolicy};
 
 /// Time limits for a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
+pub struct TimeLimits {
     /// To accept a connection at one address, and for the TLS handshake.
     pub connecting: Duration,
     /// To send the whole head of its answer.
@@ -31,7 +31,7 @@ pub struct Patience {
     pub listing: Duration,
 }
 
-impl Patience {
+impl TimeLimits {
     /// Suitable for slow public hosts.
     pub const fn standard() -> Self {
         Self {
@@ -47,7 +47,7 @@ impl Patience {
 pub struct Connector {
     policy: Arc<FetchPolicy>,
     tls: TlsConnector,
-    patience: Patience,
+    time_limits: TimeLimits,
 }
 
 impl Connector {
@@ -58,7 +58,7 @@ impl Connector {
     /// The file of certificates cannot be read.
     pub fn new(
         policy: FetchPolicy,
-        patience: Patience,
+        time_limits: TimeLimits,
         authorities: Option<&Path>,
     ) -> Result<Self, FetchError> {
         let mut roots = RootCertStore { roots: webpki_roots::TLS_SERVER_ROOTS.to_vec() };
@@ -78,7 +78,7 @@ impl Connector {
             .expect("ring's provider has every version")
             .with_root_certificates(roots)
             .with_no_client_auth();
-        Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), patience })
+        Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), time_limits })
     }
 
     /// The hosts that may be contacted.
@@ -87,8 +87,8 @@ impl Connector {
     }
 
     /// The time limits.
-    pub const fn patience(&self) -> &Patience {
-        &self.patience
+    pub const fn time_limits(&self) -> &TimeLimits {
+        &self.time_limits
     }
 
     /// Connects to a host at a checked address.
@@ -102,7 +102,7 @@ impl Connector {
         is_tls: bool,
     ) -> Result<Connection, FetchError> {
         let addresses = self.policy.resolve(host, port).await?;
-        let connecting = self.patience.connecting;
+        let connecting = self.time_limits.connecting;
         let stream = plain(host, &addresses, connecting).await?;
         // Err: only latency is lost.
         stream.set_nodelay(true).ok();

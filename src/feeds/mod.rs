@@ -35,7 +35,7 @@ mod web;
 pub use address::{FetchPolicy, is_public};
 pub use archive::ArchiveTemplate;
 pub(crate) use backoff::Backoff;
-pub use connection::{Connection, Connector, Patience};
+pub use connection::{Connection, Connector, TimeLimits};
 pub use desk::Feeds;
 pub use error::FetchError;
 pub(crate) use health::BaseArchiveHealth;

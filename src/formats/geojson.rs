@@ -206,13 +206,14 @@ mod tests {
     }
 
     #[test]
-    fn a_long_track_comes_in_joined_pieces() {
+    fn a_long_track_comes_in_joined_segments() {
         let many: Vec<_> = (0..POINTS_PER_LINE + 5).map(solution).collect();
         let all = features(&many);
         assert_eq!(lines(&all), [POINTS_PER_LINE, 6]);
-        let pieces: Vec<_> = all.iter().filter(|f| f["geometry"]["type"] == "LineString").collect();
-        let coordinates = |piece: &Value| piece["geometry"]["coordinates"].clone();
-        assert_eq!(coordinates(pieces[0])[POINTS_PER_LINE - 1], coordinates(pieces[1])[0]);
+        let segments: Vec<_> =
+            all.iter().filter(|f| f["geometry"]["type"] == "LineString").collect();
+        let coordinates = |segment: &Value| segment["geometry"]["coordinates"].clone();
+        assert_eq!(coordinates(segments[0])[POINTS_PER_LINE - 1], coordinates(segments[1])[0]);
     }
 
     #[test]

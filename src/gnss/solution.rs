@@ -153,7 +153,7 @@ pub enum Reason {
         /// The model that was used.
         used: &'static str,
     },
-    /// The mode needs a base epoch, and there is none.
+    /// The mode needs a base epoch, and no base has one.
     BaseMissing,
     /// The newest base epoch is too old.
     BaseStale {

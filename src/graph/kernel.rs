@@ -63,7 +63,7 @@ pub struct Kernel {
     pub negative_width: f64,
     /// Factor on loss and weight: one for rows with independent errors, below one for rows whose
     /// errors are correlated in time. With 1/N, N rows with the same error count as one row.
-    pub share: f64,
+    pub independent_share: f64,
 }
 
 impl Kernel {
@@ -72,7 +72,7 @@ impl Kernel {
 
     /// A law with the same width on both sides.
     pub const fn new(law: Law, width: f64) -> Self {
-        Self { law, positive_width: width, negative_width: width, share: 1.0 }
+        Self { law, positive_width: width, negative_width: width, independent_share: 1.0 }
     }
 
     /// Huber's kernel; a width of 1.345 keeps 95 % efficiency on normal errors.
@@ -95,9 +95,9 @@ impl Kernel {
         Self { positive_width, negative_width, ..self }
     }
 
-    /// The same kernel with loss and weight multiplied by `share`, in (0, 1].
-    pub(crate) const fn tempered(self, share: f64) -> Self {
-        Self { share, ..self }
+    /// The same kernel with loss and weight multiplied by `independent_share`, in (0, 1].
+    pub(crate) const fn tempered(self, independent_share: f64) -> Self {
+        Self { independent_share, ..self }
     }
 
     /// The same kernel, both widths multiplied by `factor`: √μ of graduated non-convexity.
@@ -114,7 +114,7 @@ impl Kernel {
         self.loss_and_weight(s).0
     }
 
-    /// Weight w(s) = ρ′(s)/s, with its limit `share` at zero.
+    /// Weight w(s) = ρ′(s)/s, with its limit `independent_share` at zero.
     pub(crate) fn weight(&self, s: f64) -> f64 {
         self.loss_and_weight(s).1
     }
@@ -123,7 +123,7 @@ impl Kernel {
     pub(crate) fn pull_slope(&self, s: f64) -> f64 {
         let width = if s < 0.0 { self.negative_width } else { self.positive_width };
         let ratio = (s / width).powi(2);
-        self.share
+        self.independent_share
             * match self.law {
                 Law::Quadratic => 1.0,
                 Law::Huber => f64::from(u8::from(ratio <= 1.0)),
@@ -137,7 +137,7 @@ impl Kernel {
     pub(crate) fn loss_and_weight(&self, s: f64) -> (f64, f64) {
         let width = if s < 0.0 { self.negative_width } else { self.positive_width };
         let (loss, weight) = self.law.evaluate(s, width);
-        (self.share * loss, self.share * weight)
+        (self.independent_share * loss, self.independent_share * weight)
     }
 }
 
@@ -171,12 +171,12 @@ impl LossSum {
         }
         let width = if s < 0.0 { kernel.negative_width } else { kernel.positive_width };
         let (square, limit) = (width * width, width * width + s * s);
-        let scale = 0.5 * kernel.share * square;
+        let scale = 0.5 * kernel.independent_share * square;
         if scale != self.scale || PRODUCT_LIMIT < self.product {
             *self = Self { sum: self.value(), scale, product: 1.0 };
         }
         self.product *= limit / square;
-        kernel.share * square / limit
+        kernel.independent_share * square / limit
     }
 
     /// Adds a known loss.
@@ -252,11 +252,11 @@ mod tests {
                     }
 
                     #[test]
-                    fn share_scales_loss_and_weight(s in -50.0..50.0, share in 0.01..1.0) {
+                    fn share_scales_loss_and_weight(s in -50.0..50.0, independent_share in 0.01..1.0) {
                         let kernel = Kernel::new($law, 2.0);
                         let (loss, weight) = kernel.loss_and_weight(s);
-                        let tempered = kernel.tempered(share).loss_and_weight(s);
-                        prop_assert_eq!(tempered, (share * loss, share * weight));
+                        let tempered = kernel.tempered(independent_share).loss_and_weight(s);
+                        prop_assert_eq!(tempered, (independent_share * loss, independent_share * weight));
                     }
                 }
             }

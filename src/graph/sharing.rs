@@ -28,8 +28,8 @@ pub(crate) struct SharingRow<const N: usize> {
     pub by_offset: f64,
     /// A border variable that no other row of the group touches, with ∂r/∂b.
     pub border: Option<(usize, f64)>,
-    /// Share of information the row keeps, see [`Kernel::share`].
-    pub share: f64,
+    /// Fraction of its information that the row keeps, see [`Kernel::independent_share`].
+    pub independent_share: f64,
 }
 
 /// The offset o that minimises Σ ρ(rᵢ + cᵢ·o), by iterations that begin at the median of −rᵢ/cᵢ.
@@ -59,7 +59,8 @@ pub(crate) fn shared_offset<const N: usize>(
     for _ in 0..iterations {
         let (mut weight_sum, mut pull) = (0.0, 0.0);
         for row in rows {
-            let weight = row.share * kernel.weight(row.row.residual + row.by_offset * offset);
+            let weight =
+                row.independent_share * kernel.weight(row.row.residual + row.by_offset * offset);
             weight_sum += weight * row.by_offset * row.by_offset;
             pull += weight * row.by_offset * row.row.residual;
         }
@@ -91,7 +92,7 @@ impl<const S: usize> System<S> {
         let mut mean_residual = 0.0;
         for row in rows {
             let shifted = row.row.residual + row.by_offset * offset;
-            let (loss, weight) = kernel.tempered(row.share).loss_and_weight(shifted);
+            let (loss, weight) = kernel.tempered(row.independent_share).loss_and_weight(shifted);
             self.add_cost(loss);
             let scaled = weight * row.by_offset;
             scratch.push(scaled * row.by_offset);
@@ -174,7 +175,7 @@ mod tests {
                 row: Row { residual, columns: [0, 1], jacobian },
                 by_offset,
                 border,
-                share: 1.0,
+                independent_share: 1.0,
             })
             .to_vec()
     }
@@ -190,8 +191,8 @@ mod tests {
             if let Some((variable, derivative)) = row.border {
                 a[2 + variable] = derivative;
             }
-            h += row.share * &a * a.transpose();
-            g += row.share * &a * row.row.residual;
+            h += row.independent_share * &a * a.transpose();
+            g += row.independent_share * &a * row.row.residual;
         }
         let last = h.column(5).into_owned();
         let reduced = &h - &last * last.transpose() / last[5];
@@ -221,7 +222,7 @@ mod tests {
     #[test]
     fn an_eliminated_offset_is_an_unknown_of_the_dense_solve() {
         let mut rows = rows();
-        rows[1].share = 0.3;
+        rows[1].independent_share = 0.3;
         let (h, g) = dense(&rows);
         let expected = (h + DMatrix::identity(5, 5)).cholesky().unwrap().solve(&-g);
         let delta = solve(|system| {
@@ -264,7 +265,7 @@ mod tests {
             row: Row { residual, columns: [], jacobian: [] },
             by_offset: 1.0,
             border: None,
-            share: 1.0,
+            independent_share: 1.0,
         };
         let rows = [-0.9, -1.0, -1.1, -50.0].map(at);
         let offset = shared_offset(&rows, &Kernel::geman_mcclure(3.0), &mut Vec::new());

@@ -15,7 +15,7 @@ pub(super) type ObservationFile = Observations<Reader>;
 /// Opens a file of observations.
 ///
 /// # Errors
-/// It is none, or nothing dates it.
+/// The file has no observations that can be read, or nothing gives its week or day.
 pub(super) fn observations(
     input: &Input,
     dating: &Dating,

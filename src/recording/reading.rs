@@ -51,7 +51,8 @@ impl RecordingInputs {
         }
     }
 
-    /// Refuses a mode that needs a base where there is none, and an answer that a mode has not.
+    /// Refuses a mode that needs a base where no base is named, and a kind of answer that the mode
+    /// does not give.
     ///
     /// # Errors
     /// Either of these.

@@ -206,7 +206,8 @@ codes! {
     /// The epoch is older than the base's newest epoch, and the base does not have it.
     BaseOutOfOrder = "BASE_OUT_OF_ORDER", Precondition,
         "send a base's epochs in order of time; create another base for older data";
-    /// The ANTEX file of the service has no calibration of the named antenna, or there is none.
+    /// The ANTEX file of the service has no calibration of the named antenna, or the service has no
+    /// ANTEX file.
     AntennaUnknown = "ANTENNA_UNKNOWN", Malformed,
         "name type and radome as the IGS does, or let the operator add them to the ANTEX file";
     /// The push exceeds what one base may store.

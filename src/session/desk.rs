@@ -466,7 +466,8 @@ impl Sessions {
 }
 
 impl Tasks {
-    /// Ends the least recently used task with an empty mailbox; `false` if there is none.
+    /// Ends the least recently used task with an empty mailbox; `false` if every mailbox has
+    /// epochs.
     fn park_one(&mut self) -> bool {
         let idle = self.handles.iter().filter(|(_, h)| h.waiting.load(Ordering::Acquire) == 0);
         let least = idle.min_by_key(|(_, handle)| handle.last_used).map(|(id, _)| id.clone());

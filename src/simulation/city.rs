@@ -8,8 +8,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::place::Place;
-use super::random::of_place;
+use super::kinematics::Kinematics;
+use super::random::of_cell;
 
 /// Largest number of grid cells searched for a wall.
 const LONGEST_LOOK: usize = 40;
@@ -135,18 +135,23 @@ impl City {
 
     /// Height of a block's building (m); 0 without building.
     pub(super) fn height_m(&self, block: (i64, i64)) -> f64 {
-        if of_place(self.seed, block.0, block.1, 0) < self.plan.open_share {
+        if of_cell(self.seed, block.0, block.1, 0) < self.plan.open_share {
             return 0.0;
         }
         let (low, high) = self.plan.heights_m;
-        low + (high - low) * of_place(self.seed, block.0, block.1, 1)
+        low + (high - low) * of_cell(self.seed, block.0, block.1, 1)
     }
 
-    /// How a signal from azimuth and elevation reaches an antenna at `place`, whose third
-    /// coordinate is the height above the street.
-    pub(super) fn arrival(&self, place: &Place, azimuth_rad: f64, elevation_rad: f64) -> Arrival {
+    /// How a signal from azimuth and elevation reaches an antenna; the third coordinate of its
+    /// position is the height above the street.
+    pub(super) fn arrival(
+        &self,
+        kinematics: &Kinematics,
+        azimuth_rad: f64,
+        elevation_rad: f64,
+    ) -> Arrival {
         let (from, velocity) =
-            (self.to_streets(&place.position_m), self.to_streets(&place.velocity_m_s));
+            (self.to_streets(&kinematics.position_m), self.to_streets(&kinematics.velocity_m_s));
         let bearing = self.street_azimuth_rad - azimuth_rad;
         let flat = elevation_rad.cos();
         let ray = Vector3::new(flat * bearing.cos(), flat * bearing.sin(), elevation_rad.sin());
@@ -210,8 +215,8 @@ impl City {
             let pane = (hit.point[1 - axis] / self.plan.pane_m).floor() as i64;
             let side = 2 * axis as u64 + u64::from(0.0 < hit.normal[axis]);
             let drawn = |what| {
-                of_place(self.seed ^ (4 * side + what), hit.block.0, hit.block.1, 8)
-                    + of_place(self.seed, pane, side as i64, 16 + what)
+                of_cell(self.seed ^ (4 * side + what), hit.block.0, hit.block.1, 8)
+                    + of_cell(self.seed, pane, side as i64, 16 + what)
             };
             if self.plan.reflecting_share < drawn(0).fract() {
                 return None;
@@ -309,11 +314,11 @@ mod tests {
 
     /// Antenna on the ground, driving north at 2 m/s.
     fn at(east_m: f64, north_m: f64, azimuth_deg: f64, elevation_deg: f64) -> Arrival {
-        let place = Place {
+        let kinematics = Kinematics {
             position_m: Vector3::new(east_m, north_m, 0.0),
             velocity_m_s: Vector3::new(0.0, 2.0, 0.0),
         };
-        canyon().arrival(&place, azimuth_deg.to_radians(), elevation_deg.to_radians())
+        canyon().arrival(&kinematics, azimuth_deg.to_radians(), elevation_deg.to_radians())
     }
 
     /// In the middle of a block, 4 m north of the street's middle, antenna on the ground.
@@ -368,11 +373,11 @@ mod tests {
         let plan = CityPlan { reflecting_share: 0.5, ..canyon().plan };
         let city = City::new(plan, 1);
         let heard = |step: i32| {
-            let place = Place {
+            let kinematics = Kinematics {
                 position_m: Vector3::new(12.0 + 0.5 * f64::from(step), 4.0, 0.0),
                 velocity_m_s: Vector3::zeros(),
             };
-            matches!(city.arrival(&place, 0.0, 65_f64.to_radians()), Arrival::Reflected(_))
+            matches!(city.arrival(&kinematics, 0.0, 65_f64.to_radians()), Arrival::Reflected(_))
         };
         let heard: Vec<_> = (0..320).map(heard).collect();
         let changes = heard.windows(2).filter(|pair| pair[0] != pair[1]).count();

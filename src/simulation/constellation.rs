@@ -9,7 +9,7 @@ use std::ops::RangeInclusive;
 
 use nalgebra::Vector3;
 
-use super::random::of_place;
+use super::random::of_cell;
 use crate::gnss::constants::{
     EARTH_ROTATION_RATE, EARTH_ROTATION_RATE_BEIDOU, EARTH_ROTATION_RATE_GLONASS,
     GRAVITATIONAL_CONSTANT_BEIDOU, GRAVITATIONAL_CONSTANT_GALILEO, GRAVITATIONAL_CONSTANT_GLONASS,
@@ -203,7 +203,7 @@ fn satellite(constellation: Constellation, number: u8) -> SatelliteId {
 /// A random number in −1 … 1 that depends on the satellite only.
 fn trait_of(satellite: SatelliteId, what: u64) -> f64 {
     let (index, number) = (satellite.constellation.index() as i64, i64::from(satellite.number));
-    2.0 * of_place(SATELLITE_SEED, index, number, what) - 1.0
+    2.0 * of_cell(SATELLITE_SEED, index, number, what) - 1.0
 }
 
 fn keplerian(orbit: &Orbit, toe: GpsTime, interval_s: f64) -> KeplerianEphemeris {
@@ -387,9 +387,9 @@ mod tests {
         for minutes in [0.0, 47.0, 133.0] {
             let time = start + 60.0 * minutes;
             let ephemeris = select_ephemeris(&navigation, geo, time).unwrap();
-            let place = satellite_state(ephemeris, time).position.to_geodetic();
-            assert!((place.longitude_rad.to_degrees() - 110.5).abs() < 1e-3);
-            assert!(place.latitude_rad.abs() < 1e-5);
+            let position = satellite_state(ephemeris, time).position.to_geodetic();
+            assert!((position.longitude_rad.to_degrees() - 110.5).abs() < 1e-3);
+            assert!(position.latitude_rad.abs() < 1e-5);
         }
     }
 

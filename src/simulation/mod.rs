@@ -14,11 +14,11 @@
 
 mod city;
 mod constellation;
+mod kinematics;
 mod motion;
 mod oddities;
 mod odometry;
 mod phase_truth;
-mod place;
 mod random;
 mod random_drive;
 mod receiver;
@@ -37,10 +37,10 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use self::city::City;
+use self::kinematics::Kinematics;
 use self::motion::Path;
 use self::oddities::OddReceiver;
 use self::odometry::Odometer;
-use self::place::Place;
 use self::random::Random;
 use self::receiver::{Receiver, Surroundings};
 use crate::gnss::{Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation, Odometry};
@@ -148,11 +148,11 @@ impl Simulator {
     }
 
     /// The rover's antenna position and velocity at an instant, in ECEF and in the local frame.
-    fn rover_at(&self, time: GpsTime) -> (Ecef, Vector3<f64>, Place) {
-        let mut place = self.path.at(time - self.scenario.start);
-        place.position_m.z += self.scenario.antenna_height_m;
-        let velocity = self.frame.rotation.transpose() * place.velocity_m_s;
-        (self.frame.to_ecef(Enu(place.position_m)), velocity, place)
+    fn rover_at(&self, time: GpsTime) -> (Ecef, Vector3<f64>, Kinematics) {
+        let mut kinematics = self.path.at(time - self.scenario.start);
+        kinematics.position_m.z += self.scenario.antenna_height_m;
+        let velocity = self.frame.rotation.transpose() * kinematics.velocity_m_s;
+        (self.frame.to_ecef(Enu(kinematics.position_m)), velocity, kinematics)
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::city::City;
-use super::place::Place;
+use super::kinematics::Kinematics;
 use super::random::Random;
 
 /// Number of crossings that the rover stays within, counted from its start.
@@ -110,9 +110,11 @@ impl Path {
     }
 
     /// Position and velocity at a time after the start (s).
-    pub(super) fn at(&self, elapsed_s: f64) -> Place {
+    pub(super) fn at(&self, elapsed_s: f64) -> Kinematics {
         match self {
-            Self::Static => Place { position_m: Vector3::zeros(), velocity_m_s: Vector3::zeros() },
+            Self::Static => {
+                Kinematics { position_m: Vector3::zeros(), velocity_m_s: Vector3::zeros() }
+            }
             Self::Eight { half_length_m, rate_rad_s } => {
                 let (a, w) = (*half_length_m, *rate_rad_s);
                 let phase = w * elapsed_s;
@@ -120,7 +122,7 @@ impl Path {
                 let position = Vector3::new(phase.sin(), 0.5 * (2.0 * phase).sin(), 0.0);
                 let slope = Vector3::new(phase.cos(), (2.0 * phase).cos(), 0.0);
                 let up = Vector3::new(0.0, 0.0, 0.02 * a);
-                Place {
+                Kinematics {
                     position_m: a * position + up * phase.sin(),
                     velocity_m_s: w * (a * slope + up * phase.cos()),
                 }
@@ -138,7 +140,7 @@ fn drive_at(
     phases: &[Phase],
     heading: &Vector2<f64>,
     elapsed_s: f64,
-) -> Place {
+) -> Kinematics {
     let phase = &phases[phases.partition_point(|p| p.from_s <= elapsed_s).max(1) - 1];
     let dt = elapsed_s - phase.from_s;
     let speed = phase.speed_m_s + phase.acceleration_m_s2 * dt;
@@ -157,7 +159,10 @@ fn drive_at(
     let to_east_north = |v: Vector2<f64>| {
         Vector3::new(v.x * heading.x - v.y * heading.y, v.x * heading.y + v.y * heading.x, 0.0)
     };
-    Place { position_m: to_east_north(position), velocity_m_s: to_east_north(direction) * speed }
+    Kinematics {
+        position_m: to_east_north(position),
+        velocity_m_s: to_east_north(direction) * speed,
+    }
 }
 
 /// A drive under construction.

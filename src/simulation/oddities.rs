@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use super::phase_truth::PhaseTruth;
-use super::random::{GaussMarkov, Random, of_place};
+use super::random::{GaussMarkov, Random, of_cell};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Constellation, Cycles, Epoch, GpsTime, Navigation, Observation, ObservationCode, SatelliteId,
@@ -153,7 +153,7 @@ impl OddReceiver {
 fn bias_share(seed: u64, constellation: Constellation) -> f64 {
     match constellation {
         Constellation::Gps | Constellation::Qzss => 0.0,
-        _ => 2.0 * of_place(seed, constellation.index() as i64, 0, INTER_SYSTEM_BIAS) - 1.0,
+        _ => 2.0 * of_cell(seed, constellation.index() as i64, 0, INTER_SYSTEM_BIAS) - 1.0,
     }
 }
 

@@ -24,8 +24,9 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A number in 0 … 1 that depends on its arguments only, not on previous draws.
-pub(super) fn of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
+/// A number in 0 … 1 for cell (x, y) of a grid. It depends on its arguments only, not on previous
+/// draws.
+pub(super) fn of_cell(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     let mut state = seed;
     for part in [x as u64, y as u64, what] {
         state ^= part.wrapping_mul(0xd6e8_feb8_6659_fd93);
@@ -34,10 +35,10 @@ pub(super) fn of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
     unit(split_mix(&mut state))
 }
 
-/// A standard normal number that depends on its arguments only.
-pub(super) fn normal_of_place(seed: u64, x: i64, y: i64, what: u64) -> f64 {
-    let radius = (-2.0 * (1.0 - of_place(seed, x, y, what)).ln()).sqrt();
-    radius * (std::f64::consts::TAU * of_place(seed, x, y, !what)).cos()
+/// A standard normal number for cell (x, y) of a grid; it depends on its arguments only.
+pub(super) fn normal_of_cell(seed: u64, x: i64, y: i64, what: u64) -> f64 {
+    let radius = (-2.0 * (1.0 - of_cell(seed, x, y, what)).ln()).sqrt();
+    radius * (std::f64::consts::TAU * of_cell(seed, x, y, !what)).cos()
 }
 
 impl Random {

@@ -189,7 +189,7 @@ fn traffic(plan: &CityPlan, walks: bool, random: &mut Random) -> Traffic {
     }
 }
 
-/// Place, time, constellations and atmosphere.
+/// Kinematics, time, constellations and atmosphere.
 fn sky(random: &mut Random) -> Scenario {
     use Constellation as C;
     let open = Scenario::open_sky();
@@ -350,7 +350,7 @@ fn phone(ordinary: Oddities, random: &mut Random) -> Oddities {
 
 fn describe(scenario: &Scenario, receiver: ReceiverKind, kind: DriveKind) -> String {
     let letters: String = scenario.constellations.iter().map(|c| c.letter()).collect();
-    let place = match &scenario.city {
+    let surroundings = match &scenario.city {
         Some(plan) => format!(
             "streets of {:.0} m, buildings of {:.0} to {:.0} m",
             plan.street_width_m, plan.heights_m.0, plan.heights_m.1
@@ -358,7 +358,7 @@ fn describe(scenario: &Scenario, receiver: ReceiverKind, kind: DriveKind) -> Str
         None => "open sky".to_owned(),
     };
     format!(
-        "kind {}: {receiver:?}, {letters} on {} band(s), {place}, {} Hz",
+        "kind {}: {receiver:?}, {letters} on {} band(s), {surroundings}, {} Hz",
         kind.name(),
         scenario.frequencies,
         1.0 / scenario.interval_s,
@@ -462,9 +462,12 @@ mod tests {
             let pitch_m = plan.block_m + plan.street_width_m;
             let (sin, cos) = plan.street_azimuth_rad.sin_cos();
             for second in 0..60 {
-                let place = simulator.path.at(f64::from(second)).position_m;
-                let along =
-                    Vector3::new(place.x * sin + place.y * cos, place.y * sin - place.x * cos, 0.0);
+                let position = simulator.path.at(f64::from(second)).position_m;
+                let along = Vector3::new(
+                    position.x * sin + position.y * cos,
+                    position.y * sin - position.x * cos,
+                    0.0,
+                );
                 let off_m = |value: f64| (value - (value / pitch_m).round() * pitch_m).abs();
                 let nearest_m = off_m(along.x).min(off_m(along.y));
                 assert!(nearest_m < 0.5 * plan.street_width_m, "seed {seed}: {nearest_m}");

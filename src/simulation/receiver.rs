@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::city::{Arrival, City};
+use super::kinematics::Kinematics;
 use super::phase_truth::PhaseTruth;
-use super::place::Place;
-use super::random::{Random, normal_of_place};
+use super::random::{Random, normal_of_cell};
 use super::scenario::{
     Atmosphere, ReceiverClock, ReceiverErrors, Scenario, signal_in_space_sigma_m,
 };
@@ -61,7 +61,7 @@ pub(super) struct Surroundings<'a> {
     pub(super) navigation: &'a Navigation,
     pub(super) atmosphere: Option<&'a Atmosphere>,
     /// The city, and the antenna's position in it.
-    pub(super) city: Option<(&'a City, Place)>,
+    pub(super) city: Option<(&'a City, Kinematics)>,
     pub(super) scenario: &'a Scenario,
     /// Seed of the errors of broadcast orbits and clocks.
     pub(super) seed: u64,
@@ -74,9 +74,9 @@ impl Surroundings<'_> {
             return 0.0;
         }
         let constellation = satellite.constellation;
-        let place = (constellation.index() as i64, i64::from(satellite.number));
+        let cell = (constellation.index() as i64, i64::from(satellite.number));
         signal_in_space_sigma_m(constellation)
-            * normal_of_place(self.seed, place.0, place.1, SIGNAL_IN_SPACE)
+            * normal_of_cell(self.seed, cell.0, cell.1, SIGNAL_IN_SPACE)
     }
 
     /// Zenith delay due to the ionosphere's gradient at a position (m on L1).

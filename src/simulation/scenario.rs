@@ -310,7 +310,7 @@ impl Scenario {
     }
 
     /// The scenario with the base at this distance from the origin (m), in its present direction,
-    /// or due north if there is none. The height is kept.
+    /// or due north of it if the scenario has no base. The height is kept.
     pub fn with_baseline(self, baseline_m: f64) -> Self {
         let Enu(before) = self.base.unwrap_or(Enu(nalgebra::Vector3::zeros()));
         let horizontal_m = before.xy().norm();

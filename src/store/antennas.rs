@@ -60,7 +60,7 @@ impl Store {
     /// The calibration of a hash.
     ///
     /// # Errors
-    /// There is none, its content is corrupt, or the database fails.
+    /// No calibration has this hash, its content is corrupt, or the database fails.
     pub async fn calibration(&self, hash: &str) -> Result<AntennaCalibration, StoreError> {
         let row: Result<Option<(Vec<u8>,)>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT content FROM antenna_calibrations WHERE hash = $1";

@@ -17,7 +17,7 @@ pub struct StoredSnapshot {
 }
 
 impl Store {
-    /// The newest snapshot of a session; `None` if there is none.
+    /// The newest snapshot of a session, if any is stored.
     ///
     /// # Errors
     /// The database fails.

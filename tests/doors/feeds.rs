@@ -251,7 +251,7 @@ async fn last_answers(
     answers
 }
 
-/// The caster dies for 30 s of the service's patience, here a twentieth of that, under two hundred
+/// The caster dies for 30 s of the service's time_limits, here a twentieth of that, under two hundred
 /// sessions: each says that its base is stale, and each is fixed again; the caster is asked as often
 /// as the backoff allows, and by one connection.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -9,7 +9,7 @@ use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::contract::{calls, v1};
 use graphfix::formats::receiver::TimeReference;
-use graphfix::formats::rinex::{ObservationReader, PieceReader};
+use graphfix::formats::rinex::{ChunkReader, ObservationReader};
 use graphfix::gnss::{Ecef, Epoch, Geodetic, GpsTime, Status};
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
@@ -264,7 +264,7 @@ fn rinex_of_every_version_is_read_in_pieces() {
             let bytes = &bytes[..bytes.len().min(400_000)];
             let expected = epochs_of(bytes);
             let (mut at, mut found, mut epoch) = (0, Vec::new(), Epoch::new(GpsTime::EPOCH));
-            let mut reader = PieceReader::default();
+            let mut reader = ChunkReader::default();
             let mut changed = false;
             while at <= bytes.len() && !changed {
                 let to = (at + 1 + random.below(9_000)).min(bytes.len());

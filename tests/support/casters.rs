@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use graphfix::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
-use graphfix::feeds::{Connector, FeedOptions, FetchPolicy, Patience};
+use graphfix::feeds::{Connector, FeedOptions, FetchPolicy, TimeLimits};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
@@ -17,7 +17,7 @@ use super::server::free_port;
 use super::wait::until;
 
 /// Patient enough for this machine, and no more.
-pub(crate) const PATIENCE: Patience = Patience {
+pub(crate) const PATIENCE: TimeLimits = TimeLimits {
     connecting: Duration::from_secs(2),
     answering: Duration::from_millis(800),
     listing: Duration::from_secs(3),

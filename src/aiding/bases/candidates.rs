@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(choice(&[at(5.0), at(5.0)], Some(1), &eager), Some(1));
     }
 
-    /// An unusable base is left for a usable one; if there is none, it stays.
+    /// The rover changes from an unusable base to a usable one. If no base is usable, it stays.
     #[test]
     fn a_base_that_fails_is_left() {
         let failed = |distance_km| CandidateState { is_usable: false, ..at(distance_km) };

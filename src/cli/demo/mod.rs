@@ -13,7 +13,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::app;
 use crate::config::ServiceConfiguration;
-use crate::feeds::{FeedOptions, Patience};
+use crate::feeds::{FeedOptions, TimeLimits};
 use crate::formats::rinex::write_navigation;
 use crate::refusal::Code;
 use crate::simulation::{self, Scenario};
@@ -65,7 +65,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let listener = listener().await?;
     let address = listener.local_addr().map_err(|error| no_port(&error))?;
     let configuration = ServiceConfiguration { database, ..ServiceConfiguration::standard() };
-    let opened = app::open(&configuration, Patience::standard(), FeedOptions::standard());
+    let opened = app::open(&configuration, TimeLimits::standard(), FeedOptions::standard());
     let app = opened.await?;
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped the sender, which also stops the service.

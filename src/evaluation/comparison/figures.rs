@@ -128,22 +128,22 @@ fn over_time(
 /// Status of each method over time, as a coloured strip.
 pub(super) fn statuses(comparison: &Comparison) -> Result<String, PlotError> {
     let start = start_of(comparison);
-    let pieces = |solutions: &[Solution]| {
-        let mut pieces: Vec<Stretch> = Vec::new();
+    let segments = |solutions: &[Solution]| {
+        let mut segments: Vec<Stretch> = Vec::new();
         for pair in solutions.windows(2) {
             let [from, to] = [&pair[0], &pair[1]].map(|solution| at(solution.time, start));
             let Some(quality) = quality(pair[0].status) else { continue };
             let quality = i64::from(quality);
-            match pieces.last_mut() {
+            match segments.last_mut() {
                 Some(last) if last.2 == quality && last.1 == from => last.1 = to,
-                _ if to - from <= GAP_S => pieces.push((from, to, quality)),
+                _ if to - from <= GAP_S => segments.push((from, to, quality)),
                 _ => {}
             }
         }
-        pieces
+        segments
     };
     let rows: Vec<_> =
-        comparison.methods.iter().map(|m| (m.name(), pieces(&m.solutions))).collect();
+        comparison.methods.iter().map(|m| (m.name(), segments(&m.solutions))).collect();
     strips(&rows)
 }
 

@@ -115,11 +115,11 @@ where
         let points = series.points.iter().filter(|point| !axes.is_logarithmic || 0.0 < point.1);
         let points: Vec<_> =
             points.copied().filter(|point| thinning.is_new((point.0, 0.0), 0)).collect();
-        for piece in points.chunk_by(|a, b| b.0 - a.0 <= axes.gap) {
-            if let [single] = piece {
+        for segment in points.chunk_by(|a, b| b.0 - a.0 <= axes.gap) {
+            if let [single] = segment {
                 chart.draw_series([Circle::new(*single, 1, color.filled())])?;
             }
-            chart.draw_series(LineSeries::new(piece.iter().copied(), color.stroke_width(1)))?;
+            chart.draw_series(LineSeries::new(segment.iter().copied(), color.stroke_width(1)))?;
         }
     }
     Ok(())
@@ -165,14 +165,14 @@ pub(crate) fn plane(
         let mut thinning = Thinning::new((x.end - x.start, y.end - y.start), pixels);
         let shown = series.points.iter().copied().filter(|point| thinning.is_new(*point, 0));
         let shown: Vec<_> = shown.collect();
-        for piece in shown.chunk_by(is_near) {
+        for segment in shown.chunk_by(is_near) {
             let line = color.mix(0.8).stroke_width(1);
-            chart.draw_series(LineSeries::new(piece.iter().copied(), line))?;
+            chart.draw_series(LineSeries::new(segment.iter().copied(), line))?;
         }
         chart.draw_series(shown.iter().map(|point| Circle::new(*point, 2, color.filled())))?;
     }
-    for piece in reference.chunk_by(is_near) {
-        chart.draw_series(LineSeries::new(piece.iter().copied(), BLACK.stroke_width(2)))?;
+    for segment in reference.chunk_by(is_near) {
+        chart.draw_series(LineSeries::new(segment.iter().copied(), BLACK.stroke_width(2)))?;
     }
     if let [point] = reference {
         chart.draw_series([Cross::new(*point, 9, BLACK.stroke_width(3))])?;
@@ -192,7 +192,7 @@ pub(crate) type Stretch = (f64, f64, i64);
 /// No intervals, or the drawing fails.
 pub(crate) fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotError> {
     register_fonts();
-    let times = rows.iter().flat_map(|(_, pieces)| pieces.iter().flat_map(|p| [p.0, p.1]));
+    let times = rows.iter().flat_map(|(_, segments)| segments.iter().flat_map(|p| [p.0, p.1]));
     let (start, end) = span(times).ok_or(PlotError::Empty)?;
     let height = STRIP.0 * rows.len() as u32 + STRIP.1;
     let mut text = String::new();
@@ -213,9 +213,9 @@ pub(crate) fn strips(rows: &[(String, Vec<Stretch>)]) -> Result<String, PlotErro
         .x_desc("GPS seconds of week (s)")
         .x_label_formatter(&|x| format!("{x:.0}"))
         .draw()?;
-    for (index, (name, pieces)) in rows.iter().enumerate() {
+    for (index, (name, segments)) in rows.iter().enumerate() {
         let top = -(index as f64) - 0.15;
-        chart.draw_series(pieces.iter().map(|(from, to, quality)| {
+        chart.draw_series(segments.iter().map(|(from, to, quality)| {
             let corners = [(*from, top), (*to, top - 0.7)];
             Rectangle::new(corners, QualityStyle::of(*quality).color.filled())
         }))?;

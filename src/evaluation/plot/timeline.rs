@@ -89,7 +89,7 @@ fn draw_panel<DB: DrawingBackend>(
         .y_label_area_size(LABELS)
         .build_cartesian_2d(start_s..end_s, y.clone())?;
     if let Some(sigma) = panel.sigma {
-        for band in band_pieces(epochs, |epoch| Some((at(epoch), sigma(epoch)?))) {
+        for band in band_segments(epochs, |epoch| Some((at(epoch), sigma(epoch)?))) {
             let polygon = band_polygon(&band, &y);
             chart.draw_series([Polygon::new(polygon, BAND.filled())])?;
         }
@@ -128,19 +128,19 @@ fn value_range(values: impl Iterator<Item = f64>) -> std::ops::Range<f64> {
 
 /// Time (s) and standard deviation (m) of segments without gaps, thinned to the largest deviation
 /// in each bucket.
-fn band_pieces(
+fn band_segments(
     epochs: &[JudgedEpoch],
     point: impl Fn(&JudgedEpoch) -> Option<(f64, f64)>,
 ) -> Vec<Vec<(f64, f64)>> {
     let points: Vec<_> = epochs.iter().filter_map(point).collect();
     let bucket = points.len().div_ceil(BAND_PIECES).max(1);
-    let pieces = points.chunk_by(|a, b| b.0 - a.0 <= BAND_GAP_S);
-    let thinned = pieces.map(|piece| {
+    let segments = points.chunk_by(|a, b| b.0 - a.0 <= BAND_GAP_S);
+    let thinned = segments.map(|segment| {
         let largest = |chunk: &[(f64, f64)]| {
             let sigma = chunk.iter().fold(0.0_f64, |largest, (_, sigma)| largest.max(*sigma));
             [(chunk[0].0, sigma), (chunk[chunk.len() - 1].0, sigma)]
         };
-        piece.chunks(bucket).flat_map(largest).collect()
+        segment.chunks(bucket).flat_map(largest).collect()
     });
     thinned.collect()
 }

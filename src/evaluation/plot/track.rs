@@ -65,8 +65,8 @@ pub(super) fn draw<DB: DrawingBackend>(
         .x_desc("east (m)")
         .y_desc("north (m)")
         .draw()?;
-    for piece in reference.chunk_by(|a, b| b.0 - a.0 <= REFERENCE_GAP_S) {
-        let line = piece.iter().map(|(_, point)| *point);
+    for segment in reference.chunk_by(|a, b| b.0 - a.0 <= REFERENCE_GAP_S) {
+        let line = segment.iter().map(|(_, point)| *point);
         chart.draw_series(LineSeries::new(line, REFERENCE.stroke_width(2)))?;
     }
     let shown: Vec<_> = solutions

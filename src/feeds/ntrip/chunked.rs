@@ -93,9 +93,9 @@ fn size_of(line: &[u8]) -> Result<u32, Unchunked> {
 mod tests {
     use super::*;
 
-    fn unchunked(body: &[u8], piece: usize) -> Result<(Vec<u8>, bool), Unchunked> {
+    fn unchunked(body: &[u8], size: usize) -> Result<(Vec<u8>, bool), Unchunked> {
         let (mut unchunker, mut content) = (Unchunker::new(), Vec::new());
-        for bytes in body.chunks(piece) {
+        for bytes in body.chunks(size) {
             unchunker.push(bytes, &mut content)?;
         }
         Ok((content, unchunker.is_at_end()))
@@ -104,8 +104,8 @@ mod tests {
     #[test]
     fn chunks_are_joined_wherever_they_are_split() {
         let body = b"5\r\nhello\r\nA;name=value\r\n0123456789\r\n1\r\n\n\r\n0\r\n\r\n";
-        for piece in 1..body.len() {
-            let (content, is_at_end) = unchunked(body, piece).unwrap();
+        for size in 1..body.len() {
+            let (content, is_at_end) = unchunked(body, size).unwrap();
             assert_eq!((content.as_slice(), is_at_end), (&b"hello0123456789\n"[..], true));
         }
     }

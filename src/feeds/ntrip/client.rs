@@ -57,7 +57,7 @@ pub async fn sourcetable(
     connector: &Connector,
     request: &StreamRequest,
 ) -> Result<Sourcetable, NtripError> {
-    let listing = connector.patience().listing;
+    let listing = connector.time_limits().listing;
     let deadline = Instant::now() + listing;
     let (mut stream, is_sourcetable) = open(connector, request, None).await?;
     if !is_sourcetable {
@@ -89,7 +89,7 @@ async fn open(
     let caster = &request.caster;
     let mut connection = connector.connect(&caster.host, caster.port, caster.is_tls).await?;
     let text = request.text(position);
-    let answering = connector.patience().answering;
+    let answering = connector.time_limits().answering;
     let deadline = Instant::now() + answering;
     let silent = |_| NtripError::Silent { seconds: answering.as_secs() };
     timeout_at(deadline, connection.write_all(text.as_bytes()))

@@ -58,6 +58,7 @@
 //! Hatanaka (2008), *A compression format and tools for GNSS observation data*, Bulletin of the
 //! Geographical Survey Institute 55.
 
+mod chunks;
 mod columns;
 mod compact;
 mod differences;
@@ -74,12 +75,12 @@ mod navigation;
 mod navigation_writer;
 mod observation;
 mod observation_writer;
-mod pieces;
 #[cfg(test)]
 mod round_trip;
 mod satellites;
 mod skipped;
 
+pub use chunks::ChunkReader;
 pub use error::RinexError;
 pub use header::{ObservationHeader, RinexVersion};
 pub use header_writer::RinexWriteError;
@@ -87,5 +88,4 @@ pub use navigation::read_navigation;
 pub use navigation_writer::write_navigation;
 pub use observation::ObservationReader;
 pub use observation_writer::ObservationWriter;
-pub use pieces::PieceReader;
 pub use skipped::{SkipReason, Skipped, SkippedEntry};

@@ -152,9 +152,15 @@ impl FilterScratch {
             known.phases.follow_clock(sights, states, phases, clock);
         }
         self.other_sensors(known, receiver, setup, interval_s);
-        let share = (interval_s / graph.independence_s).min(1.0);
+        let independent_share = (interval_s / graph.independence_s).min(1.0);
         let before = known.phases.sights();
-        self.rows.enter(&mut known.gaussian, before, setup.innovation_limit, share, graph);
+        self.rows.enter(
+            &mut known.gaussian,
+            before,
+            setup.innovation_limit,
+            independent_share,
+            graph,
+        );
         let is_failing = self.rows.used.len() * 2 < self.rows.ranges.len();
         known.failing_s = if is_failing { known.failing_s + interval_s } else { 0.0 };
         if LOST_S < known.failing_s && self.can_begin(inputs) {

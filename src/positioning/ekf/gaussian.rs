@@ -51,8 +51,8 @@ impl Innovation {
     }
 
     /// The same with the R of a share of the information.
-    pub(super) fn tempered(self, share: f64) -> Self {
-        Self { variance: share.recip(), ..self }
+    pub(super) fn tempered(self, independent_share: f64) -> Self {
+        Self { variance: independent_share.recip(), ..self }
     }
 }
 

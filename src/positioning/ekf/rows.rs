@@ -45,13 +45,13 @@ impl Rows {
     /// Applies the rows, kind by kind, the most precise kinds first.
     ///
     /// `before` are the satellites of the previous epoch, `limit` is the limit of the innovation
-    /// test, `share` the share of their information that pseudoranges keep.
+    /// test, `independent_share` the share of their information that pseudoranges keep.
     pub(super) fn enter(
         &mut self,
         gaussian: &mut Gaussian,
         before: &[Sight],
         limit: f64,
-        share: f64,
+        independent_share: f64,
         graph: &GraphOptions,
     ) {
         if graph.vertical_velocity_m_s.is_finite() && graph.motion {
@@ -89,7 +89,7 @@ impl Rows {
             let line = self.sights[usize::from(range.sight)].range(&position(&state));
             let row = range.factor.linearize(&line, &state, range.bias_m(gaussian.biases_m()));
             let bias = range.bias.map(|index| (index as usize, range.factor.inverse_sigma));
-            if gaussian.update(&Innovation::row(&row, bias).tempered(share), limit) {
+            if gaussian.update(&Innovation::row(&row, bias).tempered(independent_share), limit) {
                 self.used.push(range.satellite);
             }
         }

@@ -77,7 +77,7 @@ impl DopplerFactor {
             columns: [VELOCITY, VELOCITY + 1, VELOCITY + 2],
             jacobian: [g.x * w, g.y * w, g.z * w],
         };
-        SharingRow { row, by_offset: w, border: None, share: 1.0 }
+        SharingRow { row, by_offset: w, border: None, independent_share: 1.0 }
     }
 }
 

@@ -28,8 +28,8 @@ pub(crate) struct OdometryFactor {
 }
 
 impl OdometryFactor {
-    /// Of a displacement at about `place` between epochs `interval_s` apart; `None` where it took
-    /// another time, or its covariance is none.
+    /// The factor between epochs `interval_s` apart; `None` where the displacement took another
+    /// time, or its covariance is not positive definite.
     pub(crate) fn over(
         interval_s: f64,
         frame: &LocalFrame,

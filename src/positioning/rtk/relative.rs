@@ -68,7 +68,8 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// The epoch that was solved last.
     fn epoch<'a>(&'a self, scratch: &'a Self::Scratch) -> &'a RtkEpoch;
 
-    /// Takes an answer in, relative to the base or not, and answers epochs that leave again.
+    /// Records an answer and whether it is relative to the base; revises the epochs that leave the
+    /// window.
     fn remember(
         &self,
         _answer: (&Solution, bool),
@@ -208,7 +209,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
 }
 
 impl<S: RelativeSolver> Relative<S> {
-    /// Everything up to the differences of the epoch, or the reason why there are none.
+    /// Everything up to the differences of the epoch, or the reason why it cannot be differenced.
     fn difference<'a>(
         &mut self,
         inputs: &EpochInputs<'a>,

@@ -5,7 +5,7 @@ mod packed;
 use std::ops::Range;
 
 use crate::formats::receiver::{Decoder, TimeReference};
-use crate::formats::rinex::PieceReader;
+use crate::formats::rinex::ChunkReader;
 use crate::gnss::{Epoch, GpsTime, Navigation};
 
 use super::{Received, ReceptionError, StreamFormat};
@@ -56,7 +56,7 @@ enum Form {
         from: u64,
         is_recognised: bool,
     },
-    Rinex(PieceReader),
+    Rinex(ChunkReader),
     Gzip(Box<Packed>),
 }
 
@@ -224,7 +224,7 @@ impl Stream {
                 let is_recognised = self.start < from;
                 Form::Receiver { decoder: Box::new(decoder), from, is_recognised }
             }
-            StreamFormat::Rinex => Form::Rinex(PieceReader::default()),
+            StreamFormat::Rinex => Form::Rinex(ChunkReader::default()),
         }
     }
 
@@ -283,7 +283,7 @@ impl Stream {
     }
 }
 
-fn read_epochs(reader: &mut PieceReader, received: &mut Received) -> Result<(), ReceptionError> {
+fn read_epochs(reader: &mut ChunkReader, received: &mut Received) -> Result<(), ReceptionError> {
     let mut epoch = Epoch::new(GpsTime::EPOCH);
     while reader.read_epoch(&mut epoch)? {
         received.epochs.push(epoch.clone());

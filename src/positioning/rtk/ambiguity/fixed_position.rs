@@ -57,8 +57,8 @@ pub(crate) struct PhasePosition {
 }
 
 impl PhasePosition {
-    /// Largest shift of the position by one faulty satellite (m), given `squares`, the sum of the
-    /// squares of that many whitened residuals.
+    /// Largest shift of the position by one faulty satellite (m), given the sum of `squares` of the
+    /// whitened residuals and their number.
     ///
     /// An error b of satellite s, common to its signals, moves the position by b·C·Σ wa and leaves
     /// residuals of the norm b·√(Σ w − (Σ wa)ᵀ·C·(Σ wa)), sums over the rows of s; so one follows
@@ -154,7 +154,7 @@ fn phases(
             let (variable, _) = row.border?;
             let is_its = |ambiguity: EpochAmbiguity| ambiguity.variable == variable;
             let factor = factors.iter().find(|factor| factor.ambiguity.is_some_and(is_its))?;
-            Some(Phase { sight: factor.sight, row: SharingRow { share: 1.0, ..*row } })
+            Some(Phase { sight: factor.sight, row: SharingRow { independent_share: 1.0, ..*row } })
         };
         groups.push(scratch.rows.iter().filter_map(phase).collect());
     }
@@ -316,7 +316,7 @@ mod tests {
                 sight: k,
                 range_m: range_m + 3.0 * k as f64 * WAVELENGTH_M + 7.0 + error_m,
                 inverse_sigma: SIGMA_M.recip(),
-                share: 0.2,
+                independent_share: 0.2,
                 ambiguity: Some(EpochAmbiguity { variable: k, wavelength_m: WAVELENGTH_M }),
                 bias: None,
             });
@@ -406,7 +406,7 @@ mod tests {
                 },
                 by_offset: SIGMA_M.recip(),
                 border: Some((k, wavelength_m / SIGMA_M)),
-                share: 1.0,
+                independent_share: 1.0,
             }
         };
         let mut rows: Vec<_> = (0..8).map(row).collect();

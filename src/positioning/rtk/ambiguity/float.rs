@@ -19,7 +19,8 @@ pub(crate) struct FloatSolution {
 }
 
 impl FloatSolution {
-    /// Of the state of the graph that `covariances` belong to; `ambiguities` in their order.
+    /// The float solution of the state whose `covariances` are given; `ambiguities` are in the
+    /// order of their border variables there.
     pub(crate) fn of_graph(
         state: &State,
         ambiguities: Vec<f64>,

@@ -65,7 +65,7 @@ impl Slope {
 }
 
 impl Gaussian {
-    /// Zero with certainty, no ambiguities.
+    /// State of zeros with zero covariance and no ambiguities.
     pub(crate) fn zero() -> Self {
         Self { mean: vec![0.0; AMBIGUITY], covariance: vec![0.0; AMBIGUITY * AMBIGUITY] }
     }
@@ -198,7 +198,7 @@ impl Gaussian {
     /// S = J P Jᵀ + R of one row.
     fn innovation_variance(&self, row: &SharingRow<3>) -> f64 {
         let Slope { columns, values } = Slope::of(row);
-        let mut sum = row.share.recip();
+        let mut sum = row.independent_share.recip();
         for (a, &value) in columns.iter().zip(&values) {
             for (b, &other) in columns.iter().zip(&values) {
                 sum += value * other * self.at(*a, *b);
@@ -225,7 +225,7 @@ impl Gaussian {
             let column = &self.covariance[column * n..(column + 1) * n];
             carried.iter_mut().zip(column).for_each(|(sum, entry)| *sum += value * entry);
         }
-        let variance = row.share.recip();
+        let variance = row.independent_share.recip();
         let (known, total) = (slope.times(carried), slope.times(carried) + variance);
         if limit < residual * residual / total {
             return false;
@@ -279,7 +279,7 @@ mod tests {
             row: Row { residual: at - m * w, columns: [0, 1, 2], jacobian },
             by_offset: w,
             border: ambiguity.map(|variable| (variable, 0.19 * w)),
-            share: 0.5,
+            independent_share: 0.5,
         }
     }
 
@@ -314,8 +314,8 @@ mod tests {
                 }
                 slope[STATE + ambiguities + number] = row.by_offset;
                 let at = row.row.jacobian[1] * 0.1 + row.row.jacobian[2] * 0.2;
-                right -= &slope * ((row.row.residual - at) * row.share);
-                information += &slope * slope.transpose() * row.share;
+                right -= &slope * ((row.row.residual - at) * row.independent_share);
+                information += &slope * slope.transpose() * row.independent_share;
                 slopes.push(slope);
             }
             // The rows are linear: their residuals are moved to the present mean.

@@ -65,7 +65,7 @@ impl CarrierArc {
         DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
 
-    /// What an epoch keeps of it.
+    /// Reference to this arc, as epochs keep it.
     pub(crate) fn reference(&self) -> ArcReference {
         ArcReference { serial: self.serial, variable: self.variable, group: self.group() }
     }

@@ -61,7 +61,8 @@ impl BaseMemory {
         }
     }
 
-    /// The check of the stated position, which takes in the newest epoch until it has enough.
+    /// Checks the stated position against the single-point positions of the base; the newest epoch
+    /// enters their mean until it has enough epochs.
     pub(crate) fn checked(
         &mut self,
         station: &BaseStation,

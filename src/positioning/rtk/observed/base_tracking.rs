@@ -34,7 +34,7 @@ pub(crate) struct Received {
     pub(crate) base_moved_m: Option<f64>,
 }
 
-/// Memory to take an epoch in.
+/// Scratch for the differences of one epoch.
 #[derive(Debug, Default)]
 pub(crate) struct Intake {
     pub(crate) single_point: SinglePoint,
@@ -43,7 +43,7 @@ pub(crate) struct Intake {
     pub(crate) slipped: Vec<SatelliteId>,
 }
 
-/// The base as far as it is known, and the newest epoch answered.
+/// What is known of the base, and the time of the newest answered epoch.
 #[derive(Debug, Default)]
 pub(crate) struct BaseTracking {
     base: BaseMemory,

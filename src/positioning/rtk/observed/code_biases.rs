@@ -63,12 +63,18 @@ impl CodeBiases {
     /// Updates the bias at `index` from one pseudorange: what it exceeds the range to a known
     /// position by once corrected (m), its variance with the bias's own (m²), and the share of its
     /// information that is independent.
-    pub(crate) fn learn(&mut self, index: usize, excess_m: f64, variance_m2: f64, share: f64) {
+    pub(crate) fn learn(
+        &mut self,
+        index: usize,
+        excess_m: f64,
+        variance_m2: f64,
+        independent_share: f64,
+    ) {
         let Some(bias) = self.list.get_mut(index) else { return };
         if GROSS_SIGMAS.powi(2) * variance_m2 < excess_m.powi(2) {
             return;
         }
-        let noise_m2 = (variance_m2 - bias.variance_m2).max(0.0) / share;
+        let noise_m2 = (variance_m2 - bias.variance_m2).max(0.0) / independent_share;
         let gain = bias.variance_m2 / (bias.variance_m2 + noise_m2);
         bias.bias_m += gain * excess_m;
         bias.variance_m2 = (bias.variance_m2 * (1.0 - gain)).max(LEAST_M.powi(2));

@@ -39,7 +39,7 @@ pub(crate) struct DifferenceFactor {
     /// 1/σ (1/m).
     pub(crate) inverse_sigma: f64,
     /// Share of its information that is kept, since errors are correlated in time.
-    pub(crate) share: f64,
+    pub(crate) independent_share: f64,
     pub(crate) ambiguity: Option<EpochAmbiguity>,
     /// Index of the code bias that z was corrected for, if its codes differ.
     pub(crate) bias: Option<usize>,
@@ -59,7 +59,7 @@ impl DifferenceFactor {
         let residual = ((range_m - self.range_m) + ambiguity_m) * w;
         let jacobian = [slope.x * w, slope.y * w, slope.z * w];
         let row = Row { residual, columns: [0, 1, 2], jacobian };
-        SharingRow { row, by_offset: w, border, share: self.share }
+        SharingRow { row, by_offset: w, border, independent_share: self.independent_share }
     }
 }
 
@@ -114,7 +114,14 @@ impl RowScratch {
 }
 
 snapshot_fields!(EpochAmbiguity { variable, wavelength_m });
-snapshot_fields!(DifferenceFactor { sight, range_m, inverse_sigma, share, ambiguity, bias });
+snapshot_fields!(DifferenceFactor {
+    sight,
+    range_m,
+    inverse_sigma,
+    independent_share,
+    ambiguity,
+    bias
+});
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
 state_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });

@@ -134,8 +134,8 @@ mod tests {
         quantiles.map(|quantile| 1.06 * scale * quantile).to_vec()
     }
 
-    /// Five residuals' worth of one and fifteen of a third: twenty of a half. Residuals beyond the
-    /// stated widen nothing.
+    /// Prior: variance factor 1 with 5 degrees of freedom. 15 more with a sum of squares of 5 give
+    /// (5 + 5)/20 = 1/2. Residuals larger than stated do not raise the factor above 1.
     #[test]
     fn residuals_tell_the_scale() {
         let noise = NoiseScale::stated();

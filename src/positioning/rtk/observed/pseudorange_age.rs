@@ -39,9 +39,9 @@ impl LastPseudoranges {
         let is_it =
             |last: &&mut LastPseudorange| (last.satellite, last.codes) == (satellite, codes);
         if let Some(known) = self.list.iter_mut().find(is_it) {
-            let share = ((time - known.last) / correlation_s).min(1.0);
+            let independent_share = ((time - known.last) / correlation_s).min(1.0);
             known.last = time;
-            return share;
+            return independent_share;
         }
         if self.list.len() < CARRIERS_MAX {
             self.list.push(LastPseudorange { satellite, codes, last: time });
@@ -86,14 +86,14 @@ mod tests {
     fn a_pseudorange_soon_after_another_counts_in_part() {
         let mut ages = LastPseudoranges::default();
         let at = |seconds: f64| GpsTime::EPOCH + seconds;
-        let mut share = |number, code, seconds| {
+        let mut independent_share = |number, code, seconds| {
             ages.independent_share(&difference(number, code), at(seconds), 30.0)
         };
-        assert_eq!(share(7, "1C", 0.0), 1.0);
-        assert_eq!(share(7, "1C", 6.0), 0.2);
-        assert_eq!(share(7, "1W", 6.0), 1.0, "another code");
-        assert_eq!(share(8, "1C", 6.0), 1.0, "another satellite");
-        assert_eq!(share(7, "1C", 46.0), 1.0);
+        assert_eq!(independent_share(7, "1C", 0.0), 1.0);
+        assert_eq!(independent_share(7, "1C", 6.0), 0.2);
+        assert_eq!(independent_share(7, "1W", 6.0), 1.0, "another code");
+        assert_eq!(independent_share(8, "1C", 6.0), 1.0, "another satellite");
+        assert_eq!(independent_share(7, "1C", 46.0), 1.0);
         ages.forget_before(at(46.0));
         assert_eq!(ages.list.len(), 1);
         ages.clear();

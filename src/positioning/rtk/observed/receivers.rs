@@ -33,7 +33,7 @@ impl Receivers {
         }
     }
 
-    /// The pseudoranges' noise, with the residuals of a window that was solved.
+    /// Noise scale of the pseudoranges, updated with the residuals of a solved window.
     pub(crate) fn known_noise(&self, residuals: &Residuals) -> KnownNoise {
         self.pseudorange_noise.known(residuals)
     }
@@ -51,7 +51,8 @@ impl Receivers {
         scratch: &mut RowScratch,
     ) {
         let groups = pseudorange_residuals(epoch, state, scratch);
-        let by_position = leverage(epoch, state, covariance, scratch, |share| 2.0 * share - 1.0);
+        let by_position =
+            leverage(epoch, state, covariance, scratch, |fraction| 2.0 * fraction - 1.0);
         self.pseudorange_noise.learn(&mut scratch.residuals, groups as f64 + by_position);
     }
 
@@ -78,7 +79,12 @@ impl Receivers {
             for (factor, residual) in factors.iter().zip(whitened(rows, &OFFSET_KERNEL, numbers)) {
                 let Some(index) = factor.bias else { continue };
                 let sigma_m = factor.inverse_sigma.recip();
-                self.biases.learn(index, -residual * sigma_m, sigma_m.powi(2), factor.share);
+                self.biases.learn(
+                    index,
+                    -residual * sigma_m,
+                    sigma_m.powi(2),
+                    factor.independent_share,
+                );
             }
         }
     }

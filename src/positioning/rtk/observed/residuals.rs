@@ -64,9 +64,10 @@ fn gather<'a>(
     count
 }
 
-/// The pseudoranges' residuals of a window that was solved. They have determined each offset, and
-/// their part of one position for all epochs, which phases tie together: the newest, of which the
-/// covariance is.
+/// The pseudoranges' residuals of a solved window, with their degrees of freedom.
+///
+/// Pseudoranges have determined one offset for each group, and in part one position: phases tie the
+/// epochs together, so that the position of the newest, with `covariance`, stands for all.
 pub(crate) fn window_residuals(
     epochs: &[RtkEpoch],
     states: &[State],
@@ -75,23 +76,23 @@ pub(crate) fn window_residuals(
 ) -> Residuals {
     let (mut square, mut freedom) = (0.0, 0.0);
     for (epoch, state) in epochs.iter().zip(states) {
-        freedom -= leverage(epoch, state, covariance, scratch, |share| share);
+        freedom -= leverage(epoch, state, covariance, scratch, |fraction| fraction);
         epoch.see(state, scratch);
         for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
             epoch.linearize_group(group, &[], scratch);
             let RowScratch { rows, numbers, .. } = &mut *scratch;
             let left = 1.0 - (rows.len() as f64).recip();
             for (row, residual) in rows.iter().zip(whitened(rows, &OFFSET_KERNEL, numbers)) {
-                square += row.share * residual * residual;
-                freedom += row.share * left;
+                square += row.independent_share * residual * residual;
+                freedom += row.independent_share * left;
             }
         }
     }
     Residuals { square, freedom: f64::max(freedom, 0.0) }
 }
 
-/// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times what `of` makes of
-/// its share.
+/// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times
+/// `of` its independent share.
 pub(crate) fn leverage(
     epoch: &RtkEpoch,
     state: &State,
@@ -109,7 +110,7 @@ pub(crate) fn leverage(
         let mean = rows.iter().map(weighted).sum::<Vector3<f64>>() / total;
         for row in rows.iter().filter(|_| 1 < rows.len()) {
             let slope = Vector3::from(row.row.jacobian) - mean * row.by_offset;
-            sum += of(row.share) * slope.dot(&(covariance * slope));
+            sum += of(row.independent_share) * slope.dot(&(covariance * slope));
         }
     }
     sum

@@ -56,14 +56,15 @@ impl NewRows<'_> {
         let correlation_s = self.options.rtk.pseudorange_correlation_s;
         for difference in group {
             let Some(pseudorange) = difference.pseudorange else { continue };
-            let share = last_pseudoranges.independent_share(difference, epoch.time, correlation_s);
+            let independent_share =
+                last_pseudoranges.independent_share(difference, epoch.time, correlation_s);
             let (bias, index) = biases.of(difference);
             let noise_m2 = pseudorange_noise.value.powi(2) * pseudorange.variance_m2;
             epoch.rows.push(DifferenceFactor {
                 sight: difference.common,
                 range_m: pseudorange.range_m - bias.bias_m,
                 inverse_sigma: (noise_m2 + bias.variance_m2).sqrt().recip(),
-                share,
+                independent_share,
                 ambiguity: None,
                 bias: index,
             });
@@ -96,8 +97,8 @@ impl NewRows<'_> {
             let Some(carrier) = difference.carrier else { continue };
             let arc = self.arcs.go_on(difference, time, elevation_rad(difference));
             let Some((variable, since_s)) = arc else { continue };
-            let share = (since_s / correlation_s).min(1.0);
-            epoch.rows.push(self.carrier(difference, carrier, share, variable));
+            let independent_share = (since_s / correlation_s).min(1.0);
+            epoch.rows.push(self.carrier(difference, carrier, independent_share, variable));
         }
         let known = Group { begin, end: epoch.rows.len(), is_carrier: true };
         epoch.linearize_group(&known, self.border, self.scratch);
@@ -126,7 +127,7 @@ impl NewRows<'_> {
         &self,
         difference: &SingleDifference,
         carrier: Differenced,
-        share: f64,
+        independent_share: f64,
         variable: usize,
     ) -> DifferenceFactor {
         let wavelength_m = difference.wavelength_m();
@@ -135,7 +136,7 @@ impl NewRows<'_> {
             sight: difference.common,
             range_m: carrier.range_m,
             inverse_sigma: variance_m2.sqrt().recip(),
-            share,
+            independent_share,
             ambiguity: Some(EpochAmbiguity { variable, wavelength_m }),
             bias: None,
         }

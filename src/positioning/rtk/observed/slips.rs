@@ -53,7 +53,7 @@ pub(crate) fn cut_slips(
         let mean = border[ambiguity.variable] - residual_m / ambiguity.wavelength_m;
         epoch.start_ambiguity(border, variable, mean);
         epoch.rows[index].ambiguity = Some(EpochAmbiguity { variable, ..ambiguity });
-        epoch.rows[index].share = 1.0;
+        epoch.rows[index].independent_share = 1.0;
     }
     any
 }

@@ -47,7 +47,7 @@ pub(crate) struct FactoredWindow<'a> {
 }
 
 impl History {
-    /// Takes in the answer of an epoch without the graph, which is never revised.
+    /// Records the answer of an epoch that is not in the graph. It is never revised.
     pub(crate) fn push_alone(&mut self, solution: Solution) {
         let record = EpochRecord { solution, is_in_graph: false, period: 0, arcs: Vec::new() };
         self.records.push_back(Arc::new(record));

@@ -11,7 +11,7 @@ const HEADER_LIMIT: usize = 1 << 16;
 
 /// Reads a file as it arrives. Incomplete records wait for the chunks that follow.
 #[derive(Debug, Default)]
-pub struct PieceReader {
+pub struct ChunkReader {
     /// The reader, once the header is complete.
     reader: Option<Box<ObservationReader<Arrived>>>,
     /// The bytes of the header while it is incomplete.
@@ -19,7 +19,7 @@ pub struct PieceReader {
     header_bytes: usize,
 }
 
-impl PieceReader {
+impl ChunkReader {
     /// Appends bytes.
     ///
     /// # Errors
