@@ -14,6 +14,7 @@ use crate::evaluation::comparison::{Comparison, Method};
 use crate::formats::{decompress, truth};
 use crate::gnss::{Ecef, Epoch, GpsTime};
 use crate::recording::{AnswerKind, Recording, RecordingError, RecordingInputs, Solutions};
+use crate::refusal::Code;
 
 use super::Failure;
 use super::option_arguments::assignments;
@@ -95,12 +96,12 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     let truth = arguments.truth(&inputs)?;
     if arguments.output.extension().is_none_or(|ending| ending != "html") {
         let message = format!("{} does not end in .html", arguments.output.display());
-        return Err(Failure::new("UNKNOWN_OUTPUT_FORMAT", message, "end the name in .html"));
+        return Err(Failure::new(Code::UnknownOutputFormat, message, "end the name in .html"));
     }
     if METHODS_MAX < arguments.modes.len() {
         let message = format!("{} methods are too many for one page", arguments.modes.len());
         let remedy = format!("name at most {METHODS_MAX}");
-        return Err(Failure::new("USAGE", message, remedy));
+        return Err(Failure::new(Code::Usage, message, remedy));
     }
     let options: Result<Vec<_>, _> =
         arguments.modes.iter().map(|method| arguments.options(method, &inputs)).collect();
@@ -120,7 +121,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     let comparison = Comparison::new(title, command, methods, truth.as_ref(), arguments.fix_tol);
     let unwritable = |error: &dyn std::fmt::Display| {
         let message = format!("cannot write {}: {error}", arguments.output.display());
-        Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
+        Failure::of(Code::FileNotWritable, message)
     };
     let page = comparison.html().map_err(|error| unwritable(&error))?;
     std::fs::write(&arguments.output, page).map_err(|error| unwritable(&error))?;
@@ -137,7 +138,7 @@ impl CompareArguments {
         let Some(path) = &self.truth else { return Ok(None) };
         let file = File::open(path).map_err(|error| {
             let message = format!("cannot open {}: {error}", path.display());
-            Failure::new("FILE_NOT_READABLE", message, "check the path and its rights")
+            Failure::of(Code::FileNotReadable, message)
         })?;
         // Rows of week −1 are of the recording's week.
         let mut epoch = Epoch::new(GpsTime::EPOCH);
@@ -148,7 +149,7 @@ impl CompareArguments {
         let rows = truth::read(decompress(BufReader::new(file)), epoch.time.week());
         rows.map(|rows| Some(Truth::Trajectory(rows))).map_err(|error| {
             let message = format!("{}: {error}", path.display());
-            Failure::new("FILE_MALFORMED", message, "correct that line or name another file")
+            Failure::of(Code::FileMalformed, message)
         })
     }
 

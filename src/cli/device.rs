@@ -13,6 +13,7 @@ use crate::contract::v1;
 use crate::grpc::v1::positioning_client::PositioningClient;
 use crate::grpc::v1::sessions_client::SessionsClient;
 use crate::grpc::{self, v1::navigation_client::NavigationClient};
+use crate::refusal::Code;
 
 use super::Failure;
 
@@ -58,7 +59,7 @@ impl Connection {
     pub(super) fn to(server: &str, patience: Duration) -> Result<Self, Failure> {
         let endpoint = Endpoint::from_shared(server.to_owned()).map_err(|error| {
             let message = format!("--server {server:?}: {error}");
-            Failure::new("USAGE", message, "write an address such as http://127.0.0.1:8080")
+            Failure::new(Code::Usage, message, "write an address such as http://127.0.0.1:8080")
         })?;
         let endpoint = endpoint
             .connect_timeout(Duration::from_secs(5))
@@ -76,7 +77,7 @@ impl Connection {
     pub(super) async fn push_navigation(&self, path: &Path) -> Result<u64, Failure> {
         let content = std::fs::read(path).map_err(|error| {
             let message = format!("{}: {error}", path.display());
-            Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+            Failure::of(Code::FileNotReadable, message)
         })?;
         self.push_navigation_bytes(content.into()).await
     }
@@ -220,8 +221,8 @@ impl Pushed {
 
 /// Whether the session refused every epoch of a push; the device then skips them.
 fn refuses_epochs(status: &Status) -> bool {
-    let code = grpc::code_of(status);
-    matches!(code.as_deref(), Some("SEQUENCE_CONFLICT" | "SEQUENCE_SUPERSEDED" | "OUT_OF_ORDER"))
+    let all = [Code::SequenceConflict, Code::SequenceSuperseded, Code::OutOfOrder];
+    grpc::code_of(status).is_some_and(|name| all.iter().any(|code| code.name() == name))
 }
 
 /// Exponential backoff within a device's patience; a delay in the answer takes precedence.
@@ -260,11 +261,46 @@ impl Retry {
     }
 }
 
+/// The service's refusal with its code and remedy.
 fn failure(status: &Status) -> Failure {
+    let Some(name) = grpc::code_of(status) else {
+        return Failure::of(Code::ServiceUnreachable, status.message());
+    };
     let remedy = status
         .get_details_error_info()
         .and_then(|info| info.metadata.get("remedy").cloned())
-        .unwrap_or_else(|| "check that the service runs and --server names it".to_owned());
-    let code = grpc::code_of(status).unwrap_or_else(|| "SERVICE_UNREACHABLE".to_owned());
-    Failure::new("REFUSED", format!("{code}: {}", status.message()), remedy)
+        .unwrap_or_else(|| Code::ServiceRefused.remedy().to_owned());
+    match Code::ALL.iter().find(|code| code.name() == name) {
+        Some(code) => Failure::new(*code, status.message(), remedy),
+        None => {
+            let message = format!("{name}: {}", status.message());
+            Failure::new(Code::ServiceRefused, message, remedy)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashMap;
+
+    use tonic_types::ErrorDetails;
+
+    use super::*;
+
+    #[test]
+    fn a_refusal_keeps_the_services_code_and_remedy() {
+        let refused = |reason: &str| {
+            let metadata = HashMap::from([("remedy".to_owned(), "wait".to_owned())]);
+            let details = ErrorDetails::with_error_info(reason, "graphfix", metadata);
+            failure(&Status::with_error_details(GrpcCode::NotFound, "no such", details))
+        };
+        assert_eq!(
+            refused("SESSION_NOT_FOUND"),
+            Failure::new(Code::SessionNotFound, "no such", "wait")
+        );
+        let newer = Failure::new(Code::ServiceRefused, "OF_LATER: no such", "wait");
+        assert_eq!(refused("OF_LATER"), newer);
+        let silent = failure(&Status::unavailable("connection refused"));
+        assert_eq!(silent, Failure::of(Code::ServiceUnreachable, "connection refused"));
+    }
 }

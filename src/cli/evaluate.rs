@@ -15,6 +15,7 @@ use crate::evaluation::{
 use crate::formats::rinex::ObservationReader;
 use crate::formats::{decompress, pos, truth};
 use crate::gnss::{Ecef, Enu, Epoch, Geodetic, GpsTime};
+use crate::refusal::Code;
 
 /// Judges a solution file against the truth: errors, availability, fixes, consistency of the
 /// covariance.
@@ -175,25 +176,23 @@ fn rover_epochs(path: &Path) -> Result<Vec<GpsTime>, Failure> {
 fn open(path: &Path) -> Result<BufReader<File>, Failure> {
     let file = File::open(path).map_err(|error| {
         let message = format!("cannot open {}: {error}", path.display());
-        Failure::new("FILE_NOT_READABLE", message, "check the path and its permissions")
+        Failure::of(Code::FileNotReadable, message)
     })?;
     Ok(BufReader::with_capacity(1 << 16, file))
 }
 
 fn unreadable(path: &Path, error: &dyn std::error::Error) -> Failure {
     let message = format!("{}: {error}", path.display());
-    Failure::new("FILE_MALFORMED", message, "correct that line or name another file")
+    Failure::of(Code::FileMalformed, message)
 }
 
 fn plot_failure(error: PlotError) -> Failure {
     match error {
-        PlotError::Empty => Failure::new("NOTHING_TO_PLOT", error, "check times and window"),
+        PlotError::Empty => Failure::of(Code::NothingToPlot, error),
         PlotError::UnknownFormat(_) => {
-            Failure::new("UNKNOWN_FORMAT", error, "name a file that ends in .svg or .png")
+            Failure::new(Code::UnknownOutputFormat, error, "name a file that ends in .svg or .png")
         }
-        PlotError::Draw(_) | PlotError::Write { .. } => {
-            Failure::new("FILE_NOT_WRITABLE", error, "check the folder and its permissions")
-        }
+        PlotError::Draw(_) | PlotError::Write { .. } => Failure::of(Code::FileNotWritable, error),
     }
 }
 

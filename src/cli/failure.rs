@@ -8,24 +8,24 @@ use crate::refusal::Code;
 /// Why a command failed: a stable code, what is wrong and what to do, in one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    code: &'static str,
+    code: Code,
     message: String,
     remedy: String,
 }
 
 impl Failure {
-    /// From a stable upper-snake-case code, what is wrong, and what the user can do.
-    pub fn new(code: &'static str, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
+    /// From a code, what is wrong, and the remedy in terms of the command's arguments.
+    pub fn new(code: Code, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
         Self { code, message: message.to_string(), remedy: remedy.to_string() }
     }
 
-    /// From a code of the service, with its remedy.
+    /// From a code with its own remedy.
     pub fn of(code: Code, message: impl fmt::Display) -> Self {
-        Self::new(code.name(), message, code.remedy())
+        Self::new(code, message, code.remedy())
     }
 
     /// The stable code.
-    pub fn code(&self) -> &'static str {
+    pub const fn code(&self) -> Code {
         self.code
     }
 }
@@ -39,7 +39,7 @@ impl fmt::Display for Failure {
 
 impl From<ConfigError> for Failure {
     fn from(error: ConfigError) -> Self {
-        Self::new(error.code().name(), error, "see graphfix config")
+        Self::new(error.code(), error, "see graphfix config")
     }
 }
 
@@ -49,7 +49,7 @@ mod tests {
 
     #[test]
     fn a_failure_is_one_line_with_code_and_remedy() {
-        let failure = Failure::new("FILE_NOT_FOUND", "no file a\nb", "name another");
-        assert_eq!(failure.to_string(), "error[FILE_NOT_FOUND]: no file a b (name another)");
+        let failure = Failure::new(Code::FileNotReadable, "no file a\nb", "name another");
+        assert_eq!(failure.to_string(), "error[FILE_NOT_READABLE]: no file a b (name another)");
     }
 }

@@ -84,19 +84,19 @@ pub(crate) fn input(path: &Path) -> Input {
 impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
         let (code, remedy) = match &error {
-            RecordingError::NotReadable { .. } => {
-                ("FILE_NOT_READABLE", "check the path and its rights")
-            }
-            RecordingError::NotUnderstood { remedy, .. } => ("FILE_NOT_UNDERSTOOD", *remedy),
+            RecordingError::NotReadable { .. } => return Self::of(Code::FileNotReadable, &error),
+            RecordingError::NotUnderstood { remedy, .. } => (Code::FileNotUnderstood, *remedy),
             RecordingError::NoReferenceTime { .. } => {
-                ("NO_REFERENCE_TIME", "add --week WEEK or --start-time TIME")
+                return Self::of(Code::NoReferenceTime, &error);
             }
             RecordingError::BasePositionMissing { .. } => {
-                (Code::BasePositionMissing.name(), "give --base-position X,Y,Z")
+                (Code::BasePositionMissing, "give --base-position X,Y,Z")
             }
-            RecordingError::BaseRequired { .. } => ("USAGE", "add --base FILE"),
-            RecordingError::NoSuchAnswer { .. } => ("USAGE", "name a mode with a window, as fgo"),
-            RecordingError::NoEpochs { .. } => (Code::NoEpochs.name(), "check --from and --to"),
+            RecordingError::BaseRequired { .. } => (Code::Usage, "add --base FILE"),
+            RecordingError::NoSuchAnswer { .. } => {
+                (Code::Usage, "name a mode with a window, as fgo")
+            }
+            RecordingError::NoEpochs { .. } => (Code::NoEpochs, "check --from and --to"),
         };
         Self::new(code, &error, remedy)
     }

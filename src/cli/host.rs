@@ -16,8 +16,7 @@ use super::Failure;
 /// The work's own failure, or threads that cannot be started.
 pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let runtime = runtime
-        .map_err(|error| Failure::new("NO_THREADS", error, "let the process start threads"))?;
+    let runtime = runtime.map_err(|error| Failure::of(Code::NoThreads, error))?;
     runtime.block_on(work)
 }
 

@@ -26,6 +26,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::refusal::Code;
+
 pub use failure::Failure;
 
 /// GNSS positioning: observations in, positions out.
@@ -105,7 +107,7 @@ fn usage_failure(refusal: &clap::Error) -> Failure {
             line.trim_start_matches("error: ").to_owned()
         }
     };
-    Failure::new("USAGE", message, "see graphfix --help, or graphfix COMMAND --help")
+    Failure::of(Code::Usage, message)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use clap::Args;
 
 use crate::config::{Mode, PositioningOptions, Profile};
+use crate::refusal::Code;
 
 use super::Failure;
 
@@ -41,7 +42,7 @@ pub(crate) fn assignments(set: &[String]) -> Result<Vec<(&str, &str)>, Failure> 
     for assignment in set {
         let (key, value) = assignment.split_once('=').ok_or_else(|| {
             let message = format!("--set {assignment:?} has no \"=\"");
-            Failure::new("USAGE", message, "write --set KEY=VALUE")
+            Failure::new(Code::Usage, message, "write --set KEY=VALUE")
         })?;
         all.push((key.trim(), value));
     }
@@ -66,9 +67,9 @@ mod tests {
     #[test]
     fn refusals_have_their_codes() {
         let code = |mode, set: &[&str]| options(mode, set).unwrap_err().code();
-        assert_eq!(code("ppp", &[]), "UNKNOWN_MODE");
-        assert_eq!(code("spp", &["velocity"]), "USAGE");
-        assert_eq!(code("spp", &["velocty=on"]), "UNKNOWN_OPTION");
-        assert_eq!(code("spp", &["velocity=1"]), "INVALID_OPTION_VALUE");
+        assert_eq!(code("ppp", &[]), Code::UnknownMode);
+        assert_eq!(code("spp", &["velocity"]), Code::Usage);
+        assert_eq!(code("spp", &["velocty=on"]), Code::UnknownOption);
+        assert_eq!(code("spp", &["velocity=1"]), Code::InvalidOptionValue);
     }
 }

@@ -10,6 +10,7 @@ use clap::Args;
 use crate::aiding::bases::BaseChoice;
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::gnss::Status;
+use crate::refusal::Code;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
 use crate::store::Store;
 
@@ -96,8 +97,7 @@ fn verdict(id: &SessionId, check: &Check) -> Result<String, Failure> {
         "session {id}: {compared} solutions compared, {different} different, {not_stored} not \
          stored, {not_computed} not computed again; first: epoch {seq}, revision {revision}"
     );
-    let remedy = "replay with the version of Graphfix that the solutions name";
-    Err(Failure::new("REPLAY_DIFFERS", message, remedy))
+    Err(Failure::of(Code::ReplayDiffers, message))
 }
 
 /// Writes the computed solutions; returns the summary.
@@ -139,5 +139,21 @@ async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<
 impl From<SessionError> for Failure {
     fn from(error: SessionError) -> Self {
         Self::of(error.code(), &error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_bits_fail() {
+        let id = SessionId::random();
+        let check = Check { compared: 3, ..Check::default() };
+        assert_eq!(verdict(&id, &check), Ok("3 solutions compared, 0 different\n".to_owned()));
+        let check = Check { different: 1, first: Some((7, 0)), ..check };
+        let failure = verdict(&id, &check).unwrap_err();
+        assert_eq!(failure.code(), Code::ReplayDiffers);
+        assert!(failure.to_string().contains("first: epoch 7, revision 0"), "{failure}");
     }
 }

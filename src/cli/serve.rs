@@ -58,7 +58,7 @@ impl ServeArguments {
             Some(path) => {
                 let text = std::fs::read_to_string(path).map_err(|error| {
                     let message = format!("{}: {error}", path.display());
-                    Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+                    Failure::of(Code::FileNotReadable, message)
                 })?;
                 ServiceConfiguration::from_toml(&text)?
             }

@@ -14,6 +14,7 @@ use crate::formats::rinex::{
 use crate::formats::truth::{self, TruthRow};
 use crate::gnss::constants::{SECONDS_PER_HOUR, SECONDS_PER_WEEK};
 use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
+use crate::refusal::Code;
 use crate::simulation::{RandomDrive, Scenario, Simulator};
 
 /// The names of the files.
@@ -60,7 +61,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     let folder = &arguments.output;
     if let Some(name) = FILES.iter().find(|name| !arguments.force && folder.join(name).exists()) {
         let message = format!("{} exists", folder.join(name).display());
-        return Err(Failure::new("FILE_EXISTS", message, "name another folder or add --force"));
+        return Err(Failure::of(Code::FileExists, message));
     }
     create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
     let simulator = Simulator::new(scenario.clone(), arguments.seed);
@@ -92,7 +93,7 @@ impl SimulateArguments {
             let names: Vec<_> = all.map(|(name, _)| name).collect();
             let message = format!("no scenario is named {:?}", self.scenario);
             let remedy = format!("one of {}", names.join(", "));
-            return Err(Failure::new("UNKNOWN_SCENARIO", message, remedy));
+            return Err(Failure::new(Code::UnknownScenario, message, remedy));
         };
         Ok((scenario, meaning.to_owned()))
     }
@@ -226,10 +227,10 @@ fn create(path: &Path) -> Result<BufWriter<File>, Failure> {
 
 fn not_writable(path: &Path, error: &dyn std::error::Error) -> Failure {
     let message = format!("cannot write {}: {error}", path.display());
-    Failure::new("FILE_NOT_WRITABLE", message, "check the folder and its permissions")
+    Failure::of(Code::FileNotWritable, message)
 }
 
 fn out_of_range(name: &str, value: f64, low: f64, high: f64) -> Failure {
     let message = format!("{name} {value} is outside {low} to {high}");
-    Failure::new("INVALID_OPTION_VALUE", message, "give a value inside")
+    Failure::new(Code::InvalidOptionValue, message, "give a value inside")
 }

@@ -11,6 +11,7 @@ use crate::config::PositioningOptions;
 use crate::formats::{csv, geojson, pos};
 use crate::gnss::{LeapSeconds, Reason, Solution, Status};
 use crate::recording::{AnswerKind, Provenance, Solutions};
+use crate::refusal::Code;
 
 use super::Failure;
 use super::option_arguments::OptionArguments;
@@ -80,7 +81,7 @@ impl SolveArguments {
         let mut options = self.options.options()?;
         if !options.mode.has_window() && (self.window.is_some() || self.smoothed) {
             let message = format!("mode {} has no window", options.mode.name());
-            return Err(Failure::new("USAGE", message, "add --mode fgo"));
+            return Err(Failure::new(Code::Usage, message, "add --mode fgo"));
         }
         if let Some(window) = self.window.as_deref().filter(|window| *window != BATCH) {
             options.set("window_s", window)?;
@@ -99,7 +100,7 @@ impl SolveArguments {
 
 pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
     let message = format!("cannot write {}: {error}", path.display());
-    Failure::new("FILE_NOT_WRITABLE", message, "check the folder, its rights and its space")
+    Failure::of(Code::FileNotWritable, message)
 }
 
 /// The solution file, in the format of its name's ending.
@@ -119,7 +120,7 @@ impl Output {
         if !["pos", "csv", "geojson"].contains(&ending) {
             let message = format!("{} does not name a format", path.display());
             let remedy = "end the name in .pos, .csv or .geojson";
-            return Err(Failure::new("UNKNOWN_OUTPUT_FORMAT", message, remedy));
+            return Err(Failure::new(Code::UnknownOutputFormat, message, remedy));
         }
         let failed = |error| unwritable(path, &error);
         let file = File::create(path).map_err(failed)?;
@@ -238,7 +239,7 @@ mod tests {
         solve: SolveArguments,
     }
 
-    fn code(mode: &str, further: &[&str]) -> Option<&'static str> {
+    fn code(mode: &str, further: &[&str]) -> Option<Code> {
         let fixed = ["solve", "--rover", "r", "--nav", "n", "--output", "o.pos", "--mode", mode];
         let line = Line::try_parse_from(fixed.iter().chain(further)).unwrap();
         line.solve.options().err().map(|failure| failure.code())
@@ -247,9 +248,9 @@ mod tests {
     #[test]
     fn a_window_is_for_the_factor_graph() {
         for mode in ["spp", "ekf"] {
-            assert_eq!(code(mode, &["--window", "30"]), Some("USAGE"));
-            assert_eq!(code(mode, &["--window", "batch"]), Some("USAGE"));
-            assert_eq!(code(mode, &["--smoothed"]), Some("USAGE"));
+            assert_eq!(code(mode, &["--window", "30"]), Some(Code::Usage));
+            assert_eq!(code(mode, &["--window", "batch"]), Some(Code::Usage));
+            assert_eq!(code(mode, &["--smoothed"]), Some(Code::Usage));
         }
         assert_eq!(code("fgo", &["--window", "30", "--smoothed"]), None);
     }

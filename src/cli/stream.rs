@@ -11,6 +11,7 @@ use crate::contract::{convert, v1};
 use crate::formats::decompress;
 use crate::formats::rinex::ObservationReader;
 use crate::gnss::{Epoch, GpsTime};
+use crate::refusal::Code;
 
 use super::Failure;
 use super::device::{Connection, Device};
@@ -159,7 +160,7 @@ impl Rover {
     fn open(path: &Path) -> Result<Self, Failure> {
         let file = File::open(path).map_err(|error| {
             let message = format!("{}: {error}", path.display());
-            Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+            Failure::of(Code::FileNotReadable, message)
         })?;
         let input: Box<dyn std::io::BufRead + Send> =
             Box::new(decompress(BufReader::with_capacity(1 << 16, file)));

@@ -9,6 +9,7 @@ use bytes::Bytes;
 use crate::contract::v1;
 use crate::formats::receiver::{Decoder, Event, TimeReference};
 use crate::gnss::GpsTime;
+use crate::refusal::Code;
 
 use super::Failure;
 use super::device::Device;
@@ -127,5 +128,5 @@ impl<'a> Bytestream<'a> {
 
 fn unreadable(path: &Path, error: &std::io::Error) -> Failure {
     let message = format!("{}: {error}", path.display());
-    Failure::new("FILE_UNREADABLE", message, "name a file that can be read")
+    Failure::of(Code::FileNotReadable, message)
 }

@@ -366,6 +366,43 @@ codes! {
     /// Replay needs a base, or epochs of it, that are no longer stored.
     BaseForgotten = "BASE_FORGOTTEN", NoCall,
         "compute again from the observations, with the base's file";
+    /// The same computation gives other bits than those stored.
+    ReplayDiffers = "REPLAY_DIFFERS", NoCall,
+        "replay with the version of Graphfix that the solutions name";
+
+    // Commands: their arguments and files.
+
+    /// An argument is missing, unknown or contradicts another.
+    Usage = "USAGE", NoCall, "see graphfix --help, or graphfix COMMAND --help";
+    /// The scenario does not exist.
+    UnknownScenario = "UNKNOWN_SCENARIO", NoCall,
+        "choose one of the scenarios that graphfix simulate --help lists";
+    /// The ending of the output file's name belongs to no format.
+    UnknownOutputFormat = "UNKNOWN_OUTPUT_FORMAT", NoCall,
+        "name a file with an ending of the formats of this command";
+    /// The file cannot be opened or read.
+    FileNotReadable = "FILE_NOT_READABLE", NoCall, "check the path and its permissions";
+    /// The file or folder cannot be written.
+    FileNotWritable = "FILE_NOT_WRITABLE", NoCall,
+        "check the folder, its permissions and its space";
+    /// The file to write exists already.
+    FileExists = "FILE_EXISTS", NoCall, "name another folder or add --force";
+    /// The file is not of the kind that the command needs, or damaged.
+    FileNotUnderstood = "FILE_NOT_UNDERSTOOD", NoCall,
+        "name a file of the kind that the command takes, or repair it";
+    /// A line of a solution or reference file cannot be read.
+    FileMalformed = "FILE_MALFORMED", NoCall, "correct that line or name another file";
+    /// The stream states its time only modulo a week or a day, and no argument gives the rest.
+    NoReferenceTime = "NO_REFERENCE_TIME", NoCall, "add --week WEEK or --start-time TIME";
+    /// No epoch lies in the window to plot.
+    NothingToPlot = "NOTHING_TO_PLOT", NoCall, "check times and window";
+    /// The service does not answer.
+    ServiceUnreachable = "SERVICE_UNREACHABLE", NoCall,
+        "check that the service runs and --server names it";
+    /// The service refuses with a code that this program does not know; the message begins with it.
+    ServiceRefused = "SERVICE_REFUSED", NoCall, "do what the service says";
+    /// The process cannot start its threads.
+    NoThreads = "NO_THREADS", NoCall, "let the process start threads";
 }
 
 impl fmt::Display for Code {

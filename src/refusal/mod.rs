@@ -1,8 +1,8 @@
 //! Stable codes of refusals and failures, each with its class and its remedy, written once.
 //!
 //! An error of any room gives its [`Code`]. The doors turn the code's [`Class`] into a status, and
-//! `docs/errors.md` is the table for readers. Codes of the command line's own arguments and files
-//! are not here.
+//! `docs/errors.md` is the table for readers.A
+//! command may state the remedy in terms of its own arguments.
 
 mod code;
 

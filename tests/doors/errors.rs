@@ -52,11 +52,20 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::HostRefuses, "tests/doors/archives.rs"),
     (Code::HostRedirects, "tests/doors/archives.rs"),
     (Code::HostProtocol, "tests/doors/archives.rs"),
+    (Code::ReplayDiffers, "src/cli/replay.rs"),
+    (Code::UnknownScenario, "tests/doors/simulation.rs"),
+    (Code::FileExists, "tests/doors/simulation.rs"),
+    (Code::UnknownOutputFormat, "tests/doors/compare.rs"),
+    (Code::NothingToPlot, "tests/oracles/evaluation.rs"),
+    (Code::ServiceUnreachable, "src/cli/device.rs"),
+    (Code::ServiceRefused, "src/cli/device.rs"),
 ];
 
 /// Codes that no test reaches, each with the reason.
 const UNREACHED: &[(Code, &str)] = &[
     (Code::Interrupted, "a session's task ends early only if it panics outside the solver pool"),
+    (Code::NoThreads, "threads do not run out on request"),
+    (Code::NoReferenceTime, "a stream without its week or day in any message is not at hand"),
     (Code::ListenerFailed, "a listening socket does not fail on request"),
 ];
 
@@ -87,8 +96,10 @@ fn the_document_and_the_table_are_one_set() {
 /// Every room takes its codes from the table: none spells one.
 #[test]
 fn no_room_spells_a_code_again() {
-    const ROOMS: [&str; 11] = [
+    const ROOMS: [&str; 15] = [
         "aiding",
+        "app",
+        "cli",
         "config",
         "contract",
         "feeds",
@@ -96,6 +107,8 @@ fn no_room_spells_a_code_again() {
         "grpc",
         "http",
         "reception",
+        "recording",
+        "simulation",
         "session",
         "store",
         "positioning",
@@ -444,13 +457,15 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
 
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     seen.extend(refused_starts().into_iter().map(|(_, _, code)| code.name()));
+    seen.extend(refused_commands().into_iter().map(|(_, code)| code.name()));
     for (code, file) in REACHED_BY {
         let text = read(file);
         let tested =
             &text[if file.starts_with("src") { text.find("mod tests").unwrap() } else { 0 }..];
         let names_it = |name: String| tested.contains(&name);
         assert!(
-            names_it(format!("\"{code}\"")) || names_it(format!("Code::{code:?}")),
+            ["\"{}\"", "error[{}]"].iter().any(|form| names_it(form.replace("{}", code.name())))
+                || names_it(format!("Code::{code:?}")),
             "{code}: {file}"
         );
         assert!(seen.insert(code.name()), "{code} is listed, and reached here");
@@ -499,6 +514,31 @@ fn a_refused_start_has_its_code_and_remedy() {
         let line = said.lines().last().unwrap_or_default();
         assert!(line.starts_with(&format!("error[{code}]: ")), "{code}: {line}");
         assert!(line.ends_with(&format!("({})", code.remedy())), "{code}: {line}");
+    }
+}
+
+/// Commands that must fail, in a folder with `text.obs`, which is no RINEX.
+fn refused_commands() -> Vec<(&'static str, Code)> {
+    vec![
+        ("solve", Code::Usage),
+        ("solve --rover none.obs --nav none.nav --output a.pos", Code::FileNotReadable),
+        ("solve --rover text.obs --nav text.obs --output a.pos", Code::FileNotUnderstood),
+        ("evaluate --solution text.obs --truth text.obs", Code::FileMalformed),
+        ("simulate --scenario clean --seed 1 --output /dev/null/x", Code::FileNotWritable),
+    ]
+}
+
+#[test]
+fn a_refused_command_has_its_code_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("text.obs"), "hello\n").unwrap();
+    for (arguments, code) in refused_commands() {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        let output = command.current_dir(&folder).args(arguments.split(' ')).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success(), "{arguments}: {text}");
+        let line = text.lines().last().unwrap_or_default();
+        assert!(line.starts_with(&format!("error[{code}]: ")), "{arguments}: {line}");
     }
 }
 

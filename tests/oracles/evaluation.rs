@@ -227,7 +227,10 @@ fn what_cannot_be_judged_is_refused_in_one_line() {
     let truth = truth.display().to_string();
     assert!(refusal(&["--truth", "/nowhere.csv"]).starts_with("error[FILE_NOT_READABLE]"));
     assert!(refusal(&[]).starts_with("error[USAGE]"));
-    assert!(refusal(&["--truth", &truth, "--plot", "x.gif"]).starts_with("error[UNKNOWN_FORMAT]"));
+    assert!(
+        refusal(&["--truth", &truth, "--plot", "x.gif"])
+            .starts_with("error[UNKNOWN_OUTPUT_FORMAT]")
+    );
     let late = ["--truth", &truth, "--from", "600000", "--plot", "x.svg"];
     assert!(refusal(&late).starts_with("error[NOTHING_TO_PLOT]"));
 }

@@ -82,7 +82,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
         host::interrupted().await;
     }
     drop(stop);
-    serving.await.map_err(|panic| Failure::new("INTERNAL", panic, "report this"))??;
+    serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
     played
 }
 
@@ -93,7 +93,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     let navigation = Arc::new(simulation::navigation(&open));
     let mut rinex = Vec::new();
     write_navigation(&mut rinex, &navigation)
-        .map_err(|error| Failure::new("INTERNAL", error, "report this"))?;
+        .map_err(|error| Failure::new(Code::Internal, error, "report this"))?;
     let connection = Connection::to(server, Duration::from_secs(10))?;
     let ephemerides = connection.push_navigation_bytes(rinex.into()).await?;
     println!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
@@ -119,7 +119,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
         table.take(report);
     }
     while let Some(driven) = fleet.join_next().await {
-        driven.map_err(|panic| Failure::new("INTERNAL", panic, "report this"))??;
+        driven.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
     }
     table.summarise();
     Ok(())
@@ -146,7 +146,11 @@ impl TemporaryFolder {
         let path = std::env::temp_dir().join(name);
         std::fs::create_dir(&path).map_err(|error| {
             let message = format!("{}: {error}", path.display());
-            Failure::new("FOLDER_UNWRITABLE", message, "set TMPDIR to a folder that can be written")
+            Failure::new(
+                Code::FileNotWritable,
+                message,
+                "set TMPDIR to a folder that can be written",
+            )
         })?;
         Ok(Self(path))
     }
