@@ -37,10 +37,19 @@ impl Antennas {
         Ok(AntennaName::of(calibration))
     }
 
+    /// The calibration of an antenna by type and radome, with its name and hash. Nothing is stored.
+    ///
+    /// # Errors
+    /// The ANTEX file does not have it.
+    pub fn named(&self, name: &str) -> Result<(AntennaName, Arc<AntennaCalibration>), AidingError> {
+        let calibration = self.find(name)?;
+        Ok((AntennaName::of(calibration), Arc::new(calibration.clone())))
+    }
+
     /// The stored calibration of a hash.
     ///
     /// # Errors
-    /// There is none, or the store fails.
+    /// No stored calibration has this hash, or the store fails.
     pub async fn kept(&self, hash: &str) -> Result<Arc<AntennaCalibration>, AidingError> {
         Ok(Arc::new(self.store.calibration(hash).await?))
     }

@@ -46,6 +46,8 @@ pub struct Burst {
     pub navigation: Option<Navigation>,
     /// The bases of a mode relative to one. Their stored epochs are used.
     pub base: BaseChoice<BaseId>,
+    /// Type and radome of the rover's antenna; empty for no correction.
+    pub antenna: String,
 }
 
 /// A solution that is not stored.
@@ -150,7 +152,8 @@ impl Sessions {
     /// Positions a few epochs without a session. Nothing is stored.
     ///
     /// # Errors
-    /// A configuration does not exist, or the epochs exceed a limit or are not in order of time.
+    /// A configuration or antenna does not exist, or the epochs exceed a limit or are not in order
+    /// of time.
     pub async fn solve_once(&self, burst: Burst) -> Result<Vec<Computed>, SessionError> {
         let options = configuration::options(&burst.mode, &burst.profile, &burst.overrides)?;
         self.check_push(&burst.epochs)?;
@@ -175,9 +178,17 @@ impl Sessions {
         };
         let base = self.base_names(burst.base)?;
         let base = configuration::base_of(options.mode, &base)?;
-        let (version, antenna) = (VERSION.into(), None);
-        let hash = options.configuration_hash().into();
-        let estimation = Configuration { version, hash, options, antenna };
+        let named = match burst.antenna.trim() {
+            "" => None,
+            name => Some(self.aiding().antennas.named(name)?),
+        };
+        let calibration_hash = named.as_ref().map(|(name, _)| &*name.calibration);
+        let estimation = Configuration {
+            version: VERSION.into(),
+            hash: configuration::configuration_hash(&options, calibration_hash).into(),
+            options,
+            antenna: named.map(|(_, calibration)| calibration),
+        };
         self.compute(estimation, burst.epochs, navigation, base).await
     }
 

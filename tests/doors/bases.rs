@@ -414,6 +414,7 @@ async fn a_base_serves_positions_on_request(database: Database) {
         epochs: PAIR.rover[..60].to_vec(),
         navigation: None,
         base: BaseChoice::One(base.clone()),
+        antenna: String::new(),
     };
     let burst = desk.sessions.solve_once(burst).await.unwrap();
     let solutions: Vec<Solution> = burst.into_iter().map(|computed| computed.solution).collect();

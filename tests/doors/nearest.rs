@@ -357,6 +357,7 @@ async fn a_choice_serves_positions_on_request(database: Database) {
         epochs: BETWEEN.rover[60..100].to_vec(),
         navigation: None,
         base: BaseChoice::Nearest,
+        antenna: String::new(),
     };
     let answers = desk.sessions.solve_once(burst).await.unwrap();
     assert!(answers.iter().all(|answer| base_of(&answer.solution) == Some(east.as_str())));

@@ -12,9 +12,10 @@ use graphfix::formats::rinex::{ObservationReader, read_navigation, write_navigat
 use graphfix::gnss::{AntennaCatalogue, Ecef, Epoch, GpsTime, Solution};
 use graphfix::grpc::v1::sessions_client::SessionsClient;
 use graphfix::recording::{AnswerKind, Input, RecordingInputs, Solutions};
+use graphfix::refusal::Code;
 use graphfix::session::{
-    Check, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits, SessionUpdate,
-    Sessions,
+    Burst, Check, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits,
+    SessionUpdate, Sessions,
 };
 use serde_json::json;
 
@@ -33,6 +34,7 @@ on_both_databases!(
     a_session_corrects_as_solve_does_and_replays_without_the_file,
     a_base_that_is_calibrated_later_begins_the_estimator_again,
     a_session_without_an_antenna_is_not_corrected,
+    a_burst_corrects_as_a_session_does,
 );
 
 fn catalogue(antennas: &[(&str, &str)]) -> AntennaCatalogue {
@@ -212,6 +214,31 @@ async fn a_session_without_an_antenna_is_not_corrected(database: Database) {
     let update = SessionUpdate { antenna: Some(String::new()), ..SessionUpdate::default() };
     assert_eq!(desk.sessions.update(&session, update).await.unwrap().antenna, None);
     assert_same(&desk.submit(&session, 0..BEFORE).await, &expected[..BEFORE]);
+}
+
+/// Epochs without a session are corrected as those of a session.
+async fn a_burst_corrects_as_a_session_does(database: Database) {
+    let expected = solved(Some(&[ROVER, BASE]));
+    let desk = Desk::open(&database, &[ROVER, BASE]).await;
+    let base = desk.fill().await;
+    let burst = Burst {
+        mode: "rtk-fgo".to_owned(),
+        profile: "general".to_owned(),
+        overrides: BTreeMap::new(),
+        epochs: rover()[..BEFORE].to_vec(),
+        navigation: None,
+        base: Some(base.clone()).into(),
+        antenna: "ROVER1".to_owned(),
+    };
+    let computed = desk.sessions.solve_once(burst.clone()).await.unwrap();
+    let session = desk.session(&base, "ROVER1").await;
+    let hash = desk.sessions.get(&session).await.unwrap().configuration_hash;
+    assert!(computed.iter().all(|answer| *answer.configuration_hash == *hash));
+    let answers: Vec<Solution> = computed.into_iter().map(|answer| answer.solution).collect();
+    assert_same(&answers, &expected[..BEFORE]);
+    let unknown = Burst { antenna: "OTHER".to_owned(), ..burst };
+    let error = desk.sessions.solve_once(unknown).await.unwrap_err();
+    assert_eq!(error.code(), Code::AntennaUnknown);
 }
 
 /// Both doors: the antenna and its calibration are in the session, one that is not calibrated is

@@ -484,6 +484,7 @@ async fn requests_are_solved_without_a_trace(database: Database) {
         epochs: batch(1..=3),
         navigation: None,
         base: BaseChoice::None,
+        antenna: String::new(),
     };
     let answers = sessions.solve_once(burst.clone()).await.unwrap();
     assert_eq!(answers.iter().map(|a| a.seq).collect::<Vec<_>>(), [1, 2, 3]);

@@ -57,6 +57,7 @@ pub async fn solve_once(
         epochs: epochs(&request.epochs, &service.limits().intake(), Numbered::No)?,
         navigation: None,
         base: base_choice(service, &request.base, &request.bases)?,
+        antenna: request.antenna,
     };
     let computed = service.sessions().solve_once(burst).await?;
     Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
