@@ -1,7 +1,7 @@
 //! The composition root: a service's desks, opened with what its configuration says.
 //!
-//! `serve`, `demo` and the tests of the doors open the service here, so that the wiring of limits
-//! and of sources of data exists once.
+//! `serve`, `demo`, `replay` and the tests of the doors open their desks here, so that the wiring
+//! of limits and of sources of data exists once.
 
 mod error;
 
@@ -62,13 +62,27 @@ pub async fn open(
     // What the operator names may be anywhere; what clients name only at the hosts listed.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
-    let store = Store::open(database).await?;
-    let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
+    let (store, aiding) = open_stored(database, limits, catalogue).await?;
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
     Ok(App { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
+}
+
+/// Opens the database and what is stored of ephemerides, bases and antennas, for a computation
+/// that needs neither sessions nor sources.
+///
+/// # Errors
+/// The database cannot be read.
+pub async fn open_stored(
+    database: &str,
+    limits: &Limits,
+    catalogue: AntennaCatalogue,
+) -> Result<(Store, AidingDesk), AppError> {
+    let store = Store::open(database).await?;
+    let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
+    Ok((store, aiding))
 }
 
 impl App {

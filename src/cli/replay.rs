@@ -8,11 +8,11 @@ use std::time::Instant;
 use clap::Args;
 
 use crate::aiding::bases::BaseChoice;
-use crate::aiding::{AidingDesk, AidingLimits};
-use crate::gnss::Status;
+use crate::app;
+use crate::config::Limits;
+use crate::gnss::{AntennaCatalogue, Status};
 use crate::refusal::Code;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
-use crate::store::Store;
 
 use super::Failure;
 use super::host;
@@ -61,8 +61,9 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
     let change = arguments.change()?;
     let id = SessionId::parse(&arguments.session)
         .ok_or_else(|| SessionError::NotFound { id: arguments.session.clone() })?;
-    let store = Store::open(&arguments.database).await?;
-    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await?;
+    let limits = Limits::standard();
+    let opened = app::open_stored(&arguments.database, &limits, AntennaCatalogue::default());
+    let (store, aiding) = opened.await?;
     let again = Recomputation::open(store.clone(), aiding, &id, change.as_ref()).await?;
     let report = match (&change, &arguments.output) {
         (None, None) => verdict(&id, &again.check().await?),
