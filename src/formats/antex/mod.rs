@@ -5,19 +5,21 @@
 //! unknown systems are skipped. Calibrations relative to a reference antenna cannot be mixed with
 //! absolute ones and are refused.
 
-use std::io::{self, BufRead};
+mod error;
+mod grid;
+mod lines;
 
-use nalgebra::Vector3;
+use std::io::BufRead;
 
 use crate::gnss::{
-    AntennaCalibration, AntennaCatalogue, CivilTime, Constellation, GpsTime, LeapSeconds,
-    PhaseCentrePattern, SatelliteAntenna, SatelliteId, TimeScale, split_antenna_name,
+    AntennaCalibration, AntennaCatalogue, CivilTime, GpsTime, LeapSeconds, PhaseCentrePattern,
+    SatelliteAntenna, SatelliteId, TimeScale, split_antenna_name,
 };
 
-const LABEL_COLUMN: usize = 60;
-const MILLIMETRE_M: f64 = 1e-3;
-/// Longest line (bytes): 181 variations of eight columns, with room.
-const LINE_LIMIT: usize = 4_096;
+pub use error::AntexError;
+use grid::{Grid, offset_m};
+use lines::Lines;
+
 const ANTENNAS_LIMIT: usize = 50_000;
 const FREQUENCIES_LIMIT: usize = 32;
 /// Largest number of zenith angles: a grid of half a degree.
@@ -25,67 +27,6 @@ const ZENITHS_LIMIT: usize = 361;
 const AZIMUTHS_LIMIT: usize = 721;
 /// Nadir angles of satellites end below this (deg), zenith angles of receivers above.
 const NADIR_LIMIT_DEG: f64 = 45.0;
-/// Largest offset of an antenna (m); those of satellites are below 3 m.
-const OFFSET_LIMIT_M: f64 = 100.0;
-
-/// Why an ANTEX file is refused, with the number of the line (from 1).
-#[derive(Debug, thiserror::Error)]
-pub enum AntexError {
-    /// The input cannot be read.
-    #[error("line {line}: reading failed: {source}")]
-    Read {
-        /// Number of the last line read.
-        line: u64,
-        /// Error of the input.
-        source: io::Error,
-    },
-    /// The first line is not that of an ANTEX file.
-    #[error("line 1: not an ANTEX file: {found:?} where ANTEX VERSION / SYST should be")]
-    NotAntex {
-        /// The text found instead, shortened.
-        found: String,
-    },
-    /// The version is not supported.
-    #[error("line 1: ANTEX version {version:?} is not supported")]
-    UnsupportedVersion {
-        /// The version as written in the file.
-        version: String,
-    },
-    /// The phase centres are relative to those of another antenna.
-    #[error(
-        "line {line}: calibrations relative to an antenna are not supported, only absolute ones"
-    )]
-    Relative {
-        /// Number of the line.
-        line: u64,
-    },
-    /// The content of a record does not fit its label.
-    #[error("line {line}: {label:?}: {reason}")]
-    Malformed {
-        /// Number of the line.
-        line: u64,
-        /// Label of the record, or of the section it belongs to.
-        label: &'static str,
-        /// What is wrong with the record.
-        reason: &'static str,
-    },
-    /// A record is not allowed at this point.
-    #[error("line {line}: unexpected record {found:?}")]
-    Unexpected {
-        /// Number of the line.
-        line: u64,
-        /// The label found, shortened.
-        found: String,
-    },
-    /// The file ends inside an antenna or its header.
-    #[error("line {line}: the file ends inside {section}")]
-    Truncated {
-        /// Number of the last line.
-        line: u64,
-        /// The section that has no end.
-        section: &'static str,
-    },
-}
 
 /// Reads a whole file.
 ///
@@ -114,7 +55,7 @@ pub enum AntexError {
 /// # Ok::<(), graphfix::formats::antex::AntexError>(())
 /// ```
 pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
-    let mut lines = Lines { input, bytes: Vec::new(), line: String::new(), number: 0 };
+    let mut lines = Lines::new(input);
     read_header(&mut lines)?;
     let mut catalogue = AntennaCatalogue::default();
     while lines.next()? {
@@ -131,82 +72,16 @@ pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
                 }
             }
             "COMMENT" => {}
-            _ if lines.line.trim().is_empty() => {}
+            _ if lines.text().is_empty() => {}
             _ => return Err(lines.unexpected()),
         }
     }
     Ok(catalogue)
 }
 
-/// Reads the lines of a file one at a time.
-struct Lines<R> {
-    input: R,
-    bytes: Vec<u8>,
-    /// The current line without its end; bytes that are not UTF-8 are replaced.
-    line: String,
-    number: u64,
-}
-
-impl<R: BufRead> Lines<R> {
-    /// Goes to the next line; `false` at the end of the file.
-    fn next(&mut self) -> Result<bool, AntexError> {
-        self.bytes.clear();
-        let mut limited = io::Read::take(&mut self.input, LINE_LIMIT as u64 + 1);
-        let read = limited.read_until(b'\n', &mut self.bytes);
-        read.map_err(|source| AntexError::Read { line: self.number, source })?;
-        if self.bytes.is_empty() {
-            return Ok(false);
-        }
-        self.number += 1;
-        if LINE_LIMIT < self.bytes.len() {
-            return Err(self.malformed("line", "it is longer than 4096 bytes"));
-        }
-        // Columns count bytes: other letters become question marks, one a byte.
-        let ascii = self.bytes.iter().map(|b| if b.is_ascii() { char::from(*b) } else { '?' });
-        self.line.clear();
-        self.line.extend(ascii);
-        let end = self.line.trim_end_matches(['\n', '\r']).len();
-        self.line.truncate(end);
-        Ok(true)
-    }
-
-    /// Goes to the next line inside a section.
-    fn next_of(&mut self, section: &'static str) -> Result<(), AntexError> {
-        match self.next()? {
-            true => Ok(()),
-            false => Err(AntexError::Truncated { line: self.number, section }),
-        }
-    }
-
-    fn label(&self) -> &str {
-        self.columns(LABEL_COLUMN, LABEL_COLUMN + 20)
-    }
-
-    /// Columns `from` … `to`, without blanks around.
-    fn columns(&self, from: usize, to: usize) -> &str {
-        self.line.get(from..to.min(self.line.len())).unwrap_or("").trim()
-    }
-
-    fn number_in(&self, from: usize, to: usize) -> Option<f64> {
-        self.columns(from, to).parse().ok().filter(|number: &f64| number.is_finite())
-    }
-
-    fn malformed(&self, label: &'static str, reason: &'static str) -> AntexError {
-        AntexError::Malformed { line: self.number, label, reason }
-    }
-
-    fn unexpected(&self) -> AntexError {
-        let found = match self.label() {
-            "" => self.line.trim(),
-            label => label,
-        };
-        AntexError::Unexpected { line: self.number, found: found.chars().take(40).collect() }
-    }
-}
-
 fn read_header<R: BufRead>(lines: &mut Lines<R>) -> Result<(), AntexError> {
     if !lines.next()? || lines.label() != "ANTEX VERSION / SYST" {
-        let found = lines.line.trim().chars().take(40).collect();
+        let found = lines.text().chars().take(40).collect();
         return Err(AntexError::NotAntex { found });
     }
     if !matches!(lines.columns(0, 8), "1.3" | "1.4") {
@@ -217,7 +92,7 @@ fn read_header<R: BufRead>(lines: &mut Lines<R>) -> Result<(), AntexError> {
         match lines.label() {
             "PCV TYPE / REFANT" => match lines.columns(0, 1) {
                 "A" => {}
-                "R" => return Err(AntexError::Relative { line: lines.number }),
+                "R" => return Err(AntexError::Relative { line: lines.number() }),
                 _ => return Err(lines.malformed("PCV TYPE / REFANT", "neither A nor R")),
             },
             "COMMENT" => {}
@@ -405,100 +280,10 @@ fn read_frequency<R: BufRead>(
     Ok(())
 }
 
-fn offset_m<R: BufRead>(lines: &Lines<R>) -> Result<Vector3<f64>, AntexError> {
-    let number = |at: usize| lines.number_in(10 * at, 10 * at + 10);
-    let read = || Some(Vector3::new(number(0)?, number(1)?, number(2)?) * MILLIMETRE_M);
-    let offset_m = read().filter(|offset_m| offset_m.amax() <= OFFSET_LIMIT_M);
-    offset_m.ok_or(lines.malformed("NORTH / EAST / UP", "not three numbers of millimetres"))
-}
-
-/// The offset and variations of one frequency.
-struct Grid {
-    zeniths: usize,
-    first_zenith_rad: f64,
-    zenith_step_rad: f64,
-    azimuth_step_deg: f64,
-    offset_m: Option<Vector3<f64>>,
-    variations_m: Option<Vec<f64>>,
-    azimuth_variations_m: Vec<Vec<f64>>,
-}
-
-impl Grid {
-    const LABEL: &str = "START OF FREQUENCY";
-
-    fn new([first, last, step]: [f64; 3], azimuth_step_deg: f64) -> Self {
-        Self {
-            zeniths: ((last - first) / step).round() as usize + 1,
-            first_zenith_rad: first.to_radians(),
-            zenith_step_rad: step.to_radians(),
-            azimuth_step_deg,
-            offset_m: None,
-            variations_m: None,
-            azimuth_variations_m: Vec::new(),
-        }
-    }
-
-    /// Reads `NOAZI` or an azimuth in eight columns, and the variations that follow.
-    fn read_row<R: BufRead>(&mut self, lines: &Lines<R>) -> Result<(), AntexError> {
-        let head = lines.columns(0, 8);
-        if head == "NOAZI" {
-            let twice = lines.malformed(Self::LABEL, "NOAZI appears twice");
-            return match self.variations_m.replace(self.values(lines)?) {
-                None => Ok(()),
-                Some(_) => Err(twice),
-            };
-        }
-        let azimuth_deg = self.azimuth_step_deg * self.azimuth_variations_m.len() as f64;
-        let is_next = head.parse::<f64>().is_ok_and(|read| (read - azimuth_deg).abs() < 1e-6);
-        if self.azimuth_step_deg == 0.0 || !is_next || 360.0 + 1e-6 < azimuth_deg {
-            return Err(lines.malformed(Self::LABEL, "neither NOAZI nor the next azimuth"));
-        }
-        self.azimuth_variations_m.push(self.values(lines)?);
-        Ok(())
-    }
-
-    fn values<R: BufRead>(&self, lines: &Lines<R>) -> Result<Vec<f64>, AntexError> {
-        let value = |at: usize| lines.number_in(8 + 8 * at, 16 + 8 * at).map(|v| v * MILLIMETRE_M);
-        let values: Option<Vec<f64>> = (0..self.zeniths).map(value).collect();
-        let is_all = lines.columns(8 + 8 * self.zeniths, usize::MAX).is_empty();
-        let values = values.filter(|_| is_all);
-        values.ok_or(lines.malformed(Self::LABEL, "not one variation for each zenith angle"))
-    }
-
-    /// `None` for a frequency of an unknown system.
-    fn finish<R: BufRead>(
-        self,
-        lines: &Lines<R>,
-        code: &str,
-    ) -> Result<Option<PhaseCentrePattern>, AntexError> {
-        let missing = |reason| lines.malformed("END OF FREQUENCY", reason);
-        let offset_m = self.offset_m.ok_or(missing("NORTH / EAST / UP is missing"))?;
-        let variations_m = self.variations_m.ok_or(missing("NOAZI is missing"))?;
-        let rows = match self.azimuth_step_deg {
-            0.0 => 0,
-            step => (360.0 / step).round() as usize + 1,
-        };
-        if self.azimuth_variations_m.len() != rows {
-            return Err(missing("some azimuths are missing"));
-        }
-        let mut letters = code.chars();
-        let letter = letters.next().unwrap_or(' ');
-        let band_digit = letters.as_str().trim().parse().ok().filter(|d| (1..=9).contains(d));
-        let band_digit = band_digit.ok_or(missing("its code is not a letter and a number"))?;
-        Ok(Constellation::from_letter(letter).map(|constellation| PhaseCentrePattern {
-            constellation,
-            band_digit,
-            offset_m,
-            first_zenith_rad: self.first_zenith_rad,
-            zenith_step_rad: self.zenith_step_rad,
-            variations_m,
-            azimuth_variations_m: self.azimuth_variations_m,
-        }))
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     /// One labelled record.
