@@ -168,10 +168,12 @@ impl Gaussian {
         let gain = carried / total;
         self.mean -= gain * *residual;
         // (I − K J)·P, then that times (I − K J)ᵀ, plus R·K·Kᵀ.
-        let left = self.covariance - gain * carried.transpose();
+        // Element by element: outer products as matrices are slow where they are not inlined.
+        let left = Matrix::from_fn(|i, j| self.covariance[(i, j)] - gain[i] * carried[j]);
         let left_slope = left * slope;
-        self.covariance =
-            left - left_slope * gain.transpose() + gain * gain.transpose() * *variance;
+        self.covariance = Matrix::from_fn(|i, j| {
+            left[(i, j)] - left_slope[i] * gain[j] + gain[i] * gain[j] * variance
+        });
         self.make_symmetric();
         true
     }
