@@ -56,6 +56,7 @@ const fn remedy(reason: &Reason) -> &'static str {
         Reason::StartUnproven { .. } => {
             "do not rely on the position until the reason is gone: drive on, or see more sky"
         }
+        Reason::EpochRepeated { .. } => "write each epoch once, in the order of time",
         Reason::OdometryUnused { .. } => {
             "send each displacement with the epoch where it ends, since the epoch before"
         }
@@ -84,6 +85,7 @@ fn values(reason: &Reason) -> Vec<(&'static str, Value)> {
             vec![("ageS", number(*age_s))]
         }
         Reason::OdometryUnused { interval_s } => vec![("intervalS", number(*interval_s))],
+        Reason::EpochRepeated { behind_s } => vec![("behindS", number(*behind_s))],
         Reason::FixImprecise { sigma_m } => vec![("sigmaM", number(*sigma_m))],
         Reason::BasePositionDoubtful { distance_m }
         | Reason::BaseMoved { distance_m }

@@ -222,6 +222,11 @@ pub enum Reason {
         /// Time since the window began (s).
         age_s: f64,
     },
+    /// The epoch's time is not after the previous one's; the previous answer is repeated.
+    EpochRepeated {
+        /// How far the epoch's time is before the previous one's (s); zero for the same time.
+        behind_s: f64,
+    },
     /// The epoch's odometry does not start at the previous epoch, so it was not used.
     OdometryUnused {
         /// Duration of its displacement (s).
@@ -256,6 +261,7 @@ impl Reason {
             Self::CycleSlips { .. } => "CYCLE_SLIPS",
             Self::StartUnproven { .. } => "START_UNPROVEN",
             Self::OdometryUnused { .. } => "ODOMETRY_UNUSED",
+            Self::EpochRepeated { .. } => "EPOCH_REPEATED",
         }
     }
 }
@@ -279,6 +285,7 @@ impl fmt::Display for Reason {
                 write!(f, "{{age {age_s:.1} s}}")
             }
             Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
+            Self::EpochRepeated { behind_s } => write!(f, "{{behind {behind_s:.3} s}}"),
             Self::FixImprecise { sigma_m } => write!(f, "{{sigma {sigma_m:.2} m}}"),
             Self::BaseMoved { distance_m } => write!(f, "{{distance {distance_m:.3} m}}"),
             Self::BaseChanged { distance_m } => write!(f, "{{distance {distance_m:.0} m}}"),

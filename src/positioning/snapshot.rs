@@ -59,6 +59,7 @@ snapshot_variants!(Reason {
     20 => FixImprecise { sigma_m },
     21 => BaseMoved { distance_m },
     22 => BaseChanged { distance_m },
+    23 => EpochRepeated { behind_s },
 });
 
 snapshot_fields!(Solution { time, status, estimate, reasons, provenance });

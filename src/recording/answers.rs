@@ -1,7 +1,9 @@
 //! Which of an estimator's answers is asked for: at once, smoothed, or from the whole recording.
 
+use std::collections::VecDeque;
+
 use crate::config::PositioningOptions;
-use crate::gnss::{Epoch, Solution};
+use crate::gnss::{Epoch, GpsTime, Reason, Solution};
 use crate::positioning::{Aiding, Batch, Estimator};
 
 /// The kind of an answer.
@@ -32,7 +34,27 @@ impl AnswerKind {
 }
 
 /// An estimator that gives one kind of answer.
-pub enum Solver {
+///
+/// An epoch whose time is not after the last one's does not reach the estimator: the answer to the
+/// last one is repeated, with the reason `EPOCH_REPEATED`.
+pub struct Solver {
+    estimator: AnyEstimator,
+    /// Time of the last epoch that the estimator has seen.
+    last: Option<GpsTime>,
+    /// The last answer, where answers come at once.
+    answer: Option<Solution>,
+    /// Epochs that repeat the one of the first time, in order, where answers come later.
+    repetitions: VecDeque<Repetition>,
+}
+
+/// A repeated epoch whose answer is not there yet.
+#[derive(Clone, Copy)]
+struct Repetition {
+    of: GpsTime,
+    behind_s: f64,
+}
+
+enum AnyEstimator {
     /// Answers at once, or when epochs leave the window.
     Window(AnswerKind, Box<Estimator>),
     /// Answers at the end.
@@ -42,39 +64,78 @@ pub enum Solver {
 impl Solver {
     /// A solver before its first epoch.
     pub fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
-        match kind {
-            AnswerKind::Causal => Self::Window(kind, Box::new(Estimator::new(options))),
-            AnswerKind::FixedLag => Self::Window(kind, Box::new(Estimator::revising(options))),
-            AnswerKind::Batch => Self::Whole(Box::new(Batch::new(options))),
-        }
+        use AnyEstimator::{Whole, Window};
+        let estimator = match kind {
+            AnswerKind::Causal => Window(kind, Box::new(Estimator::new(options))),
+            AnswerKind::FixedLag => Window(kind, Box::new(Estimator::revising(options))),
+            AnswerKind::Batch => Whole(Box::new(Batch::new(options))),
+        };
+        Self { estimator, last: None, answer: None, repetitions: VecDeque::new() }
     }
 
     /// The answers due after an epoch.
-    pub fn advance(
-        &mut self,
-        epoch: &Epoch,
-        aiding: &Aiding<'_>,
-    ) -> impl Iterator<Item = Solution> + use<> {
-        let (now, revised) = match self {
-            Self::Window(AnswerKind::FixedLag, estimator) => {
+    pub fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Vec<Solution> {
+        if let Some(last) = self.last.filter(|last| epoch.time <= *last) {
+            return self.repeat(Repetition { of: last, behind_s: last - epoch.time });
+        }
+        self.last = Some(epoch.time);
+        match &mut self.estimator {
+            AnyEstimator::Window(AnswerKind::FixedLag, estimator) => {
                 estimator.advance(epoch, aiding);
-                (None, estimator.take_revisions())
+                let revisions = estimator.take_revisions();
+                interleave(&mut self.repetitions, revisions)
             }
-            Self::Window(_, estimator) => (Some(estimator.advance(epoch, aiding)), Vec::new()),
-            Self::Whole(batch) => {
+            AnyEstimator::Window(_, estimator) => {
+                let answer = estimator.advance(epoch, aiding);
+                self.answer = Some(answer.clone());
+                vec![answer]
+            }
+            AnyEstimator::Whole(batch) => {
                 batch.push(epoch, aiding);
-                (None, Vec::new())
+                Vec::new()
             }
-        };
-        now.into_iter().chain(revised)
+        }
     }
 
     /// The answers due at the end.
-    pub fn finish(self) -> Vec<Solution> {
-        match self {
-            Self::Window(AnswerKind::FixedLag, estimator) => estimator.finish(),
-            Self::Window(..) => Vec::new(),
-            Self::Whole(batch) => batch.finish(),
+    pub fn finish(mut self) -> Vec<Solution> {
+        let left = match self.estimator {
+            AnyEstimator::Window(AnswerKind::FixedLag, estimator) => estimator.finish(),
+            AnyEstimator::Window(..) => return Vec::new(),
+            AnyEstimator::Whole(batch) => batch.finish(),
+        };
+        interleave(&mut self.repetitions, left)
+    }
+
+    /// Repeats the last answer, now if it is there.
+    fn repeat(&mut self, repetition: Repetition) -> Vec<Solution> {
+        match &self.answer {
+            Some(answer) => vec![repeated(answer, repetition.behind_s)],
+            None => {
+                self.repetitions.push_back(repetition);
+                Vec::new()
+            }
         }
     }
+}
+
+/// The solutions, each followed by its repetitions.
+fn interleave(repetitions: &mut VecDeque<Repetition>, solutions: Vec<Solution>) -> Vec<Solution> {
+    let mut all = Vec::with_capacity(solutions.len());
+    for solution in solutions {
+        let place = all.len();
+        all.push(solution);
+        while let Some(next) = repetitions.front().filter(|r| r.of == all[place].time) {
+            let again = repeated(&all[place], next.behind_s);
+            all.push(again);
+            repetitions.pop_front();
+        }
+    }
+    all
+}
+
+fn repeated(solution: &Solution, behind_s: f64) -> Solution {
+    let mut again = solution.clone();
+    again.reasons.push(Reason::EpochRepeated { behind_s });
+    again
 }

@@ -110,12 +110,14 @@ impl Iterator for Solutions<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read;
+
     use super::*;
     use crate::config::{Mode, Profile};
     use crate::formats::rinex::{
         ObservationHeader, ObservationWriter, RinexVersion, write_navigation,
     };
-    use crate::gnss::PositionSource;
+    use crate::gnss::{PositionSource, Reason};
     use crate::recording::Input;
     use crate::simulation::{Scenario, Simulator};
 
@@ -158,6 +160,35 @@ mod tests {
             let times: Vec<GpsTime> = solutions.map(|solution| solution.unwrap().time).collect();
             assert_eq!(times.len(), EPOCHS, "{answer:?}");
             assert!(times.is_sorted(), "{answer:?}");
+        }
+    }
+
+    /// Epochs written twice, and one out of order, repeat the answer before them; every other
+    /// answer is as without them.
+    #[test]
+    fn epochs_not_after_the_last_one_repeat_its_answer() {
+        let inputs = simulated();
+        let mut reader = inputs.rover.open().unwrap();
+        let mut text = String::new();
+        reader.read_to_string(&mut text).unwrap();
+        let starts: Vec<usize> = text.match_indices("\n>").map(|(at, _)| at + 1).collect();
+        let epoch = |index: usize| &text[starts[index]..starts[index + 1]];
+        let disturbed = [&text[..starts[8]], epoch(7), epoch(3), &text[starts[8]..]].concat();
+        let rover = Input::from_bytes("rover".to_owned(), disturbed.into_bytes().into());
+        let again = RecordingInputs { rover, ..simulated() };
+        for answer in [AnswerKind::Causal, AnswerKind::FixedLag, AnswerKind::Batch] {
+            let all = |inputs: &RecordingInputs| -> Vec<Solution> {
+                let solutions = Solutions::open(inputs, options(Mode::Fgo), answer).unwrap();
+                solutions.map(Result::unwrap).collect()
+            };
+            let (plain, mut with) = (all(&inputs), all(&again));
+            let repeated: Vec<Solution> = with.drain(8..10).collect();
+            assert_eq!(with, plain, "{answer:?}");
+            for (solution, behind_s) in repeated.into_iter().zip([0.0, 4.0]) {
+                let mut expected = plain[7].clone();
+                expected.reasons.push(Reason::EpochRepeated { behind_s });
+                assert_eq!(solution, expected, "{answer:?}");
+            }
         }
     }
 

@@ -156,6 +156,7 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         number().prop_map(|sigma_m| Reason::FixImprecise { sigma_m }),
         number().prop_map(|distance_m| Reason::BaseMoved { distance_m }),
         number().prop_map(|distance_m| Reason::BaseChanged { distance_m }),
+        number().prop_map(|behind_s| Reason::EpochRepeated { behind_s }),
     ]
 }
 

@@ -168,6 +168,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         Reason::FixImprecise { sigma_m } => numbers(20, &[*sigma_m]),
         Reason::BaseMoved { distance_m } => numbers(21, &[*distance_m]),
         Reason::BaseChanged { distance_m } => numbers(22, &[*distance_m]),
+        Reason::EpochRepeated { behind_s } => numbers(23, &[*behind_s]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -300,6 +301,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         20 => Reason::FixImprecise { sigma_m: input.f64()? },
         21 => Reason::BaseMoved { distance_m: input.f64()? },
         22 => Reason::BaseChanged { distance_m: input.f64()? },
+        23 => Reason::EpochRepeated { behind_s: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }
