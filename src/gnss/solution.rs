@@ -235,6 +235,11 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// Whether too few satellites, or too weak a geometry, gave no position.
+    pub(crate) const fn is_geometry(&self) -> bool {
+        matches!(self, Self::TooFewSatellites { .. } | Self::GeometryTooWeak { .. })
+    }
+
     /// Stable code, upper snake case.
     pub const fn code(&self) -> &'static str {
         match self {

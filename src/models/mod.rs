@@ -31,4 +31,4 @@ pub use geometry::{LookAngles, RangeRate, geometric_range, look_angles, range_ra
 pub use group_delay::group_delay_m;
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
 pub use selection::select_ephemeris;
-pub(crate) use selection::{is_usable, select_ephemeris_within, validity_s};
+pub(crate) use selection::{ephemerides_in_force, is_usable, select_ephemeris_within, validity_s};

@@ -53,6 +53,23 @@ pub(crate) fn select_ephemeris_within(
     best.map(|(_, _, ephemeris)| ephemeris)
 }
 
+/// All healthy and valid ephemerides of `satellite` at `time`, in order of toe, those of BeiDou
+/// valid to `beidou_s` from toe (s).
+pub(crate) fn ephemerides_in_force(
+    navigation: &Navigation,
+    satellite: SatelliteId,
+    time: GpsTime,
+    beidou_s: f64,
+) -> impl Iterator<Item = &Ephemeris> {
+    navigation.of(satellite).iter().filter(move |ephemeris| {
+        let reach_s = match satellite.constellation {
+            Constellation::BeiDou => beidou_s,
+            _ => validity_s(ephemeris),
+        };
+        (ephemeris.toe() - time).abs() <= reach_s && is_usable(ephemeris)
+    })
+}
+
 /// Rank of the message in the order of preference, 0 first.
 fn preference(ephemeris: &Ephemeris) -> u8 {
     use NavigationMessage as M;

@@ -16,7 +16,7 @@ use super::uncertainty::ErrorModel;
 /// Smallest weight of a pseudorange that counts as used: a Geman–McClure kernel's at its width.
 const USED_WEIGHT: f64 = 0.25;
 /// Standard deviation above which there is no position (m).
-const LOST_M: f64 = 1e3;
+pub(super) const LOST_M: f64 = 1e3;
 
 /// The state of one epoch with everything that its solution needs.
 pub(super) struct Answer<'a> {

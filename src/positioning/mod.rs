@@ -17,6 +17,7 @@ mod chi_square;
 mod clock_jump;
 mod code_error;
 mod differencing;
+mod draws;
 mod ekf;
 mod engine;
 mod estimator;

@@ -178,6 +178,70 @@ fn a_reflected_satellite_is_excluded_by_name() {
     assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: vec![reflected] }]);
 }
 
+/// Three of twelve are off by a millisecond of light, a wild range and 5 km; least squares from the
+/// Earth's centre is led hundreds of kilometres away by them.
+#[test]
+fn wild_pseudoranges_are_left_out_by_name() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 7, &mut navigation);
+    observations.extend(sky('E', 5, &mut navigation));
+    let mut wild = Vec::new();
+    for (index, off_m) in [(1, SPEED_OF_LIGHT * 1e-3), (4, -3e6), (9, 5e3)] {
+        let range_m = observations[index].pseudorange_m.as_mut().unwrap();
+        *range_m += off_m;
+        wild.push(observations[index].satellite);
+    }
+    wild.sort_unstable();
+    let solution = solve(observations, &navigation);
+    assert!(error_m(&solution) < 1e-4, "{} {:?}", error_m(&solution), solution.reasons);
+    assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: wild }]);
+}
+
+/// Of two ephemerides of one toe the later in the list is taken; if it is false, its pseudorange
+/// shows that the other is right.
+#[test]
+fn of_contradictory_ephemerides_the_pseudorange_decides() {
+    let mut navigation = Navigation::default();
+    let observations = sky('G', 8, &mut navigation);
+    let satellite = observations[3].satellite;
+    let Some(Ephemeris::Keplerian(right)) = navigation.of(satellite).first().cloned() else {
+        panic!("the sky has ephemerides of Keplerian orbits");
+    };
+    let af0_s = right.af0_s - 1.3e-3;
+    navigation.insert(Ephemeris::Keplerian(KeplerianEphemeris { af0_s, iode: 2, ..right }));
+    let solution = solve(observations, &navigation);
+    assert!(error_m(&solution) < 1e-4, "{} {:?}", error_m(&solution), solution.reasons);
+    assert!(solution.reasons.is_empty(), "{:?}", solution.reasons);
+    let issues = &solution.provenance.ephemerides;
+    assert!(issues.iter().all(|issue| issue.issue == 1), "{issues:?}");
+}
+
+/// The clock of Galileo is known from an epoch of many satellites, so that later three of GPS and
+/// two of Galileo give a position that can be checked.
+#[test]
+fn known_clocks_make_up_for_few_satellites() {
+    let mut navigation = Navigation::default();
+    let (mut gps, mut galileo) = (sky('G', 7, &mut navigation), sky('E', 5, &mut navigation));
+    galileo.iter_mut().for_each(|o| o.pseudorange_m = o.pseudorange_m.map(|range| range + 250.0));
+    let mut options = PositioningOptions::new(Mode::Spp, Profile::General);
+    for (key, value) in [("ionosphere", "none"), ("troposphere", "none")] {
+        options.set(key, value).unwrap();
+    }
+    let mut estimator = Estimator::new(options);
+    let mut few = gps.split_off(4);
+    few.push(galileo[0]);
+    let mut answer = |observations: Vec<Observation>| {
+        let epoch = Epoch { observations, ..Epoch::new(tag()) };
+        estimator.advance(&epoch, &Aiding::alone(&navigation))
+    };
+    assert_eq!(answer(few.clone()).status, Status::None);
+    answer([gps, galileo].concat());
+    let solution = answer(few.clone());
+    assert!(error_m(&solution) < 1e-2, "{}", error_m(&solution));
+    assert_eq!(solution.reasons, [Reason::NoRedundancy]);
+    assert!((solution.estimate.unwrap().inter_system_biases_m[0].1 - 250.0).abs() < 1e-2);
+}
+
 #[test]
 fn too_few_satellites_are_answered_with_the_reason() {
     let mut navigation = Navigation::default();

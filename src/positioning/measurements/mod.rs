@@ -16,7 +16,8 @@ use crate::gnss::{
     Observation, ObservationCode, Odometry, Reason, SatelliteId, Signal,
 };
 use crate::models::{
-    LookAngles, SatelliteState, group_delay_m, select_ephemeris_within, state_at_transmission,
+    LookAngles, SatelliteState, ephemerides_in_force, group_delay_m, select_ephemeris_within,
+    state_at_transmission,
 };
 
 use atmosphere::Atmosphere;
@@ -178,6 +179,35 @@ pub(super) fn aiding_reasons(
         reasons.push(Reason::EphemerisMissing { satellites: without_ephemeris.to_vec() });
     }
     reasons.extend(ionosphere_fallback.map(|used| Reason::IonosphereFallback { used }));
+}
+
+impl Measurement {
+    /// This measurement with the first other ephemeris in force that makes it one that `agrees`;
+    /// its atmosphere is that of this one until it is placed.
+    pub(super) fn with_other_ephemeris(
+        &self,
+        epoch: &Epoch,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+        agrees: impl Fn(&Self) -> bool,
+    ) -> Option<Self> {
+        let reach_s = options.ephemeris_beidou_s;
+        let mut satellites = epoch.by_satellite();
+        let (_, observations) = satellites.find(|(satellite, _)| *satellite == self.satellite)?;
+        let atmosphere_m = self.corrected_range_m - self.pseudorange_m;
+        let in_force = ephemerides_in_force(navigation, self.satellite, epoch.time, reach_s);
+        let others = in_force.filter_map(|ephemeris| {
+            let other = measurement(epoch.time, ephemeris, observations, options)?;
+            Some(Self {
+                corrected_range_m: other.pseudorange_m + atmosphere_m,
+                variance_m2: self.variance_m2,
+                is_above_mask: self.is_above_mask,
+                look: self.look,
+                ..other
+            })
+        });
+        others.filter(|other| other.state != self.state).find(|other| agrees(other))
+    }
 }
 
 /// The measurement of one satellite, not yet placed.

@@ -3,28 +3,34 @@
 use crate::config::PositioningOptions;
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Constellation, Dops, Ecef, Epoch, LocalFrame, Provenance, Reason, SatelliteId, SolutionEstimate,
+    Constellation, Dops, Epoch, LocalFrame, Provenance, Reason, SatelliteId, SolutionEstimate,
 };
 
 use super::least_squares::Step;
 use super::{Fit, SinglePoint};
 
 impl SinglePoint {
-    /// The estimate of a fit, or the reason if its geometry is too weak.
+    /// The estimate of a fit whose position has the frame `frame`, or the reason if its geometry
+    /// is too weak.
     pub(super) fn estimate(
         &mut self,
         epoch: &Epoch,
+        frame: &LocalFrame,
         fit: &Fit,
         options: &PositioningOptions,
     ) -> Result<SolutionEstimate, Reason> {
-        let position = Ecef(fit.origin.0 + fit.step.position_m);
-        let dops = self.dops(position).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
-        if options.gdop_limit < dops.gdop {
+        let position = fit.position();
+        let dops = self.dops(frame).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
+        // Where clocks are tied and the satellites agree, the covariance states the weakness.
+        let agrees = fit.step.is_tied() && fit.test_ratio.is_some();
+        if options.gdop_limit < dops.gdop && !agrees {
             return Err(Reason::GeometryTooWeak { gdop: dops.gdop });
         }
         let (clock_m, inter_system_biases_m) = clocks(&fit.step);
         let list = &self.measurements.list;
-        let is_used = |index: usize| list[index].is_above_mask && !list[index].is_excluded;
+        let is_used = |index: usize| {
+            list[index].is_above_mask && !list[index].is_excluded && !self.wild[index]
+        };
         let velocity = match options.velocity {
             true => self.velocity.estimate(position, list, is_used, options),
             false => None,
@@ -61,14 +67,18 @@ impl SinglePoint {
     }
 
     /// Dilutions of precision of the rows in use, with equal weights.
-    fn dops(&self, position: Ecef) -> Option<Dops> {
+    fn dops(&self, frame: &LocalFrame) -> Option<Dops> {
         let mut alike = self.rows.clone();
         alike.iter_mut().for_each(|row| row.weight = 1.0);
+        if self.ties.is_some() {
+            // One clock for all.
+            let first = alike.first()?.constellation;
+            alike.iter_mut().for_each(|row| row.constellation = first);
+        }
         let step = Step::solve(&alike)?;
-        let enu = LocalFrame::at(position).covariance_to_enu(&step.covariance);
+        let enu = frame.covariance_to_enu(&step.covariance);
         let first = first_clock(&step)?;
-        let mean = &step.means[first.index()];
-        let time = mean.weight.recip() + mean.gradient.dot(&(step.covariance * mean.gradient));
+        let time = step.clock_variance_m2(first);
         Some(Dops {
             gdop: (enu.trace() + time).sqrt(),
             pdop: enu.trace().sqrt(),
@@ -87,8 +97,9 @@ impl SinglePoint {
 
     /// Reasons that follow from the fit.
     pub(super) fn quality_reasons(&self, fit: &Fit) -> impl Iterator<Item = Reason> {
-        let excluded = self.measurements.list.iter().filter(|m| m.is_excluded);
-        let mut satellites: Vec<_> = excluded.map(|measurement| measurement.satellite).collect();
+        let list = self.measurements.list.iter().zip(&self.wild);
+        let excluded = list.filter(|(measurement, is_wild)| measurement.is_excluded || **is_wild);
+        let mut satellites: Vec<_> = excluded.map(|(m, _)| m.satellite).collect();
         satellites.sort_unstable();
         let exclusions =
             (!satellites.is_empty()).then_some(Reason::SatellitesExcluded { satellites });
@@ -103,7 +114,7 @@ impl SinglePoint {
 
 /// The first constellation that has a clock, in the order of [`Constellation::ALL`].
 fn first_clock(step: &Step) -> Option<Constellation> {
-    Constellation::ALL.into_iter().find(|c| 0 < step.means[c.index()].count)
+    Constellation::ALL.into_iter().find(|c| step.has_clock(*c))
 }
 
 /// The first clock, and each further one minus it (m).
@@ -113,6 +124,6 @@ fn clocks(step: &Step) -> (f64, Vec<(Constellation, f64)>) {
     };
     let clock_m = step.clock_m(first);
     let further = Constellation::ALL.into_iter().skip(first.index() + 1);
-    let present = further.filter(|c| 0 < step.means[c.index()].count);
+    let present = further.filter(|c| step.has_clock(*c));
     (clock_m, present.map(|c| (c, step.clock_m(c) - clock_m)).collect())
 }

@@ -18,7 +18,7 @@ use super::least_squares::{Row, Step};
 use super::{EpochInputs, Fit, LAST_STEP_M, SinglePoint};
 
 /// Least share of a residual that redundancy leaves; a satellite with less cannot be judged.
-const REDUNDANCY_MIN: f64 = 1e-6;
+pub(super) const REDUNDANCY_MIN: f64 = 1e-6;
 /// Degrees of freedom that must remain after an exclusion. With fewer, some subset of satellites
 /// that share a reflection can always be found to agree.
 const DEGREES_LEFT_MIN: usize = 3;
@@ -35,13 +35,13 @@ const STRAIGHT_M: f64 = 100.0;
 const SETTLED_M: f64 = 1e-6;
 
 impl SinglePoint {
-    /// Tests the residuals and, where asked and needed, excludes or bounds what contradicts.
-    pub(super) fn validate(&mut self, inputs: &EpochInputs<'_>, origin: Ecef, step: Step) -> Fit {
-        let all = self.judge(inputs, origin, step);
-        if !inputs.options().fault_exclusion || all.test_ratio.is_none() || all.is_valid() {
+    /// The fit itself if its residuals agree; else one in which what contradicts is excluded or
+    /// bounded.
+    pub(super) fn validated(&mut self, inputs: &EpochInputs<'_>, all: Fit) -> Fit {
+        if all.test_ratio.is_none() || all.is_valid() {
             return all;
         }
-        let one_less = match DEGREES_LEFT_MIN < all.degrees {
+        let one_less = match DEGREES_LEFT_MIN < all.degrees && !all.step.is_tied() {
             true => self.without_worst(inputs, &all),
             false => None,
         };
@@ -58,7 +58,7 @@ impl SinglePoint {
         let (mut origin, Ok(mut step)) = (all.origin, self.determined_step()) else { return all };
         for _ in 0..REWEIGHTINGS_MAX {
             self.reweigh(&step);
-            let Some(mut next) = Step::solve(&self.rows) else { return all };
+            let Some(mut next) = self.step_of(&self.rows) else { return all };
             let has_settled = (next.position_m - step.position_m).norm() < SETTLED_M;
             let moved_m = next.position_m.norm();
             if has_settled && moved_m <= LAST_STEP_M {
@@ -89,7 +89,7 @@ impl SinglePoint {
             let known = kernels.iter().find(|(index, _)| *index == row.index);
             row.weight *= known.map_or(1.0, |(_, kernel)| *kernel);
         }
-        Step::solve(&self.rows)
+        self.step_of(&self.rows)
     }
 
     /// The factor that a row's weight has been given.
@@ -108,9 +108,8 @@ impl SinglePoint {
     }
 
     /// The fit of the rows in use.
-    fn judge(&self, inputs: &EpochInputs<'_>, origin: Ecef, step: Step) -> Fit {
-        let (rows, constellations) = step.counts();
-        let degrees = rows - 3 - constellations;
+    pub(super) fn judge(&self, inputs: &EpochInputs<'_>, origin: Ecef, step: Step) -> Fit {
+        let degrees = step.degrees();
         let squares = step.squares(&self.rows);
         let redundant = 0 < degrees;
         Fit {

@@ -10,17 +10,22 @@
 //! with its covariance multiplied by that sum per degree of freedom, and the reason.
 
 mod answer;
+mod consensus;
 mod exclusion;
 mod least_squares;
 mod single_points;
+mod system_biases;
 
-use crate::gnss::{Constellation, Ecef, Reason, Solution, Status};
+use crate::gnss::{Constellation, Ecef, LocalFrame, Reason, Solution, SolutionEstimate, Status};
 use crate::models::geometric_range;
 
 use super::Measurements;
+use super::answer::LOST_M;
 use super::engine::EpochInputs;
 use super::velocity::VelocityEstimator;
-use least_squares::{Row, Step};
+use consensus::Search;
+use least_squares::{Row, Step, Tie};
+use system_biases::SystemBiases;
 
 pub(super) use single_points::SinglePoints;
 
@@ -37,6 +42,11 @@ pub(super) struct SinglePoint {
     measurements: Measurements,
     rows: Vec<Row>,
     velocity: VelocityEstimator,
+    /// By measurement: whether no reflection explains its residual.
+    wild: Vec<bool>,
+    /// What the clocks of the epoch's constellations are tied by, if they are.
+    ties: Option<[Tie; Constellation::COUNT]>,
+    search: Search,
 }
 
 /// A position found, with the rows that determined it.
@@ -52,7 +62,29 @@ struct Fit {
     variance_factor: f64,
 }
 
+/// An answer, or why there is none.
+type Answer = Result<Answered, Reason>;
+
+/// A fit with what is made of it.
+struct Answered {
+    fit: Fit,
+    estimate: SolutionEstimate,
+}
+
+/// Satellites that give a position, however uncertain.
+const SUFFICIENT: usize = 5;
+
+/// Whether an answer of four satellites is none: its standard deviation is above a kilometre.
+fn is_lost(Answered { estimate, .. }: &Answered) -> bool {
+    estimate.satellites_used.len() < SUFFICIENT && LOST_M * LOST_M < estimate.covariance.trace()
+}
+
 impl Fit {
+    /// The position.
+    fn position(&self) -> Ecef {
+        Ecef(self.origin.0 + self.step.position_m)
+    }
+
     /// Whether the residual test was made and passed.
     fn is_valid(&self) -> bool {
         self.test_ratio.is_some_and(|ratio| ratio <= 1.0)
@@ -62,20 +94,65 @@ impl Fit {
 impl SinglePoint {
     /// Solves one epoch, from `start` if it is given and else from the Earth's centre.
     pub(super) fn solve(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Solution {
+        self.gather(inputs);
+        let answer = self.answer(inputs, start);
+        self.solution(inputs, answer)
+    }
+
+    /// As [`Self::solve`], but where the satellites do not determine every clock by themselves the
+    /// clocks are tied by `biases`; learns these where they do.
+    fn solve_with(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        start: Option<Ecef>,
+        biases: &mut SystemBiases,
+    ) -> Solution {
+        let (time, options) = (inputs.epoch.time, inputs.options());
+        self.gather(inputs);
+        let ties = biases.ties(time, &options.graph);
+        self.search.known = biases.is_known().then_some(ties);
+        let mut answer = self.answer(inputs, start);
+        let fit = answer.as_ref().ok().map(|answered| &answered.fit);
+        if let Some(fit) = fit.filter(|fit| fit.is_valid()) {
+            biases.learn(time, &fit.step.clocks(&self.rows), &options.graph);
+        }
+        let is_redundant = fit.is_some_and(|fit| fit.test_ratio.is_some());
+        if options.fault_exclusion && !is_redundant {
+            (self.ties, self.search.known) = (Some(ties), Some(ties));
+            let tied = self.answer(inputs, start);
+            // Without redundancy a free clock hides what the ties show.
+            if !tied.as_ref().is_ok_and(is_lost)
+                && matches!(tied, Ok(_) | Err(Reason::NotConverged))
+            {
+                answer = tied;
+            }
+        }
+        self.solution(inputs, answer)
+    }
+
+    fn gather(&mut self, inputs: &EpochInputs<'_>) {
+        self.measurements.gather(inputs.epoch, inputs.navigation, inputs.options());
+        self.wild.clear();
+        self.wild.resize(self.measurements.list.len(), false);
+        (self.ties, self.search.known) = (None, None);
+    }
+
+    fn answer(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Answer {
+        let fit = self.fit(inputs, start)?;
+        let frame = LocalFrame::at(fit.position());
+        let estimate = self.estimate(inputs.epoch, &frame, &fit, inputs.options())?;
+        Ok(Answered { fit, estimate })
+    }
+
+    fn solution(&self, inputs: &EpochInputs<'_>, answer: Answer) -> Solution {
         let epoch = inputs.epoch;
-        self.measurements.gather(epoch, inputs.navigation, inputs.options());
-        let fit = self.fit(inputs, start);
         let mut reasons = self.aiding_reasons();
-        let outcome = fit.and_then(|fit| {
-            let estimate = self.estimate(epoch, &fit, inputs.options())?;
-            Ok((fit, estimate))
-        });
-        match outcome {
+        match answer {
             Err(reason) => {
                 reasons.push(reason);
                 Solution::none(epoch.time, reasons)
             }
-            Ok((fit, estimate)) => {
+            Ok(Answered { fit, estimate }) => {
                 reasons.extend(self.quality_reasons(&fit));
                 Solution {
                     time: epoch.time,
@@ -96,12 +173,25 @@ impl SinglePoint {
     }
 
     fn fit(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Result<Fit, Reason> {
-        let start = match start {
-            Some(position) => position,
-            None => self.coarse_position()?,
+        self.wild.fill(false);
+        let found = match start {
+            Some(position) => Ok(position),
+            None => self.coarse_position(),
         };
-        let (origin, step) = self.converge(inputs, start)?;
-        Ok(self.validate(inputs, origin, step))
+        let found = found.and_then(|start| self.converge(inputs, start));
+        if !inputs.options().fault_exclusion {
+            return found.map(|(origin, step)| self.judge(inputs, origin, step));
+        }
+        let all = found.map(|(origin, step)| self.judge(inputs, origin, step));
+        let judged = match all {
+            Err(reason) if reason.is_geometry() => return Err(reason),
+            Ok(fit) if fit.is_valid() || !self.has_wild(&fit.step) => fit,
+            _ => {
+                let (origin, step) = self.consensus(inputs)?;
+                self.judge(inputs, origin, step)
+            }
+        };
+        Ok(self.validated(inputs, judged))
     }
 
     /// A position good to kilometres from unit weights and no atmosphere.
@@ -109,16 +199,9 @@ impl SinglePoint {
         let mut position = Ecef::new(0.0, 0.0, 0.0);
         for _ in 0..STEPS_MAX {
             self.rows.clear();
-            for (index, measurement) in self.measurements.list.iter().enumerate() {
-                let (range_m, gradient) = geometric_range(measurement.state.position, position);
-                self.rows.push(Row {
-                    index,
-                    constellation: measurement.satellite.constellation,
-                    gradient: gradient.transpose(),
-                    residual_m: range_m - measurement.pseudorange_m,
-                    weight: 1.0,
-                    is_used: true,
-                });
+            for index in 0..self.measurements.list.len() {
+                let row = self.raw_row(index, position);
+                self.rows.push(row);
             }
             let step = self.determined_step()?;
             position.0 += step.position_m;
@@ -150,7 +233,7 @@ impl SinglePoint {
     fn linearize(&mut self, position: Ecef) {
         self.rows.clear();
         for (index, measurement) in self.measurements.list.iter().enumerate() {
-            if !measurement.is_above_mask || measurement.is_excluded {
+            if !measurement.is_above_mask || measurement.is_excluded || self.wild[index] {
                 continue;
             }
             let (range_m, gradient) = geometric_range(measurement.state.position, position);
@@ -169,6 +252,17 @@ impl SinglePoint {
     fn determined_step(&mut self) -> Result<Step, Reason> {
         let mut counts = [0_usize; Constellation::COUNT];
         self.rows.iter().for_each(|row| counts[row.constellation.index()] += 1);
+        if let Some(ties) = &self.ties {
+            // As below, but where the clock is known.
+            let determines = |c: Constellation| 1 < counts[c.index()] || ties[c.index()].is_known;
+            self.rows.iter_mut().for_each(|row| row.is_used = determines(row.constellation));
+            let used = self.rows.iter().filter(|row| row.is_used).count();
+            if used < 4 {
+                return Err(Reason::TooFewSatellites { used, needed: 4 });
+            }
+            let step = self.step_of(&self.rows);
+            return step.ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY });
+        }
         let needed = 3 + counts.iter().filter(|count| 0 < **count).count();
         let too_few = Reason::TooFewSatellites { used: self.rows.len(), needed: needed.max(4) };
         // A constellation's only satellite determines its clock and nothing else.
@@ -179,5 +273,13 @@ impl SinglePoint {
             return Err(too_few);
         }
         Step::solve(&self.rows).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })
+    }
+
+    /// The step of rows, with clocks free or tied.
+    fn step_of(&self, rows: &[Row]) -> Option<Step> {
+        match &self.ties {
+            Some(ties) => Step::solve_tied(rows, ties),
+            None => Step::solve(rows),
+        }
     }
 }

@@ -5,21 +5,23 @@ use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::setup::Setup;
 use crate::snapshot::state_fields;
 
-use super::SinglePoint;
+use super::{SinglePoint, SystemBiases};
 
-/// The last position, from which the next epoch is solved.
+/// The last position, from which the next epoch is solved, and what the receiver's clocks differ
+/// by, which helps epochs of few satellites.
 #[derive(Debug)]
 pub(crate) struct SinglePoints {
     start: Option<Ecef>,
+    biases: SystemBiases,
 }
 
-state_fields!(SinglePoints { start });
+state_fields!(SinglePoints { start, biases });
 
 impl Engine for SinglePoints {
     type Scratch = SinglePoint;
 
     fn new(_setup: &Setup, _revises: bool) -> Self {
-        Self { start: None }
+        Self { start: None, biases: SystemBiases::default() }
     }
 
     fn advance(
@@ -28,7 +30,7 @@ impl Engine for SinglePoints {
         scratch: &mut SinglePoint,
         _revisions: &mut Vec<Solution>,
     ) -> Solution {
-        let solution = scratch.solve(inputs, self.start);
+        let solution = scratch.solve_with(inputs, self.start, &mut self.biases);
         self.start = solution.estimate.as_ref().map(|estimate| estimate.position);
         solution
     }

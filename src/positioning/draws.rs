@@ -1,0 +1,48 @@
+//! Evenly distributed numbers that follow from a seed, so that a replay draws the same.
+
+/// Steele, Lea & Flood (2014), *Fast splittable pseudorandom number generators*, OOPSLA:
+/// SplitMix64.
+#[derive(Debug)]
+pub(super) struct Draws(u64);
+
+impl Draws {
+    pub(super) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// A number below `bound`, which is small: the excess of the lower ones is bound/2⁶⁴.
+    pub(super) fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) % bound as u64) as usize
+    }
+
+    /// Brings `count` items, drawn at random, to the front of `items`.
+    pub(super) fn shuffle_front<T>(&mut self, items: &mut [T], count: usize) {
+        for front in 0..count.min(items.len()) {
+            items.swap(front, front + self.below(items.len() - front));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first output of SplitMix64 with seed 0 is 0xe220a8397b1dcdaf; modulo 1000 that is 535.
+    #[test]
+    fn the_first_draw_is_the_published_one() {
+        assert_eq!(Draws::new(0).below(1000), 535);
+    }
+
+    #[test]
+    fn a_shuffle_keeps_all_items() {
+        let mut items: Vec<usize> = (0..20).collect();
+        Draws::new(7).shuffle_front(&mut items, 5);
+        assert_ne!(items[..5], [0, 1, 2, 3, 4]);
+        items.sort_unstable();
+        assert_eq!(items, (0..20).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,325 @@
+//! A position where some pseudoranges, or ephemerides, are grossly wrong.
+//!
+//! Least squares converges nowhere, or to a place far away, if one satellite is off by kilometres.
+//! Then the positions of minimal subsets compete (Fischler & Bolles 1981, *Random sample
+//! consensus*, CACM 24), by the sum of ln(1 + min(|s|, W)²/λ²) over all satellites, s the residual
+//! against the clock that most agree on and λ = 40 m, the extra path of a reflection in a street.
+//! Clocks whose differences are known count as one. Subsets are drawn until one of sound
+//! satellites is among them with 99.9 %, for the share of sound ones that the best subset found.
+//!
+//! From the best, what is further than W from its clock is left out, and the rest
+//! is solved again until the same satellites are left out. W is 1.5 chips of the C/A code, 440 m: a
+//! reflection that comes later than that does not correlate with the signal (Van Nee 1993,
+//! *Spread-spectrum code and carrier synchronization errors caused by multipath and interference*,
+//! IEEE Trans. Aerosp. Electron. Syst. 29), so that no street explains such an error.
+//!
+//! A satellite that is left out may have another ephemeris of nearly the same time. If its
+//! pseudorange agrees with that one, the satellite stays.
+
+use crate::gnss::{Constellation, Ecef, Reason};
+use crate::models::geometric_range;
+use crate::positioning::Measurement;
+use crate::positioning::draws::Draws;
+
+use super::exclusion::REDUNDANCY_MIN;
+use super::least_squares::{Row, Step, Tie};
+use super::{EpochInputs, STEPS_MAX, SinglePoint};
+
+/// W (m): 1.5 chips of 1/1.023 MHz.
+pub(super) const WILD_M: f64 = 1.5 * 293.052_256;
+/// λ (m): the width of a street.
+const LATE_M: f64 = 40.0;
+/// Subsets drawn at most: one of four sound satellites is among them with 99.9 % where 51 % of the
+/// satellites are sound.
+const SUBSETS_MAX: usize = 100;
+/// ln of the probability that no subset is sound.
+const LN_MISSED: f64 = -6.907_755_278_982_137;
+/// Steps of a refinement.
+const REFINEMENTS: usize = 5;
+/// Standard deviations that a known clock may be off by.
+const SLACK_SIGMAS: f64 = 3.0;
+/// A step of a subset's position that ends it (m): atmosphere and rows are good to this.
+const SUBSET_STEP_M: f64 = 10.0;
+/// Changes of the satellites left out, at most.
+const CHANGES_MAX: usize = 8;
+
+/// Memory of the search.
+#[derive(Debug, Default)]
+pub(super) struct Search {
+    /// What is known of the clocks of the epoch's constellations before it, if anything.
+    pub(super) known: Option<[Tie; Constellation::COUNT]>,
+    order: Vec<usize>,
+    subset: Vec<Row>,
+    misses: Vec<Miss>,
+}
+
+/// What a pseudorange misses its range by.
+#[derive(Clone, Copy, Debug)]
+struct Miss {
+    /// Index of the measurement.
+    index: usize,
+    /// Index of its clock.
+    clock: usize,
+    /// Measured less range and known bias (m).
+    miss_m: f64,
+    /// How far from its clock it may be besides W (m).
+    slack_m: f64,
+}
+
+/// A position with the cost of all residuals and the number of satellites within W.
+struct Candidate {
+    position: Ecef,
+    cost: f64,
+    agreeing: usize,
+}
+
+impl Search {
+    /// The clock of a constellation in the search: of its own, or one for all where they are known.
+    fn clock(&self, constellation: Constellation) -> usize {
+        if self.known.is_some() { 0 } else { constellation.index() }
+    }
+
+    /// Collects what `ranges` (measurement, measured less range) miss by, sorted by clock and size.
+    fn collect(&mut self, ranges: impl Iterator<Item = (usize, Constellation, f64)>) {
+        self.misses.clear();
+        for (index, constellation, miss_m) in ranges {
+            let tie = self.known.map(|known| known[constellation.index()]);
+            self.misses.push(Miss {
+                index,
+                clock: self.clock(constellation),
+                miss_m: miss_m - tie.map_or(0.0, |tie| tie.bias_m),
+                slack_m: tie.map_or(0.0, |tie| SLACK_SIGMAS * tie.variance_m2.sqrt()),
+            });
+        }
+        let order = |a: &Miss, b: &Miss| {
+            a.clock.cmp(&b.clock).then(a.miss_m.total_cmp(&b.miss_m)).then(a.index.cmp(&b.index))
+        };
+        self.misses.sort_unstable_by(order);
+    }
+
+    /// The misses of each clock, with the clock: the middle of the most that are within W of one.
+    fn clocks(&self) -> impl Iterator<Item = (&[Miss], f64)> {
+        self.misses.chunk_by(|a, b| a.clock == b.clock).map(|misses| {
+            let end = |first: usize| {
+                let reach_m = misses[first].miss_m + WILD_M;
+                misses.partition_point(|miss| miss.miss_m <= reach_m)
+            };
+            // Of several as many, the first: the earliest signals.
+            let most = (0..misses.len()).rev().max_by_key(|first| end(*first) - first);
+            let first = most.expect("a chunk has a member");
+            (misses, misses[(first + end(first) - 1) / 2].miss_m)
+        })
+    }
+}
+
+impl Miss {
+    /// How far it is from its clock (m).
+    fn off_m(&self, clock_m: f64) -> f64 {
+        ((self.miss_m - clock_m).abs() - self.slack_m).max(0.0)
+    }
+}
+
+impl SinglePoint {
+    /// Whether a satellite is off by what no reflection explains: r/(1 − w·aᵀQa), if it alone is
+    /// wrong.
+    pub(super) fn has_wild(&self, step: &Step) -> bool {
+        self.rows.iter().filter(|row| row.is_used).any(|row| {
+            WILD_M * step.redundancy(row).max(REDUNDANCY_MIN) < step.residual_after_m(row).abs()
+        })
+    }
+
+    /// The converged position of the satellites that agree; the others are marked wild.
+    pub(super) fn consensus(&mut self, inputs: &EpochInputs<'_>) -> Result<(Ecef, Step), Reason> {
+        self.wild.fill(false);
+        let mut position = self.likeliest(inputs).ok_or(Reason::NotConverged)?;
+        let mut before = self.wild.clone();
+        for _ in 0..CHANGES_MAX {
+            self.measurements
+                .place(position, inputs.epoch.time, inputs.navigation, inputs.options())
+                .ok_or(Reason::NotConverged)?;
+            self.mark_wild(inputs, position);
+            let (origin, step) = self.converge(inputs, position)?;
+            if self.wild == before {
+                return Ok((origin, step));
+            }
+            before.clone_from(&self.wild);
+            position = Ecef(origin.0 + step.position_m);
+        }
+        Err(Reason::NotConverged)
+    }
+
+    /// The position of the subset that most satellites agree with.
+    fn likeliest(&mut self, inputs: &EpochInputs<'_>) -> Option<Ecef> {
+        let mut draws = Draws::new(inputs.epoch.time.as_ns() as u64);
+        let mut best: Option<Candidate> = None;
+        let (mut drawn, mut needed) = (0, SUBSETS_MAX as f64);
+        while drawn < SUBSETS_MAX && (drawn as f64) < needed {
+            drawn += 1;
+            let Some(position) = self.subset_position(&mut draws) else { continue };
+            let candidate = self.candidate(position);
+            if best.as_ref().is_none_or(|best| candidate.cost < best.cost) {
+                let candidate = self.refined(candidate);
+                let sound = candidate.agreeing as f64 / self.measurements.list.len() as f64;
+                let chance = sound.powi(self.search.subset.len() as i32);
+                needed = LN_MISSED / (-chance).ln_1p();
+                best = Some(candidate);
+            }
+        }
+        best.map(|best| best.position)
+    }
+
+    /// The position of a minimal subset, from pseudoranges without atmosphere.
+    fn subset_position(&mut self, draws: &mut Draws) -> Option<Ecef> {
+        let count = self.measurements.list.len();
+        self.search.order.clear();
+        self.search.order.extend(0..count);
+        draws.shuffle_front(&mut self.search.order, count);
+        let wanted = self.minimal()?;
+        let mut position = Ecef::new(0.0, 0.0, 0.0);
+        for _ in 0..STEPS_MAX {
+            self.search.subset.clear();
+            for place in 0..wanted {
+                let row = self.search_row(self.search.order[place], position);
+                self.search.subset.push(row);
+            }
+            let step = Step::solve(&self.search.subset)?;
+            position.0 += step.position_m;
+            if step.position_m.norm() < SUBSET_STEP_M {
+                return Some(position);
+            }
+        }
+        None
+    }
+
+    /// The candidate after steps with all satellites, weighted by the cost's own slope: a subset's
+    /// position is as uncertain as its geometry is weak (Chum, Matas & Kittler 2003, *Locally
+    /// optimized RANSAC*).
+    fn refined(&mut self, begin: Candidate) -> Candidate {
+        let mut best = begin;
+        let mut position = best.position;
+        for _ in 0..REFINEMENTS {
+            self.collect_all(position);
+            let mut rows = Vec::with_capacity(self.search.misses.len());
+            for (misses, clock_m) in self.search.clocks() {
+                for miss in misses {
+                    let off_m = miss.off_m(clock_m);
+                    let weight = (1.0 + (off_m / LATE_M).powi(2)).recip();
+                    let is_used = off_m < WILD_M;
+                    rows.push(Row { weight, is_used, ..self.search_row(miss.index, position) });
+                }
+            }
+            let Some(step) = Step::solve(&rows) else { return best };
+            position.0 += step.position_m;
+            let candidate = self.candidate(position);
+            if candidate.cost < best.cost {
+                best = candidate;
+            }
+        }
+        best
+    }
+
+    /// A row of unit weight for the search, with the clock that it has there.
+    fn search_row(&self, index: usize, position: Ecef) -> Row {
+        let mut row = self.raw_row(index, position);
+        if let Some(known) = &self.search.known {
+            row.residual_m += known[row.constellation.index()].bias_m;
+            row.constellation = Constellation::ALL[0];
+        }
+        row
+    }
+
+    /// How many of the first in `order` determine a position: three more than they have clocks.
+    /// Those that are alone with their clock are moved behind.
+    fn minimal(&mut self) -> Option<usize> {
+        let mut order = std::mem::take(&mut self.search.order);
+        let clock =
+            |at: usize| self.search.clock(self.measurements.list[at].satellite.constellation);
+        let mut counts = [0_usize; Constellation::COUNT];
+        let mut beyond = 0;
+        let last = order.iter().position(|at| {
+            let count = &mut counts[clock(*at)];
+            *count += 1;
+            beyond += usize::from(1 < *count);
+            beyond == 3
+        });
+        let wanted = last.map(|last| {
+            let mut wanted = last + 1;
+            for place in (0..=last).rev() {
+                if counts[clock(order[place])] == 1 {
+                    wanted -= 1;
+                    order.swap(place, wanted);
+                }
+            }
+            wanted
+        });
+        self.search.order = order;
+        wanted
+    }
+
+    /// A row of unit weight without atmosphere.
+    pub(super) fn raw_row(&self, index: usize, position: Ecef) -> Row {
+        let measurement = &self.measurements.list[index];
+        let (range_m, gradient) = geometric_range(measurement.state.position, position);
+        Row {
+            index,
+            constellation: measurement.satellite.constellation,
+            gradient: gradient.transpose(),
+            residual_m: range_m - measurement.pseudorange_m,
+            weight: 1.0,
+            is_used: true,
+        }
+    }
+
+    /// How well all satellites agree with a position.
+    fn candidate(&mut self, position: Ecef) -> Candidate {
+        self.collect_all(position);
+        let (mut cost, mut agreeing) = (0.0, 0);
+        for (misses, clock_m) in self.search.clocks() {
+            for off_m in misses.iter().map(|miss| miss.off_m(clock_m)) {
+                cost += (off_m.min(WILD_M) / LATE_M).powi(2).ln_1p();
+                agreeing += usize::from(off_m < WILD_M);
+            }
+        }
+        Candidate { position, cost, agreeing }
+    }
+
+    /// Collects what all pseudoranges, without atmosphere, miss by.
+    fn collect_all(&mut self, position: Ecef) {
+        let Self { search, measurements, .. } = self;
+        search.collect(measurements.list.iter().enumerate().map(|(index, m)| {
+            let range_m = geometric_range(m.state.position, position).0;
+            (index, m.satellite.constellation, m.pseudorange_m - range_m)
+        }));
+    }
+
+    /// Marks the placed measurements that are further than W from their clock.
+    fn mark_wild(&mut self, inputs: &EpochInputs<'_>, position: Ecef) {
+        let Self { search, measurements, wild, .. } = self;
+        let range_m = |m: &Measurement| geometric_range(m.state.position, position).0;
+        let placed = measurements.list.iter().enumerate().filter(|(_, m)| m.is_above_mask);
+        search.collect(placed.map(|(index, m)| {
+            (index, m.satellite.constellation, m.corrected_range_m - range_m(m))
+        }));
+        for (misses, clock_m) in search.clocks() {
+            for miss in misses {
+                let measurement = &mut measurements.list[miss.index];
+                let before_m = measurement.corrected_range_m - range_m(measurement);
+                let agrees = |other: &Measurement| {
+                    let change_m = other.corrected_range_m - range_m(other) - before_m;
+                    Miss { miss_m: miss.miss_m + change_m, ..*miss }.off_m(clock_m) <= WILD_M
+                };
+                if agrees(measurement) {
+                    wild[miss.index] = false;
+                    continue;
+                }
+                let EpochInputs { epoch, navigation, .. } = *inputs;
+                let options = inputs.options();
+                let other = measurement.with_other_ephemeris(epoch, navigation, options, agrees);
+                wild[miss.index] = other.is_none();
+                if let Some(other) = other {
+                    *measurement = other;
+                }
+            }
+        }
+    }
+}
