@@ -168,6 +168,7 @@ fn solution(seq: u64) -> Solution {
             satellites_used: satellites().collect(),
             relative: None,
         }),
+        protection: None,
         reasons: Vec::new(),
         provenance: Provenance { ephemerides: satellites().map(issue).collect(), base: None },
     }

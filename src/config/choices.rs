@@ -54,6 +54,16 @@ named_choice! {
 }
 
 named_choice! {
+    /// What becomes of a position whose protection level exceeds its limit.
+    Beyond {
+        /// It is answered, with the reason.
+        Flag = "flag",
+        /// The answer has the status `NONE`, with the reason.
+        Withhold = "withhold",
+    }
+}
+
+named_choice! {
     /// A robust kernel; formulas in `graph::kernel`.
     KernelLaw {
         /// No robust kernel: least squares.

@@ -7,6 +7,8 @@ mod choices;
 mod error;
 mod graph_options;
 mod graph_table;
+mod integrity_options;
+mod integrity_table;
 mod option_specification;
 mod option_table;
 mod positioning;
@@ -14,12 +16,13 @@ mod rtk_options;
 mod rtk_table;
 mod service;
 
-pub use choices::{BandSet, ConstellationSet, Mode, Profile};
+pub use choices::{BandSet, Beyond, ConstellationSet, Mode, Profile};
 pub(crate) use choices::{
     DopplerUse, IonosphereModel, KernelLaw, TroposphereMapping, TroposphereModel, WeightModel,
 };
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
+pub use integrity_options::IntegrityOptions;
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;

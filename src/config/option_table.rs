@@ -4,6 +4,7 @@ use crate::gnss::SatelliteId;
 use crate::gnss::constants::SECONDS_PER_HOUR;
 
 use super::graph_table::GRAPH_TABLE;
+use super::integrity_table::INTEGRITY_TABLE;
 use super::option_specification::{OptionSpecification, number, switch, switch_text};
 use super::rtk_table::RTK_TABLE;
 use super::{
@@ -227,7 +228,7 @@ impl PositioningOptions {
             Mode::Ekf | Mode::Fgo => (GRAPH_TABLE, &[]),
             Mode::RtkEkf | Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
         };
-        TABLE.iter().chain(graph).chain(rtk).map(entry).collect()
+        TABLE.iter().chain(INTEGRITY_TABLE).chain(graph).chain(rtk).map(entry).collect()
     }
 
     /// BLAKE3 hash of the mode and of every value in force, in hexadecimal. Equal estimators have
@@ -250,7 +251,7 @@ fn missing_feature(key: &str, value: &str) -> Option<&'static str> {
 
 /// The options of all modes, in the order they are listed.
 fn all() -> impl Iterator<Item = &'static OptionSpecification> {
-    TABLE.iter().chain(GRAPH_TABLE).chain(RTK_TABLE)
+    TABLE.iter().chain(INTEGRITY_TABLE).chain(GRAPH_TABLE).chain(RTK_TABLE)
 }
 
 /// The option name with the smallest edit distance to `key`; the first of equals.

@@ -4,8 +4,8 @@ use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Band, Constellation, SatelliteId};
 
 use super::{
-    BandSet, ConstellationSet, GraphOptions, IonosphereModel, Mode, Profile, RtkOptions,
-    TroposphereMapping, TroposphereModel, WeightModel,
+    BandSet, ConstellationSet, GraphOptions, IntegrityOptions, IonosphereModel, Mode, Profile,
+    RtkOptions, TroposphereMapping, TroposphereModel, WeightModel,
 };
 
 /// C/N0 to which the options' standard deviations refer (dB-Hz): at 22 dB-Hz they are tenfold.
@@ -69,6 +69,8 @@ pub struct PositioningOptions {
     pub graph: GraphOptions,
     /// Options of the modes that difference against a base.
     pub rtk: RtkOptions,
+    /// Options of protection levels.
+    pub integrity: IntegrityOptions,
 }
 
 impl PositioningOptions {
@@ -141,6 +143,7 @@ impl PositioningOptions {
             velocity: true,
             graph: GraphOptions::new(Profile::General),
             rtk: RtkOptions::new(Profile::General),
+            integrity: IntegrityOptions::new(),
         }
     }
 }

@@ -140,6 +140,8 @@ pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
         reasons: solution.reasons.iter().map(reason).collect(),
         provenance: Some(provenance(&solution.provenance, stored)),
         relative: estimate.and_then(|e| e.relative.as_ref()).map(relative),
+        horizontal_protection_m: solution.protection.map(|levels| levels.horizontal_m),
+        vertical_protection_m: solution.protection.map(|levels| levels.vertical_m),
     }
 }
 

@@ -57,6 +57,9 @@ const fn remedy(reason: &Reason) -> &'static str {
             "do not rely on the position until the reason is gone: drive on, or see more sky"
         }
         Reason::EpochRepeated { .. } => "write each epoch once, in the order of time",
+        Reason::ProtectionLimitExceeded { .. } => {
+            "do not rely on the position, or allow a greater limit or risk (`integrity.*`)"
+        }
         Reason::OdometryUnused { .. } => {
             "send each displacement with the epoch where it ends, since the epoch before"
         }
@@ -86,6 +89,10 @@ fn values(reason: &Reason) -> Vec<(&'static str, Value)> {
         }
         Reason::OdometryUnused { interval_s } => vec![("intervalS", number(*interval_s))],
         Reason::EpochRepeated { behind_s } => vec![("behindS", number(*behind_s))],
+        Reason::ProtectionLimitExceeded { level_m, limit_m } => {
+            let level = level_m.map(|level_m| ("levelM", number(level_m)));
+            level.into_iter().chain([("limitM", number(*limit_m))]).collect()
+        }
         Reason::FixImprecise { sigma_m } => vec![("sigmaM", number(*sigma_m))],
         Reason::BasePositionDoubtful { distance_m }
         | Reason::BaseMoved { distance_m }

@@ -19,6 +19,7 @@
 //! | `ambiguities`, `fixed_ambiguities` | number of ambiguities, and of those fixed to integers |
 //! | `ratio`, `success_rate`, `fix_probability` | quality of the integers |
 //! | `reasons` | what limits the solution, separated by `; `, in quotes |
+//! | `hpl_m`, `vpl_m` | horizontal and vertical protection levels (m) |
 //!
 //! Unknown values are empty fields.
 
@@ -34,7 +35,7 @@ const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_
      var_ve_m2_s2,var_vn_m2_s2,var_vu_m2_s2,cov_vevn_m2_s2,cov_vevu_m2_s2,cov_vnvu_m2_s2,\
      clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
      satellite_list,baseline_e_m,baseline_n_m,baseline_u_m,age_s,ambiguities,\
-     fixed_ambiguities,ratio,success_rate,fix_probability,reasons";
+     fixed_ambiguities,ratio,success_rate,fix_probability,reasons,hpl_m,vpl_m";
 /// Number of columns between `status` and `reasons`.
 const ESTIMATE_COLUMNS: usize = 40;
 /// Number of columns from `baseline_e_m` to `fix_probability`.
@@ -70,6 +71,13 @@ impl<W: Write> Writer<W> {
         }
         line.push(b',');
         push_reasons(line, solution);
+        match &solution.protection {
+            Some(levels) => {
+                push_field(line, levels.horizontal_m, 2);
+                push_field(line, levels.vertical_m, 2);
+            }
+            None => line.extend_from_slice(b",,"),
+        }
         line.push(b'\n');
         self.output.write_all(line)
     }
@@ -172,7 +180,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::gnss::{Dops, Ecef, GpsTime, Provenance, Reason, Status};
+    use crate::gnss::{Dops, Ecef, GpsTime, Protection, Provenance, Reason, Status};
 
     fn solution(velocity: Option<Velocity>) -> Solution {
         let time = GpsTime::from_week_seconds(2300, 100.0);
@@ -197,6 +205,7 @@ mod tests {
             time,
             status: Status::Single,
             estimate: Some(estimate),
+            protection: None,
             reasons,
             provenance: Provenance::default(),
         }
@@ -217,6 +226,7 @@ mod tests {
             clock_drift_m_s: 0.5,
         };
         let mut solution = solution(Some(velocity));
+        solution.protection = Some(Protection { horizontal_m: 12.5, vertical_m: 30.0 });
         solution.estimate.as_mut().unwrap().relative = Some(RelativeEstimate {
             baseline_m: Vector3::new(10.0, 2.0, 3.0),
             age_s: 1.5,
@@ -236,7 +246,7 @@ mod tests {
              0.00000000,-3.5000,0.5000,99.999,2.000,1.500,1.000,1.100,1.200,2,C05 G01,\
              2.0000,3.0000,10.0000,1.500,14,12,3.250000,,0.999000,"
         );
-        assert_eq!(quoted, "NO_REDUNDANCY; SATELLITES_EXCLUDED[C05, G01]\"");
+        assert_eq!(quoted, "NO_REDUNDANCY; SATELLITES_EXCLUDED[C05, G01]\",12.50,30.00");
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! Coordinates are longitude and latitude (degrees) and ellipsoidal height (m) on WGS 84. A point
 //! has the properties `time` (UTC), `gpsWeek`, `tow` (s), `status`, `satellites`, `sdEastM`,
-//! `sdNorthM`, `sdUpM`, and, where known, `speedMS` and `reasons`. The track ends where an epoch
-//! has no position, and after [`POINTS_PER_LINE`] points, so that writing needs little memory.
+//! `sdNorthM`, `sdUpM`, and, where known, `speedMS`, the protection levels `horizontalProtectionM`
+//! and `verticalProtectionM` (m), and `reasons`. The track ends where an epoch has no position,
+//! and after [`POINTS_PER_LINE`] points, so that writing needs little memory.
 
 use std::io::{self, Write};
 
@@ -124,6 +125,10 @@ fn push_properties(
     if let Some(velocity) = &estimate.velocity {
         push_number(out, "speedMS", velocity.velocity_m_s.norm());
     }
+    if let Some(levels) = &solution.protection {
+        push_number(out, "horizontalProtectionM", levels.horizontal_m);
+        push_number(out, "verticalProtectionM", levels.vertical_m);
+    }
     if !solution.reasons.is_empty() {
         let codes: Vec<_> = solution.reasons.iter().map(|r| format!("\"{}\"", r.code())).collect();
         out.extend_from_slice(format!(",\"reasons\":[{}]", codes.join(",")).as_bytes());
@@ -167,6 +172,7 @@ mod tests {
             time,
             status: Status::Single,
             estimate: Some(estimate),
+            protection: None,
             reasons: vec![Reason::NoRedundancy],
             provenance: Provenance::default(),
         }

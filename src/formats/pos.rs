@@ -312,6 +312,7 @@ mod tests {
             time,
             status: Status::Single,
             estimate: Some(estimate),
+            protection: None,
             reasons: Vec::new(),
             provenance: Provenance::default(),
         }

@@ -32,8 +32,8 @@ pub use odometry::{Odometry, OdometryError, OdometryFrame};
 pub use satellite::{Constellation, SatelliteId, SatelliteIdError};
 pub use signal::{Band, ObservationCode, Signal};
 pub use solution::{
-    BaseEpochIssue, Dops, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution,
-    SolutionEstimate, Status, Velocity,
+    BaseEpochIssue, Dops, EphemerisIssue, Protection, Provenance, Reason, RelativeEstimate,
+    Solution, SolutionEstimate, Status, Velocity,
 };
 pub(crate) use time::{CivilTime, wrap_half_week};
 pub use time::{GpsTime, LeapSeconds, TimeScale};

@@ -227,6 +227,13 @@ pub enum Reason {
         /// How far the epoch's time is before the previous one's (s); zero for the same time.
         behind_s: f64,
     },
+    /// A protection level exceeds its limit, or nothing bounds the error.
+    ProtectionLimitExceeded {
+        /// The level (m); absent where nothing bounds the error.
+        level_m: Option<f64>,
+        /// The limit (m).
+        limit_m: f64,
+    },
     /// The epoch's odometry does not start at the previous epoch, so it was not used.
     OdometryUnused {
         /// Duration of its displacement (s).
@@ -267,6 +274,7 @@ impl Reason {
             Self::StartUnproven { .. } => "START_UNPROVEN",
             Self::OdometryUnused { .. } => "ODOMETRY_UNUSED",
             Self::EpochRepeated { .. } => "EPOCH_REPEATED",
+            Self::ProtectionLimitExceeded { .. } => "PROTECTION_LIMIT_EXCEEDED",
         }
     }
 }
@@ -291,6 +299,12 @@ impl fmt::Display for Reason {
             }
             Self::OdometryUnused { interval_s } => write!(f, "{{interval {interval_s:.3} s}}"),
             Self::EpochRepeated { behind_s } => write!(f, "{{behind {behind_s:.3} s}}"),
+            Self::ProtectionLimitExceeded { level_m: Some(level_m), limit_m } => {
+                write!(f, "{{level {level_m:.1} of {limit_m:.1} m}}")
+            }
+            Self::ProtectionLimitExceeded { level_m: None, limit_m } => {
+                write!(f, "{{unbounded, of {limit_m:.1} m}}")
+            }
             Self::FixImprecise { sigma_m } => write!(f, "{{sigma {sigma_m:.2} m}}"),
             Self::BaseMoved { distance_m } => write!(f, "{{distance {distance_m:.3} m}}"),
             Self::BaseChanged { distance_m } => write!(f, "{{distance {distance_m:.0} m}}"),
@@ -340,6 +354,15 @@ pub struct Provenance {
     pub base: Option<BaseEpochIssue>,
 }
 
+/// Distances that the position's error exceeds with at most the probability `integrity.risk` each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Protection {
+    /// Horizontal protection level (m).
+    pub horizontal_m: f64,
+    /// Vertical protection level (m).
+    pub vertical_m: f64,
+}
+
 /// The answer to one epoch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
@@ -349,6 +372,8 @@ pub struct Solution {
     pub status: Status,
     /// The position; present unless the status is [`Status::None`].
     pub estimate: Option<SolutionEstimate>,
+    /// Protection levels of the position; absent where nothing bounds its error.
+    pub protection: Option<Protection>,
     /// What limits the status or quality.
     pub reasons: Vec<Reason>,
     /// The ephemerides and the base epoch that were used.
@@ -359,6 +384,6 @@ impl Solution {
     /// The answer without a position, with its reasons.
     pub fn none(time: GpsTime, reasons: Vec<Reason>) -> Self {
         let provenance = Provenance::default();
-        Self { time, status: Status::None, estimate: None, reasons, provenance }
+        Self { time, status: Status::None, estimate: None, protection: None, reasons, provenance }
     }
 }

@@ -87,6 +87,7 @@ impl Answer<'_> {
             time: self.time,
             status: self.status,
             estimate: Some(estimate),
+            protection: None,
             reasons: self.reasons,
             provenance: Provenance { ephemerides, base: None },
         }

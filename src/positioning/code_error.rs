@@ -22,9 +22,9 @@ use std::f64::consts::{FRAC_1_PI, FRAC_1_SQRT_2, FRAC_2_SQRT_PI, TAU};
 use crate::snapshot::snapshot_fields;
 
 /// λ (m): the extra path of one bounce in a street is about the street's width.
-const EXTRA_PATH_M: f64 = 40.0;
+pub(super) const EXTRA_PATH_M: f64 = 40.0;
 /// ε: pseudoranges that neither a direct signal nor a reflection explains.
-const FAULT_SHARE: f64 = 0.02;
+pub(super) const FAULT_SHARE: f64 = 0.02;
 /// W (m): ten extra paths.
 const FAULT_WIDTH_M: f64 = 400.0;
 

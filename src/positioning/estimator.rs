@@ -10,12 +10,13 @@ use super::aiding::Aiding;
 use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
+use super::integrity::complete;
 use super::rtk::{RtkFilter, RtkWindow};
 use super::setup::Setup;
 use super::spp::SinglePoints;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
-const LAYOUT: u16 = 10;
+const LAYOUT: u16 = 11;
 
 /// Writes the state of any mode and the memory of all of them, from one table: the mode's number in
 /// snapshots, its name, its engine, and where its memory is.
@@ -170,7 +171,12 @@ impl EstimatorState {
     ) -> Solution {
         let Aiding { navigation, base } = *aiding;
         let inputs = EpochInputs { epoch, navigation, base, setup: &self.setup };
-        self.mode.advance(&inputs, scratch, &mut self.revisions)
+        let due = self.revisions.len();
+        let mut solution = self.mode.advance(&inputs, scratch, &mut self.revisions);
+        let integrity = &self.setup.options.integrity;
+        self.revisions[due..].iter_mut().for_each(|revision| complete(revision, integrity));
+        complete(&mut solution, integrity);
+        solution
     }
 
     /// Answers of the epochs that have left the window since the last call, smoothed by what came
@@ -181,7 +187,10 @@ impl EstimatorState {
 
     /// The revisions not yet taken, and those of the epochs still in the window.
     pub fn finish(mut self, scratch: &mut Scratch) -> Vec<Solution> {
+        let due = self.revisions.len();
         self.mode.finish(&self.setup, scratch, &mut self.revisions);
+        let integrity = &self.setup.options.integrity;
+        self.revisions[due..].iter_mut().for_each(|revision| complete(revision, integrity));
         self.revisions
     }
 
@@ -362,7 +371,7 @@ impl Batch {
 
     /// Solves everything; one solution for each epoch, in order of time.
     pub fn finish(self) -> Vec<Solution> {
-        match self.chain {
+        let mut solutions = match self.chain {
             Whole::Alone(chain) => chain.finish(&self.setup),
             Whole::Relative(relative) => {
                 let (mut window, mut scratch) = *relative;
@@ -370,6 +379,9 @@ impl Batch {
                 window.finish(&self.setup, &mut scratch, &mut solutions);
                 solutions
             }
-        }
+        };
+        let integrity = &self.setup.options.integrity;
+        solutions.iter_mut().for_each(|solution| complete(solution, integrity));
+        solutions
     }
 }

@@ -24,6 +24,7 @@ mod estimator;
 mod factors;
 mod fgo;
 mod geometry;
+mod integrity;
 mod measurements;
 mod phases;
 mod ranging;

@@ -9,8 +9,8 @@
 use crate::config::IonosphereModel;
 use crate::gnss::{
     Band, BaseEpochIssue, Constellation, Cycles, Dops, Ecef, EphemerisIssue, Epoch, GpsTime,
-    LocalFrame, Observation, ObservationCode, Odometry, OdometryFrame, Provenance, Reason,
-    RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
+    LocalFrame, Observation, ObservationCode, Odometry, OdometryFrame, Protection, Provenance,
+    Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
 };
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::snapshot::{snapshot_fields, snapshot_variants};
@@ -60,9 +60,11 @@ snapshot_variants!(Reason {
     21 => BaseMoved { distance_m },
     22 => BaseChanged { distance_m },
     23 => EpochRepeated { behind_s },
+    24 => ProtectionLimitExceeded { level_m, limit_m },
 });
 
-snapshot_fields!(Solution { time, status, estimate, reasons, provenance });
+snapshot_fields!(Protection { horizontal_m, vertical_m });
+snapshot_fields!(Solution { time, status, estimate, protection, reasons, provenance });
 snapshot_fields!(Provenance { ephemerides, base });
 snapshot_fields!(BaseEpochIssue { base, time });
 snapshot_fields!(SolutionEstimate {

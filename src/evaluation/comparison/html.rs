@@ -327,7 +327,14 @@ mod tests {
             relative: fixed.then_some(relative),
         };
         let provenance = Provenance::default();
-        Solution { time, status, estimate: Some(estimate), reasons: Vec::new(), provenance }
+        Solution {
+            time,
+            status,
+            estimate: Some(estimate),
+            protection: None,
+            reasons: Vec::new(),
+            provenance,
+        }
     }
 
     fn method(mode: &str, errors_m: &[f64], status: Status) -> Method {

@@ -98,7 +98,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     let (name, time) = (base.station.name.clone(), epoch.time - base.age_s);
     let provenance = Provenance { ephemerides, base: Some(BaseEpochIssue { base: name, time }) };
     let estimate = Some(estimate);
-    Solution { time: epoch.time, status, estimate, reasons, provenance }
+    Solution { time: epoch.time, status, estimate, protection: None, reasons, provenance }
 }
 
 /// The rover's clock (m), from the mean of the first constellation's pseudoranges; it includes the

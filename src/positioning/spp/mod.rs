@@ -13,10 +13,13 @@ mod answer;
 mod consensus;
 mod exclusion;
 mod least_squares;
+mod protection;
 mod single_points;
 mod system_biases;
 
-use crate::gnss::{Constellation, Ecef, LocalFrame, Reason, Solution, SolutionEstimate, Status};
+use crate::gnss::{
+    Constellation, Ecef, LocalFrame, Protection, Reason, Solution, SolutionEstimate, Status,
+};
 use crate::models::geometric_range;
 
 use super::Measurements;
@@ -25,6 +28,7 @@ use super::engine::EpochInputs;
 use super::velocity::VelocityEstimator;
 use consensus::Search;
 use least_squares::{Row, Step, Tie};
+use protection::Influence;
 use system_biases::SystemBiases;
 
 pub(super) use single_points::SinglePoints;
@@ -47,6 +51,7 @@ pub(super) struct SinglePoint {
     /// What the clocks of the epoch's constellations are tied by, if they are.
     ties: Option<[Tie; Constellation::COUNT]>,
     search: Search,
+    influences: Vec<Influence>,
 }
 
 /// A position found, with the rows that determined it.
@@ -69,6 +74,7 @@ type Answer = Result<Answered, Reason>;
 struct Answered {
     fit: Fit,
     estimate: SolutionEstimate,
+    protection: Option<Protection>,
 }
 
 /// Satellites that give a position, however uncertain.
@@ -141,7 +147,8 @@ impl SinglePoint {
         let fit = self.fit(inputs, start)?;
         let frame = LocalFrame::at(fit.position());
         let estimate = self.estimate(inputs.epoch, &frame, &fit, inputs.options())?;
-        Ok(Answered { fit, estimate })
+        let protection = self.protection(&frame, &fit, inputs.options().integrity.risk);
+        Ok(Answered { fit, estimate, protection })
     }
 
     fn solution(&self, inputs: &EpochInputs<'_>, answer: Answer) -> Solution {
@@ -152,11 +159,12 @@ impl SinglePoint {
                 reasons.push(reason);
                 Solution::none(epoch.time, reasons)
             }
-            Ok(Answered { fit, estimate }) => {
+            Ok(Answered { fit, estimate, protection }) => {
                 reasons.extend(self.quality_reasons(&fit));
                 Solution {
                     time: epoch.time,
                     status: Status::Single,
+                    protection,
                     estimate: Some(estimate),
                     reasons,
                     provenance: self.provenance(),

@@ -10,8 +10,8 @@ use crate::gnss::{
     AntennaCalibration, BaseEpochIssue, Constellation, Cycles, Dops, Ecef, Ephemeris,
     EphemerisIssue, Epoch, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris,
     NavigationMessage, Observation, ObservationCode, Odometry, OdometryFrame, PhaseCentrePattern,
-    Provenance, Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status,
-    Velocity,
+    Protection, Provenance, Reason, RelativeEstimate, SatelliteId, Solution, SolutionEstimate,
+    Status, Velocity,
 };
 
 use super::ephemeris::MESSAGES;
@@ -157,6 +157,8 @@ fn base_reason() -> impl Strategy<Value = Reason> {
         number().prop_map(|distance_m| Reason::BaseMoved { distance_m }),
         number().prop_map(|distance_m| Reason::BaseChanged { distance_m }),
         number().prop_map(|behind_s| Reason::EpochRepeated { behind_s }),
+        (option::of(number()), number())
+            .prop_map(|(level_m, limit_m)| Reason::ProtectionLimitExceeded { level_m, limit_m }),
     ]
 }
 
@@ -210,13 +212,19 @@ pub(super) fn solution() -> impl Strategy<Value = Solution> {
     let issue = (satellite(), time(), any::<u32>())
         .prop_map(|(satellite, toe, issue)| EphemerisIssue { satellite, toe, issue });
     let base = (".{0,8}", time()).prop_map(|(base, time)| BaseEpochIssue { base, time });
-    let made = (option::of(estimate()), vec(reason(), 0..4), vec(issue, 0..40), option::of(base));
-    (time(), made).prop_map(|(time, (estimate, reasons, ephemerides, base))| Solution {
-        time,
-        status: if estimate.is_some() { Status::Single } else { Status::None },
-        estimate,
-        reasons,
-        provenance: Provenance { ephemerides, base },
+    let protection = (number(), number())
+        .prop_map(|(horizontal_m, vertical_m)| Protection { horizontal_m, vertical_m });
+    let estimate = (option::of(estimate()), option::of(protection));
+    let made = (estimate, vec(reason(), 0..4), vec(issue, 0..40), option::of(base));
+    (time(), made).prop_map(|(time, ((estimate, protection), reasons, ephemerides, base))| {
+        Solution {
+            time,
+            status: if estimate.is_some() { Status::Single } else { Status::None },
+            estimate,
+            protection,
+            reasons,
+            provenance: Provenance { ephemerides, base },
+        }
     })
 }
 

@@ -2,15 +2,16 @@
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    BaseEpochIssue, Dops, Ecef, EphemerisIssue, Provenance, Reason, RelativeEstimate, Solution,
-    SolutionEstimate, Status, Velocity,
+    BaseEpochIssue, Dops, Ecef, EphemerisIssue, Protection, Provenance, Reason, RelativeEstimate,
+    Solution, SolutionEstimate, Status, Velocity,
 };
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
 
-/// The newest version. Version 1 had no relative estimate, version 2 no base epoch.
-const VERSION: u8 = 3;
+/// The newest version. Version 1 had no relative estimate, version 2 no base epoch, version 3 no
+/// protection levels.
+const VERSION: u8 = 4;
 
 /// A solution with its version and configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,6 +66,11 @@ pub(in crate::store) fn encode_solution(
     }
     out.text(version);
     out.text(configuration_hash);
+    out.u8(u8::from(solution.protection.is_some()));
+    if let Some(protection) = &solution.protection {
+        out.f64(protection.horizontal_m);
+        out.f64(protection.vertical_m);
+    }
     out.finish()
 }
 
@@ -169,6 +175,10 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         Reason::BaseMoved { distance_m } => numbers(21, &[*distance_m]),
         Reason::BaseChanged { distance_m } => numbers(22, &[*distance_m]),
         Reason::EpochRepeated { behind_s } => numbers(23, &[*behind_s]),
+        Reason::ProtectionLimitExceeded { level_m: Some(level_m), limit_m } => {
+            numbers(24, &[*level_m, *limit_m]);
+        }
+        Reason::ProtectionLimitExceeded { level_m: None, limit_m } => numbers(25, &[*limit_m]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -200,9 +210,13 @@ pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution,
         false => None,
     };
     let (version, configuration_hash) = (input.text()?.to_owned(), input.text()?.to_owned());
+    let protection = match 4 <= layout && input.flag("protection levels")? {
+        true => Some(Protection { horizontal_m: input.f64()?, vertical_m: input.f64()? }),
+        false => None,
+    };
     input.finish()?;
     let provenance = Provenance { ephemerides, base };
-    let solution = Solution { time, status, estimate, reasons, provenance };
+    let solution = Solution { time, status, estimate, protection, reasons, provenance };
     Ok(DecodedSolution { solution, version, configuration_hash })
 }
 
@@ -302,6 +316,10 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         21 => Reason::BaseMoved { distance_m: input.f64()? },
         22 => Reason::BaseChanged { distance_m: input.f64()? },
         23 => Reason::EpochRepeated { behind_s: input.f64()? },
+        24 => {
+            Reason::ProtectionLimitExceeded { level_m: Some(input.f64()?), limit_m: input.f64()? }
+        }
+        25 => Reason::ProtectionLimitExceeded { level_m: None, limit_m: input.f64()? },
         _ => return Err(input.invalid("reason")),
     })
 }

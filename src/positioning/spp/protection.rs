@@ -1,0 +1,170 @@
+//! Protection levels of a single point.
+//!
+//! Which satellites are wrong is not known; each hypothesis has its own bound (Pervan, Pullen &
+//! Christie 1998, *A multiple hypothesis approach to satellite navigation integrity*, Navigation
+//! 45; Blanch et al. 2015, *Baseline advanced RAIM user algorithm and possible improvements*, IEEE
+//! Trans. Aerosp. Electron. Syst. 51; Joerger, Chan & Pervan 2014, *Solution separation versus
+//! residual-based RAIM*, Navigation 61). With S_i = ∂p/∂s_i, the position's change per error of
+//! satellite i:
+//!
+//! - none is wrong, but each may be reflected, with the probability π_i of its C/N0 and an extra
+//!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, f ≥ 1 by how much the
+//!   residuals exceed what that lets expect;
+//! - satellite i alone is wrong, with probability ε: |p − p₋ᵢ| + k(P/(2nε))·σ₋ᵢ, with p₋ᵢ and Σ₋ᵢ
+//!   the solution without it; where others cannot replace it, |S_i|·W + k(P/(2nε))·σ₀.
+//!
+//! The level is the largest of these, each at its share of the risk P. π, λ and ε are those of the
+//! pseudoranges' likelihood, W is what no reflection exceeds.
+
+use nalgebra::Vector3;
+
+use crate::gnss::{LocalFrame, Protection};
+use crate::positioning::code_error::{EXTRA_PATH_M, FAULT_SHARE};
+use crate::positioning::integrity::{major_m2, normal_one_sided};
+
+use super::consensus::WILD_M;
+use super::exclusion::REDUNDANCY_MIN;
+use super::{Fit, SinglePoint};
+
+/// S₀ (dB-Hz).
+const LEVEL_DB_HZ: f64 = 32.0;
+/// Width of the logistic function with S₀ unknown (dB).
+const WIDTH_DB: f64 = 4.81;
+/// C/N0 assumed where none is reported (dB-Hz).
+const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
+
+/// A row's part in the position.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Influence {
+    /// S_i, local.
+    gain: Vector3<f64>,
+    /// Residual after the fit (m).
+    residual_m: f64,
+    /// Share of an error that stays in the residual.
+    redundancy: f64,
+    /// 1/w (m²).
+    variance_m2: f64,
+}
+
+/// The elements of a local covariance that levels need (m²).
+#[derive(Clone, Copy)]
+struct Spread {
+    east: f64,
+    north: f64,
+    cross: f64,
+    up: f64,
+}
+
+impl Spread {
+    /// With the covariance of an error of variance `variance_m2` along `direction` added.
+    fn with(self, direction: &Vector3<f64>, variance_m2: f64) -> Self {
+        Self {
+            east: self.east + direction.x * direction.x * variance_m2,
+            north: self.north + direction.y * direction.y * variance_m2,
+            cross: self.cross + direction.x * direction.y * variance_m2,
+            up: self.up + direction.z * direction.z * variance_m2,
+        }
+    }
+
+    /// Standard deviations: the largest horizontal one, and the vertical one (m).
+    fn deviations_m(&self) -> (f64, f64) {
+        (major_m2(self.east, self.north, self.cross).sqrt(), self.up.sqrt())
+    }
+}
+
+impl SinglePoint {
+    /// Protection levels of a fit for the probability `risk`; `frame` is that of the position.
+    pub(super) fn protection(
+        &mut self,
+        frame: &LocalFrame,
+        fit: &Fit,
+        risk: f64,
+    ) -> Option<Protection> {
+        let stated = self.influences(frame, fit);
+        let (spread, count) = (self.spread(stated), self.influences.len() as f64);
+        let none = normal_one_sided(0.25 * risk);
+        let fault = normal_one_sided((risk / (2.0 * count * FAULT_SHARE)).min(0.5));
+        let (across_m, up_m) = spread.deviations_m();
+        let mut levels = Protection { horizontal_m: none * across_m, vertical_m: none * up_m };
+        for influence in &self.influences {
+            let Influence { gain, residual_m, redundancy, variance_m2 } = influence;
+            let reach_m = gain.xy().norm();
+            let mut bound =
+                (reach_m * WILD_M + fault * across_m, gain.z.abs() * WILD_M + fault * up_m);
+            if REDUNDANCY_MIN < *redundancy {
+                let shift = (residual_m / redundancy).abs();
+                let without = spread.with(gain, variance_m2 / redundancy);
+                let (across_m, up_m) = without.deviations_m();
+                let replaced =
+                    (reach_m * shift + fault * across_m, gain.z.abs() * shift + fault * up_m);
+                bound = (bound.0.min(replaced.0), bound.1.min(replaced.1));
+            }
+            levels.horizontal_m = levels.horizontal_m.max(bound.0);
+            levels.vertical_m = levels.vertical_m.max(bound.1);
+        }
+        (levels.horizontal_m.is_finite() && levels.vertical_m.is_finite()).then_some(levels)
+    }
+
+    /// Collects the influences of the rows in use; returns the stated covariance, local.
+    fn influences(&mut self, frame: &LocalFrame, fit: &Fit) -> Spread {
+        self.influences.clear();
+        for row in self.rows.iter().filter(|row| row.is_used) {
+            self.influences.push(Influence {
+                gain: frame.rotation * fit.step.gain(row),
+                residual_m: fit.step.residual_after_m(row),
+                redundancy: fit.step.redundancy(row),
+                variance_m2: row.weight.recip(),
+            });
+        }
+        let enu = frame.covariance_to_enu(&fit.step.covariance) * fit.variance_factor;
+        Spread { east: enu[(0, 0)], north: enu[(1, 1)], cross: enu[(0, 1)], up: enu[(2, 2)] }
+    }
+
+    /// Σ₀ of the stated covariance.
+    fn spread(&self, stated: Spread) -> Spread {
+        let used = self.rows.iter().filter(|row| row.is_used);
+        let late_m2 = |index: usize| {
+            let cn0_db_hz = self.measurements.list[index].cn0_db_hz;
+            2.0 * EXTRA_PATH_M * EXTRA_PATH_M * reflected(cn0_db_hz)
+        };
+        let zero = Spread { east: 0.0, north: 0.0, cross: 0.0, up: 0.0 };
+        let (mut reflections, mut late, mut squares, mut expected) = (zero, 0.0, 0.0, 0.0);
+        for (row, influence) in used.zip(&self.influences) {
+            let late_m2 = late_m2(row.index);
+            reflections = reflections.with(&influence.gain, late_m2);
+            late += late_m2;
+            squares += influence.residual_m * influence.residual_m;
+            expected += (influence.variance_m2 + late_m2) * influence.redundancy;
+        }
+        // Residuals may show more than the C/N0 lets expect; that they show less proves nothing,
+        // since reflections agree. One pseudorange of the expected variance stands before them.
+        let one = late / self.influences.len() as f64;
+        let shown = ((squares + one) / (expected + one)).max(1.0);
+        Spread {
+            east: stated.east + reflections.east * shown,
+            north: stated.north + reflections.north * shown,
+            cross: stated.cross + reflections.cross * shown,
+            up: stated.up + reflections.up * shown,
+        }
+    }
+}
+
+/// π of a C/N0 (dB-Hz), a logistic function of C/N0 − S₀ of width 3 dB, over S₀ = 32 ± 6 dB-Hz:
+/// that widens it by √(1 + π/8·(6/3)²) (MacKay 1992, *The evidence framework applied to
+/// classification networks*, Neural Comput. 4).
+fn reflected(cn0_db_hz: Option<f64>) -> f64 {
+    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - LEVEL_DB_HZ;
+    (1.0 + (above_db / WIDTH_DB).exp()).recip()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Without C/N0 as at 38 dB-Hz: 1/(1 + exp(6/4.81)) = 0.2232; half at 32 dB-Hz.
+    #[test]
+    fn the_probability_of_a_reflection_worked_by_hand() {
+        assert!((reflected(None) - 0.223_2).abs() < 1e-4, "{}", reflected(None));
+        assert!((reflected(Some(32.0)) - 0.5).abs() < 1e-12);
+    }
+}
