@@ -16,7 +16,7 @@ use super::setup::Setup;
 use super::spp::SinglePoints;
 
 /// Layout of the snapshots: raised whenever what is in them changes.
-const LAYOUT: u16 = 11;
+const LAYOUT: u16 = 12;
 
 /// Writes the state of any mode and the memory of all of them, from one table: the mode's number in
 /// snapshots, its name, its engine, and where its memory is.

@@ -170,7 +170,7 @@ impl GraphSettings {
                 phase: AnnealedKernel { convex: opening, target: student() },
                 follow_code: true,
             },
-            update: solve(Schedule::direct(6)),
+            update: solve(Schedule::direct(3)),
             whole: solve(Schedule::graduated(2, 1.0, 2.0, 1, 12)),
         }
     }

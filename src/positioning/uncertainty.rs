@@ -99,6 +99,11 @@ impl Residuals {
         AGREEING <= self.redundancy - rejected && rejected <= DISSENTING * self.count
     }
 
+    /// Whether most of these of one epoch are rejected, though they could determine a position.
+    pub(super) fn is_lost(&self) -> bool {
+        1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
+    }
+
     /// s².
     pub(super) fn variance_factor(&self) -> f64 {
         let prior = PRIOR_REDUNDANCY * self.epochs;
@@ -254,6 +259,17 @@ mod tests {
             Residuals::of((0..9).map(|i| (Constellation::Gps, 0.5, slope(i))))
         };
         assert!(of(0).agree() && of(1).agree() && !of(2).agree());
+    }
+
+    /// Nine of one constellation determine four unknowns: with five rejected four are left, which
+    /// agree on anything. Four have nothing to reject.
+    #[test]
+    fn an_epoch_is_lost_with_as_many_left_as_unknowns() {
+        let of = |count: usize, rejected: usize| {
+            let slope = |i| if i < rejected { 0.0 } else { 1.0 };
+            Residuals::of((0..count).map(|i| (Constellation::Gps, 0.5, slope(i))))
+        };
+        assert!(of(9, 5).is_lost() && !of(9, 4).is_lost() && !of(4, 4).is_lost());
     }
 
     /// Seven pseudoranges of one constellation, three redundant, ψ = ±2: (28 + 1)/(3 + 1); where

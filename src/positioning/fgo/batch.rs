@@ -91,7 +91,7 @@ impl WholeChain {
             return;
         }
         match chain.solve(&setup.alone, &setup.alone.whole, scratch, workspace) {
-            Ok(()) => {
+            Ok(_) => {
                 let (mut covariances, mut answer) = (Vec::new(), AnswerScratch::default());
                 Covariances::new().all_states(&workspace.elimination, &mut covariances);
                 for (k, covariance) in covariances.iter().enumerate() {

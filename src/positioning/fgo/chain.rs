@@ -17,7 +17,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
-use crate::positioning::receiver::{ReceiverModel, Signal};
+use crate::positioning::receiver::{ReceiverModel, Signal, common_ionosphere_m};
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::starts::{
@@ -29,6 +29,7 @@ use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
+use super::start::follow_doppler;
 use super::watch::Watch;
 
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
@@ -173,27 +174,25 @@ impl Chain {
         scratch: &mut ChainScratch,
     ) {
         let options = &setup.options.graph;
+        let interval_s = self.open_epoch(time, measurements, &mut scratch.factors);
         let factors = &mut scratch.factors;
-        factors.clear();
         let receiver = self.frame.to_ecef(Enu(position(&guess)));
         let velocity =
             scratch.velocity.estimate_whole(receiver, &measurements.list, &setup.options);
         factors.doppler_velocity_m_s = velocity.map(|v| self.frame.rotation * v.velocity_m_s);
-        factors.slot = self.sequence % self.ring.max(1);
-        let border = &mut self.estimate.border;
-        border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
-        let interval_s = self.last_time().map(|last| time - last);
-        self.started = interval_s.map_or(time, |_| self.started);
-        factors.without_ephemeris.clone_from(&measurements.without_ephemeris);
-        factors.ionosphere_fallback = measurements.ionosphere_fallback;
         let spacing_s = interval_s.unwrap_or(options.independence_s);
         if setup.learns {
             self.receiver.observe(&measurements.list, interval_s);
         }
         look(&self.frame, &measurements.list, &mut factors.sights);
         self.range(measurements, setup, scratch);
-        let clock_m = self.settle_clock(&mut guess, scratch);
         self.add_rates(receiver, &measurements.list, setup, scratch);
+        if let (true, Some(interval_s), Some(before)) =
+            (setup.learns, interval_s, self.estimate.states.last())
+        {
+            follow_doppler(&mut guess, before, interval_s, &scratch.factors.rates);
+        }
+        let clock_m = self.settle_clock(&mut guess, scratch);
         let factors = &mut scratch.factors;
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
             factors.tie = Some(self.tie(interval_s, clock_m, setup));
@@ -233,6 +232,24 @@ impl Chain {
             factors: Arc::new(factors.clone()),
         });
         self.sequence += 1;
+    }
+
+    /// Begins the factors of an epoch; returns the time since the one before (s).
+    fn open_epoch(
+        &mut self,
+        time: GpsTime,
+        measurements: &Measurements,
+        factors: &mut Factors,
+    ) -> Option<f64> {
+        factors.clear();
+        factors.slot = self.sequence % self.ring.max(1);
+        factors.without_ephemeris.clone_from(&measurements.without_ephemeris);
+        factors.ionosphere_fallback = measurements.ionosphere_fallback;
+        let border = &mut self.estimate.border;
+        border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
+        let interval_s = self.last_time().map(|last| time - last);
+        self.started = interval_s.map_or(time, |_| self.started);
+        interval_s
     }
 
     /// Share of independent information in the epoch's pseudoranges; finds a standstill.
@@ -301,13 +318,14 @@ impl Chain {
             _ => Constellation::ALL.into_iter().find(|c| present(*c)),
         };
         let first = Constellation::COUNT * factors.slot;
+        let common_m = common_ionosphere_m(list);
         for (sight, measurement) in sighted(list).filter(|(_, m)| !m.is_excluded) {
             let constellation = measurement.satellite.constellation;
             let further = Some(constellation) != reference;
             let bias = further.then_some((first + constellation.index()) as u32);
             let mut range = Ranging::new(sight, measurement, bias);
             if setup.judges_by_mixture() {
-                let signal = Signal::of(measurement);
+                let signal = Signal::of(measurement, common_m);
                 range.follow(self.receiver.code_error(&signal));
                 scratch.signals.push(signal);
             }
@@ -377,19 +395,24 @@ impl Chain {
         (!self.is_proven).then(|| time - self.started)
     }
 
-    /// Moves the estimate to the minimum of the objective.
+    /// Moves the estimate to the minimum of the objective; returns its cost there.
     pub(super) fn solve(
         &mut self,
         settings: &GraphSettings,
         how: &OptimizerOptions,
         scratch: &mut ChainScratch,
         workspace: &mut Workspace<STATE>,
-    ) -> Result<(), EliminationError> {
+    ) -> Result<f64, EliminationError> {
         let Self { epochs, prior, estimate, .. } = self;
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen: &mut scratch.seen };
-        optimize(&mut rows, estimate, how, workspace)?;
+        let summary = optimize(&mut rows, estimate, how, workspace)?;
         self.weigh_residuals(settings, scratch);
-        Ok(())
+        Ok(summary.cost)
+    }
+
+    /// Whether the pseudoranges of the newest epoch that count do not determine its position.
+    pub(super) fn is_lost(&self) -> bool {
+        self.epochs.last().is_some_and(|newest| newest.residuals.is_lost())
     }
 
     /// Linearises and factors the chain at its estimate.

@@ -7,11 +7,10 @@
 //! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
 //!
 //! J is the likelihood of [`CodeError`], with one term for each satellite and ten seconds, κ of
-//! which
-//! are independent. Inter-system biases of the graph hold within β once they are known. T is
-//! Student's t of three degrees of freedom with a scale of 10 m: a trajectory that has been right
-//! for
-//! a while (a → 1) is not a hundred metres off. Two hypotheses have the odds exp(−Δcost).
+//! which are independent: less at rest, where multipath repeats. Inter-system biases of the graph
+//! hold within β once they are known. T is Student's t of three degrees of freedom with a scale of
+//! 10 m: a trajectory that has been right for a while (a → 1) is not a hundred metres off. Two
+//! hypotheses have the odds exp(−Δcost).
 //!
 //! Candidates are the positions of minimal subsets of satellites, drawn with the probability that
 //! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24); the best, and the
@@ -57,15 +56,15 @@ pub(super) struct Pooled {
     /// Median of measured − modelled (m).
     pub(super) residual_m: f64,
     pub(super) error: CodeError,
+    /// κ: share of independent information, one for all of a pool.
+    pub(super) independent: f64,
 }
 
-snapshot_fields!(Pooled { satellite, slope, residual_m, error });
+snapshot_fields!(Pooled { satellite, slope, residual_m, error, independent });
 
 /// What is known besides residuals.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Knowledge {
-    /// κ.
-    pub(super) independent: f64,
     /// β (m); infinite where inter-system biases are not known yet.
     pub(super) bias_sigma_m: f64,
     /// a.
@@ -100,7 +99,7 @@ impl Offset {
 pub(super) enum Rivalry {
     /// Nothing: there is no redundancy.
     Undetermined,
-    /// No candidate lies elsewhere.
+    /// No candidate lies elsewhere, or none can be likely enough.
     Unrivalled,
     /// The likeliest candidate elsewhere.
     Rival {
@@ -119,10 +118,9 @@ struct Evidence<'a> {
     present: [bool; Constellation::COUNT],
 }
 
-/// Looks for the likeliest position more than [`DISTINCT_M`] away from where the trajectory is;
-/// `seed`
-/// decides the draws.
-pub(super) fn rivalry(pool: &[Pooled], knowledge: Knowledge, seed: u64) -> Rivalry {
+/// Looks for the likeliest position more than [`DISTINCT_M`] away from where the trajectory is, if
+/// its log odds can reach `least`; `seed` decides the draws.
+pub(super) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
     let mut present = [false; Constellation::COUNT];
     pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
     let evidence = Evidence { pool, knowledge, present };
@@ -130,6 +128,9 @@ pub(super) fn rivalry(pool: &[Pooled], knowledge: Knowledge, seed: u64) -> Rival
         return Rivalry::Undetermined;
     }
     let stands = evidence.refine(Unknowns::zeros(), false);
+    if stands.cost - evidence.least_cost() < least {
+        return Rivalry::Unrivalled;
+    }
     let refined = evidence.candidates(seed).into_iter().map(|x| evidence.refine(x, true));
     let moved = evidence.refine(stands.x, true);
     let elsewhere = refined.chain([moved]).filter(|c| DISTINCT_M < c.horizontal_m());
@@ -170,16 +171,25 @@ impl Evidence<'_> {
     }
 
     fn cost(&self, x: &Unknowns) -> f64 {
-        let Knowledge { independent, bias_sigma_m, settled } = self.knowledge;
+        let Knowledge { bias_sigma_m, settled } = self.knowledge;
         let mean_m = self.mean_clock_m(x);
         let present = (0..Constellation::COUNT).filter(|i| self.present[*i]);
         let biases = present.map(|i| 0.5 * ((x[3 + i] - mean_m) / bias_sigma_m).powi(2));
         let student = |square: f64| 2.0 * (square / (3.0 * SETTLED_M * SETTLED_M)).ln_1p();
         let moved = student(x[0] * x[0] + x[1] * x[1]) + student(x[2] * x[2]);
-        let density = |p: &Pooled| p.error.evaluate(Self::residual_m(p, x)).density;
-        -independent * log_product(self.pool.iter().map(density))
-            + biases.sum::<f64>()
-            + settled * moved
+        self.loss(|p| Self::residual_m(p, x)) + biases.sum::<f64>() + settled * moved
+    }
+
+    /// The cost of a position that explains every residual: no other costs less.
+    fn least_cost(&self) -> f64 {
+        self.loss(|_| 0.0)
+    }
+
+    /// Σ κ·J of these residuals (m).
+    fn loss(&self, residual_m: impl Fn(&Pooled) -> f64) -> f64 {
+        let pools = self.pool.chunk_by(|a, b| a.independent == b.independent);
+        let density = |p: &Pooled| p.error.density(residual_m(p));
+        pools.map(|pool| -pool[0].independent * log_product(pool.iter().map(density))).sum()
     }
 
     /// Expectation maximisation from `x`, of the clocks alone where the position does not move.
@@ -202,7 +212,7 @@ impl Evidence<'_> {
         // What no row determines stays: positions far below, and clocks of absent constellations.
         const WEAK: f64 = 1e-9;
         const HELD: f64 = 1e12;
-        let Knowledge { independent, bias_sigma_m, .. } = self.knowledge;
+        let bias_sigma_m = self.knowledge.bias_sigma_m;
         let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
         (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
         let (mean_m, tie) = (self.mean_clock_m(x), bias_sigma_m.powi(-2));
@@ -213,7 +223,8 @@ impl Evidence<'_> {
         }
         for pooled in self.pool {
             let at = pooled.error.evaluate(Self::residual_m(pooled, x));
-            let (slope, curvature) = (independent * at.slope, independent * at.curvature);
+            let (slope, curvature) =
+                (pooled.independent * at.slope, pooled.independent * at.curvature);
             let c = 3 + pooled.satellite.constellation.index();
             normal[(c, c)] += curvature;
             right[c] += slope;
@@ -331,7 +342,7 @@ impl Draws {
 mod tests {
     use super::*;
 
-    const KNOWN: Knowledge = Knowledge { independent: 1.0, bias_sigma_m: 6.0, settled: 0.0 };
+    const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };
 
     /// Twelve satellites around, seen from a trajectory that is `off` its true position; those of
     /// `late` are reflections, 45 m late.
@@ -352,6 +363,7 @@ mod tests {
                 slope,
                 residual_m: -slope.dot(&off) + reflection_m + 0.3 * (index as f64).sin(),
                 error: CodeError { sigma_m: 2.0, reflected: 0.3 },
+                independent: 1.0,
             }
         };
         (0..12).map(pooled).collect()
@@ -359,7 +371,7 @@ mod tests {
 
     /// The rival that must be there, and its log odds.
     fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
-        match rivalry(pool, knowledge, 7) {
+        match rivalry(pool, knowledge, f64::NEG_INFINITY, 7) {
             Rivalry::Rival { offset, log_odds } => (offset, log_odds),
             other => panic!("{other:?}"),
         }
@@ -378,7 +390,7 @@ mod tests {
 
     #[test]
     fn a_trajectory_that_is_right_has_none() {
-        let rivalry = rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, 7);
+        let rivalry = rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, f64::NEG_INFINITY, 7);
         let is_right = match rivalry {
             Rivalry::Unrivalled => true,
             Rivalry::Rival { log_odds, .. } => log_odds < -10.0,
@@ -397,7 +409,7 @@ mod tests {
 
     #[test]
     fn too_few_satellites_decide_nothing() {
-        let rivalry = rivalry(&pool(Vector3::zeros(), &[])[..4], KNOWN, 7);
+        let rivalry = rivalry(&pool(Vector3::zeros(), &[])[..4], KNOWN, f64::NEG_INFINITY, 7);
         assert!(matches!(rivalry, Rivalry::Undetermined));
     }
 }

@@ -8,9 +8,11 @@
 mod answer;
 mod batch;
 mod chain;
+mod competition;
 mod epoch;
 mod hypotheses;
 mod learning;
+mod start;
 mod watch;
 mod window;
 

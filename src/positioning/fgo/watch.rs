@@ -8,11 +8,9 @@
 //!
 //! A position is given up for another whose odds exceed a bar. After a start or an outage the bar
 //! rises within half a minute from 1 nat to 10 nats, 1 : 22,000: a search each two seconds makes
-//! some
-//! 1,800 decisions an hour.
+//! some 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
-use crate::positioning::receiver::ReceiverModel;
 use crate::snapshot::state_fields;
 
 use super::hypotheses::{self, Knowledge, Offset, Pooled, Rivalry};
@@ -68,18 +66,25 @@ impl Watch {
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
+    /// What inter-system biases may be off by at `now` (m).
+    pub(super) fn bias_sigma_m(&self, now: GpsTime) -> f64 {
+        if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SIGMA_M }
+    }
+
+    /// How far a position has settled, 0 … 1.
+    fn settled(&self, now: GpsTime) -> f64 {
+        let age_s = self.settling.map_or(0.0, |settling| now - settling);
+        (age_s / SETTLING_S).min(1.0)
+    }
+
     /// How far the window's residuals are not yet among the earlier ones (s).
     pub(super) fn unpooled_s(&self, now: GpsTime) -> f64 {
         self.pooled.map_or(0.0, |pooled| now - pooled).min(POOL_S)
     }
 
-    /// Judges the position from the window's residuals, pooled over [`Self::unpooled_s`].
-    pub(super) fn judge(
-        &mut self,
-        now: GpsTime,
-        window: &[Pooled],
-        receiver: &ReceiverModel,
-    ) -> Verdict {
+    /// Judges the position from the window's residuals, pooled over [`Self::unpooled_s`]. One that
+    /// is proven stays so until it moves.
+    pub(super) fn judge(&mut self, now: GpsTime, window: &[Pooled], is_proven: bool) -> Verdict {
         self.searched = Some(now);
         let mut pool = window.to_vec();
         if POOL_S <= self.unpooled_s(now) {
@@ -92,15 +97,12 @@ impl Watch {
         }
         pool.extend_from_slice(&self.earlier[1]);
         let age_s = self.settling.map_or(0.0, |settling| now - settling);
-        let settled = (age_s / SETTLING_S).min(1.0);
-        let knowledge = Knowledge {
-            independent: (POOL_S * receiver.independent_share(1.0)).min(1.0),
-            bias_sigma_m: if settled < 1.0 { f64::INFINITY } else { BIAS_SIGMA_M },
-            settled,
-        };
+        let settled = self.settled(now);
+        let knowledge = Knowledge { bias_sigma_m: self.bias_sigma_m(now), settled };
         let seed = now.as_ns() as u64;
         let bar = BARS.0 + (BARS.1 - BARS.0) * settled;
-        match hypotheses::rivalry(&pool, knowledge, seed) {
+        let least = if is_proven { bar } else { -PROVEN };
+        match hypotheses::rivalry(&pool, knowledge, least, seed) {
             Rivalry::Rival { offset, log_odds } if bar < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN <= log_odds => Verdict::Open,
             Rivalry::Rival { .. } | Rivalry::Unrivalled if POOL_S <= age_s => Verdict::Proven,

@@ -244,7 +244,10 @@ impl SlidingWindow {
         }
         // Until the first epoch is forgotten, its minimum can still be left for a better one.
         let how = if chain.has_past() { &settings.update } else { &settings.whole };
-        chain.solve(settings, how, chain_scratch, workspace).ok()?;
+        let cost = chain.solve(settings, how, chain_scratch, workspace).ok()?;
+        if setup.learns && chain.is_lost() {
+            chain.retry(cost, settings, chain_scratch, workspace).ok()?;
+        }
         if setup.learns && chain.reconsider(chain_scratch) {
             chain.solve(settings, &settings.whole, chain_scratch, workspace).ok()?;
         }

@@ -5,17 +5,16 @@
 //! a = S − S₀ (dB):
 //!
 //! π = 1/(1 + e^(a/3 dB)), within 0.02 … 0.98
-//! σ² = (1 m)² + ½·(0.5 m/sin E)² + (4 m·10^(−a/20))²
+//! σ² = (1 m)² + ½·(0.5 m/sin E)² + (4 m·10^(−a/20))² + i²
 //!
 //! S₀ has a normal prior of 32 ± 6 dB-Hz on a grid of 2 dB. Its likelihood is that of the
-//! residuals,
-//! each counted by its independent share. The floor of 1 m is multipath of a strong signal with
-//! orbit and clock; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999, SIGMA-ε). Slope
-//! and
-//! width of π and the 4 m come from tables of pseudorange errors by C/N0 of one receiver
-//! (docs/estimation.md).
+//! residuals, each counted by its independent share. The floor of 1 m is multipath of a strong
+//! signal with orbit and clock; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
+//! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
+//! receiver (docs/estimation.md). i is what the ionosphere's model errs by beyond the least of the
+//! epoch: a common error goes into the clock.
 
-use std::f64::consts::LN_10;
+use std::f64::consts::{FRAC_1_SQRT_2, LN_10};
 
 use crate::gnss::SatelliteId;
 use crate::positioning::Measurement;
@@ -50,13 +49,26 @@ const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 pub(in crate::positioning) struct Signal {
     pub(in crate::positioning) cn0_db_hz: Option<f64>,
     pub(in crate::positioning) elevation_rad: f64,
+    /// Standard deviation of the ionosphere's model beyond what all satellites share (m).
+    pub(in crate::positioning) ionosphere_m: f64,
 }
 
 impl Signal {
-    /// Of a placed measurement.
-    pub(in crate::positioning) fn of(measurement: &Measurement) -> Self {
-        Self { cn0_db_hz: measurement.cn0_db_hz, elevation_rad: measurement.look.elevation_rad }
+    /// Of a placed measurement, with [`common_ionosphere_m`] of its epoch.
+    pub(in crate::positioning) fn of(measurement: &Measurement, common_m: f64) -> Self {
+        Self {
+            cn0_db_hz: measurement.cn0_db_hz,
+            elevation_rad: measurement.look.elevation_rad,
+            ionosphere_m: (measurement.ionosphere_share_m - common_m).max(0.0),
+        }
     }
+}
+
+/// What the ionosphere's model errs by for all satellites alike (m, standard deviation): it goes
+/// into the clock.
+pub(in crate::positioning) fn common_ionosphere_m(list: &[Measurement]) -> f64 {
+    let used = list.iter().filter(|m| m.is_above_mask);
+    used.map(|m| m.ionosphere_share_m).fold(f64::INFINITY, f64::min)
 }
 
 /// A pseudorange residual with what its noise depends on.
@@ -104,8 +116,7 @@ impl CodeNoise {
         self.level.fade(kept(interval_s), prior);
         self.level.update(|index| {
             let level = level_db_hz(index);
-            let density =
-                |r: &CodeResidual| error_at(level, &r.signal).evaluate(r.residual_m).density;
+            let density = |r: &CodeResidual| error_at(level, &r.signal).density(r.residual_m);
             share * log_product(residuals.iter().map(density))
         });
     }
@@ -113,14 +124,16 @@ impl CodeNoise {
 
 /// Error model for S₀ = `level_db_hz`.
 fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
-    let Signal { cn0_db_hz, elevation_rad } = *signal;
+    let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;
     let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - level_db_hz;
     let reflected = (1.0 + (above_db / LOGISTIC_DB).exp()).recip();
     let noise_m = NOISE_M * (-above_db * (LN_10 / 20.0)).exp();
     // The mask keeps elevations above some degrees; 0.1 is 6°.
     let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
+    let squares =
+        [FLOOR_M, FRAC_1_SQRT_2 * low_m, noise_m, ionosphere_m].map(|sigma| sigma * sigma);
     CodeError {
-        sigma_m: (FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + noise_m * noise_m).sqrt(),
+        sigma_m: squares.iter().sum::<f64>().sqrt(),
         reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
     }
 }
@@ -135,7 +148,7 @@ mod tests {
     fn the_model_worked_by_hand() {
         let error = |cn0_db_hz| {
             let elevation_rad = std::f64::consts::FRAC_PI_2;
-            error_at(32.0, &Signal { cn0_db_hz: Some(cn0_db_hz), elevation_rad })
+            error_at(32.0, &Signal { cn0_db_hz: Some(cn0_db_hz), elevation_rad, ionosphere_m: 0.0 })
         };
         let at = error(32.0);
         assert!((at.reflected - 0.5).abs() < 1e-12);
@@ -152,7 +165,7 @@ mod tests {
             let mut noise = CodeNoise::default();
             let residual = CodeResidual {
                 satellite: "G01".parse().unwrap(),
-                signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0 },
+                signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, ionosphere_m: 0.0 },
                 sigma_m: 4.0,
                 residual_m,
             };

@@ -1,0 +1,156 @@
+//! When a window's position is given up for another.
+//!
+//! The newest epoch is solved again from its own pseudoranges where the window rejects most of them
+//! ([`Chain::retry`]); the whole window moves where its residuals have long agreed on another
+//! position ([`Chain::reconsider`]).
+
+use std::sync::Arc;
+
+use crate::gnss::Constellation;
+use crate::graph::{EliminationError, Estimate, Prior, Workspace};
+use crate::positioning::clock_jump::CRYSTAL_DRIFT_M_S;
+use crate::positioning::factors::{BiasFactor, CLOCK, ComponentFactor, DRIFT, STATE, VELOCITY};
+use crate::positioning::setup::GraphSettings;
+use crate::positioning::starts::{START_CLOCK_M, START_M_S};
+
+use super::chain::{BIAS_M, Chain, ChainScratch};
+use super::hypotheses::{Knowledge, Offset, Pooled, Rivalry, rivalry};
+use super::watch::Verdict;
+
+/// Standard deviation of a position about the hypothesis that it was moved to (m).
+const MOVED_M: f64 = 30.0;
+
+impl Chain {
+    /// Solves once more from the newest epoch's own position; keeps the likelier of both minima,
+    /// of which the first has this cost.
+    pub(super) fn retry(
+        &mut self,
+        cost: f64,
+        settings: &GraphSettings,
+        scratch: &mut ChainScratch,
+        workspace: &mut Workspace<STATE>,
+    ) -> Result<(), EliminationError> {
+        let first = self.estimate.clone();
+        if !self.start_at_consensus(scratch) {
+            return Ok(());
+        }
+        let again = self.solve(settings, &settings.update, scratch, workspace);
+        if again.is_ok_and(|again| again < cost) {
+            return Ok(());
+        }
+        self.estimate = first;
+        self.factor(settings, scratch, workspace)?;
+        self.weigh_residuals(settings, scratch);
+        Ok(())
+    }
+
+    /// Moves the newest state to where its own pseudoranges agree; whether they do elsewhere.
+    fn start_at_consensus(&mut self, scratch: &mut ChainScratch) -> bool {
+        let Some(now) = self.last_time() else { return false };
+        let mut pool = self.pooled(0.0, scratch);
+        pool.iter_mut().for_each(|pooled| pooled.independent = 1.0);
+        let bias_sigma_m = self.watch.bias_sigma_m(now);
+        let knowledge = Knowledge { bias_sigma_m, settled: 0.0 };
+        let rivalry = rivalry(&pool, knowledge, f64::NEG_INFINITY, now.as_ns() as u64);
+        let (Rivalry::Rival { offset, .. }, Some(state)) =
+            (rivalry, self.estimate.states.last_mut())
+        else {
+            return false;
+        };
+        let by_m = offset.position_m();
+        (0..3).for_each(|axis| state[axis] += by_m[axis]);
+        state[CLOCK] += offset.clock_m(Constellation::Gps);
+        true
+    }
+
+    /// Asks whether the position is clearly likelier elsewhere, and moves the window there if it
+    /// is;
+    /// it must then be solved again.
+    pub(super) fn reconsider(&mut self, scratch: &mut ChainScratch) -> bool {
+        let Some(now) = self.last_time() else { return false };
+        let interval_s = match &*self.epochs {
+            [.., before, _] => Some(now - before.time),
+            _ => None,
+        };
+        if !self.watch.is_due(now, interval_s) {
+            return false;
+        }
+        let window = self.pooled(self.watch.unpooled_s(now), scratch);
+        let verdict = self.watch.judge(now, &window, self.is_proven);
+        match &verdict {
+            Verdict::Proven => self.is_proven = true,
+            Verdict::Open => {}
+            Verdict::Move(offset) => self.move_by(offset),
+        }
+        matches!(verdict, Verdict::Move(_))
+    }
+
+    /// The residuals of the window's last `span_s`: the median of each satellite.
+    pub(super) fn pooled(&self, span_s: f64, scratch: &mut ChainScratch) -> Vec<Pooled> {
+        let ChainScratch { lines, .. } = scratch;
+        let Some(now) = self.last_time() else { return Vec::new() };
+        let Estimate { states, border } = &self.estimate;
+        let (mut all, mut independent) = (Vec::new(), 0.0);
+        for (epoch, state) in self.epochs.iter().zip(states) {
+            if span_s < now - epoch.time {
+                continue;
+            }
+            independent += epoch.share;
+            epoch.factors.see(state, lines);
+            all.extend(epoch.factors.ranges.iter().filter_map(|range| {
+                Some(Pooled {
+                    satellite: range.satellite,
+                    slope: lines[usize::from(range.sight)].1,
+                    residual_m: range.miss_m(lines, state, border),
+                    error: range.error()?,
+                    independent: 1.0,
+                })
+            }));
+        }
+        all.sort_by(|a, b| {
+            a.satellite.cmp(&b.satellite).then(a.residual_m.total_cmp(&b.residual_m))
+        });
+        let independent = f64::min(independent, 1.0);
+        let middle = |group: &[Pooled]| Pooled { independent, ..group[group.len() / 2] };
+        all.chunk_by(|a, b| a.satellite == b.satellite).map(middle).collect()
+    }
+
+    /// Moves the window by an offset of position and clocks; what was before no longer counts.
+    fn move_by(&mut self, offset: &Offset) {
+        let by_m = offset.position_m();
+        let reference_m = offset.clock_m(Constellation::Gps);
+        let Estimate { states, border } = &mut self.estimate;
+        for state in states.iter_mut() {
+            (0..3).for_each(|axis| state[axis] += by_m[axis]);
+            state[CLOCK] += reference_m;
+        }
+        for constellation in Constellation::ALL.into_iter().skip(1) {
+            border[constellation.index()] += offset.clock_m(constellation) - reference_m;
+        }
+        self.watch.follow(offset);
+        self.prior = Prior::none();
+        let Some((first, later)) = self.epochs.split_first_mut() else { return };
+        let factors = Arc::make_mut(&mut first.factors);
+        factors.components.clear();
+        factors.biases.clear();
+        let start = &states[0];
+        let mut add = |column: usize, sigma: f64| {
+            let (mean, inverse_sigma) = (start[column], sigma.recip());
+            factors.components.push(ComponentFactor { column, mean, inverse_sigma });
+        };
+        (0..3).for_each(|axis| add(axis, MOVED_M));
+        (VELOCITY..CLOCK).for_each(|rate| add(rate, START_M_S));
+        add(CLOCK, START_CLOCK_M);
+        add(DRIFT, CRYSTAL_DRIFT_M_S);
+        for constellation in Constellation::ALL.into_iter().skip(1) {
+            let variable = constellation.index();
+            if self.begun[variable] {
+                let (mean_m, inverse_sigma) = (border[variable], BIAS_M.recip());
+                factors.biases.push(BiasFactor { variable, mean_m, inverse_sigma });
+            }
+        }
+        for epoch in later.iter_mut().filter(|epoch| !epoch.factors.biases.is_empty()) {
+            Arc::make_mut(&mut epoch.factors).biases.clear();
+        }
+    }
+}

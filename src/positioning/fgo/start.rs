@@ -1,0 +1,119 @@
+//! Where the solve of an added epoch starts.
+//!
+//! Robust kernels have many minima, so the start decides. The last velocity carried over some
+//! seconds is tens of metres off where the receiver has braked or turned; the epoch's own Doppler
+//! tells.
+
+use nalgebra::{Matrix4, Vector4};
+
+use crate::graph::{HUBER_WIDTH, Kernel};
+use crate::positioning::factors::{DRIFT, DopplerFactor, State, VELOCITY};
+
+/// Number of Doppler shifts, two more than there are unknowns, so that a wrong one shows.
+const RATES_MIN: usize = 6;
+/// Iterations of reweighted least squares.
+const ITERATIONS: usize = 10;
+
+/// Moves `guess` to the velocity of the epoch's own Doppler, and its position by the mean of that
+/// and the velocity of `before`, `interval_s` earlier.
+pub(super) fn follow_doppler(
+    guess: &mut State,
+    before: &State,
+    interval_s: f64,
+    rates: &[DopplerFactor],
+) {
+    let Some(rate) = velocity_and_drift(rates, guess) else { return };
+    for axis in 0..3 {
+        let mean_m_s = 0.5 * (before[VELOCITY + axis] + rate[axis]);
+        guess[axis] = before[axis] + interval_s * mean_m_s;
+        guess[VELOCITY + axis] = rate[axis];
+    }
+    guess[DRIFT] = rate[3];
+}
+
+/// Velocity and drift (m/s) by least squares reweighted after Huber; `None` if the Doppler shifts
+/// do not determine them.
+fn velocity_and_drift(rates: &[DopplerFactor], start: &State) -> Option<Vector4<f64>> {
+    if rates.len() < RATES_MIN {
+        return None;
+    }
+    let (huber, mut state) = (Kernel::huber(HUBER_WIDTH), *start);
+    for iteration in 0..ITERATIONS {
+        let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for rate in rates {
+            let row = rate.linearize(&state);
+            let weight = if iteration == 0 { 1.0 } else { huber.weight(row.residual) };
+            let slope = Vector4::from(row.jacobian);
+            normal += slope * slope.transpose() * weight;
+            right -= slope * (row.residual * weight);
+        }
+        let step = normal.cholesky()?.solve(&right);
+        (0..3).for_each(|axis| state[VELOCITY + axis] += step[axis]);
+        state[DRIFT] += step[3];
+    }
+    Some(Vector4::new(state[VELOCITY], state[VELOCITY + 1], state[VELOCITY + 2], state[DRIFT]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::{Ecef, LocalFrame};
+    use crate::models::SatelliteState;
+    use nalgebra::Vector3;
+
+    const RADIUS_M: f64 = 6_378_137.0;
+
+    /// Doppler of seven satellites around a receiver with this velocity and drift (m/s), the first
+    /// of them `wrong_m_s` off.
+    fn rates(velocity_m_s: Vector3<f64>, drift_m_s: f64, wrong_m_s: f64) -> Vec<DopplerFactor> {
+        let receiver = Ecef::new(RADIUS_M, 0.0, 0.0);
+        let frame = LocalFrame::at(receiver);
+        let rate = |index: usize| {
+            let (azimuth, elevation): (f64, f64) = (0.9 * index as f64, [0.2, 1.2, 0.6][index % 3]);
+            let e = Vector3::new(
+                azimuth.sin() * elevation.cos(),
+                azimuth.cos() * elevation.cos(),
+                elevation.sin(),
+            );
+            let satellite = SatelliteState {
+                position: Ecef(receiver.0 + frame.rotation.transpose() * e * 2e7),
+                velocity_m_s: Vector3::zeros(),
+                clock_m: 0.0,
+                clock_drift_m_s: 0.0,
+                variance_m2: 0.0,
+            };
+            let at_rest = DopplerFactor::new(&frame, receiver, &satellite, 0.0, 1.0);
+            let still = at_rest.linearize(&State::zeros()).residual;
+            let wrong_m_s = if index == 0 { wrong_m_s } else { 0.0 };
+            let measured_m_s = still - e.dot(&velocity_m_s) + drift_m_s + wrong_m_s;
+            DopplerFactor::new(&frame, receiver, &satellite, measured_m_s, 0.05)
+        };
+        (0..7).map(rate).collect()
+    }
+
+    /// From 10 m/s east to a stop within 4 s: 20 m, not 40.
+    #[test]
+    fn a_start_follows_the_brakes() {
+        let mut before = State::zeros();
+        before[VELOCITY] = 10.0;
+        let mut guess = before;
+        guess[0] = 40.0;
+        follow_doppler(&mut guess, &before, 4.0, &rates(Vector3::zeros(), 3.0, 0.0));
+        assert!((guess[0] - 20.0).abs() < 0.1 && guess[VELOCITY].abs() < 0.05, "{guess}");
+        assert!((guess[DRIFT] - 3.0).abs() < 0.05, "{guess}");
+    }
+
+    /// One Doppler 2 m/s off, 40 deviations, moves the velocity by less than 0.6 m/s; five shifts
+    /// move nothing.
+    #[test]
+    fn a_wrong_doppler_shift_is_bounded() {
+        let before = State::zeros();
+        let mut guess = before;
+        let rates = rates(Vector3::zeros(), 0.0, 2.0);
+        follow_doppler(&mut guess, &before, 1.0, &rates);
+        assert!(guess.fixed_rows::<3>(VELOCITY).norm() < 0.6, "{guess}");
+        let mut guess = before;
+        follow_doppler(&mut guess, &before, 1.0, &rates[..5]);
+        assert_eq!(guess, before);
+    }
+}
