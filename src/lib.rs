@@ -34,7 +34,7 @@
 //! | [`lambda`] | integer least squares |
 //! | [`snapshot`] | the state of a computation as bytes, and back with the same bits |
 //! | [`positioning`] | the estimators |
-//! | [`formats`] | bytes to vocabulary and back: RINEX, RTCM 3, UBX, solution files |
+//! | [`formats`] | bytes to vocabulary and back: RINEX, RTCM 3, UBX, GnssLogger, solution files |
 //! | [`simulation`] | observations with known truth |
 //! | [`evaluation`] | solutions against truth |
 //! | [`reception`] | a receiver's stream of bytes into epochs and navigation data |

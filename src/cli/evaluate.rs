@@ -12,9 +12,9 @@ use crate::evaluation::plot::{self, PlotError};
 use crate::evaluation::{
     Criteria, ErrorStatistics, Expected, Judgement, MatchedReport, Report, Truth, judge,
 };
-use crate::formats::rinex::ObservationReader;
+use crate::formats::observations::{Observations, Recognised};
 use crate::formats::{decompress, pos, truth};
-use crate::gnss::{Ecef, Enu, Epoch, Geodetic, GpsTime};
+use crate::gnss::{Ecef, Enu, Epoch, Geodetic, GpsTime, Navigation};
 use crate::refusal::Code;
 
 /// Judges a solution file against the truth: errors, availability, fixes, consistency of the
@@ -40,7 +40,7 @@ pub(crate) struct EvaluateArguments {
     /// Last second of week to evaluate (s).
     #[arg(long, value_name = "TOW", alias = "end")]
     to: Option<f64>,
-    /// Rover observations (RINEX): their epochs are the expected ones.
+    /// Rover observations (RINEX, UBX or GnssLogger log): their epochs are the expected ones.
     #[arg(long, value_name = "FILE", conflicts_with = "expect")]
     obs: Option<PathBuf>,
     /// Number of expected epochs.
@@ -164,7 +164,8 @@ impl EvaluateArguments {
 }
 
 fn rover_epochs(path: &Path) -> Result<Vec<GpsTime>, Failure> {
-    let mut reader = ObservationReader::new(decompress(open(path)?))
+    let file = Recognised::new(decompress(open(path)?));
+    let mut reader = Observations::new(file, None, &Navigation::default())
         .map_err(|error| unreadable(path, &error))?;
     let (mut times, mut epoch) = (Vec::new(), Epoch::new(GpsTime::EPOCH));
     while reader.read_epoch(&mut epoch).map_err(|error| unreadable(path, &error))? {

@@ -12,7 +12,8 @@ use super::files::{self, TimeArguments};
 /// The arguments that name a recording.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RecordingArguments {
-    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3, recognised by their content.
+    /// Observations of the rover: RINEX, CRINEX, UBX, RTCM 3 or an Android GnssLogger log,
+    /// recognised by their content.
     #[arg(long, value_name = "FILE")]
     pub(crate) rover: PathBuf,
     /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides; may be repeated.

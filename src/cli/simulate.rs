@@ -4,27 +4,54 @@ use std::fs::{File, create_dir_all};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::Failure;
+use crate::formats::gnss_logger::LogWriter;
 use crate::formats::odometry::{self, OdometryRow};
 use crate::formats::rinex::{
     ObservationHeader, ObservationWriter, RinexVersion, RinexWriteError, write_navigation,
 };
 use crate::formats::truth::{self, TruthRow};
 use crate::gnss::constants::{SECONDS_PER_HOUR, SECONDS_PER_WEEK};
-use crate::gnss::{Constellation, Ecef, Ephemeris, Navigation};
+use crate::gnss::{Constellation, Ecef, Ephemeris, Epoch, Navigation};
 use crate::refusal::Code;
 use crate::simulation::{RandomDrive, Scenario, Simulator};
 
 /// The names of the files.
-const FILES: [&str; 6] =
-    ["rover.obs", "base.obs", "navigation.rnx", "odometry.csv", "truth.csv", "README.txt"];
+const FILES: [&str; 7] = [
+    "rover.obs",
+    "gnss_log.txt",
+    "base.obs",
+    "navigation.rnx",
+    "odometry.csv",
+    "truth.csv",
+    "README.txt",
+];
 /// Longest simulation and shortest interval, which bound the size of the files.
 const LONGEST_S: f64 = SECONDS_PER_WEEK;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
 /// A longer baseline would put the base below the rover's horizon.
 const LONGEST_BASELINE_M: f64 = 1e5;
+
+/// Format of the rover's observations.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum RoverFormat {
+    /// RINEX 3.05: rover.obs.
+    Rinex,
+    /// Android GnssLogger log: gnss_log.txt.
+    GnssLogger,
+}
+
+impl RoverFormat {
+    /// The name of the file, and what it is.
+    const fn file(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Rinex => ("rover.obs", "RINEX 3.05"),
+            Self::GnssLogger => ("gnss_log.txt", "Android GnssLogger log"),
+        }
+    }
+}
 
 /// Simulates a rover and its base and writes RINEX 3.05 files and the truth.
 #[derive(Debug, Args)]
@@ -50,6 +77,9 @@ pub(crate) struct SimulateArguments {
     /// Simulate one frequency only.
     #[arg(long)]
     single_frequency: bool,
+    /// Format of the rover's observations.
+    #[arg(long, value_name = "NAME", value_enum, default_value = "rinex")]
+    format: RoverFormat,
     /// Overwrite existing files.
     #[arg(long)]
     force: bool,
@@ -69,7 +99,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     let base_position = simulator.base_position();
     write_navigation(create(&folder.join("navigation.rnx"))?, &navigation)
         .map_err(|error| not_writable(&folder.join("navigation.rnx"), &error))?;
-    let epochs = write_epochs(folder, &scenario, simulator)?;
+    let epochs = write_epochs((folder, arguments.format), &scenario, simulator)?;
     let summary = summary(arguments, (&scenario, &meaning), epochs, base_position);
     let readme = folder.join("README.txt");
     let written = create(&readme)?.write_all(summary.as_bytes());
@@ -129,25 +159,22 @@ impl SimulateArguments {
 
 /// Writes rover, base, odometry and truth; returns the number of epochs.
 fn write_epochs(
-    folder: &Path,
+    (folder, format): (&Path, RoverFormat),
     scenario: &Scenario,
     simulator: Simulator,
 ) -> Result<usize, Failure> {
-    let observations = |name: &str, position: Option<Ecef>, navigation: &Navigation| {
-        let path = folder.join(name);
-        let header = header(name, scenario, position, navigation);
-        ObservationWriter::new(create(&path)?, &header).map_err(|e| not_writable(&path, &e))
-    };
     let navigation = simulator.navigation().clone();
     let failed = |error: RinexWriteError| not_writable(folder, &error);
-    let mut rover = observations("rover.obs", None, &navigation)?;
+    let mut rover = ObservationFile::create((folder, format), scenario, &navigation)?;
     let mut base = match simulator.base_position() {
-        Some(position) => Some(observations("base.obs", Some(position), &navigation)?),
+        Some(position) => {
+            Some(rinex_writer((folder, "base.obs"), scenario, Some(position), &navigation)?)
+        }
         None => None,
     };
     let (mut rows, mut ways) = (Vec::new(), Vec::new());
     for epoch in simulator {
-        rover.write_epoch(&epoch.rover).map_err(failed)?;
+        rover.write_epoch(folder, &epoch.rover)?;
         if let (Some(writer), Some(observed)) = (&mut base, &epoch.base) {
             writer.write_epoch(observed).map_err(failed)?;
         }
@@ -155,13 +182,69 @@ fn write_epochs(
         ways.extend(epoch.odometry.map(|odometry| OdometryRow { time, odometry }));
         rows.push(TruthRow { time: epoch.rover.time, position: epoch.position });
     }
-    rover.finish().map_err(failed)?;
+    rover.finish(folder)?;
     base.map(ObservationWriter::finish).transpose().map_err(failed)?;
     let path = folder.join("truth.csv");
     truth::write(create(&path)?, &rows).map_err(|error| not_writable(&path, &error))?;
     let path = folder.join("odometry.csv");
     odometry::write(create(&path)?, &ways).map_err(|error| not_writable(&path, &error))?;
     Ok(rows.len())
+}
+
+/// The file of the rover's observations.
+enum ObservationFile<'a> {
+    Rinex(ObservationWriter<BufWriter<File>>),
+    GnssLogger(LogWriter<'a, BufWriter<File>>),
+}
+
+impl<'a> ObservationFile<'a> {
+    fn create(
+        (folder, format): (&Path, RoverFormat),
+        scenario: &Scenario,
+        navigation: &'a Navigation,
+    ) -> Result<Self, Failure> {
+        let (name, _) = format.file();
+        if format == RoverFormat::Rinex {
+            return rinex_writer((folder, name), scenario, None, navigation).map(Self::Rinex);
+        }
+        let path = folder.join(name);
+        let writer = LogWriter::new(create(&path)?, navigation);
+        writer.map(Self::GnssLogger).map_err(|error| not_writable(&path, &error))
+    }
+
+    fn write_epoch(&mut self, folder: &Path, epoch: &Epoch) -> Result<(), Failure> {
+        match self {
+            Self::Rinex(writer) => {
+                writer.write_epoch(epoch).map_err(|error| not_writable(folder, &error))
+            }
+            Self::GnssLogger(writer) => {
+                let written = writer.write_epoch(epoch);
+                written.map(|_| ()).map_err(|error| not_writable(folder, &error))
+            }
+        }
+    }
+
+    fn finish(self, folder: &Path) -> Result<(), Failure> {
+        match self {
+            Self::Rinex(writer) => {
+                writer.finish().map(|_| ()).map_err(|error| not_writable(folder, &error))
+            }
+            Self::GnssLogger(writer) => {
+                writer.finish().map(|_| ()).map_err(|error| not_writable(folder, &error))
+            }
+        }
+    }
+}
+
+fn rinex_writer(
+    (folder, name): (&Path, &str),
+    scenario: &Scenario,
+    position: Option<Ecef>,
+    navigation: &Navigation,
+) -> Result<ObservationWriter<BufWriter<File>>, Failure> {
+    let path = folder.join(name);
+    let header = header(name, scenario, position, navigation);
+    ObservationWriter::new(create(&path)?, &header).map_err(|error| not_writable(&path, &error))
 }
 
 fn header(
@@ -198,10 +281,11 @@ fn summary(
     epochs: usize,
     base: Option<Ecef>,
 ) -> String {
+    let (rover, format) = arguments.format.file();
     let mut text = format!(
         "Simulated by graphfix {}: scenario {}, seed {}\n{}\n\n\
          {epochs} epochs from GPS {} on, every {} s\n\
-         rover.obs       what the rover measured (RINEX 3.05)\n",
+         {rover:<16}what the rover measured ({format})\n",
         env!("CARGO_PKG_VERSION"),
         arguments.scenario,
         arguments.seed,

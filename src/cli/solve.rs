@@ -27,8 +27,8 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Positions a file of observations, without a server or a database.
 ///
-/// Reads RINEX 2 to 4, CRINEX, UBX and RTCM 3, also packed with gzip. The times of the solution are
-/// the receiver's epoch tags.
+/// Reads RINEX 2 to 4, CRINEX, UBX, RTCM 3 and Android GnssLogger logs, also packed with gzip. The
+/// times of the solution are the receiver's epoch tags.
 #[derive(Debug, Args)]
 pub(crate) struct SolveArguments {
     #[command(flatten)]

@@ -9,6 +9,7 @@ use clap::Args;
 
 use crate::contract::{convert, v1};
 use crate::formats::decompress;
+use crate::formats::observations::FileFormat;
 use crate::formats::rinex::ObservationReader;
 use crate::gnss::{Epoch, GpsTime};
 use crate::refusal::Code;
@@ -27,7 +28,7 @@ const BATCH: usize = 256;
 #[derive(Clone, Debug, Args)]
 pub(super) struct StreamArguments {
     /// Observations, plain or gzip. The epochs of RINEX and CRINEX are numbered from 1; the bytes
-    /// of a receiver (UBX, RTCM 3) are sent unchanged.
+    /// of a receiver (UBX, RTCM 3) and of an Android GnssLogger log are sent unchanged.
     #[arg(long, value_name = "FILE")]
     rover: PathBuf,
     /// The service.
@@ -70,7 +71,8 @@ pub(super) fn run(arguments: StreamArguments) -> Result<(), Failure> {
 }
 
 async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
-    let is_raw = files::input(&arguments.rover).is_receiver_data()?;
+    let format = files::input(&arguments.rover).format()?;
+    let is_raw = format != FileFormat::Rinex;
     let mut rover = if is_raw { None } else { Some(Rover::open(&arguments.rover)?) };
     let patience = Duration::from_secs(arguments.patience);
     let connection = Connection::to(&arguments.server, patience)?;
@@ -92,7 +94,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     let Some(rover) = &mut rover else {
         let stored = device.session().raw_through.unwrap_or(0);
         let near = arguments.start_time.map(|StartTime(time)| time);
-        let bytes = Bytestream::open(&arguments.rover, stored, near)?;
+        let bytes = Bytestream::open((&arguments.rover, format), stored, near)?;
         bytes.play(&mut device, arguments.speed, &mut progress).await?;
         progress.close();
         return Ok(());

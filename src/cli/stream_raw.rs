@@ -1,4 +1,4 @@
-//! Sends the bytes of a receiver unchanged.
+//! Sends the bytes of a receiver or of a GnssLogger log unchanged.
 
 use std::io::{BufRead, Read};
 use std::path::Path;
@@ -7,6 +7,8 @@ use std::time::Duration;
 use bytes::Bytes;
 
 use crate::contract::v1;
+use crate::formats::gnss_logger;
+use crate::formats::observations::FileFormat;
 use crate::formats::receiver::{Decoder, Event, TimeReference};
 use crate::gnss::GpsTime;
 use crate::refusal::Code;
@@ -27,19 +29,59 @@ pub(super) struct Bytestream<'a> {
     input: Box<dyn BufRead>,
     offset: u64,
     near: Option<GpsTime>,
+    pace: Pace,
+}
+
+/// Finds the times of the epochs in the bytes that are sent.
+enum Pace {
+    Receiver(Box<Decoder>),
+    GnssLogger(Box<gnss_logger::Decoder>),
+}
+
+impl Pace {
+    /// The time of the last epoch that `bytes` complete. The service reports what it refuses.
+    fn push(&mut self, bytes: &[u8]) -> Option<GpsTime> {
+        match self {
+            Self::Receiver(decoder) => {
+                let mut events = Vec::new();
+                decoder.push(bytes, &mut events);
+                events.iter().rev().find_map(|event| match event {
+                    Event::Epoch(epoch) => Some(epoch.time),
+                    _ => None,
+                })
+            }
+            Self::GnssLogger(decoder) => {
+                let mut epochs = Vec::new();
+                decoder.push(bytes, &mut epochs).ok()?;
+                epochs.last().map(|epoch| epoch.time)
+            }
+        }
+    }
 }
 
 impl<'a> Bytestream<'a> {
     /// The file after its first `skipped` bytes; `near` dates data without a GPS week.
     pub(super) fn open(
-        path: &'a Path,
+        (path, format): (&'a Path, FileFormat),
         skipped: u64,
         near: Option<GpsTime>,
     ) -> Result<Self, Failure> {
-        let mut input = files::input(path).open()?;
-        let passed = std::io::copy(&mut input.by_ref().take(skipped), &mut std::io::sink());
-        passed.map_err(|error| unreadable(path, &error))?;
-        Ok(Self { path, input, offset: skipped, near })
+        let input = files::input(path).open()?;
+        let pace = match format {
+            FileFormat::GnssLogger => Pace::GnssLogger(Box::default()),
+            FileFormat::Rinex | FileFormat::Receiver => {
+                Pace::Receiver(Box::new(Decoder::new(near.map(TimeReference::Day))))
+            }
+        };
+        let mut stream = Self { path, input, offset: skipped, near, pace };
+        let mut left = skipped;
+        while 0 < left {
+            // The header of a log is among these bytes.
+            let bytes = stream.read(PIECE_BYTES.min(left as usize))?;
+            stream.pace.push(&bytes);
+            left = if bytes.is_empty() { 0 } else { left - bytes.len() as u64 };
+        }
+        Ok(stream)
     }
 
     /// Reads `length` bytes, or fewer at the end.
@@ -82,18 +124,12 @@ impl<'a> Bytestream<'a> {
         progress: &mut Progress,
     ) -> Result<(), Failure> {
         let start = tokio::time::Instant::now();
-        let mut decoder = Decoder::new(self.near.map(TimeReference::Day));
         let (mut due, mut first): (Vec<u8>, Option<GpsTime>) = (Vec::new(), None);
         loop {
             let bytes = self.read(PACE_BYTES)?;
             let is_end = bytes.len() < PACE_BYTES;
-            let mut events = Vec::new();
-            decoder.push(&bytes, &mut events);
+            let epoch = self.pace.push(&bytes);
             due.extend(bytes);
-            let epoch = events.iter().rev().find_map(|event| match event {
-                Event::Epoch(epoch) => Some(epoch.time),
-                _ => None,
-            });
             if let Some(time) = epoch {
                 let after_s = (time - *first.get_or_insert(time)) / factor;
                 let when = start + Duration::from_secs_f64(after_s.max(0.0));

@@ -52,6 +52,9 @@ impl From<ReceptionError> for Refusal {
     fn from(error: ReceptionError) -> Self {
         match &error {
             ReceptionError::Rinex(error) => Self::from(&**error),
+            ReceptionError::GnssLogger(log) => {
+                Self::new(error.code(), error.to_string()).on_line(log.line())
+            }
             _ => Self::new(error.code(), error.to_string()).at("content"),
         }
     }

@@ -6,6 +6,7 @@ mod broadcast;
 pub mod csv;
 mod decimal;
 pub(crate) mod geojson;
+pub mod gnss_logger;
 mod gunzip;
 pub mod observations;
 pub mod odometry;
@@ -13,6 +14,7 @@ pub mod pos;
 pub mod receiver;
 pub mod rinex;
 mod rtcm;
+pub(crate) mod skipped;
 pub mod truth;
 mod ubx;
 

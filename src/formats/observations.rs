@@ -1,40 +1,60 @@
-//! Files of observations and navigation data in any format: RINEX, CRINEX, or raw bytes of
-//! receivers. The content decides on the format, not the file name.
+//! Files of observations and navigation data in any format: RINEX, CRINEX, raw bytes of receivers,
+//! or Android GnssLogger logs. The content decides on the format, not the file name.
 
 use std::fmt;
 use std::io::{BufRead, Chain, Cursor, Read};
 
 use crate::gnss::{Epoch, GpsTime, Navigation};
 
+use super::gnss_logger::{self, LogFileError, LogReader, is_gnss_logger};
 use super::receiver::{
     ReceiverError, ReceiverReader, RefusalEntry, Station, Statistics, TimeReference,
     is_receiver_data,
 };
-use super::rinex::{self, ObservationReader, RinexError, Skipped};
+use super::rinex::{self, ObservationReader, RinexError};
+use super::skipped::{Skipped, SkippedEntry};
 
 /// Number of leading bytes from which the format is recognised.
 const HEAD_BYTES: u64 = 1 << 16;
+
+/// The format of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileFormat {
+    /// RINEX or CRINEX; also of a file with an unknown format, which its reader refuses.
+    Rinex,
+    /// Raw bytes of a receiver.
+    Receiver,
+    /// Android GnssLogger log.
+    GnssLogger,
+}
 
 /// A file with recognised format, from its first byte.
 #[derive(Debug)]
 pub struct Recognised<R> {
     input: Chain<Cursor<Vec<u8>>, R>,
-    is_receiver_data: bool,
+    format: FileFormat,
 }
 
 impl<R: BufRead> Recognised<R> {
-    /// Recognises the format: receiver data if the first bytes hold a whole frame, else RINEX.
+    /// Recognises the format: receiver data if the first bytes hold a whole frame, a GnssLogger log
+    /// by its first lines, else RINEX.
     pub fn new(mut input: R) -> Self {
         let mut head = Vec::new();
         // An error here occurs again, and is reported, when the caller reads on.
         let _ = input.by_ref().take(HEAD_BYTES).read_to_end(&mut head);
-        let is_receiver_data = is_receiver_data(&head);
-        Self { input: Cursor::new(head).chain(input), is_receiver_data }
+        let format = if is_gnss_logger(&head) == Some(true) {
+            FileFormat::GnssLogger
+        } else if is_receiver_data(&head) {
+            FileFormat::Receiver
+        } else {
+            FileFormat::Rinex
+        };
+        Self { input: Cursor::new(head).chain(input), format }
     }
 
-    /// Whether the file holds raw bytes of a receiver.
-    pub const fn is_receiver_data(&self) -> bool {
-        self.is_receiver_data
+    /// The format.
+    pub const fn format(&self) -> FileFormat {
+        self.format
     }
 }
 
@@ -47,13 +67,26 @@ pub enum FileError {
     /// The file was recognised as receiver data.
     #[error(transparent)]
     Receiver(#[from] ReceiverError),
+    /// The file was recognised as a GnssLogger log.
+    #[error(transparent)]
+    GnssLogger(#[from] LogFileError),
+}
+
+impl FileError {
+    /// What the user can do about it, where it differs from file to file.
+    pub(crate) const fn remedy(&self) -> Option<&'static str> {
+        match self {
+            Self::Rinex(_) | Self::Receiver(_) => None,
+            Self::GnssLogger(error) => Some(error.remedy()),
+        }
+    }
 }
 
 /// Reads the observations of a file epoch by epoch.
 ///
 /// # Example
 /// ```
-/// use graphfix::formats::observations::{Observations, Recognised};
+/// use graphfix::formats::observations::{FileFormat, Observations, Recognised};
 /// use graphfix::gnss::{Epoch, GpsTime, Navigation};
 ///
 /// let header = |contents: &str, label: &str| format!("{contents:<60}{label}\n");
@@ -62,7 +95,7 @@ pub enum FileError {
 ///     + &header("", "END OF HEADER")
 ///     + "> 2019 04 28 12 58 21.0000000  0  1\nG05  22000000.123\n";
 /// let file = Recognised::new(file.as_bytes());
-/// assert!(!file.is_receiver_data());
+/// assert_eq!(file.format(), FileFormat::Rinex);
 /// let mut observations = Observations::new(file, None, &Navigation::default())?;
 /// let mut epoch = Epoch::new(GpsTime::EPOCH);
 /// assert!(observations.read_epoch(&mut epoch)?);
@@ -75,6 +108,8 @@ pub enum Observations<R> {
     Rinex(Box<ObservationReader<Chain<Cursor<Vec<u8>>, R>>>),
     /// Receiver data.
     Receiver(Box<ReceiverReader<Chain<Cursor<Vec<u8>>, R>>>),
+    /// A GnssLogger log.
+    GnssLogger(Box<LogReader<Chain<Cursor<Vec<u8>>, R>>>),
 }
 
 impl<R: BufRead> Observations<R> {
@@ -88,12 +123,19 @@ impl<R: BufRead> Observations<R> {
         reference: Option<TimeReference>,
         navigation: &Navigation,
     ) -> Result<Self, FileError> {
-        if !file.is_receiver_data {
-            return Ok(Self::Rinex(Box::new(ObservationReader::new(file.input)?)));
-        }
-        let mut reader = ReceiverReader::new(file.input, reference);
-        reader.learn_channels(navigation);
-        Ok(Self::Receiver(Box::new(reader)))
+        Ok(match file.format {
+            FileFormat::Rinex => Self::Rinex(Box::new(ObservationReader::new(file.input)?)),
+            FileFormat::Receiver => {
+                let mut reader = ReceiverReader::new(file.input, reference);
+                reader.learn_channels(navigation);
+                Self::Receiver(Box::new(reader))
+            }
+            FileFormat::GnssLogger => {
+                let mut reader = LogReader::new(file.input);
+                reader.learn_channels(navigation);
+                Self::GnssLogger(Box::new(reader))
+            }
+        })
     }
 
     /// Reads the next epoch into `epoch`; false at the end.
@@ -104,13 +146,14 @@ impl<R: BufRead> Observations<R> {
         Ok(match self {
             Self::Rinex(reader) => reader.read_epoch(epoch)?,
             Self::Receiver(reader) => reader.read_epoch(epoch)?,
+            Self::GnssLogger(reader) => reader.read_epoch(epoch)?,
         })
     }
 
-    /// The station as described by the messages read so far; `None` for RINEX.
+    /// The station as described by the messages read so far; `None` for other formats.
     pub fn station(&self) -> Option<&Station> {
         match self {
-            Self::Rinex(_) => None,
+            Self::Rinex(_) | Self::GnssLogger(_) => None,
             Self::Receiver(reader) => reader.station(),
         }
     }
@@ -120,6 +163,7 @@ impl<R: BufRead> Observations<R> {
         match self {
             Self::Rinex(reader) => LeftOut::Rinex(reader.skipped().clone()),
             Self::Receiver(reader) => LeftOut::Receiver(reader.statistics().clone()),
+            Self::GnssLogger(reader) => LeftOut::GnssLogger(reader.skipped().clone()),
         }
     }
 }
@@ -127,14 +171,19 @@ impl<R: BufRead> Observations<R> {
 /// Reads all navigation data of a file.
 ///
 /// # Errors
-/// The file as a whole cannot be read. Damaged records and messages are left out and listed.
+/// The file as a whole cannot be read, or is a GnssLogger log. Damaged records and messages are
+/// left out and listed.
 pub fn read_navigation<R: BufRead>(
     file: Recognised<R>,
     reference: Option<TimeReference>,
 ) -> Result<(Navigation, LeftOut), FileError> {
-    if !file.is_receiver_data {
-        let (navigation, skipped) = rinex::read_navigation(file.input)?;
-        return Ok((navigation, LeftOut::Rinex(skipped)));
+    match file.format {
+        FileFormat::Rinex => {
+            let (navigation, skipped) = rinex::read_navigation(file.input)?;
+            return Ok((navigation, LeftOut::Rinex(skipped)));
+        }
+        FileFormat::Receiver => {}
+        FileFormat::GnssLogger => return Err(LogFileError::NoNavigation.into()),
     }
     let mut navigation = Navigation::default();
     let mut reader = ReceiverReader::new(file.input, reference);
@@ -144,13 +193,20 @@ pub fn read_navigation<R: BufRead>(
     Ok((navigation, LeftOut::Receiver(reader.statistics().clone())))
 }
 
-/// The first complete time of receiver data; `None` if it has none, and for RINEX.
+/// The first complete time of receiver data or a GnssLogger log; `None` if it has none, and for
+/// RINEX.
 ///
 /// # Errors
 /// The rest of the file cannot be read.
 pub(crate) fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTime>, FileError> {
-    if !file.is_receiver_data {
-        return Ok(None);
+    match file.format {
+        FileFormat::Rinex => return Ok(None),
+        FileFormat::Receiver => {}
+        FileFormat::GnssLogger => {
+            let mut epoch = Epoch::new(GpsTime::EPOCH);
+            let has_epoch = LogReader::new(file.input).read_epoch(&mut epoch)?;
+            return Ok(has_epoch.then_some(epoch.time));
+        }
     }
     let mut reader = ReceiverReader::new(file.input, None);
     while reader.decoder().time().is_none() && reader.read_event()?.is_some() {}
@@ -158,12 +214,13 @@ pub(crate) fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTi
 }
 
 /// The station of receiver data. Messages are read until position and antenna are known, or to the
-/// end; if the position changes, the first one counts. `None` without such messages, and for RINEX.
+/// end; if the position changes, the first one counts. `None` without such messages, and for other
+/// formats.
 ///
 /// # Errors
 /// The rest of the file cannot be read.
 pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
-    if !file.is_receiver_data {
+    if file.format != FileFormat::Receiver {
         return Ok(None);
     }
     let mut reader = ReceiverReader::new(file.input, None);
@@ -180,22 +237,19 @@ pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileE
 #[derive(Clone, Debug)]
 pub enum LeftOut {
     /// Parts of a RINEX file, by line.
-    Rinex(Skipped),
+    Rinex(rinex::Skipped),
     /// Parts of receiver data, by byte.
     Receiver(Statistics),
+    /// Parts of a GnssLogger log, by line.
+    GnssLogger(gnss_logger::Skipped),
 }
 
 /// One line for each reason: count, reason, and first positions.
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Rinex(skipped) => {
-                for entry in skipped.entries() {
-                    let positions =
-                        Positions { unit: "lines", first: &entry.lines, of: entry.count };
-                    writeln!(f, "left out {} times: {} ({positions})", entry.count, entry.reason)?;
-                }
-            }
+            Self::Rinex(skipped) => write_lines(f, skipped)?,
+            Self::GnssLogger(skipped) => write_lines(f, skipped)?,
             Self::Receiver(statistics) => {
                 for RefusalEntry { kind, reason, count, offsets } in statistics.refusals() {
                     let positions = Positions { unit: "bytes", first: offsets, of: *count };
@@ -211,6 +265,18 @@ impl fmt::Display for LeftOut {
         }
         Ok(())
     }
+}
+
+/// The reasons of a text format.
+fn write_lines<R: Copy + PartialEq + fmt::Display>(
+    f: &mut fmt::Formatter<'_>,
+    skipped: &Skipped<R>,
+) -> fmt::Result {
+    for SkippedEntry { reason, count, lines } in skipped.entries() {
+        let positions = Positions { unit: "lines", first: lines, of: *count };
+        writeln!(f, "left out {count} times: {reason} ({positions})")?;
+    }
+    Ok(())
 }
 
 /// The first positions of one reason, for display.

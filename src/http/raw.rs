@@ -27,9 +27,9 @@ pub(super) struct RawQuery {
 
 /// Takes the bytes of a receiver as they arrive, split anywhere.
 ///
-/// The bytes are frames of RTCM 3 and UBX, or RINEX observations. All bytes before `rawThrough` of
-/// the answer are stored, and the epochs that they complete are committed. The device continues at
-/// this offset. Repeated bytes change nothing.
+/// The bytes are frames of RTCM 3 and UBX, RINEX observations, or the log of Android's GnssLogger.
+/// All bytes before `rawThrough` of the answer are stored, and the epochs that they complete are
+/// committed. The device continues at this offset. Repeated bytes change nothing.
 #[utoipa::path(post, path = "/v1/sessions/{session}/raw", tag = "Positioning",
     params(("session" = String, Path, description = "Its id"), RawQuery),
     request_body(content = String, content_type = "application/octet-stream",

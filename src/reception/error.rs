@@ -3,14 +3,18 @@
 use std::sync::Arc;
 
 use crate::formats::GunzipError;
+use crate::formats::gnss_logger::GnssLoggerError;
 use crate::formats::rinex::RinexError;
 use crate::refusal::Code;
 
 /// Why a chunk of a stream is refused. Nothing of the chunk is then taken.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ReceptionError {
-    /// The stream has neither frames nor RINEX at its beginning.
-    #[error("the first {bytes} bytes hold no frame of RTCM 3 or UBX, nor are they RINEX")]
+    /// The stream has neither frames nor RINEX nor a GnssLogger log at its beginning.
+    #[error(
+        "the first {bytes} bytes hold no frame of RTCM 3 or UBX, nor are they RINEX or a \
+         GnssLogger log"
+    )]
     Unrecognised {
         /// Number of bytes searched.
         bytes: u64,
@@ -46,6 +50,9 @@ pub enum ReceptionError {
     /// The RINEX data is not readable.
     #[error(transparent)]
     Rinex(#[from] Arc<RinexError>),
+    /// The GnssLogger log cannot be decoded.
+    #[error(transparent)]
+    GnssLogger(#[from] GnssLoggerError),
 }
 
 impl From<RinexError> for ReceptionError {
@@ -65,6 +72,7 @@ impl ReceptionError {
             Self::UnpackedTooLarge { .. } => Code::DecompressedTooLarge,
             Self::StreamTooLong { .. } => Code::RawStreamTooLong,
             Self::Rinex(error) => error.code(),
+            Self::GnssLogger(error) => error.code(),
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Decodes a receiver's stream that arrives in chunks: bytes in, epochs and navigation data out.
 //!
-//! `Stream` recognises the format by its first bytes: RINEX or CRINEX observations, or frames of
-//! RTCM 3 and UBX with other bytes between them; each of them may be packed by gzip. The stream may
-//! be split into chunks anywhere; incomplete data waits for the next chunk.
+//! `Stream` recognises the format by its first bytes: RINEX or CRINEX observations, an Android
+//! GnssLogger log, or frames of RTCM 3 and UBX with other bytes between them; each of them may be
+//! packed by gzip. The stream may be split into chunks anywhere; incomplete data waits for the next
+//! chunk.
 //!
 //! Nothing here reads a clock or stores data. The owner of a stream stores its chunks. After a
 //! crash it passes the bytes of `Stream::needed` to `Stream::restore`, and the restored stream

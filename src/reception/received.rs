@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::formats::receiver::{Event, MessageCount, MessageKind, Statistics};
-use crate::formats::rinex::Skipped;
+use crate::formats::skipped::Skipped;
 use crate::gnss::{Epoch, Navigation};
 
 /// The format of a stream.
@@ -14,6 +14,8 @@ pub enum StreamFormat {
     Receiver,
     /// RINEX observations.
     Rinex,
+    /// An Android GnssLogger log.
+    GnssLogger,
 }
 
 impl StreamFormat {
@@ -22,6 +24,7 @@ impl StreamFormat {
         match self {
             Self::Receiver => "receiver",
             Self::Rinex => "rinex",
+            Self::GnssLogger => "gnss-logger",
         }
     }
 }
@@ -45,7 +48,7 @@ pub struct LeftOut {
     /// How often it was skipped.
     pub count: u64,
     /// Where it was first skipped: offset in the stream (in the unpacked data, if it is packed), or
-    /// line number of a RINEX file, from 1.
+    /// line number of a RINEX file or a GnssLogger log, from 1.
     pub first: u64,
 }
 
@@ -106,7 +109,7 @@ impl Received {
         }
     }
 
-    pub(super) fn skip(&mut self, skipped: &Skipped) {
+    pub(super) fn skip<R: Copy + PartialEq + fmt::Display>(&mut self, skipped: &Skipped<R>) {
         for entry in skipped.entries() {
             let first = entry.lines.first().copied().unwrap_or_default();
             self.leave_out(None, entry.reason.to_string(), entry.count, first);

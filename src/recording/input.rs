@@ -5,7 +5,7 @@ use std::io::{self, BufRead, Cursor};
 use std::sync::Arc;
 
 use crate::formats::decompress;
-use crate::formats::observations::{FileError, Recognised};
+use crate::formats::observations::{FileError, FileFormat, Recognised};
 
 use super::RecordingError;
 
@@ -47,12 +47,12 @@ impl Input {
         Ok(Box::new(decompress(reader)))
     }
 
-    /// Whether it holds the bytes of a receiver (UBX or RTCM 3).
+    /// Its format.
     ///
     /// # Errors
     /// It cannot be opened.
-    pub fn is_receiver_data(&self) -> Result<bool, RecordingError> {
-        Ok(self.recognised()?.is_receiver_data())
+    pub fn format(&self) -> Result<FileFormat, RecordingError> {
+        Ok(self.recognised()?.format())
     }
 
     /// Opens it and recognises its format.
@@ -62,7 +62,8 @@ impl Input {
 
     /// The error of a file that cannot be read on.
     pub(super) fn damaged(&self, error: &FileError) -> RecordingError {
-        self.not_understood(error, "repair or cut the file at that place")
+        let remedy = error.remedy().unwrap_or("repair or cut the file at that place");
+        self.not_understood(error, remedy)
     }
 
     /// The error of a file that is of another kind than it should be.

@@ -3,7 +3,7 @@
 //! RTCM 3 gives times of week without the week. It comes, in this order, from a time in the same
 //! file, from the user, from another file of the recording, or from the times of ephemeris.
 
-use crate::formats::observations::{LeftOut, first_time, read_navigation};
+use crate::formats::observations::{FileFormat, LeftOut, first_time, read_navigation};
 use crate::formats::receiver::TimeReference;
 use crate::gnss::{Ephemeris, GpsTime, Navigation};
 
@@ -56,7 +56,7 @@ impl<'a> NavigationFiles<'a> {
         let mut files = Self { navigation: Navigation::default(), left_out: Vec::new(), dating };
         let mut undated = Vec::new();
         for input in inputs {
-            let is_receiver_data = input.is_receiver_data()?;
+            let is_receiver_data = input.format()? == FileFormat::Receiver;
             let reference = if is_receiver_data { files.dating.of(input)? } else { None };
             if is_receiver_data && reference.is_none() {
                 undated.push(input);
@@ -84,7 +84,8 @@ impl<'a> NavigationFiles<'a> {
     ) -> Result<(), RecordingError> {
         let remedy = "name a RINEX navigation file, or receiver data with ephemerides";
         let read = read_navigation(input.recognised()?, reference);
-        let (navigation, left_out) = read.map_err(|error| input.not_understood(&error, remedy))?;
+        let (navigation, left_out) =
+            read.map_err(|error| input.not_understood(&error, error.remedy().unwrap_or(remedy)))?;
         self.navigation.merge(navigation);
         self.left_out.push((input.name(), left_out));
         Ok(())

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::formats::observations::{Observations, station};
+use crate::formats::observations::{FileFormat, Observations, station};
 use crate::gnss::{Ecef, Enu, LocalFrame, Navigation, PositionSource};
 
 use super::input::Reader;
@@ -23,13 +23,13 @@ pub(super) fn observations(
 ) -> Result<ObservationFile, RecordingError> {
     let file = input.recognised()?;
     let mut reference = None;
-    if file.is_receiver_data() {
+    if file.format() == FileFormat::Receiver {
         reference = dating.of(input)?;
         if reference.is_none() {
             return Err(RecordingError::NoReferenceTime { name: input.name().to_owned() });
         }
     }
-    let remedy = "name a RINEX observation file, or UBX or RTCM 3 data";
+    let remedy = "name a RINEX observation file, UBX or RTCM 3 data, or a GnssLogger log";
     Observations::new(file, reference, navigation)
         .map_err(|error| input.not_understood(&error, remedy))
 }
@@ -48,7 +48,7 @@ pub(super) struct ReportedSite {
 
 impl ReportedSite {
     /// From the RINEX header of an open file, or from messages 1005 to 1008 and 1033 of receiver
-    /// data.
+    /// data. A GnssLogger log reports nothing.
     ///
     /// # Errors
     /// Receiver data cannot be read on.
@@ -61,6 +61,15 @@ impl ReportedSite {
                 marker: header.approximate_position,
                 source: PositionSource::Header,
                 antenna_delta_hen_m: header.antenna_delta_hen_m,
+            });
+        }
+        if let Observations::GnssLogger(_) = file {
+            return Ok(Self {
+                name: input.name().to_owned(),
+                antenna: String::new(),
+                marker: None,
+                source: PositionSource::Header,
+                antenna_delta_hen_m: [0.0; 3],
             });
         }
         let station = station(input.recognised()?)

@@ -15,7 +15,7 @@ use super::{AnswerKind, ApproximatePosition, BasePosition, Input, Provenance, Re
 
 /// The files of a recording and how to read them.
 pub struct RecordingInputs {
-    /// Observations of the rover: RINEX, CRINEX, UBX or RTCM 3.
+    /// Observations of the rover: RINEX, CRINEX, UBX, RTCM 3 or an Android GnssLogger log.
     pub rover: Input,
     /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides.
     pub navigation: Vec<Input>,

@@ -168,9 +168,15 @@ codes! {
     /// Other bytes are stored at the chunk's offset.
     RawConflict = "RAW_CONFLICT", Conflict,
         "count offsets from the first byte ever sent to the session";
-    /// The bytes are neither RTCM 3, UBX nor RINEX observations.
+    /// The bytes are neither RTCM 3, UBX, RINEX observations nor an Android GnssLogger log.
     RawFormatUnknown = "RAW_FORMAT_UNKNOWN", Malformed,
-        "send RTCM 3, UBX or RINEX observations, plain or gzip, from the stream's beginning";
+        "send RTCM 3, UBX, RINEX observations or a GnssLogger log, plain or gzip, from its start";
+    /// No line `# Raw,…` names the columns of a GnssLogger log, or they lack one or change.
+    GnssLoggerHeaderInvalid = "GNSS_LOGGER_HEADER_INVALID", Malformed,
+        "send the log as the app wrote it, from its first line, and each log as its own stream";
+    /// The line is longer than any line of a GnssLogger log.
+    GnssLoggerLineTooLong = "GNSS_LOGGER_LINE_TOO_LONG", Malformed,
+        "check that the log is text with line ends";
     /// A stream that can only be read from its beginning has become too long.
     RawStreamTooLong = "RAW_STREAM_TOO_LONG", TooLarge,
         "end the stream, and begin another file";

@@ -17,6 +17,8 @@ use crate::support::doors::{Doors, code, epoch};
 const REACHED_BY: &[(Code, &str)] = &[
     (Code::FeatureNotBuilt, "src/config/option_table.rs"),
     (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
+    (Code::GnssLoggerHeaderInvalid, "tests/doors/raw.rs"),
+    (Code::GnssLoggerLineTooLong, "tests/doors/raw.rs"),
     (Code::DatabaseFailed, "tests/doors/store.rs"),
     (Code::DatabaseSchemaNewer, "tests/doors/store.rs"),
     (Code::DatabaseMigrationFailed, "tests/doors/store.rs"),

@@ -8,6 +8,7 @@ use bytes::Bytes;
 use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::contract::{calls, v1};
+use graphfix::formats::gnss_logger::{LogReader, LogWriter};
 use graphfix::formats::receiver::TimeReference;
 use graphfix::formats::rinex::{ChunkReader, ObservationReader};
 use graphfix::gnss::{Ecef, Epoch, Geodetic, GpsTime, Status};
@@ -33,6 +34,7 @@ on_both_databases!(
     bytes_sent_again_change_nothing,
     rinex_comes_in_pieces,
     crinex_comes_in_pieces,
+    a_phones_log_comes_in_pieces,
     packed_streams_come_in_pieces,
     the_end_of_a_stream_begins_another,
 );
@@ -215,6 +217,81 @@ async fn packed_streams_come_in_pieces(database: Database) {
         assert!(0 < restarts && 0 < resent, "{restarts} restarts, {resent} sent again");
         assert!(70 < expected.len() && stored(&store, &id).await == expected, "other epochs");
     }
+}
+
+/// A phone's log of a minute and a half, with so many lines of its sensors between the epochs of
+/// the second half that they are forgotten.
+fn phone_log() -> Vec<u8> {
+    let mut log = LogWriter::new(Vec::new(), &PAIR.navigation).unwrap();
+    for rover in &PAIR.rover[..90] {
+        log.write_epoch(&rover.epoch).unwrap();
+    }
+    let log = String::from_utf8(log.finish().unwrap()).unwrap();
+    let (mut text, mut before, mut seconds) = (String::new(), "", 0);
+    for line in log.lines() {
+        let time = line.split(',').nth(2).unwrap_or_default();
+        if line.starts_with("Raw,") && time != before {
+            let count = if seconds % 30 == 20 { 8_000 } else { 40 };
+            text += &"UncalGyro,1700000000000,1,0.25,-0.125,1.0\n".repeat(count);
+            (before, seconds) = (time, seconds + 1);
+        }
+        text += line;
+        text += "\n";
+    }
+    text.into_bytes()
+}
+
+fn log_epochs(log: &[u8]) -> Vec<Epoch> {
+    let mut reader = LogReader::new(log);
+    let (mut epochs, mut epoch) = (Vec::new(), Epoch::new(GpsTime::EPOCH));
+    while reader.read_epoch(&mut epoch).unwrap() {
+        epochs.push(epoch.clone());
+    }
+    assert!(reader.skipped().is_empty(), "{:?}", reader.skipped());
+    epochs
+}
+
+async fn a_phones_log_comes_in_pieces(database: Database) {
+    let log = phone_log();
+    let expected = log_epochs(&log);
+    assert_eq!(expected.len(), 90);
+    for stream in [log.clone(), gzip(&log)] {
+        let store = database.store().await;
+        let id = created(&desk(&store).await).await;
+        let (restarts, resent) = push_at_random(&database, &id, &stream, stream.len() / 40).await;
+        assert!(0 < restarts && 0 < resent, "{restarts} restarts, {resent} sent again");
+        assert!(stored(&store, &id).await == expected, "other epochs");
+    }
+}
+
+/// A log is refused with the line at fault, through its whole text; what a phone could not use is
+/// counted.
+#[tokio::test]
+async fn phones_logs_are_judged() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let log = String::from_utf8(phone_log()[..40_000].to_vec()).unwrap();
+    let title = log.lines().position(|line| line.starts_with("# Raw,")).unwrap() + 1;
+    let long = format!("{}{}", &log[..3_000], "x".repeat(1 << 16));
+    for (bytes, expected, line) in [
+        (log.replace(",State,", ",Stat,").into_bytes(), "GNSS_LOGGER_HEADER_INVALID", title),
+        (b"Raw,1,2,3\n".to_vec(), "GNSS_LOGGER_HEADER_INVALID", 1),
+        (long.into_bytes(), "GNSS_LOGGER_LINE_TOO_LONG", log[..3_000].lines().count()),
+    ] {
+        let (status, answer) = push(&doors, &session, "", &bytes).await;
+        assert_eq!((status, code(&answer)), (400, expected), "{answer}");
+        assert_eq!(answer["line"], json!(line), "{answer}");
+    }
+    let records: Vec<&str> = log.lines().filter(|line| line.starts_with("Raw,")).collect();
+    let head: String = log.lines().take(title).map(|line| format!("{line}\n")).collect();
+    let weak = records[0].replacen(",16399,", ",1,", 1);
+    assert_ne!(weak, records[0]);
+    let text = format!("{head}{weak}\n{}\n{}\n", records[1], records[2]);
+    let (status, answer) = push(&doors, &session, "end=true", text.as_bytes()).await;
+    assert_eq!((status, &answer["format"]), (200, &json!("gnss-logger")), "{answer}");
+    assert_eq!(answer["results"].as_array().unwrap().len(), 1, "{answer}");
+    assert_eq!(answer["leftOut"][0]["why"], "time of transmission is ambiguous (State)");
+    assert_eq!(answer["leftOut"][0]["first"], json!(title + 1));
 }
 
 /// What is incomplete is taken at the end; behind it another format may follow. RTCM 3 is dated by

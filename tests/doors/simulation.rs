@@ -78,6 +78,79 @@ fn what_is_written_reads_back() {
     }
 }
 
+/// A log of a phone is solved as the RINEX file of the same observations, which has half a
+/// millimetre less of each range.
+#[test]
+fn a_phones_log_is_solved_like_rinex() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let solved = |format: &str, rover: &str| {
+        let arguments = ["--scenario", "urban-canyon", "--duration", "60", "--force", "--format"];
+        let output = simulate(folder.path(), &[&arguments[..], &[format]].concat());
+        assert!(String::from_utf8_lossy(&output.stdout).contains(rover), "{output:?}");
+        let output = Command::new(env!("CARGO_BIN_EXE_graphfix"))
+            .args(["solve", "--mode", "spp", "--rover"])
+            .arg(path(rover))
+            .arg("--nav")
+            .arg(path("navigation.rnx"))
+            .arg("--output")
+            .arg(path("solution.csv"))
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let text = std::fs::read_to_string(path("solution.csv")).unwrap();
+        let title: Vec<String> =
+            text.lines().next().unwrap().split(',').map(str::to_owned).collect();
+        let column = |name: &str| title.iter().position(|known| known == name).unwrap();
+        let columns = ["tow_s", "x_m", "y_m", "z_m"].map(column);
+        let row = |line: &str| {
+            let fields: Vec<&str> = line.split(',').collect();
+            columns.map(|column| fields[column].parse::<f64>().unwrap_or(f64::NAN))
+        };
+        text.lines().skip(1).map(row).collect::<Vec<_>>()
+    };
+    let of_rinex = solved("rinex", "rover.obs");
+    let of_log = solved("gnss-logger", "gnss_log.txt");
+    assert_eq!((of_rinex.len(), of_log.len()), (61, 61));
+    let answered = of_rinex.iter().zip(&of_log).filter(|(a, _)| !a[1].is_nan());
+    for (a, b) in answered {
+        assert_eq!(a[0], b[0]);
+        let off_m = (1..4).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt();
+        assert!(off_m < 0.01, "{off_m} m at {}", a[0]);
+    }
+}
+
+/// A log without a usable measurement, and one as navigation data: the reason and the remedy.
+#[test]
+fn a_phones_log_that_does_not_serve_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["--scenario", "clean", "--duration", "2", "--format", "gnss-logger"];
+    assert!(simulate(folder.path(), &arguments).status.success());
+    let log = folder.path().join("gnss_log.txt");
+    let text = std::fs::read_to_string(&log).unwrap();
+    let useless = folder.path().join("useless.txt");
+    std::fs::write(&useless, text.replace(",0.0,10.0,0.0,,", ",0.0,1.1e7,0.0,,")).unwrap();
+    let refusal = |rover: &Path, navigation: &Path| {
+        let output = Command::new(env!("CARGO_BIN_EXE_graphfix"))
+            .args(["solve", "--mode", "spp", "--rover"])
+            .arg(rover)
+            .arg("--nav")
+            .arg(navigation)
+            .arg("--output")
+            .arg(folder.path().join("solution.csv"))
+            .output()
+            .unwrap();
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let message = refusal(&useless, &folder.path().join("navigation.rnx"));
+    assert!(message.contains("no measurement is usable in"), "{message}");
+    assert!(message.contains("GPS time is uncertain by more than 10 ms"), "{message}");
+    assert!(message.contains("under open sky"), "{message}");
+    let message = refusal(&log, &log);
+    assert!(message.contains("no navigation data that is decoded"), "{message}");
+}
+
 #[test]
 fn what_it_cannot_do_is_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,7 @@
 //! Comparisons with programs that others wrote. `lambda` is a crate of its own: see its Cargo.toml.
 
 mod evaluation;
+mod gnss_logger;
 mod models;
 mod rtcm;
 mod ubx;

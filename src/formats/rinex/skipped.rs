@@ -1,9 +1,4 @@
-//! Counts of what a reader left out, with the first lines.
-
-/// Number of line numbers stored for one reason.
-const PLACES_LIMIT: usize = 10;
-/// Number of reasons stored; unknown system letters could produce many.
-const REASONS_LIMIT: usize = 64;
+//! Why parts of a RINEX file are left out.
 
 /// Why a part of a file was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -61,47 +56,7 @@ pub enum SkipReason {
     OtherMessage,
 }
 
+/// Counts of what a reader of RINEX left out, by reason.
+pub type Skipped = crate::formats::skipped::Skipped<SkipReason>;
 /// One reason, with count and first lines.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SkippedEntry {
-    /// Why parts were left out.
-    pub reason: SkipReason,
-    /// How often this happened.
-    pub count: u64,
-    /// The first lines (from 1), at most ten.
-    pub lines: Vec<u64>,
-}
-
-/// Counts of what a reader left out, by reason.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Skipped {
-    entries: Vec<SkippedEntry>,
-}
-
-impl Skipped {
-    /// All reasons, in order of first appearance.
-    pub fn entries(&self) -> &[SkippedEntry] {
-        &self.entries
-    }
-
-    /// How often parts were left out for this reason.
-    pub fn count(&self, reason: SkipReason) -> u64 {
-        self.entries.iter().find(|e| e.reason == reason).map_or(0, |e| e.count)
-    }
-
-    /// Whether nothing was left out.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
-    }
-
-    pub(super) fn note(&mut self, reason: SkipReason, line: u64) {
-        if let Some(entry) = self.entries.iter_mut().find(|e| e.reason == reason) {
-            entry.count += 1;
-            if entry.lines.len() < PLACES_LIMIT {
-                entry.lines.push(line);
-            }
-        } else if self.entries.len() < REASONS_LIMIT {
-            self.entries.push(SkippedEntry { reason, count: 1, lines: vec![line] });
-        }
-    }
-}
+pub type SkippedEntry = crate::formats::skipped::SkippedEntry<SkipReason>;

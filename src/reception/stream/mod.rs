@@ -4,6 +4,7 @@ mod packed;
 
 use std::ops::Range;
 
+use crate::formats::gnss_logger::{Decoder as LogDecoder, is_gnss_logger};
 use crate::formats::receiver::{Decoder, TimeReference};
 use crate::formats::rinex::ChunkReader;
 use crate::gnss::{Epoch, GpsTime, Navigation};
@@ -57,6 +58,7 @@ enum Form {
         is_recognised: bool,
     },
     Rinex(ChunkReader),
+    GnssLogger(Box<LogDecoder>),
     Gzip(Box<Packed>),
 }
 
@@ -69,7 +71,7 @@ enum Kind {
 /// The offsets of the bytes that must be stored to restore a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Needed {
-    /// The header of a RINEX stream; empty for other streams.
+    /// The header of a RINEX stream or a GnssLogger log; empty for other streams.
     pub header: Range<u64>,
     /// The end of the stream.
     pub tail: Range<u64>,
@@ -138,6 +140,7 @@ impl Stream {
         match &self.form {
             Form::Receiver { .. } => Some(StreamFormat::Receiver),
             Form::Rinex(_) => Some(StreamFormat::Rinex),
+            Form::GnssLogger(_) => Some(StreamFormat::GnssLogger),
             Form::Unknown(_) | Form::Gzip(_) => None,
         }
     }
@@ -148,7 +151,7 @@ impl Stream {
         match &mut self.form {
             Form::Receiver { decoder, .. } => decoder.date(time),
             Form::Gzip(packed) => packed.content.date(time),
-            Form::Unknown(_) | Form::Rinex(_) => {}
+            Form::Unknown(_) | Form::Rinex(_) | Form::GnssLogger(_) => {}
         }
     }
 
@@ -197,6 +200,11 @@ impl Stream {
                 // An unreadable rest at the very end is skipped.
                 read_epochs(reader, received).ok();
             }
+            Form::GnssLogger(decoder) => {
+                // An unreadable rest at the very end is skipped.
+                decoder.finish(&mut received.epochs).ok();
+                received.skip(&decoder.take_skipped());
+            }
             Form::Gzip(packed) => packed.finish(received),
         }
     }
@@ -209,6 +217,7 @@ impl Stream {
             Form::Receiver { .. } => (0, RECALL_BYTES),
             Form::Rinex(reader) if reader.is_compact() => (reader.header_bytes() as u64, u64::MAX),
             Form::Rinex(reader) => (reader.header_bytes() as u64, reader.untaken_bytes() as u64),
+            Form::GnssLogger(decoder) => (decoder.header_bytes(), decoder.tail_bytes()),
             Form::Gzip(_) => (0, u64::MAX),
         };
         let header = start..start + header_bytes;
@@ -225,6 +234,7 @@ impl Stream {
                 Form::Receiver { decoder: Box::new(decoder), from, is_recognised }
             }
             StreamFormat::Rinex => Form::Rinex(ChunkReader::default()),
+            StreamFormat::GnssLogger => Form::GnssLogger(Box::default()),
         }
     }
 
@@ -264,6 +274,13 @@ impl Stream {
                 if reader.is_compact() && !self.is_unpacked {
                     return self.check_length("CRINEX");
                 }
+            }
+            Form::GnssLogger(decoder) => {
+                received.format = Some(StreamFormat::GnssLogger);
+                decoder.learn_channels(navigation);
+                decoder.push(bytes, &mut received.epochs)?;
+                received.skip(&decoder.take_skipped());
+                self.time = received.epochs.last().map_or(self.time, |epoch| epoch.time);
             }
             Form::Gzip(packed) => {
                 packed.push(bytes, navigation, received)?;
@@ -308,7 +325,11 @@ fn kind_of(head: &[u8]) -> Option<Kind> {
             let format = if is_rinex { StreamFormat::Rinex } else { StreamFormat::Receiver };
             Some(Kind::Plain(format))
         }
-        _ => Some(Kind::Plain(StreamFormat::Receiver)),
+        _ => match is_gnss_logger(head) {
+            Some(true) => Some(Kind::Plain(StreamFormat::GnssLogger)),
+            None if head.len() as u64 <= UNRECOGNISED_LIMIT => None,
+            Some(false) | None => Some(Kind::Plain(StreamFormat::Receiver)),
+        },
     }
 }
 
