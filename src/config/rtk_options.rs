@@ -49,7 +49,7 @@ pub struct RtkOptions {
     pub hold_probability_min: f64,
     /// Smallest bootstrapped success rate of the ambiguities to be fixed.
     pub success_rate_min: f64,
-    /// Number of epochs that must find the same integers before they are held.
+    /// Number of epochs in a row that must find the same integers before they are held.
     pub hold_epochs: u32,
     /// Smallest number of fixed double differences in a fix.
     pub fixed_min: usize,

@@ -148,7 +148,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "ambiguity.hold_epochs", unit: "",
-        meaning: "epochs that must find the same integers before they are held",
+        meaning: "epochs in a row that must find the same integers before they are held",
         allowed: "a whole number from 1 to 1000000",
         get: |o| o.rtk.hold_epochs.to_string(),
         set: |o, text| {

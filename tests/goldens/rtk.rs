@@ -324,6 +324,32 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     assert!(wrong.iter().zip(&fixed).all(is_rare), "{wrong:?} of {fixed:?} wrong");
 }
 
+/// Without a search for integers every epoch is float, in the graph and in the filter, and no reason
+/// says that a fix was refused.
+#[test]
+fn integers_that_are_not_asked_for_are_not_searched() {
+    for mut options in [general(), filter()] {
+        options.set("ambiguity.resolve", "off").unwrap();
+        let simulator = Simulator::new(
+            Scenario { duration_s: 20.0, ..Scenario::by_name("rtk-open").unwrap() },
+            3,
+        );
+        let navigation = simulator.navigation().clone();
+        let antenna_reference_point = simulator.base_position().unwrap();
+        let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
+        let mut estimator = Estimator::new(options);
+        for epoch in simulator {
+            let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
+            let aiding = Aiding { navigation: &navigation, base };
+            let solution = estimator.advance(&epoch.rover, &aiding);
+            assert_eq!(solution.status, Status::Float);
+            assert!(!solution.reasons.contains(&Reason::FixRejected), "{:?}", solution.reasons);
+            let relative = solution.estimate.unwrap().relative.unwrap();
+            assert!(relative.fixed_ambiguities == 0 && 10 < relative.ambiguities, "{relative:?}");
+        }
+    }
+}
+
 /// GLONASS's integers, each of a wavelength of its own, are found beside GPS's, between receivers
 /// whose delays differ from channel to channel, too: by 3 cm, as some makers' do.
 #[test]

@@ -51,7 +51,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
             (Status::Fixed, fixed.position, fixed.covariance, fixed.held, probability)
         }
         Err(reason) => {
-            reasons.push(reason);
+            reasons.extend(Some(reason).filter(|_| parts.options.resolve));
             let local = state.fixed_rows::<3>(0).into_owned();
             let uncertainty = covariance.fixed_view::<3, 3>(0, 0).into_owned();
             (Status::Float, local, uncertainty, 0, None)

@@ -3,7 +3,7 @@
 //! | room | what lives there |
 //! |---|---|
 //! | `observed` | what rover and base observe together: base, arcs, rows, noise |
-//! | `ambiguity` | from float ambiguities to integers, and the position they give |
+//! | `ambiguity` | from float ambiguities to confirmed integers, and their position |
 //! | `tracking` | arcs, held integers and noise from epoch to epoch, shared by both estimators |
 //! | `answer` | from a state with its ambiguities to a solution |
 //! | `relative` | the driver: one epoch in order, with or without a usable base |

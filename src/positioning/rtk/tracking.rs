@@ -7,8 +7,9 @@ use crate::gnss::Reason;
 use crate::snapshot::state_fields;
 
 use super::ambiguity::{
-    FloatSolution, HoldState, IntegerQuestion, IntegerSearch, PhasePosition, Resolution,
-    position_from_fixed_phases, subtract_common_cycles, subtract_integers,
+    Confirmation, FloatSolution, HoldState, IntegerQuestion, IntegerSearch, PhasePosition,
+    Resolution, Verdict as Separated, position_from_fixed_phases, subtract_common_cycles,
+    subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
 
@@ -17,15 +18,23 @@ const MISFIT_SIGMAS: f64 = 4.0;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
 const UNDETECTED_SHIFT_MAX_M: f64 = 0.1;
 
+/// Prior probability of confirmed integers, against which a test without one satellite is weighed.
+const CONFIRMED: f64 = 0.9999;
+/// The same of integers before anything is known of them.
+const UNKNOWN: f64 = 0.5;
+
 /// What is tracked of the carriers that rover and base both observe.
 #[derive(Debug)]
 pub(crate) struct Tracking {
     pub(crate) arcs: Arcs,
     pub(crate) hold: HoldState,
+    pub(crate) confirmation: Confirmation,
+    /// The period of held integers that `confirmation` is about.
+    pub(crate) confirmed_period: Option<u32>,
     pub(crate) receivers: Receivers,
 }
 
-state_fields!(Tracking { arcs, hold, receivers });
+state_fields!(Tracking { arcs, hold, confirmation, confirmed_period, receivers });
 
 /// An epoch that was solved.
 #[derive(Clone, Copy)]
@@ -50,7 +59,13 @@ enum Verdict {
 impl Tracking {
     /// No arcs, noise as stated.
     pub(crate) fn new() -> Self {
-        Self { arcs: Arcs::default(), hold: HoldState::default(), receivers: Receivers::new() }
+        Self {
+            arcs: Arcs::default(),
+            hold: HoldState::default(),
+            confirmation: Confirmation::default(),
+            confirmed_period: None,
+            receivers: Receivers::new(),
+        }
     }
 
     /// Ends all arcs; the receivers' noise and biases stay.
@@ -58,6 +73,7 @@ impl Tracking {
         self.arcs.clear();
         self.receivers.last_pseudoranges.clear();
         self.hold = HoldState::default();
+        self.confirmation.clear();
     }
 
     /// Resolves the integers of an epoch that was solved, and learns noise and biases from a fix
@@ -70,9 +86,18 @@ impl Tracking {
         scratch: &mut RowScratch,
     ) -> Resolution {
         let SolvedEpoch { epoch, border, float, residuals } = *solved;
+        if !options.rtk.resolve {
+            return Resolution::unresolved(self.arcs.present(epoch.time).count());
+        }
         let noise = self.receivers.known_noise(&residuals);
         let question = IntegerQuestion { time: epoch.time, float, noise, options: &options.rtk };
-        let mut resolution = search.resolve(&mut self.arcs, &mut self.hold, &question);
+        let is_confirmed =
+            self.confirmation.is_confirmed() && self.confirmed_period == Some(self.hold.period);
+        let mut resolution =
+            search.resolve(&mut self.arcs, &mut self.hold, &question, is_confirmed);
+        if resolution.outcome.is_ok() && !self.is_confirmed(&question, search) {
+            return resolution.refused(Reason::FixRejected);
+        }
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
         let by_phases =
             position_from_fixed_phases(epoch, &fixed.position, border, &self.arcs, scratch);
@@ -94,6 +119,32 @@ impl Tracking {
         }
         self.receivers.learn_biases(epoch, &by_phases.position, scratch);
         resolution
+    }
+
+    /// Whether the held integers are confirmed without each satellite; they are dropped if other
+    /// ones are likelier without one.
+    fn is_confirmed(&mut self, question: &IntegerQuestion<'_>, search: &mut IntegerSearch) -> bool {
+        if question.options.single_epoch {
+            return true;
+        }
+        let Self { arcs, hold, confirmation, .. } = self;
+        if self.confirmed_period != Some(hold.period) {
+            confirmation.clear();
+            self.confirmed_period = Some(hold.period);
+        }
+        let was_confirmed = confirmation.is_confirmed();
+        let with_integer = arcs.present(question.time).filter(|arc| arc.held.is_some());
+        let mut satellites: Vec<_> = with_integer.map(|arc| arc.satellite).collect();
+        satellites.sort_unstable();
+        satellites.dedup();
+        let prior = if was_confirmed { CONFIRMED } else { UNKNOWN };
+        let test = |satellite| search.separate(arcs, (satellite, prior), question);
+        let verdict = confirmation.update(&satellites, test);
+        if was_confirmed && !confirmation.is_confirmed() {
+            hold.drop_all(arcs, verdict == Separated::Contradicts);
+        }
+        hold.was_held |= confirmation.is_confirmed();
+        confirmation.is_confirmed()
     }
 
     /// Residuals of the phases with integers at a position, into the scratch; returns the number of

@@ -5,9 +5,10 @@ use crate::lambda::{KnownScale, Partial, Resolver};
 use crate::positioning::differencing::DifferenceGroup;
 use crate::positioning::rtk::observed::{ArcReference, FREEDOM_LEAST, HeldInteger};
 
+use super::acceptance::lambda_options;
 use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 use super::float::FloatSolution;
-use super::integers::{DISAGREEMENT, lambda_options};
+use super::integers::DISAGREEMENT;
 use super::joint::{Joint, condition, given_unfixed_ambiguities};
 
 /// An ambiguity of an earlier epoch, with its integer by now.

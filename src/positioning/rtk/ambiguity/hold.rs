@@ -18,7 +18,7 @@ pub(crate) struct HoldState {
     pub(crate) period: u32,
     /// The last period whose integers were found to be wrong.
     pub(crate) refuted: Option<u32>,
-    /// Whether enough consecutive epochs have found them since they were first found.
+    /// Whether they have been confirmed.
     pub(crate) was_held: bool,
     /// Number of datums so far.
     pub(crate) datums: u32,
@@ -58,15 +58,16 @@ impl HoldState {
         arcs.hold(arc, None);
     }
 
-    /// Takes in that a search of all ambiguities found the integers; `keeps_probability` where
-    /// enough of them agree with those held, so that the evidence of satellites gone since is not
-    /// lost.
-    pub(crate) fn found(&mut self, found: &Found, keeps_probability: bool, hold_epochs: u32) {
+    /// Takes in that a search of all ambiguities found the integers.
+    pub(crate) fn found(&mut self, found: &Found) {
         self.consecutive_epochs += 1;
-        self.was_held |= hold_epochs <= self.consecutive_epochs;
-        let kept = if keeps_probability { self.probability } else { 0.0 };
-        self.probability = found.probability.max(kept).min(CERTAIN);
+        self.probability = found.probability.min(CERTAIN);
         (self.ratio, self.success_rate) = (found.ratio, Some(found.success_rate));
+    }
+
+    /// Takes in that a search of all ambiguities found no integers.
+    pub(crate) fn missed(&mut self) {
+        self.consecutive_epochs = 0;
     }
 
     /// Drops all integers, because they are wrong or because too few are left.

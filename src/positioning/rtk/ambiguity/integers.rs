@@ -8,10 +8,12 @@
 use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
-use crate::gnss::{Constellation, GpsTime, Reason};
-use crate::lambda::{KnownScale, Options, Outcome, Partial, Rejection, Resolver, odds_at_scale};
+use crate::gnss::{Constellation, GpsTime, Reason, SatelliteId};
+use crate::lambda::{Options, Outcome, Partial, Resolver, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
+use super::acceptance::{any_integers, lambda_options, refusal};
+use super::confirmation::Verdict;
 use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 use super::float::FloatSolution;
 use super::hold::{Found, HoldState};
@@ -19,16 +21,13 @@ use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scal
 
 /// Ambiguities that storage is made for at first.
 const CAPACITY: usize = 64;
-/// Candidates whose likelihoods make up the posterior probability.
-const CANDIDATES: usize = 4;
-/// Most nodes of the search tree in one epoch.
-const NODES_MAX: usize = 20_000;
-/// Most subsets tried in one epoch.
-const ATTEMPTS_MAX: usize = 12;
 /// Most subsets tried when new ambiguities join held integers; the search repeats each epoch.
 const OTHERS_ATTEMPTS_MAX: usize = 3;
 /// ‖â − z‖² per held integer below which they are accepted without a search: 2σ rms.
 pub(crate) const DISAGREEMENT: f64 = 4.0;
+
+/// Integers found without one satellite count if they are more likely right than wrong.
+const LIKELY: f64 = 0.5;
 
 /// Outcome of a search.
 #[derive(Clone, Debug)]
@@ -43,6 +42,12 @@ pub(crate) struct Resolution {
 }
 
 impl Resolution {
+    /// Of ambiguities that stay real-valued because no integers are asked for.
+    pub(crate) fn unresolved(ambiguities: usize) -> Self {
+        let (ratio, success_rate) = (None, None);
+        Self { ambiguities, begun: 0, ratio, success_rate, outcome: Err(Reason::FixRejected) }
+    }
+
     /// The same, refused for a reason.
     pub(crate) fn refused(self, reason: Reason) -> Self {
         Self { outcome: Err(reason), ..self }
@@ -88,8 +93,6 @@ struct Judgement<'a> {
     options: &'a Options,
     /// Divisor of the odds.
     odds_divisor: f64,
-    /// Consecutive epochs after which integers are held.
-    hold_epochs: u32,
     /// Integers were held and no longer agree with the float solution.
     were_held: bool,
 }
@@ -122,6 +125,7 @@ impl IntegerSearch {
         arcs: &mut Arcs,
         hold: &mut HoldState,
         question: &IntegerQuestion<'_>,
+        is_confirmed: bool,
     ) -> Resolution {
         let IntegerQuestion { time, float, noise, options } = *question;
         let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
@@ -137,19 +141,65 @@ impl IntegerSearch {
         }
         let joint = self.joint(float);
         let lambda = lambda_options(options, noise.scale);
-        let were_held = options.hold_epochs <= hold.consecutive_epochs;
+        let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &held) {
             return resolution;
         }
         let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
+        let judgement = Judgement { options: &lambda, odds_divisor, were_held };
         let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
+        if resolution.outcome.is_err() && !were_held {
+            hold.missed();
+        }
         // Held integers that no longer agree are wrong only if others are found.
         if were_held && hold_epochs <= hold.consecutive_epochs {
             hold.drop_all(arcs, false);
         }
         resolution
+    }
+
+    /// What a search without a satellite says of the held integers, whose probability is `prior`.
+    ///
+    /// It agrees where it finds them again, and contradicts them where others are likely, and
+    /// likelier than they in spite of their prior odds.
+    pub(crate) fn separate(
+        &mut self,
+        arcs: &Arcs,
+        (left_out, prior): (SatelliteId, f64),
+        question: &IntegerQuestion<'_>,
+    ) -> Verdict {
+        let IntegerQuestion { time, float, noise, options } = *question;
+        let list = arcs.list();
+        let is_eligible = |arc: &CarrierArc| {
+            let remains = arc.last == time && arc.satellite != left_out && arc.held.is_some();
+            remains && may_be_integer(arc, options)
+        };
+        self.difference(list, is_eligible, float);
+        self.pairs.retain(|pair| pair.known.is_some());
+        if self.pairs.len() < options.fixed_min {
+            return Verdict::Silent;
+        }
+        let (joint, all) = (self.joint(float), self.which(|_| true));
+        let lambda = any_integers(&lambda_options(options, noise.scale), all.len());
+        let found = self.search(list, &joint, &all, &all, &lambda);
+        let Some(found) = found else { return Verdict::Silent };
+        let stated = bonferroni(noise.odds_divisor, found.probability.unwrap_or(0.0));
+        if stated < LIKELY {
+            return Verdict::Silent;
+        }
+        if let [_, 0] = self.compare_with_known(&all) {
+            return Verdict::Agrees;
+        }
+        let known = |pair: &DoubleDifference| pair.known.unwrap_or(0) as f64;
+        let values: Vec<f64> = self.pairs.iter().map(known).collect();
+        let own = condition(&joint, &all, &values, &[]).map(|(_, squared_norm)| squared_norm);
+        let Some((own, best)) = own.zip(found.squared_norm) else { return Verdict::Silent };
+        let odds = odds_at_scale([own, best.min(own)], all.len(), noise.scale);
+        match scale_odds(odds, prior) < LIKELY {
+            true => Verdict::Contradicts,
+            false => Verdict::Silent,
+        }
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -221,14 +271,7 @@ impl IntegerSearch {
         squared_norm: f64,
         options: &Options,
     ) -> Option<f64> {
-        let anything = Options {
-            success_rate_min: 0.0,
-            ratio_min: 0.0,
-            probability_min: 0.0,
-            fixed_min: known.len(),
-            attempts_max: 1,
-            ..*options
-        };
+        let anything = any_integers(options, known.len());
         let best = self.search(arcs, joint, known, known, &anything)?.squared_norm?;
         Some(odds_at_scale([squared_norm, best.min(squared_norm)], known.len(), options.scale?))
     }
@@ -245,7 +288,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, hold_epochs, were_held } = *judgement;
+        let Judgement { options, odds_divisor, were_held } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -265,7 +308,7 @@ impl IntegerSearch {
             if probability < options.probability_min {
                 continue;
             }
-            let [agreeing, contradicting] = self.compare_with_known(&wanted);
+            let [_, contradicting] = self.compare_with_known(&wanted);
             if 0 < contradicting {
                 if probability <= hold.probability {
                     continue;
@@ -279,7 +322,7 @@ impl IntegerSearch {
             let held = self.hold_found(arcs, hold, &wanted);
             let Outcome { ratio, success_rate, .. } = outcome;
             let found = Found { probability, ratio, success_rate };
-            hold.found(&found, options.fixed_min <= agreeing, hold_epochs);
+            hold.found(&found);
             resolution.outcome = Ok(fixed_position(&rest, held, probability));
             return resolution;
         }
@@ -318,8 +361,9 @@ impl IntegerSearch {
         subsets
     }
 
-    /// Position and the ambiguities left float, conditioned on the integers found last of those at
-    /// `wanted`, ascending; `None` where the covariance does not allow it.
+    /// Position and float ambiguities, conditioned on the integers that the last search found.
+    /// `wanted` are the indices of the searched pairs, ascending. `None` where the covariance is
+    /// not positive definite.
     fn condition_on_found(&self, joint: &Joint, wanted: &[usize]) -> Option<Joint> {
         let found = wanted.iter().zip(self.resolver.fix().entries());
         let (held, values): (Vec<usize>, Vec<f64>) =
@@ -375,8 +419,8 @@ impl IntegerSearch {
         count
     }
 
-    /// Double differences of the eligible arcs, each against one of its group: the highest of those
-    /// that hold an integer, if any do.
+    /// Double differences of the eligible arcs, each against the reference satellite of its
+    /// group: the highest of those that hold an integer, or of all if none does.
     fn difference(
         &mut self,
         arcs: &[CarrierArc],
@@ -424,34 +468,6 @@ fn has_one_wavelength(arc: &CarrierArc) -> bool {
 /// Whether the ambiguity of an arc may be an integer.
 pub(crate) fn may_be_integer(arc: &CarrierArc, options: &RtkOptions) -> bool {
     !arc.half_cycle && options.elevation_mask_rad <= arc.elevation_rad
-}
-
-/// Options of the search for a scale of the noise.
-pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
-    Options {
-        success_rate_min: options.success_rate_min,
-        ratio_min: options.ratio_min,
-        probability_min: options.found_probability_min(),
-        scale: Some(scale),
-        fixed_min: options.fixed_min,
-        candidates: CANDIDATES,
-        nodes_max: NODES_MAX,
-        attempts_max: ATTEMPTS_MAX,
-    }
-}
-
-/// Why integers were not accepted, if they were not.
-fn refusal(outcome: &Outcome, options: &Options) -> Option<Reason> {
-    Some(match outcome.rejection? {
-        Rejection::Ratio => Reason::RatioBelowThreshold {
-            ratio: outcome.ratio.unwrap_or(1.0),
-            threshold: options.ratio_min,
-        },
-        Rejection::Probability | Rejection::SuccessRate | Rejection::SearchLimit => {
-            Reason::SuccessRateTooLow { success_rate: outcome.success_rate }
-        }
-        Rejection::TooFew | Rejection::Magnitude => Reason::FixRejected,
-    })
 }
 
 #[cfg(test)]
@@ -513,7 +529,7 @@ mod tests {
         let noise = Receivers::new().known_noise(&Residuals::NONE);
         let time = GpsTime::EPOCH;
         let question = IntegerQuestion { time, float, noise, options: &options.rtk };
-        IntegerSearch::default().resolve(arcs, hold, &question)
+        IntegerSearch::default().resolve(arcs, hold, &question, true)
     }
 
     fn integers(arcs: &Arcs) -> Vec<i64> {

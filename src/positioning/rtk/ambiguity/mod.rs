@@ -1,6 +1,8 @@
 //! From float ambiguities to integers, and back to the position.
 
+mod acceptance;
 mod conditioning;
+mod confirmation;
 mod fixed_position;
 mod float;
 mod hold;
@@ -9,6 +11,7 @@ mod integers;
 mod joint;
 
 pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
+pub(crate) use confirmation::{Confirmation, Verdict};
 pub(crate) use fixed_position::{
     FixedPosition, PhasePosition, position_from_fixed_phases, subtract_common_cycles,
     subtract_integers,

@@ -1,0 +1,52 @@
+//! What a search for integers accepts, and why it refuses.
+
+use crate::config::RtkOptions;
+use crate::gnss::Reason;
+use crate::lambda::{KnownScale, Options, Outcome, Rejection};
+
+/// Candidates whose likelihoods make up the posterior probability.
+const CANDIDATES: usize = 4;
+/// Most nodes of the search tree in one epoch.
+const NODES_MAX: usize = 20_000;
+/// Most subsets tried in one epoch.
+const ATTEMPTS_MAX: usize = 12;
+
+/// Options of the search for a scale of the noise.
+pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
+    Options {
+        success_rate_min: options.success_rate_min,
+        ratio_min: options.ratio_min,
+        probability_min: options.found_probability_min(),
+        scale: Some(scale),
+        fixed_min: options.fixed_min,
+        candidates: CANDIDATES,
+        nodes_max: NODES_MAX,
+        attempts_max: ATTEMPTS_MAX,
+    }
+}
+
+/// Options of a search that accepts the best integers of `count` ambiguities, whatever they are.
+pub(crate) fn any_integers(options: &Options, count: usize) -> Options {
+    Options {
+        success_rate_min: 0.0,
+        ratio_min: 0.0,
+        probability_min: 0.0,
+        fixed_min: count,
+        attempts_max: 1,
+        ..*options
+    }
+}
+
+/// Why integers were not accepted, if they were not.
+pub(crate) fn refusal(outcome: &Outcome, options: &Options) -> Option<Reason> {
+    Some(match outcome.rejection? {
+        Rejection::Ratio => Reason::RatioBelowThreshold {
+            ratio: outcome.ratio.unwrap_or(1.0),
+            threshold: options.ratio_min,
+        },
+        Rejection::Probability | Rejection::SuccessRate | Rejection::SearchLimit => {
+            Reason::SuccessRateTooLow { success_rate: outcome.success_rate }
+        }
+        Rejection::TooFew | Rejection::Magnitude => Reason::FixRejected,
+    })
+}
