@@ -76,7 +76,7 @@ async fn store_alone(store: &Store, size: u64, epochs: u64) {
         async move {
             for first in (0..epochs).step_by(size as usize) {
                 let epochs = (first..first + size).map(rows).collect();
-                let batch = Batch { epochs, ..Batch::new(session) };
+                let batch = Batch { epochs, ..Batch::new(session, first.checked_sub(1)) };
                 store.commit(batch).await.expect("the commit succeeds");
             }
         }

@@ -67,7 +67,8 @@ impl From<StoreError> for Refusal {
             StoreError::PageSize { .. } => Some("pageSize"),
             _ => None,
         };
-        Self::new(error.code(), error.to_string()).at_some(field)
+        let refusal = Self::new(error.code(), error.to_string()).at_some(field);
+        Self { retry_after: SessionError::from(error).retry_after(), ..refusal }
     }
 }
 

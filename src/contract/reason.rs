@@ -63,6 +63,7 @@ const fn remedy(reason: &Reason) -> &'static str {
         Reason::OdometryUnused { .. } => {
             "send each displacement with the epoch where it ends, since the epoch before"
         }
+        Reason::EstimatorFailed => "send the next epochs, and report the failure with this epoch",
     }
 }
 
@@ -106,9 +107,11 @@ fn values(reason: &Reason) -> Vec<(&'static str, Value)> {
         Reason::SuccessRateTooLow { success_rate } => {
             vec![("successRate", number(*success_rate))]
         }
-        Reason::NoRedundancy | Reason::NotConverged | Reason::BaseMissing | Reason::FixRejected => {
-            Vec::new()
-        }
+        Reason::NoRedundancy
+        | Reason::NotConverged
+        | Reason::BaseMissing
+        | Reason::FixRejected
+        | Reason::EstimatorFailed => Vec::new(),
     }
 }
 

@@ -239,6 +239,8 @@ pub enum Reason {
         /// Duration of its displacement (s).
         interval_s: f64,
     },
+    /// The estimator failed on this epoch, and started again after it.
+    EstimatorFailed,
 }
 
 impl Reason {
@@ -275,6 +277,7 @@ impl Reason {
             Self::OdometryUnused { .. } => "ODOMETRY_UNUSED",
             Self::EpochRepeated { .. } => "EPOCH_REPEATED",
             Self::ProtectionLimitExceeded { .. } => "PROTECTION_LIMIT_EXCEEDED",
+            Self::EstimatorFailed => "ESTIMATOR_FAILED",
         }
     }
 }
@@ -318,9 +321,11 @@ impl fmt::Display for Reason {
             Self::SuccessRateTooLow { success_rate } => {
                 write!(f, "{{success rate {success_rate:.4}}}")
             }
-            Self::NoRedundancy | Self::NotConverged | Self::BaseMissing | Self::FixRejected => {
-                Ok(())
-            }
+            Self::NoRedundancy
+            | Self::NotConverged
+            | Self::BaseMissing
+            | Self::FixRejected
+            | Self::EstimatorFailed => Ok(()),
         }
     }
 }

@@ -61,6 +61,7 @@ snapshot_variants!(Reason {
     22 => BaseChanged { distance_m },
     23 => EpochRepeated { behind_s },
     24 => ProtectionLimitExceeded { level_m, limit_m },
+    26 => EstimatorFailed {},
 });
 
 snapshot_fields!(Protection { horizontal_m, vertical_m });

@@ -140,6 +140,10 @@ codes! {
     /// The epoch's time is not after the previous epoch's.
     OutOfOrder = "OUT_OF_ORDER", Precondition,
         "send epochs in order of time; open a new session for older data";
+    /// The epoch's time is far ahead of the service's clock.
+    TimeImplausible = "TIME_IMPLAUSIBLE", Precondition,
+        "correct the receiver's week number, or the service's clock; or let the operator raise \
+         limits.future_s";
     /// The session has no epoch to solve yet.
     SessionEmpty = "SESSION_EMPTY", Precondition, "push an epoch first";
     /// The session's mailbox is full of waiting epochs.
@@ -360,9 +364,15 @@ codes! {
     /// The database URL is invalid.
     DatabaseUrlInvalid = "DATABASE_URL_INVALID", NoCall,
         "give sqlite://FILE or postgres://USER@HOST/DATABASE";
+    /// Another service has the lease of the database.
+    DatabaseInUse = "DATABASE_IN_USE", NoCall,
+        "stop the service that the message names, or give this one another database";
     /// A newer Graphfix wrote the database.
     DatabaseSchemaNewer = "DATABASE_SCHEMA_NEWER", NoCall,
         "run the Graphfix that wrote it, or a newer one";
+    /// An older Graphfix wrote the database, and the command only reads it.
+    DatabaseSchemaOlder = "DATABASE_SCHEMA_OLDER", NoCall,
+        "run the Graphfix that wrote it, or let `graphfix serve` of this version open it once";
     /// The database's schema could not be brought up to date.
     DatabaseMigrationFailed = "DATABASE_MIGRATION_FAILED", NoCall,
         "restore the database from a backup, or report the failure";

@@ -1,10 +1,12 @@
 //! The computing part of a session's work, which runs on the solver pool.
 
 use crate::aiding::PushedNavigation;
+use crate::gnss::GpsTime;
 use crate::positioning::Scratch;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
 use super::base_selection::BaseSource;
+use super::panics::caught;
 use super::state::{Advanced, Configuration, State};
 use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
 
@@ -12,6 +14,17 @@ use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
 /// epochs with their solutions (docs/accuracy.md). After a crash at most this many epochs are
 /// computed again.
 const EPOCHS_PER_SNAPSHOT: usize = 256;
+
+/// What the epochs of a batch must satisfy.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EpochRules {
+    /// Observations in one epoch.
+    pub(super) observations_max: usize,
+    /// The time now.
+    pub(super) now: GpsTime,
+    /// Time that an epoch may be ahead of it (s).
+    pub(super) future_s: u64,
+}
 
 /// What to do with an epoch.
 pub(super) enum Plan {
@@ -44,6 +57,8 @@ pub(super) struct SolvedBatch {
     pub(super) snapshot: Option<EncodedSnapshot>,
     /// The solutions of `rows`, with the same indices.
     pub(super) solutions: Vec<StoredSolution>,
+    /// Numbers of the epochs on which the estimator panicked, with its messages.
+    pub(super) panics: Vec<(u64, String)>,
 }
 
 impl SolvedBatch {
@@ -53,7 +68,7 @@ impl SolvedBatch {
         epochs: impl IntoIterator<Item = SequencedEpoch>,
         aiding: &BatchAiding,
         configuration: &Configuration,
-        observations_per_epoch: usize,
+        rules: EpochRules,
         scratch: &mut Scratch,
     ) -> Self {
         let mut batch = Self {
@@ -63,10 +78,11 @@ impl SolvedBatch {
             revisions: Vec::new(),
             snapshot: None,
             solutions: Vec::new(),
+            panics: Vec::new(),
         };
         for epoch in epochs {
             let seq = epoch.seq;
-            let plan = match batch.refusal(&epoch, observations_per_epoch) {
+            let plan = match batch.refusal(&epoch, &rules) {
                 Some(refusal) => Plan::Refused(refusal),
                 None if batch.is_after_last(seq) => {
                     batch.advance(&epoch, aiding, configuration, scratch)
@@ -86,14 +102,19 @@ impl SolvedBatch {
         self.state.last.is_none_or(|(last, _)| last < seq)
     }
 
-    fn refusal(&self, epoch: &SequencedEpoch, limit: usize) -> Option<EpochRefusal> {
+    fn refusal(&self, epoch: &SequencedEpoch, rules: &EpochRules) -> Option<EpochRefusal> {
         let SequencedEpoch { seq, epoch } = epoch;
         let (seq, observations) = (*seq, epoch.observations.len());
+        let (limit, ahead_s) = (rules.observations_max, rules.future_s);
         if !SEQUENCES.contains(&seq) {
             return Some(EpochRefusal::SequenceOutOfRange { seq });
         }
         if limit < observations {
             return Some(EpochRefusal::TooManyObservations { seq, observations, limit });
+        }
+        let is_new = self.is_after_last(seq);
+        if is_new && (ahead_s as f64) < epoch.time - rules.now {
+            return Some(EpochRefusal::TimeImplausible { seq, time: epoch.time, ahead_s });
         }
         let (last_seq, last) = self.state.last?;
         let out_of_order = last_seq < seq && epoch.time <= last;
@@ -107,11 +128,18 @@ impl SolvedBatch {
         configuration: &Configuration,
         scratch: &mut Scratch,
     ) -> Plan {
-        let base = self.state.base_for(source, epoch, navigation, configuration);
-        let advanced =
-            self.state.advance(*seq, epoch, navigation, base.as_ref(), configuration, scratch);
-        let Advanced { solution, revisions } = advanced;
-        let used = base.map(|input| input.used);
+        let state = &mut self.state;
+        let advanced = caught(|| {
+            let base = state.base_for(source, epoch, navigation, configuration);
+            let base = base.as_ref();
+            let advanced = state.advance(*seq, epoch, navigation, base, configuration, scratch);
+            (advanced, base.map(|input| input.used))
+        });
+        let (Advanced { solution, revisions }, used) = advanced.unwrap_or_else(|panic| {
+            *scratch = Scratch::default();
+            self.panics.push((*seq, panic));
+            (self.state.quarantine(*seq, epoch, configuration), None)
+        });
         self.rows.push(EncodedEpoch::new(epoch, &solution, *push, used));
         self.revisions.extend(revisions.iter().map(EncodedSolution::new));
         self.solutions.push(solution);

@@ -11,18 +11,18 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
-use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::clock::unix_ms;
 use crate::store::{
-    AntennaName, Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
+    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
 };
 
-use super::configuration::{settings, stored_options};
+use super::configuration::settings;
+use super::counters::Counters;
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::{
-    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId,
-    SessionInfo, SessionLimits, SessionUpdate, Submitted,
+    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionCounts, SessionError,
+    SessionId, SessionInfo, SessionLimits, SessionUpdate, Submitted,
 };
 
 /// Number of locks for starting and closing sessions. A session's id selects its lock.
@@ -46,6 +46,7 @@ struct Desk {
     aiding: AidingDesk,
     limits: SessionLimits,
     solvers: Solvers,
+    counters: Arc<Counters>,
     /// Epochs that wait in all mailboxes together.
     waiting: Arc<AtomicUsize>,
     /// Locked from reading a session's row until its task is started, and while it is closed.
@@ -61,6 +62,14 @@ struct Tasks {
     /// Counts messages, to find the least recently used session.
     posted: u64,
     draining: bool,
+}
+
+/// What a task is started for.
+#[derive(Clone, Copy, PartialEq)]
+enum Start {
+    Epochs,
+    /// Allowed beyond the limit of active sessions, because the task ends at once.
+    Closing,
 }
 
 struct Handle {
@@ -82,6 +91,7 @@ impl Sessions {
             aiding,
             solvers: Solvers::new(limits.solver_threads),
             limits,
+            counters: Arc::default(),
             waiting: Arc::default(),
             starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
             tasks: Mutex::new(tasks),
@@ -100,7 +110,7 @@ impl Sessions {
         let settings = settings(new.label, new.mode, new.profile, new.overrides, base, antenna)?;
         let id = SessionId::random();
         let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
-        info(id, row)
+        SessionInfo::of(id, row)
     }
 
     /// A session, open or closed.
@@ -108,7 +118,7 @@ impl Sessions {
     /// # Errors
     /// No session has this id, or the store fails.
     pub async fn get(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        info(id.clone(), self.row(id).await?)
+        SessionInfo::of(id.clone(), self.row(id).await?)
     }
 
     /// A page of 1 to 1000 sessions, the newest first.
@@ -126,7 +136,7 @@ impl Sessions {
                 what: "session id",
                 why: format!("{:?} is not the id of a session", row.id),
             })?;
-            info(id, row)
+            SessionInfo::of(id, row)
         })
     }
 
@@ -169,7 +179,19 @@ impl Sessions {
         if let Some(handle) = self.tasks().handles.get(id) {
             handle.outdated.store(true, Ordering::Release);
         }
-        info(id.clone(), row)
+        SessionInfo::of(id.clone(), row)
+    }
+
+    /// Begins a new arc of a session, after the epochs that wait: its next epoch may have any time,
+    /// and its estimator starts again. Numbers go on rising.
+    ///
+    /// # Errors
+    /// No session has this id, it is closed, or the store fails; nothing is then changed.
+    pub async fn reset(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        let (reply, answer) = oneshot::channel();
+        self.send(id, Message::Reset { unix_ms: unix_ms(), permit: None, reply }, 1).await?;
+        answer.await.unwrap_or(Err(SessionError::Interrupted))?;
+        self.get(id).await
     }
 
     /// Closes a session. It takes no more epochs, and its stored solutions stay readable. Waiting
@@ -193,7 +215,7 @@ impl Sessions {
             return Ok(());
         }
         if !self.tasks().handles.contains_key(id) {
-            self.start(id, row.key)?;
+            self.start(id, row.key, Start::Closing)?;
         }
         // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
@@ -273,7 +295,7 @@ impl Sessions {
             return Ok(()); // Another call has started it meanwhile.
         }
         let row = self.open_row(id).await?;
-        self.start(id, row.key)?;
+        self.start(id, row.key, Start::Epochs)?;
         if self.post(id, &mut message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
@@ -306,36 +328,13 @@ impl Sessions {
         self.tasks().draining
     }
 
-    /// The chosen bases, as the store names them.
-    pub(super) fn base_names(
-        &self,
-        choice: BaseChoice<BaseId>,
-    ) -> Result<BaseChoice, SessionError> {
-        if let BaseChoice::NearestOf(ids) = &choice {
-            let (bases, limit) = (ids.len(), self.desk.limits.candidate_bases);
-            if limit < bases {
-                return Err(SessionError::TooManyCandidates { bases, limit });
-            }
-            let is_again = |index: &usize| ids[..*index].contains(&ids[*index]);
-            if let Some(index) = (0..ids.len()).find(is_again) {
-                return Err(SessionError::BaseNamedTwice { index });
-            }
-            if ids.is_empty() {
-                return Ok(BaseChoice::None);
-            }
-        }
-        Ok(choice.try_map(|id| self.desk.aiding.bases.name(&id))?)
+    /// Numbers of events since the start.
+    pub fn counts(&self) -> SessionCounts {
+        self.desk.counters.read()
     }
 
-    /// The calibrated antenna of a name; none for an empty name.
-    async fn antenna_name(&self, name: &str) -> Result<Option<AntennaName>, SessionError> {
-        if name.trim().is_empty() {
-            return Ok(None);
-        }
-        Ok(Some(self.desk.aiding.antennas.keep(name).await?))
-    }
-
-    pub(super) fn store(&self) -> &Store {
+    /// The store.
+    pub fn store(&self) -> &Store {
         &self.desk.store
     }
 
@@ -363,20 +362,6 @@ impl Sessions {
             None => Ok(row),
             Some(_) => Err(SessionError::Closed { id: id.to_string() }),
         }
-    }
-
-    pub(super) fn check_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
-        let (epochs, limit) = (epochs.len(), self.desk.limits.epochs_per_push);
-        match epochs {
-            0 => Err(SessionError::NoEpochs),
-            _ if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
-            _ => Ok(()),
-        }
-    }
-
-    fn check_label(&self, label: &str) -> Result<(), SessionError> {
-        let (length, limit) = (label.chars().count(), self.desk.limits.label_characters);
-        if limit < length { Err(SessionError::LabelTooLong { length, limit }) } else { Ok(()) }
     }
 
     fn tasks(&self) -> MutexGuard<'_, Tasks> {
@@ -434,14 +419,14 @@ impl Sessions {
     }
 
     /// Starts a session's task. If as many run as allowed, one of them is parked.
-    fn start(&self, id: &SessionId, key: SessionKey) -> Result<(), SessionError> {
-        let Desk { store, aiding, limits, solvers, .. } = &*self.desk;
+    fn start(&self, id: &SessionId, key: SessionKey, start: Start) -> Result<(), SessionError> {
+        let Desk { store, aiding, limits, solvers, counters, .. } = &*self.desk;
         let mut tasks = self.tasks();
         if tasks.draining {
             return Err(SessionError::Draining);
         }
         let limit = limits.active_sessions;
-        if limit <= tasks.handles.len() && !tasks.park_one() {
+        if limit <= tasks.handles.len() && !tasks.park_one() && start == Start::Epochs {
             return Err(SessionError::TooManyActive { limit, retry_after: limits.retry_after });
         }
         let (mailbox, inbox) = mpsc::channel(limits.mailbox_epochs);
@@ -454,7 +439,9 @@ impl Sessions {
             solvers: solvers.clone(),
             epochs_per_push: limits.epochs_per_push,
             observations_per_epoch: limits.observations_per_epoch,
+            future_s: limits.future_s,
             outdated: outdated.clone(),
+            counters: counters.clone(),
         };
         while tasks.running.try_join_next().is_some() {} // Forgets the tasks that have ended.
         tasks.running.spawn(task.run(inbox));
@@ -473,23 +460,4 @@ impl Tasks {
         let least = idle.min_by_key(|(_, handle)| handle.last_used).map(|(id, _)| id.clone());
         least.and_then(|id| self.handles.remove(&id)).is_some()
     }
-}
-
-fn info(id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
-    let configuration = stored_options(&row.settings)?.entries();
-    Ok(SessionInfo {
-        id,
-        label: row.settings.label,
-        mode: row.settings.mode,
-        profile: row.settings.profile,
-        overrides: row.settings.overrides,
-        configuration,
-        configuration_hash: row.settings.configuration_hash,
-        created_unix_ms: row.created_unix_ms,
-        closed_unix_ms: row.closed_unix_ms,
-        durable_through: row.last_seq,
-        raw_through: row.raw_through,
-        base: row.settings.base.try_map(|base| Ok::<_, SessionError>(base.id))?,
-        antenna: row.settings.antenna,
-    })
 }

@@ -2,11 +2,16 @@
 
 use std::time::Duration;
 
+use uuid::Uuid;
+
 use crate::aiding::AidingError;
 use crate::config::ConfigError;
 use crate::reception::ReceptionError;
-use crate::refusal::Code;
+use crate::refusal::{Class, Code};
 use crate::store::StoreError;
+
+/// Base of the delay while the service or its database is away.
+const UNAVAILABLE: Duration = Duration::from_secs(1);
 
 /// Why the desk refuses a call. [`super::EpochRefusal`] is the refusal of a single epoch.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -194,13 +199,18 @@ impl SessionError {
         }
     }
 
-    /// The delay before the next attempt, for refusals that pass by themselves.
-    pub const fn retry_after(&self) -> Option<Duration> {
-        match self {
+    /// The delay before the next attempt, for refusals that pass by themselves. It is random up to
+    /// twice its base, so that devices that were refused together do not come back together.
+    pub fn retry_after(&self) -> Option<Duration> {
+        let base = match self {
             Self::MailboxFull { retry_after, .. }
             | Self::Overloaded { retry_after, .. }
-            | Self::TooManyActive { retry_after, .. } => Some(*retry_after),
-            _ => None,
-        }
+            | Self::TooManyActive { retry_after, .. } => *retry_after,
+            Self::Draining | Self::Interrupted => UNAVAILABLE,
+            Self::Store(error) if matches!(error.code().class(), Class::Unavailable) => UNAVAILABLE,
+            _ => return None,
+        };
+        let random = Uuid::new_v4().as_u128() as u32;
+        Some(base.mul_f64(1.0 + f64::from(random) / f64::from(u32::MAX)))
     }
 }

@@ -6,7 +6,10 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 use crate::id::{Id, Kind};
-use crate::store::AntennaName;
+use crate::store::{AntennaName, SessionRow};
+
+use super::SessionError;
+use super::configuration::stored_options;
 
 /// The kind of a [`SessionId`].
 pub enum SessionKind {}
@@ -83,4 +86,26 @@ pub struct SessionInfo {
     pub base: BaseChoice<Arc<str>>,
     /// The rover's antenna, if the session corrects for antennas.
     pub antenna: Option<AntennaName>,
+}
+
+impl SessionInfo {
+    /// The session of a stored row.
+    pub(super) fn of(id: SessionId, row: SessionRow) -> Result<Self, SessionError> {
+        let configuration = stored_options(&row.settings)?.entries();
+        Ok(Self {
+            id,
+            label: row.settings.label,
+            mode: row.settings.mode,
+            profile: row.settings.profile,
+            overrides: row.settings.overrides,
+            configuration,
+            configuration_hash: row.settings.configuration_hash,
+            created_unix_ms: row.created_unix_ms,
+            closed_unix_ms: row.closed_unix_ms,
+            durable_through: row.last_seq,
+            raw_through: row.raw_through,
+            base: row.settings.base.try_map(|base| Ok::<_, SessionError>(base.id))?,
+            antenna: row.settings.antenna,
+        })
+    }
 }

@@ -17,6 +17,9 @@ pub struct SessionLimits {
     pub raw_chunk_bytes: usize,
     /// Observations in one epoch.
     pub observations_per_epoch: usize,
+    /// Time that an epoch may be ahead of the service's clock (s). A receiver that counts weeks
+    /// wrongly is a week ahead at least, and no clock of a server is a day behind.
+    pub future_s: u64,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
     /// Bases that one session may choose from.
@@ -38,6 +41,7 @@ impl SessionLimits {
             epochs_per_push: 1_024,
             raw_chunk_bytes: 256 << 10,
             observations_per_epoch: 512,
+            future_s: 86_400,
             active_sessions: 4_096,
             candidate_bases: 32,
             label_characters: 200,

@@ -27,10 +27,10 @@
 //! revision 1.
 //!
 //! # Failures
-//! A failed commit acknowledges nothing. It may still have succeeded, for instance if the
-//! connection was lost during `COMMIT`. Therefore the task drops its state and restores it from the
-//! store before the next batch. Clients send the epochs again; those that were stored are answered
-//! from the store.
+//! A failed commit acknowledges nothing, and the session continues from the state before it. A
+//! commit that failed during `COMMIT` may have succeeded all the same. Then the task keeps both
+//! states, and asks the store before the next batch which one holds. Clients send the epochs again;
+//! those that were stored are answered from the store.
 //!
 //! # Example
 //!
@@ -72,12 +72,15 @@
 mod antenna;
 mod base_selection;
 mod batch;
+mod checks;
 mod configuration;
+mod counters;
 
 mod desk;
 mod error;
 mod info;
 mod limits;
+mod panics;
 
 mod raw;
 mod recomputation;
@@ -88,6 +91,7 @@ mod state;
 mod submission;
 mod task;
 
+pub use counters::SessionCounts;
 pub use desk::Sessions;
 pub use error::SessionError;
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate};

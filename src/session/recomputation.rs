@@ -75,11 +75,12 @@ impl Recomputation {
                 let antenna = calibration(&aiding, antenna).await?;
                 let version = VERSION.into();
                 let estimation = Configuration { version, hash, options, antenna };
-                ActiveConfiguration { estimation, bases }
+                ActiveConfiguration { estimation, bases, is_closed: false }
             }
         };
         let configuration_hash = active.estimation.hash.clone();
         let state = Some(State::new(&active.estimation));
+        let arcs = store.arcs(row.key).await?.into();
         let replay = Replay {
             store,
             aiding,
@@ -90,6 +91,7 @@ impl Recomputation {
             } else {
                 ReplayWith::Stored
             },
+            arcs,
             tolerates_missing: false,
         };
         let ends_windows = change.is_some() || row.closed_unix_ms.is_some();
@@ -118,7 +120,8 @@ impl Recomputation {
             self.state = Some(state);
             return Ok(Some(answers));
         }
-        if !self.ends_windows {
+        let ends_arc = state.last_seq().is_some_and(|last| self.replay.arcs.contains(&last));
+        if !self.ends_windows && !ends_arc {
             return Ok(None);
         }
         self.replay.solvers.estimate(move |scratch| Some(state.finish(scratch))).await

@@ -7,15 +7,16 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
-use crate::gnss::{AntennaCalibration, Epoch};
+use crate::gnss::{AntennaCalibration, Epoch, Reason};
 use crate::positioning::Scratch;
 use crate::store::{BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
 
 use super::SessionError;
 use super::base_selection::BaseSource;
 use super::configuration::{base_of, kept_options, stored_options};
+use super::panics::caught;
 use super::solvers::Solvers;
-use super::state::{Configuration, State, VERSION};
+use super::state::{Advanced, Configuration, State, VERSION};
 
 /// Stored epochs per read.
 const PAGE: usize = 256;
@@ -38,6 +39,8 @@ pub(super) struct ActiveConfiguration {
     pub(super) estimation: Configuration,
     /// The bases, if the mode is relative to one.
     pub(super) bases: BaseChoice,
+    /// The session is closed and takes no more epochs.
+    pub(super) is_closed: bool,
 }
 
 /// Replays a session's stored epochs.
@@ -47,6 +50,8 @@ pub(super) struct Replay {
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
     pub(super) with: ReplayWith,
+    /// Numbers of the epochs after which a new arc began, in order.
+    pub(super) arcs: Arc<[u64]>,
     /// Whether missing data is tolerated: the present navigation data replace those no longer
     /// stored, and base epochs no longer stored are left out.
     pub(super) tolerates_missing: bool,
@@ -59,6 +64,8 @@ struct Step {
     navigation: PushedNavigation,
     configuration: Arc<Configuration>,
     base: StepBase,
+    /// The estimator panicked on it when it was received.
+    is_quarantined: bool,
 }
 
 /// The base epochs that an epoch receives.
@@ -68,6 +75,45 @@ enum StepBase {
     Stored(BaseInput),
     /// Those that the selection gives now.
     Selected(Arc<BaseSource>),
+}
+
+impl Step {
+    /// Begins a new arc if one lies between the state's last epoch and this one.
+    fn begin_arc(
+        &self,
+        state: &mut State,
+        arcs: &[u64],
+        scratch: &mut Scratch,
+    ) -> Option<Vec<StoredSolution>> {
+        let last = state.last_seq()?;
+        let is_between = arcs.iter().any(|after| last <= *after && *after < self.seq);
+        (is_between && !state.begins_arc()).then(|| state.begin_arc(&self.configuration, scratch))
+    }
+
+    /// Advances a state by the epoch. If the estimator panics, or panicked on it before, the epoch
+    /// is quarantined.
+    fn advance(self, state: &mut State, scratch: &mut Scratch) -> Advanced {
+        let Self { seq, epoch, navigation, configuration, base, is_quarantined } = self;
+        if is_quarantined {
+            return state.quarantine(seq, &epoch, &configuration);
+        }
+        let advanced = caught(|| {
+            let navigation = &navigation.navigation;
+            let base = match base {
+                StepBase::None => None,
+                StepBase::Stored(input) => Some(input),
+                StepBase::Selected(source) => {
+                    state.base_for(&source, &epoch, navigation, &configuration)
+                }
+            };
+            state.advance(seq, &epoch, navigation, base.as_ref(), &configuration, scratch)
+        });
+        advanced.unwrap_or_else(|panic| {
+            tracing::error!(seq, panic, "the estimator failed on a stored epoch");
+            *scratch = Scratch::default();
+            state.quarantine(seq, &epoch, &configuration)
+        })
+    }
 }
 
 impl Replay {
@@ -83,20 +129,14 @@ impl Replay {
             return Ok((state, Vec::new()));
         }
         let steps = self.steps(stored).await?;
+        let arcs = self.arcs.clone();
         let work = move |scratch: &mut Scratch| {
             let mut answers = Vec::with_capacity(2 * steps.len());
-            for Step { seq, epoch, navigation, configuration, base } in steps {
-                let base = match base {
-                    StepBase::None => None,
-                    StepBase::Stored(input) => Some(input),
-                    StepBase::Selected(source) => {
-                        state.base_for(&source, &epoch, &navigation.navigation, &configuration)
-                    }
-                };
-                let navigation = &navigation.navigation;
-                let base = base.as_ref();
-                let advanced =
-                    state.advance(seq, &epoch, navigation, base, &configuration, scratch);
+            for step in steps {
+                if let Some(revisions) = step.begin_arc(&mut state, &arcs, scratch) {
+                    answers.extend(revisions);
+                }
+                let advanced = step.advance(&mut state, scratch);
                 answers.push(advanced.solution);
                 answers.extend(advanced.revisions);
             }
@@ -129,7 +169,10 @@ impl Replay {
                 }
             };
             let (seq, base) = (row.solution.seq, bases.of(row.base, self.tolerates_missing)?);
-            steps.push(Step { seq, epoch: row.epoch()?, navigation, configuration, base });
+            let is_quarantined = matches!(self.with, ReplayWith::Stored)
+                && row.solution.solution.reasons.contains(&Reason::EstimatorFailed);
+            let epoch = row.epoch()?;
+            steps.push(Step { seq, epoch, navigation, configuration, base, is_quarantined });
         }
         Ok(steps)
     }
@@ -144,7 +187,7 @@ impl Replay {
             (Some(first), Some(last)) => Some((first.epoch()?.time, last.epoch()?.time)),
             _ => None,
         };
-        let ActiveConfiguration { estimation, bases } = &**active;
+        let ActiveConfiguration { estimation, bases, .. } = &**active;
         let source = BaseSource::new(&self.aiding.bases, bases, span, &estimation.options);
         Ok(PageBases::Selected(Arc::new(source)))
     }
@@ -234,7 +277,7 @@ pub(super) async fn active_configuration(
     let antenna = calibration(aiding, antenna.as_deref()).await?;
     let hash = row.settings.configuration_hash;
     let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
-    Ok(ActiveConfiguration { estimation, bases })
+    Ok(ActiveConfiguration { estimation, bases, is_closed: row.closed_unix_ms.is_some() })
 }
 
 /// The state after a session's last stored epoch: its newest snapshot, advanced by the epochs
@@ -258,10 +301,20 @@ pub(super) async fn restored(
         let (next, answers) = replay.next(state, after).await?;
         state = next;
         if answers.is_empty() {
-            return Ok(state);
+            break;
         }
-        after = state.last.map(|(seq, _)| seq);
+        after = state.last_seq();
     }
+    let ends_arc = state.last_seq().is_some_and(|last| replay.arcs.contains(&last));
+    if !ends_arc || state.begins_arc() {
+        return Ok(state);
+    }
+    let configuration = configuration.clone();
+    let work = move |scratch: &mut Scratch| {
+        state.begin_arc(&configuration, scratch); // Its revisions are stored.
+        state
+    };
+    replay.solvers.estimate(work).await
 }
 
 async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {

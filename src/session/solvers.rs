@@ -9,6 +9,7 @@ use tokio::task::{JoinError, spawn_blocking};
 use crate::positioning::Scratch;
 
 use super::SessionError;
+use super::panics::message;
 use super::state::State;
 
 /// Most spare states that are kept.
@@ -107,9 +108,7 @@ impl MemoryPool {
 }
 
 fn message_of(error: JoinError) -> String {
-    let Ok(panic) = error.try_into_panic() else { return "it was cancelled".to_owned() };
-    let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked").to_owned()
+    error.try_into_panic().map_or_else(|_| "it was cancelled".to_owned(), |p| message(&*p))
 }
 
 #[cfg(test)]

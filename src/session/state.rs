@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::aiding::bases::BaseInput;
 use crate::config::PositioningOptions;
-use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Solution};
+use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Reason, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::recording::ApproximatePosition;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
@@ -14,11 +14,21 @@ use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
 
 use super::antenna;
 use super::base_selection::{BaseSelection, BaseSource};
+use super::panics::caught;
 
 /// Version of this program, stored with each solution.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Version of the layout around an estimator's snapshot.
 const LAYOUT: u16 = 4;
+
+/// In unit tests the estimator panics on epochs of this fraction of a second (ns).
+#[cfg(test)]
+pub(super) const PANICS_AT_NS: i64 = 123_456_789;
+#[cfg(test)]
+use crate::gnss::constants::NS_PER_SECOND;
+
+/// The time of the last epoch where the next one may have any time.
+const BEFORE_ALL: GpsTime = GpsTime::from_ns(i64::MIN);
 
 /// The program version and options that compute a solution.
 #[derive(Clone, Debug)]
@@ -98,6 +108,11 @@ impl State {
         self.base_selection.base
     }
 
+    /// Number of the last epoch.
+    pub(super) fn last_seq(&self) -> Option<u64> {
+        self.last.map(|(seq, _)| seq)
+    }
+
     /// Whether the estimator has this configuration.
     fn continues_with(&self, configuration: &Configuration) -> bool {
         self.configuration_hash == configuration.hash
@@ -118,6 +133,8 @@ impl State {
         configuration: &Configuration,
         scratch: &mut Scratch,
     ) -> Advanced {
+        #[cfg(test)]
+        assert!(epoch.time.as_ns() % NS_PER_SECOND != PANICS_AT_NS, "on purpose");
         let mut revisions = Vec::new();
         let is_corrected = configuration.antenna.is_some();
         let is_recalibrated = is_corrected && base.is_some_and(BaseInput::is_recalibrated);
@@ -158,10 +175,58 @@ impl State {
         Advanced { solution, revisions }
     }
 
-    /// The last revisions of the epochs in the window. The window is then empty.
+    /// Whether the last thing that happened is the beginning of an arc.
+    pub(super) fn begins_arc(&self) -> bool {
+        self.last.is_some_and(|(_, time)| time == BEFORE_ALL)
+    }
+
+    /// Begins a new arc after the last epoch: the next one may have any time. Returns the last
+    /// revisions of the epochs in the window.
+    pub(super) fn begin_arc(
+        &mut self,
+        configuration: &Configuration,
+        scratch: &mut Scratch,
+    ) -> Vec<StoredSolution> {
+        let revisions = self.finish(scratch);
+        let last = self.last.map(|(seq, _)| (seq, BEFORE_ALL));
+        *self = Self { last, ..Self::new(configuration) };
+        revisions
+    }
+
+    /// Answers an epoch on which the estimator panicked: no position, and why. The estimator starts
+    /// again, and the epochs in its window get no revision. A replay does the same by the answer.
+    pub(super) fn quarantine(
+        &mut self,
+        seq: u64,
+        epoch: &Epoch,
+        configuration: &Configuration,
+    ) -> Advanced {
+        *self = Self {
+            last: Some((seq, epoch.time)),
+            unsaved: self.unsaved + 1,
+            ..Self::new(configuration)
+        };
+        let solution = StoredSolution {
+            seq,
+            revision: 0,
+            solution: Solution::none(epoch.time, vec![Reason::EstimatorFailed]),
+            version: configuration.version.clone(),
+            configuration_hash: self.configuration_hash.clone(),
+        };
+        Advanced { solution, revisions: Vec::new() }
+    }
+
+    /// The last revisions of the epochs in the window; none if the estimator panics. The window is
+    /// then empty.
     pub(super) fn finish(&mut self, scratch: &mut Scratch) -> Vec<StoredSolution> {
         let fresh = self.estimator.renewed(true);
-        let revised = std::mem::replace(&mut self.estimator, fresh).finish(scratch);
+        let estimator = std::mem::replace(&mut self.estimator, fresh);
+        let finished = caught(|| estimator.finish(&mut *scratch));
+        let revised = finished.unwrap_or_else(|panic| {
+            tracing::error!(panic, "the epochs of a window get no revision");
+            *scratch = Scratch::default();
+            Vec::new()
+        });
         let revisions = self.numbered(revised, &VERSION.into());
         self.unrevised.clear();
         revisions

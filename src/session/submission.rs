@@ -76,6 +76,17 @@ pub enum EpochRefusal {
         /// Time of the session's last epoch.
         last: GpsTime,
     },
+    /// The time is far ahead of the service's clock. Stored, it would let the session refuse all
+    /// epochs until then.
+    #[error("epoch {seq} at {time} is more than {ahead_s} s ahead of the service's clock")]
+    TimeImplausible {
+        /// Number of the epoch.
+        seq: u64,
+        /// Time of the epoch.
+        time: GpsTime,
+        /// The time that an epoch may be ahead of the clock (s).
+        ahead_s: u64,
+    },
     /// The epoch has more observations than allowed.
     #[error("epoch {seq} has {observations} observations, at most {limit} are allowed")]
     TooManyObservations {
@@ -101,6 +112,7 @@ impl EpochRefusal {
             Self::Conflict { .. } => Code::SequenceConflict,
             Self::Superseded { .. } => Code::SequenceSuperseded,
             Self::OutOfOrder { .. } => Code::OutOfOrder,
+            Self::TimeImplausible { .. } => Code::TimeImplausible,
             Self::TooManyObservations { .. } => Code::TooManyObservations,
             Self::SequenceOutOfRange { .. } => Code::InvalidSequence,
         }
@@ -112,7 +124,7 @@ impl EpochRefusal {
             Self::Conflict { .. } | Self::Superseded { .. } | Self::SequenceOutOfRange { .. } => {
                 "seq"
             }
-            Self::OutOfOrder { .. } => "time",
+            Self::OutOfOrder { .. } | Self::TimeImplausible { .. } => "time",
             Self::TooManyObservations { .. } => "observations",
         }
     }

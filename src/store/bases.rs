@@ -261,7 +261,7 @@ impl Store {
         created_unix_ms: i64,
     ) -> Result<BaseKey, StoreError> {
         self.keep_calibration_of(site).await?;
-        writing!(&self.pool, pool => {
+        let created = writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
                 let sql = "INSERT INTO bases (id, label, created_unix_ms, archive)
@@ -279,8 +279,9 @@ impl Store {
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
             };
-            created.await.map_err(StoreError::database("storing a base"))
-        })
+            created.await
+        });
+        created.map_err(StoreError::database("storing a base"))
     }
 
     /// All bases that were not deleted, in order of key.
@@ -330,7 +331,7 @@ impl Store {
         &self,
         base: BaseKey,
     ) -> Result<(Vec<StoredBaseEpoch>, Option<i64>), StoreError> {
-        let rows: Result<Vec<BaseEpochRow>, _> = reading!(&self.pool, pool => {
+        let rows: Result<Vec<BaseEpochRow>, _> = reading!(bulk &self.pool, pool => {
             let sql = "SELECT number, gps_time_ns, stored_unix_ms, content FROM base_epochs
                        WHERE base = $1 ORDER BY number";
             sqlx::query_as(sql).bind(base.0).fetch_all(pool).await
@@ -355,7 +356,7 @@ impl Store {
         change: &BaseChange<'_>,
     ) -> Result<(), StoreError> {
         self.keep_calibration_of(change.site.map(|(_, site)| site)).await?;
-        writing!(&self.pool, pool => {
+        let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
                 if let Some((since, site)) = change.site {
@@ -375,8 +376,9 @@ impl Store {
                 forget.execute(&mut *transaction).await?;
                 transaction.commit().await
             };
-            pushed.await.map_err(StoreError::database("storing a base's epochs"))
-        })
+            pushed.await
+        });
+        pushed.map_err(StoreError::database("storing a base's epochs"))
     }
 
     /// Stores the calibration of a site's antenna, if it has one.
@@ -392,7 +394,7 @@ impl Store {
     /// # Errors
     /// The database fails.
     pub async fn delete_base(&self, base: BaseKey, unix_ms: i64) -> Result<bool, StoreError> {
-        writing!(&self.pool, pool => {
+        let deleted = writing!(&self.pool, pool => {
             let deleted = async {
                 let mut transaction = pool.begin().await?;
                 let delete = sqlx::query(DELETE).bind(base.0).bind(unix_ms);
@@ -405,7 +407,8 @@ impl Store {
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(rows == 1)
             };
-            deleted.await.map_err(StoreError::database("deleting a base"))
-        })
+            deleted.await
+        });
+        deleted.map_err(StoreError::database("deleting a base"))
     }
 }

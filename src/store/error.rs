@@ -24,6 +24,26 @@ pub enum StoreError {
         /// The newest version that this Graphfix knows.
         known: i64,
     },
+    /// An older Graphfix wrote the database, and it is opened for reading only.
+    #[error("the database has schema {found}, and this Graphfix reads schema {known}")]
+    OlderSchema {
+        /// Version of the database's schema.
+        found: i64,
+        /// The version that this Graphfix reads.
+        known: i64,
+    },
+    /// Another service has the lease of the database.
+    #[error("another service uses the database: {holder}")]
+    InUse {
+        /// The name of its node.
+        holder: String,
+    },
+    /// The lease of the database cannot be taken.
+    #[error("the lock file of the database: {why}")]
+    Lease {
+        /// What is wrong with the lock file.
+        why: String,
+    },
     /// The schema could not be brought up to date.
     #[error("migrating the database: {source}")]
     Migration {
@@ -37,6 +57,18 @@ pub enum StoreError {
         operation: &'static str,
         /// Message of the database.
         source: Arc<sqlx::Error>,
+    },
+    /// The database failed while it confirmed a commit, so the changes may be stored or not.
+    #[error("committing epochs and solutions was not confirmed: {source}")]
+    Unconfirmed {
+        /// Message of the database.
+        source: Arc<sqlx::Error>,
+    },
+    /// The database has failed, and has not answered since. Nothing was tried.
+    #[error("the database does not answer: {why}")]
+    Down {
+        /// Message of the failure.
+        why: Arc<str>,
     },
     /// Another writer stored an epoch or solution under this number.
     #[error("an epoch of this batch is already stored by another writer")]
@@ -107,8 +139,13 @@ impl StoreError {
         match self {
             Self::Url { .. } => Code::DatabaseUrlInvalid,
             Self::NewerSchema { .. } => Code::DatabaseSchemaNewer,
+            Self::OlderSchema { .. } => Code::DatabaseSchemaOlder,
+            Self::InUse { .. } => Code::DatabaseInUse,
             Self::Migration { .. } => Code::DatabaseMigrationFailed,
-            Self::Database { .. } => Code::DatabaseFailed,
+            Self::Database { .. }
+            | Self::Unconfirmed { .. }
+            | Self::Down { .. }
+            | Self::Lease { .. } => Code::DatabaseFailed,
             Self::AlreadyStored => Code::WrittenElsewhere,
             Self::Corrupt { .. } | Self::CorruptText { .. } => Code::StoredDataCorrupt,
             Self::NavigationForgotten { .. } => Code::NavigationForgotten,

@@ -6,7 +6,9 @@
 //! and brought up to date at the start. A database with a newer schema is refused.
 //!
 //! # Durability
-//! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk.
+//! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk. On
+//! Postgres a connection sets `synchronous_commit` where it is off. [`Store::durability`] lists
+//! what else the server's settings say.
 //! [`Store::commit`] passes epochs and solutions to the committer. It writes those of many sessions
 //! in one transaction, and answers each session when the transaction is committed.
 
@@ -14,8 +16,12 @@ mod antennas;
 mod bases;
 mod codec;
 mod committer;
+mod database;
+mod deadline;
 mod error;
 mod feeds;
+mod health;
+mod lease;
 mod navigation;
 mod page;
 mod pool;
@@ -25,6 +31,7 @@ mod snapshots;
 mod solutions;
 
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 use tokio::sync::Mutex;
@@ -33,9 +40,10 @@ use tokio::task::JoinHandle;
 pub use antennas::AntennaName;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
-pub use committer::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
+pub use committer::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 pub use error::StoreError;
 pub use feeds::BaseFeed;
+pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
@@ -43,8 +51,10 @@ pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration}
 pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};
 
-use committer::Committer;
-use pool::Pool;
+use committer::{Committer, Connector, Timing};
+use database::Database;
+use lease::FileLease;
+use pool::{Pool, reading};
 
 /// The database and its committer. All clones share both.
 #[derive(Clone)]
@@ -52,6 +62,9 @@ pub struct Store {
     pool: Pool,
     committer: Committer,
     task: Arc<Mutex<Option<JoinHandle<()>>>>,
+    durability: Arc<[DurabilitySetting]>,
+    folder: Option<Arc<Path>>,
+    lease: Option<Arc<FileLease>>,
 }
 
 impl Store {
@@ -61,19 +74,99 @@ impl Store {
     /// # Errors
     /// The URL is invalid, the database cannot be reached, or its schema is newer.
     pub async fn open(url: &str) -> Result<Self, StoreError> {
-        let pool = Pool::open(url).await?;
-        let (committer, task) = Committer::start(pool.clone());
-        Ok(Self { pool, committer, task: Arc::new(Mutex::new(Some(task))) })
+        Self::open_for(url, None).await
+    }
+
+    /// The same for a service, which writes alone. It has the lease of the database until it
+    /// closes the store or ends.
+    ///
+    /// # Errors
+    /// Also if another service has the lease; [`StoreError::InUse`] names its node.
+    pub async fn open_alone(url: &str, node: &str) -> Result<Self, StoreError> {
+        Self::open_for(url, Some(node)).await
+    }
+
+    async fn open_for(url: &str, node: Option<&str>) -> Result<Self, StoreError> {
+        let database = Database::parse(url)?;
+        let file = database.file().zip(node);
+        let lease = file.map(|(file, node)| FileLease::take(&file, node)).transpose()?;
+        let pool = Pool::new(&database);
+        let folder = database.folder().map(Into::into);
+        let connector = Connector::new(database.clone(), pool.turn(), node);
+        connector.check_lease().await?; // Before the schema of a running service is changed.
+        database.migrate().await?;
+        let durability = connector.durability().await?.into();
+        let (committer, task) = Committer::start(connector, Timing::service()).await?;
+        let task = Arc::new(Mutex::new(Some(task)));
+        Ok(Self { pool, committer, task, durability, folder, lease: lease.map(Arc::new) })
+    }
+
+    /// Opens the database of `url` for reading. Nothing of it is changed, neither its schema; a
+    /// service may be using it. Commits fail with [`StoreError::Closed`].
+    ///
+    /// # Errors
+    /// The URL is invalid, the database cannot be reached, or it has another schema.
+    pub async fn open_read_only(url: &str) -> Result<Self, StoreError> {
+        let database = Database::parse(url)?;
+        database.check_schema().await?;
+        let database = database.read_only();
+        let pool = Pool::new(&database);
+        let folder = database.folder().map(Into::into);
+        let (committer, task) = (Committer::stopped(), Arc::default());
+        Ok(Self { pool, committer, task, durability: Arc::new([]), folder, lease: None })
+    }
+
+    /// The settings of the database on which durability depends, as they were at the start.
+    pub fn durability(&self) -> &[DurabilitySetting] {
+        &self.durability
+    }
+
+    /// What the committer reports of itself.
+    pub fn committer_health(&self) -> CommitterHealth {
+        self.committer.health()
+    }
+
+    /// Checks that the database answers reads.
+    ///
+    /// # Errors
+    /// It does not within the deadline of a statement.
+    pub async fn check_reads(&self) -> Result<(), StoreError> {
+        let read: Result<i32, _> = reading!(&self.pool, pool => {
+            sqlx::query_scalar("SELECT 1").fetch_one(pool).await
+        });
+        read.map(drop).map_err(StoreError::database("reading from the database"))
+    }
+
+    /// Bytes that the disk of the database file has left; `None` for a server, or if unknown.
+    pub fn free_bytes(&self) -> Option<u64> {
+        let disk = rustix::fs::statvfs(&**self.folder.as_ref()?).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 
     /// Commits a batch, all of it or nothing. Returns when it is durable.
     ///
     /// # Errors
-    /// Nothing of the batch may be considered stored. After [`StoreError::Database`] it may have
-    /// been stored all the same, because the connection may break during the commit: read before
-    /// writing again.
+    /// Nothing of the batch is stored, unless the error is [`StoreError::Unconfirmed`]. Then the
+    /// connection failed during the commit: ask [`Self::confirmed_last_number`].
     pub async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         self.committer.commit(batch).await
+    }
+
+    /// Number of a session's last epoch, once commits work and no earlier commit is pending.
+    ///
+    /// # Errors
+    /// Commits do not work within the deadline, or the database fails.
+    pub async fn confirmed_last_number(
+        &self,
+        session: SessionKey,
+    ) -> Result<Option<u64>, StoreError> {
+        self.committer.working().await?;
+        let number: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT last_seq FROM session_heads WHERE session = $1";
+            sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await
+        });
+        let number = number.map_err(StoreError::database("reading a session's last number"))?;
+        Ok(number.map(|seq| seq as u64))
     }
 
     /// Commits the batches that wait, then closes the database. Later calls fail.
@@ -84,6 +177,9 @@ impl Store {
             task.await.ok();
         }
         self.pool.close().await;
+        if let Some(lease) = &self.lease {
+            lease.end();
+        }
     }
 }
 

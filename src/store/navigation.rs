@@ -91,7 +91,7 @@ impl Store {
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
     pub async fn push_navigation(&self, change: &NavigationChange<'_>) -> Result<u64, StoreError> {
-        writing!(&self.pool, pool => {
+        let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
                 let (push,): (i64,) =
@@ -130,8 +130,9 @@ impl Store {
                 transaction.commit().await?;
                 Ok::<u64, sqlx::Error>(push as u64)
             };
-            pushed.await.map_err(StoreError::database("storing navigation data"))
-        })
+            pushed.await
+        });
+        pushed.map_err(StoreError::database("storing navigation data"))
     }
 
     /// All navigation data in force.
@@ -173,7 +174,8 @@ impl Store {
     async fn navigation_in_force(&self, push: u64) -> Result<StoredNavigation, StoreError> {
         let failed = "reading navigation data";
         let at = push as i64;
-        let ephemerides: Result<Vec<(String, i64, Vec<u8>)>, _> = reading!(&self.pool, pool => {
+        type EphemerisRow = (String, i64, Vec<u8>);
+        let ephemerides: Result<Vec<EphemerisRow>, _> = reading!(bulk &self.pool, pool => {
             let sql = "SELECT source, stored_unix_ms, content FROM ephemerides
                        WHERE since <= $1 AND (until IS NULL OR $1 < until)";
             sqlx::query_as(sql).bind(at).fetch_all(pool).await

@@ -175,13 +175,11 @@ macro_rules! select_sessions {
     ($condition:literal) => {
         concat!(
             "SELECT key, id, label, mode, profile, overrides, configuration, configuration_hash, ",
-            "created_unix_ms, closed_unix_ms, ",
-            "(SELECT MAX(seq) FROM epochs WHERE epochs.session = sessions.key) AS last_seq, ",
-            "(SELECT through FROM raw_streams WHERE raw_streams.session = sessions.key) ",
-            "AS raw_through, ",
+            "created_unix_ms, session_heads.closed_unix_ms AS closed_unix_ms, ",
+            "last_seq, raw_through, ",
             "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, ",
             "base_choice, antenna, calibration ",
-            "FROM sessions ",
+            "FROM sessions JOIN session_heads ON session_heads.session = sessions.key ",
             $condition
         )
     };
@@ -222,11 +220,14 @@ impl Store {
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration));
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 insert_candidates!(transaction, key, &settings.base);
+                let head = "INSERT INTO session_heads (session, owner, fence) VALUES ($1, '', 0)";
+                sqlx::query(head).bind(key).execute(&mut *transaction).await?;
                 transaction.commit().await?;
                 Ok::<i64, sqlx::Error>(key)
             };
-            inserted.await.map_err(StoreError::database("storing a session"))?
+            inserted.await
         });
+        let key = key.map_err(StoreError::database("storing a session"))?;
         Ok(SessionRow {
             key: SessionKey(key),
             id: id.to_owned(),
@@ -307,7 +308,7 @@ impl Store {
         settings: &SessionSettings,
     ) -> Result<(), StoreError> {
         self.store_configuration(settings).await?;
-        writing!(&self.pool, pool => {
+        let updated = writing!(&self.pool, pool => {
             let updated = async {
                 let mut transaction = pool.begin().await?;
                 let update = sqlx::query(
@@ -333,8 +334,22 @@ impl Store {
                 insert_candidates!(transaction, key.0, &settings.base);
                 transaction.commit().await
             };
-            updated.await.map_err(StoreError::database("updating a session"))
-        })
+            updated.await
+        });
+        updated.map_err(StoreError::database("updating a session"))
+    }
+
+    /// Numbers of the epochs after which the session began a new arc, in order.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn arcs(&self, session: SessionKey) -> Result<Vec<u64>, StoreError> {
+        let rows: Result<Vec<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT after_seq FROM session_arcs WHERE session = $1 ORDER BY after_seq";
+            sqlx::query_scalar(sql).bind(session.0).fetch_all(pool).await
+        });
+        let rows = rows.map_err(StoreError::database("reading a session's arcs"))?;
+        Ok(rows.into_iter().map(|seq| seq as u64).collect())
     }
 
     /// Stores a configuration under its hash, for replay. Equal hashes mean equal configurations.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::gnss::{Epoch, GpsTime, Solution, Status};
 
 use super::codec::{decode_epoch, decode_solution, encode_epoch, status_number};
+use super::deadline::{DEADLINE, within};
 use super::page::rows_asked;
 use super::pool::{Pool, reading};
 use super::{BaseKey, BaseUse, Page, SessionKey, Store, StoreError};
@@ -228,15 +229,16 @@ impl Store {
         let rows: Result<Vec<RawEpoch>, _> = match &self.pool {
             Pool::Sqlite { readers, .. } => {
                 let list = serde_json::to_string(&seqs).expect("a list of numbers is JSON");
-                sqlx::query_as(select!("IN (SELECT value FROM json_each($2))"))
+                let rows = sqlx::query_as(select!("IN (SELECT value FROM json_each($2))"))
                     .bind(session.0)
                     .bind(list)
-                    .fetch_all(readers)
-                    .await
+                    .fetch_all(readers);
+                within(DEADLINE, rows).await
             }
             Pool::Postgres(pool) => {
                 let sql = select!("= ANY($2)");
-                sqlx::query_as(sql).bind(session.0).bind(seqs).fetch_all(pool).await
+                let rows = sqlx::query_as(sql).bind(session.0).bind(seqs).fetch_all(pool);
+                within(DEADLINE, rows).await
             }
         };
         let rows = rows.map_err(StoreError::database("reading epochs"))?;
@@ -284,6 +286,7 @@ impl Store {
                     "SELECT seq, revision, content FROM solutions s ",
                     "WHERE session = $1 AND seq >= $2 AND seq <= $3 ",
                     "AND (seq > $4 OR revision > $5) AND ($6 = -1 OR status = $6) ",
+                    "AND gps_time_ns >= $8 AND gps_time_ns <= $9 ",
                     $condition,
                     " ORDER BY seq, revision LIMIT $7"
                 )
@@ -297,6 +300,7 @@ impl Store {
                  AND n.seq = s.seq AND n.revision > s.revision)"
             ),
         };
+        let (from, to) = time_columns(query.from, query.to);
         reading!(&self.pool, pool => sqlx::query_as(sql)
             .bind(session.0)
             .bind(first.max(after_seq))
@@ -305,12 +309,15 @@ impl Store {
             .bind(after_revision)
             .bind(status)
             .bind(rows)
+            .bind(from)
+            .bind(to)
             .fetch_all(pool)
             .await)
     }
 
-    /// The first and last epoch number of a span of time. Within a session time rises with the
-    /// number, so a query by number reads only the rows of the page.
+    /// The first and last epoch number of a span of time. Within an arc of a session time rises
+    /// with the number, so a query by number reads only the rows of the page. With several arcs
+    /// the rows of the whole span are read.
     async fn numbers_between(
         &self,
         session: SessionKey,
@@ -318,6 +325,16 @@ impl Store {
         to: Option<GpsTime>,
     ) -> Result<Option<(i64, i64)>, StoreError> {
         let mut span = (0, i64::MAX);
+        if (from.is_some() || to.is_some()) && !self.arcs(session).await?.is_empty() {
+            let (from, to) = time_columns(from, to);
+            let row: Result<(Option<i64>, Option<i64>), _> = reading!(&self.pool, pool => {
+                let sql = "SELECT MIN(seq), MAX(seq) FROM solutions
+                           WHERE session = $1 AND gps_time_ns >= $2 AND gps_time_ns <= $3";
+                sqlx::query_as(sql).bind(session.0).bind(from).bind(to).fetch_one(pool).await
+            });
+            let (first, last) = row.map_err(StoreError::database("finding a time"))?;
+            return Ok(first.zip(last));
+        }
         if let Some(from) = from {
             let sql = "SELECT seq FROM solutions WHERE session = $1 AND gps_time_ns >= $2 \
                        ORDER BY gps_time_ns LIMIT 1";
@@ -336,6 +353,11 @@ impl Store {
         }
         Ok(Some(span))
     }
+}
+
+/// A span of time as columns; an open end has no limit.
+fn time_columns(from: Option<GpsTime>, to: Option<GpsTime>) -> (i64, i64) {
+    (from.map_or(i64::MIN, GpsTime::as_ns), to.map_or(i64::MAX, GpsTime::as_ns))
 }
 
 async fn number(

@@ -8,10 +8,10 @@ use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Status};
 use graphfix::session::{
-    Burst, EpochOutcome, EpochRefusal, NewSession, SequencedEpoch, SessionError, SessionId,
-    SessionLimits, SessionUpdate, Sessions, SolveRequest,
+    Burst, EpochOutcome, EpochRefusal, NewSession, Recomputation, SequencedEpoch, SessionError,
+    SessionId, SessionLimits, SessionUpdate, Sessions, SolveRequest,
 };
-use graphfix::store::{Store, StoredSolution};
+use graphfix::store::{Revisions, SolutionQuery, Store, StoredSolution};
 
 use crate::support::data;
 use crate::support::database::{Database, on_both_databases, whole_session};
@@ -25,6 +25,8 @@ on_both_databases!(
     gaps_are_fine_and_the_past_is_refused,
     an_epoch_not_later_in_time_is_refused,
     an_epoch_beyond_the_limits_is_refused,
+    an_epoch_of_the_future_does_no_harm,
+    a_reset_session_takes_epochs_of_any_time,
     a_closed_session_is_readable,
     an_update_holds_for_the_epochs_that_follow,
     a_full_mailbox_asks_to_wait,
@@ -50,6 +52,7 @@ fn limits() -> SessionLimits {
         epochs_per_push: 32,
         raw_chunk_bytes: 256 << 10,
         observations_per_epoch: 8,
+        future_s: 86_400,
         active_sessions: 64,
         candidate_bases: 2,
         label_characters: 20,
@@ -220,6 +223,59 @@ async fn an_epoch_beyond_the_limits_is_refused(database: Database) {
     assert_eq!(code(sessions.submit(&unknown, batch([1])).await), "SESSION_NOT_FOUND");
 }
 
+/// A receiver that counts weeks wrongly: its epoch is refused, and the right ones are taken.
+async fn an_epoch_of_the_future_does_no_harm(database: Database) {
+    let sessions = desk(&database.store().await).await;
+    let id = created(&sessions).await;
+    sessions.submit(&id, batch([1])).await.unwrap();
+    let mut wrong = epoch(2, 2.0);
+    wrong.epoch.time = GpsTime::from_week_seconds(14_999, 2.0);
+    let outcomes = sessions.submit(&id, vec![wrong, epoch(3, 3.0)]).await.unwrap().outcomes;
+    assert_eq!(refusal(&outcomes[0]).code().name(), "TIME_IMPLAUSIBLE");
+    assert_eq!(refusal(&outcomes[0]).field(), "time");
+    assert!(outcomes[1].result.is_ok(), "the session goes on");
+    assert_eq!(stored_numbers(&sessions, &id).await, [1, 3]);
+}
+
+/// A new arc begins where the clock of the receiver was wrong. What was stored stays, and a restart
+/// and a replay know of the arc.
+async fn a_reset_session_takes_epochs_of_any_time(database: Database) {
+    let store = database.store().await;
+    let sessions = desk(&store).await;
+    let fgo = NewSession { mode: "fgo".to_owned(), ..new_session() };
+    let id = sessions.create(fgo).await.unwrap().id;
+    assert_eq!(sessions.reset(&id).await.unwrap().durable_through, None, "nothing to reset");
+    sessions.submit(&id, vec![epoch(1, 1000.0), epoch(2, 1001.0)]).await.unwrap();
+    let reset = sessions.reset(&id).await.unwrap();
+    assert_eq!(reset.durable_through, Some(2));
+    sessions.reset(&id).await.unwrap();
+    let restarted = desk(&store).await;
+    let outcomes = restarted.submit(&id, vec![epoch(3, 10.0), epoch(4, 11.0)]).await.unwrap();
+    assert!(outcomes.outcomes.iter().all(|outcome| outcome.result.is_ok()), "{outcomes:?}");
+    let late = restarted.submit(&id, vec![epoch(5, 11.0)]).await.unwrap().outcomes;
+    assert_eq!(refusal(&late[0]).code().name(), "OUT_OF_ORDER", "order holds within the arc");
+    let resent = restarted.submit(&id, vec![epoch(2, 1001.0)]).await.unwrap().outcomes;
+    assert!(resent[0].result.as_ref().unwrap().resent);
+
+    let time = |second: f64| Some(GpsTime::from_week_seconds(2051, second));
+    let span = async |from, to| {
+        let query = SolutionQuery { revisions: Revisions::First, from, to, ..whole_session() };
+        let page = restarted.solutions(&id, &query).await.unwrap();
+        page.items.iter().map(|solution| solution.seq).collect::<Vec<_>>()
+    };
+    assert_eq!(span(time(500.0), None).await, [1, 2]);
+    assert_eq!(span(None, time(500.0)).await, [3, 4]);
+    assert_eq!(span(time(11.0), time(1000.0)).await, [1, 4]);
+
+    restarted.reset(&id).await.unwrap();
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let again = Recomputation::open(store, aiding, &id, None).await.unwrap();
+    let check = again.check().await.unwrap();
+    assert!(check.is_same() && 4 <= check.compared, "{check:?}");
+    restarted.close(&id).await.unwrap();
+    assert_eq!(restarted.reset(&id).await.unwrap_err().code().name(), "SESSION_CLOSED");
+}
+
 async fn a_closed_session_is_readable(database: Database) {
     let sessions = desk(&database.store().await).await;
     let id = created(&sessions).await;
@@ -274,12 +330,20 @@ async fn a_full_mailbox_asks_to_wait(database: Database) {
     let error = sessions.enqueue(&id, batch([66])).await.unwrap_err();
     assert!(matches!(error, SessionError::MailboxFull { waiting: 64, limit: 64, .. }), "{error}");
     assert_eq!(error.code().name(), "MAILBOX_FULL");
-    assert_eq!(error.retry_after(), Some(limits().retry_after));
+    assert_waits(&error);
     assert_eq!(first.answer().await.unwrap().outcomes.len(), 32);
     second.answer().await.unwrap();
     let retried = sessions.submit(&id, batch([66])).await.unwrap();
     assert_eq!(retried.durable_through, Some(66));
     assert_eq!(stored_numbers(&sessions, &id).await, (1..=66).collect::<Vec<_>>());
+}
+
+/// The delay is between the base and twice it, and not the same for all.
+fn assert_waits(error: &SessionError) {
+    let delays: Vec<_> = (0..20).map(|_| error.retry_after().unwrap()).collect();
+    let base = limits().retry_after;
+    assert!(delays.iter().all(|delay| (base..=2 * base).contains(delay)), "{delays:?}");
+    assert!(delays.iter().any(|delay| *delay != delays[0]), "{delays:?}");
 }
 
 async fn active_sessions_are_bounded(database: Database) {
@@ -288,7 +352,9 @@ async fn active_sessions_are_bounded(database: Database) {
     let id = created(&sessions).await;
     let error = sessions.submit(&id, batch([1])).await.unwrap_err();
     assert_eq!(error.code().name(), "TOO_MANY_ACTIVE_SESSIONS", "{error}");
-    assert_eq!(error.retry_after(), Some(limits().retry_after));
+    assert_waits(&error);
+    // A session can be closed all the same.
+    assert!(sessions.close(&id).await.unwrap().closed_unix_ms.is_some());
 }
 
 async fn all_mailboxes_together_are_bounded(database: Database) {

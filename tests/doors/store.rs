@@ -46,8 +46,18 @@ fn time(second: u64) -> GpsTime {
     GpsTime::from_week_seconds(2051, second as f64)
 }
 
-/// Epochs numbered by their second, without observations, answered by no position.
+/// The first epochs of a session, numbered by their second, without observations, answered by no
+/// position.
 fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
+    batch_after(None, session, seqs)
+}
+
+/// The same after number `previous`.
+fn batch_after(
+    previous: Option<u64>,
+    session: SessionKey,
+    seqs: impl IntoIterator<Item = u64>,
+) -> Batch {
     let row = |seq| {
         let solution = StoredSolution {
             seq,
@@ -58,7 +68,7 @@ fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
         };
         EncodedEpoch::new(&Epoch::new(time(seq)), &solution, 0, None)
     };
-    Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session) }
+    Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session, previous) }
 }
 
 fn numbers(page: &Page<StoredSolution>) -> Vec<(u64, u32)> {
@@ -156,7 +166,7 @@ async fn one_contradiction_fails_alone(database: Database) {
     let (before, contradiction, after) = tokio::join!(
         store.commit(batch(other, 1..=3)),
         store.commit(batch(one, 3..=4)),
-        store.commit(batch(other, 4..=5)),
+        store.commit(batch_after(Some(3), other, 4..=5)),
     );
     assert!(before.is_ok() && after.is_ok());
     assert!(matches!(contradiction, Err(StoreError::AlreadyStored)));
@@ -169,7 +179,8 @@ async fn large_batches_of_any_size_are_stored(database: Database) {
     let key = session(&store, "one").await;
     let mut first = 0;
     for size in [1, 7, 8, 127, 128, 1_024, 3_001] {
-        store.commit(batch(key, first..first + size)).await.unwrap();
+        let previous = u64::checked_sub(first, 1);
+        store.commit(batch_after(previous, key, first..first + size)).await.unwrap();
         first += size;
     }
     let rows = stored(&store, key, &whole_session()).await;
@@ -186,7 +197,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 9"
+        "the database has schema 9000, this Graphfix knows schemas up to 13"
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
 use graphfix::contract::{convert, v1};
@@ -15,7 +14,7 @@ use tonic::transport::Channel;
 
 use crate::support::doors::epoch;
 use crate::support::drive::DRIVE;
-use crate::support::server::{Server, free_port, opened};
+use crate::support::server::{self, Server, free_port, opened};
 use crate::support::wait::interrupted;
 
 const EPOCHS: u64 = 600;
@@ -149,14 +148,7 @@ async fn a_window_outlives_kill_9() {
 
 /// What `graphfix replay` says of a session, and what it writes of another configuration.
 fn replayed(database: &Path, session: &str, solutions: usize) {
-    let replay = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
-        command.args(["replay", session, "--database"]);
-        command.arg(format!("sqlite://{}", database.display())).args(arguments);
-        let output = command.output().unwrap();
-        let text = String::from_utf8(output.stdout).unwrap();
-        (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
-    };
+    let replay = |arguments: &[&str]| server::replayed(database, session, arguments);
     let same = format!("{solutions} solutions compared, 0 different\n");
     assert_eq!(replay(&[]), (true, same, String::new()));
     let written = database.with_file_name("general.csv");

@@ -1,5 +1,8 @@
-//! What goes wrong: crashes, hostile casters, receivers that jump and lose satellites.
+//! What goes wrong: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
 
 mod casters;
 mod crash;
+mod database;
+mod lease;
 mod robustness;
+mod server;

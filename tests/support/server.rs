@@ -18,14 +18,23 @@ pub(crate) struct Server {
 
 impl Server {
     pub(crate) fn start(database: &Path, port: u16) -> Self {
-        let child = Command::new(env!("CARGO_BIN_EXE_graphfix"))
+        Self::start_with(database, port, |_| {})
+    }
+
+    /// Started by a command with these changes.
+    pub(crate) fn start_with(
+        database: &Path,
+        port: u16,
+        change: impl FnOnce(&mut Command),
+    ) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        command
             .args(["serve", "--log", "warn", "--listen", &format!("127.0.0.1:{port}")])
             .arg("--database")
             .arg(format!("sqlite://{}", database.display()))
-            .stdin(Stdio::null())
-            .spawn()
-            .unwrap();
-        Self { child, port }
+            .stdin(Stdio::null());
+        change(&mut command);
+        Self { child: command.spawn().unwrap(), port }
     }
 
     /// The number of its process.
@@ -52,6 +61,20 @@ impl Drop for Server {
         self.child.kill().ok();
         self.child.wait().ok();
     }
+}
+
+/// What `graphfix replay` says of a session: whether it succeeds, its output and its errors.
+pub(crate) fn replayed(
+    database: &Path,
+    session: &str,
+    arguments: &[&str],
+) -> (bool, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    command.args(["replay", session, "--database"]);
+    command.arg(format!("sqlite://{}", database.display())).args(arguments);
+    let output = command.output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
 }
 
 pub(crate) fn free_port() -> u16 {

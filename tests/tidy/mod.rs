@@ -155,7 +155,6 @@ const MANY_PARAMETERS: &[(&str, &str, usize)] = &[
     ("session/batch.rs", "position", 6),
     ("session/configuration.rs", "settings", 6),
     ("session/state.rs", "advance", 6),
-    ("session/task/mod.rs", "process", 6),
     ("store/bases.rs", "create_base", 6),
 ];
 

@@ -11,12 +11,16 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
-use crate::clock::unix_ms;
+use crate::clock::{gps_time, unix_ms};
 use crate::positioning::Scratch;
-use crate::store::{Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch};
+use crate::store::{
+    ArcStart, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch,
+    StoredSolution,
+};
 
 use super::base_selection::BaseSource;
-use super::batch::{BatchAiding, Plan, SolvedBatch};
+use super::batch::{BatchAiding, EpochRules, Plan, SolvedBatch};
+use super::counters::Counters;
 use super::raw::Reception;
 use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, restored};
 use super::solvers::Solvers;
@@ -37,6 +41,13 @@ pub(super) enum Message {
     Submission(Submission),
     /// A chunk of raw bytes.
     Raw(Box<RawSubmission>),
+    /// Begins a new arc at this time (ms since 1970-01-01 UTC).
+    Reset {
+        unix_ms: i64,
+        /// Set when the message is sent.
+        permit: Option<MailboxPermit>,
+        reply: oneshot::Sender<Result<(), SessionError>>,
+    },
     /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
     Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
 }
@@ -63,6 +74,7 @@ impl Message {
         match self {
             Self::Submission(submission) => submission.permit = Some(permit),
             Self::Raw(submission) => submission.permit = Some(permit),
+            Self::Reset { permit: own, .. } => *own = Some(permit),
             Self::Close { .. } => {}
         }
     }
@@ -103,13 +115,20 @@ pub(super) struct Task {
     pub(super) solvers: Solvers,
     pub(super) epochs_per_push: usize,
     pub(super) observations_per_epoch: usize,
+    /// See [`super::SessionLimits::future_s`].
+    pub(super) future_s: u64,
     /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
+    pub(super) counters: Arc<Counters>,
 }
 
 /// A session in memory.
 struct Active {
-    committed: State,
+    /// The state after the last confirmed commit.
+    committed: Arc<State>,
+    /// The state after a commit since then that the database has not confirmed. The store is asked
+    /// before the next batch.
+    unconfirmed: Option<Arc<State>>,
     /// The configuration for the next epochs.
     configuration: Arc<ActiveConfiguration>,
     /// The stream of its receiver, once there are raw bytes.
@@ -119,7 +138,7 @@ struct Active {
 impl Active {
     /// Number of the last epoch.
     fn last_seq(&self) -> Option<u64> {
-        self.committed.last.map(|(seq, _)| seq)
+        self.committed.last_seq()
     }
 }
 
@@ -153,9 +172,14 @@ impl Task {
                     drop(permit);
                     reply.send(answer).ok(); // Err: the client hung up.
                 }
+                Some(Message::Reset { unix_ms, permit, reply }) => {
+                    let answer = Box::pin(self.reset(&mut active, unix_ms)).await;
+                    drop(permit);
+                    reply.send(answer).ok(); // Err: the client hung up.
+                }
                 Some(Message::Close { unix_ms, reply }) => {
                     // Err: the caller has gone; the session is closed all the same.
-                    reply.send(self.close(active, unix_ms).await).ok();
+                    reply.send(self.close(&mut active, unix_ms).await).ok();
                     return;
                 }
                 Some(Message::Submission(_)) | None => {}
@@ -164,16 +188,40 @@ impl Task {
         self.park(active).await;
     }
 
-    /// Stores the last revisions of the epochs in the window, and that the session is closed.
-    async fn close(&self, active: Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
-        let mut state = match active {
-            Some(active) => active.committed,
-            None => self.restored(&self.active_configuration().await?).await?,
+    /// Stores the last revisions of the epochs in the window, and that a new arc begins.
+    async fn reset(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
+        let current = self.activate(active).await?;
+        let Some(after_seq) = current.last_seq() else { return Ok(()) };
+        let mut state = (*current.committed).clone();
+        let estimation = current.configuration.estimation.clone();
+        let work = move |scratch: &mut Scratch| {
+            let revisions = state.begin_arc(&estimation, scratch);
+            let revisions: Vec<_> = revisions.iter().map(EncodedSolution::new).collect();
+            let snapshot = state.encoded();
+            (state, revisions, snapshot)
         };
+        let (state, revisions, snapshot) = self.solvers.estimate(work).await?;
+        let arc = Some(ArcStart { after_seq, unix_ms });
+        let batch = Batch { revisions, snapshot, arc, ..Batch::new(self.key, Some(after_seq)) };
+        let stored = self.store.commit(batch).await;
+        // An arc is not seen in the last number, so an unconfirmed one is read from the store.
+        stored.inspect_err(|_| *active = None)?;
+        if let Some(current) = active {
+            current.committed = Arc::new(state);
+            current.raw = None; // Restored with the date of the clock.
+        }
+        Ok(())
+    }
+
+    /// Stores the last revisions of the epochs in the window, and that the session is closed.
+    async fn close(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
+        let mut state = (*self.activate(active).await?.committed).clone();
+        let previous = state.last_seq();
         let revisions = self.solvers.estimate(move |scratch| state.finish(scratch)).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
-        self.store.commit(Batch { revisions, closed_unix_ms, ..Batch::new(self.key) }).await?;
+        let batch = Batch::new(self.key, previous);
+        self.store.commit(Batch { revisions, closed_unix_ms, ..batch }).await?;
         Ok(())
     }
 
@@ -183,8 +231,9 @@ impl Task {
         if committed.unsaved < EPOCHS_WORTH_STORING {
             return;
         }
+        let batch = Batch::new(self.key, committed.last_seq());
         let Ok(snapshot) = self.solvers.run(move || committed.encoded()).await else { return };
-        if let Err(error) = self.store.commit(Batch { snapshot, ..Batch::new(self.key) }).await {
+        if let Err(error) = self.store.commit(Batch { snapshot, ..batch }).await {
             // Nothing is lost, because the epochs are replayed.
             tracing::warn!(session = %self.id, %error, "a session's state was not stored");
         }
@@ -214,43 +263,53 @@ impl Task {
         active: &mut Option<Active>,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let loaded = self.activated(active.take()).await?;
-        self.process(active, loaded, epochs, None).await
+        self.activate(active).await?;
+        self.process(active, epochs, None).await
     }
 
-    /// Positions and commits epochs, together with the raw chunk that they come from. The new state
-    /// is kept only after the commit. After a failure no state is kept, and the next batch starts
-    /// from the store.
+    /// Positions and commits epochs of an activated session, together with the raw chunk that they
+    /// come from. The new state is kept only after the commit. After a failure the session
+    /// continues from the state before.
     async fn process(
         &self,
         active: &mut Option<Active>,
-        Active { committed, configuration, raw: reception }: Active,
         epochs: Vec<SequencedEpoch>,
         raw: Option<Box<RawChange>>,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
-        let (batch, committed) = self.position(committed, &configuration, epochs).await?;
-        let SolvedBatch { state, plans, rows, revisions, snapshot, solutions } = batch;
+        let current = active.as_mut().expect("the session is activated");
+        if epochs.is_empty() {
+            let committed = current.committed.clone();
+            let durable_through = committed.last_seq();
+            let batch = Batch::new(self.key, durable_through);
+            let stored = self.store.commit(Batch { raw, ..batch }).await;
+            stored.map_err(|error| failed(active, committed, error))?;
+            return Ok((Vec::new(), durable_through));
+        }
+        let configuration = current.configuration.clone();
+        let batch = self.position(current.committed.clone(), &configuration, epochs).await?;
+        let SolvedBatch { state, plans, rows, revisions, snapshot, solutions, panics } = batch;
+        for (seq, panic) in panics {
+            tracing::error!(session = %self.id, seq, panic, "the estimator failed on an epoch");
+            self.counters.quarantined.fetch_add(1, Ordering::Relaxed);
+        }
         let stored = self.lookup(&plans).await?;
-        let batch = Batch { epochs: rows, revisions, snapshot, raw, ..Batch::new(self.key) };
+        let batch = Batch {
+            epochs: rows,
+            revisions,
+            snapshot,
+            raw,
+            ..Batch::new(self.key, active.as_ref().and_then(Active::last_seq))
+        };
         if !batch.is_empty() {
-            self.store.commit(batch).await?;
+            let committed = self.store.commit(batch).await;
+            committed.map_err(|error| failed(active, Arc::new(state.clone()), error))?;
         }
-        let durable_through = state.last.map(|(seq, _)| seq);
-        self.solvers.memory().recycle(committed);
-        let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
-        let base = state.base().filter(|_| !configuration.bases.is_none());
-        if let (Some(base), Some(estimate)) = (base, newest) {
-            self.aiding.bases.record_rover(base, estimate.position);
+        let current = active.as_mut().expect("it stays after a commit");
+        let durable_through = state.last_seq();
+        self.report_position(&configuration, &state, &solutions);
+        if let Ok(before) = Arc::try_unwrap(mem::replace(&mut current.committed, Arc::new(state))) {
+            self.solvers.memory().recycle(before);
         }
-        if let (BaseChoice::Nearest, Some(estimate)) = (&configuration.bases, newest) {
-            let request = NearestBaseRequest {
-                position: estimate.position,
-                baseline_max_m: configuration.estimation.options.rtk.baseline_max_m,
-                unix_ms: unix_ms(),
-            };
-            self.aiding.bases.nearest_base_requests().record(self.key, request);
-        }
-        *active = Some(Active { committed: state, configuration, raw: reception });
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
@@ -265,36 +324,91 @@ impl Task {
         Ok((outcomes?, durable_through))
     }
 
-    /// The session in memory with its present configuration; restored if it was not in memory.
-    async fn activated(&self, active: Option<Active>) -> Result<Active, SessionError> {
-        let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
-        match active {
-            Some(active) if !is_outdated => Ok(active),
-            Some(active) => {
-                Ok(Active { configuration: Arc::new(self.active_configuration().await?), ..active })
-            }
-            None => {
-                let configuration = self.active_configuration().await?;
-                let committed = self.restored(&configuration).await?;
-                Ok(Active { committed, configuration: Arc::new(configuration), raw: None })
-            }
+    /// Reports the rover's position to the streams and archives that depend on it.
+    fn report_position(
+        &self,
+        configuration: &ActiveConfiguration,
+        state: &State,
+        solutions: &[StoredSolution],
+    ) {
+        let newest = solutions.iter().rev().find_map(|stored| stored.solution.estimate.as_ref());
+        let base = state.base().filter(|_| !configuration.bases.is_none());
+        if let (Some(base), Some(estimate)) = (base, newest) {
+            self.aiding.bases.record_rover(base, estimate.position);
+        }
+        if let (BaseChoice::Nearest, Some(estimate)) = (&configuration.bases, newest) {
+            let request = NearestBaseRequest {
+                position: estimate.position,
+                baseline_max_m: configuration.estimation.options.rtk.baseline_max_m,
+                unix_ms: unix_ms(),
+            };
+            self.aiding.bases.nearest_base_requests().record(self.key, request);
         }
     }
 
-    /// Positions a batch on the solver pool, starting from a copy of `committed`. Returns both.
+    /// The session in memory with its present configuration; restored if it was not in memory.
+    async fn activate<'a>(
+        &self,
+        active: &'a mut Option<Active>,
+    ) -> Result<&'a mut Active, SessionError> {
+        self.confirm(active).await?;
+        let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
+        if is_outdated || active.is_none() {
+            let read = self.active_configuration().await;
+            // Read again by the next batch.
+            let failed = |_: &SessionError| self.outdated.store(true, Ordering::Release);
+            let configuration = Arc::new(read.inspect_err(failed)?);
+            if configuration.is_closed {
+                *active = None;
+                return Err(SessionError::Closed { id: self.id.to_string() });
+            }
+            if let Some(current) = active {
+                current.configuration = configuration;
+            } else {
+                let committed = Arc::new(self.restored(&configuration).await?);
+                self.counters.restores.fetch_add(1, Ordering::Relaxed);
+                *active = Some(Active { committed, unconfirmed: None, configuration, raw: None });
+            }
+        }
+        Ok(active.as_mut().expect("it was just loaded"))
+    }
+
+    /// Asks the store whether an unconfirmed commit is stored.
+    async fn confirm(&self, active: &mut Option<Active>) -> Result<(), SessionError> {
+        let unconfirmed = active.as_ref().and_then(|current| current.unconfirmed.clone());
+        let Some(later) = unconfirmed else { return Ok(()) };
+        let stored = self.store.confirmed_last_number(self.key).await?;
+        match active {
+            Some(current) if stored == later.last_seq() => {
+                current.committed = later;
+                current.unconfirmed = None;
+            }
+            Some(current) if stored == current.last_seq() => current.unconfirmed = None,
+            _ => *active = None, // Another writer's epochs: restored from the store.
+        }
+        Ok(())
+    }
+
+    /// Positions a batch on the solver pool, starting from a copy of `committed`.
     async fn position(
         &self,
-        committed: State,
+        committed: Arc<State>,
         configuration: &Arc<ActiveConfiguration>,
         epochs: Vec<SequencedEpoch>,
-    ) -> Result<(SolvedBatch, State), SessionError> {
+    ) -> Result<SolvedBatch, SessionError> {
         let aiding = self.aiding_for(configuration, &epochs);
-        let (configuration, limit) = (configuration.clone(), self.observations_per_epoch);
+        let configuration = configuration.clone();
+        let rules = EpochRules {
+            observations_max: self.observations_per_epoch,
+            now: gps_time(unix_ms()),
+            future_s: self.future_s,
+        };
         let memory = self.solvers.memory().clone();
         let work = move |scratch: &mut Scratch| {
             let state = memory.copy_of(&committed);
+            drop(committed);
             let estimation = &configuration.estimation;
-            (SolvedBatch::position(state, epochs, &aiding, estimation, limit, scratch), committed)
+            SolvedBatch::position(state, epochs, &aiding, estimation, rules, scratch)
         };
         self.solvers.estimate(work).await
     }
@@ -334,10 +448,24 @@ impl Task {
             solvers: self.solvers.clone(),
             key: self.key,
             with: ReplayWith::Stored,
+            arcs: self.store.arcs(self.key).await?.into(),
             tolerates_missing: true,
         };
         restored(&replay, &configuration.estimation).await
     }
+}
+
+/// Keeps what is known of a session after a commit failed: the state before it, and that after it
+/// if the store may have it.
+fn failed(active: &mut Option<Active>, later: Arc<State>, error: StoreError) -> StoreError {
+    match (&error, active.as_mut()) {
+        (StoreError::AlreadyStored, _) => *active = None, // Another writer has later epochs.
+        (StoreError::Unconfirmed { .. }, Some(current)) => {
+            current.unconfirmed = Some(later);
+        }
+        _ => {}
+    }
+    error
 }
 
 /// The stored answer to an earlier epoch, if it has the same content.

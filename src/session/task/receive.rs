@@ -5,7 +5,7 @@ use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
 use crate::session::raw::{Order, RawChunk, RawReceived, Reception};
 use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
-use crate::store::{Batch, RawChange, RawPosition, StoredEpoch};
+use crate::store::{RawChange, RawPosition, StoredEpoch};
 
 use super::{Active, Task};
 
@@ -20,7 +20,7 @@ impl Task {
         active: &mut Option<Active>,
         chunk: RawChunk,
     ) -> Result<RawReceived, SessionError> {
-        let mut loaded = self.activated(active.take()).await?;
+        let loaded = self.activate(active).await?;
         let reception = match loaded.raw.take() {
             Some(reception) => reception,
             None => Box::new(self.reception().await?),
@@ -40,17 +40,16 @@ impl Task {
                 Ok(()) => self.answer_known(&reception, &chunk, order, loaded.last_seq()).await,
                 Err(error) => Err(error),
             };
-            *active = Some(Active { raw: Some(reception), ..loaded });
+            loaded.raw = Some(reception);
             return answer;
         }
-        self.receive_new(active, loaded, reception, chunk, known).await
+        self.receive_new(active, reception, chunk, known).await
     }
 
     /// Takes a chunk of which all but the first `known` bytes are new.
     async fn receive_new(
         &self,
         active: &mut Option<Active>,
-        loaded: Active,
         mut reception: Box<Reception>,
         chunk: RawChunk,
         known: usize,
@@ -64,32 +63,16 @@ impl Task {
             (received, reception, chunk)
         };
         let (received, mut reception, chunk) = self.solvers.run(work).await?;
-        let taken = match received {
-            Ok(received) => self.brought(received).await,
-            Err(error) => Err(SessionError::Raw(error)),
-        };
-        let mut received = match taken {
-            Ok(received) => received,
-            Err(error) => {
-                *active = Some(loaded);
-                return Err(error);
-            }
-        };
+        let mut received = self.brought(received.map_err(SessionError::Raw)?).await?;
         let epochs = std::mem::take(&mut received.epochs);
-        let first_seq = loaded.last_seq().unwrap_or(0) + 1;
+        let last_seq = active.as_ref().and_then(Active::last_seq);
+        let first_seq = last_seq.unwrap_or(0) + 1;
         reception.advance(&chunk, first_seq, epochs.len(), now);
         let raw_through = reception.position.through;
         let change = Box::new(RawChange { position: reception.position.clone(), content });
         let number = |(seq, epoch)| SequencedEpoch { seq, epoch };
         let epochs: Vec<_> = (first_seq..).zip(epochs).map(number).collect();
-        let (outcomes, durable_through) = if epochs.is_empty() {
-            self.store.commit(Batch { raw: Some(change), ..Batch::new(self.key) }).await?;
-            let durable_through = loaded.last_seq();
-            *active = Some(loaded);
-            (Vec::new(), durable_through)
-        } else {
-            self.process(active, loaded, epochs, Some(change)).await?
-        };
+        let (outcomes, durable_through) = self.process(active, epochs, Some(change)).await?;
         if let Some(active) = active {
             active.raw = Some(reception);
         }

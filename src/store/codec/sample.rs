@@ -130,6 +130,7 @@ fn reason() -> impl Strategy<Value = Reason> {
         number().prop_map(|ratio| Reason::ResidualsTooLarge { ratio }),
         satellites().prop_map(|satellites| Reason::SatellitesExcluded { satellites }),
         Just(Reason::NotConverged),
+        Just(Reason::EstimatorFailed),
         (0..IonosphereModel::ALL.len())
             .prop_map(|m| Reason::IonosphereFallback { used: IonosphereModel::ALL[m].name() }),
         base_reason(),

@@ -179,6 +179,7 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
             numbers(24, &[*level_m, *limit_m]);
         }
         Reason::ProtectionLimitExceeded { level_m: None, limit_m } => numbers(25, &[*limit_m]),
+        Reason::EstimatorFailed => numbers(26, &[]),
         Reason::EphemerisMissing { .. }
         | Reason::TooFewSatellites { .. }
         | Reason::GeometryTooWeak { .. }
@@ -320,6 +321,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
             Reason::ProtectionLimitExceeded { level_m: Some(input.f64()?), limit_m: input.f64()? }
         }
         25 => Reason::ProtectionLimitExceeded { level_m: None, limit_m: input.f64()? },
+        26 => Reason::EstimatorFailed,
         _ => return Err(input.invalid("reason")),
     })
 }

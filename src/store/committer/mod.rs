@@ -2,158 +2,91 @@
 //!
 //! One task writes. Batches that arrive during a transaction wait in a bounded queue and form the
 //! next transaction. So transactions grow with the load, and a single session waits for no other.
-//! If a batch contradicts the database because another writer has stored its numbers, the batches
-//! of the transaction are committed one by one, so that only this batch fails.
+//! A batch that does not continue its session, because another writer has stored epochs or has
+//! closed it, is left out of the transaction; see `heads`.
+//!
+//! # Failures
+//! The task owns its connection. After any error, a deadline that passes or a panic, it drops the
+//! connection and opens another, and probes it before it takes the next batches. Until then it
+//! refuses all batches at once. If the failure fell into `COMMIT`, the batches may be stored: each
+//! is answered with [`StoreError::Unconfirmed`], and its owner asks the store once commits work
+//! again. A new connection is used only when the old one can no longer commit, so that this answer
+//! is final.
 
+mod batch;
+mod heads;
+mod link;
 mod statements;
 
+use std::any::Any;
+use std::future::Future;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
 
-use tokio::sync::{mpsc, oneshot};
+use futures::FutureExt;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
 
-use crate::gnss::Epoch;
+use super::StoreError;
+use super::deadline::{DEADLINE, within};
+use super::health::{CommitterHealth, CommitterState};
 
-use super::codec::{encode_epoch, encode_solution, status_number};
-use super::pool::Pool;
-use super::{BaseUse, RawChange, SessionKey, StoreError, StoredSolution};
+pub use batch::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
+pub(super) use link::Connector;
 
 /// Batches that may wait during a transaction. Further ones wait for a free slot.
 const QUEUE: usize = 1_024;
 /// A transaction takes no further batch once it has this many epochs.
 const EPOCHS_PER_TRANSACTION: usize = 4_096;
 
-/// The changes of one session that are committed together.
-#[derive(Clone, Debug)]
-pub struct Batch {
-    /// Primary key of the session.
-    pub session: SessionKey,
-    /// Epochs with their real-time answers.
-    pub epochs: Vec<EncodedEpoch>,
-    /// Revisions of these and earlier epochs. A stored revision is not replaced.
-    pub revisions: Vec<EncodedSolution>,
-    /// The session's state after the last of the epochs.
-    pub snapshot: Option<EncodedSnapshot>,
-    /// The chunk of raw bytes from which the epochs were decoded.
-    pub raw: Option<Box<RawChange>>,
-    /// Closes the session at this time (ms since 1970-01-01 UTC), if it is open.
-    pub closed_unix_ms: Option<i64>,
+/// Times that a committer keeps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Timing {
+    /// For a transaction, and for opening a connection.
+    pub(super) deadline: Duration,
+    /// Between probes of an idle connection.
+    pub(super) heartbeat: Duration,
+    /// Between attempts to connect.
+    pub(super) retry: Duration,
 }
 
-impl Batch {
-    /// A batch without changes.
-    pub fn new(session: SessionKey) -> Self {
+impl Timing {
+    /// Those of a service.
+    pub(super) const fn service() -> Self {
         Self {
-            session,
-            epochs: Vec::new(),
-            revisions: Vec::new(),
-            snapshot: None,
-            raw: None,
-            closed_unix_ms: None,
-        }
-    }
-
-    /// Whether there is nothing to commit.
-    pub fn is_empty(&self) -> bool {
-        self.epochs.is_empty()
-            && self.revisions.is_empty()
-            && self.snapshot.is_none()
-            && self.raw.is_none()
-            && self.closed_unix_ms.is_none()
-    }
-}
-
-/// An encoded epoch with its real-time answer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EncodedEpoch {
-    seq: i64,
-    gps_time_ns: i64,
-    navigation: i64,
-    base: Option<BaseUse>,
-    content: Vec<u8>,
-    solution: EncodedSolution,
-}
-
-impl EncodedEpoch {
-    /// Encodes an epoch and its `solution`, computed with the navigation data of push number
-    /// `navigation` and with `base`.
-    pub fn new(
-        epoch: &Epoch,
-        solution: &StoredSolution,
-        navigation: u64,
-        base: Option<BaseUse>,
-    ) -> Self {
-        Self {
-            seq: number(solution.seq),
-            gps_time_ns: epoch.time.as_ns(),
-            navigation: number(navigation),
-            base,
-            content: encode_epoch(epoch),
-            solution: EncodedSolution::new(solution),
-        }
-    }
-
-    /// Key of the base and the numbers of [`BaseUse`], as columns.
-    fn base_columns(&self) -> [Option<i64>; 3] {
-        let column = |of: fn(&BaseUse) -> i64| self.base.as_ref().map(of);
-        [column(|b| b.base.0), column(|b| number(b.after)), column(|b| number(b.through))]
-    }
-
-    /// Whether `epoch` is the same, bit by bit.
-    pub fn is(&self, epoch: &Epoch) -> bool {
-        self.content == encode_epoch(epoch)
-    }
-}
-
-/// An encoded solution. Equal solutions have equal bytes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EncodedSolution {
-    seq: i64,
-    revision: i32,
-    gps_time_ns: i64,
-    status: i16,
-    position_m: [Option<f64>; 3],
-    content: Vec<u8>,
-}
-
-impl EncodedSolution {
-    /// Number of the epoch.
-    pub fn seq(&self) -> u64 {
-        self.seq as u64
-    }
-
-    /// Encodes a solution.
-    pub fn new(stored: &StoredSolution) -> Self {
-        let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
-        let axis_m = |axis: usize| solution.estimate.as_ref().map(|e| e.position.0[axis]);
-        Self {
-            seq: number(*seq),
-            revision: i32::try_from(*revision).expect("revisions are few"),
-            gps_time_ns: solution.time.as_ns(),
-            status: status_number(solution.status),
-            position_m: [axis_m(0), axis_m(1), axis_m(2)],
-            content: encode_solution(solution, version, configuration_hash),
+            deadline: DEADLINE,
+            heartbeat: Duration::from_secs(2),
+            retry: Duration::from_millis(250),
         }
     }
 }
 
-/// An encoded state of a session after an epoch.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EncodedSnapshot {
-    pub(super) seq: i64,
-    pub(super) configuration_hash: Arc<str>,
-    pub(super) content: Vec<u8>,
-}
+/// A database that batches are committed to: the real one, or one that fails as a test says.
+pub(super) trait Connect: Send + Sync + 'static {
+    /// A connection.
+    type Link: Send;
 
-impl EncodedSnapshot {
-    /// The state after epoch `seq`, with the hash of its configuration.
-    pub fn new(seq: u64, configuration_hash: Arc<str>, content: Vec<u8>) -> Self {
-        Self { seq: number(seq), configuration_hash, content }
-    }
-}
+    /// Opens a connection. It returns when nothing of an earlier one can still be committed.
+    fn connect(&self) -> impl Future<Output = Result<Self::Link, StoreError>> + Send;
 
-fn number(value: u64) -> i64 {
-    i64::try_from(value).expect("the desk refuses numbers above i64::MAX")
+    /// Checks that the connection can commit. It writes something if `after_failure`.
+    fn probe(
+        &self,
+        link: &mut Self::Link,
+        after_failure: bool,
+    ) -> impl Future<Output = Result<(), sqlx::Error>> + Send;
+
+    /// Commits batches in one transaction, and returns those that it left out because they do not
+    /// continue their sessions, by index. Sets `committing` before it sends `COMMIT`.
+    fn write(
+        &self,
+        link: &mut Self::Link,
+        batches: &[&Batch],
+        committing: &AtomicBool,
+    ) -> impl Future<Output = Result<Vec<usize>, sqlx::Error>> + Send;
 }
 
 struct Request {
@@ -170,12 +103,31 @@ enum Message {
 #[derive(Clone)]
 pub(super) struct Committer {
     queue: mpsc::Sender<Message>,
+    health: watch::Receiver<CommitterHealth>,
 }
 
 impl Committer {
-    pub(super) fn start(pool: Pool) -> (Self, JoinHandle<()>) {
+    /// Connects, and starts the task.
+    ///
+    /// # Errors
+    /// The connection cannot be opened.
+    pub(super) async fn start<C: Connect>(
+        connector: C,
+        timing: Timing,
+    ) -> Result<(Self, JoinHandle<()>), StoreError> {
+        let link = connector.connect().await?;
         let (queue, inbox) = mpsc::channel(QUEUE);
-        (Self { queue }, tokio::spawn(run(pool, inbox)))
+        let (sender, health) = watch::channel(CommitterHealth::new());
+        let running = Running { connector, timing, link: Some(link), health: sender };
+        Ok((Self { queue, health }, tokio::spawn(running.run(inbox))))
+    }
+
+    /// A committer of a store that is only read.
+    pub(super) fn stopped() -> Self {
+        let (queue, _) = mpsc::channel(1);
+        let (sender, health) = watch::channel(CommitterHealth::new());
+        sender.send_modify(|health| health.state = CommitterState::Stopped);
+        Self { queue, health }
     }
 
     pub(super) async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
@@ -189,54 +141,236 @@ impl Committer {
         // Err: it has already stopped.
         self.queue.send(Message::Stop).await.ok();
     }
+
+    pub(super) fn health(&self) -> CommitterHealth {
+        let mut health = self.health.borrow().clone();
+        if self.queue.is_closed() {
+            health.state = CommitterState::Stopped;
+        }
+        health
+    }
+
+    /// Waits until commits work.
+    ///
+    /// # Errors
+    /// They do not within the deadline of a commit.
+    pub(super) async fn working(&self) -> Result<(), StoreError> {
+        let mut health = self.health.clone();
+        let is_working = |health: &CommitterHealth| health.state == CommitterState::Working;
+        match timeout(DEADLINE, health.wait_for(is_working)).await {
+            Ok(Ok(_)) => Ok(()),
+            _ => Err(refusal(&self.health())),
+        }
+    }
 }
 
-/// Commits until told to stop, and then the batches that wait.
-async fn run(pool: Pool, mut inbox: mpsc::Receiver<Message>) {
-    let mut group = Vec::new();
-    while let Some(message) = inbox.recv().await {
-        let mut next = Some(message);
-        let mut epochs = 0;
-        while let Some(message) = next {
-            match message {
-                Message::Commit(request) => {
-                    epochs += request.batch.epochs.len();
-                    group.push(request);
+/// The refusal of a batch while commits fail.
+fn refusal(health: &CommitterHealth) -> StoreError {
+    match &health.state {
+        CommitterState::Stopped => StoreError::Closed,
+        CommitterState::Failed { why } => StoreError::Down { why: why.clone() },
+        CommitterState::Working => StoreError::Down { why: "it is slow".into() },
+    }
+}
+
+/// The task that writes.
+struct Running<C: Connect> {
+    connector: C,
+    timing: Timing,
+    link: Option<C::Link>,
+    health: watch::Sender<CommitterHealth>,
+}
+
+impl<C: Connect> Running<C> {
+    /// Commits until told to stop, and then the batches that wait.
+    async fn run(mut self, mut inbox: mpsc::Receiver<Message>) {
+        let mut group = Vec::new();
+        while self.reconnected(&mut inbox).await {
+            match timeout(self.timing.heartbeat, inbox.recv()).await {
+                Err(_) => self.probe().await,
+                Ok(None) => break,
+                Ok(Some(message)) => {
+                    collect(message, &mut inbox, &mut group);
+                    self.commit_group(&mut group).await;
                 }
-                Message::Stop => inbox.close(),
             }
-            next = if epochs < EPOCHS_PER_TRANSACTION { inbox.try_recv().ok() } else { None };
         }
-        commit_group(&pool, &mut group).await;
+        self.health.send_modify(|health| health.state = CommitterState::Stopped);
+    }
+
+    /// Commits a group of batches and answers each of them.
+    async fn commit_group(&mut self, group: &mut Vec<Request>) {
+        let batches: Vec<&Batch> = group.iter().map(|request| &request.batch).collect();
+        if batches.is_empty() {
+            return;
+        }
+        let written = self.write(&batches).await;
+        let is_single = batches.len() == 1;
+        for (index, request) in group.drain(..).enumerate() {
+            let answer = match &written {
+                // The log of a session contradicts its head. Only this session must fail.
+                Err(StoreError::AlreadyStored) if !is_single => {
+                    self.write(&[&request.batch]).await.and_then(accepted)
+                }
+                Ok(left_out) if left_out.contains(&index) => Err(StoreError::AlreadyStored),
+                Ok(_) => Ok(()),
+                Err(error) => Err(error.clone()),
+            };
+            request.reply.send(answer).ok(); // Err: the session's task is gone.
+        }
+    }
+
+    /// Commits batches, and returns the indices of those that it left out.
+    async fn write(&mut self, batches: &[&Batch]) -> Result<Vec<usize>, StoreError> {
+        let Some(link) = &mut self.link else { return Err(refusal(&self.health.borrow())) };
+        let committing = AtomicBool::new(false);
+        let writing =
+            within(self.timing.deadline, self.connector.write(link, batches, &committing));
+        let error = match AssertUnwindSafe(writing).catch_unwind().await {
+            Ok(Ok(left_out)) => {
+                self.confirm();
+                return Ok(left_out);
+            }
+            Ok(Err(error)) => error,
+            Err(panic) => panicked(&*panic, &self.health),
+        };
+        if error.as_database_error().is_some_and(|refused| refused.is_unique_violation()) {
+            return Err(StoreError::AlreadyStored); // Rolled back; the connection is sound.
+        }
+        self.fail(&error);
+        let source = Arc::new(error);
+        Err(match committing.into_inner() {
+            true => StoreError::Unconfirmed { source },
+            false => StoreError::Database { operation: "committing epochs and solutions", source },
+        })
+    }
+
+    /// Checks an idle connection.
+    async fn probe(&mut self) {
+        let Some(link) = &mut self.link else { return };
+        match within(self.timing.deadline, self.connector.probe(link, false)).await {
+            Ok(()) => self.confirm(),
+            Err(error) => self.fail(&error),
+        }
+    }
+
+    /// Opens and probes another connection if there is none, and refuses all batches meanwhile.
+    /// Returns `false` if told to stop before it succeeds.
+    async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
+        while self.link.is_none() {
+            let connecting = connected(&self.connector, self.timing.deadline, &self.health);
+            let Some(attempt) = refusing(connecting, &self.health, inbox).await else {
+                return false;
+            };
+            match attempt {
+                Ok(link) => {
+                    self.link = Some(link);
+                    self.confirm();
+                    tracing::info!("the database is connected again");
+                }
+                Err(error) => {
+                    let why = error.to_string().into();
+                    let failed = CommitterState::Failed { why };
+                    self.health.send_modify(|health| health.state = failed);
+                    let pause = sleep(self.timing.retry);
+                    if refusing(pause, &self.health, inbox).await.is_none() {
+                        return false;
+                    }
+                }
+            }
+        }
+        true
+    }
+
+    fn confirm(&self) {
+        self.health.send_modify(|health| {
+            health.state = CommitterState::Working;
+            health.confirmed = Instant::now();
+        });
+    }
+
+    /// Drops the connection. It is never used again.
+    fn fail(&mut self, error: &sqlx::Error) {
+        tracing::error!(%error, "a commit failed; the connection is opened again");
+        self.link = None;
+        self.health.send_modify(|health| {
+            health.state = CommitterState::Failed { why: error.to_string().into() };
+            health.failures += 1;
+        });
     }
 }
 
-/// Commits a group of batches and answers each of them.
-async fn commit_group(pool: &Pool, group: &mut Vec<Request>) {
-    let batches: Vec<&Batch> = group.iter().map(|request| &request.batch).collect();
-    let whole = write(pool, &batches).await;
-    if matches!(whole, Err(StoreError::AlreadyStored)) && 1 < group.len() {
-        for request in group.drain(..) {
-            let single = write(pool, &[&request.batch]).await;
-            request.reply.send(single).ok(); // Err: the session's task is gone.
-        }
-        return;
-    }
-    for request in group.drain(..) {
-        request.reply.send(whole.clone()).ok(); // Err: the session's task is gone.
-    }
-}
-
-async fn write(pool: &Pool, batches: &[&Batch]) -> Result<(), StoreError> {
-    let written = match pool {
-        Pool::Sqlite { writer, .. } => statements::write_sqlite(writer, batches).await,
-        Pool::Postgres(pool) => statements::write_postgres(pool, batches).await,
+/// Opens and probes a connection.
+async fn connected<C: Connect>(
+    connector: &C,
+    deadline: Duration,
+    health: &watch::Sender<CommitterHealth>,
+) -> Result<C::Link, StoreError> {
+    let work = async {
+        let mut link = connector.connect().await?;
+        let probed = connector.probe(&mut link, true).await;
+        probed.map_err(StoreError::database("probing the database"))?;
+        Ok(link)
     };
-    written.map_err(|error| match error.as_database_error() {
-        Some(refusal) if refusal.is_unique_violation() => StoreError::AlreadyStored,
-        _ => StoreError::Database {
-            operation: "committing epochs and solutions",
-            source: Arc::new(error),
-        },
-    })
+    match timeout(deadline, AssertUnwindSafe(work).catch_unwind()).await {
+        Ok(Ok(connected)) => connected,
+        Ok(Err(panic)) => {
+            let why = panicked(&*panic, health).to_string().into();
+            Err(StoreError::Down { why })
+        }
+        Err(_) => Err(StoreError::Down { why: "no connection within the deadline".into() }),
+    }
 }
+
+fn panicked(panic: &(dyn Any + Send), health: &watch::Sender<CommitterHealth>) -> sqlx::Error {
+    let words = panic.downcast_ref::<String>().map(String::as_str);
+    let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+    tracing::error!(panic = words, "the committer panicked");
+    health.send_modify(|health| health.panics += 1);
+    sqlx::Error::Protocol(format!("the committer panicked: {words}"))
+}
+
+/// The answer to a batch that was written alone.
+fn accepted(left_out: Vec<usize>) -> Result<(), StoreError> {
+    if left_out.is_empty() { Ok(()) } else { Err(StoreError::AlreadyStored) }
+}
+
+/// Takes the messages that wait into the group.
+fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<Request>) {
+    let (mut next, mut epochs) = (Some(first), 0);
+    while let Some(message) = next {
+        match message {
+            Message::Commit(request) => {
+                epochs += request.batch.epochs.len();
+                group.push(request);
+            }
+            Message::Stop => inbox.close(),
+        }
+        next = if epochs < EPOCHS_PER_TRANSACTION { inbox.try_recv().ok() } else { None };
+    }
+}
+
+/// Runs `work`, and refuses all batches meanwhile. `None` if told to stop.
+async fn refusing<T>(
+    work: impl Future<Output = T>,
+    health: &watch::Sender<CommitterHealth>,
+    inbox: &mut mpsc::Receiver<Message>,
+) -> Option<T> {
+    let mut work = std::pin::pin!(work);
+    loop {
+        tokio::select! {
+            biased;
+            done = &mut work => return Some(done),
+            message = inbox.recv() => match message {
+                Some(Message::Commit(Request { reply, .. })) => {
+                    let refused = refusal(&health.borrow());
+                    reply.send(Err(refused)).ok(); // Err: the session's task is gone.
+                }
+                Some(Message::Stop) | None => return None,
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -2,11 +2,12 @@
 
 use std::sync::LazyLock;
 
-use sqlx::{PgConnection, PgPool, SqliteConnection, SqlitePool};
+use sqlx::{PgConnection, SqliteConnection};
 
-use crate::store::RawPosition;
+use crate::gnss::{GpsTime, LeapSeconds};
+use crate::store::{RawPosition, SessionKey};
 
-use super::{Batch, EncodedEpoch, EncodedSolution, SessionKey};
+use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 
 /// Rows per statement. Few different texts are prepared, and none has more than 32 766 parameters.
 const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
@@ -23,7 +24,12 @@ const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
 const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuration_hash, content) \
     VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
     configuration_hash = excluded.configuration_hash, content = excluded.content \
-    WHERE snapshots.seq < excluded.seq";
+    WHERE snapshots.seq <= excluded.seq";
+const INSERT_ARC: &str = "INSERT INTO session_arcs (session, after_seq, created_unix_ms) \
+    VALUES ($1, $2, $3) ON CONFLICT (session, after_seq) DO NOTHING";
+/// The stream's newest known time may be what made the new arc necessary.
+const DATE_RAW: &str =
+    "UPDATE raw_streams SET gps_time_ns = $2, received_unix_ms = $3 WHERE session = $1";
 const CLOSE: &str =
     "UPDATE sessions SET closed_unix_ms = $2 WHERE key = $1 AND closed_unix_ms IS NULL";
 const INSERT_RAW: &str =
@@ -51,6 +57,11 @@ static SOLUTION_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
 fn with_values(insert: &str, columns: usize, rows: usize, conflict: &str) -> String {
     let row = format!("({})", vec!["?"; columns].join(","));
     format!("{insert} VALUES {}{conflict}", vec![row; rows].join(","))
+}
+
+/// GPS time of the system clock's time (ms since 1970-01-01 UTC), in nanoseconds.
+fn gps_time_ns(unix_ms: i64) -> i64 {
+    GpsTime::from_unix_ms(unix_ms, &LeapSeconds::table()).as_ns()
 }
 
 type EpochRow<'a> = (SessionKey, &'a EncodedEpoch);
@@ -89,6 +100,12 @@ macro_rules! write_changes {
             }
             if let Some(raw) = &batch.raw {
                 write_raw!($transaction, session, raw);
+            }
+            if let Some(arc) = &batch.arc {
+                let insert = sqlx::query(INSERT_ARC).bind(session).bind(arc.after_seq as i64);
+                insert.bind(arc.unix_ms).execute(&mut *$transaction).await?;
+                let date = sqlx::query(DATE_RAW).bind(session).bind(gps_time_ns(arc.unix_ms));
+                date.bind(arc.unix_ms).execute(&mut *$transaction).await?;
             }
             if let Some(unix_ms) = batch.closed_unix_ms {
                 let close = sqlx::query(CLOSE).bind(session).bind(unix_ms);
@@ -136,25 +153,27 @@ macro_rules! write_raw {
     }};
 }
 
-/// Writes batches in one transaction.
-pub(super) async fn write_sqlite(pool: &SqlitePool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
-    let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await?;
+/// Writes batches within a transaction.
+pub(super) async fn write_sqlite(
+    transaction: &mut SqliteConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
     let mut rest = &epoch_rows(batches)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_epochs(&mut transaction, index, chunk).await?;
+            insert_epochs(transaction, index, chunk).await?;
             rest = after;
         }
     }
     let mut rest = &solution_rows(batches)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_solutions(&mut transaction, index, chunk).await?;
+            insert_solutions(transaction, index, chunk).await?;
             rest = after;
         }
     }
     write_changes!(transaction, batches);
-    transaction.commit().await
+    Ok(())
 }
 
 async fn insert_epochs(
@@ -200,12 +219,14 @@ async fn insert_solutions(
     solutions.execute(connection).await.map(drop)
 }
 
-/// Writes batches in one transaction.
-pub(super) async fn write_postgres(pool: &PgPool, batches: &[&Batch]) -> Result<(), sqlx::Error> {
-    let mut transaction = pool.begin().await?;
-    insert_arrays(&mut transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
+/// Writes batches within a transaction.
+pub(super) async fn write_postgres(
+    transaction: &mut PgConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
+    insert_arrays(transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
     write_changes!(transaction, batches);
-    transaction.commit().await
+    Ok(())
 }
 
 async fn insert_arrays(

@@ -1,0 +1,5 @@
+-- A row that the committer changes to see whether it can commit.
+CREATE TABLE committer (
+    probes INTEGER NOT NULL
+);
+INSERT INTO committer (probes) VALUES (0);

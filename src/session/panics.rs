@@ -1,0 +1,111 @@
+//! Panics of an estimator. They are faults of the program, and must not end a session.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// The result of `work`, or the message of its panic. What it changed is then undefined and must be
+/// replaced.
+pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|panic| message(&*panic))
+}
+
+/// The message of a panic.
+pub(super) fn message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked").to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::aiding::bases::BaseChoice;
+    use crate::aiding::{AidingDesk, AidingLimits};
+    use crate::gnss::{GpsTime, Status};
+    use crate::session::state::PANICS_AT_NS;
+    use crate::session::{
+        Acknowledged, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
+    };
+    use crate::simulation::{Scenario, Simulator};
+    use crate::store::Store;
+
+    use super::*;
+
+    #[test]
+    fn a_panic_becomes_its_message() {
+        assert_eq!(caught(|| 7), Ok(7));
+        assert_eq!(caught::<()>(|| panic!("singular at {}", 3)), Err("singular at 3".to_owned()));
+    }
+
+    async fn desk(store: &Store) -> Sessions {
+        let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+        Sessions::open(store.clone(), aiding, SessionLimits::service())
+    }
+
+    /// A drive of which the estimator fails on epochs 10, 11 and 25.
+    async fn drive(sessions: &Sessions) -> Vec<SequencedEpoch> {
+        let simulator = Simulator::new(Scenario { duration_s: 40.0, ..Scenario::open_sky() }, 1);
+        let navigation = (**simulator.navigation()).clone();
+        sessions.aiding().navigation.push(navigation, "simulation").await.unwrap();
+        let numbered = (1..).zip(simulator).map(|(seq, simulated)| {
+            let mut epoch = simulated.rover;
+            if [10, 11, 25].contains(&seq) {
+                epoch.time = GpsTime::from_ns(epoch.time.as_ns() + PANICS_AT_NS);
+            }
+            SequencedEpoch { seq, epoch }
+        });
+        numbered.collect()
+    }
+
+    async fn created(sessions: &Sessions) -> SessionId {
+        let new = NewSession {
+            label: String::new(),
+            mode: "fgo".to_owned(),
+            profile: "general".to_owned(),
+            overrides: std::collections::BTreeMap::new(),
+            base: BaseChoice::None,
+            antenna: String::new(),
+        };
+        sessions.create(new).await.unwrap().id
+    }
+
+    async fn answers(
+        sessions: &Sessions,
+        id: &SessionId,
+        epochs: &[SequencedEpoch],
+    ) -> Vec<Acknowledged> {
+        let outcomes = sessions.submit(id, epochs.to_vec()).await.unwrap().outcomes;
+        outcomes.into_iter().map(|outcome| outcome.result.unwrap()).collect()
+    }
+
+    /// The epochs on which the estimator fails are stored and answered, those around them are
+    /// positioned, and a restart and a replay give the same.
+    #[tokio::test]
+    async fn an_epoch_that_fails_is_quarantined() {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let store = Store::open(&url).await.unwrap();
+        let sessions = desk(&store).await;
+        let (id, epochs) = (created(&sessions).await, drive(&sessions).await);
+        let mut first = Vec::new();
+        for batch in epochs[..20].chunks(7) {
+            first.extend(answers(&sessions, &id, batch).await);
+        }
+        for Acknowledged { solution, resent } in &first {
+            let is_failed = [10, 11].contains(&solution.seq);
+            let codes: Vec<_> = solution.solution.reasons.iter().map(|r| r.code()).collect();
+            assert_eq!(codes.contains(&"ESTIMATOR_FAILED"), is_failed, "{solution:?}");
+            assert_eq!(solution.solution.status == Status::None, is_failed, "{solution:?}");
+            assert!(!resent);
+        }
+        assert_eq!(sessions.counts().quarantined, 2);
+        let resent = answers(&sessions, &id, &epochs[9..10]).await;
+        assert!(resent[0].resent && resent[0].solution == first[9].solution);
+
+        // Restored from the store, with the failed epochs after the last snapshot.
+        let restarted = desk(&store).await;
+        answers(&restarted, &id, &epochs[20..]).await;
+        let aiding = restarted.aiding().clone();
+        let again = Recomputation::open(store, aiding, &id, None).await.unwrap();
+        let check = again.check().await.unwrap();
+        assert!(check.is_same() && 40 < check.compared, "{check:?}");
+    }
+}

@@ -1,0 +1,156 @@
+//! What is committed together: the changes of one session, encoded for the store.
+
+use std::sync::Arc;
+
+use crate::gnss::Epoch;
+use crate::store::codec::{encode_epoch, encode_solution, status_number};
+use crate::store::{BaseUse, RawChange, SessionKey, StoredSolution};
+
+/// The changes of one session that are committed together.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// Primary key of the session.
+    pub session: SessionKey,
+    /// Number of the session's last epoch before the batch.
+    pub previous: Option<u64>,
+    /// Epochs with their real-time answers.
+    pub epochs: Vec<EncodedEpoch>,
+    /// Revisions of these and earlier epochs. A stored revision is not replaced.
+    pub revisions: Vec<EncodedSolution>,
+    /// The session's state after the last of the epochs.
+    pub snapshot: Option<EncodedSnapshot>,
+    /// The chunk of raw bytes from which the epochs were decoded.
+    pub raw: Option<Box<RawChange>>,
+    /// Begins a new arc of the session.
+    pub arc: Option<ArcStart>,
+    /// Closes the session at this time (ms since 1970-01-01 UTC), if it is open.
+    pub closed_unix_ms: Option<i64>,
+}
+
+impl Batch {
+    /// A batch without changes, which continues a session after number `previous`.
+    pub fn new(session: SessionKey, previous: Option<u64>) -> Self {
+        Self {
+            session,
+            previous,
+            epochs: Vec::new(),
+            revisions: Vec::new(),
+            snapshot: None,
+            raw: None,
+            arc: None,
+            closed_unix_ms: None,
+        }
+    }
+
+    /// Whether there is nothing to commit.
+    pub fn is_empty(&self) -> bool {
+        self.epochs.is_empty()
+            && self.revisions.is_empty()
+            && self.snapshot.is_none()
+            && self.raw.is_none()
+            && self.arc.is_none()
+            && self.closed_unix_ms.is_none()
+    }
+}
+
+/// The beginning of an arc: the epochs after it are positioned without those before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ArcStart {
+    /// Number of the last epoch of the arc before.
+    pub after_seq: u64,
+    /// When it was requested (ms since 1970-01-01 UTC).
+    pub unix_ms: i64,
+}
+
+/// An encoded epoch with its real-time answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedEpoch {
+    pub(super) seq: i64,
+    pub(super) gps_time_ns: i64,
+    pub(super) navigation: i64,
+    base: Option<BaseUse>,
+    pub(super) content: Vec<u8>,
+    pub(super) solution: EncodedSolution,
+}
+
+impl EncodedEpoch {
+    /// Encodes an epoch and its `solution`, computed with the navigation data of push number
+    /// `navigation` and with `base`.
+    pub fn new(
+        epoch: &Epoch,
+        solution: &StoredSolution,
+        navigation: u64,
+        base: Option<BaseUse>,
+    ) -> Self {
+        Self {
+            seq: number(solution.seq),
+            gps_time_ns: epoch.time.as_ns(),
+            navigation: number(navigation),
+            base,
+            content: encode_epoch(epoch),
+            solution: EncodedSolution::new(solution),
+        }
+    }
+
+    /// Key of the base and the numbers of [`BaseUse`], as columns.
+    pub(super) fn base_columns(&self) -> [Option<i64>; 3] {
+        let column = |of: fn(&BaseUse) -> i64| self.base.as_ref().map(of);
+        [column(|b| b.base.0), column(|b| number(b.after)), column(|b| number(b.through))]
+    }
+
+    /// Whether `epoch` is the same, bit by bit.
+    pub fn is(&self, epoch: &Epoch) -> bool {
+        self.content == encode_epoch(epoch)
+    }
+}
+
+/// An encoded solution. Equal solutions have equal bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedSolution {
+    pub(super) seq: i64,
+    pub(super) revision: i32,
+    pub(super) gps_time_ns: i64,
+    pub(super) status: i16,
+    pub(super) position_m: [Option<f64>; 3],
+    pub(super) content: Vec<u8>,
+}
+
+impl EncodedSolution {
+    /// Number of the epoch.
+    pub fn seq(&self) -> u64 {
+        self.seq as u64
+    }
+
+    /// Encodes a solution.
+    pub fn new(stored: &StoredSolution) -> Self {
+        let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
+        let axis_m = |axis: usize| solution.estimate.as_ref().map(|e| e.position.0[axis]);
+        Self {
+            seq: number(*seq),
+            revision: i32::try_from(*revision).expect("revisions are few"),
+            gps_time_ns: solution.time.as_ns(),
+            status: status_number(solution.status),
+            position_m: [axis_m(0), axis_m(1), axis_m(2)],
+            content: encode_solution(solution, version, configuration_hash),
+        }
+    }
+}
+
+/// An encoded state of a session after an epoch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EncodedSnapshot {
+    pub(super) seq: i64,
+    pub(super) configuration_hash: Arc<str>,
+    pub(super) content: Vec<u8>,
+}
+
+impl EncodedSnapshot {
+    /// The state after epoch `seq`, with the hash of its configuration.
+    pub fn new(seq: u64, configuration_hash: Arc<str>, content: Vec<u8>) -> Self {
+        Self { seq: number(seq), configuration_hash, content }
+    }
+}
+
+fn number(value: u64) -> i64 {
+    i64::try_from(value).expect("the desk refuses numbers above i64::MAX")
+}

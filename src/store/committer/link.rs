@@ -1,0 +1,287 @@
+//! The committer's connection to the database.
+
+use std::ptr;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
+use tokio::sync::Mutex;
+use tokio::time::sleep;
+use uuid::Uuid;
+
+use crate::store::StoreError;
+use crate::store::database::{Database, POSTGRES_DURABLE};
+use crate::store::deadline::DEADLINE;
+use crate::store::health::DurabilitySetting;
+
+use super::heads::{Owner, accepted_postgres, accepted_sqlite};
+use super::statements::{write_postgres, write_sqlite};
+use super::{Batch, Connect};
+
+const CONNECTING: &str = "connecting to the database";
+/// Between looks whether an earlier connection's process has ended.
+const PAUSE: Duration = Duration::from_millis(20);
+/// Changes a row, so that a probe needs what a commit needs: a lock, and room on the disk.
+const PROBE: &str = "UPDATE committer SET probes = probes + 1";
+/// Ends the process of an earlier connection. It has a row until its last transaction has ended.
+const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
+    WHERE pid = $1 AND application_name = $2";
+
+/// Takes the lease of the schema, which ends with the connection.
+const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
+    hashtextextended('graphfix lease ' || current_schema(), 0))";
+const NEXT_FENCE: &str = "UPDATE committer SET node = $1, fence = fence + 1 RETURNING fence";
+const FENCE: &str = "SELECT fence FROM committer";
+const HOLDER: &str = "SELECT node FROM committer";
+/// The server ends the connection of a service that has died within this time.
+const LEASE_PATIENCE: Duration = Duration::from_secs(3);
+
+/// Opens the committer's connections, one after another.
+pub(in crate::store) struct Connector {
+    database: Database,
+    /// See [`crate::store::pool::Pool::Sqlite`].
+    turn: Arc<Mutex<()>>,
+    /// Name of the connections on a server; no other process has it.
+    name: String,
+    /// Name of the node, if it takes the lease.
+    node: Option<Arc<str>>,
+    /// Who commits, since the connection.
+    owner: std::sync::Mutex<Owner>,
+    /// Process of the last connection on a server; 0 before the first.
+    process: AtomicI32,
+}
+
+/// A connection that commits.
+pub(in crate::store) enum Link {
+    Sqlite(SqliteConnection),
+    Postgres(PgConnection),
+}
+
+impl Connector {
+    pub(in crate::store) fn new(
+        database: Database,
+        turn: Arc<Mutex<()>>,
+        node: Option<&str>,
+    ) -> Self {
+        let name = connection_name(&database);
+        let (node, process) = (node.map(Into::into), AtomicI32::new(0));
+        Self { database, turn, name, node, owner: std::sync::Mutex::default(), process }
+    }
+
+    /// The settings of the database on which durability depends.
+    pub(in crate::store) async fn durability(&self) -> Result<Vec<DurabilitySetting>, StoreError> {
+        let link = self.connected().await.map_err(StoreError::database(CONNECTING))?;
+        let read = async {
+            match link {
+                Link::Sqlite(connection) => sqlite_settings(connection).await,
+                Link::Postgres(connection) => postgres_settings(connection).await,
+            }
+        };
+        read.await.map_err(StoreError::database("reading the settings of the database"))
+    }
+
+    /// Connects without the lease.
+    async fn connected(&self) -> Result<Link, sqlx::Error> {
+        match &self.database {
+            // The probe waits for the lock of an earlier connection.
+            Database::Sqlite(options) => options.clone().connect().await.map(Link::Sqlite),
+            Database::Postgres(options) => {
+                let options = options.clone().application_name(&self.name);
+                let limit = [("statement_timeout", DEADLINE.as_millis())];
+                let mut connection: PgConnection = options.options(limit).connect().await?;
+                self.end_last_process(&mut connection).await?;
+                sqlx::query(POSTGRES_DURABLE).execute(&mut connection).await?;
+                let process = sqlx::query_scalar("SELECT pg_backend_pid()");
+                let process: i32 = process.fetch_one(&mut connection).await?;
+                self.process.store(process, Ordering::Relaxed);
+                Ok(Link::Postgres(connection))
+            }
+        }
+    }
+
+    /// Takes the lease, if this node takes one. Returns the holder's name if another has it.
+    async fn wait_for_lease(&self, link: &mut Link) -> Result<Option<String>, sqlx::Error> {
+        let (Some(_), Link::Postgres(connection)) = (&self.node, link) else { return Ok(None) };
+        let began = Instant::now();
+        while !sqlx::query_scalar(TAKE_LEASE).fetch_one(&mut *connection).await? {
+            if LEASE_PATIENCE < began.elapsed() {
+                // Err: the holder has not made the table yet.
+                let holder = sqlx::query_scalar(HOLDER).fetch_one(&mut *connection).await;
+                return Ok(Some(holder.unwrap_or_else(|_| "a node that starts".to_owned())));
+            }
+            sleep(PAUSE).await;
+        }
+        Ok(None)
+    }
+
+    /// Becomes the owner of what is committed. With a lease, at the first connection, it gets the
+    /// next fence, so that nothing of an earlier holder is committed any more.
+    async fn become_owner(&self, link: &mut Link) -> Result<(), sqlx::Error> {
+        let own = self.owner.lock().unwrap_or_else(PoisonError::into_inner).fence;
+        let node = self.node.as_deref().unwrap_or_default();
+        let fence: i64 = match (link, self.node.is_some() && own == 0) {
+            (Link::Sqlite(connection), true) => {
+                let _turn = self.turn.lock().await;
+                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await?
+            }
+            (Link::Sqlite(connection), false) => {
+                sqlx::query_scalar(FENCE).fetch_one(connection).await?
+            }
+            (Link::Postgres(connection), true) => {
+                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await?
+            }
+            (Link::Postgres(connection), false) => {
+                sqlx::query_scalar(FENCE).fetch_one(connection).await?
+            }
+        };
+        let fence = if own == 0 { fence } else { own };
+        *self.owner.lock().unwrap_or_else(PoisonError::into_inner) =
+            Owner { node: node.to_owned(), fence };
+        Ok(())
+    }
+
+    /// Checks that no other service has the lease on a server.
+    pub(in crate::store) async fn check_lease(&self) -> Result<(), StoreError> {
+        let (Some(_), Database::Postgres(_)) = (&self.node, &self.database) else { return Ok(()) };
+        let failed = StoreError::database(CONNECTING);
+        let holder = async {
+            let mut link = self.connected().await?;
+            self.wait_for_lease(&mut link).await
+        };
+        match holder.await.map_err(failed)? {
+            None => Ok(()),
+            Some(holder) => Err(StoreError::InUse { holder }),
+        }
+    }
+
+    /// Waits until the process of the last connection has ended, so that its last transaction is
+    /// either committed or not.
+    async fn end_last_process(&self, connection: &mut PgConnection) -> Result<(), sqlx::Error> {
+        let last = self.process.load(Ordering::Relaxed);
+        if last == 0 {
+            return Ok(());
+        }
+        loop {
+            let end = sqlx::query(END_PROCESS).bind(last).bind(&self.name);
+            if end.fetch_optional(&mut *connection).await?.is_none() {
+                return Ok(());
+            }
+            sleep(PAUSE).await;
+        }
+    }
+}
+
+impl Connect for Connector {
+    type Link = Link;
+
+    async fn connect(&self) -> Result<Link, StoreError> {
+        let failed = StoreError::database(CONNECTING);
+        let connect = async {
+            let mut link = self.connected().await?;
+            let holder = self.wait_for_lease(&mut link).await?;
+            if holder.is_none() {
+                self.become_owner(&mut link).await?;
+            }
+            Ok((link, holder))
+        };
+        match connect.await.map_err(failed)? {
+            (link, None) => Ok(link),
+            (_, Some(holder)) => Err(StoreError::InUse { holder }),
+        }
+    }
+
+    async fn probe(&self, link: &mut Link, after_failure: bool) -> Result<(), sqlx::Error> {
+        match link {
+            Link::Sqlite(connection) => {
+                let _turn = self.turn.lock().await;
+                let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+                if after_failure {
+                    sqlx::query(PROBE).execute(&mut *transaction).await?;
+                }
+                transaction.commit().await
+            }
+            Link::Postgres(connection) if after_failure => {
+                let mut transaction = connection.begin().await?;
+                sqlx::query(PROBE).execute(&mut *transaction).await?;
+                transaction.commit().await
+            }
+            Link::Postgres(connection) => {
+                sqlx::query("SELECT 1").execute(connection).await.map(drop)
+            }
+        }
+    }
+
+    async fn write(
+        &self,
+        link: &mut Link,
+        batches: &[&Batch],
+        committing: &AtomicBool,
+    ) -> Result<Vec<usize>, sqlx::Error> {
+        let owner = &self.owner.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let accepted = match link {
+            Link::Sqlite(connection) => {
+                let _turn = self.turn.lock().await;
+                let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+                let accepted = accepted_sqlite(&mut transaction, batches, owner).await?;
+                write_sqlite(&mut transaction, &accepted).await?;
+                committing.store(true, Ordering::Relaxed);
+                transaction.commit().await?;
+                accepted
+            }
+            Link::Postgres(connection) => {
+                let mut transaction = connection.begin().await?;
+                let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
+                write_postgres(&mut transaction, &accepted).await?;
+                committing.store(true, Ordering::Relaxed);
+                transaction.commit().await?;
+                accepted
+            }
+        };
+        let is_left_out = |index: &usize| !accepted.iter().any(|a| ptr::eq(*a, batches[*index]));
+        match accepted.len() == batches.len() {
+            true => Ok(Vec::new()),
+            false => Ok((0..batches.len()).filter(is_left_out).collect()),
+        }
+    }
+}
+
+/// A name for the committer's connections that no other process has, of at most 63 bytes.
+fn connection_name(database: &Database) -> String {
+    let named = match database {
+        Database::Postgres(options) => options.get_application_name(),
+        Database::Sqlite(_) => None,
+    };
+    let mark = Uuid::new_v4().simple().to_string();
+    let named: String = named.unwrap_or("graphfix").chars().take(30).collect();
+    format!("{named} committer {}", &mark[..12])
+}
+
+async fn sqlite_settings(
+    mut connection: SqliteConnection,
+) -> Result<Vec<DurabilitySetting>, sqlx::Error> {
+    let mode = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut connection).await?;
+    let synchronous = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut connection).await?;
+    let (mode, synchronous): (String, i64) = (mode, synchronous);
+    let full = 2;
+    Ok(vec![
+        DurabilitySetting { name: "journal_mode", is_safe: mode == "wal", value: mode },
+        DurabilitySetting {
+            name: "synchronous",
+            value: synchronous.to_string(),
+            is_safe: full <= synchronous,
+        },
+    ])
+}
+
+async fn postgres_settings(
+    mut connection: PgConnection,
+) -> Result<Vec<DurabilitySetting>, sqlx::Error> {
+    let mut settings = Vec::new();
+    for name in ["synchronous_commit", "fsync", "full_page_writes"] {
+        let value = sqlx::query_scalar("SELECT current_setting($1)").bind(name);
+        let value: String = value.fetch_one(&mut connection).await?;
+        settings.push(DurabilitySetting { name, is_safe: value != "off", value });
+    }
+    Ok(settings)
+}

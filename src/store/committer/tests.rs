@@ -1,0 +1,146 @@
+//! The committer against a database that fails on demand.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::refusal::Code;
+use crate::store::SessionKey;
+
+use super::*;
+
+/// What the database does with the next transaction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Next {
+    Commits,
+    FailsBefore,
+    FailsDuring,
+    HangsDuring,
+    Panics,
+}
+
+#[derive(Default)]
+struct Shared {
+    next: Mutex<Vec<Next>>,
+    is_down: AtomicBool,
+    written: Mutex<Vec<i64>>,
+    connections: AtomicU64,
+}
+
+/// The number of a connection: one that has failed must not be used again.
+struct Fake(Arc<Shared>);
+
+impl Connect for Fake {
+    type Link = bool;
+
+    async fn connect(&self) -> Result<bool, StoreError> {
+        if self.0.is_down.load(Ordering::SeqCst) {
+            return Err(StoreError::Down { why: "switched off".into() });
+        }
+        self.0.connections.fetch_add(1, Ordering::SeqCst);
+        Ok(true)
+    }
+
+    async fn probe(&self, link: &mut bool, _: bool) -> Result<(), sqlx::Error> {
+        assert!(*link, "a failed connection is used again");
+        Ok(())
+    }
+
+    async fn write(
+        &self,
+        link: &mut bool,
+        batches: &[&Batch],
+        committing: &AtomicBool,
+    ) -> Result<Vec<usize>, sqlx::Error> {
+        assert!(*link, "a failed connection is used again");
+        let next = self.0.next.lock().unwrap().pop().unwrap_or(Next::Commits);
+        *link = next == Next::Commits;
+        if next == Next::FailsBefore {
+            return Err(sqlx::Error::WorkerCrashed);
+        }
+        assert!(next != Next::Panics, "on purpose");
+        committing.store(true, Ordering::SeqCst);
+        match next {
+            Next::FailsDuring => Err(sqlx::Error::WorkerCrashed),
+            Next::HangsDuring => std::future::pending().await,
+            _ => {
+                let mut written = self.0.written.lock().unwrap();
+                written.extend(batches.iter().map(|batch| batch.session.0));
+                Ok(Vec::new())
+            }
+        }
+    }
+}
+
+const TIMING: Timing = Timing {
+    deadline: Duration::from_millis(100),
+    heartbeat: Duration::from_millis(20),
+    retry: Duration::from_millis(5),
+};
+
+async fn started() -> (Committer, Arc<Shared>) {
+    let shared = Arc::new(Shared::default());
+    let (committer, _) = Committer::start(Fake(shared.clone()), TIMING).await.unwrap();
+    (committer, shared)
+}
+
+fn batch(session: i64) -> Batch {
+    Batch::new(SessionKey(session), None)
+}
+
+/// After each kind of failure the next batch is committed on another connection.
+#[tokio::test]
+async fn a_failure_is_answered_and_the_next_batch_is_committed() {
+    let (committer, shared) = started().await;
+    let kinds = [Next::FailsBefore, Next::FailsDuring, Next::HangsDuring, Next::Panics];
+    for (failures, next) in kinds.into_iter().enumerate() {
+        shared.next.lock().unwrap().push(next);
+        let error = committer.commit(batch(-1)).await.unwrap_err();
+        let is_unconfirmed = matches!(error, StoreError::Unconfirmed { .. });
+        let reached_commit = matches!(next, Next::FailsDuring | Next::HangsDuring);
+        assert_eq!(is_unconfirmed, reached_commit, "{next:?}: {error}");
+        assert_eq!(error.code(), Code::DatabaseFailed);
+        committer.working().await.unwrap();
+        committer.commit(batch(failures as i64)).await.unwrap();
+        assert_eq!(committer.health().failures, failures as u64 + 1);
+    }
+    assert_eq!(*shared.written.lock().unwrap(), [0, 1, 2, 3]);
+    assert_eq!(shared.connections.load(Ordering::SeqCst), 5);
+    assert_eq!(committer.health().panics, 1);
+}
+
+/// While the database is away, batches are refused at once, and the state says so.
+#[tokio::test]
+async fn batches_are_refused_at_once_while_the_database_is_away() {
+    let (committer, shared) = started().await;
+    shared.is_down.store(true, Ordering::SeqCst);
+    shared.next.lock().unwrap().push(Next::FailsBefore);
+    committer.commit(batch(1)).await.unwrap_err();
+    let began = Instant::now();
+    for _ in 0..100 {
+        let error = committer.commit(batch(2)).await.unwrap_err();
+        assert!(matches!(error, StoreError::Down { .. }), "{error}");
+    }
+    assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
+    assert!(matches!(committer.health().state, CommitterState::Failed { .. }));
+    shared.is_down.store(false, Ordering::SeqCst);
+    committer.working().await.unwrap();
+    committer.commit(batch(3)).await.unwrap();
+    assert_eq!(*shared.written.lock().unwrap(), [3]);
+}
+
+/// An idle committer asks the database; told to stop, it stops even while the database is away.
+#[tokio::test]
+async fn an_idle_committer_probes_and_stops_when_told() {
+    let shared = Arc::new(Shared::default());
+    let (committer, task) = Committer::start(Fake(shared.clone()), TIMING).await.unwrap();
+    let began = committer.health().confirmed;
+    let mut health = committer.health.clone();
+    health.wait_for(|health| began < health.confirmed).await.unwrap();
+    shared.is_down.store(true, Ordering::SeqCst);
+    shared.next.lock().unwrap().push(Next::FailsDuring);
+    committer.commit(batch(1)).await.unwrap_err();
+    committer.stop().await;
+    task.await.unwrap();
+    assert_eq!(committer.health().state, CommitterState::Stopped);
+    assert!(matches!(committer.commit(batch(2)).await, Err(StoreError::Closed)));
+}

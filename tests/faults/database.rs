@@ -1,0 +1,158 @@
+//! A database that fails while sessions use it: refused clearly, served again by itself, and
+//! nothing that was acknowledged is lost.
+
+use std::time::{Duration, Instant};
+
+use graphfix::session::{SessionError, SessionId, Sessions};
+use graphfix::store::{CommitterState, Store};
+use sqlx::{Connection, PgConnection, SqliteConnection};
+
+use crate::support::database::{Database, on_both_databases, on_postgres, whole_session};
+use crate::support::sessions::{created, desk, epoch};
+use crate::support::wait::until;
+
+on_both_databases!(
+    a_locked_database_is_refused_and_served_again,
+    a_store_opened_to_read_changes_nothing,
+    the_settings_of_durability_are_reported,
+);
+
+/// The deadline of a commit is 5 s.
+const REFUSED_WITHIN: Duration = Duration::from_secs(7);
+
+async fn numbers(sessions: &Sessions, id: &SessionId) -> Vec<u64> {
+    let page = sessions.solutions(id, &whole_session()).await.unwrap();
+    page.items.iter().map(|solution| solution.seq).collect()
+}
+
+/// Submits an epoch until it is acknowledged.
+async fn acknowledged(sessions: &Sessions, id: &SessionId, seq: u64) {
+    let submit = async || sessions.submit(id, vec![epoch(seq, seq as f64)]).await;
+    let answer = until("acknowledged", submit, Result::is_ok).await.unwrap();
+    assert_eq!(answer.durable_through, Some(seq));
+    assert!(answer.outcomes[0].result.is_ok());
+}
+
+fn assert_failed(error: &SessionError) {
+    assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
+}
+
+/// A lock on what the committer writes, held by another client.
+enum Lock {
+    Sqlite(SqliteConnection),
+    Postgres(PgConnection),
+}
+
+impl Lock {
+    async fn take(database: &Database) -> Self {
+        if database.url.starts_with("sqlite") {
+            let mut connection = SqliteConnection::connect(&database.url).await.unwrap();
+            sqlx::query("BEGIN IMMEDIATE").execute(&mut connection).await.unwrap();
+            return Self::Sqlite(connection);
+        }
+        let mut connection = PgConnection::connect(&database.url).await.unwrap();
+        sqlx::query("BEGIN").execute(&mut connection).await.unwrap();
+        let lock = "LOCK TABLE solutions IN EXCLUSIVE MODE";
+        sqlx::query(lock).execute(&mut connection).await.unwrap();
+        Self::Postgres(connection)
+    }
+
+    async fn release(self) {
+        match self {
+            Self::Sqlite(mut connection) => {
+                sqlx::query("ROLLBACK").execute(&mut connection).await.unwrap();
+            }
+            Self::Postgres(mut connection) => {
+                sqlx::query("ROLLBACK").execute(&mut connection).await.unwrap();
+            }
+        }
+    }
+}
+
+/// The epoch in the locked time is refused within the deadline. After it the session continues
+/// from the state in memory.
+async fn a_locked_database_is_refused_and_served_again(database: Database) {
+    let store = database.store().await;
+    let sessions = desk(&store).await;
+    let id = created(&sessions).await;
+    acknowledged(&sessions, &id, 1).await;
+    let lock = Lock::take(&database).await;
+    let began = Instant::now();
+    let error = sessions.submit(&id, vec![epoch(2, 2.0)]).await.unwrap_err();
+    assert_failed(&error);
+    assert!(began.elapsed() < REFUSED_WITHIN, "refused after {:?}", began.elapsed());
+    assert_eq!(store.committer_health().failures, 1);
+    lock.release().await;
+    let released = Instant::now();
+    acknowledged(&sessions, &id, 3).await;
+    assert!(released.elapsed() < Duration::from_secs(5), "served after {:?}", released.elapsed());
+    assert_eq!(store.committer_health().state, CommitterState::Working);
+    assert_eq!(numbers(&sessions, &id).await, [1, 3]);
+    assert_eq!(sessions.counts().restores, 1, "the state in memory was dropped");
+}
+
+/// As for `graphfix replay`: no migration, no commit, and another schema is refused.
+async fn a_store_opened_to_read_changes_nothing(database: Database) {
+    let id = {
+        let sessions = desk(&database.store().await).await;
+        let id = created(&sessions).await;
+        acknowledged(&sessions, &id, 1).await;
+        id
+    };
+    let store = Store::open_read_only(&database.url).await.unwrap();
+    let sessions = desk(&store).await;
+    assert_eq!(numbers(&sessions, &id).await, [1]);
+    let error = sessions.submit(&id, vec![epoch(2, 2.0)]).await.unwrap_err();
+    assert_eq!(error.code().name(), "DRAINING", "{error}");
+    store.close().await;
+    let newest = "(SELECT MAX(version) FROM _sqlx_migrations)";
+    database.execute(&format!("DELETE FROM _sqlx_migrations WHERE version = {newest}")).await;
+    let error = Store::open_read_only(&database.url).await.unwrap_err();
+    assert_eq!(error.code().name(), "DATABASE_SCHEMA_OLDER", "{error}");
+}
+
+async fn the_settings_of_durability_are_reported(database: Database) {
+    let store = database.store().await;
+    let names: Vec<_> = store.durability().iter().map(|setting| setting.name).collect();
+    let expected: &[&str] = match database.url.starts_with("sqlite") {
+        true => &["journal_mode", "synchronous"],
+        false => &["synchronous_commit", "fsync", "full_page_writes"],
+    };
+    assert_eq!(names, expected);
+    let synchronous = store.durability().iter().find(|s| s.name.starts_with("synchronous"));
+    assert!(synchronous.unwrap().is_safe);
+}
+
+/// A role or server with `synchronous_commit` off acknowledges what a power failure loses.
+#[tokio::test]
+async fn commits_are_durable_whatever_the_server_says() {
+    on_postgres(async |database| {
+        let url = format!("{}&options[synchronous_commit]=off", database.url);
+        let store = Store::open(&url).await.unwrap();
+        let setting = &store.durability()[0];
+        assert_eq!((setting.name, &*setting.value), ("synchronous_commit", "on"));
+    })
+    .await;
+}
+
+/// The server ends the committer's process again and again while a device pushes.
+#[tokio::test]
+async fn an_ended_connection_loses_nothing() {
+    on_postgres(async |database| {
+        let name = format!("ended_{}", std::process::id());
+        let url = format!("{}&application_name={name}", database.url);
+        let sessions = desk(&Store::open(&url).await.unwrap()).await;
+        let id = created(&sessions).await;
+        acknowledged(&sessions, &id, 1).await;
+        let mut server = PgConnection::connect(&database.url).await.unwrap();
+        let end = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+                   WHERE starts_with(application_name, $1 || ' committer')";
+        for seq in 2..=20 {
+            let ended = sqlx::query(end).bind(&name).execute(&mut server).await.unwrap();
+            assert_eq!(ended.rows_affected(), 1);
+            acknowledged(&sessions, &id, seq).await;
+        }
+        assert_eq!(numbers(&sessions, &id).await, (1..=20).collect::<Vec<_>>());
+    })
+    .await;
+}

@@ -1,0 +1,117 @@
+//! A Postgres server that freezes, restarts, or loses the connection during a commit.
+
+use std::time::{Duration, Instant};
+
+use graphfix::session::{SessionId, Sessions};
+use graphfix::store::{CommitterState, Store};
+
+use crate::support::database::{on_postgres, whole_session};
+use crate::support::proxy::{Mode, Proxy};
+use crate::support::sessions::{created, desk, epoch};
+use crate::support::wait::until;
+
+/// After a deadline of 5 s.
+const REFUSED_WITHIN: Duration = Duration::from_secs(7);
+const SERVED_WITHIN: Duration = Duration::from_secs(5);
+
+/// A session with one epoch on a server behind a proxy.
+struct Service {
+    proxy: Proxy,
+    store: Store,
+    sessions: Sessions,
+    id: SessionId,
+}
+
+impl Service {
+    async fn start(url: &str) -> Self {
+        let proxy = Proxy::before(url).await;
+        let store = Store::open(&proxy.url(url)).await.unwrap();
+        let sessions = desk(&store).await;
+        let id = created(&sessions).await;
+        sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
+        Self { proxy, store, sessions, id }
+    }
+
+    /// Refused with the code of a failed database; returns how long that took.
+    async fn refused(&self, seq: u64) -> Duration {
+        let began = Instant::now();
+        let refused = self.sessions.submit(&self.id, vec![epoch(seq, seq as f64)]).await;
+        let error = refused.unwrap_err();
+        assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
+        began.elapsed()
+    }
+
+    /// Submits until acknowledged. Returns whether the epoch was stored before.
+    async fn acknowledged(&self, seq: u64) -> bool {
+        let epoch = || vec![epoch(seq, seq as f64)];
+        let submit = async || self.sessions.submit(&self.id, epoch()).await;
+        let answer = until("acknowledged", submit, Result::is_ok).await.unwrap();
+        answer.outcomes[0].result.as_ref().unwrap().resent
+    }
+
+    async fn numbers(&self) -> Vec<u64> {
+        let page = self.sessions.solutions(&self.id, &whole_session()).await.unwrap();
+        page.items.iter().map(|solution| solution.seq).collect()
+    }
+}
+
+#[tokio::test]
+async fn a_frozen_server_is_refused_and_served_again() {
+    on_postgres(async |database| {
+        let service = Service::start(&database.url).await;
+        service.proxy.set(Mode::Frozen);
+        let first = service.refused(2).await;
+        assert!(first < REFUSED_WITHIN, "refused after {first:?}");
+        for _ in 0..10 {
+            let next = service.refused(2).await;
+            assert!(next < REFUSED_WITHIN, "refused after {next:?}");
+        }
+        let health = service.store.committer_health();
+        assert!(matches!(health.state, CommitterState::Failed { .. }), "{health:?}");
+        service.proxy.set(Mode::Pass);
+        let thawed = Instant::now();
+        service.acknowledged(2).await;
+        assert!(thawed.elapsed() < SERVED_WITHIN, "served after {:?}", thawed.elapsed());
+        service.acknowledged(3).await;
+        assert_eq!(service.numbers().await, [1, 2, 3]);
+        assert_eq!(service.sessions.counts().restores, 1, "the state in memory was dropped");
+    })
+    .await;
+}
+
+#[tokio::test]
+async fn a_server_that_restarts_is_waited_for() {
+    on_postgres(async |database| {
+        let service = Service::start(&database.url).await;
+        service.proxy.set(Mode::Refuse);
+        let took = service.refused(2).await;
+        assert!(took < REFUSED_WITHIN, "refused after {took:?}");
+        service.proxy.set(Mode::Pass);
+        let restarted = Instant::now();
+        service.acknowledged(2).await;
+        assert!(restarted.elapsed() < SERVED_WITHIN, "served after {:?}", restarted.elapsed());
+        assert_eq!(service.numbers().await, [1, 2]);
+        assert_eq!(service.sessions.counts().restores, 1, "the state in memory was dropped");
+    })
+    .await;
+}
+
+/// The commit is not confirmed. The store says which of the two states holds, and the session
+/// continues from it without a restore.
+#[tokio::test]
+async fn a_commit_that_is_cut_off_is_resolved() {
+    on_postgres(async |database| {
+        let service = Service::start(&database.url).await;
+        let cuts = [Mode::CutBeforeCommit, Mode::CutAfterCommit];
+        for (seq, mode) in (2..).zip(cuts.into_iter().cycle().take(8)) {
+            service.proxy.set(mode);
+            service.refused(seq).await;
+            assert_eq!(service.proxy.mode(), Mode::Pass, "nothing was cut");
+            let was_stored = service.acknowledged(seq).await;
+            assert_eq!(was_stored, mode == Mode::CutAfterCommit, "epoch {seq}");
+        }
+        assert_eq!(service.numbers().await, (1..=9).collect::<Vec<_>>());
+        assert_eq!(service.sessions.counts().restores, 1, "the state in memory was dropped");
+    })
+    .await;
+}
