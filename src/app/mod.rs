@@ -13,6 +13,8 @@ use std::thread::available_parallelism;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
+use tokio::time::timeout;
+use uuid::Uuid;
 
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::config::{
@@ -62,16 +64,35 @@ pub async fn open(
     // What the operator names may be anywhere; what clients name only at the hosts listed.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
-    let (store, aiding) = open_stored(database, limits, catalogue).await?;
+    let node = match &configuration.node {
+        configured if configured.is_empty() => random_node(),
+        configured => configured.clone(),
+    };
+    let store = open_alone(database, &node).await?;
+    let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
-    Ok(App { store, service: Service::new(sessions, aiding, feeds, limits.clone()) })
+    Ok(App { store, service: Service::new(sessions, aiding, feeds, limits.clone()).named(node) })
 }
 
-/// Opens the database and what is stored of ephemerides, bases and antennas, for a computation
-/// that needs neither sessions nor sources.
+/// Opens the database as its only service, and logs the settings on which durability depends.
+async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
+    let store = Store::open_alone(database, node).await?;
+    tracing::info!(node, "this node has the lease of the database");
+    for setting in store.durability() {
+        let (name, value) = (setting.name, &setting.value);
+        match setting.is_safe {
+            true => tracing::info!(name, value, "database setting"),
+            false => tracing::warn!(name, value, "a power failure may lose acknowledged data"),
+        }
+    }
+    Ok(store)
+}
+
+/// Opens the database for reading, and what is stored of ephemerides, bases and antennas, for a
+/// computation that needs neither sessions nor sources. A service may be using the database.
 ///
 /// # Errors
 /// The database cannot be read.
@@ -80,7 +101,7 @@ pub async fn open_stored(
     limits: &Limits,
     catalogue: AntennaCatalogue,
 ) -> Result<(Store, AidingDesk), AppError> {
-    let store = Store::open(database).await?;
+    let store = Store::open_read_only(database).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     Ok((store, aiding))
 }
@@ -105,12 +126,23 @@ impl App {
         Ok(served?)
     }
 
-    /// Finishes what runs and closes the database.
+    /// Finishes what runs and closes the database. What is not finished in `limits.drain_s` is cut
+    /// off; it was not acknowledged.
     pub async fn close(self) {
-        self.service.sessions().drain().await;
+        let limit = Duration::from_secs(self.service.limits().drain_s);
+        if timeout(limit, self.service.sessions().drain()).await.is_err() {
+            tracing::warn!(seconds = limit.as_secs(), "epochs were still positioned; cut off");
+        }
         self.service.feeds().close().await;
         self.store.close().await;
     }
+}
+
+/// A name for a node: that of the host and a random mark.
+pub fn random_node() -> String {
+    let host = rustix::system::uname();
+    let mark = Uuid::new_v4().simple().to_string();
+    format!("{}-{}", host.nodename().to_string_lossy(), &mark[..6])
 }
 
 /// The calibrations of the operator's file; none without one.
@@ -180,6 +212,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         epochs_per_push: limits.epochs_per_push,
         raw_chunk_bytes: limits.raw_piece_bytes,
         observations_per_epoch: limits.observations_per_epoch,
+        future_s: limits.future_s,
         active_sessions: limits.active_sessions,
         solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
         ..SessionLimits::service()

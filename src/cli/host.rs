@@ -1,6 +1,7 @@
 //! Threads, the log and interruption, for the commands that run a service or call one.
 
 use std::future::Future;
+use std::io::{self, Write};
 
 use crate::aiding::AidingError;
 use crate::app::AppError;
@@ -40,13 +41,41 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
         let message = format!("log filter {:?}: {error}", configuration.log.filter);
         Failure::of(Code::LogFilterInvalid, message)
     })?;
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    if configuration.log.json {
+    let (node, is_json) = (configuration.node.clone(), configuration.log.json);
+    let writer = move || NodeWriter { mark: mark(&node, is_json) };
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
+    if is_json {
         log.json().init();
     } else {
         log.init();
     }
     Ok(())
+}
+
+/// What names the node at the beginning of a line.
+fn mark(node: &str, is_json: bool) -> String {
+    match is_json {
+        true => format!("{{\"node\":{},", serde_json::Value::from(node)),
+        false => format!("{node} "),
+    }
+}
+
+/// Standard error, where each line names the node. A line is one call of `write`.
+struct NodeWriter {
+    mark: String,
+}
+
+impl Write for NodeWriter {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        let is_object = self.mark.starts_with('{');
+        let rest = if is_object { line.strip_prefix(b"{").unwrap_or(line) } else { line };
+        io::stderr().write_all(&[self.mark.as_bytes(), rest].concat())?;
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
 }
 
 impl From<StoreError> for Failure {

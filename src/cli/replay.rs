@@ -22,8 +22,8 @@ use super::solve::{Output, unwritable};
 /// Computes a stored session again from its epochs and the navigation data of that time.
 ///
 /// Without further options it checks that the same bits result, and fails if they do not. With
-/// `--mode`, `--profile` or `--set` it reports the result of these. The database is only read; a
-/// service may be using it.
+/// `--mode`, `--profile` or `--set` it reports the result of these. The database is only read, and
+/// its schema stays as it is; a service may be using it.
 #[derive(Clone, Debug, Args)]
 pub(super) struct ReplayArguments {
     /// Id of the session.

@@ -24,6 +24,9 @@ pub(super) struct ServeArguments {
     /// Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
+    /// Name of this node in the log and in answers. Default: the host's, and a random mark.
+    #[arg(long, value_name = "NAME", env = "GRAPHFIX_NODE")]
+    node: Option<String>,
     /// sqlite://FILE (created if absent) or postgres://…; default: sqlite://graphfix.db.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
     database: Option<String>,
@@ -64,6 +67,7 @@ impl ServeArguments {
             }
         };
         configuration.listen = self.listen.unwrap_or(configuration.listen);
+        configuration.node = self.node.unwrap_or(configuration.node);
         configuration.database = self.database.unwrap_or(configuration.database);
         configuration.fetch.hosts.extend(self.fetch_host);
         configuration.fetch.private_addresses |= self.fetch_private;
@@ -71,6 +75,9 @@ impl ServeArguments {
         configuration.antennas.antex = self.antex.or(configuration.antennas.antex);
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
+        if configuration.node.is_empty() {
+            configuration.node = app::random_node(); // For the log, too.
+        }
         configuration.check()?;
         Ok(configuration)
     }

@@ -22,6 +22,9 @@ pub struct ServiceConfiguration {
     /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
     /// TLS.
     pub listen: SocketAddr,
+    /// Name of this node in the log, in answers, and to another service on the same database.
+    /// Empty: the name of the host and a random mark.
+    pub node: String,
     /// URL of the database: `sqlite://FILE` or `postgres://…`.
     pub database: String,
     /// Format and filter of the log.
@@ -154,6 +157,8 @@ pub struct Limits {
     pub satellites_per_epoch: usize,
     /// Observations in one epoch.
     pub observations_per_epoch: usize,
+    /// Time that an epoch may be ahead of the service's clock (s).
+    pub future_s: u64,
     /// Sessions with an estimator in memory; idle ones are parked.
     pub active_sessions: usize,
     /// Epochs that wait in the mailbox of one session.
@@ -169,6 +174,8 @@ pub struct Limits {
     /// Bytes kept in memory for one base, about 26 a signal and epoch; newer epochs push out the
     /// oldest.
     pub bytes_per_base: usize,
+    /// Bytes that the disk of a SQLite database must have left; with fewer `/readyz` answers 503.
+    pub disk_free_min_bytes: u64,
     /// Time for which a stopping service still serves while `/readyz` answers 503, so that a load
     /// balancer looks elsewhere (s).
     pub drain_notice_s: u64,
@@ -236,6 +243,7 @@ impl ServiceConfiguration {
     pub fn standard() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            node: String::new(),
             database: "sqlite://graphfix.db".to_owned(),
             log: LogConfiguration { json: false, filter: "info".to_owned() },
             fetch: FetchConfiguration {
@@ -267,6 +275,10 @@ impl ServiceConfiguration {
     /// # Errors
     /// An address that is not loopback, or a limit of zero.
     pub(crate) fn check(&self) -> Result<(), ServiceConfigurationError> {
+        if 100 < self.node.len() || !self.node.chars().all(|c| c.is_ascii_graphic()) {
+            let why = "node must have at most 100 visible ASCII characters and no space";
+            return Err(ServiceConfigurationError::Malformed(why.to_owned()));
+        }
         if !self.listen.ip().is_loopback() {
             return Err(ServiceConfigurationError::NotLoopback(self.listen));
         }
@@ -312,6 +324,7 @@ impl Limits {
             raw_piece_bytes: 256 << 10,
             satellites_per_epoch: 128,
             observations_per_epoch: 512,
+            future_s: 86_400,
             active_sessions: 4096,
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,
@@ -319,6 +332,7 @@ impl Limits {
             bases: 64,
             epochs_per_base: 100_000,
             bytes_per_base: 32 << 20,
+            disk_free_min_bytes: 64 << 20,
             drain_notice_s: 0,
             drain_s: 20,
         }
@@ -390,6 +404,16 @@ mod tests {
             let listen = address.parse().unwrap();
             let check = ServiceConfiguration { listen, ..ServiceConfiguration::standard() }.check();
             assert_eq!(check.is_ok(), allowed, "{address}");
+        }
+    }
+
+    #[test]
+    fn a_node_has_a_name_for_headers_and_logs() {
+        for (node, allowed) in [("", true), ("rover-hub-3", true), ("a b", false), ("a\nb", false)]
+        {
+            let configuration =
+                ServiceConfiguration { node: node.to_owned(), ..ServiceConfiguration::standard() };
+            assert_eq!(configuration.check().is_ok(), allowed, "{node:?}");
         }
     }
 

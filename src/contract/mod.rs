@@ -9,10 +9,12 @@ pub mod convert;
 pub mod intake;
 pub mod json;
 mod origin;
+mod readiness;
 pub mod reason;
 mod refusal;
 mod service;
 
+pub use readiness::{DatabaseReadiness, Readiness};
 pub use refusal::Refusal;
 pub use service::Service;
 

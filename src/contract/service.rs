@@ -17,6 +17,7 @@ pub struct Service {
     feeds: Feeds,
     limits: Arc<Limits>,
     draining: Arc<watch::Sender<bool>>,
+    node: Arc<str>,
 }
 
 impl Service {
@@ -28,7 +29,20 @@ impl Service {
             feeds,
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
+            node: "".into(),
         }
+    }
+
+    /// The service as the node of this name.
+    #[must_use]
+    pub fn named(mut self, node: String) -> Self {
+        self.node = node.into();
+        self
+    }
+
+    /// Name of the node.
+    pub fn node(&self) -> &str {
+        &self.node
     }
 
     /// The desk for sessions.

@@ -1,7 +1,10 @@
 //! The services of this door as routes of the shared port.
 
+use std::time::Duration;
+
 use axum::Router;
 use axum::middleware;
+use tokio::time::timeout;
 use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
@@ -16,6 +19,9 @@ use super::v1::sessions_server::SessionsServer;
 use super::v1::solutions_server::SolutionsServer;
 use super::{DESCRIPTORS, Door, frame};
 
+/// Time between two looks at the service's readiness.
+const HEALTH_INTERVAL: Duration = Duration::from_secs(1);
+
 /// All services, health and reflection, without a fallback: the shared router has one.
 ///
 /// # Panics
@@ -24,7 +30,7 @@ pub(crate) fn routes(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
     let door = Door(service.clone());
     let (health, health_service) = tonic_health::server::health_reporter();
-    tokio::spawn(report_health(service.drained(), health));
+    tokio::spawn(report_health(service.clone(), health));
     let v1 = reflection().build_v1().expect("the descriptors are protox's");
     let v1alpha = reflection().build_v1alpha().expect("the descriptors are protox's");
     macro_rules! limited {
@@ -62,8 +68,8 @@ fn reflection() -> tonic_reflection::server::Builder<'static> {
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
 }
 
-/// Reports that each service, and the whole, is serving until the service drains.
-async fn report_health(drained: impl Future<Output = ()>, health: HealthReporter) {
+/// Reports each second whether the services, and the whole, are serving, until the service drains.
+async fn report_health(service: Service, health: HealthReporter) {
     const NAMES: [&str; 6] = [
         "",
         "graphfix.v1.Sessions",
@@ -72,11 +78,17 @@ async fn report_health(drained: impl Future<Output = ()>, health: HealthReporter
         "graphfix.v1.Navigation",
         "graphfix.v1.Bases",
     ];
-    for name in NAMES {
-        health.set_service_status(name, ServingStatus::Serving).await;
-    }
-    drained.await;
-    for name in NAMES {
-        health.set_service_status(name, ServingStatus::NotServing).await;
+    let report = async |status| {
+        for name in NAMES {
+            health.set_service_status(name, status).await;
+        }
+    };
+    let mut drained = std::pin::pin!(service.drained());
+    loop {
+        let ready = service.readiness().await.ready;
+        report(if ready { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
+        if timeout(HEALTH_INTERVAL, &mut drained).await.is_ok() {
+            return report(ServingStatus::NotServing).await;
+        }
     }
 }

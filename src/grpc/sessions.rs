@@ -37,6 +37,13 @@ impl Sessions for Door {
         carry(calls::sessions::update(&self.0, request.into_inner()).await)
     }
 
+    async fn reset(
+        &self,
+        request: Request<v1::ResetSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::reset(&self.0, request.into_inner()).await)
+    }
+
     async fn close(
         &self,
         request: Request<v1::CloseSessionRequest>,

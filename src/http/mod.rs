@@ -13,7 +13,10 @@ mod sessions;
 mod solutions;
 
 use axum::Router;
-use axum::extract::DefaultBodyLimit;
+use axum::extract::{DefaultBodyLimit, State};
+use axum::http::{HeaderName, HeaderValue};
+use axum::middleware::map_response_with_state;
+use axum::response::Response;
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::decompression::RequestDecompressionLayer;
@@ -27,17 +30,27 @@ pub use openapi::document;
 pub use problem::{Problem, http_status};
 pub use server::{ServerError, serve};
 
+/// Names the node that answers, on both doors.
+const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
+
+async fn name_node(State(service): State<Service>, mut response: Response) -> Response {
+    if let Ok(node) = HeaderValue::from_str(service.node()) {
+        response.headers_mut().insert(NODE, node);
+    }
+    response
+}
+
 /// Both doors on one router: REST, pages and gRPC.
 pub fn router(service: &Service) -> Router {
     let rest = Router::new()
         .route("/v1/sessions", get(sessions::list).post(sessions::create))
         .route(
             "/v1/sessions/{session}",
-            // POST is `{session}:solve`.
+            // POST is `{session}:solve` or `{session}:reset`.
             get(sessions::get)
                 .patch(sessions::update)
                 .delete(sessions::close)
-                .post(positioning::solve),
+                .post(positioning::act),
         )
         .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))
         .route("/v1/sessions/{session}/raw", post(raw::push))
@@ -62,5 +75,6 @@ pub fn router(service: &Service) -> Router {
         .merge(rest)
         .merge(grpc::routes(service))
         .fallback(pages::no_route)
+        .layer(map_response_with_state(service.clone(), name_node))
         .layer(TraceLayer::new_for_http())
 }

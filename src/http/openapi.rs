@@ -26,6 +26,7 @@ use super::{bases, navigation, positioning, raw, sessions, solutions};
         sessions::list,
         sessions::get,
         sessions::update,
+        sessions::reset,
         sessions::close,
         positioning::push_epochs,
         raw::push,

@@ -5,7 +5,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
 use axum::response::{Html, IntoResponse, Response};
 
-use crate::contract::{Refusal, Service};
+use crate::contract::{Readiness, Refusal, Service};
 use crate::grpc;
 use crate::refusal::Code;
 
@@ -22,13 +22,14 @@ pub(super) async fn live() -> &'static str {
     "ok\n"
 }
 
-/// `GET /readyz`: 200 while requests are accepted, 503 while the service stops.
-pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, &'static str) {
-    if service.is_draining() {
-        (StatusCode::SERVICE_UNAVAILABLE, "draining\n")
-    } else {
-        (StatusCode::OK, "ready\n")
-    }
+/// `GET /readyz`: 200 while epochs can be taken and committed, otherwise 503. The body says why.
+pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, Json<Readiness>) {
+    let readiness = service.readiness().await;
+    let status = match readiness.ready {
+        true => StatusCode::OK,
+        false => StatusCode::SERVICE_UNAVAILABLE,
+    };
+    (status, Json(readiness))
 }
 
 /// `GET /openapi.json`.

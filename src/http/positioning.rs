@@ -1,14 +1,15 @@
 //! Epochs in, solutions out.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::{FromRequest, Path, Request, State};
+use axum::response::{IntoResponse, Response};
 
 use crate::contract::{Refusal, Service, calls, v1};
 use crate::refusal::Code;
 
 use super::body::JsonBody;
 use super::problem::{Problem, Refused};
-use super::sessions::named;
+use super::sessions::{self, named};
 
 /// Positions the epochs of a push in their order. Acknowledged epochs are durable.
 ///
@@ -30,21 +31,37 @@ pub(super) async fn push_epochs(
     Ok(Json(calls::positioning::push_epochs(&service, request).await?))
 }
 
+/// `POST /v1/sessions/{session}:solve` or `:reset`.
+pub(super) async fn act(
+    State(service): State<Service>,
+    Path(target): Path<String>,
+    request: Request,
+) -> Response {
+    let named = target.rsplit_once(':').map(|(session, call)| (session.to_owned(), call));
+    match named {
+        Some((session, "solve")) => match JsonBody::from_request(request, &()).await {
+            Ok(body) => solve(State(service), session, body).await.into_response(),
+            Err(refused) => refused.into_response(),
+        },
+        Some((session, "reset")) => sessions::reset(State(service), session).await.into_response(),
+        _ => {
+            let message = format!("POST /v1/sessions/{target} is not a call");
+            Refused(Refusal::new(Code::RouteNotFound, message)).into_response()
+        }
+    }
+}
+
 /// Solves the session's present window with any mode and options. Nothing is stored.
 #[utoipa::path(post, path = "/v1/sessions/{session}:solve", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::SolveRequest,
     responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem)))]
-pub(super) async fn solve(
+async fn solve(
     State(service): State<Service>,
-    Path(target): Path<String>,
+    session: String,
     JsonBody(request): JsonBody<v1::SolveRequest>,
 ) -> Result<Json<v1::SolveResponse>, Refused> {
-    let Some(session) = target.strip_suffix(":solve") else {
-        let message = format!("POST /v1/sessions/{target} is not a call");
-        return Err(Refusal::new(Code::RouteNotFound, message).into());
-    };
-    let session = named(session.to_owned(), &request.session)?;
+    let session = named(session, &request.session)?;
     let request = v1::SolveRequest { session, ..request };
     Ok(Json(calls::positioning::solve(&service, request).await?))
 }

@@ -83,6 +83,19 @@ pub(super) async fn update(
     Ok(Json(calls::sessions::update(&service, request).await?))
 }
 
+/// Begins a new arc of a session: its next epoch may have any time, and its estimator starts again.
+/// Numbers go on rising.
+#[utoipa::path(post, path = "/v1/sessions/{session}:reset", tag = "Sessions",
+    params(("session" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+pub(super) async fn reset(
+    State(service): State<Service>,
+    session: String,
+) -> Result<Json<v1::Session>, Refused> {
+    let request = v1::ResetSessionRequest { session };
+    Ok(Json(calls::sessions::reset(&service, request).await?))
+}
+
 /// Closes a session. It takes no more epochs, and its solutions stay readable.
 #[utoipa::path(delete, path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),

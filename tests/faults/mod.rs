@@ -3,6 +3,7 @@
 mod casters;
 mod crash;
 mod database;
+mod disk;
 mod lease;
 mod robustness;
 mod server;

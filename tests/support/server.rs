@@ -1,6 +1,7 @@
 //! A `graphfix serve` in a process of its own.
 
-use std::net::TcpListener;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -75,6 +76,15 @@ pub(crate) fn replayed(
     let output = command.output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
+}
+
+/// The HTTP status of a page.
+pub(crate) fn status_of(port: u16, path: &str) -> u16 {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer.split(' ').nth(1).unwrap().parse().unwrap()
 }
 
 pub(crate) fn free_port() -> u16 {

@@ -83,6 +83,18 @@ pub async fn update(
     Ok(message(service.sessions().update(&id, update).await?))
 }
 
+/// Begins a new arc of a session.
+///
+/// # Errors
+/// The session does not exist or is closed.
+pub async fn reset(
+    service: &Service,
+    request: v1::ResetSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let id = session_id(&request.session)?;
+    Ok(message(service.sessions().reset(&id).await?))
+}
+
 /// Closes a session.
 ///
 /// # Errors

@@ -1,0 +1,109 @@
+//! Whether the service can do its work now, and if not, why.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::store::{CommitterHealth, CommitterState, Store};
+
+use super::Service;
+
+/// Longest time without a confirmation by the database. An idle committer asks every two seconds,
+/// and a commit has a deadline of five.
+const SILENCE_MAX: Duration = Duration::from_secs(10);
+
+/// Whether the service can do its work now, and if not, why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Readiness {
+    /// Name of the node.
+    pub node: String,
+    /// Whether requests are accepted and epochs can be committed.
+    pub ready: bool,
+    /// What prevents it; empty if ready.
+    pub problems: Vec<String>,
+    /// The service is about to stop.
+    pub draining: bool,
+    /// The database.
+    pub database: DatabaseReadiness,
+    /// States of sessions loaded from the database since the start.
+    pub restores: u64,
+    /// Epochs on which an estimator panicked, since the start.
+    pub quarantined: u64,
+}
+
+/// The database's part of [`Readiness`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct DatabaseReadiness {
+    /// Time since the database last confirmed a commit or a probe (ms).
+    pub confirmed_ms_ago: u64,
+    /// Commits that failed since the start.
+    pub failures: u64,
+    /// Panics of the committer since the start.
+    pub panics: u64,
+    /// Bytes that the disk of the database file has left; absent for a server.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub free_bytes: Option<u64>,
+    /// Settings on which durability depends, by name, as they were at the start.
+    pub settings: BTreeMap<&'static str, String>,
+    /// Settings with which a power failure may lose acknowledged data.
+    pub unsafe_settings: Vec<&'static str>,
+}
+
+impl Service {
+    /// Whether the service can do its work now. It reads from the database.
+    pub async fn readiness(&self) -> Readiness {
+        let store = self.sessions().store();
+        let (health, counts) = (store.committer_health(), self.sessions().counts());
+        let free_bytes = store.free_bytes();
+        let draining = self.is_draining() || self.sessions().is_draining();
+        let mut problems = Vec::new();
+        if draining {
+            problems.push("the service is about to stop".to_owned());
+        }
+        problems.extend(committer_problem(&health));
+        let needed = self.limits().disk_free_min_bytes;
+        if let Some(free) = free_bytes.filter(|free| *free < needed) {
+            problems.push(format!("the database's disk has {free} bytes left of {needed} needed"));
+        }
+        if let Err(error) = store.check_reads().await {
+            problems.push(error.to_string());
+        }
+        Readiness {
+            node: self.node().to_owned(),
+            ready: problems.is_empty(),
+            problems,
+            draining,
+            database: database(store, &health, free_bytes),
+            restores: counts.restores,
+            quarantined: counts.quarantined,
+        }
+    }
+}
+
+fn committer_problem(health: &CommitterHealth) -> Option<String> {
+    match &health.state {
+        CommitterState::Failed { why } => Some(format!("commits fail: {why}")),
+        CommitterState::Stopped => Some("the committer has stopped".to_owned()),
+        CommitterState::Working if SILENCE_MAX < health.silence() => {
+            let silence_s = health.silence().as_secs_f64();
+            Some(format!("the database has confirmed nothing for {silence_s:.1} s"))
+        }
+        CommitterState::Working => None,
+    }
+}
+
+fn database(store: &Store, health: &CommitterHealth, free_bytes: Option<u64>) -> DatabaseReadiness {
+    let settings = store.durability();
+    let unsafe_settings = settings.iter().filter(|setting| !setting.is_safe);
+    DatabaseReadiness {
+        confirmed_ms_ago: health.silence().as_millis() as u64,
+        failures: health.failures,
+        panics: health.panics,
+        free_bytes,
+        settings: settings.iter().map(|setting| (setting.name, setting.value.clone())).collect(),
+        unsafe_settings: unsafe_settings.map(|setting| setting.name).collect(),
+    }
+}
