@@ -1,8 +1,8 @@
-//! The driver of an estimate relative to a base: one epoch in order, whichever solver it is for.
+//! The driver of an estimator relative to a base: the steps of one epoch, for both solvers.
 //!
-//! First what is new of the base is taken in. If the base can be used, the rover is located,
-//! differenced against it and solved; else an estimator without a base answers. The solver keeps
-//! its ambiguities while the base is missing.
+//! First the new base epochs are taken in. If the base can be used, the rover's approximate
+//! position is found, its observations are differenced, and the solver solves them. If not, an
+//! estimator without a base answers. The solver keeps its ambiguities while the base is missing.
 
 use std::fmt::Debug;
 
@@ -23,41 +23,41 @@ use super::tracking::Tracking;
 
 /// A solver of differences: a window of epochs, or a filter.
 pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
-    /// The estimator that answers while there is no base.
+    /// The estimator that answers while no base can be used.
     type Alone: Engine;
-    /// The epochs that may be answered again.
+    /// The epochs that may be revised.
     type Past: Clone + Debug + Snapshot;
-    /// Memory to solve in.
+    /// Scratch of the solver.
     type Scratch: Default + Debug;
 
     /// A solver before its first epoch.
     fn new() -> Self;
 
-    /// No epochs yet; kept only if `revises`.
+    /// An empty list of past epochs; it keeps epochs only if `revises`.
     fn past(revises: bool) -> Self::Past;
 
     /// Time of the newest epoch; `None` where the solver must restart.
     fn last_time(&self) -> Option<GpsTime>;
 
-    /// The state at `time` by the velocity of the newest epoch.
+    /// The newest state, moved on to `time` by its velocity.
     fn predicted(&self, time: GpsTime) -> State;
 
-    /// The frame of the states.
+    /// The local frame of the states.
     fn frame(&self) -> &LocalFrame;
 
-    /// Arcs, integers and noise.
+    /// The arcs, held integers and noise scales.
     fn tracking(&mut self) -> &mut Tracking;
 
-    /// Forgets all states and arcs and puts the origin at `start`.
+    /// Forgets all states and arcs, and puts the frame's origin at `start`.
     fn begin(&mut self, start: Ecef, guess: &State);
 
-    /// Forgets everything, for another base.
+    /// Forgets everything, because the base is another one.
     fn forget(&mut self);
 
-    /// Solves an epoch and its integers.
+    /// Solves an epoch and resolves its integers.
     ///
     /// # Errors
-    /// The epoch cannot be solved; the solver has dropped its states and arcs.
+    /// The epoch cannot be solved. The solver has then dropped its states and arcs.
     fn solve(
         &mut self,
         new: NewEpoch<'_>,
@@ -68,7 +68,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// The epoch that was solved last.
     fn epoch<'a>(&'a self, scratch: &'a Self::Scratch) -> &'a RtkEpoch;
 
-    /// Records an answer and whether it is relative to the base; revises the epochs that leave the
+    /// Records an answer, and whether it is relative to the base. Revises the epochs that leave the
     /// window.
     fn remember(
         &self,
@@ -80,7 +80,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     ) {
     }
 
-    /// Answers all epochs again, for the last time.
+    /// Revises all epochs for the last time.
     fn answer_all(
         &self,
         _setup: &Setup,
@@ -90,10 +90,10 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     ) {
     }
 
-    /// Makes all answers final as they are: the states are gone.
+    /// Makes the last answer of each epoch final, because the states are gone.
     fn leave_all(_past: &mut Self::Past, _revisions: &mut Vec<Solution>) {}
 
-    /// Time of the oldest epoch that may be answered again.
+    /// Time of the oldest epoch that may be revised.
     fn oldest(_past: &Self::Past) -> Option<GpsTime> {
         None
     }
@@ -102,15 +102,15 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
 /// An epoch to be solved.
 pub(crate) struct NewEpoch<'a> {
     pub(crate) time: GpsTime,
-    /// Its state, approximately.
+    /// Its approximate state.
     pub(crate) guess: State,
     pub(crate) differences: &'a SingleDifferences,
     pub(crate) setup: &'a Setup,
-    /// Satellites whose arcs ended; the solver appends to it.
+    /// Satellites whose arcs ended; the solver appends to the list.
     pub(crate) slipped: &'a mut Vec<SatelliteId>,
 }
 
-/// The state of an epoch with its integers.
+/// The state of an epoch, and the outcome of the integer search.
 pub(crate) struct Resolved {
     pub(crate) state: State,
     pub(crate) covariance: SMatrix<f64, STATE, STATE>,
@@ -122,14 +122,14 @@ pub(crate) struct Resolved {
 pub(crate) struct Relative<S: RelativeSolver> {
     solver: S,
     base: BaseTracking,
-    /// Answers while there is no base to use.
+    /// Answers while no base can be used.
     alone: Option<Box<S::Alone>>,
     past: S::Past,
 }
 
 state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, alone, past });
 
-/// Memory to compute in.
+/// Scratch of the estimator.
 #[derive(Debug)]
 pub(crate) struct RelativeScratch<S: RelativeSolver> {
     intake: Intake,
@@ -162,7 +162,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
         self.alone.as_ref().is_none_or(|alone| alone.fits(setup))
     }
 
-    /// An epoch that is not after the last one is answered by itself and changes nothing.
+    /// An epoch that is not after the last one is answered alone and does not change the state.
     fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -209,7 +209,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
 }
 
 impl<S: RelativeSolver> Relative<S> {
-    /// Everything up to the differences of the epoch, or the reason why it cannot be differenced.
+    /// Differences the epoch against the base, or gives the reason why that is impossible.
     fn difference<'a>(
         &mut self,
         inputs: &EpochInputs<'a>,
@@ -244,7 +244,7 @@ impl<S: RelativeSolver> Relative<S> {
         Ok(Differenced { guess, base, reasons })
     }
 
-    /// The approximate state of the rover; restarts the solver where it cannot predict one.
+    /// The approximate state of the rover. Restarts the solver if it cannot predict one.
     fn locate(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -280,7 +280,7 @@ impl<S: RelativeSolver> Relative<S> {
         Ok(guess)
     }
 
-    /// Solves and answers an epoch that was differenced.
+    /// Solves and answers a differenced epoch.
     fn solve(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -314,7 +314,7 @@ fn position(frame: &LocalFrame, state: &State) -> Ecef {
     frame.to_ecef(Enu(state.fixed_rows::<3>(0).into_owned()))
 }
 
-/// The satellites whose arcs ended, and those that may be off by half a cycle.
+/// Reasons for the satellites whose arcs ended, and for those with a half-cycle ambiguity.
 fn slip_reasons(slipped: &mut Vec<SatelliteId>, arcs: &Arcs, time: GpsTime) -> Vec<Reason> {
     let mut reasons = Vec::new();
     if !slipped.is_empty() {

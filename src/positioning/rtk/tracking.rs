@@ -18,18 +18,18 @@ const MISFIT_SIGMAS: f64 = 4.0;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
 const UNDETECTED_SHIFT_MAX_M: f64 = 0.1;
 
-/// Prior probability of confirmed integers, against which a test without one satellite is weighed.
+/// Prior probability of confirmed integers in the test without one satellite.
 const CONFIRMED: f64 = 0.9999;
-/// The same of integers before anything is known of them.
+/// The same for integers that are not confirmed yet.
 const UNKNOWN: f64 = 0.5;
 
-/// What is tracked of the carriers that rover and base both observe.
+/// State of the carriers that rover and base both observe.
 #[derive(Debug)]
 pub(crate) struct Tracking {
     pub(crate) arcs: Arcs,
     pub(crate) hold: HoldState,
     pub(crate) confirmation: Confirmation,
-    /// The period of held integers that `confirmation` is about.
+    /// The period of held integers that `confirmation` refers to.
     pub(crate) confirmed_period: Option<u32>,
     pub(crate) receivers: Receivers,
 }
@@ -47,7 +47,7 @@ pub(crate) struct SolvedEpoch<'a> {
     pub(crate) residuals: Residuals,
 }
 
-/// What the phases of a fix say of it.
+/// Verdict of the phases of a fix.
 enum Verdict {
     Confirmed,
     /// One faulty satellite may have moved it too far.
@@ -57,7 +57,7 @@ enum Verdict {
 }
 
 impl Tracking {
-    /// No arcs, noise as stated.
+    /// No arcs, a-priori noise.
     pub(crate) fn new() -> Self {
         Self {
             arcs: Arcs::default(),
@@ -68,7 +68,7 @@ impl Tracking {
         }
     }
 
-    /// Ends all arcs; the receivers' noise and biases stay.
+    /// Ends all arcs. Noise scales and code biases of the receivers stay.
     pub(crate) fn clear(&mut self) {
         self.arcs.clear();
         self.receivers.last_pseudoranges.clear();
@@ -76,8 +76,8 @@ impl Tracking {
         self.confirmation.clear();
     }
 
-    /// Resolves the integers of an epoch that was solved, and learns noise and biases from a fix
-    /// that its phases confirm.
+    /// Resolves the integers of a solved epoch. A fix that its phases confirm also updates noise
+    /// and biases.
     pub(crate) fn resolve(
         &mut self,
         solved: &SolvedEpoch<'_>,
@@ -121,8 +121,8 @@ impl Tracking {
         resolution
     }
 
-    /// Whether the held integers are confirmed without each satellite; they are dropped if other
-    /// ones are likelier without one.
+    /// Whether the searches without each satellite confirm the held integers. Confirmed integers
+    /// are dropped if such a search finds others that are likelier.
     fn is_confirmed(&mut self, question: &IntegerQuestion<'_>, search: &mut IntegerSearch) -> bool {
         if question.options.single_epoch {
             return true;
@@ -147,8 +147,8 @@ impl Tracking {
         confirmation.is_confirmed()
     }
 
-    /// Residuals of the phases with integers at a position, into the scratch; returns the number of
-    /// their groups.
+    /// Writes the residuals of the phases with integers at a position to the scratch; returns the
+    /// number of groups.
     fn fixed_residuals(
         &self,
         solved: &SolvedEpoch<'_>,
@@ -164,7 +164,7 @@ impl Tracking {
         carrier_residuals(solved.epoch, &state, solved.border, fix, scratch)
     }
 
-    /// Learns the pseudoranges' noise from an epoch that was solved, by its position's covariance.
+    /// Updates the pseudorange noise from a solved epoch, with the covariance of its position.
     pub(crate) fn learn_noise(
         &mut self,
         epoch: &RtkEpoch,

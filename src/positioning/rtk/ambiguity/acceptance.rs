@@ -11,7 +11,7 @@ const NODES_MAX: usize = 20_000;
 /// Most subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
 
-/// Options of the search for a scale of the noise.
+/// Options of the search, given the scale of the noise.
 pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options {
     Options {
         success_rate_min: options.success_rate_min,
@@ -25,7 +25,7 @@ pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options
     }
 }
 
-/// Options of a search that accepts the best integers of `count` ambiguities, whatever they are.
+/// Options of a search that accepts the best integers of `count` ambiguities without any test.
 pub(crate) fn any_integers(options: &Options, count: usize) -> Options {
     Options {
         success_rate_min: 0.0,

@@ -1,4 +1,4 @@
-//! Integers found at one epoch, held at another.
+//! Conditions an epoch on integers that were found at other epochs.
 
 use crate::config::RtkOptions;
 use crate::lambda::{KnownScale, Partial, Resolver};
@@ -11,7 +11,7 @@ use super::float::FloatSolution;
 use super::integers::DISAGREEMENT;
 use super::joint::{Joint, condition, given_unfixed_ambiguities};
 
-/// An ambiguity of an earlier epoch, with its integer by now.
+/// An ambiguity of an earlier epoch with the integer known for it now.
 pub(crate) struct EarlierAmbiguity<'a> {
     pub(crate) arc: &'a ArcReference,
     pub(crate) held: Option<HeldInteger>,
@@ -21,8 +21,9 @@ pub(crate) struct EarlierAmbiguity<'a> {
 /// leave the position too uncertain, or do not agree with the epoch.
 ///
 /// They agree if the float ambiguities lie within 2σ rms of them and the unfixed ones do not
-/// contradict. Errors that last longer than their covariance says put float ambiguities further
-/// off; then they agree if a search finds them and no others.
+/// contradict them. Errors that are correlated in time can put float ambiguities further off than
+/// their covariance allows. Known integers that are further off agree only if a search finds them
+/// again and finds no others.
 pub(crate) fn condition_on_known_integers(
     float: &FloatSolution,
     ambiguities: &[EarlierAmbiguity<'_>],
@@ -102,8 +103,9 @@ mod tests {
 
     const N: usize = 7;
 
-    /// Ambiguities tied to the east by −2 cycles a metre, known to 0.3 m that way and to `sigma`
-    /// beside it: at integers k², less what `off_m` makes of them.
+    /// Ambiguities that an east shift moves by −2 cycles/m. Their σ is 0.3 m along that direction
+    /// and `sigma` across it. They are at the integers k², less the effect of an east shift of
+    /// `off_m`.
     fn float(off_m: f64, sigma: f64) -> FloatSolution {
         let mut covariance = DMatrix::identity(3 + N, 3 + N) * sigma * sigma;
         let tie = |i: usize| match i {
@@ -147,8 +149,9 @@ mod tests {
         std::array::from_fn(|k| Some(100 + (k * k) as i64))
     }
 
-    /// From 0.2 m off, the right integers lead back, whatever their datum; also where the float
-    /// ambiguities are improbably far from them, if no others are as near.
+    /// With a float position 0.2 m off, the right integers are found for every datum. They are also
+    /// accepted if the float ambiguities are improbably far from them, as long as no others are as
+    /// near.
     #[test]
     fn integers_lead_back() {
         for float in [float(0.2, 0.01), float(0.2, 0.002)] {

@@ -1,9 +1,9 @@
-//! Fixes confirmed by leaving out each satellite: separation of solutions, on integers.
+//! Confirms a fix by leaving out each satellite in turn: solution separation, applied to integers.
 //!
-//! A satellite whose signals are reflected biases the float ambiguities, and the posterior cannot
-//! know. Without that satellite other integers are found, or none. So integers are confirmed if
-//! the search finds them again without most satellites, one at a time, and finds no other likely
-//! ones without any.
+//! Multipath on one satellite biases the float ambiguities, and the posterior probability does not
+//! model it. A search without that satellite finds other integers, or none. So integers are
+//! confirmed if the search finds them again without most of the satellites, left out one at a time,
+//! and never finds other likely ones.
 //!
 //! Source: the idea is that of solution separation, Brown & McBurney (1988), *Self-contained GPS
 //! integrity check using maximum solution separation*, Navigation 35(1), 41–53.
@@ -11,7 +11,8 @@
 use crate::gnss::SatelliteId;
 use crate::snapshot::{snapshot_fields, snapshot_variants, state_fields};
 
-/// Share of satellites without which integers must be found again before they are confirmed: most.
+/// Fraction of the satellites for which a search without that satellite must find the integers
+/// again.
 const CONFIRMING_SHARE: f64 = 0.5;
 
 /// Least number of those satellites, so that each search has more satellites than the position and
@@ -29,14 +30,14 @@ pub(crate) enum Verdict {
     Contradicts,
 }
 
-/// A satellite with the verdict of the last search without it.
+/// A satellite with the verdict of the last search that left it out.
 #[derive(Clone, Copy, Debug)]
 struct Separation {
     satellite: SatelliteId,
     verdict: Verdict,
 }
 
-/// What the searches without each satellite say of the held integers.
+/// Verdicts of the searches without one satellite on the held integers.
 #[derive(Debug, Default)]
 pub(crate) struct Confirmation {
     /// Satellites with held integers; those tested longest ago first.
@@ -49,7 +50,7 @@ snapshot_fields!(Separation { satellite, verdict });
 state_fields!(Confirmation { separations, is_confirmed });
 
 impl Confirmation {
-    /// Nothing is confirmed.
+    /// Forgets all verdicts: nothing is confirmed.
     pub(crate) fn clear(&mut self) {
         self.separations.clear();
         self.is_confirmed = false;

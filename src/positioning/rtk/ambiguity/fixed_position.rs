@@ -1,4 +1,4 @@
-//! The position with integers: by the float solution conditioned on them, then by the phases.
+//! The position with fixed integers: the float solution conditioned on them, then the phases alone.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,15 +10,15 @@ use crate::positioning::setup::{CARRIER_KERNEL, OFFSET_KERNEL};
 
 use super::joint::Joint;
 
-/// Standard deviation of the start of the iterations (m): wider than anything the phases say.
+/// Standard deviation of the start of the iterations (m): much wider than the phases allow.
 const START_M: f64 = 10.0;
-/// Factors on the kernel's width, one iteration each: outliers show once the others agree.
+/// Factors on the kernel's width, one for each iteration: outliers show once the others agree.
 const WIDENINGS: [f64; 7] = [4.0, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0];
-/// Iterations with the convex kernel of offsets before those.
+/// Iterations with the convex kernel of the group offsets, before those.
 const CONVEX_ITERATIONS: usize = 3;
-/// Share of a satellite's information below which no other satellite checks it.
+/// If less than this fraction of a satellite's information is redundant, no other one checks it.
 const REDUNDANCY_MIN: f64 = 1e-9;
-/// Prior information on the cycles common to all phases of a group (1/cycles²): 1000 cycles.
+/// Prior information on the cycles that all phases of a group share (1/cycles²): σ = 1000 cycles.
 const COMMON_INFORMATION: f64 = 1e-6;
 /// Largest horizontal standard deviation of a fix (m): 95 % of its errors are within 12 cm.
 pub(crate) const FIXED_SIGMA_M: f64 = 0.05;
@@ -82,10 +82,10 @@ struct Phase {
 /// The position that the phases of an epoch agree on, from `start` on; `None` where they do not
 /// determine one.
 ///
-/// The graph gives a phase a share of its weight, since errors last; earlier epochs have determined
-/// its ambiguity. With integers there is no ambiguity left: each phase counts in full, under
-/// [`CARRIER_KERNEL`], which rejects outliers. Each group has its offset and, where wavelengths
-/// differ, cycles common to all.
+/// The graph counts only a fraction of a phase's weight, because errors are correlated in time and
+/// earlier epochs have determined its ambiguity. With integers no ambiguity is left: each phase has
+/// its full weight under [`CARRIER_KERNEL`], which rejects outliers. Each group has an offset and,
+/// where wavelengths differ, a number of cycles that all its phases share.
 pub(crate) fn position_from_fixed_phases(
     epoch: &RtkEpoch,
     start: &Vector3<f64>,
@@ -106,9 +106,9 @@ pub(crate) fn position_from_fixed_phases(
     Some(PhasePosition { position: start + moved, covariance, slope_m })
 }
 
-/// Puts the integers of the newest datum in place of the ambiguities in rows of one group, and
-/// drops the other rows. What the datum leaves in common is the mean of the float ambiguities:
-/// where wavelengths differ, that is not an offset.
+/// Subtracts the integers of the newest datum from the rows of one group and drops the other rows.
+/// The datum itself is unknown: where wavelengths differ it is not an offset, so it is set to the
+/// mean of the float ambiguities.
 pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
     let held = |row: &SharingRow<3>| {
         let (variable, _) = row.border?;
@@ -161,7 +161,8 @@ fn phases(
     groups
 }
 
-/// −Jᵀr and JᵀJ of the position, where it has `moved` (m); offsets and common cycles eliminated.
+/// −Jᵀr and JᵀJ of the position after a shift by `moved` (m); offsets and common cycles are
+/// eliminated.
 fn normal_equations(
     groups: &[Vec<Phase>],
     moved: &Vector3<f64>,
@@ -214,8 +215,9 @@ fn wavelength_m(row: &SharingRow<3>) -> f64 {
     row.border.map_or(0.0, |(_, slope)| slope / row.by_offset)
 }
 
-/// Frees the residuals of a group of the cycles common to all. Where wavelengths differ, as
-/// GLONASS's do, these are not an offset; the graph determines them only to centimetres.
+/// Removes from the residuals of a group the cycles that all its phases share. Where wavelengths
+/// differ, as with GLONASS, these are not an offset, and the graph determines them only to
+/// centimetres.
 pub(crate) fn subtract_common_cycles(rows: &mut [SharingRow<3>]) {
     let (mut total, mut mean_m, mut mean_miss_m) = (0.0, 0.0, 0.0);
     for row in rows.iter() {
@@ -240,12 +242,12 @@ pub(crate) fn subtract_common_cycles(rows: &mut [SharingRow<3>]) {
     }
 }
 
-/// Slope of a row by the position, over that by the offset.
+/// ∂r/∂position of a row over its ∂r/∂offset.
 fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// See [`PhasePosition::slope_m`]; of cycles common to all, as if they were known.
+/// See [`PhasePosition::slope_m`]. Cycles that a group shares count as known.
 fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     let mut information = Matrix3::zeros();
     let mut sums = vec![(0.0, Vector3::zeros()); satellites];
@@ -273,7 +275,7 @@ fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     slopes.fold(0.0, f64::max)
 }
 
-/// The position of a joint estimate that is conditioned on `held` integers.
+/// The position of a joint estimate after conditioning on `held` integers.
 pub(crate) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
     FixedPosition {
         position: joint.estimate.fixed_rows::<3>(0).into_owned(),
@@ -297,8 +299,8 @@ mod tests {
     const SIGMA_M: f64 = 0.01;
     const TRUTH: [f64; 3] = [0.3, -0.2, 0.5];
 
-    /// An epoch at [`TRUTH`] with integers 3k and a common offset of 7 m; the phase of one
-    /// satellite is too long by so much.
+    /// An epoch at [`TRUTH`] with integers 3k and a common offset of 7 m. The phase of satellite
+    /// `faulty` is too long by `by_m`.
     fn epoch(satellites: usize, faulty: usize, by_m: f64) -> (RtkEpoch, Vec<f64>, Arcs) {
         let frame = LocalFrame::at(Ecef(Vector3::new(4.0e6, 1.0e6, 4.85e6)));
         let (mut epoch, mut arcs) = (RtkEpoch::default(), Vec::new());
@@ -369,8 +371,8 @@ mod tests {
         }
     }
 
-    /// An error too small to be left out moves the position by no more than follows from its
-    /// residuals; that of the worst satellite by just that.
+    /// An error too small to be rejected moves the position by no more than its residuals allow;
+    /// the error of the worst satellite moves it by exactly that.
     #[test]
     fn residuals_bound_what_one_satellite_does() {
         let mut worst: f64 = 0.0;
@@ -391,8 +393,8 @@ mod tests {
         assert!((0.95..1.02).contains(&worst), "{worst}");
     }
 
-    /// Three hundred cycles common to wavelengths that differ, and 7 m: the cycles go, the offset
-    /// stays, and so does what one row is off beside them.
+    /// Wavelengths differ; 300 cycles and 7 m are common to all phases. The cycles are removed, and
+    /// the offset and the error of one row stay.
     #[test]
     fn common_cycles_are_no_residual() {
         let row = |k: usize| {
@@ -416,7 +418,7 @@ mod tests {
         assert!((miss_m(3) - 0.01).abs() < 1e-3, "{}", miss_m(3));
     }
 
-    /// With four satellites nothing checks any; residuals as large as expected still hide nothing.
+    /// With four satellites none is checked by the others; small residuals then prove nothing.
     #[test]
     fn what_nothing_checks_may_hide_anything() {
         let four = by_phases(4, 0, 0.0);

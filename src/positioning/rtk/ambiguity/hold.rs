@@ -3,7 +3,7 @@
 use crate::positioning::rtk::observed::{Arcs, HeldInteger};
 use crate::snapshot::snapshot_fields;
 
-/// Highest probability that integers are held with: a slip may have passed unseen.
+/// Upper bound of the probability of held integers: a cycle slip may be undetected.
 const CERTAIN: f64 = 1.0 - 1e-6;
 
 /// How the held integers came about.
@@ -58,14 +58,14 @@ impl HoldState {
         arcs.hold(arc, None);
     }
 
-    /// Takes in that a search of all ambiguities found the integers.
+    /// Records that a search of all ambiguities found the integers.
     pub(crate) fn found(&mut self, found: &Found) {
         self.consecutive_epochs += 1;
         self.probability = found.probability.min(CERTAIN);
         (self.ratio, self.success_rate) = (found.ratio, Some(found.success_rate));
     }
 
-    /// Takes in that a search of all ambiguities found no integers.
+    /// Records that a search of all ambiguities found no integers.
     pub(crate) fn missed(&mut self) {
         self.consecutive_epochs = 0;
     }

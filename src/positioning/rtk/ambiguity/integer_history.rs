@@ -44,7 +44,7 @@ snapshot_fields!(HoldPeriod { number, was_held, is_refuted, probability, ratio, 
 state_fields!(IntegerHistory { known, periods });
 
 impl IntegerHistory {
-    /// Takes in the integers held after an epoch.
+    /// Records the integers held after an epoch.
     pub(crate) fn learn(&mut self, arcs: &[CarrierArc], hold: &HoldState) {
         if let Some(refuted) = hold.refuted
             && let Ok(index) = self.periods.binary_search_by_key(&refuted, |period| period.number)
@@ -96,8 +96,8 @@ impl IntegerHistory {
         &self.known[begin..end]
     }
 
-    /// The periods with integers of some arcs that are not refuted: those with the most integers
-    /// first, of equals the newest.
+    /// The periods that are not refuted and have integers of some of the arcs: the most integers
+    /// first, and of equal numbers the newest first.
     pub(crate) fn not_refuted(&self, serials: impl Iterator<Item = u64>) -> Vec<&HoldPeriod> {
         let mut numbers: Vec<u32> =
             serials.flat_map(|serial| self.of(serial)).map(|known| known.period).collect();

@@ -1,9 +1,9 @@
 //! The search for integers among float ambiguities.
 //!
-//! Integers once found are held with their arcs, each relative to a datum of its group. They are no
-//! part of the graph: at each epoch the float solution is conditioned on them, after a test of
-//! whether it still agrees, and they are dropped when it does not. Ambiguities without an integer
-//! are then searched for in what that leaves.
+//! An integer that was found is held with its arc, relative to a datum of the arc's group. Held
+//! integers are not part of the graph. At each epoch the float solution is conditioned on them
+//! after a test of whether it still agrees; if it does not, they are dropped. The conditioned
+//! solution is then searched for the integers of the other ambiguities.
 
 use nalgebra::DMatrix;
 
@@ -19,7 +19,7 @@ use super::float::FloatSolution;
 use super::hold::{Found, HoldState};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
 
-/// Ambiguities that storage is made for at first.
+/// Number of ambiguities for which storage is reserved at first.
 const CAPACITY: usize = 64;
 /// Most subsets tried when new ambiguities join held integers; the search repeats each epoch.
 const OTHERS_ATTEMPTS_MAX: usize = 3;
@@ -42,7 +42,7 @@ pub(crate) struct Resolution {
 }
 
 impl Resolution {
-    /// Of ambiguities that stay real-valued because no integers are asked for.
+    /// The ambiguities stay real-valued because the caller requests no integers.
     pub(crate) fn unresolved(ambiguities: usize) -> Self {
         let (ratio, success_rate) = (None, None);
         Self { ambiguities, begun: 0, ratio, success_rate, outcome: Err(Reason::FixRejected) }
@@ -68,10 +68,10 @@ impl Resolution {
     }
 }
 
-/// Which integers are asked for.
+/// Which integers are requested.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct IntegerQuestion<'a> {
-    /// Of the arcs with a phase at this time.
+    /// Only arcs with a phase at this time.
     pub(crate) time: GpsTime,
     pub(crate) float: &'a FloatSolution,
     pub(crate) noise: KnownNoise,
@@ -93,7 +93,7 @@ struct Judgement<'a> {
     options: &'a Options,
     /// Divisor of the odds.
     odds_divisor: f64,
-    /// Integers were held and no longer agree with the float solution.
+    /// Integers were held, and the float solution no longer agrees with them.
     were_held: bool,
 }
 
@@ -119,7 +119,7 @@ impl Default for IntegerSearch {
 }
 
 impl IntegerSearch {
-    /// Searches for the integers of the arcs present, and holds what it finds.
+    /// Searches for the integers of the arcs with a phase, and holds the integers it finds.
     pub(crate) fn resolve(
         &mut self,
         arcs: &mut Arcs,
@@ -159,10 +159,11 @@ impl IntegerSearch {
         resolution
     }
 
-    /// What a search without a satellite says of the held integers, whose probability is `prior`.
+    /// Searches without one satellite, and returns its verdict on the held integers, whose
+    /// probability is `prior`.
     ///
-    /// It agrees where it finds them again, and contradicts them where others are likely, and
-    /// likelier than they in spite of their prior odds.
+    /// It agrees if it finds them again. It contradicts them if other integers are likely, and
+    /// likelier than the held ones in spite of their prior odds.
     pub(crate) fn separate(
         &mut self,
         arcs: &Arcs,
@@ -258,11 +259,12 @@ impl IntegerSearch {
         })
     }
 
-    /// Odds of the integers of the pairs `known`, whose squared norm is given, against the best
-    /// ones: at most one. `None` where the search fails.
+    /// Odds of the integers of the pairs `known`, with the given squared norm, against the best
+    /// ones: at most one. `None` if the search fails.
     ///
-    /// Errors that last put float ambiguities further from their integers than their covariance
-    /// says; this is no evidence against the integers as long as no others fit better.
+    /// Errors that are correlated in time put float ambiguities further from their integers than
+    /// their covariance allows. This is no evidence against the integers as long as no others fit
+    /// better.
     fn odds_against_the_best(
         &mut self,
         arcs: &[CarrierArc],
@@ -362,7 +364,7 @@ impl IntegerSearch {
     }
 
     /// Position and float ambiguities, conditioned on the integers that the last search found.
-    /// `wanted` are the indices of the searched pairs, ascending. `None` where the covariance is
+    /// `wanted` contains the indices of the searched pairs, ascending. `None` if the covariance is
     /// not positive definite.
     fn condition_on_found(&self, joint: &Joint, wanted: &[usize]) -> Option<Joint> {
         let found = wanted.iter().zip(self.resolver.fix().entries());
@@ -451,7 +453,8 @@ impl IntegerSearch {
         }
     }
 
-    /// Position and double differences with their covariance.
+    /// Position and double-differenced ambiguities of the float solution, with their joint
+    /// covariance.
     fn joint(&self, float: &FloatSolution) -> Joint {
         let index = |arc: usize| self.indices[arc].expect("arcs of double differences have one");
         let pairs: Vec<_> =
@@ -460,12 +463,13 @@ impl IntegerSearch {
     }
 }
 
-/// Whether all arcs of the group have one wavelength, so that what they share is an offset.
+/// Whether all arcs of the group have one wavelength, so that a common number of cycles is an
+/// offset.
 fn has_one_wavelength(arc: &CarrierArc) -> bool {
     arc.satellite.constellation != Constellation::Glonass
 }
 
-/// Whether the ambiguity of an arc may be an integer.
+/// Whether the ambiguity of an arc may be fixed: elevation mask, no half-cycle ambiguity.
 pub(crate) fn may_be_integer(arc: &CarrierArc, options: &RtkOptions) -> bool {
     !arc.half_cycle && options.elevation_mask_rad <= arc.elevation_rad
 }
@@ -481,7 +485,7 @@ mod tests {
 
     const N: usize = 7;
 
-    /// Arcs of one group, of which one stands highest.
+    /// Arcs of one group; the satellite of arc `highest` has the highest elevation.
     fn arcs(highest: usize) -> Arcs {
         let code = ObservationCode::parse("1C").unwrap();
         let arc = |k: usize| CarrierArc {
@@ -500,8 +504,8 @@ mod tests {
         Arcs::of((0..N).map(arc).collect())
     }
 
-    /// Ambiguities at integers k², 0.05 cycles off at the most and 25.3 off in common, a metre of
-    /// the position each moves them by two cycles or less.
+    /// Ambiguities at most 0.05 cycles from the integers k², plus 25.3 cycles common to all. A
+    /// metre of position moves each of them by at most two cycles.
     fn float() -> FloatSolution {
         let wave = |k: usize| (1.7 * k as f64).sin();
         let tie = |i: usize, axis: usize| match i.checked_sub(3) {
@@ -511,7 +515,7 @@ mod tests {
         let mut covariance = DMatrix::identity(3 + N, 3 + N) * 4e-4;
         for i in 0..3 + N {
             for j in 0..3 + N {
-                // Known to 5 cm along each axis, and to a cycle in common.
+                // σ is 5 cm along each axis, and one cycle for the common part.
                 let real = (0..3).map(|axis| 0.0025 * tie(i, axis) * tie(j, axis)).sum::<f64>();
                 covariance[(i, j)] += real + if i < 3 || j < 3 { 0.0 } else { 1.0 };
             }

@@ -7,7 +7,7 @@ use super::float::FloatSolution;
 
 /// Prior probability that a carrier tracks a reflection or hides a slip.
 const FAULTY: f64 = 0.1;
-/// Above this σ (cycles) a wrapped normal is uniform to 1.4 %: the ambiguity carries no evidence.
+/// Above this σ (cycles) a wrapped normal is uniform to 1.4 %: the ambiguity is no evidence.
 const SILENT_CYCLES: f64 = 0.5;
 /// Least σ of an ambiguity given the others (cycles): carrier multipath.
 const UNCERTAIN_CYCLES: f64 = 0.05;
@@ -64,14 +64,14 @@ impl Joint {
     }
 }
 
-/// A probability whose odds are multiplied.
+/// The probability after its odds are multiplied by a factor.
 pub(crate) fn scale_odds(factor: f64, probability: f64) -> f64 {
-    // Rounded it may be above one, which the next factor would multiply.
+    // Rounding may put it above one, and the next factor would make that worse.
     (probability * factor / (probability * factor + 1.0 - probability)).min(1.0)
 }
 
-/// The probability of integers that were the first of `tried` subsets to pass, each of which may
-/// pass by chance: Bonferroni's bound on the odds.
+/// The probability of integers that were the first of `tried` subsets to pass. Each subset may pass
+/// by chance: Bonferroni's bound on the odds.
 pub(crate) fn bonferroni(tried: f64, probability: f64) -> f64 {
     probability / (probability + tried.max(1.0) * (1.0 - probability))
 }
@@ -176,7 +176,7 @@ mod tests {
         let density = 2.0 * (-12.5_f64).exp() / (0.1 * std::f64::consts::TAU.sqrt());
         let odds = 99.0 * (0.9 * density + 0.1);
         assert!((given_unfixed_ambiguities(0.99, &rest) - odds / (1.0 + odds)).abs() < 1e-6);
-        // What is known to a cycle says nothing.
+        // An ambiguity with σ of one cycle is no evidence.
         rest.covariance[(4, 4)] = 1.0;
         assert!((given_unfixed_ambiguities(0.99, &rest) - 0.99).abs() < 1e-6);
     }

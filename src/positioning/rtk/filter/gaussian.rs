@@ -13,7 +13,8 @@ use crate::snapshot::state_fields;
 const OFFSET: usize = STATE;
 /// Column of the first ambiguity.
 const AMBIGUITY: usize = OFFSET + 1;
-/// Standard deviation of a group's offset about the rows' own (m): wider than any row.
+/// Prior standard deviation of a group's offset about the value that its rows give (m): much wider
+/// than the σ of any row, so that the offset is free.
 const OFFSET_M: f64 = 1e3;
 
 /// Mean and covariance of [p; v; o; N…]: position, velocity, the offset of the group that entered
@@ -27,21 +28,21 @@ pub(crate) struct Gaussian {
 
 state_fields!(Gaussian { mean, covariance });
 
-/// Memory for updates.
+/// Scratch for updates.
 #[derive(Debug, Default)]
 pub(crate) struct Gains {
     numbers: Vec<f64>,
-    /// Rows, each with whether it fails the test before any has entered.
+    /// Index of each row, and whether it fails the innovation test before any row has entered.
     order: Vec<(bool, usize)>,
     /// Mean that the rows were linearised at.
     at: Vec<f64>,
-    /// P Jᵀ, K, and what K leaves of P Jᵀ.
+    /// P Jᵀ, K, and P Jᵀ after the update.
     carried: Vec<f64>,
     gain: Vec<f64>,
     left: Vec<f64>,
 }
 
-/// Columns and slopes of what a row names: position, offset, ambiguity.
+/// Columns and partial derivatives of one row: position, offset, ambiguity.
 #[derive(Clone, Copy)]
 struct Slope {
     columns: [usize; 5],
@@ -115,7 +116,7 @@ impl Gaussian {
         }
     }
 
-    /// Sets a number of the state, independent of the others.
+    /// Sets the mean and variance of one variable, uncorrelated with the others.
     pub(crate) fn renew(&mut self, column: usize, mean: f64, sigma: f64) {
         for other in 0..self.mean.len() {
             *self.at_mut(other, column) = 0.0;
@@ -165,9 +166,9 @@ impl Gaussian {
     /// Updates with the rows of one group, linearised at the mean; rows that fail the innovation
     /// test are left out. Returns how many entered.
     ///
-    /// The group's offset starts where the rows themselves put it. They enter in the order of their
-    /// standard deviations, rows that fail the test against that offset last: offset and position
-    /// are then settled by the least suspect rows when the others are tested.
+    /// The group's offset starts at the value that the rows themselves give. Rows enter in the
+    /// order of their standard deviations; rows that fail the test against that offset enter last.
+    /// So the least suspect rows have determined offset and position when the others are tested.
     pub(crate) fn enter(&mut self, rows: &[SharingRow<3>], limit: f64, gains: &mut Gains) -> usize {
         let offset_m = shared_offset(rows, &OFFSET_KERNEL, &mut gains.numbers);
         self.renew(OFFSET, offset_m, 0.0);
@@ -318,7 +319,7 @@ mod tests {
                 information += &slope * slope.transpose() * row.independent_share;
                 slopes.push(slope);
             }
-            // The rows are linear: their residuals are moved to the present mean.
+            // The rows are linear: their residuals are moved to the current mean.
             let known = DVector::from_iterator(
                 size,
                 gaussian.state().iter().chain(gaussian.border()).copied().chain([0.0; 2]),
@@ -352,7 +353,8 @@ mod tests {
         gaussian.state().iter().chain(gaussian.border()).copied().collect()
     }
 
-    /// A phase a cycle off is left out, wherever it is in its group, and changes nothing.
+    /// A phase that is off by one cycle is rejected at every position in its group, and changes
+    /// nothing.
     #[test]
     fn a_slip_is_left_out() {
         let mut gains = Gains::default();
@@ -378,8 +380,8 @@ mod tests {
         }
     }
 
-    /// From a state that is known: σ² of the position is q²Δt³/3 + (0.02 m)²·Δt, of the velocity
-    /// q²Δt, and q²Δt²/2 between them; with an ambiguity tied to it, the tie goes along.
+    /// From a known state: σ² of the position is q²Δt³/3 + (0.02 m)²·Δt, of the velocity q²Δt, and
+    /// their covariance is q²Δt²/2. A correlated ambiguity keeps its correlation.
     #[test]
     fn a_prediction_worked_by_hand() {
         let mut gaussian = gaussian(1);

@@ -15,7 +15,7 @@ use crate::snapshot::state_fields;
 
 use super::gaussian::{Gains, Gaussian};
 
-/// Standard deviation of the first position about its start (m): wider than any measurement.
+/// Standard deviation of the first position about its start (m): much wider than any measurement's.
 const START_M: f64 = 1e3;
 
 /// State of the filter between epochs.
@@ -32,7 +32,7 @@ pub(crate) struct FilterState {
 
 state_fields!(FilterState { time, frame, gaussian, tracking, failing_s } checked by is_whole);
 
-/// Memory to filter in.
+/// Scratch of the filter.
 #[derive(Debug)]
 pub(crate) struct FilterStateScratch {
     rows: RowScratch,
@@ -192,8 +192,8 @@ impl FilterState {
     }
 }
 
-/// Updates with all rows of an epoch, group by group; returns how many pseudoranges passed the
-/// test, and of how many.
+/// Updates with all rows of an epoch, group by group. Returns two numbers of pseudoranges: those
+/// that passed the innovation test, and all.
 fn enter(
     gaussian: &mut Gaussian,
     epoch: &RtkEpoch,

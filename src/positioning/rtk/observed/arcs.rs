@@ -1,8 +1,8 @@
 //! Carrier arcs: the only file that changes them.
 //!
 //! An arc is one carrier of one satellite, tracked by rover and base without a slip. It has one
-//! border variable of the graph for all its epochs; the variable is free again once nothing names
-//! it.
+//! border variable of the graph for all its epochs. The variable is free again once no arc and no
+//! epoch refers to it.
 
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
@@ -34,8 +34,8 @@ pub(crate) struct CarrierArc {
     pub(crate) held: Option<HeldInteger>,
 }
 
-/// The ambiguity of an arc relative to a datum (cycles). Only differences between arcs of one
-/// datum mean anything.
+/// The ambiguity of an arc relative to a datum (cycles). Only differences between arcs of one datum
+/// have a meaning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HeldInteger {
     /// Number of the datum: one arc of one group, at the time its integers were found.
@@ -60,7 +60,7 @@ pub(crate) struct ArcReference {
 }
 
 impl CarrierArc {
-    /// What the ambiguities share whose differences are integers.
+    /// What the arcs have in common whose ambiguities differ by integers.
     pub(crate) fn group(&self) -> DifferenceGroup {
         DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
@@ -130,13 +130,13 @@ impl Arcs {
         self.list.iter().any(|arc| arc.variable == variable)
     }
 
-    /// Ends all.
+    /// Ends all arcs.
     pub(crate) fn clear(&mut self) {
         self.list.clear();
         self.in_use.clear();
     }
 
-    /// Ends the arcs that a receiver says it lost and those without a phase for `gap_s` before
+    /// Ends the arcs that a receiver reports as lost and those without a phase for `gap_s` before
     /// `time`; appends their satellites to `ended`.
     pub(crate) fn end_lost(
         &mut self,
@@ -180,8 +180,8 @@ impl Arcs {
         arc.is_some_and(|arc| arc.last == time)
     }
 
-    /// Takes the phase of a difference at `time` into its arc; the arc's variable and the time
-    /// since its last phase (s). `None` where there is no arc to continue.
+    /// Adds the phase of a difference at `time` to its arc. Returns the arc's variable and the time
+    /// since its last phase (s). `None` if there is no arc to continue.
     pub(crate) fn go_on(
         &mut self,
         difference: &SingleDifference,
@@ -195,7 +195,7 @@ impl Arcs {
         Some((arc.variable, since_s))
     }
 
-    /// Begins an arc; returns its variable, which nothing else names.
+    /// Begins an arc; returns its variable, which nothing else refers to.
     pub(crate) fn begin(
         &mut self,
         difference: &SingleDifference,
@@ -220,8 +220,9 @@ impl Arcs {
         variable
     }
 
-    /// Ends the arc with a variable and begins another in its place; its satellite and the new
-    /// variable. `None` where there is no such arc, or it began with this epoch.
+    /// Replaces the arc that has this variable by a new arc of the same carrier, after a slip.
+    /// Returns its satellite and its new variable; `None` if no arc has the variable or the arc
+    /// began at this epoch.
     pub(crate) fn restart(&mut self, variable: usize) -> Option<(SatelliteId, usize)> {
         let index = self.list.iter().position(|arc| arc.variable == variable)?;
         if self.list[index].epochs == 1 {
@@ -248,7 +249,7 @@ impl Arcs {
         self.begun - 1
     }
 
-    /// A border variable that nothing names.
+    /// A border variable that nothing refers to.
     fn take_variable(&mut self) -> usize {
         let free = self.in_use.iter().position(|used| !used);
         let variable = free.unwrap_or(self.in_use.len());
@@ -259,7 +260,7 @@ impl Arcs {
         variable
     }
 
-    /// Frees the variables that no arc has and `is_named` does not name.
+    /// Frees the variables that no arc has and for which `is_named` is false.
     pub(crate) fn release(&mut self, is_named: impl Fn(usize) -> bool) {
         for variable in 0..self.in_use.len() {
             if self.in_use[variable] && !self.has(variable) && !is_named(variable) {

@@ -8,7 +8,7 @@ use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
 
-/// The newest base epoch, and where the base may have slipped since the rover's last epoch.
+/// The newest base epoch, and the possible slips of the base since the rover's last epoch.
 #[derive(Debug, Default)]
 pub(crate) struct BaseMemory {
     /// Name and last position of the base.
@@ -25,7 +25,7 @@ pub(crate) struct BaseMemory {
 state_fields!(BaseMemory { station, newest, lost, power_failed, check });
 
 impl BaseMemory {
-    /// Distance from the known base to this one, where this is another (m).
+    /// Distance from the known base to this one (m), if this is another base.
     pub(crate) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
         let (_, known) = self.station.as_ref().filter(|(name, _)| *name != station.name)?;
         Some(known.distance_m(station.antenna_reference_point))
@@ -40,7 +40,7 @@ impl BaseMemory {
         }
     }
 
-    /// Takes in the epochs that are new and not later than the rover's at `time`.
+    /// Takes in the epochs that are new and not later than the rover's epoch at `time`.
     pub(crate) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
         for epoch in epochs {
             let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
@@ -85,8 +85,8 @@ impl BaseMemory {
         check
     }
 
-    /// Distance that the base moved since it was used last (m); `None` where it has not. Its phases
-    /// are then those of another position: no arc continues.
+    /// Distance that the base moved since it was used last (m); `None` if it has not moved. After a
+    /// move its phases refer to another position, so no arc continues.
     pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
         let (stated, _) = self.check?;
         Some(stated.distance_m(station.antenna_reference_point)).filter(|m| BASE_MOVED_M < *m)
@@ -97,7 +97,7 @@ impl BaseMemory {
         self.newest.as_ref()
     }
 
-    /// Whether the base lost power since the last call, and what lost lock on it.
+    /// Whether the base lost power since the last call, and the carriers that lost lock.
     pub(crate) fn take_losses(&mut self) -> (bool, Vec<(SatelliteId, ObservationCode)>) {
         (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost))
     }

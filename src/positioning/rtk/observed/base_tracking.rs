@@ -1,4 +1,4 @@
-//! What is new of rover and base at an epoch, and whether the base can be used.
+//! New data of rover and base at an epoch, and whether the base can be used.
 //!
 //! Shared by the graph and the filter, so that both see the same measurements and refuse the same
 //! epochs.
@@ -24,13 +24,13 @@ pub(crate) struct UsableBase<'a> {
     pub(crate) doubt: Option<Reason>,
 }
 
-/// What an epoch brought of the base and of slips.
+/// New information about the base and about slips at an epoch.
 #[derive(Debug, Default)]
 pub(crate) struct Received {
     pub(crate) losses: Losses,
-    /// Distance from the last epoch's base, where this is another (m).
+    /// Distance between the last epoch's base and this one (m), if the base is another one.
     pub(crate) base_changed_m: Option<f64>,
-    /// Distance that the base moved before this epoch (m).
+    /// Distance between the base's last position and its present one (m), if the same base moved.
     pub(crate) base_moved_m: Option<f64>,
 }
 
@@ -43,7 +43,7 @@ pub(crate) struct Intake {
     pub(crate) slipped: Vec<SatelliteId>,
 }
 
-/// What is known of the base, and the time of the newest answered epoch.
+/// The base, and the time of the newest answered epoch.
 #[derive(Debug, Default)]
 pub(crate) struct BaseTracking {
     base: BaseMemory,
@@ -54,8 +54,8 @@ pub(crate) struct BaseTracking {
 state_fields!(BaseTracking { base, last });
 
 impl BaseTracking {
-    /// Takes in an epoch and what is new of the base; `None` where the epoch is not after the last
-    /// one, which changes nothing.
+    /// Takes in an epoch and the new base epochs. `None`, and no change, if the epoch is not after
+    /// the last one.
     pub(crate) fn receive(&mut self, inputs: &EpochInputs<'_>) -> Option<Received> {
         let epoch = inputs.epoch;
         if self.last.is_some_and(|last| epoch.time <= last) {
@@ -85,7 +85,7 @@ impl BaseTracking {
         Some(Received { losses, base_changed_m, base_moved_m })
     }
 
-    /// The base, or why it cannot be used.
+    /// The base, or the reason why it cannot be used.
     pub(crate) fn usable<'a>(
         &mut self,
         inputs: &EpochInputs<'a>,
@@ -109,7 +109,7 @@ impl BaseTracking {
         Ok(UsableBase { station, age_s, doubt })
     }
 
-    /// Differences an epoch of a rover about at `rover` against the base.
+    /// Differences an epoch against the base; `rover` is the approximate position of the rover.
     pub(crate) fn difference(
         &self,
         inputs: &EpochInputs<'_>,

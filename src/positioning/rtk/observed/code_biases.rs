@@ -1,9 +1,9 @@
 //! Code biases: the delay of one ranging code against another of the same carrier, by satellite.
 //!
 //! Where rover and base track different codes of one carrier, such as P1 and C1, single differences
-//! of pseudoranges carry a bias of each satellite. It changes by less than 6 cm in five months (the
-//! IGS's mean values of P1 − C1, Ray 2005, IGSMAIL-5078), so that it is learnt from fixed positions
-//! once and for all. What all satellites share is the group's offset.
+//! of pseudoranges contain a bias for each satellite. It changes by less than 6 cm in five months
+//! (the IGS's mean values of P1 − C1, Ray 2005, IGSMAIL-5078), so it is estimated as a constant,
+//! from fixed positions. The part that all satellites share belongs to the group's offset.
 
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
@@ -42,7 +42,8 @@ pub(crate) struct CodeBiases {
 state_fields!(CodeBiases { list });
 
 impl CodeBiases {
-    /// The bias of a difference and, where its codes differ and it is kept, its index.
+    /// The bias of a difference and its index. There is no index if both codes are the same or the
+    /// list is full.
     pub(crate) fn of(&mut self, difference: &SingleDifference) -> (CodeBias, Option<usize>) {
         let SingleDifference { satellite, codes, .. } = *difference;
         if difference.shares_code {
@@ -60,9 +61,9 @@ impl CodeBiases {
         (new, Some(self.list.len() - 1))
     }
 
-    /// Updates the bias at `index` from one pseudorange: what it exceeds the range to a known
-    /// position by once corrected (m), its variance with the bias's own (m²), and the share of its
-    /// information that is independent.
+    /// Updates the bias at `index` from one pseudorange: its corrected value less the range to a
+    /// known position (m), the variance of that, the bias's own included (m²), and the fraction of
+    /// its information that is independent.
     pub(crate) fn learn(
         &mut self,
         index: usize,
@@ -101,8 +102,8 @@ mod tests {
         }
     }
 
-    /// A prior of 0.3 m and a pseudorange as uncertain, 0.4 m long: half of it is the bias. One 3 m
-    /// off says nothing; many alike leave 5 cm.
+    /// With a prior of 0.3 m and one pseudorange of the same σ that is 0.4 m long, the bias is half
+    /// of it. One outlier of 3 m changes nothing. After many equal residuals σ is 5 cm.
     #[test]
     fn biases_are_learnt() {
         let mut biases = CodeBiases::default();

@@ -71,7 +71,7 @@ pub(crate) struct Group {
     pub(crate) is_carrier: bool,
 }
 
-/// Prior of an ambiguity that begins: much wider than the phases determine it.
+/// Prior of an ambiguity that begins. The phases determine it far better.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AmbiguityStart {
     pub(crate) variable: usize,
@@ -96,7 +96,7 @@ pub(crate) struct RtkEpoch {
     pub(crate) starts: Vec<AmbiguityStart>,
 }
 
-/// Memory to linearise in.
+/// Scratch for linearisation.
 #[derive(Debug, Default)]
 pub(crate) struct RowScratch {
     ranges: Vec<Line>,
@@ -142,8 +142,8 @@ impl Default for RtkEpoch {
 }
 
 impl RtkEpoch {
-    /// Whether its factors refer to its own satellites, variables below `border` and columns of a
-    /// state only.
+    /// Whether its factors refer only to its own satellites, to variables below `border` and to
+    /// columns of a state.
     pub(crate) fn is_within(&self, border: usize) -> bool {
         let is_known = |row: &DifferenceFactor| {
             row.sight < self.sights.len()
@@ -166,7 +166,7 @@ impl RtkEpoch {
         self.starts.clear();
     }
 
-    /// Ranges and slopes of all satellites from a state, into the scratch.
+    /// Computes ranges and their derivatives to all satellites at a state, into the scratch.
     pub(crate) fn see(&self, state: &State, scratch: &mut RowScratch) {
         let position = state.fixed_rows::<3>(0).into_owned();
         scratch.ranges.clear();
@@ -227,7 +227,8 @@ impl RtkEpoch {
         }
     }
 
-    /// Starts an ambiguity at `mean` (cycles), and sets it in `border`.
+    /// Adds the prior of an ambiguity that begins at `mean` (cycles), and sets its value in
+    /// `border`.
     pub(crate) fn start_ambiguity(&mut self, border: &mut Vec<f64>, variable: usize, mean: f64) {
         if border.len() <= variable {
             border.resize(variable + 1, 0.0);

@@ -5,14 +5,14 @@ use crate::gnss::{ObservationCode, SatelliteId};
 /// Carriers on which either receiver may have slipped since the last epoch.
 #[derive(Debug, Default)]
 pub(crate) struct Losses {
-    /// All of them: a receiver lost power, the base moved, or epochs stand alone.
+    /// All carriers: a receiver lost power, the base moved, or each epoch is solved alone.
     pub(crate) all: bool,
     pub(crate) rover: Vec<(SatelliteId, ObservationCode)>,
     pub(crate) base: Vec<(SatelliteId, ObservationCode)>,
 }
 
 impl Losses {
-    /// Whether a carrier, by its codes at rover and base, is among them.
+    /// Whether the carrier with these codes at rover and base is among them.
     pub(crate) fn has(&self, satellite: SatelliteId, codes: [ObservationCode; 2]) -> bool {
         self.all
             || self.rover.contains(&(satellite, codes[0]))

@@ -5,7 +5,7 @@ use crate::snapshot::snapshot_fields;
 
 /// Length of the running mean (epochs).
 const NOISE_EPOCHS: f64 = 20.0;
-/// Weight of the stated noise in it (epochs).
+/// Weight of the a-priori noise in it (epochs).
 const NOISE_PRIOR_EPOCHS: f64 = 2.0;
 /// Bounds of the learnt noise factor, so that few satellites or multipath cannot drive it.
 const NOISE_SCALES: std::ops::RangeInclusive<f64> = 0.1..=4.0;
@@ -16,19 +16,19 @@ const NORMAL_OVER_MEDIAN: f64 = 1.482_6;
 pub(crate) const FREEDOM_LEAST: f64 = 4.0;
 /// Upper bound of ν.
 const FREEDOM_MOST: f64 = 64.0;
-/// Excess variance before anything is learnt: about that of the least ν.
+/// Excess variance before any epoch: about that of the lower bound of ν.
 const EXCESS_PRIOR: f64 = 2.0;
 /// Weight of that in the running mean (epochs).
 const EXCESS_PRIOR_EPOCHS: f64 = 5.0;
-/// Epochs with fewer degrees of freedom are not learnt from.
+/// Epochs with fewer degrees of freedom do not update the scale.
 const LEFT_LEAST: f64 = 3.0;
 
 /// The whitened residuals of a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Residuals {
-    /// Sum of squares, each by its share of information.
+    /// Sum of squares, each times its independent share.
     pub(crate) square: f64,
-    /// Its expectation if the stated noise is right.
+    /// Its expectation if the a-priori noise is right.
     pub(crate) freedom: f64,
 }
 
@@ -37,7 +37,7 @@ impl Residuals {
     pub(crate) const NONE: Self = Self { square: 0.0, freedom: 0.0 };
 }
 
-/// What the search for integers knows of the noise.
+/// Noise parameters of the integer search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct KnownNoise {
     pub(crate) scale: KnownScale,
@@ -45,14 +45,14 @@ pub(crate) struct KnownNoise {
     pub(crate) odds_divisor: f64,
 }
 
-/// Ratio of observed to stated standard deviation, and its variance over time.
+/// Ratio of observed to a-priori standard deviation, and its variance over time.
 ///
 /// Receivers differ by a factor of five for the same C/N0. m = 1.4826·median∣s∣, s the whitened
-/// residuals of all groups, widened for the parameters they have determined; the scale's square is
-/// a running mean of m² that begins with one.
+/// residuals of all groups, widened for the parameters they have determined. The square of the
+/// scale is a running mean of m² that starts at one.
 ///
-/// Its uncertainty is learnt too: s², the mean square over its degrees of freedom k, has variance
-/// 2/k about one where the scale is right, and an excess where the scale varies or residuals have
+/// Its uncertainty is estimated too. s², the mean square over its degrees of freedom k, has
+/// variance 2/k about one if the scale is right, and more if the scale varies or residuals have
 /// tails. An inverse chi-square scale of ν degrees of freedom has an excess of 2/(ν − 4).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NoiseScale {
@@ -69,22 +69,22 @@ pub(crate) struct NoiseScale {
 snapshot_fields!(NoiseScale { value, learnt, mean, excess });
 
 impl NoiseScale {
-    /// As stated.
+    /// The a-priori noise.
     pub(crate) const fn stated() -> Self {
         Self { value: 1.0, learnt: 0.0, mean: 1.0, excess: EXCESS_PRIOR }
     }
 
-    /// Divisor of the odds of integers. Noise beyond the stated comes from reflections,
-    /// whose errors are neither normal nor independent from epoch to epoch.
+    /// Divisor of the odds of integers. Noise above the a-priori noise comes from multipath, whose
+    /// errors are neither normal nor independent from epoch to epoch.
     ///
-    /// The power is fitted in the simulated canyon: of fixes stated at 80 to 90, 90 to 95 and 95 to
-    /// 98 %, 38, 30 and 28 % are wrong without it, 21, 13 and 11 % with it.
+    /// The power is fitted in the simulated canyon: of fixes with a stated probability of 80 to 90,
+    /// 90 to 95 and 95 to 98 %, 38, 30 and 28 % are wrong without it, 21, 13 and 11 % with it.
     fn odds_divisor(&self) -> f64 {
         self.value.powi(5).max(1.0)
     }
 
-    /// The scale with the residuals of the epochs in the solution. Residuals below the stated noise
-    /// lower it; larger ones count in [`Self::odds_divisor`].
+    /// The scale, updated with the residuals of the epochs in the solution. Residuals below the
+    /// a-priori noise lower it; larger ones count in [`Self::odds_divisor`].
     pub(crate) fn known(&self, residuals: &Residuals) -> KnownNoise {
         let freedom = self.freedom() + residuals.freedom;
         let variance = (self.freedom() + residuals.square) / freedom;
@@ -115,7 +115,7 @@ impl NoiseScale {
         self.learnt = (self.learnt + 1.0).min(NOISE_EPOCHS);
         let epochs = self.learnt + EXCESS_PRIOR_EPOCHS;
         self.mean += (square - self.mean) / epochs;
-        // Noise below the stated does no harm as long as it is steady.
+        // Noise below the a-priori noise is harmless as long as it is steady.
         let usual = self.mean.clamp(f64::EPSILON, 1.0);
         let excess = (square / usual - 1.0).powi(2) - 2.0 / left;
         self.excess += (excess - self.excess) / epochs;
@@ -155,8 +155,8 @@ mod tests {
         noise
     }
 
-    /// As stated, or steadily a third of it: the scale is known as well as can be. Half of the
-    /// epochs at four times the rest, or one residual of nine a hundred sigmas: little.
+    /// Noise as expected, or steadily a third of it: ν reaches its upper bound. Half of the epochs
+    /// with four times the noise, or one residual of nine at 100 σ: ν is small.
     #[test]
     fn a_steady_scale_is_known_well() {
         for scale in [1.0, 1.0 / 3.0] {

@@ -1,11 +1,11 @@
-//! The time since the last pseudorange of each carrier: errors last, whether its phase is tracked
-//! or not.
+//! The time since the last pseudorange of each carrier. Errors stay correlated over that time, also
+//! if the phase was not tracked meanwhile.
 
 use crate::gnss::{GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::differencing::SingleDifference;
 use crate::snapshot::{snapshot_fields, state_fields};
 
-/// Most carriers kept; pseudoranges of further ones count in full.
+/// Maximum number of carriers; pseudoranges of further ones have their full weight.
 const CARRIERS_MAX: usize = 1024;
 
 /// When a carrier last had a pseudorange.
@@ -54,7 +54,7 @@ impl LastPseudoranges {
         self.list.retain(|known| time <= known.last);
     }
 
-    /// Forgets all.
+    /// Forgets all carriers.
     pub(crate) fn clear(&mut self) {
         self.list.clear();
     }
@@ -80,8 +80,8 @@ mod tests {
         }
     }
 
-    /// Errors of 30 s: what comes 6 s after the last is a fifth new, what comes 40 s after it all
-    /// new.
+    /// With a correlation time of 30 s, a pseudorange 6 s after the last one is one fifth
+    /// independent; one 40 s after it is fully independent.
     #[test]
     fn a_pseudorange_soon_after_another_counts_in_part() {
         let mut ages = LastPseudoranges::default();

@@ -1,4 +1,4 @@
-//! What is learnt of rover and base as receivers: their noise, and their code biases.
+//! The estimated noise and code biases of the pair of receivers.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -23,7 +23,7 @@ pub(crate) struct Receivers {
 state_fields!(Receivers { last_pseudoranges, pseudorange_noise, carrier_noise, biases });
 
 impl Receivers {
-    /// Noise as stated, no biases.
+    /// A-priori noise, no biases.
     pub(crate) fn new() -> Self {
         Self {
             last_pseudoranges: LastPseudoranges::default(),
@@ -38,11 +38,12 @@ impl Receivers {
         self.pseudorange_noise.known(residuals)
     }
 
-    /// Learns the pseudoranges' noise from an epoch that was solved.
+    /// Updates the pseudorange noise from a solved epoch.
     ///
-    /// A pseudorange of leverage h = aᵀCa/σ² and share s, C the position's covariance, leaves a
-    /// residual of variance (1 − (2s − 1)·h)·σ²: the sum of (2s − 1)·h is what the epoch has
-    /// determined of its position. Where phases tie it to those before, that is little.
+    /// A pseudorange with leverage h = aᵀCa/σ² and independent share s, C the position's
+    /// covariance, has a residual of variance (1 − (2s − 1)·h)·σ². So the sum of (2s − 1)·h is the
+    /// number of parameters that the epoch has determined. It is small if phases tie the position
+    /// to earlier epochs.
     pub(crate) fn learn_noise(
         &mut self,
         epoch: &RtkEpoch,
@@ -56,7 +57,7 @@ impl Receivers {
         self.pseudorange_noise.learn(&mut scratch.residuals, groups as f64 + by_position);
     }
 
-    /// Learns the code biases from a position with integers held.
+    /// Updates the code biases from a position with held integers.
     pub(crate) fn learn_biases(
         &mut self,
         epoch: &RtkEpoch,

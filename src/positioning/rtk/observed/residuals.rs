@@ -18,8 +18,8 @@ pub(crate) fn whitened<'a>(
     rows.iter().map(move |row| row.row.residual + row.by_offset * offset_m)
 }
 
-/// Magnitudes of the pseudoranges' residuals at a state, into the scratch; returns the number of
-/// their groups.
+/// Writes the magnitudes of the pseudorange residuals at a state to the scratch; returns the number
+/// of groups.
 pub(crate) fn pseudorange_residuals(
     epoch: &RtkEpoch,
     state: &State,
@@ -29,7 +29,7 @@ pub(crate) fn pseudorange_residuals(
     gather(epoch, state, groups, &[], |_| (), scratch)
 }
 
-/// The same for carrier phases whose ambiguities are `border`, or what `fix` makes of them.
+/// The same for carrier phases. Their ambiguities are those of `border`, or what `fix` returns.
 pub(crate) fn carrier_residuals(
     epoch: &RtkEpoch,
     state: &State,
@@ -66,8 +66,8 @@ fn gather<'a>(
 
 /// The pseudoranges' residuals of a solved window, with their degrees of freedom.
 ///
-/// Pseudoranges have determined one offset for each group, and in part one position: phases tie the
-/// epochs together, so that the position of the newest, with `covariance`, stands for all.
+/// The pseudoranges have determined one offset for each group, and part of one position. Phases tie
+/// the epochs together, so that the newest position, with `covariance`, represents all of them.
 pub(crate) fn window_residuals(
     epochs: &[RtkEpoch],
     states: &[State],
@@ -91,8 +91,8 @@ pub(crate) fn window_residuals(
     Residuals { square, freedom: f64::max(freedom, 0.0) }
 }
 
-/// Sum of aᵀCa/σ² over an epoch's pseudoranges, offsets eliminated, each times
-/// `of` its independent share.
+/// Sum over an epoch's pseudoranges of aᵀCa/σ² times a function `of` of the independent share;
+/// offsets eliminated.
 pub(crate) fn leverage(
     epoch: &RtkEpoch,
     state: &State,

@@ -13,21 +13,21 @@ use super::arcs::Arcs;
 use super::epoch::{DifferenceFactor, EpochAmbiguity, Group, RowScratch, RtkEpoch, State};
 use super::receivers::Receivers;
 
-/// What the rows of an epoch are made from.
+/// Inputs for the rows of an epoch.
 pub(crate) struct NewRows<'a> {
     pub(crate) frame: &'a LocalFrame,
-    /// About where the epoch's state is.
+    /// The approximate state of the epoch.
     pub(crate) guess: &'a State,
     pub(crate) differences: &'a SingleDifferences,
     pub(crate) options: &'a PositioningOptions,
     pub(crate) arcs: &'a mut Arcs,
     pub(crate) receivers: &'a mut Receivers,
-    /// Ambiguities by variable (cycles); grows by those that begin.
+    /// Ambiguities by variable (cycles); new ones are appended.
     pub(crate) border: &'a mut Vec<f64>,
     pub(crate) scratch: &'a mut RowScratch,
 }
 
-/// Fills an epoch with its rows; arcs go on or begin.
+/// Fills an epoch with its rows. Arcs continue or begin.
 pub(crate) fn fill(epoch: &mut RtkEpoch, mut new: NewRows<'_>) {
     let NewRows { frame, guess, differences, options, .. } = new;
     let satellites = differences.satellites.iter();
@@ -79,10 +79,10 @@ impl NewRows<'_> {
         Some(shared_offset(rows, &OFFSET_KERNEL, numbers))
     }
 
-    /// Rows of the carriers of one group; arcs go on or begin.
+    /// Adds the rows of the carriers of one group. Arcs continue or begin.
     ///
-    /// A new ambiguity starts where the offset of the group's known ones puts it, else that of its
-    /// pseudoranges: the ambiguities of a group then differ by little.
+    /// A new ambiguity starts at the value that the group's offset gives: the offset of the known
+    /// ambiguities, or else of the pseudoranges. So the ambiguities of a group are of similar size.
     fn add_carriers(
         &mut self,
         epoch: &mut RtkEpoch,
@@ -143,7 +143,7 @@ impl NewRows<'_> {
     }
 }
 
-/// Doppler shifts of the rover from the satellites that are differenced.
+/// Adds the rover's Doppler of the satellites that are differenced.
 fn add_rates(
     epoch: &mut RtkEpoch,
     frame: &LocalFrame,

@@ -1,4 +1,4 @@
-//! Cycle slips that the residuals of an epoch show.
+//! Detects cycle slips from the residuals of an epoch.
 
 use crate::gnss::SatelliteId;
 use crate::graph::Kernel;
@@ -7,13 +7,13 @@ use super::arcs::Arcs;
 use super::epoch::{EpochAmbiguity, RowScratch, RtkEpoch, State};
 use super::residuals::whitened;
 
-/// A phase whose residual is larger has slipped (standard deviations).
+/// A phase with a larger whitened residual has slipped.
 const SLIP_SIGMAS: f64 = 5.0;
 
-/// Times that slips are looked for in one epoch.
+/// Maximum number of searches for slips in one epoch.
 pub(crate) const SLIP_ROUNDS: usize = 3;
 
-/// What ends by a slip.
+/// What a slip changes.
 pub(crate) struct Slips<'a> {
     pub(crate) arcs: &'a mut Arcs,
     /// Ambiguities by variable (cycles).

@@ -1,4 +1,4 @@
-//! The window of epochs in the graph: start, growth, marginalisation.
+//! The window of epochs in the graph: how it starts, grows and is marginalised.
 
 use crate::gnss::{GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
@@ -17,7 +17,7 @@ use crate::snapshot::state_fields;
 
 use super::history::History;
 
-/// The epochs in the graph, their estimate, and the prior of those marginalised.
+/// The epochs in the graph, their estimate, and the prior of the marginalised ones.
 #[derive(Debug)]
 pub(crate) struct Chain {
     pub(crate) frame: LocalFrame,
@@ -58,7 +58,7 @@ impl Chain {
         self.tracking.clear();
     }
 
-    /// The newest state moved on to `time` by its velocity.
+    /// The newest state, moved on to `time` by its velocity.
     pub(crate) fn expected(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.epochs.last(), self.estimate.states.last()) else {
             return State::zeros();
@@ -147,8 +147,8 @@ impl Chain {
         cut_slips(epoch, state, Slips { arcs, border, kernel, slipped }, scratch)
     }
 
-    /// Marginalises the oldest epoch into the prior, and the ambiguities that nothing refers to.
-    /// `history` keeps how they depend on what stays.
+    /// Marginalises the oldest epoch into the prior, together with the ambiguities that no other
+    /// epoch uses. `history` keeps what is needed to smooth them later.
     pub(crate) fn forget_oldest(
         &mut self,
         settings: &GraphSettings,

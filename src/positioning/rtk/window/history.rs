@@ -1,8 +1,8 @@
-//! Epochs that may be answered again.
+//! Epochs that may be revised.
 //!
 //! A smoother goes back from the newest epoch to an earlier one, whose state and ambiguities then
-//! rest on all epochs so far. They are conditioned on the integers known by now, those found later
-//! included and those refuted since left out.
+//! depend on all epochs so far. They are conditioned on the integers that are known now: integers
+//! found later are included, refuted ones are not.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -21,23 +21,23 @@ use crate::snapshot::state_fields;
 use super::record::EpochRecord;
 use super::revision::Revision;
 
-/// The epochs without a last answer, in order of time.
+/// The epochs that may still be revised, in order of time.
 #[derive(Debug, Default)]
 pub(crate) struct History {
-    /// Shared between copies of the state, of which a session makes one for each batch.
+    /// Shared between copies of the state: a session makes a copy for each batch.
     records: VecDeque<Arc<EpochRecord>>,
-    /// How many of them have been answered again.
+    /// Number of epochs that have been revised once.
     revised: usize,
-    /// Departures, oldest first, one for each record that has left the graph.
+    /// Data for smoothing back, oldest first, one for each record that has left the graph.
     departures: VecDeque<Arc<Departure<STATE>>>,
-    /// Epochs of the graph that had their last answer before they left it.
+    /// Number of epochs in the graph whose last answer has been given.
     answered_early: usize,
     integers: IntegerHistory,
 }
 
 state_fields!(History { records, revised, departures, answered_early, integers });
 
-/// A factored window, and the memory to go back from its newest epoch.
+/// A factored window, and the scratch to go back from its newest epoch.
 pub(crate) struct FactoredWindow<'a> {
     pub(crate) elimination: &'a Elimination<STATE>,
     pub(crate) estimate: &'a Estimate<STATE>,
@@ -53,7 +53,7 @@ impl History {
         self.records.push_back(Arc::new(record));
     }
 
-    /// Takes in the answer of the graph's newest epoch.
+    /// Records the answer of the graph's newest epoch.
     pub(crate) fn push(&mut self, solution: Solution, tracking: &Tracking, options: &RtkOptions) {
         let Tracking { arcs, hold, .. } = tracking;
         self.integers.learn(arcs.list(), hold);
@@ -62,7 +62,7 @@ impl History {
         self.records.push_back(Arc::new(EpochRecord { solution, is_in_graph: true, period, arcs }));
     }
 
-    /// Takes in the departure of the graph's oldest epoch.
+    /// Records what smoothing needs of the epoch that leaves the graph.
     pub(crate) fn depart(&mut self, departure: Departure<STATE>) {
         match self.answered_early.checked_sub(1) {
             Some(fewer) => self.answered_early = fewer,
@@ -80,12 +80,12 @@ impl History {
         self.records.front().map(|record| record.solution.time)
     }
 
-    /// All epochs.
+    /// Indices of all epochs.
     pub(crate) fn all(&self) -> Range<usize> {
         0..self.records.len()
     }
 
-    /// The epochs to be answered again at `time`: the oldest of those that have not been.
+    /// Indices of the epochs to be revised at `time`: the oldest of those not revised yet.
     pub(crate) fn due(&self, time: GpsTime, options: &GraphOptions) -> Range<usize> {
         let waiting = self.records.range(self.revised..);
         let count = waiting.len();
@@ -95,7 +95,7 @@ impl History {
         self.revised..self.revised + over.max(late)
     }
 
-    /// Answers some epochs again, as far as they can be reached from the newest.
+    /// Revises some epochs, as far as the smoother can go back from the newest one.
     pub(crate) fn revise(
         &mut self,
         epochs: Range<usize>,
@@ -124,7 +124,7 @@ impl History {
         }
     }
 
-    /// Removes the oldest `count` epochs; their last answers, in order of time.
+    /// Removes the oldest `count` epochs; returns their last answers in order of time.
     pub(crate) fn leave(&mut self, count: usize) -> Vec<Solution> {
         let mut left = Vec::with_capacity(count);
         for record in self.records.drain(..count) {

@@ -1,4 +1,5 @@
-//! The sliding window on differences against a base: each epoch answered as it comes, and again.
+//! The sliding window on differences against a base: each epoch is answered at once and revised
+//! later.
 
 mod chain;
 mod history;

@@ -1,10 +1,10 @@
-//! What is kept of an epoch that may be answered again.
+//! The record of an epoch that may be revised.
 
 use crate::gnss::Solution;
 use crate::positioning::rtk::observed::ArcReference;
 use crate::snapshot::snapshot_fields;
 
-/// An epoch with its answer so far.
+/// An epoch with its latest answer.
 #[derive(Clone, Debug)]
 pub(crate) struct EpochRecord {
     pub(crate) solution: Solution,

@@ -1,4 +1,4 @@
-//! The later answer of an epoch, from everything known by now.
+//! The revision of an epoch with everything that is known now.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -16,7 +16,7 @@ use crate::positioning::rtk::observed::{ArcReference, HeldInteger, STATE};
 
 use super::record::EpochRecord;
 
-/// What is known of an epoch by now.
+/// What is known of an epoch now.
 pub(crate) struct Revision<'a> {
     frame: &'a LocalFrame,
     float: FloatSolution,
@@ -26,7 +26,7 @@ pub(crate) struct Revision<'a> {
 }
 
 impl<'a> Revision<'a> {
-    /// From the state that a smoother has reached.
+    /// From the state at which the smoother is.
     pub(crate) fn at(
         smoother: &Smoother<STATE>,
         frame: &'a LocalFrame,
@@ -47,11 +47,11 @@ impl<'a> Revision<'a> {
         }
     }
 
-    /// The epoch with all that is known by now.
+    /// Revises an epoch.
     ///
     /// An epoch that was not fixed itself needs integers for at least half of its ambiguities: a
     /// few integers of another time fit by chance too often. A fixed epoch that accepts no integers
-    /// now keeps its answer, since the float one is worse; unless the integers found since
+    /// now keeps its answer, since the float one is worse, unless the integers found since
     /// contradict its own.
     pub(crate) fn of(
         &self,
@@ -119,7 +119,7 @@ impl<'a> Revision<'a> {
         solution
     }
 
-    /// The answer with another local position; the receiver's clock stays.
+    /// The answer at another local position. The receiver clock is unchanged.
     fn moved(
         &self,
         record: &EpochRecord,

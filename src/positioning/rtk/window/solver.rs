@@ -1,4 +1,4 @@
-//! Solves a window of differences, and answers epochs again.
+//! Solves a window of differences, and revises its epochs.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ use crate::positioning::setup::Setup;
 use super::chain::Chain;
 use super::history::{FactoredWindow, History};
 
-/// Memory to solve in.
+/// Scratch of the window.
 #[derive(Debug)]
 pub(crate) struct ChainScratch {
     rows: RowScratch,
@@ -186,7 +186,7 @@ impl Chain {
         Some(())
     }
 
-    /// Answers some epochs again; where the window cannot be factored, their answers stand.
+    /// Revises some epochs. If the window cannot be factored, their answers stay.
     fn revise(
         &self,
         epochs: Range<usize>,
