@@ -15,13 +15,13 @@ use super::{AidingError, AidingLimits};
 /// The effect of a push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NavigationPush {
-    /// Ephemerides in the push.
+    /// Number of ephemerides in the push.
     pub received: usize,
-    /// Ephemerides that were not stored before. They are committed.
+    /// Number of ephemerides that were not stored before. They are committed.
     pub new: usize,
-    /// Older ephemerides that were dropped because of the limit.
+    /// Number of older ephemerides that were dropped because of the limit.
     pub dropped: usize,
-    /// Ephemerides in force after the push.
+    /// Number of ephemerides in force after the push.
     pub in_force: usize,
 }
 
@@ -89,7 +89,7 @@ pub struct NavigationBroker {
     current: Arc<RwLock<Current>>,
     /// Locked while a push is compared and committed, so that pushes follow one another.
     pushing: Arc<Mutex<()>>,
-    /// Past states that replay last asked for, the newest last.
+    /// Past states that replay requested recently, the newest last.
     past: Arc<Mutex<VecDeque<PushedNavigation>>>,
 }
 

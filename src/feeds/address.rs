@@ -268,7 +268,7 @@ mod tests {
         assert_eq!(error.code(), Code::HostUnresolved);
     }
 
-    /// A name with one address here and one there is asked there alone.
+    /// Of a name with a private and a public address, only the public address is contacted.
     #[test]
     fn of_many_addresses_the_public_ones_remain() {
         let address = |text: &str| SocketAddr::new(text.parse().unwrap(), 80);

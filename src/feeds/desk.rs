@@ -193,7 +193,7 @@ impl Feeds {
         Ok(())
     }
 
-    /// Checks whether an archive may be asked for a base's files.
+    /// Checks whether an archive's host may be contacted for a base's files.
     ///
     /// # Errors
     /// The address is invalid or has no day, or the operator does not list the host.

@@ -80,7 +80,7 @@ pub struct Validators {
 pub enum Fetched {
     /// A new version of the file.
     New {
-        /// Its bytes.
+        /// The bytes of the file.
         content: Vec<u8>,
         /// The validators for the next request.
         validators: Validators,

@@ -35,7 +35,7 @@ impl AnnealedKernel {
         Self { convex: kernel, target: kernel }
     }
 
-    /// The kernel of a phase.
+    /// The kernel in a phase of annealing.
     #[inline]
     pub fn at(&self, phase: Phase) -> Kernel {
         match phase {
@@ -45,12 +45,12 @@ impl AnnealedKernel {
     }
 }
 
-/// A phase and its number of iterations.
+/// A phase of annealing and its number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stage {
     /// The phase.
     pub phase: Phase,
-    /// Number of iterations at most; convergence ends the stage earlier.
+    /// Maximum number of iterations; convergence ends the stage earlier.
     pub iterations: usize,
 }
 

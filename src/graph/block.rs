@@ -5,8 +5,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// Smallest pivot that holds information, relative to its diagonal entry before elimination: a
-/// smaller one may be all rounding errors.
+/// Smallest pivot that counts as information, relative to its diagonal entry before elimination: a
+/// smaller one may consist of rounding errors only.
 pub(crate) const PIVOT_FLOOR: f64 = 64.0 * f64::EPSILON;
 
 /// What to do at a pivot that is not above its floor.

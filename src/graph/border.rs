@@ -348,7 +348,7 @@ impl Packed {
         own
     }
 
-    /// How many numbers fit into the storage without a new allocation.
+    /// Number of values that fit into the storage without a new allocation.
     #[cfg(test)]
     pub(crate) fn capacity(&self) -> usize {
         self.columns.capacity() * ROWS

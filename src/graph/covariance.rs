@@ -7,7 +7,9 @@
 //!
 //! The first step gives the newest state and the border, all steps give every state, at a cost
 //! linear in their number. The covariances are those of the last linearisation: they contain the
-//! kernels' weights, and no correlation between rows that the caller does not model.
+//! kernels' weights, and no correlation between rows that the caller does not model. They are
+//! computed from the newest state backward; the *state reached* is the one to which they refer at
+//! the moment.
 //!
 //! Source: Takahashi, Fagan & Chin (1973), *Formation of a sparse bus impedance matrix*; Golub &
 //! Plemmons (1980), *Large-scale geodetic least-squares adjustment by dissection*, section 5.
@@ -22,8 +24,7 @@ use crate::graph::lanes::{Lanes, dot};
 /// Variance given to a border variable whose pivot was skipped because no row determines it.
 const UNKNOWN: f64 = 1e6;
 
-/// Covariances at one state of a factored system, reached from the newest backward. Keeps its
-/// storage between uses.
+/// Covariances of one state of a factored system and of the border. Keeps its storage between uses.
 #[derive(Clone, Debug)]
 pub struct Covariances<const S: usize> {
     /// Covariance of the state reached, both triangles.
@@ -39,7 +40,7 @@ pub struct Covariances<const S: usize> {
 }
 
 impl<const S: usize> Covariances<S> {
-    /// Without a result; storage grows with the first system.
+    /// Without a result; the first system allocates the storage.
     pub fn new() -> Self {
         Self {
             state: SMatrix::zeros(),
@@ -95,7 +96,7 @@ impl<const S: usize> Covariances<S> {
         self.step_back(&step.factor, &step.coupling, columns);
     }
 
-    /// Covariance of the state reached, which after [`Covariances::newest`] is the newest.
+    /// Covariance of the state reached. After [`Covariances::newest`] that is the newest state.
     pub fn state(&self) -> &SMatrix<f64, S, S> {
         &self.state
     }

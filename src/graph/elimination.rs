@@ -36,7 +36,7 @@ pub enum Variable {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EliminationError {
     /// The rows do not determine some direction. The variable is the first one, in the order of
-    /// elimination, whose pivot shows it.
+    /// elimination, with too small a pivot.
     #[error("{variable:?} is undetermined: pivot {pivot:e} of a diagonal of {diagonal:e}")]
     Singular {
         /// The variable.
@@ -49,7 +49,7 @@ pub enum EliminationError {
     /// A row has a value that is not finite.
     #[error("{variable:?} has pivot {pivot}: a row is not finite")]
     NotFinite {
-        /// The first variable, in the order of elimination, whose pivot shows it.
+        /// The first variable, in the order of elimination, whose pivot is not finite.
         variable: Variable,
         /// That pivot.
         pivot: f64,
@@ -117,8 +117,7 @@ pub(crate) struct Retired<const S: usize> {
     pub(crate) row: usize,
 }
 
-/// The part of H and −g that elimination has reached: the next state, and the border variables
-/// alive.
+/// The part of H and −g that elimination works on: the next state, and the border variables alive.
 #[derive(Clone, Debug)]
 pub(crate) struct Front<const S: usize> {
     pub(crate) block: SMatrix<f64, S, S>,
@@ -130,7 +129,7 @@ pub(crate) struct Front<const S: usize> {
     pub(crate) matrix: Packed,
     pub(crate) border_right: Vec<f64>,
     pub(crate) border_diagonal: Vec<f64>,
-    /// By border variable: its position among those alive, if it is.
+    /// By border variable: its position among those alive; `None` if it is not alive.
     pub(crate) positions: Vec<Option<usize>>,
     tiles: Tiles<S>,
 }
@@ -178,8 +177,8 @@ impl<const S: usize> Front<S> {
         }
     }
 
-    /// Goes on to state `k`, whose block, right side and columns elimination of the state before
-    /// has changed.
+    /// Goes on to state `k`. Elimination of the state before has changed its block, right side and
+    /// columns.
     fn move_to(
         &mut self,
         system: &System<S>,
@@ -269,8 +268,8 @@ impl<const S: usize> Front<S> {
     }
 }
 
-/// The factor of a system, which gives the step δ; [`Covariances`](crate::graph::Covariances) takes
-/// the uncertainty from it. Keeps its storage between uses.
+/// The factor of a system. It gives the step δ, and [`Covariances`](crate::graph::Covariances)
+/// computes the uncertainty from it. Keeps its storage between uses.
 #[derive(Clone, Debug)]
 pub struct Elimination<const S: usize> {
     pub(crate) steps: Vec<Step<S>>,
@@ -289,7 +288,7 @@ pub struct Elimination<const S: usize> {
 }
 
 impl<const S: usize> Elimination<S> {
-    /// An empty one; its storage grows with the first system.
+    /// Without a factor; the first system allocates the storage.
     pub const fn new() -> Self {
         Self {
             steps: Vec::new(),
@@ -355,7 +354,7 @@ impl<const S: usize> Elimination<S> {
         }
     }
 
-    /// Eliminates state `k`, at which the front is.
+    /// Eliminates state `k`, the front's state.
     fn eliminate(
         &mut self,
         system: &System<S>,
@@ -477,7 +476,7 @@ impl<const S: usize> Elimination<S> {
         }
     }
 
-    /// How many numbers fit into the storage without a new allocation.
+    /// Number of values that fit into the storage without a new allocation.
     #[cfg(test)]
     pub(crate) fn capacity(&self) -> usize {
         let blocks = self.steps.capacity() * (2 * S * S + 2 * S);

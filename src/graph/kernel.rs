@@ -44,7 +44,7 @@ impl Law {
                 (0.5 * c * c * ratio.ln_1p(), 1.0 / (1.0 + ratio))
             }
             Self::GemanMcClure => {
-                // One division, on which all rows wait.
+                // Only one division, because it is the slowest operation.
                 let root = c * c / (c * c + square);
                 (0.5 * square * root, root * root)
             }
@@ -143,14 +143,14 @@ impl Kernel {
 
 /// Σ ρ(s) over many residuals.
 ///
-/// Cauchy's losses are summed as the logarithm of a product: one multiplication each instead of one
-/// logarithm.
+/// Cauchy's losses are summed as the logarithm of a product: one multiplication for each loss
+/// instead of one logarithm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LossSum {
     sum: f64,
-    /// Factor of the logarithm, share·c²/2.
+    /// Factor κ = share·c²/2 of the logarithm.
     scale: f64,
-    /// Π (1 + (s/c)²) of the residuals with that factor.
+    /// Π (1 + (s/c)²) over the residuals since the sum was updated, all with the same κ.
     product: f64,
 }
 
@@ -282,7 +282,7 @@ mod tests {
         assert!((loss - 1.6).abs() < 1e-15 && (weight - 0.04).abs() < 1e-15);
     }
 
-    /// Many losses of changing kernels, some of them huge.
+    /// Many losses of changing kernels, some of them very large.
     #[test]
     fn a_sum_of_losses_is_their_sum() {
         let laws = [Law::Quadratic, Law::Huber, Law::Cauchy, Law::GemanMcClure];

@@ -1,4 +1,4 @@
-//! Least squares on factor graphs. What a variable means is the caller's.
+//! Least squares on factor graphs. The caller gives the variables their meaning.
 //!
 //! Minimises Σᵢ ρᵢ(rᵢ(x)) over a *chain* of states x₀ … xₙ₋₁ of one fixed size and a *border* of
 //! scalar variables that may live across many of them. A row (whitened residual rᵢ with its
@@ -27,7 +27,7 @@
 //! - A row *touches* a variable if its Jacobian with respect to the variable is not zero.
 //! - A border variable is *alive* from the first state whose rows touch it. It *retires*, that is,
 //!   it is eliminated, after the last such state or at the end of the chain ([`BorderLife`]).
-//! - The *front* is the part of H that elimination has reached: the next state and the border
+//! - The *front* is the part of H that elimination works on: the next state and the border
 //!   variables alive.
 //!
 //! # Example

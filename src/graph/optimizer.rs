@@ -61,13 +61,13 @@ pub struct Summary {
     pub rejected: usize,
     /// Cost at the last linearisation.
     pub cost: f64,
-    /// gᵀH⁻¹g of the last step.
+    /// gᵀH⁻¹g of the last step, see [`Elimination`].
     pub decrement: f64,
 }
 
 /// Storage of a solve, which later solves use again.
 ///
-/// After [`optimize`] it holds the last linearisation and its undamped factor, for covariances.
+/// After [`optimize`] it contains the last linearisation and its undamped factor, for covariances.
 #[derive(Clone, Debug)]
 pub struct Workspace<const S: usize> {
     /// The normal equations last built.
@@ -79,7 +79,7 @@ pub struct Workspace<const S: usize> {
 }
 
 impl<const S: usize> Workspace<S> {
-    /// An empty one; its storage grows with the first problem.
+    /// An empty workspace; the first problem allocates the storage.
     pub fn new(border_life: BorderLife) -> Self {
         Self {
             system: System::new(border_life),
@@ -218,8 +218,8 @@ mod tests {
         assert!((estimate.states[0] - Vector2::new(1.0, 1.0)).norm() < 1e-6);
     }
 
-    /// The factor left by a solve is undamped, also after a rejected step and where the last
-    /// iteration was damped.
+    /// The factor that a solve leaves in the workspace is undamped, also after a rejected step and
+    /// after a damped last iteration.
     #[test]
     fn what_is_left_is_not_damped() {
         for iterations in 2..40 {
@@ -229,7 +229,7 @@ mod tests {
             optimize(&mut Valley, &mut estimate, &options, &mut workspace).unwrap();
             let mut covariances = Covariances::new();
             covariances.newest(&workspace.elimination);
-            // The rows' Jacobian where they were last linearised: det H = 100, whatever x is.
+            // The rows' Jacobian at the last linearisation: det H = 100 for every x.
             let information = covariances.state().determinant().recip();
             assert!((information - 100.0).abs() < 1e-3, "{iterations}: {information}");
         }
@@ -246,7 +246,7 @@ mod tests {
         assert!(problem.distance(&estimate, &problem.dense().0) < 1e-9);
     }
 
-    /// Seventeen readings of one number, five of them gross and on one side.
+    /// Seventeen readings of one number, five of them gross errors of the same sign.
     struct Readings(AnnealedKernel);
 
     impl Readings {

@@ -1,8 +1,8 @@
 //! Old states marginalised into a dense prior on what they touched.
 //!
 //! With e = x − x̄ on (one state, border variables alive), the prior is ½·eᵀΛe + γᵀe. Λ and γ are
-//! the Schur complement of all older rows, linearised once at x̄: those rows are not kept and
-//! cannot be linearised again. A later estimate changes e alone, so Λ stays what those rows gave.
+//! the Schur complement of all older rows, linearised once at x̄. Those rows are not kept, so they
+//! cannot be linearised again: later estimates change e but not Λ.
 //!
 //! Source: Dellaert & Kaess (2017), section 5.3; Sibley, Matthies & Sukhatme (2010), *Sliding
 //! window filter with application to planetary landing*.
@@ -91,7 +91,7 @@ impl<const S: usize> Prior<S> {
         }
     }
 
-    /// Adds the prior to a system, its state being state `k`, linearised at `estimate`.
+    /// Adds the prior, linearised at `estimate`, to a system in which its state has index `k`.
     pub fn add_to(&self, k: usize, estimate: &Estimate<S>, system: &mut System<S>) {
         let e = estimate.states[k] - self.linearized_at;
         let mut scratch = std::mem::take(&mut system.scratch);
@@ -213,7 +213,7 @@ mod tests {
         (window, gone)
     }
 
-    /// Against the dense inverse: covariance plus variance on the border, mean where it was.
+    /// Compares with the dense inverse: the variance is added on the border, and the mean stays.
     #[test]
     fn a_loosened_border_is_process_noise() {
         let problem = Linear::<5>::random(7, 2, 3);

@@ -1,7 +1,7 @@
 //! Groups of rows with one unknown offset in common, which is eliminated before they are added.
 //!
-//! rᵢ(x, o) = rᵢ(x) + cᵢ·o, with one offset o for all rows of a group on one state. Nothing else is
-//! known of o. The minimum over o is taken inside the group: with ρᵢ = rᵢ/cᵢ, aᵢ = ∂ρᵢ/∂x,
+//! rᵢ(x, o) = rᵢ(x) + cᵢ·o, with one offset o for all rows of a group on one state, and no prior on
+//! o. The minimum over o is taken inside the group: with ρᵢ = rᵢ/cᵢ, aᵢ = ∂ρᵢ/∂x,
 //! vᵢ = wᵢcᵢ², V = Σ vᵢ and the means ā and ρ̄ weighted by vᵢ,
 //!
 //! H = Σ vᵢ·(aᵢ − ā)(aᵢ − ā)ᵀ = Σ vᵢ·aᵢaᵢᵀ − (Σ vᵢaᵢ)(Σ vᵢaᵢ)ᵀ/V, g = Σ vᵢ·aᵢ·(ρᵢ − ρ̄)
@@ -10,8 +10,8 @@
 //! project the rows on the complement of the offset.
 //!
 //! The mean of a state's column is subtracted before the products are formed, so that rounding
-//! errors stay small where all rows have nearly the same entry. Each border variable is touched by
-//! one row of the group only, so that its column needs no such care.
+//! errors stay small if all rows have nearly the same entry. This is not necessary for the columns
+//! of border variables, because only one row of the group touches each of them.
 
 use crate::graph::kernel::{Kernel, Law};
 use crate::graph::system::{Row, System};
@@ -234,7 +234,7 @@ mod tests {
         }
     }
 
-    /// A constant on all rows, in units of the offset, changes nothing, however large.
+    /// A constant on all rows, in units of the offset, changes nothing, even a very large one.
     #[test]
     fn a_common_shift_changes_nothing() {
         let shifted = |by: f64| {
@@ -258,7 +258,7 @@ mod tests {
         assert_eq!(delta.border, [0.0; 3]);
     }
 
-    /// Median 1, and a gross row that a redescending kernel leaves alone.
+    /// Median 1, and a gross error that a redescending kernel ignores.
     #[test]
     fn the_offset_is_robust() {
         let at = |residual: f64| SharingRow {

@@ -5,11 +5,12 @@
 //!
 //! x_k = x̄_k + L⁻ᵀ·(y − Gᵀ·δ_{k+1} − W·δ_β) + L⁻ᵀ·ε, ε standard normal
 //!
-//! with δ the difference from where the rows were linearised. The border variables retired with it
-//! have the like. A `Departure` holds both. A `Smoother` begins at the newest state of a solved
-//! window and carries mean and covariance of (one state, the border variables alive there) backward
-//! through the departures, which takes of the order of S²·n + S·n² operations a state for n border
-//! variables. The rows of a marginalised state keep their linearisation and their kernel weights.
+//! δ is the difference from the linearisation point. The border variables that retired with the
+//! state have a distribution of the same form. A `Departure` contains both. A `Smoother` begins at
+//! the newest state of a solved window and carries mean and covariance of (one state, the border
+//! variables alive there) backward through the departures, at a cost of O(S²·n + S·n²) per state
+//! for n border variables. The rows of a marginalised state keep their linearisation and their
+//! kernel weights.
 //!
 //! Source: Rauch, Tung & Striebel (1965), *Maximum likelihood estimates of linear dynamic systems*;
 //! here in the square-root information form of Bierman (1977), *Factorization methods for discrete
@@ -30,7 +31,7 @@ pub(crate) struct Departure<const S: usize> {
     factor: Factor<S>,
     coupling: SMatrix<f64, S, S>,
     forward: SVector<f64, S>,
-    /// W, then the variable of each column, then the value each was linearised at.
+    /// W, then the variable of each column, then the value at which each was linearised.
     columns: Vec<SVector<f64, S>>,
     variables: Vec<usize>,
     border_at: Vec<f64>,
@@ -38,7 +39,7 @@ pub(crate) struct Departure<const S: usize> {
     carried: usize,
     retired: Vec<Retired<S>>,
     retired_rows: Vec<f64>,
-    /// The state and the next one, at the values they were linearised at.
+    /// Linearisation point of the state, then of the next state.
     at: SVector<f64, S>,
     next_at: SVector<f64, S>,
 }
@@ -52,8 +53,8 @@ impl<const S: usize> Departure<S> {
     /// Takes the departure of the first state from `elimination`, right after
     /// [`Prior::marginalize`] has used it on a system of two states.
     ///
-    /// `carried` is the number of border variables in the prior before; `estimate` is where the
-    /// system was linearised. No row on the second state may touch a border variable.
+    /// `carried` is the number of border variables in the prior before; `estimate` is the
+    /// linearisation point of the system. No row on the second state may touch a border variable.
     ///
     /// [`Prior::marginalize`]: crate::graph::Prior::marginalize
     pub(crate) fn of(elimination: &Elimination<S>, estimate: &Estimate<S>, carried: usize) -> Self {
@@ -154,7 +155,7 @@ pub(crate) struct Smoother<const S: usize> {
 }
 
 impl<const S: usize> Smoother<S> {
-    /// Without a state reached.
+    /// Before [`Self::begin`]: no state is reached.
     pub(crate) fn new() -> Self {
         Self {
             state: SVector::zeros(),
@@ -303,8 +304,9 @@ mod tests {
         Slid { elimination, window, departures }
     }
 
-    /// Every state with the border alive there, mean and joint covariance, is that of the whole
-    /// problem solved at once, whatever had left the window and whatever its border variables were.
+    /// Every state with the border alive there has the mean and joint covariance of the whole
+    /// problem solved at once. This does not depend on what has left the window, nor on its border
+    /// variables.
     #[test]
     fn states_gone_are_smoothed_as_by_the_batch() {
         for (states, border) in [(12, 0), (14, 5), (9, 12)] {
@@ -341,7 +343,7 @@ mod tests {
         }
     }
 
-    /// What is stored and read back goes back alike; what is cut short is refused.
+    /// A stored and restored smoother goes back in the same way; truncated bytes are refused.
     #[test]
     fn a_stored_departure_is_the_same() {
         let problem = Linear::<5>::random(3, 9, 7);

@@ -1,9 +1,8 @@
 //! Rows on the same coordinates, summed before they are added to a system.
 //!
 //! All rows of one kind at a state, such as the ranges measured there, depend on the same few
-//! coordinates.
-//! Σ w·jjᵀ and Σ w·jr of their Jacobians j are then small and dense, and are added to the state's
-//! block once.
+//! coordinates. Σ w·jjᵀ and Σ w·jr of their Jacobians j are then small and dense, and are added to
+//! the state's block once.
 
 use crate::graph::system::{Link, System};
 
@@ -65,9 +64,9 @@ impl<const N: usize, const M: usize> LinkSum<N, M> {
 }
 
 impl<const N: usize, const M: usize> LinkSum<N, M> {
-    /// Frees an offset o that enters every row as the later coordinate `column` does, and is itself
-    /// known to be zero within 1/√`information`: eliminates it by its Schur complement. The rows
-    /// were added with their residuals at o = `at`.
+    /// Eliminates, by its Schur complement, an offset o that enters every row like the later
+    /// coordinate `column`. Its prior is zero with σ = 1/√`information`. The rows were added with
+    /// their residuals at o = `at`.
     pub(crate) fn free_offset(&mut self, column: usize, at: f64, information: f64) {
         let by_later = self.later.matrix[column];
         let by_earlier: [f64; N] = std::array::from_fn(|i| self.coupling[i][column]);
@@ -91,8 +90,9 @@ impl<const N: usize, const M: usize> LinkSum<N, M> {
 }
 
 impl<const S: usize> System<S> {
-    /// Adds summed rows on the coordinates `columns` of state `k`, ascending, none twice. Their
-    /// losses are not added: [`System::weigh`] has done so.
+    /// Adds summed rows on the coordinates `columns` of state `k`, which are in ascending order
+    /// without repetition. Their losses are not added, because [`System::weigh`] already adds them
+    /// to the cost.
     #[inline]
     pub(crate) fn add_sum<const N: usize>(
         &mut self,
@@ -150,8 +150,8 @@ mod tests {
         })
     }
 
-    /// Against the dense normal equations with the offset as an unknown of its own, which is 0.4 with
-    /// a prior of information 2 about zero.
+    /// Compares with the dense normal equations in which the offset is one more unknown; it is 0.4
+    /// and has a prior at zero with information 2.
     #[test]
     fn a_free_offset_is_an_unknown_of_the_dense_solve() {
         let (at, information) = (0.4, 2.0);

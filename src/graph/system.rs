@@ -26,9 +26,9 @@ pub enum BorderLife {
 pub struct Row<const N: usize> {
     /// r (model − measured) / σ.
     pub residual: f64,
-    /// Indices of the coordinates it depends on, ascending, none twice.
+    /// Indices of the coordinates it depends on, in ascending order without repetition.
     pub columns: [usize; N],
-    /// ∂r/∂x at those coordinates.
+    /// ∂r/∂x at the coordinates `columns`.
     pub jacobian: [f64; N],
 }
 
@@ -37,17 +37,17 @@ pub struct Row<const N: usize> {
 pub struct Link<const N: usize, const M: usize> {
     /// r (model − measured) / σ.
     pub residual: f64,
-    /// Indices of the earlier state's coordinates, ascending, none twice.
+    /// Indices of the earlier state's coordinates, in ascending order without repetition.
     pub columns: [usize; N],
-    /// ∂r/∂xₖ at those coordinates.
+    /// ∂r/∂xₖ at the coordinates `columns`.
     pub jacobian: [f64; N],
-    /// Indices of the later state's coordinates, ascending, none twice.
+    /// Indices of the later state's coordinates, in ascending order without repetition.
     pub next_columns: [usize; M],
-    /// ∂r/∂xₖ₊₁ at those coordinates.
+    /// ∂r/∂xₖ₊₁ at the coordinates `next_columns`.
     pub next_jacobian: [f64; M],
 }
 
-/// Border part of the rows at one state; its variables in the order in which rows first name them.
+/// Border part of the rows at one state. Variables are in the order in which rows first touch them.
 #[derive(Clone, Debug)]
 pub(crate) struct Touched<const S: usize> {
     pub(crate) variables: Vec<usize>,
@@ -169,7 +169,7 @@ impl<const S: usize> System<S> {
         self.cost.value()
     }
 
-    /// Adds to the cost a loss that no row of the system has.
+    /// Adds a loss to the cost for which the system has no row.
     pub(crate) fn add_cost(&mut self, cost: f64) {
         self.cost.add_loss(cost);
     }
@@ -238,8 +238,9 @@ impl<const S: usize> System<S> {
         }
     }
 
-    /// Adds a row on state `k` and on border variables, given as `(variable, ∂r/∂b)`, none twice.
-    /// A row on border variables alone has `N` = 0. Returns the weight that the kernel gives it.
+    /// Adds a row on state `k` and on border variables, given as `(variable, ∂r/∂b)` without
+    /// repetition. A row on border variables alone has `N` = 0. Returns the weight that the kernel
+    /// gives it.
     #[inline]
     pub fn add_with_border<const N: usize>(
         &mut self,
@@ -291,7 +292,7 @@ impl<const S: usize> System<S> {
         self.gradient[k] += g;
     }
 
-    /// How many numbers fit into the storage without a new allocation.
+    /// Number of values that fit into the storage without a new allocation.
     #[cfg(test)]
     pub(crate) fn capacity(&self) -> usize {
         let blocks = (self.diagonal.capacity() + self.coupling.capacity()) * S * S;

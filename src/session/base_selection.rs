@@ -8,14 +8,14 @@ use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::BaseKey;
 
-/// Age beyond which the last position no longer shows where the rover is (s).
+/// Age at which the rover's last position is too old to select a base by (s).
 const POSITION_LIFETIME_S: f64 = 60.0;
 
 /// The bases from which the next epochs take theirs.
 pub(super) enum BaseSource {
     /// None: the mode is not relative to a base.
     None,
-    /// One base, with its epochs of the rover epochs' time.
+    /// One base, and its epochs for the times of the rover epochs.
     One(BaseView),
     /// The nearest of several bases.
     Nearest(Candidates),
@@ -94,7 +94,7 @@ impl BaseSelection {
     }
 
     /// The rover's approximate position: its last position if that is recent, otherwise the
-    /// single-point position of this epoch, or else the last position whatever its age.
+    /// single-point position of this epoch. If there is none, the last position, however old.
     fn position_at(
         &self,
         epoch: &Epoch,

@@ -1,4 +1,4 @@
-//! What the desk checks of a request before it does anything.
+//! Checks of a request before anything changes.
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::store::AntennaName;

@@ -199,7 +199,8 @@ impl Sessions {
     /// revision.
     ///
     /// # Errors
-    /// No session has this id, the service is stopping, or the store fails; it is then still open.
+    /// No session has this id, the service is stopping, or the store fails. The session then stays
+    /// open.
     pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         let (desk, session) = (self.clone(), id.clone());
         // In its own task, so that the session is closed even if the caller disconnects.

@@ -11,7 +11,7 @@ use crate::store::{AntennaName, SessionRow};
 use super::SessionError;
 use super::configuration::stored_options;
 
-/// The kind of a [`SessionId`].
+/// Marks an [`Id`] as a session's; its text begins with `ses_`.
 pub enum SessionKind {}
 
 impl Kind for SessionKind {

@@ -2,8 +2,8 @@
 //!
 //! A chunk's offset counts from the first byte that the device ever sent to the session. The bytes
 //! of a chunk are stored in the same transaction as the epochs that they complete. So the
-//! acknowledged bytes are durable, and the device continues after the last of them whatever has
-//! happened to the service. Repeated bytes are recognised by their offsets. The last chunk, if
+//! acknowledged bytes are durable, and the device continues after the last of them, also after a
+//! crash of the service. Repeated bytes are recognised by their offsets. The last chunk, if
 //! repeated, is answered again from the store; earlier chunks are acknowledged without their
 //! epochs.
 

@@ -33,7 +33,7 @@ pub struct Recomputation {
 pub struct Check {
     /// Number of solutions, including revisions, that are stored and were computed again.
     pub compared: usize,
-    /// Number of these whose bits differ.
+    /// Number of the compared solutions whose bits differ.
     pub different: usize,
     /// Number of solutions that were computed but are not stored.
     pub not_stored: usize,

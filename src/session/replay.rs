@@ -27,9 +27,9 @@ const REBUILT_EPOCHS: usize = 4_096;
 /// The options and bases that replay uses.
 #[derive(Clone, Debug)]
 pub(super) enum ReplayWith {
-    /// Those of the stored solutions.
+    /// The stored options and bases of each epoch.
     Stored,
-    /// These, for all epochs.
+    /// These options and bases for all epochs.
     Options(Arc<ActiveConfiguration>),
 }
 
@@ -71,9 +71,9 @@ struct Step {
 /// The base epochs that an epoch receives.
 enum StepBase {
     None,
-    /// The same as in the stored solution.
+    /// The base epochs of the stored solution.
     Stored(BaseInput),
-    /// Those that the selection gives now.
+    /// The base epochs that the selection gives now.
     Selected(Arc<BaseSource>),
 }
 

@@ -27,7 +27,8 @@ pub struct SolveRequest {
     /// Overrides of options. If neither mode nor profile is given, they are added to the session's
     /// configuration, otherwise to the profile.
     pub overrides: BTreeMap<String, String>,
-    /// The bases of a mode relative to one; none for the session's.
+    /// The bases, if the requested mode is relative to one. Without any, the session's bases are
+    /// used.
     pub base: BaseChoice<BaseId>,
 }
 
@@ -93,7 +94,7 @@ impl From<StoredSolution> for Computed {
     }
 }
 
-/// Number of epochs that these options' estimator depends on, unless its memory is unlimited.
+/// Number of epochs that a new estimator with these options receives: those of its window.
 fn window_epochs(options: &PositioningOptions) -> usize {
     match options.mode {
         Mode::Spp => 1,

@@ -61,7 +61,7 @@ impl Solvers {
         running.await.map_err(|error| SessionError::EstimatorFailed { message: message_of(error) })
     }
 
-    /// Runs `work` on a thread of the pool, with memory to estimate in.
+    /// Runs `work` on a thread of the pool, with an estimator's scratch.
     ///
     /// # Errors
     /// It panicked.

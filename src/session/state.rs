@@ -27,7 +27,7 @@ pub(super) const PANICS_AT_NS: i64 = 123_456_789;
 #[cfg(test)]
 use crate::gnss::constants::NS_PER_SECOND;
 
-/// The time of the last epoch where the next one may have any time.
+/// Time of the last epoch at the start of an arc: the next epoch may have any time.
 const BEFORE_ALL: GpsTime = GpsTime::from_ns(i64::MIN);
 
 /// The program version and options that compute a solution.
@@ -46,7 +46,7 @@ pub(super) struct State {
     pub(super) estimator: EstimatorState,
     /// Hash of the configuration that the estimator was made with.
     pub(super) configuration_hash: Arc<str>,
-    /// The base that it uses.
+    /// The base that the estimator uses.
     base_selection: BaseSelection,
     /// The rover's approximate position, for antenna corrections.
     antenna_position: ApproximatePosition,
@@ -175,7 +175,7 @@ impl State {
         Advanced { solution, revisions }
     }
 
-    /// Whether the last thing that happened is the beginning of an arc.
+    /// Whether an arc has begun since the last epoch.
     pub(super) fn begins_arc(&self) -> bool {
         self.last.is_some_and(|(_, time)| time == BEFORE_ALL)
     }

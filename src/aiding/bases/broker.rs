@@ -1,4 +1,4 @@
-//! The desk for base stations: creates them, takes their epochs, and lends them to sessions.
+//! The desk for base stations: creates them, takes their epochs, and gives sessions views of them.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
