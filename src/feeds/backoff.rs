@@ -20,13 +20,13 @@ impl Backoff {
         Self { first, ceiling, next: first }
     }
 
-    /// The next delay, but at least the delay `asked` for by the host.
+    /// The next delay, but at least the delay `asked` for by the host, which may be zero.
     pub(crate) fn next(&mut self, asked: Option<Duration>) -> Duration {
         // The quality of these random bits does not matter.
         let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
         let delay = self.next.mul_f64(0.5 + 0.5 * fraction);
         self.next = (self.next * 2).min(self.ceiling);
-        asked.map_or(delay, |asked| asked + delay.min(asked))
+        asked.map_or(delay, |asked| delay.max(asked + delay.min(asked)))
     }
 
     /// Starts again with the first delay. Call it after a success that lasted.
@@ -54,6 +54,9 @@ mod tests {
         assert!(30 < seen.len(), "no jitter");
         let asked = Duration::from_secs(7);
         assert!(asked <= backoff.next(Some(asked)));
+        // A host that asks for no delay does not switch the delays off.
+        let least = backoff.next(Some(Duration::ZERO));
+        assert!(ceiling / 2 <= least, "{least:?}");
         backoff.reset();
         assert!(backoff.next(None) <= first);
     }

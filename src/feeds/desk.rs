@@ -253,7 +253,8 @@ impl Feeds {
     /// The health of the stream that fills a base.
     pub fn health(&self, base: &BaseId) -> Option<FeedHealth> {
         let streams = self.streams();
-        streams.values().find(|running| running.status.fills(base)).map(|r| r.status.health())
+        let fills = |running: &&RunningStream| running.status.fills(base);
+        streams.values().find(fills).map(|running| running.status.health_of(base))
     }
 
     /// Closes all streams and archives. Returns when their last epochs are stored.

@@ -7,8 +7,8 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::{Instant, interval, sleep, timeout_at};
 
-use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseId;
+use crate::aiding::{AidingDesk, AidingError};
 use crate::clock::{gps_time, unix_ms};
 use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
 use crate::gnss::constants::SECONDS_PER_DAY;
@@ -26,42 +26,74 @@ const EARLY_EPOCHS: usize = 300;
 /// The health and bases of a stream, shared between its task and the desk.
 pub(super) struct StreamStatus {
     health: Mutex<FeedHealth>,
-    bases: Mutex<Vec<BaseId>>,
+    bases: Mutex<Vec<FilledBase>>,
+}
+
+/// A base that a stream fills.
+struct FilledBase {
+    id: BaseId,
+    /// Distance of the stream's station from the base's stated position (m).
+    station_off_m: Option<f64>,
+    /// Why the base refused the last data.
+    refusal: Option<FeedProblem>,
+}
+
+impl FilledBase {
+    const fn new(id: BaseId) -> Self {
+        Self { id, station_off_m: None, refusal: None }
+    }
 }
 
 impl StreamStatus {
     pub(super) fn new(base: Option<BaseId>) -> Self {
-        let bases = Mutex::new(base.into_iter().collect());
+        let bases = Mutex::new(base.into_iter().map(FilledBase::new).collect());
         Self { health: Mutex::new(FeedHealth::new(unix_ms())), bases }
     }
 
     pub(super) fn add(&self, base: BaseId) {
         let mut bases = self.bases();
-        if !bases.contains(&base) {
-            bases.push(base);
+        if !bases.iter().any(|filled| filled.id == base) {
+            bases.push(FilledBase::new(base));
         }
     }
 
     /// Removes a base; returns whether others remain.
     pub(super) fn remove(&self, base: &BaseId) -> bool {
         let mut bases = self.bases();
-        bases.retain(|other| other != base);
+        bases.retain(|other| other.id != *base);
         !bases.is_empty()
     }
 
     pub(super) fn fills(&self, base: &BaseId) -> bool {
-        self.bases().contains(base)
+        self.bases().iter().any(|filled| filled.id == *base)
     }
 
     pub(super) fn health(&self) -> FeedHealth {
         self.lock().clone()
     }
 
+    /// The health of the stream as far as it concerns `base`.
+    pub(super) fn health_of(&self, base: &BaseId) -> FeedHealth {
+        let mut health = self.health();
+        if let Some(filled) = self.bases().iter().find(|filled| filled.id == *base) {
+            health.station_off_m = filled.station_off_m;
+            health.refusal = filled.refusal.clone().or(health.refusal);
+        }
+        health
+    }
+
+    /// Changes what is known of a base, if the stream still fills it.
+    fn update(&self, base: &BaseId, change: impl FnOnce(&mut FilledBase)) {
+        if let Some(filled) = self.bases().iter_mut().find(|filled| filled.id == *base) {
+            change(filled);
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, FeedHealth> {
         self.health.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn bases(&self) -> MutexGuard<'_, Vec<BaseId>> {
+    fn bases(&self) -> MutexGuard<'_, Vec<FilledBase>> {
         self.bases.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -248,9 +280,8 @@ impl Stream {
         if navigation != Navigation::default() {
             let StreamRequest { caster, mountpoint, .. } = &self.request;
             let source = format!("{caster}/{mountpoint}");
-            if let Err(error) = self.aiding.navigation.push(navigation, &source).await {
-                self.status.lock().refusal = Some(FeedProblem::from(&error));
-            }
+            let pushed = self.aiding.navigation.push(navigation, &source).await;
+            self.status.lock().refusal = pushed.as_ref().err().map(FeedProblem::from);
         }
         if self.hints.near.is_some() {
             // A recorded stream continues at this time after a reconnection.
@@ -280,7 +311,8 @@ impl Stream {
         if !has_station && epochs.is_empty() {
             return;
         }
-        let bases = self.status.bases().clone();
+        let bases: Vec<BaseId> =
+            self.status.bases().iter().map(|filled| filled.id.clone()).collect();
         for base in &bases {
             self.fill(base, has_station, &epochs).await;
         }
@@ -295,21 +327,21 @@ impl Stream {
             let stated = present.filter(|site| site.source == PositionSource::Given);
             let point = site.antenna_reference_point();
             let off_m = stated.map(|site| site.antenna_reference_point().distance_m(point));
-            self.status.lock().station_off_m = off_m;
-            if off_m.is_none() && self.refuses(self.aiding.bases.set_site(base, site).await) {
+            self.status.update(base, |filled| filled.station_off_m = off_m);
+            if off_m.is_none() && self.refuses(base, self.aiding.bases.set_site(base, site).await) {
                 return;
             }
         }
         if !epochs.is_empty() {
-            self.refuses(self.aiding.bases.push(base, epochs.to_vec()).await);
+            self.refuses(base, self.aiding.bases.push(base, epochs.to_vec()).await);
         }
     }
 
-    /// Records in the health whether a base refuses data, and why.
-    fn refuses<T>(&self, outcome: Result<T, crate::aiding::AidingError>) -> bool {
+    /// Records whether a base refuses data, and why.
+    fn refuses<T>(&self, base: &BaseId, outcome: Result<T, AidingError>) -> bool {
         let refusal = outcome.as_ref().err().map(FeedProblem::from);
         let is_refused = refusal.is_some();
-        self.status.lock().refusal = refusal;
+        self.status.update(base, |filled| filled.refusal = refusal);
         is_refused
     }
 
