@@ -10,6 +10,7 @@ pub mod bases;
 mod error;
 mod limits;
 mod navigation;
+mod trust;
 
 pub use antennas::Antennas;
 pub use bases::BaseBroker;
@@ -18,6 +19,7 @@ pub use limits::AidingLimits;
 pub use navigation::{
     NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation, SatelliteCoverage,
 };
+pub use trust::{DEVICE, OF_BASE, UPLOAD};
 
 use std::sync::Arc;
 

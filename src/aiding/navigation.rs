@@ -10,6 +10,7 @@ use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
 use crate::store::{NavigationChange, Store, StoreError};
 
+use super::trust::{Offered, is_of_operator};
 use super::{AidingError, AidingLimits};
 
 /// The effect of a push.
@@ -79,6 +80,8 @@ struct Current {
     push: u64,
     navigation: Arc<Navigation>,
     sources: Arc<Sources>,
+    /// The ephemerides in force that are not the operator's.
+    offered: Arc<Offered>,
 }
 
 /// The desk for broadcast navigation data. All clones share the same data.
@@ -101,8 +104,9 @@ impl NavigationBroker {
     pub async fn open(store: Store, limits: AidingLimits) -> Result<Self, AidingError> {
         let stored = store.navigation().await?;
         let mut navigation = stored.coefficients;
-        let mut sources = Sources::new();
+        let (mut sources, mut offered) = (Sources::new(), Offered::default());
         for row in stored.ephemerides {
+            offered.note(&row.ephemeris, &row.source, row.stored_unix_ms);
             let entry = sources.entry(row.ephemeris.satellite());
             let newest = entry.or_insert_with(|| (String::new(), i64::MIN));
             if newest.1 < row.stored_unix_ms {
@@ -111,7 +115,8 @@ impl NavigationBroker {
             navigation.insert(row.ephemeris);
         }
         let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let current = Current { push: stored.push, navigation, sources };
+        let offered = Arc::new(offered);
+        let current = Current { push: stored.push, navigation, sources, offered };
         let current = Arc::new(RwLock::new(current));
         Ok(Self { store, limits, current, pushing: Arc::default(), past: Arc::default() })
     }
@@ -131,7 +136,7 @@ impl NavigationBroker {
         if current.push == push {
             return Ok(current);
         }
-        // // Locked while the store is read: many sessions restored at once ask for the same push.
+        // Locked while the store is read: many sessions restored at once ask for the same push.
         let mut past = self.past.lock().await;
         if let Some(known) = past.iter().find(|known| known.push == push) {
             return Ok(known.clone());
@@ -146,7 +151,9 @@ impl NavigationBroker {
     }
 
     /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
-    /// of [`Self::current`] contain them.
+    /// of [`Self::current`] contain them. The operator's data replace others; data from the sources
+    /// [`UPLOAD`](super::UPLOAD), [`DEVICE`](super::DEVICE) and those that begin with
+    /// [`OF_BASE`](super::OF_BASE) are added as far as they contradict and replace nothing.
     ///
     /// # Errors
     /// The push has more ephemerides of one satellite than are kept, or the store fails.
@@ -161,19 +168,37 @@ impl NavigationBroker {
         if let Some((satellite, list)) = pushed.satellites().find(|(_, l)| limit < l.len()) {
             return Err(AidingError::TooManyEphemerides { satellite, count: list.len(), limit });
         }
-        let new = new_ephemerides(&before.navigation, &pushed);
+        let received = pushed.len();
+        let is_offer = !is_of_operator(source);
+        let (pushed, mut ended) = if is_offer {
+            let accepted = before.offered.accept(&before.navigation, &pushed, limit, unix_ms());
+            (accepted.navigation, accepted.dropped)
+        } else {
+            let contradicted = before.offered.contradicted(&before.navigation, &pushed);
+            (pushed, contradicted)
+        };
+        let mut new = new_ephemerides(&before.navigation, &pushed);
+        if !is_offer {
+            // What others have brought becomes the operator's.
+            let all = pushed.satellites().flat_map(|(_, list)| list);
+            let is_taken_over = |e: &&Ephemeris| before.offered.contains(e) && !new.contains(e);
+            let taken_over: Vec<&Ephemeris> = all.filter(is_taken_over).collect();
+            new.extend(taken_over);
+        }
         let coefficients = new_coefficients(&before.navigation, &pushed);
         if new.is_empty() && coefficients == Navigation::default() {
-            let (received, in_force) = (pushed.len(), before.navigation.len());
+            let in_force = before.navigation.len();
             return Ok(NavigationPush { received, new: 0, dropped: 0, in_force });
         }
         let mut navigation = (*before.navigation).clone();
         navigation.merge(pushed.clone());
-        let excess = excess(&navigation, &pushed, limit);
+        navigation.retain(|ephemeris| !ended.contains(ephemeris));
+        let excess = excess(&navigation, &pushed, limit, &before.offered);
         navigation.retain(|ephemeris| !excess.contains(ephemeris));
+        ended.extend(excess);
 
         let now = unix_ms();
-        let dropped: Vec<&Ephemeris> = excess.iter().collect();
+        let dropped: Vec<&Ephemeris> = ended.iter().collect();
         let change = NavigationChange {
             new: &new,
             dropped: &dropped,
@@ -185,17 +210,20 @@ impl NavigationBroker {
         let push = self.store.push_navigation(&change).await?;
 
         let mut sources = (*before.sources).clone();
+        let mut offered = (*before.offered).clone();
+        ended.iter().for_each(|ephemeris| offered.forget(ephemeris));
         for ephemeris in &new {
+            offered.note(ephemeris, source, now);
             sources.insert(ephemeris.satellite(), (source.to_owned(), now));
         }
         let counts = NavigationPush {
-            received: pushed.len(),
+            received,
             new: new.len(),
-            dropped: excess.len(),
+            dropped: ended.len(),
             in_force: navigation.len(),
         };
         let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let after = Current { push, navigation, sources };
+        let after = Current { push, navigation, sources, offered: Arc::new(offered) };
         *self.current.write().unwrap_or_else(PoisonError::into_inner) = after;
         Ok(counts)
     }
@@ -247,13 +275,22 @@ fn new_coefficients(known: &Navigation, pushed: &Navigation) -> Navigation {
     new
 }
 
-/// The oldest ephemerides of each satellite beyond `limit`, except those that came with `pushed`.
-fn excess(merged: &Navigation, pushed: &Navigation, limit: usize) -> Vec<Ephemeris> {
+/// The ephemerides of each satellite beyond `limit`, except those that came with `pushed`: offered
+/// ones first, and of these the oldest.
+fn excess(
+    merged: &Navigation,
+    pushed: &Navigation,
+    limit: usize,
+    offered: &Offered,
+) -> Vec<Ephemeris> {
     let mut excess = Vec::new();
     for (satellite, brought) in pushed.satellites() {
         let list = merged.of(satellite);
         let older = list.iter().filter(|ephemeris| !brought.contains(ephemeris));
-        excess.extend(older.take(list.len().saturating_sub(limit)).cloned());
+        let mut older: Vec<&Ephemeris> = older.collect();
+        older.sort_by_key(|ephemeris| !offered.contains(ephemeris));
+        let surplus = list.len().saturating_sub(limit);
+        excess.extend(older.into_iter().take(surplus).cloned());
     }
     excess
 }

@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, interval, sleep, timeout_at};
 
 use crate::aiding::bases::BaseId;
-use crate::aiding::{AidingDesk, AidingError};
+use crate::aiding::{AidingDesk, AidingError, OF_BASE};
 use crate::clock::{gps_time, unix_ms};
 use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
 use crate::gnss::constants::SECONDS_PER_DAY;
@@ -279,7 +279,8 @@ impl Stream {
         }
         if navigation != Navigation::default() {
             let StreamRequest { caster, mountpoint, .. } = &self.request;
-            let source = format!("{caster}/{mountpoint}");
+            let of_base = if self.status.bases().is_empty() { "" } else { OF_BASE };
+            let source = format!("{of_base}{caster}/{mountpoint}");
             let pushed = self.aiding.navigation.push(navigation, &source).await;
             self.status.lock().refusal = pushed.as_ref().err().map(FeedProblem::from);
         }

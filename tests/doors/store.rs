@@ -285,17 +285,17 @@ async fn navigation_survives_a_restart(database: Database) {
     pushed.nequick = Some(NeQuickCoefficients { ai: [65.0, 0.1, 0.01] });
     pushed.leap_seconds = LeapSeconds::with_broadcast(19);
     let before = broker.current().navigation;
-    let first = broker.push(pushed.clone(), "upload").await.unwrap();
+    let first = broker.push(pushed.clone(), "archive").await.unwrap();
     assert_eq!((first.received, first.new, first.dropped, first.in_force), (2, 2, 0, 2));
     assert!(before.is_empty(), "a snapshot does not change under its reader");
 
     let more = navigation([ephemeris("G05", 0, 0), ephemeris("G05", 7_200, 0)]);
-    let second = broker.push(more.clone(), "upload").await.unwrap();
+    let second = broker.push(more.clone(), "archive").await.unwrap();
     assert_eq!((second.received, second.new, second.in_force), (2, 1, 3));
     pushed.merge(more);
     assert_eq!(*broker.current().navigation, pushed);
     let replaced = navigation([ephemeris("G07", 0, 1)]);
-    assert_eq!(broker.push(replaced.clone(), "upload").await.unwrap().in_force, 3);
+    assert_eq!(broker.push(replaced.clone(), "archive").await.unwrap().in_force, 3);
     pushed.merge(replaced);
 
     let restarted = NavigationBroker::open(database.store().await, AidingLimits::service());
@@ -309,7 +309,7 @@ async fn old_ephemerides_make_room(database: Database) {
     let broker = NavigationBroker::open(database.store().await, limits.clone()).await.unwrap();
     let push = async |toes: &[u64]| {
         let pushed = navigation(toes.iter().map(|toe| ephemeris("G05", *toe, 0)));
-        broker.push(pushed, "upload").await
+        broker.push(pushed, "archive").await
     };
     push(&[7_200, 14_400]).await.unwrap();
     // What comes is wanted, though it be older than what is held.

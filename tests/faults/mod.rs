@@ -1,9 +1,8 @@
-//! What goes wrong: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
-
 mod casters;
 mod crash;
 mod database;
 mod disk;
+mod forged;
 mod lease;
 mod robustness;
 mod server;

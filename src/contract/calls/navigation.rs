@@ -1,15 +1,12 @@
 //! Navigation: uploads and status.
 
-use crate::aiding::{NavigationStatus, SatelliteCoverage};
+use crate::aiding::{NavigationStatus, SatelliteCoverage, UPLOAD};
 use crate::contract::{Refusal, Service, v1};
 use crate::formats::rinex::{self, Skipped};
 use crate::gnss::Navigation;
 
 use super::feeds;
 use super::upload::{in_background, skipped_entry, unpacked};
-
-/// The source of ephemerides that this call brings.
-const SOURCE: &str = "upload";
 
 /// Takes a RINEX navigation file.
 ///
@@ -22,7 +19,7 @@ pub async fn push(
     let bytes_max = service.limits().decompressed_bytes;
     let read = in_background(move || read(&request.content, bytes_max)).await?;
     let (navigation, skipped) = read?;
-    let counts = service.navigation().push(navigation, SOURCE).await?;
+    let counts = service.navigation().push(navigation, UPLOAD).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,
         new_ephemerides: counts.new as u64,

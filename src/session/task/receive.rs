@@ -1,5 +1,6 @@
 //! The task's handling of raw bytes: decodes, positions and commits them in one step.
 
+use crate::aiding::DEVICE;
 use crate::clock::unix_ms;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
@@ -8,9 +9,6 @@ use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
 use crate::store::{RawChange, RawPosition, StoredEpoch};
 
 use super::{Active, Task};
-
-/// The source of ephemerides from devices, as the navigation status names it.
-const SOURCE: &str = "device";
 
 impl Task {
     /// Takes a chunk: decodes it, pushes its ephemerides to the broker, positions its epochs, and
@@ -86,7 +84,7 @@ impl Task {
             return Err(SessionError::TooManyEpochs { epochs, limit });
         }
         if received.navigation != Navigation::default() {
-            self.aiding.navigation.push(received.navigation.clone(), SOURCE).await?;
+            self.aiding.navigation.push(received.navigation.clone(), DEVICE).await?;
         }
         Ok(received)
     }
