@@ -213,6 +213,8 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         raw_chunk_bytes: limits.raw_piece_bytes,
         observations_per_epoch: limits.observations_per_epoch,
         future_s: limits.future_s,
+        solve_window_epochs: limits.solve_window_epochs,
+        solve_time: Duration::from_secs(limits.solve_s),
         active_sessions: limits.active_sessions,
         solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
         ..SessionLimits::service()

@@ -159,6 +159,10 @@ pub struct Limits {
     pub observations_per_epoch: usize,
     /// Time that an epoch may be ahead of the service's clock (s).
     pub future_s: u64,
+    /// Epochs in the window of `Solve` and `SolveOnce`.
+    pub solve_window_epochs: usize,
+    /// Time that one `Solve` or `SolveOnce` may compute (s).
+    pub solve_s: u64,
     /// Sessions with an estimator in memory; idle ones are parked.
     pub active_sessions: usize,
     /// Epochs that wait in the mailbox of one session.
@@ -299,6 +303,8 @@ impl ServiceConfiguration {
             ("raw_piece_bytes", limits.raw_piece_bytes),
             ("satellites_per_epoch", limits.satellites_per_epoch),
             ("observations_per_epoch", limits.observations_per_epoch),
+            ("solve_window_epochs", limits.solve_window_epochs),
+            ("solve_s", limits.solve_s as usize),
             ("active_sessions", limits.active_sessions),
             ("mailbox_epochs", limits.mailbox_epochs),
             ("waiting_epochs", limits.waiting_epochs),
@@ -325,6 +331,8 @@ impl Limits {
             satellites_per_epoch: 128,
             observations_per_epoch: 512,
             future_s: 86_400,
+            solve_window_epochs: 300,
+            solve_s: 5,
             active_sessions: 4096,
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,

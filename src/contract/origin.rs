@@ -144,9 +144,11 @@ impl From<SessionError> for Refusal {
             | SessionError::Closed { .. }
             | SessionError::Empty { .. } => Some("session"),
             SessionError::LabelTooLong { .. } => Some("label"),
+            SessionError::WindowTooLong { .. } => Some("overrides.window_epochs_max"),
             SessionError::NoEpochs
             | SessionError::TooManyEpochs { .. }
             | SessionError::BurstOutOfOrder { .. }
+            | SessionError::TooCostly { .. }
             | SessionError::TooManyObservations { .. } => Some("epochs"),
             SessionError::MailboxFull { .. }
             | SessionError::Overloaded { .. }

@@ -144,6 +144,9 @@ codes! {
     TimeImplausible = "TIME_IMPLAUSIBLE", Precondition,
         "correct the receiver's week number, or the service's clock; or let the operator raise \
          limits.future_s";
+    /// The computation takes more time than a request may, or its window is longer.
+    TooCostly = "TOO_COSTLY", TooLarge,
+        "send fewer epochs, shorten the window, or use a session; the operator sets limits.solve_s";
     /// The session has no epoch to solve yet.
     SessionEmpty = "SESSION_EMPTY", Precondition, "push an epoch first";
     /// The session's mailbox is full of waiting epochs.

@@ -119,6 +119,24 @@ pub enum SessionError {
         /// The delay before the next attempt.
         retry_after: Duration,
     },
+    /// The window of a computation on request is longer than allowed.
+    #[error("the window has {epochs} epochs, at most {limit} are computed on request")]
+    WindowTooLong {
+        /// Number of epochs in the window.
+        epochs: usize,
+        /// Number of epochs allowed.
+        limit: usize,
+    },
+    /// A computation on request takes longer than allowed.
+    #[error("{done} of {epochs} epochs were computed within the {} s allowed", limit.as_secs_f64())]
+    TooCostly {
+        /// Number of epochs computed in time.
+        done: usize,
+        /// Number of epochs asked for.
+        epochs: usize,
+        /// Time allowed on the solver pool.
+        limit: Duration,
+    },
     /// The session has no epoch to solve yet.
     #[error("session {id} has no epoch yet")]
     Empty {
@@ -187,6 +205,7 @@ impl SessionError {
             Self::MailboxFull { .. } => Code::MailboxFull,
             Self::Overloaded { .. } => Code::Overloaded,
             Self::TooManyActive { .. } => Code::TooManyActiveSessions,
+            Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
             Self::Draining => Code::Draining,
             Self::EstimatorFailed { .. } => Code::EstimatorFailed,

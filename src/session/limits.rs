@@ -24,6 +24,10 @@ pub struct SessionLimits {
     pub active_sessions: usize,
     /// Bases that one session may choose from.
     pub candidate_bases: usize,
+    /// Epochs in the window of a computation on request.
+    pub solve_window_epochs: usize,
+    /// Time that a computation on request may use the solver pool.
+    pub solve_time: Duration,
     /// Characters of a label.
     pub label_characters: usize,
     /// Threads that run estimators.
@@ -44,6 +48,8 @@ impl SessionLimits {
             future_s: 86_400,
             active_sessions: 4_096,
             candidate_bases: 32,
+            solve_window_epochs: 300,
+            solve_time: Duration::from_secs(5),
             label_characters: 200,
             solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
             retry_after: Duration::from_millis(100),

@@ -73,6 +73,7 @@ mod antenna;
 mod base_selection;
 mod batch;
 mod checks;
+mod computation;
 mod configuration;
 mod counters;
 
@@ -91,6 +92,7 @@ mod state;
 mod submission;
 mod task;
 
+pub use computation::Computed;
 pub use counters::SessionCounts;
 pub use desk::Sessions;
 pub use error::SessionError;
@@ -98,7 +100,7 @@ pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate};
 pub use limits::SessionLimits;
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};
-pub use solve::{Burst, Computed, SolveRequest};
+pub use solve::{Burst, SolveRequest};
 pub use submission::{
     Acknowledged, EpochOutcome, EpochRefusal, Pending, SEQUENCES, SequencedEpoch, Submitted,
 };

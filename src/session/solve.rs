@@ -3,15 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::bases::{BaseChoice, BaseId, BaseInput};
+use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::{Mode, PositioningOptions};
-use crate::gnss::{Navigation, Solution};
-use crate::positioning::{Aiding, EstimatorState, Scratch};
-use crate::recording::ApproximatePosition;
-use crate::store::{SessionSettings, StoredSolution};
+use crate::gnss::Navigation;
+use crate::store::SessionSettings;
 
-use super::antenna::corrected;
-use super::base_selection::{BaseSelection, BaseSource};
+use super::base_selection::BaseSource;
+use super::computation::{Computation, Computed};
 use super::desk::Sessions;
 use super::replay::calibration;
 use super::state::{Configuration, VERSION};
@@ -51,19 +49,6 @@ pub struct Burst {
     pub antenna: String,
 }
 
-/// A solution that is not stored.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Computed {
-    /// Number of the epoch.
-    pub seq: u64,
-    /// The solution.
-    pub solution: Solution,
-    /// Version of the program that computed it.
-    pub version: Arc<str>,
-    /// Hash of the configuration in force.
-    pub configuration_hash: Arc<str>,
-}
-
 impl SolveRequest {
     /// The requested options for a session with `settings`.
     ///
@@ -84,13 +69,6 @@ impl SolveRequest {
             options.set(name, value)?;
         }
         Ok(options)
-    }
-}
-
-impl From<StoredSolution> for Computed {
-    fn from(stored: StoredSolution) -> Self {
-        let StoredSolution { seq, revision: _, solution, version, configuration_hash } = stored;
-        Self { seq, solution, version, configuration_hash }
     }
 }
 
@@ -117,6 +95,7 @@ impl Sessions {
     ) -> Result<Computed, SessionError> {
         let row = self.row(id).await?;
         let options = request.options(&row.settings)?;
+        self.check_window(&options)?;
         let asked = self.base_names(request.base.clone())?;
         let base = if asked.is_none() { &row.settings.base } else { &asked };
         let base = configuration::base_of(options.mode, base)?;
@@ -157,6 +136,7 @@ impl Sessions {
     /// of time.
     pub async fn solve_once(&self, burst: Burst) -> Result<Vec<Computed>, SessionError> {
         let options = configuration::options(&burst.mode, &burst.profile, &burst.overrides)?;
+        self.check_window(&options)?;
         self.check_push(&burst.epochs)?;
         let limit = self.limits().observations_per_epoch;
         for (index, epoch) in burst.epochs.iter().enumerate() {
@@ -193,6 +173,15 @@ impl Sessions {
         self.compute(estimation, burst.epochs, navigation, base).await
     }
 
+    /// Checks the window of a computation that a request asks for.
+    fn check_window(&self, options: &PositioningOptions) -> Result<(), SessionError> {
+        let (epochs, limit) = (window_epochs(options), self.limits().solve_window_epochs);
+        match epochs <= limit {
+            true => Ok(()),
+            false => Err(SessionError::WindowTooLong { epochs, limit }),
+        }
+    }
+
     async fn compute(
         &self,
         estimation: Configuration,
@@ -203,30 +192,7 @@ impl Sessions {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().next().zip(times().next_back());
         let source = BaseSource::new(&self.aiding().bases, &base, span, &estimation.options);
-        let work = move |scratch: &mut Scratch| {
-            let Configuration { version, hash: configuration_hash, options, antenna } = estimation;
-            let mut estimator = EstimatorState::new(options.clone(), false);
-            let mut selection = BaseSelection::default();
-            let mut antenna_position = ApproximatePosition::default();
-            let position = |SequencedEpoch { seq, mut epoch }| {
-                let mut input = selection.next(&source, &epoch, &navigation, &options);
-                if let Some(antenna) = &antenna {
-                    let (rover, base) = (&mut antenna_position, input.as_ref());
-                    (epoch, input) = corrected(antenna, rover, &epoch, &navigation, base);
-                }
-                let base = input.as_ref().and_then(BaseInput::aiding);
-                let aiding = Aiding { navigation: &navigation, base };
-                let solution = estimator.advance(&epoch, &aiding, scratch);
-                selection.update(input.as_ref(), &solution);
-                Computed {
-                    seq,
-                    solution,
-                    version: version.clone(),
-                    configuration_hash: configuration_hash.clone(),
-                }
-            };
-            epochs.into_iter().map(position).collect()
-        };
-        self.solvers().estimate(work).await
+        let computation = Computation::new(estimation, epochs, navigation, source);
+        computation.run(self.solvers(), self.limits().solve_time).await
     }
 }

@@ -16,6 +16,7 @@ use crate::support::doors::{Doors, code, epoch};
 /// Codes that no request of this file brings about, each with the test file that reaches it.
 const REACHED_BY: &[(Code, &str)] = &[
     (Code::FeatureNotBuilt, "src/config/option_table.rs"),
+    (Code::TooCostly, "tests/faults/hostile.rs"),
     (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
     (Code::GnssLoggerHeaderInvalid, "tests/doors/raw.rs"),
     (Code::GnssLoggerLineTooLong, "tests/doors/raw.rs"),

@@ -56,6 +56,8 @@ fn limits() -> SessionLimits {
         active_sessions: 64,
         candidate_bases: 2,
         label_characters: 20,
+        solve_window_epochs: 300,
+        solve_time: Duration::from_secs(60),
         solver_threads: NonZeroUsize::new(2).unwrap(),
         retry_after: Duration::from_millis(50),
     }

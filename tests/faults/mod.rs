@@ -1,8 +1,11 @@
+//! What goes wrong: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
+
 mod casters;
 mod crash;
 mod database;
 mod disk;
 mod forged;
+mod hostile;
 mod lease;
 mod robustness;
 mod server;
