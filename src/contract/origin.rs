@@ -5,6 +5,7 @@ use crate::aiding::bases::{BaseEpochRefusal, BaseFileError};
 use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
 use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
+use crate::formats::{UnpackError, unpack_error};
 use crate::reception::ReceptionError;
 use crate::refusal::Code;
 use crate::session::{EpochRefusal, SessionError};
@@ -42,8 +43,23 @@ impl From<RinexError> for Refusal {
     }
 }
 
+impl From<UnpackError> for Refusal {
+    fn from(error: UnpackError) -> Self {
+        let code = match error {
+            UnpackError::TooLarge { .. } => Code::DecompressedTooLarge,
+            UnpackError::Ratio { .. } => Code::CompressedTooMuch,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
 impl From<&RinexError> for Refusal {
     fn from(error: &RinexError) -> Self {
+        if let RinexError::ReadFailed { line, source } = error
+            && let Some(unpacking) = unpack_error(source)
+        {
+            return Self::from(unpacking).on_line(*line);
+        }
         Self::new(error.code(), error.to_string()).on_line(error.line())
     }
 }
@@ -94,7 +110,7 @@ impl From<BaseFileError> for Refusal {
     fn from(error: BaseFileError) -> Self {
         match &error {
             BaseFileError::Rinex(error) => Self::from(error),
-            BaseFileError::TooManyEpochs { .. } => Self::new(Code::BaseTooLarge, error.to_string()),
+            _ => Self::new(error.code(), error.to_string()),
         }
     }
 }

@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::Read;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,8 +11,8 @@ use tokio::time::sleep;
 
 use crate::aiding::NavigationBroker;
 use crate::clock::{gps_time, unix_ms};
-use crate::formats::decompress;
 use crate::formats::rinex::read_navigation;
+use crate::formats::unpack_within;
 use crate::gnss::constants::{NS_PER_SECOND, SECONDS_PER_DAY, SECONDS_PER_HOUR};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Navigation, TimeScale};
 use crate::refusal::Code;
@@ -25,7 +24,7 @@ use super::{Backoff, Connector, FetchError};
 
 /// Largest file, packed and unpacked. Files of one day with all systems have 3 MB and 12 MB.
 pub(super) const PACKED_LIMIT: usize = 32 << 20;
-const UNPACKED_LIMIT: u64 = 128 << 20;
+pub(super) const UNPACKED_LIMIT: u64 = 128 << 20;
 /// Days whose files are fetched: today's file still grows, yesterday's may have been completed.
 const DAYS: i64 = 2;
 /// First and longest delay after a failure.
@@ -204,19 +203,8 @@ impl Archive {
 }
 
 fn read(content: &[u8]) -> Result<Navigation, String> {
-    let text = unpacked(content)?;
-    read_navigation(text.as_slice()).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
-}
-
-/// A file's content, unpacked if it is gzip.
-pub(super) fn unpacked(content: &[u8]) -> Result<Vec<u8>, String> {
-    let mut text = Vec::new();
-    let unpacked = decompress(content).take(UNPACKED_LIMIT + 1).read_to_end(&mut text);
-    unpacked.map_err(|error| error.to_string())?;
-    if UNPACKED_LIMIT < text.len() as u64 {
-        return Err(format!("the unpacked file exceeds {UNPACKED_LIMIT} bytes"));
-    }
-    Ok(text)
+    let text = unpack_within(content, UNPACKED_LIMIT);
+    read_navigation(text).map(|(navigation, _)| navigation).map_err(|e| e.to_string())
 }
 
 #[cfg(test)]

@@ -8,12 +8,13 @@ use tokio::sync::{Semaphore, watch};
 use tokio::time::sleep;
 
 use crate::aiding::BaseBroker;
-use crate::aiding::bases::{BaseFile, BaseId, CommittedEpoch, Coverage};
+use crate::aiding::bases::{BaseFile, BaseFileLimits, BaseId, CommittedEpoch, Coverage};
 use crate::clock::{gps_time, unix_ms};
-use crate::gnss::{Epoch, GpsTime};
+use crate::formats::unpack_within;
+use crate::gnss::GpsTime;
 use crate::refusal::Code;
 
-use super::archive::{PACKED_LIMIT, unpacked};
+use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::health::{BaseArchiveHealth, FeedProblem, SourceState};
 use super::stop::stopped;
 use super::web::{self, Fetched, Validators, WebError};
@@ -203,12 +204,12 @@ impl BaseArchive {
     ) -> Result<(), FeedProblem> {
         // Err: never, because the semaphore is never closed.
         let _turn = self.reading.acquire().await.ok();
-        let (bytes, epochs_max) = (content.len(), self.bases.epochs_max());
-        let reading = tokio::task::spawn_blocking(move || read(&content, epochs_max));
+        let (bytes, limits) = (content.len(), self.bases.file_limits());
+        let reading = tokio::task::spawn_blocking(move || read(&content, &limits));
         let read = reading.await.unwrap_or_else(|panic| Err(panic.to_string()));
         let BaseFile { mut epochs, site, .. } =
             read.map_err(|message| FeedProblem { code: Code::FileUnreadable, message })?;
-        epochs.retain(|epoch: &Epoch| {
+        epochs.retain(|epoch| {
             from - TAG_TOLERANCE_S <= epoch.time && epoch.time < until - TAG_TOLERANCE_S
         });
         if epochs.is_empty() {
@@ -252,6 +253,7 @@ fn too_old(from: GpsTime) -> FeedProblem {
     }
 }
 
-fn read(content: &[u8], epochs_max: usize) -> Result<BaseFile, String> {
-    BaseFile::read(&unpacked(content)?, epochs_max).map_err(|error| error.to_string())
+fn read(content: &[u8], limits: &BaseFileLimits) -> Result<BaseFile, String> {
+    let text = unpack_within(content, UNPACKED_LIMIT);
+    BaseFile::read(text, limits).map_err(|error| error.to_string())
 }

@@ -17,6 +17,7 @@ mod rtcm;
 pub(crate) mod skipped;
 pub mod truth;
 mod ubx;
+mod unpack;
 
 use std::io::{BufRead, BufReader, Chain, Cursor, Read, Result};
 
@@ -24,6 +25,7 @@ use flate2::bufread::MultiGzDecoder;
 
 pub(crate) use gunzip::Gunzip;
 pub use gunzip::GunzipError;
+pub use unpack::{UnpackError, check_ratio, unpack_error, unpack_within};
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];

@@ -41,6 +41,14 @@ pub enum ReceptionError {
         /// Length allowed (bytes).
         limit: u64,
     },
+    /// The chunk completes more epochs than allowed, or larger ones.
+    #[error("the chunk completes more than {epochs} epochs or {observations} observations")]
+    TooManyEpochs {
+        /// Number of epochs allowed.
+        epochs: usize,
+        /// Number of observations allowed.
+        observations: usize,
+    },
     /// The RINEX text has no end of an epoch.
     #[error("no whole epoch in {bytes} bytes of RINEX")]
     EpochTooLong {
@@ -68,6 +76,7 @@ impl ReceptionError {
             Self::Unrecognised { .. } | Self::PackedTwice | Self::EpochTooLong { .. } => {
                 Code::RawFormatUnknown
             }
+            Self::TooManyEpochs { .. } => Code::TooManyEpochs,
             Self::Damaged(_) => Code::RinexReadFailed,
             Self::UnpackedTooLarge { .. } => Code::DecompressedTooLarge,
             Self::StreamTooLong { .. } => Code::RawStreamTooLong,

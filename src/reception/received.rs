@@ -7,6 +7,13 @@ use crate::formats::receiver::{Event, MessageCount, MessageKind, Statistics};
 use crate::formats::skipped::Skipped;
 use crate::gnss::{Epoch, Navigation};
 
+use super::ReceptionError;
+
+/// Most epochs that one chunk of RINEX completes.
+const EPOCHS_MAX: usize = 4096;
+/// Most observations of these epochs: a thousand epochs of 256 signals.
+const OBSERVATIONS_MAX: usize = 1 << 18;
+
 /// The format of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamFormat {
@@ -79,15 +86,32 @@ pub struct Received {
 }
 
 impl Received {
-    pub(super) fn take(&mut self, events: Vec<Event>) {
+    /// Adds an epoch.
+    ///
+    /// # Errors
+    /// The chunk has brought as many as it may: packed, a few bytes hide thousands.
+    pub(super) fn add(&mut self, epoch: Epoch) -> Result<(), ReceptionError> {
+        let observations = self.epochs.iter().map(|epoch| epoch.observations.len()).sum::<usize>();
+        if self.epochs.len() == EPOCHS_MAX
+            || OBSERVATIONS_MAX < observations + epoch.observations.len()
+        {
+            let (epochs, observations) = (EPOCHS_MAX, OBSERVATIONS_MAX);
+            return Err(ReceptionError::TooManyEpochs { epochs, observations });
+        }
+        self.epochs.push(epoch);
+        Ok(())
+    }
+
+    pub(super) fn take(&mut self, events: Vec<Event>) -> Result<(), ReceptionError> {
         for event in events {
             match event {
-                Event::Epoch(epoch) => self.epochs.push(epoch),
+                Event::Epoch(epoch) => self.add(epoch)?,
                 event => {
                     event.apply_to(&mut self.navigation);
                 }
             }
         }
+        Ok(())
     }
 
     /// Adds the counts of a decoder that began at byte `from` of the stream.

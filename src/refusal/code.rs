@@ -59,6 +59,9 @@ codes! {
     /// The unpacked upload exceeds its limit.
     DecompressedTooLarge = "DECOMPRESSED_TOO_LARGE", TooLarge,
         "split the file, or let the operator raise limits.decompressed_bytes";
+    /// The content is packed so much that unpacking it could exhaust the service.
+    CompressedTooMuch = "COMPRESSED_TOO_MUCH", TooLarge,
+        "send it not packed, or in smaller parts";
     /// The path does not exist.
     RouteNotFound = "ROUTE_NOT_FOUND", Route, "see /docs for the paths";
     /// The path does not take this method.

@@ -136,9 +136,15 @@ impl StoredBaseEpoch {
         decode_epoch(&self.content).map_err(StoreError::corrupt("base epoch"))
     }
 
-    /// Whether `epoch` is the same, bit by bit.
-    pub fn is(&self, epoch: &Epoch) -> bool {
-        *self.content == *encode_epoch(epoch)
+    /// Whether `other` has the same time tag and observations, bit by bit.
+    pub fn is(&self, other: &Self) -> bool {
+        self.content == other.content
+    }
+
+    /// The same epoch under another number.
+    #[must_use]
+    pub fn numbered(&self, number: u64) -> Self {
+        Self { number, ..self.clone() }
     }
 
     /// Size of the encoded epoch (bytes).

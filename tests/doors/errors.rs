@@ -17,6 +17,7 @@ use crate::support::doors::{Doors, code, epoch};
 const REACHED_BY: &[(Code, &str)] = &[
     (Code::FeatureNotBuilt, "src/config/option_table.rs"),
     (Code::TooCostly, "tests/faults/hostile.rs"),
+    (Code::CompressedTooMuch, "tests/faults/hostile.rs"),
     (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
     (Code::GnssLoggerHeaderInvalid, "tests/doors/raw.rs"),
     (Code::GnssLoggerLineTooLong, "tests/doors/raw.rs"),
@@ -352,7 +353,9 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     std::io::Write::write_all(&mut truncated, &vec![b' '; 5000]).unwrap();
     let mut truncated = truncated.finish().unwrap();
     let mut bomb = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    std::io::Write::write_all(&mut bomb, &vec![b'\n'; 200_000]).unwrap();
+    let head = format!("{:60}END OF HEADER\n", "");
+    let content = [nav("3.05", "N: GNSS NAV DATA"), head.into_bytes(), vec![b'\n'; 200_000]];
+    std::io::Write::write_all(&mut bomb, &content.concat()).unwrap();
     truncated.truncate(truncated.len() - 6);
     let json = "application/json";
     let raw = "application/octet-stream";

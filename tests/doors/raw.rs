@@ -437,7 +437,7 @@ async fn what_is_no_stream_is_refused() {
         (gzip(&gzip(&PAIR.base_file(None)[..50_000])), "RAW_FORMAT_UNKNOWN"),
         (vec![0x1f, 0x8b, 9, 0], "RINEX_READ_FAILED"),
         (damaged, "RINEX_READ_FAILED"),
-        (gzip(&bomb()), "DECOMPRESSED_TOO_LARGE"),
+        (gzip(&bomb()), "TOO_MANY_EPOCHS"),
     ] {
         let (status, answer) = push(&doors, &session, "", &bytes).await;
         assert_eq!(code(&answer), expected, "{answer}");

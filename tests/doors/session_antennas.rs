@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use axum::http::StatusCode;
-use graphfix::aiding::bases::{BaseFile, BaseId, NewBase};
+use graphfix::aiding::bases::{BaseFile, BaseFileLimits, BaseId, NewBase};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::contract::v1;
@@ -53,6 +53,9 @@ fn rover_file() -> Vec<u8> {
     let epochs: Vec<Epoch> = PAIR.rover[..EPOCHS].iter().map(|e| e.epoch.clone()).collect();
     file(&epochs, None, ROVER.0)
 }
+
+const LIMITS: BaseFileLimits =
+    BaseFileLimits { epochs: 1_000, bytes: 8 << 20, observations_per_epoch: 512 };
 
 fn base_file() -> Vec<u8> {
     file(&PAIR.base[..EPOCHS], Some(PAIR.position), BASE.0)
@@ -104,7 +107,7 @@ impl Desk {
     }
 
     async fn push(&self, base: &BaseId, span: std::ops::Range<usize>) {
-        let BaseFile { epochs, site, .. } = BaseFile::read(&base_file(), 1_000).unwrap();
+        let BaseFile { epochs, site, .. } = BaseFile::read(&*base_file(), &LIMITS).unwrap();
         let epochs = epochs[span].to_vec();
         self.aiding.bases.upload(base, epochs, site.as_ref()).await.unwrap();
     }

@@ -81,7 +81,7 @@ impl Base {
             span: span.map(|(oldest, newest)| (oldest.time, newest.time)),
             stored_unix_ms: stored.stored_unix_ms,
             satellites: stored.satellites,
-            check: stored.check,
+            check: stored.checks.present,
         }
     }
 }

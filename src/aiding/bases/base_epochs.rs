@@ -3,10 +3,11 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::gnss::{BaseSite, Epoch, GpsTime};
-use crate::positioning::{BASE_LATER_S, BasePositionCheck};
+use crate::gnss::{BaseSite, GpsTime};
+use crate::positioning::BASE_LATER_S;
 use crate::store::StoredBaseEpoch;
 
+use super::check::PositionChecks;
 use super::{BaseEpochRefusal, CommittedEpoch};
 
 /// Tolerance of epoch tags to the nominal second (s).
@@ -33,7 +34,9 @@ pub(super) struct BaseEpochs {
     pub(super) epochs: VecDeque<StoredBaseEpoch>,
     /// Encoded size of the epochs.
     pub(super) bytes: usize,
-    pub(super) check: BasePositionCheck,
+    pub(super) checks: PositionChecks,
+    /// The push of navigation data and the newest epoch that a check on request had.
+    pub(super) check_tried: Option<(u64, u64)>,
     /// Number of satellites in the newest epoch.
     pub(super) satellites: usize,
     /// When the newest epoch was stored (ms since 1970-01-01 UTC).
@@ -54,7 +57,8 @@ impl BaseEpochs {
             sites: Arc::new(sites),
             epochs: epochs.into(),
             bytes,
-            check: BasePositionCheck::new(),
+            checks: PositionChecks::new(),
+            check_tried: None,
             satellites: newest.map_or(0, |epoch| epoch.by_satellite().count()),
             stored_unix_ms,
             outdated: false,
@@ -82,7 +86,7 @@ impl BaseEpochs {
         let sites = Arc::make_mut(&mut self.sites);
         sites.retain(|(other, _)| *other < since);
         sites.push((since, site));
-        self.check = BasePositionCheck::new();
+        (self.checks, self.check_tried) = (PositionChecks::new(), None);
     }
 
     /// Decides whether `epoch` is new, a repetition, or refused. A new epoch is appended to `new`,
@@ -90,13 +94,13 @@ impl BaseEpochs {
     pub(super) fn accept(
         &self,
         new: &mut Vec<StoredBaseEpoch>,
-        epoch: &Epoch,
+        epoch: &StoredBaseEpoch,
     ) -> Result<CommittedEpoch, BaseEpochRefusal> {
         let time = epoch.time;
         let last = new.last().or_else(|| self.epochs.back());
         let Some(last) = last.filter(|last| time <= last.time) else {
             let number = last.map_or(1, |last| last.number + 1);
-            new.push(StoredBaseEpoch::new(number, epoch));
+            new.push(epoch.numbered(number));
             return Ok(CommittedEpoch { number, resent: false });
         };
         let among_new = new.binary_search_by_key(&time, |stored| stored.time);

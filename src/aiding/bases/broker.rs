@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
-use crate::positioning::{BasePositionCheck, BasePositionVerdict};
+use crate::positioning::BasePositionVerdict;
 use crate::store::{
     BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
 };
@@ -14,11 +14,32 @@ use crate::store::{
 use super::base::{Base, BaseDescription};
 use super::base_epochs::BaseEpochs;
 use super::candidates::Candidates;
-use super::check::continue_check;
+use super::check::PositionChecks;
 use super::nearest_requests::NearestBaseRequests;
 use super::{
-    BaseEpochRefusal, BaseId, BaseInfo, BasePush, BaseView, CommittedEpoch, Coverage, NewBase,
+    BaseEpochRefusal, BaseFileLimits, BaseId, BaseInfo, BasePush, BaseView, Coverage, NewBase,
 };
+
+/// An epoch of a push, without its number, or why it is refused.
+type PushedEpoch = Result<StoredBaseEpoch, BaseEpochRefusal>;
+
+/// The site of a push.
+enum PushedSite<'a> {
+    /// It replaces the present one.
+    Stated(&'a BaseSite),
+    /// It is used if there is none yet.
+    IfUnknown(&'a BaseSite),
+}
+
+impl<'a> PushedSite<'a> {
+    /// The site, if it applies to a base with the site `present`.
+    fn over(self, present: Option<&BaseSite>) -> Option<&'a BaseSite> {
+        match self {
+            Self::Stated(site) => Some(site),
+            Self::IfUnknown(site) => present.is_none().then_some(site),
+        }
+    }
+}
 
 /// Number of newest epochs that a position is checked with on request.
 const CHECKED_EPOCHS: usize = 20;
@@ -188,9 +209,13 @@ impl BaseBroker {
         Ok(self.base(id)?.stored().coverage(from, until))
     }
 
-    /// Largest number of epochs that one base keeps.
-    pub const fn epochs_max(&self) -> usize {
-        self.limits.epochs_per_base
+    /// Most that a file of a base may bring.
+    pub const fn file_limits(&self) -> BaseFileLimits {
+        BaseFileLimits {
+            epochs: self.limits.epochs_per_base,
+            bytes: self.limits.bytes_per_base,
+            observations_per_epoch: self.limits.observations_per_epoch,
+        }
     }
 
     /// Position and antenna of a base at its newest epoch; `None` while unknown.
@@ -246,7 +271,8 @@ impl BaseBroker {
     /// # Errors
     /// No base has this id, or the store fails.
     pub async fn set_site(&self, id: &BaseId, site: &BaseSite) -> Result<(), AidingError> {
-        self.push_with_site(id, Vec::new(), Some(site)).await.map(drop)
+        let site = Some(PushedSite::Stated(site));
+        self.push_with_site(id, Vec::new(), site).await.map(drop)
     }
 
     /// Stores epochs of a base, in order of time. When it returns, the accepted epochs are durable,
@@ -256,49 +282,66 @@ impl BaseBroker {
     /// No base has this id, its position is unknown or contradicts its observations, the epochs
     /// exceed what a base may have, or the store fails. Nothing of the push is then kept.
     pub async fn push(&self, id: &BaseId, epochs: Vec<Epoch>) -> Result<BasePush, AidingError> {
-        self.push_with_site(id, epochs, None).await
+        let limit = self.limits.observations_per_epoch;
+        let encoded = |mut epoch: Epoch| {
+            let (time, observations) = (epoch.time, epoch.observations.len());
+            if limit < observations {
+                return Err(BaseEpochRefusal::TooManyObservations { time, observations, limit });
+            }
+            epoch.odometry = None;
+            Ok(StoredBaseEpoch::new(0, &epoch))
+        };
+        self.push_with_site(id, epochs.into_iter().map(encoded).collect(), None).await
     }
 
-    /// As [`Self::push`], for the epochs of a file. If the base has no position yet, it takes the
-    /// one of the file's header.
+    /// As [`Self::push`], for the epochs of a [`BaseFile`](super::BaseFile). If the base has no
+    /// position yet, it takes the one of the file's header.
     ///
     /// # Errors
     /// As [`Self::push`].
     pub async fn upload(
         &self,
         id: &BaseId,
-        epochs: Vec<Epoch>,
+        epochs: Vec<StoredBaseEpoch>,
         header_site: Option<&BaseSite>,
     ) -> Result<BasePush, AidingError> {
-        let has_site = self.base(id)?.stored().site().is_some();
-        self.push_with_site(id, epochs, header_site.filter(|_| !has_site)).await
+        let epochs = epochs.into_iter().map(Ok).collect();
+        self.push_with_site(id, epochs, header_site.map(PushedSite::IfUnknown)).await
     }
 
     async fn push_with_site(
         &self,
         id: &BaseId,
-        mut epochs: Vec<Epoch>,
-        site: Option<&BaseSite>,
+        epochs: Vec<PushedEpoch>,
+        site: Option<PushedSite<'_>>,
     ) -> Result<BasePush, AidingError> {
         let base = self.base(id)?;
         let _turn = base.pushing.lock().await;
         self.base(id)?; // Not deleted meanwhile.
         self.refresh(&base).await?;
-        epochs.iter_mut().for_each(|epoch| epoch.odometry = None);
+        // Only now, because another push may have given the position meanwhile.
+        let site = site.and_then(|site| site.over(base.stored().site()));
         let site = site.map(|site| self.antennas.calibrated(site, base.stored().site()));
-        let (new_site, in_force, mut check, mut new) = {
+        let (new_site, in_force, mut checks, mut new) = {
             let stored = base.stored();
             let new_site = stored.new_site(site.as_ref());
-            let check = if new_site.is_some() { BasePositionCheck::new() } else { stored.check };
+            let checks = if new_site.is_some() { PositionChecks::new() } else { stored.checks };
             let in_force = new_site.map(|(_, site)| site).or(stored.site()).cloned();
-            (new_site, in_force, check, Vec::new())
+            (new_site, in_force, checks, Vec::new())
         };
-        let outcomes = self.check_epochs(&base, &epochs, &mut new);
+        let outcomes = {
+            let stored = base.stored();
+            let accept = |epoch: &PushedEpoch| {
+                stored.accept(&mut new, epoch.as_ref().map_err(Clone::clone)?)
+            };
+            epochs.iter().map(accept).collect()
+        };
         if !epochs.is_empty() {
             let site =
                 in_force.ok_or_else(|| AidingError::BasePositionMissing { id: id.to_string() })?;
-            check = self.checked(check, site, epochs).await;
+            checks = self.checked(checks, site, epochs.into_iter().flatten().collect()).await;
         }
+        let check = checks.present;
         if let (BasePositionVerdict::Refused, Some(distance_m)) =
             (check.verdict(), check.distance_m())
         {
@@ -313,26 +356,8 @@ impl BaseBroker {
             bytes_max: limits.1,
         })?;
         self.commit(&base, new_site, new, first_kept).await?;
-        base.stored().check = check;
+        base.stored().checks = checks;
         Ok(BasePush { outcomes, check })
-    }
-
-    fn check_epochs(
-        &self,
-        base: &Base,
-        epochs: &[Epoch],
-        new: &mut Vec<StoredBaseEpoch>,
-    ) -> Vec<Result<CommittedEpoch, BaseEpochRefusal>> {
-        let limit = self.limits.observations_per_epoch;
-        let stored = base.stored();
-        let mut accept = |epoch: &Epoch| {
-            let (time, observations) = (epoch.time, epoch.observations.len());
-            if limit < observations {
-                return Err(BaseEpochRefusal::TooManyObservations { time, observations, limit });
-            }
-            stored.accept(new, epoch)
-        };
-        epochs.iter().map(&mut accept).collect()
     }
 
     /// Commits the changes of a push, then makes them visible.
@@ -373,38 +398,45 @@ impl BaseBroker {
         Ok(())
     }
 
-    /// Continues a position check with `epochs`. Single-point positioning runs on a blocking
+    /// Continues the position checks with `epochs`. Single-point positioning runs on a blocking
     /// thread.
     async fn checked(
         &self,
-        check: BasePositionCheck,
+        checks: PositionChecks,
         site: BaseSite,
-        epochs: Vec<Epoch>,
-    ) -> BasePositionCheck {
-        if check.is_done() {
-            return check;
+        epochs: Vec<StoredBaseEpoch>,
+    ) -> PositionChecks {
+        if !epochs.last().is_some_and(|epoch| checks.is_due(epoch.time)) {
+            return checks;
         }
         let navigation: Arc<Navigation> = self.navigation.current().navigation;
-        let work = move || continue_check(check, &site, &epochs, &navigation);
+        let work = move || {
+            let epochs = epochs.iter().filter_map(|stored| stored.epoch().ok());
+            checks.advance(&site, epochs, &navigation)
+        };
         // Err: it panicked, so the check learns nothing.
-        tokio::task::spawn_blocking(work).await.unwrap_or(check)
+        tokio::task::spawn_blocking(work).await.unwrap_or(checks)
     }
 
     /// Checks the position with stored epochs if no epoch has checked it yet: navigation data may
-    /// have arrived after the epochs.
+    /// have arrived after the epochs. The same data are not tried again.
     async fn check_stored(&self, base: &Base) {
+        let push = self.navigation.current().push;
         let (site, epochs) = {
-            let stored = base.stored();
-            let (Some(site), 0) = (stored.site(), stored.check.epochs) else { return };
+            let mut stored = base.stored();
+            let tried = Some((push, stored.next_number()));
+            if 0 < stored.checks.present.epochs || stored.check_tried == tried {
+                return;
+            }
+            stored.check_tried = tried;
+            let Some(site) = stored.site().cloned() else { return };
             let newest = stored.epochs.iter().rev().take(CHECKED_EPOCHS);
-            let epochs: Vec<Epoch> =
-                newest.rev().filter_map(|stored| stored.epoch().ok()).collect();
-            (site.clone(), epochs)
+            (site, newest.rev().cloned().collect())
         };
-        let check = self.checked(BasePositionCheck::new(), site, epochs).await;
+        let checks = self.checked(PositionChecks::new(), site, epochs).await;
         let mut stored = base.stored();
-        if stored.check.epochs == 0 {
-            stored.check = check;
+        if stored.checks.present.epochs == 0 {
+            stored.checks = checks;
         }
     }
 

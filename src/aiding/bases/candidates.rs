@@ -77,7 +77,7 @@ fn state_of(
 ) -> Option<CandidateState> {
     let stored = base.stored();
     let distance_m = position.distance_m(stored.site()?.antenna_reference_point());
-    let is_refused = stored.check.verdict() == BasePositionVerdict::Refused;
+    let is_refused = stored.checks.present.verdict() == BasePositionVerdict::Refused;
     let may_be_used = distance_m <= options.baseline_max_m && !is_refused;
     let gap_s = options.base_age_max_s + TAG_SLACK_S;
     let received_s = || stored.uninterrupted_s(time, gap_s, options.handover_gap_free_s);

@@ -1,14 +1,63 @@
 //! Checks the stated position of a base with stored or pushed epochs.
 
 use crate::config::{Mode, PositioningOptions, Profile};
-use crate::gnss::{BaseSite, Epoch, Navigation};
+use crate::gnss::{BaseSite, Epoch, GpsTime, Navigation};
 use crate::positioning::{Aiding, BasePositionCheck, Estimator};
 
+/// Interval of checks (s).
+const INTERVAL_S: f64 = 3600.0;
+
+/// The checks of a base's position, one after another: a base may move, and the ephemerides of a
+/// check may have been wrong.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PositionChecks {
+    /// The last check that ended, or the first one.
+    pub(super) present: BasePositionCheck,
+    /// The check that follows `present`.
+    next: BasePositionCheck,
+    /// Time of the epoch that ended `present`.
+    ended: Option<GpsTime>,
+}
+
+impl PositionChecks {
+    /// No epoch has checked the position.
+    pub(super) fn new() -> Self {
+        let none = BasePositionCheck::new();
+        Self { present: none, next: none, ended: None }
+    }
+
+    /// Whether epochs at `time` belong to a check.
+    pub(super) fn is_due(&self, time: GpsTime) -> bool {
+        self.ended.is_none_or(|ended| INTERVAL_S <= time - ended)
+    }
+
+    /// Continues the check that is due with epochs.
+    pub(super) fn advance(
+        mut self,
+        site: &BaseSite,
+        epochs: impl IntoIterator<Item = Epoch>,
+        navigation: &Navigation,
+    ) -> Self {
+        let mut last = None;
+        let epochs = epochs.into_iter().inspect(|epoch| last = Some(epoch.time));
+        let check = continue_check(self.next, site, epochs, navigation);
+        // The first check counts from its first epoch on.
+        if self.ended.is_none() || check.is_done() {
+            self.present = check;
+        }
+        self.next = check;
+        if check.is_done() {
+            (self.next, self.ended) = (BasePositionCheck::new(), last);
+        }
+        self
+    }
+}
+
 /// Continues a check with epochs until there are enough.
-pub(super) fn continue_check<'a>(
+fn continue_check(
     mut check: BasePositionCheck,
     site: &BaseSite,
-    epochs: impl IntoIterator<Item = &'a Epoch>,
+    epochs: impl IntoIterator<Item = Epoch>,
     navigation: &Navigation,
 ) -> BasePositionCheck {
     let stated = site.antenna_reference_point();
@@ -18,7 +67,7 @@ pub(super) fn continue_check<'a>(
         if check.is_done() {
             break;
         }
-        let solution = single_point.advance(epoch, &Aiding::alone(navigation));
+        let solution = single_point.advance(&epoch, &Aiding::alone(navigation));
         if let Some(estimate) = solution.estimate {
             check.add(stated, estimate.position);
         }

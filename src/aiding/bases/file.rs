@@ -1,17 +1,32 @@
 //! RINEX observation files of bases.
 
+use std::io::BufRead;
+
 use crate::formats::rinex::{ObservationReader, RinexError, Skipped};
 use crate::gnss::{BaseSite, Epoch, GpsTime, PositionSource};
+use crate::refusal::Code;
+use crate::store::StoredBaseEpoch;
 
 /// The content of a base's RINEX observation file.
 #[derive(Clone, Debug)]
 pub struct BaseFile {
-    /// In the order of the file.
-    pub epochs: Vec<Epoch>,
+    /// In the order of the file, without numbers.
+    pub epochs: Vec<StoredBaseEpoch>,
     /// Position and antenna from the header.
     pub site: Option<BaseSite>,
     /// Records that were skipped.
     pub skipped: Skipped,
+}
+
+/// Most that a file may bring.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BaseFileLimits {
+    /// Epochs of the file.
+    pub epochs: usize,
+    /// Bytes of the encoded epochs.
+    pub bytes: usize,
+    /// Observations in one epoch.
+    pub observations_per_epoch: usize,
 }
 
 /// Why a base's file is refused.
@@ -26,15 +41,43 @@ pub enum BaseFileError {
         /// Number of epochs allowed.
         limit: usize,
     },
+    /// The epochs of the file are larger than a base may be.
+    #[error("the epochs of the file need more than {limit} bytes")]
+    TooLarge {
+        /// Size allowed (bytes).
+        limit: usize,
+    },
+    /// An epoch has more observations than allowed.
+    #[error("epoch {time} has {observations} observations, at most {limit} are allowed")]
+    TooManyObservations {
+        /// Time of the epoch.
+        time: GpsTime,
+        /// Number of its observations.
+        observations: usize,
+        /// Number of observations allowed.
+        limit: usize,
+    },
+}
+
+impl BaseFileError {
+    /// The stable code.
+    pub const fn code(&self) -> Code {
+        match self {
+            Self::Rinex(error) => error.code(),
+            Self::TooManyEpochs { .. } | Self::TooLarge { .. } => Code::BaseTooLarge,
+            Self::TooManyObservations { .. } => Code::TooManyObservations,
+        }
+    }
 }
 
 impl BaseFile {
-    /// Reads an unpacked RINEX or CRINEX file.
+    /// Reads an unpacked RINEX or CRINEX file. Its epochs are kept encoded, so that the limits also
+    /// bound the memory.
     ///
     /// # Errors
-    /// The file is not readable, or has more than `epochs_max` epochs.
-    pub fn read(text: &[u8], epochs_max: usize) -> Result<Self, BaseFileError> {
-        let mut reader = ObservationReader::new(text)?;
+    /// The file is not readable, or exceeds a limit.
+    pub fn read(input: impl BufRead, limits: &BaseFileLimits) -> Result<Self, BaseFileError> {
+        let mut reader = ObservationReader::new(input)?;
         let header = reader.header();
         let site = header.approximate_position.map(|marker| BaseSite {
             marker,
@@ -43,13 +86,23 @@ impl BaseFile {
             calibration: None,
             source: PositionSource::Header,
         });
-        let mut epochs = Vec::new();
+        let (mut epochs, mut bytes) = (Vec::new(), 0);
         let mut epoch = Epoch::new(GpsTime::EPOCH);
         while reader.read_epoch(&mut epoch)? {
-            if epochs.len() == epochs_max {
-                return Err(BaseFileError::TooManyEpochs { limit: epochs_max });
+            let (time, observations) = (epoch.time, epoch.observations.len());
+            let limit = limits.observations_per_epoch;
+            if limit < observations {
+                return Err(BaseFileError::TooManyObservations { time, observations, limit });
             }
-            epochs.push(epoch.clone());
+            if epochs.len() == limits.epochs {
+                return Err(BaseFileError::TooManyEpochs { limit: limits.epochs });
+            }
+            let encoded = StoredBaseEpoch::new(0, &epoch);
+            bytes += encoded.size();
+            if limits.bytes < bytes {
+                return Err(BaseFileError::TooLarge { limit: limits.bytes });
+            }
+            epochs.push(encoded);
         }
         Ok(Self { epochs, site, skipped: reader.skipped().clone() })
     }

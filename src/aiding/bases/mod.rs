@@ -48,7 +48,7 @@ pub use crate::positioning::{BasePositionCheck, BasePositionVerdict};
 pub use base_epochs::Coverage;
 pub use broker::BaseBroker;
 pub use candidates::Candidates;
-pub use file::{BaseFile, BaseFileError};
+pub use file::{BaseFile, BaseFileError, BaseFileLimits};
 pub use nearest_requests::{NearestBaseRequest, NearestBaseRequests};
 pub use view::{BaseInput, BaseView};
 

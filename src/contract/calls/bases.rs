@@ -7,12 +7,13 @@ use crate::aiding::bases::{
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
 use crate::contract::{Refusal, Service, convert, v1};
+use crate::formats::unpack_within;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
 use super::positioning::{Numbered, epochs};
-use super::upload::{in_background, skipped_entry, unpacked};
+use super::upload::{in_background, skipped_entry};
 use super::{base_id, page_size, page_token, utc};
 
 /// Bases on a page if the request gives no size.
@@ -142,11 +143,9 @@ pub async fn upload(
     request: v1::UploadBaseRequest,
 ) -> Result<v1::UploadBaseResponse, Refusal> {
     let id = base_id(&request.base)?;
-    let limits = service.limits();
-    let (bytes_max, epochs_max) = (limits.decompressed_bytes, limits.epochs_per_base);
-    let content = request.content;
-    let read =
-        move || Ok::<_, Refusal>(BaseFile::read(&unpacked(&content, bytes_max)?, epochs_max)?);
+    let bytes_max = service.limits().decompressed_bytes;
+    let (content, limits) = (request.content, service.bases().file_limits());
+    let read = move || BaseFile::read(unpack_within(&content, bytes_max), &limits);
     let BaseFile { epochs, site, skipped } = in_background(read).await??;
     if epochs.is_empty() {
         return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));

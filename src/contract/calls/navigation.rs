@@ -2,11 +2,10 @@
 
 use crate::aiding::{NavigationStatus, SatelliteCoverage, UPLOAD};
 use crate::contract::{Refusal, Service, v1};
-use crate::formats::rinex::{self, Skipped};
-use crate::gnss::Navigation;
+use crate::formats::{rinex, unpack_within};
 
 use super::feeds;
-use super::upload::{in_background, skipped_entry, unpacked};
+use super::upload::{in_background, skipped_entry};
 
 /// Takes a RINEX navigation file.
 ///
@@ -16,9 +15,11 @@ pub async fn push(
     service: &Service,
     request: v1::PushNavigationRequest,
 ) -> Result<v1::PushNavigationResponse, Refusal> {
-    let bytes_max = service.limits().decompressed_bytes;
-    let read = in_background(move || read(&request.content, bytes_max)).await?;
-    let (navigation, skipped) = read?;
+    let limits = service.limits();
+    let (bytes_max, most) = (limits.decompressed_bytes, limits.ephemerides_per_satellite);
+    let read =
+        move || rinex::read_navigation_within(unpack_within(&request.content, bytes_max), most);
+    let (navigation, skipped) = in_background(read).await??;
     let counts = service.navigation().push(navigation, UPLOAD).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,
@@ -41,10 +42,6 @@ pub fn status(service: &Service) -> v1::NavigationStatusResponse {
             .map(feeds::source_message)
             .collect(),
     }
-}
-
-fn read(content: &[u8], bytes_max: u64) -> Result<(Navigation, Skipped), Refusal> {
-    Ok(rinex::read_navigation(unpacked(content, bytes_max)?.as_slice())?)
 }
 
 fn coverage(coverage: &SatelliteCoverage) -> v1::SatelliteCoverage {

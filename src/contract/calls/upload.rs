@@ -1,9 +1,6 @@
-//! Uploaded files: unpacked within limits, on blocking threads.
-
-use std::io::Read;
+//! Uploaded files: read on blocking threads.
 
 use crate::contract::{Refusal, v1};
-use crate::formats::decompress;
 use crate::formats::rinex::SkippedEntry;
 use crate::refusal::Code;
 
@@ -13,18 +10,6 @@ pub(super) async fn in_background<T: Send + 'static>(
 ) -> Result<T, Refusal> {
     let done = tokio::task::spawn_blocking(work).await;
     done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
-}
-
-/// A file's content, unpacked if it is gzip.
-pub(super) fn unpacked(content: &[u8], bytes_max: u64) -> Result<Vec<u8>, Refusal> {
-    let mut text = Vec::new();
-    let unpacked = decompress(content).take(bytes_max + 1).read_to_end(&mut text);
-    unpacked.map_err(|error| Refusal::new(Code::RinexReadFailed, error.to_string()))?;
-    if bytes_max < text.len() as u64 {
-        let message = format!("unpacked, the file exceeds {bytes_max} bytes");
-        return Err(Refusal::new(Code::DecompressedTooLarge, message));
-    }
-    Ok(text)
 }
 
 /// A skipped record, as a message.

@@ -2,6 +2,7 @@
 
 use std::io;
 
+use crate::gnss::SatelliteId;
 use crate::refusal::Code;
 
 /// Why a file cannot be read, with the number of the line (from 1).
@@ -65,6 +66,16 @@ pub enum RinexError {
         /// Longest accepted line (bytes).
         limit: usize,
     },
+    /// The file has more ephemerides of one satellite than are taken.
+    #[error("line {line}: the file has more than {limit} ephemerides of {satellite}")]
+    TooManyEphemerides {
+        /// Number of the line.
+        line: u64,
+        /// The satellite.
+        satellite: SatelliteId,
+        /// Number of ephemerides that are taken of one satellite.
+        limit: usize,
+    },
     /// The bytes cannot be read or inflated.
     #[error("line {line}: reading failed: {source}")]
     ReadFailed {
@@ -86,6 +97,7 @@ impl RinexError {
             Self::Truncated { .. } => Code::RinexTruncated,
             Self::CompressionUnsupported { .. } => Code::RinexCompressionUnsupported,
             Self::LineTooLong { .. } => Code::RinexLineTooLong,
+            Self::TooManyEphemerides { .. } => Code::TooManyEphemerides,
             Self::ReadFailed { .. } => Code::RinexReadFailed,
         }
     }
@@ -99,6 +111,7 @@ impl RinexError {
             | Self::HeaderInvalid { line, .. }
             | Self::Truncated { line }
             | Self::LineTooLong { line, .. }
+            | Self::TooManyEphemerides { line, .. }
             | Self::ReadFailed { line, .. } => *line,
             Self::CompressionUnsupported { .. } => 1,
         }

@@ -84,7 +84,7 @@ pub use chunks::ChunkReader;
 pub use error::RinexError;
 pub use header::{ObservationHeader, RinexVersion};
 pub use header_writer::RinexWriteError;
-pub use navigation::read_navigation;
+pub use navigation::{read_navigation, read_navigation_within};
 pub use navigation_writer::write_navigation;
 pub use observation::ObservationReader;
 pub use observation_writer::ObservationWriter;

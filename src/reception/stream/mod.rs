@@ -192,7 +192,8 @@ impl Stream {
             Form::Receiver { decoder, from, .. } => {
                 let mut events = Vec::new();
                 decoder.finish(&mut events);
-                received.take(events);
+                // At most the last epoch, which a full chunk leaves out.
+                received.take(events).ok();
                 received.count(&decoder.take_statistics(), *from);
             }
             Form::Rinex(reader) => {
@@ -252,7 +253,7 @@ impl Stream {
                 decoder.learn_channels(navigation);
                 let mut events = Vec::new();
                 decoder.push(bytes, &mut events);
-                received.take(events);
+                received.take(events)?;
                 let statistics = decoder.take_statistics();
                 *is_recognised |= statistics.messages().next().is_some();
                 let seen = at + bytes.len() as u64 - *from;
@@ -303,7 +304,7 @@ impl Stream {
 fn read_epochs(reader: &mut ChunkReader, received: &mut Received) -> Result<(), ReceptionError> {
     let mut epoch = Epoch::new(GpsTime::EPOCH);
     while reader.read_epoch(&mut epoch)? {
-        received.epochs.push(epoch.clone());
+        received.add(epoch.clone())?;
     }
     received.skip(&reader.take_skipped());
     Ok(())

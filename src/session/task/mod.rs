@@ -99,6 +99,17 @@ impl MailboxPermit {
     }
 }
 
+impl MailboxPermit {
+    /// Takes the capacity of `epochs` epochs, if the message turns out to have more than it took.
+    pub(super) fn raise_to(&mut self, epochs: usize) {
+        if let Some(more) = epochs.checked_sub(self.epochs) {
+            self.of_session.fetch_add(more, Ordering::AcqRel);
+            self.of_all.fetch_add(more, Ordering::AcqRel);
+            self.epochs = epochs;
+        }
+    }
+}
+
 impl Drop for MailboxPermit {
     fn drop(&mut self) {
         self.of_session.fetch_sub(self.epochs, Ordering::AcqRel);
@@ -166,9 +177,9 @@ impl Task {
             }
             match other {
                 Some(Message::Raw(submission)) => {
-                    let RawSubmission { chunk, permit, reply } = *submission;
+                    let RawSubmission { chunk, mut permit, reply } = *submission;
                     // Boxed, because a task at rest needs as much memory as its largest future.
-                    let answer = Box::pin(self.receive(&mut active, chunk)).await;
+                    let answer = Box::pin(self.receive(&mut active, chunk, &mut permit)).await;
                     drop(permit);
                     reply.send(answer).ok(); // Err: the client hung up.
                 }

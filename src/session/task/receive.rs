@@ -8,7 +8,17 @@ use crate::session::raw::{Order, RawChunk, RawReceived, Reception};
 use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
 use crate::store::{RawChange, RawPosition, StoredEpoch};
 
-use super::{Active, Task};
+use super::{Active, MailboxPermit, Task};
+
+/// A chunk with new bytes.
+struct Arrived<'a> {
+    reception: Box<Reception>,
+    chunk: RawChunk,
+    /// Number of bytes at its beginning that are stored already.
+    known: usize,
+    /// Its place in the mailbox, which it keeps until it is answered.
+    permit: &'a mut Option<MailboxPermit>,
+}
 
 impl Task {
     /// Takes a chunk: decodes it, pushes its ephemerides to the broker, positions its epochs, and
@@ -17,6 +27,7 @@ impl Task {
         &self,
         active: &mut Option<Active>,
         chunk: RawChunk,
+        permit: &mut Option<MailboxPermit>,
     ) -> Result<RawReceived, SessionError> {
         let loaded = self.activate(active).await?;
         let reception = match loaded.raw.take() {
@@ -41,17 +52,17 @@ impl Task {
             loaded.raw = Some(reception);
             return answer;
         }
-        self.receive_new(active, reception, chunk, known).await
+        let arrived = Arrived { reception, chunk, known, permit };
+        self.receive_new(active, arrived).await
     }
 
-    /// Takes a chunk of which all but the first `known` bytes are new.
+    /// Takes a chunk with new bytes.
     async fn receive_new(
         &self,
         active: &mut Option<Active>,
-        mut reception: Box<Reception>,
-        chunk: RawChunk,
-        known: usize,
+        arrived: Arrived<'_>,
     ) -> Result<RawReceived, SessionError> {
+        let Arrived { mut reception, chunk, known, permit } = arrived;
         let now = unix_ms();
         reception.date(&chunk, now);
         let content = chunk.content.slice(known..);
@@ -63,6 +74,9 @@ impl Task {
         let (received, mut reception, chunk) = self.solvers.run(work).await?;
         let mut received = self.brought(received.map_err(SessionError::Raw)?).await?;
         let epochs = std::mem::take(&mut received.epochs);
+        if let Some(permit) = permit {
+            permit.raise_to(epochs.len());
+        }
         let last_seq = active.as_ref().and_then(Active::last_seq);
         let first_seq = last_seq.unwrap_or(0) + 1;
         reception.advance(&chunk, first_seq, epochs.len(), now);

@@ -40,6 +40,17 @@ use crate::gnss::{Constellation, Ephemeris, Navigation, NavigationMessage};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn read_navigation(input: impl BufRead) -> Result<(Navigation, Skipped), RinexError> {
+    read_navigation_within(input, usize::MAX)
+}
+
+/// As [`read_navigation`], for a file of others.
+///
+/// # Errors
+/// As [`read_navigation`], and more than `most_of_satellite` ephemerides of one satellite.
+pub fn read_navigation_within(
+    input: impl BufRead,
+    most_of_satellite: usize,
+) -> Result<(Navigation, Skipped), RinexError> {
     let mut lines = Lines::new(input);
     let first = first_line(&mut lines)?;
     let mut reader = Reader {
@@ -47,6 +58,7 @@ pub fn read_navigation(input: impl BufRead) -> Result<(Navigation, Skipped), Rin
         navigation: Navigation::default(),
         skipped: Skipped::default(),
         header: NavigationHeader::new(first),
+        most_of_satellite,
     };
     reader.header.read(&mut lines, &mut reader.skipped)?;
     reader.header.apply_to(&mut reader.navigation);
@@ -63,6 +75,8 @@ struct Reader {
     navigation: Navigation,
     skipped: Skipped,
     header: NavigationHeader,
+    /// Most ephemerides of one satellite.
+    most_of_satellite: usize,
 }
 
 impl Reader {
@@ -86,7 +100,7 @@ impl Reader {
                 continue;
             };
             let message = legacy_message(system, &record);
-            self.insert(&record, message, number);
+            self.insert(&record, message, number)?;
         }
         Ok(())
     }
@@ -144,8 +158,7 @@ impl Reader {
             return Ok(());
         };
         self.layout.read_continuation(&mut record, lines)?;
-        self.insert(&record, message, number);
-        Ok(())
+        self.insert(&record, message, number)
     }
 
     fn read_ionosphere<R: BufRead>(
@@ -171,7 +184,12 @@ impl Reader {
         Ok(())
     }
 
-    fn insert(&mut self, record: &Record, message: NavigationMessage, number: u64) {
+    fn insert(
+        &mut self,
+        record: &Record,
+        message: NavigationMessage,
+        line: u64,
+    ) -> Result<(), RinexError> {
         let leap = self.navigation.leap_seconds;
         let ephemeris = match message {
             NavigationMessage::Fdma => {
@@ -180,9 +198,16 @@ impl Reader {
             _ => keplerian::ephemeris(record, message, &leap).map(Ephemeris::Keplerian),
         };
         match ephemeris {
-            Some(ephemeris) => drop(self.navigation.insert(ephemeris)),
-            None => self.skipped.note(SkipReason::MalformedEphemeris, number),
+            Some(ephemeris) => {
+                let (satellite, limit) = (ephemeris.satellite(), self.most_of_satellite);
+                self.navigation.insert(ephemeris);
+                if limit < self.navigation.of(satellite).len() {
+                    return Err(RinexError::TooManyEphemerides { line, satellite, limit });
+                }
+            }
+            None => self.skipped.note(SkipReason::MalformedEphemeris, line),
         }
+        Ok(())
     }
 }
 
