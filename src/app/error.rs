@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use crate::aiding::AidingError;
 use crate::feeds::FetchError;
-use crate::http::ServerError;
 use crate::refusal::Code;
 use crate::store::StoreError;
 
@@ -28,9 +27,6 @@ pub enum AppError {
         /// What is wrong with it.
         reason: String,
     },
-    /// The listener.
-    #[error(transparent)]
-    Server(#[from] ServerError),
 }
 
 impl AppError {
@@ -41,7 +37,6 @@ impl AppError {
             Self::Aiding(error) => error.code(),
             Self::Fetch(error) => error.code(),
             Self::Antex { .. } => Code::AntexInvalid,
-            Self::Server(_) => Code::ListenerFailed,
         }
     }
 }

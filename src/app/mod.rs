@@ -74,7 +74,8 @@ pub async fn open(
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
-    Ok(App { store, service: Service::new(sessions, aiding, feeds, limits.clone()).named(node) })
+    let service = Service::new(sessions, aiding, feeds, limits.clone());
+    Ok(App { store, service: service.named(node).with_hosts(&configuration.hosts) })
 }
 
 /// Opens the database as its only service, and logs the settings on which durability depends.
@@ -113,17 +114,13 @@ impl App {
     }
 
     /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes.
-    ///
-    /// # Errors
-    /// The listener fails.
     pub async fn serve(
         self,
         listener: TcpListener,
         stop: impl Future<Output = ()> + Send + 'static,
-    ) -> Result<(), AppError> {
-        let served = http::serve(listener, &self.service, stop).await;
+    ) {
+        http::serve(listener, &self.service, stop).await;
         self.close().await;
-        Ok(served?)
     }
 
     /// Finishes what runs and closes the database. What is not finished in `limits.drain_s` is cut

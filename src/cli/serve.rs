@@ -102,7 +102,7 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
     let app = opened.await?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
-    app.serve(listener, host::interrupted()).await?;
+    app.serve(listener, host::interrupted()).await;
     tracing::info!("stopped; everything acknowledged is stored");
     Ok(())
 }

@@ -25,6 +25,9 @@ pub struct ServiceConfiguration {
     /// Name of this node in the log, in answers, and to another service on the same database.
     /// Empty: the name of the host and a random mark.
     pub node: String,
+    /// Names under which the service may be asked, beside `localhost` and its address: those of a
+    /// proxy that passes the name on. Web pages of these hosts may ask it, too.
+    pub hosts: Vec<String>,
     /// URL of the database: `sqlite://FILE` or `postgres://…`.
     pub database: String,
     /// Format and filter of the log.
@@ -147,6 +150,18 @@ pub struct LogConfiguration {
 pub struct Limits {
     /// Bytes of a request body or message, after decompression in transit.
     pub body_bytes: usize,
+    /// Bytes of memory for all requests together: their bodies, unpacked and decoded, and answers.
+    pub request_memory_bytes: usize,
+    /// Open connections. At most as many as the process may open files, less a reserve.
+    pub connections: usize,
+    /// Open connections from one address.
+    pub connections_per_address: usize,
+    /// Time for the head of a request, from the connection or the previous answer's next byte (s).
+    pub head_s: u64,
+    /// Longest time without a byte of a body or without progress of an answer (s).
+    pub body_silence_s: u64,
+    /// Time after which a connection without a request is closed (s).
+    pub idle_s: u64,
     /// Bytes of an upload after unpacking.
     pub decompressed_bytes: u64,
     /// Epochs in one push.
@@ -248,6 +263,7 @@ impl ServiceConfiguration {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
             node: String::new(),
+            hosts: Vec::new(),
             database: "sqlite://graphfix.db".to_owned(),
             log: LogConfiguration { json: false, filter: "info".to_owned() },
             fetch: FetchConfiguration {
@@ -295,6 +311,12 @@ impl ServiceConfiguration {
         let limits = &self.limits;
         let must_be_positive = [
             ("body_bytes", limits.body_bytes),
+            ("request_memory_bytes", limits.request_memory_bytes),
+            ("connections", limits.connections),
+            ("connections_per_address", limits.connections_per_address),
+            ("head_s", limits.head_s as usize),
+            ("body_silence_s", limits.body_silence_s as usize),
+            ("idle_s", limits.idle_s as usize),
             (
                 "decompressed_bytes",
                 usize::try_from(limits.decompressed_bytes).unwrap_or(usize::MAX),
@@ -325,6 +347,12 @@ impl Limits {
     pub const fn standard() -> Self {
         Self {
             body_bytes: 16 << 20,
+            request_memory_bytes: 128 << 20,
+            connections: 16_384,
+            connections_per_address: 8_192,
+            head_s: 10,
+            body_silence_s: 10,
+            idle_s: 300,
             decompressed_bytes: 128 << 20,
             epochs_per_push: 1024,
             raw_piece_bytes: 256 << 10,

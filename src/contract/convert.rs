@@ -127,13 +127,7 @@ pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
         position: estimate.map(position),
         velocity: estimate.and_then(velocity),
         clock: estimate.map(clock),
-        dops: estimate.map(|e| v1::Dops {
-            gdop: e.dops.gdop,
-            pdop: e.dops.pdop,
-            hdop: e.dops.hdop,
-            vdop: e.dops.vdop,
-            tdop: e.dops.tdop,
-        }),
+        dops: estimate.and_then(dops),
         satellites_used: estimate
             .map(|e| e.satellites_used.iter().map(ToString::to_string).collect())
             .unwrap_or_default(),
@@ -143,6 +137,13 @@ pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
         horizontal_protection_m: solution.protection.map(|levels| levels.horizontal_m),
         vertical_protection_m: solution.protection.map(|levels| levels.vertical_m),
     }
+}
+
+/// The dilutions of precision; absent if the satellites used do not determine a position alone.
+fn dops(estimate: &SolutionEstimate) -> Option<v1::Dops> {
+    let crate::gnss::Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
+    let is_finite = [gdop, pdop, hdop, vdop, tdop].iter().all(|dop| dop.is_finite());
+    is_finite.then_some(v1::Dops { gdop, pdop, hdop, vdop, tdop })
 }
 
 fn relative(relative: &RelativeEstimate) -> v1::Relative {

@@ -13,6 +13,7 @@ use crate::refusal::Code;
 use crate::session::SEQUENCES;
 
 use super::Refusal;
+use super::texts::brief;
 
 /// Largest pseudorange (m): radius of a geostationary orbit, and a clock error of 0.3 s.
 const PSEUDORANGE_MAX_M: f64 = 1.5e8;
@@ -86,7 +87,7 @@ pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
         GpsTime::from_week_ns(week, (seconds * 1e9).round() as i64)
     };
     parse().ok_or_else(|| {
-        let message = format!("{text:?} is not WEEK:SECONDS such as 2051:46701.5");
+        let message = format!("{:?} is not WEEK:SECONDS such as 2051:46701.5", brief(text));
         Refusal::new(Code::InvalidTime, message)
     })
 }
@@ -176,7 +177,7 @@ pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
         },
         ("body", None) => return Err(refused(OdometryError::Heading.to_string(), "headingDeg")),
         (other, _) => {
-            let message = format!("{other:?} is not a frame; known are ecef, enu, body");
+            let message = format!("{:?} is not a frame; known are ecef, enu, body", brief(other));
             return Err(refused(message, "frame"));
         }
     };
@@ -207,13 +208,13 @@ pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
 
 fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
     let satellite: SatelliteId = raw.satellite.parse().map_err(|_| {
-        let message = format!("{:?} is not a satellite", raw.satellite);
+        let message = format!("{:?} is not a satellite", brief(raw.satellite));
         Refusal::new(Code::InvalidSatellite, message).at("satellite")
     })?;
     let code = ObservationCode::parse(raw.code)
         .filter(|code| Signal::of(satellite, *code).band().is_some())
         .ok_or_else(|| {
-            let message = format!("{:?} is not a signal of {satellite}", raw.code);
+            let message = format!("{:?} is not a signal of {satellite}", brief(raw.code));
             Refusal::new(Code::InvalidSignal, message).at("code")
         })?;
     let name = |field: &str| format!("{satellite} {code}: {field}");

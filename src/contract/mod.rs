@@ -4,8 +4,10 @@
 //! JSON form. Each call is a function from a request to an answer or a [`Refusal`]. A door only
 //! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
+mod budget;
 pub mod calls;
 pub mod convert;
+mod extent;
 pub mod intake;
 pub mod json;
 mod origin;
@@ -13,10 +15,15 @@ mod readiness;
 pub mod reason;
 mod refusal;
 mod service;
+mod texts;
+mod threads;
 
+pub use budget::{Budget, Lease, check_ratio};
+pub use extent::{Extent, extent_of};
 pub use readiness::{DatabaseReadiness, Readiness};
 pub use refusal::Refusal;
 pub use service::Service;
+pub use threads::{in_background, off_the_network};
 
 /// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.
 #[allow(missing_docs, unreachable_pub, clippy::all)]

@@ -11,7 +11,7 @@ use crate::refusal::Code;
 use crate::session::{EpochRefusal, SessionError};
 use crate::store::StoreError;
 
-use super::Refusal;
+use super::{Lease, Refusal};
 
 impl From<ConfigError> for Refusal {
     fn from(error: ConfigError) -> Self {
@@ -76,14 +76,26 @@ impl From<ReceptionError> for Refusal {
     }
 }
 
+/// A failure of the service. The message names the request, so that the operator finds the cause in
+/// the log.
+fn failure(code: Code) -> Refusal {
+    let request = Lease::current().map(|lease| format!("; request {}", lease.request_id()));
+    Refusal::new(code, format!("the database failed{}", request.unwrap_or_default()))
+}
+
 impl From<StoreError> for Refusal {
     fn from(error: StoreError) -> Self {
-        let field = match &error {
-            StoreError::PageToken { .. } => Some("pageToken"),
-            StoreError::PageSize { .. } => Some("pageSize"),
-            _ => None,
+        let refusal = Self::new(error.code(), error.to_string());
+        let refusal = match &error {
+            StoreError::Database { .. }
+            | StoreError::Unconfirmed { .. }
+            | StoreError::Down { .. }
+            | StoreError::Corrupt { .. }
+            | StoreError::CorruptText { .. } => failure(error.code()).because(error.to_string()),
+            StoreError::PageToken { .. } => refusal.at("pageToken"),
+            StoreError::PageSize { .. } => refusal.at("pageSize"),
+            _ => refusal,
         };
-        let refusal = Self::new(error.code(), error.to_string()).at_some(field);
         Self { retry_after: SessionError::from(error).retry_after(), ..refusal }
     }
 }
@@ -181,5 +193,19 @@ impl From<SessionError> for Refusal {
 impl From<EpochRefusal> for Refusal {
     fn from(refusal: EpochRefusal) -> Self {
         Self::new(refusal.code(), refusal.to_string()).at(refusal.field())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_tells_its_cause_to_the_log_only() {
+        let why = "\"x\" in /var/lib/graphfix.db".to_owned();
+        let refusal = Refusal::from(StoreError::CorruptText { what: "base id", why: why.clone() });
+        assert_eq!(refusal.code, Code::StoredDataCorrupt);
+        assert!(!refusal.message.contains(&why), "{refusal}");
+        assert!(refusal.logged().contains(&why), "{}", refusal.logged());
     }
 }

@@ -20,13 +20,39 @@ pub struct Refusal {
     pub byte_offset: Option<u64>,
     /// The delay before the next attempt.
     pub retry_after: Option<Duration>,
+    /// The cause of a failure, which only the log names: it may say how data is stored.
+    pub cause: Option<Box<str>>,
 }
 
 impl Refusal {
     /// A refusal that names no field, line or byte.
     pub fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
-        Self { code, message, field: None, line: None, byte_offset: None, retry_after: None }
+        let (field, line, byte_offset) = (None, None, None);
+        Self { code, message, field, line, byte_offset, retry_after: None, cause: None }
+    }
+
+    /// The refusal with the cause that only the log names.
+    #[must_use]
+    pub(super) fn because(mut self, cause: impl Into<Box<str>>) -> Self {
+        self.cause = Some(cause.into());
+        self
+    }
+
+    /// What the log says of a failure.
+    pub fn logged(&self) -> String {
+        match &self.cause {
+            Some(cause) => format!("{}: {cause}", self.message),
+            None => self.message.clone(),
+        }
+    }
+
+    /// The refusal that ended a body, found among the causes of `error`; `MALFORMED_BODY` if the
+    /// body ended for another reason.
+    pub fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
+        let causes = std::iter::successors(Some(error), |error| error.source());
+        let refusal = causes.filter_map(|cause| cause.downcast_ref::<Self>()).next();
+        refusal.cloned().unwrap_or_else(|| Self::new(Code::MalformedBody, error.to_string()))
     }
 
     /// The refusal with the field at fault.

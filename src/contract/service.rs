@@ -2,12 +2,18 @@
 
 use std::sync::Arc;
 
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
 use crate::config::Limits;
 use crate::feeds::Feeds;
 use crate::session::Sessions;
+
+use super::Budget;
+
+/// Uploaded files that are read at the same time. More would only share the processors with the
+/// estimators.
+const FILE_READERS: usize = 1;
 
 /// The desks behind the doors. All clones share them.
 #[derive(Clone)]
@@ -16,6 +22,11 @@ pub struct Service {
     aiding: AidingDesk,
     feeds: Feeds,
     limits: Arc<Limits>,
+    budget: Budget,
+    /// Limits how many uploaded files are read at the same time.
+    file_readers: Arc<Semaphore>,
+    /// Names under which the service may be asked, beside `localhost` and its address.
+    hosts: Arc<[String]>,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
 }
@@ -23,10 +34,14 @@ pub struct Service {
 impl Service {
     /// The service over these desks.
     pub fn new(sessions: Sessions, aiding: AidingDesk, feeds: Feeds, limits: Limits) -> Self {
+        let budget = Budget::new(limits.request_memory_bytes, limits.intake());
         Self {
             sessions,
             aiding,
             feeds,
+            budget,
+            file_readers: Arc::new(Semaphore::new(FILE_READERS)),
+            hosts: Arc::default(),
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
@@ -43,6 +58,29 @@ impl Service {
     /// Name of the node.
     pub fn node(&self) -> &str {
         &self.node
+    }
+
+    /// The same service, which may also be asked under these names.
+    #[must_use]
+    pub fn with_hosts(mut self, hosts: &[String]) -> Self {
+        self.hosts = hosts.into();
+        self
+    }
+
+    /// Whether the operator lists this name of the service.
+    pub fn is_listed_host(&self, name: &str) -> bool {
+        self.hosts.iter().any(|host| host.eq_ignore_ascii_case(name))
+    }
+
+    /// The memory of all requests.
+    pub const fn budget(&self) -> &Budget {
+        &self.budget
+    }
+
+    /// Waits until a further uploaded file may be read; it is read while the answer is kept.
+    pub(super) async fn file_reader(&self) -> OwnedSemaphorePermit {
+        let permit = self.file_readers.clone().acquire_owned().await;
+        permit.expect("the semaphore is never closed")
     }
 
     /// The desk for sessions.

@@ -7,13 +7,14 @@ use prost::Message;
 use tonic::codec::{BufferSettings, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-use crate::contract::Refusal;
+use crate::contract::{Lease, Refusal, extent_of, off_the_network};
 use crate::refusal::Code;
 
 use super::status::to_status;
 
 /// Encodes like [`ProstCodec`]. A message that cannot be decoded is refused as `MALFORMED_BODY`,
-/// with the byte at which decoding stopped.
+/// with the byte at which decoding stopped. In a door its content is counted first, and the memory
+/// of the decoded message is reserved.
 #[derive(Clone, Debug)]
 pub struct Codec<T, U>(PhantomData<(T, U)>);
 
@@ -46,13 +47,17 @@ where
 #[derive(Clone, Debug)]
 pub struct MessageDecoder<U>(PhantomData<U>);
 
-impl<U: Message + Default> Decoder for MessageDecoder<U> {
+impl<U: Message + Default + 'static> Decoder for MessageDecoder<U> {
     type Item = U;
     type Error = tonic::Status;
 
     fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<U>, tonic::Status> {
         let length = buffer.remaining();
-        U::decode(&mut *buffer).map(Some).map_err(|error| {
+        if let Some(lease) = Lease::current() {
+            let extent = extent_of::<U>(buffer.chunk());
+            extent.reserve(length, &lease).map_err(|refusal| to_status(&refusal))?;
+        }
+        off_the_network(length, || U::decode(&mut *buffer)).map(Some).map_err(|error| {
             let offset = length - buffer.remaining();
             let refusal = Refusal::new(Code::MalformedBody, error.to_string());
             to_status(&refusal.on_byte(offset as u64))

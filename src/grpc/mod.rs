@@ -1,5 +1,6 @@
 //! The gRPC door. One file per service; the calls are in `contract`.
 
+mod admission;
 mod bases;
 mod codec;
 mod frame;
@@ -12,6 +13,7 @@ mod status;
 
 use crate::contract::Service;
 
+pub(crate) use admission::PREFIX_BYTES;
 pub use codec::Codec;
 pub(crate) use routes::routes;
 pub(crate) use status::to_status;

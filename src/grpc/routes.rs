@@ -17,7 +17,7 @@ use super::v1::navigation_server::NavigationServer;
 use super::v1::positioning_server::PositioningServer;
 use super::v1::sessions_server::SessionsServer;
 use super::v1::solutions_server::SolutionsServer;
-use super::{DESCRIPTORS, Door, frame};
+use super::{DESCRIPTORS, Door, admission, frame};
 
 /// Time between two looks at the service's readiness.
 const HEALTH_INTERVAL: Duration = Duration::from_secs(1);
@@ -38,8 +38,6 @@ pub(crate) fn routes(service: &Service) -> Router {
             $server::new(door.clone())
                 .max_decoding_message_size(limit)
                 .max_encoding_message_size(usize::MAX)
-                .accept_compressed(tonic::codec::CompressionEncoding::Gzip)
-                .accept_compressed(tonic::codec::CompressionEncoding::Zstd)
                 .send_compressed(tonic::codec::CompressionEncoding::Gzip)
         };
     }
@@ -53,6 +51,7 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(BasesServer))
         .into_axum_router()
         .reset_fallback()
+        .layer(middleware::from_fn_with_state(limit, admission::admit))
         .layer(middleware::map_response(frame::explain))
         .layer(CatchPanicLayer::custom(frame::panicked))
 }

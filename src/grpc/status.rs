@@ -2,12 +2,15 @@
 
 use std::collections::HashMap;
 
+use prost::Message;
 use tonic::{Code as GrpcCode, Response, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use crate::contract::Refusal;
 use crate::refusal::Class;
 
+/// Answers are compressed from this length on (bytes): below it the time is worth more.
+const COMPRESSED_FROM_BYTES: usize = 1 << 10;
 /// Domain of the codes in `ErrorInfo`.
 const DOMAIN: &str = "graphfix";
 
@@ -21,6 +24,8 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
         Class::Conflict => GrpcCode::AlreadyExists,
         Class::Precondition => GrpcCode::FailedPrecondition,
         Class::Unavailable => GrpcCode::Unavailable,
+        Class::Forbidden => GrpcCode::PermissionDenied,
+        Class::Timeout => GrpcCode::DeadlineExceeded,
         Class::Internal | Class::NoCall => GrpcCode::Internal,
     }
 }
@@ -28,7 +33,7 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
 /// A refusal as gRPC sends it. Failures of the service are logged here, once.
 pub(crate) fn to_status(refusal: &Refusal) -> Status {
     if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
-        tracing::error!(code = refusal.code.name(), "{}", refusal.message);
+        tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
     }
     let mut metadata = HashMap::from([("remedy".to_owned(), refusal.code.remedy().to_owned())]);
     let at_fault = [
@@ -48,9 +53,17 @@ pub(crate) fn to_status(refusal: &Refusal) -> Status {
     Status::with_error_details(grpc_code(refusal.code.class()), &refusal.message, details)
 }
 
-/// The outcome of a call as tonic takes it.
-pub(super) fn carry<T>(outcome: Result<T, Refusal>) -> Result<Response<T>, Status> {
-    outcome.map(Response::new).map_err(|refusal| to_status(&refusal))
+/// The outcome of a call as tonic takes it. Short answers are not compressed.
+pub(super) fn carry<T: Message>(outcome: Result<T, Refusal>) -> Result<Response<T>, Status> {
+    let answer = |message: T| {
+        let is_short = message.encoded_len() < COMPRESSED_FROM_BYTES;
+        let mut response = Response::new(message);
+        if is_short {
+            response.disable_compression();
+        }
+        response
+    };
+    outcome.map(answer).map_err(|refusal| to_status(&refusal))
 }
 
 /// For clients: the stable code of a status from this service.

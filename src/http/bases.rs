@@ -12,9 +12,11 @@ use super::problem::{Problem, Refused};
 use super::sessions::PageQuery;
 
 /// Creates a base.
-#[utoipa::path(post, path = "/v1/bases", tag = "Bases",
+#[utoipa::path(post, operation_id = "basesCreate",
+    path = "/v1/bases", tag = "Bases",
     request_body = v1::CreateBaseRequest,
-    responses((status = 201, body = v1::Base), (status = "4XX", body = Problem)))]
+    responses((status = 201, body = v1::Base), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn create(
     State(service): State<Service>,
     JsonBody(request): JsonBody<v1::CreateBaseRequest>,
@@ -23,9 +25,11 @@ pub(super) async fn create(
 }
 
 /// Returns a base with its health.
-#[utoipa::path(get, path = "/v1/bases/{base}", tag = "Bases",
+#[utoipa::path(get, operation_id = "basesGet",
+    path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Base), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::Base), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn get(
     State(service): State<Service>,
     Path(base): Path<String>,
@@ -34,8 +38,10 @@ pub(super) async fn get(
 }
 
 /// Lists bases with their health, in order of id.
-#[utoipa::path(get, path = "/v1/bases", tag = "Bases", params(PageQuery),
-    responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem)))]
+#[utoipa::path(get, operation_id = "basesList",
+    path = "/v1/bases", tag = "Bases", params(PageQuery),
+    responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn list(
     State(service): State<Service>,
     StrictQuery(page): StrictQuery<PageQuery>,
@@ -46,9 +52,11 @@ pub(super) async fn list(
 }
 
 /// Deletes a base with its epochs, unless an open session uses it.
-#[utoipa::path(delete, path = "/v1/bases/{base}", tag = "Bases",
+#[utoipa::path(delete, operation_id = "basesDelete",
+    path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn delete(
     State(service): State<Service>,
     Path(base): Path<String>,
@@ -61,10 +69,12 @@ pub(super) async fn delete(
 /// If an epoch is refused, the others are still taken. An epoch that is stored already with the
 /// same content is acknowledged again. If every epoch is refused, the call is refused with the
 /// first one's refusal.
-#[utoipa::path(post, path = "/v1/bases/{base}/epochs", tag = "Bases",
+#[utoipa::path(post, operation_id = "basesPushEpochs",
+    path = "/v1/bases/{base}/epochs", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     request_body = v1::PushBaseEpochsRequest,
-    responses((status = 200, body = v1::PushBaseEpochsResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::PushBaseEpochsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn push_epochs(
     State(service): State<Service>,
     Path(base): Path<String>,
@@ -80,11 +90,13 @@ pub(super) async fn push_epochs(
 
 /// Takes a RINEX observation file of a base. If the base has no position yet, it takes the one of
 /// the header.
-#[utoipa::path(post, path = "/v1/bases/{base}/observations", tag = "Bases",
+#[utoipa::path(post, operation_id = "basesUpload",
+    path = "/v1/bases/{base}/observations", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     request_body(content = String, content_type = "application/octet-stream",
         description = "RINEX 2.10 to 4.0x observations or CRINEX, plain or gzip"),
-    responses((status = 200, body = v1::UploadBaseResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::UploadBaseResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn upload(
     State(service): State<Service>,
     Path(base): Path<String>,

@@ -1,23 +1,35 @@
 //! Reads bodies, path segments and queries strictly: an unknown field is refused by name.
 
-use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
+use axum::body::{Bytes, HttpBody};
 use axum::extract::{FromRequest, FromRequestParts, Request};
+use axum::http::header;
 use axum::http::request::Parts;
-use axum::http::{StatusCode, header};
+use bytes::BytesMut;
+use http_body_util::BodyExt;
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 
-use crate::contract::Refusal;
+use crate::contract::{Lease, Refusal, in_background};
 use crate::refusal::Code;
 
+use super::json_extent::extent_of;
 use super::problem::Refused;
+
+/// Longer bodies are read on a blocking thread (bytes).
+const SHORT_BYTES: usize = 64 << 10;
+/// Content types of bodies that are files or bytes of a receiver. A web page of another origin
+/// cannot send them unasked.
+const RAW_TYPES: [&str; 3] = ["application/octet-stream", "application/gzip", "application/x-gzip"];
+
+/// Largest body of a route (bytes), after decompression in transit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BodyLimit(pub usize);
 
 /// A JSON body.
 #[derive(Clone, Debug)]
 pub(super) struct JsonBody<T>(pub T);
 
-/// A body of any content type, as bytes.
+/// A body of bytes.
 #[derive(Clone, Debug)]
 pub(super) struct RawBody(pub Bytes);
 
@@ -25,27 +37,71 @@ pub(super) struct RawBody(pub Bytes);
 #[derive(Clone, Debug)]
 pub(super) struct StrictQuery<T>(pub T);
 
-impl<S: Send + Sync, T: DeserializeOwned> FromRequest<S> for JsonBody<T> {
+impl<S: Send + Sync, T: DeserializeOwned + Send + 'static> FromRequest<S> for JsonBody<T> {
     type Rejection = Refused;
 
-    async fn from_request(request: Request, state: &S) -> Result<Self, Refused> {
-        let kind = request.headers().get(header::CONTENT_TYPE);
-        let kind = kind.and_then(|value| value.to_str().ok()).unwrap_or("none");
-        if kind.split(';').next().map(str::trim) != Some("application/json") {
-            let message = format!("content type {kind}; this call takes application/json");
-            return Err(Refusal::new(Code::UnsupportedMediaType, message).into());
+    async fn from_request(request: Request, _: &S) -> Result<Self, Refused> {
+        check_type(&request, &["application/json"])?;
+        let bytes = read(request).await?;
+        if let Some(lease) = Lease::current() {
+            // Its texts are copied once.
+            extent_of(&bytes).reserve(2 * bytes.len(), &lease)?;
         }
-        let RawBody(bytes) = RawBody::from_request(request, state).await?;
-        Ok(Self(json(&bytes)?))
+        if bytes.len() <= SHORT_BYTES {
+            return Ok(Self(json(&bytes)?));
+        }
+        Ok(Self(in_background(move || json(&bytes)).await??))
     }
 }
 
 impl<S: Send + Sync> FromRequest<S> for RawBody {
     type Rejection = Refused;
 
-    async fn from_request(request: Request, state: &S) -> Result<Self, Refused> {
-        Ok(Self(Bytes::from_request(request, state).await.map_err(unread)?))
+    async fn from_request(request: Request, _: &S) -> Result<Self, Refused> {
+        check_type(&request, &RAW_TYPES)?;
+        Ok(Self(read(request).await?))
     }
+}
+
+/// Refuses a body of another content type than `allowed`.
+fn check_type(request: &Request, allowed: &[&str]) -> Result<(), Refusal> {
+    let kind = request.headers().get(header::CONTENT_TYPE);
+    let kind = kind.and_then(|value| value.to_str().ok()).unwrap_or("none");
+    let name = kind.split(';').next().unwrap_or_default().trim();
+    if allowed.iter().any(|allowed| name.eq_ignore_ascii_case(allowed)) {
+        return Ok(());
+    }
+    let kind = kind.get(..80).unwrap_or(kind);
+    let message = format!("content type {kind}; this call takes {}", allowed.join(", "));
+    Err(Refusal::new(Code::UnsupportedMediaType, message))
+}
+
+/// Reads a body to its end, within the limit of its route. Memory for what is unpacked beyond the
+/// bytes that arrive is reserved here.
+async fn read(request: Request) -> Result<Bytes, Refusal> {
+    let BodyLimit(limit) = *request.extensions().get().expect("every route has a limit");
+    let lease = Lease::current();
+    let mut body = request.into_body();
+    let length = usize::try_from(body.size_hint().lower()).unwrap_or(usize::MAX);
+    let mut content = BytesMut::with_capacity(length.min(limit));
+    let mut reserved = 0;
+    while let Some(frame) = body.frame().await {
+        let frame = frame.map_err(|error| Refusal::of_body(&error))?;
+        let Ok(data) = frame.into_data() else { continue };
+        let whole = content.len() + data.len();
+        if limit < whole {
+            let message = format!("the body has more than {limit} bytes");
+            return Err(Refusal::new(Code::BodyTooLarge, message));
+        }
+        if let Some(lease) = &lease {
+            lease.check_ratio(whole)?;
+            let unpacked = whole.saturating_sub(lease.arrived()).saturating_sub(reserved);
+            lease.reserve(unpacked)?;
+            reserved += unpacked;
+        }
+        content.extend_from_slice(&data);
+    }
+    Ok(content.freeze())
 }
 
 impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for StrictQuery<T> {
@@ -60,14 +116,6 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for StrictQuery<T>
         };
         query.map(|query| Self(query.0)).map_err(|error| refusal(error).into())
     }
-}
-
-fn unread(rejection: BytesRejection) -> Refused {
-    let code = match rejection.status() {
-        StatusCode::PAYLOAD_TOO_LARGE => Code::BodyTooLarge,
-        _ => Code::MalformedBody,
-    };
-    Refusal::new(code, rejection.body_text()).into()
 }
 
 /// Reads JSON.

@@ -1,23 +1,28 @@
 //! The REST door, and the port that both doors share. The router is on this page.
 
+mod admission;
 mod bases;
 mod body;
+mod connection;
+mod json_extent;
+mod metered;
 mod navigation;
 mod openapi;
 mod pages;
 mod positioning;
 mod problem;
 mod raw;
+mod seats;
 mod server;
 mod sessions;
 mod solutions;
 
-use axum::Router;
-use axum::extract::{DefaultBodyLimit, State};
+use axum::extract::State;
 use axum::http::{HeaderName, HeaderValue};
 use axum::middleware::map_response_with_state;
 use axum::response::Response;
 use axum::routing::{get, post};
+use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::decompression::RequestDecompressionLayer;
 use tower_http::trace::TraceLayer;
@@ -26,9 +31,14 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
 use crate::contract::Service;
 use crate::grpc;
 
+use body::BodyLimit;
+
 pub use openapi::document;
 pub use problem::{Problem, http_status};
-pub use server::{ServerError, serve};
+pub use server::serve;
+
+/// Largest body of a call that brings neither epochs nor a file (bytes).
+const CONTROL_BYTES: usize = 256 << 10;
 
 /// Names the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
@@ -42,7 +52,27 @@ async fn name_node(State(service): State<Service>, mut response: Response) -> Re
 
 /// Both doors on one router: REST, pages and gRPC.
 pub fn router(service: &Service) -> Router {
-    let rest = Router::new()
+    let limit = service.limits().body_bytes;
+    let rest = controls()
+        .layer(Extension(BodyLimit(limit.min(CONTROL_BYTES))))
+        .merge(contents().layer(Extension(BodyLimit(limit))))
+        .method_not_allowed_fallback(pages::no_method)
+        .with_state(service.clone())
+        .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
+        .layer(RequestDecompressionLayer::new())
+        .layer(CatchPanicLayer::custom(server::panicked));
+    Router::new()
+        .merge(rest)
+        .merge(grpc::routes(service))
+        .fallback(pages::no_route)
+        .layer(middleware::from_fn_with_state(service.clone(), admission::admit))
+        .layer(map_response_with_state(service.clone(), name_node))
+        .layer(TraceLayer::new_for_http())
+}
+
+/// Calls with short bodies, and the pages.
+fn controls() -> Router<Service> {
+    Router::new()
         .route("/v1/sessions", get(sessions::list).post(sessions::create))
         .route(
             "/v1/sessions/{session}",
@@ -52,29 +82,22 @@ pub fn router(service: &Service) -> Router {
                 .delete(sessions::close)
                 .post(positioning::act),
         )
-        .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))
-        .route("/v1/sessions/{session}/raw", post(raw::push))
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
-        .route("/v1/solve", post(positioning::solve_once))
-        .route("/v1/navigation", get(navigation::status).post(navigation::push))
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
-        .route("/v1/bases/{base}/epochs", post(bases::push_epochs))
-        .route("/v1/bases/{base}/observations", post(bases::upload))
         .route("/healthz", get(pages::live))
         .route("/readyz", get(pages::ready))
         .route("/openapi.json", get(pages::schema))
         .route("/", get(pages::home))
-        .method_not_allowed_fallback(pages::no_method)
-        .with_state(service.clone())
-        .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
-        .layer(DefaultBodyLimit::max(service.limits().body_bytes))
-        .layer(RequestDecompressionLayer::new())
-        .layer(CatchPanicLayer::custom(server::panicked));
+}
+
+/// Calls that bring epochs, bytes or files.
+fn contents() -> Router<Service> {
     Router::new()
-        .merge(rest)
-        .merge(grpc::routes(service))
-        .fallback(pages::no_route)
-        .layer(map_response_with_state(service.clone(), name_node))
-        .layer(TraceLayer::new_for_http())
+        .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))
+        .route("/v1/sessions/{session}/raw", post(raw::push))
+        .route("/v1/solve", post(positioning::solve_once))
+        .route("/v1/navigation", get(navigation::status).post(navigation::push))
+        .route("/v1/bases/{base}/epochs", post(bases::push_epochs))
+        .route("/v1/bases/{base}/observations", post(bases::upload))
 }

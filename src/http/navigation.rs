@@ -9,11 +9,13 @@ use super::body::RawBody;
 use super::problem::{Problem, Refused};
 
 /// Takes a RINEX navigation file, plain or gzip. Its content is durable before the answer.
-#[utoipa::path(post, path = "/v1/navigation", tag = "Navigation",
+#[utoipa::path(post, operation_id = "navigationPush",
+    path = "/v1/navigation", tag = "Navigation",
     request_body(content = String, content_type = "application/octet-stream",
         description = "RINEX 2.10 to 4.0x navigation, plain or gzip"),
     responses((status = 200, body = v1::PushNavigationResponse),
-        (status = "4XX", body = Problem)))]
+        (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn push(
     State(service): State<Service>,
     RawBody(content): RawBody,
@@ -23,9 +25,11 @@ pub(super) async fn push(
 }
 
 /// Lists the satellites with usable ephemerides, and the time that these cover.
-#[utoipa::path(get, path = "/v1/navigation", tag = "Navigation",
+#[utoipa::path(get, operation_id = "navigationStatus",
+    path = "/v1/navigation", tag = "Navigation",
     responses((status = 200, body = v1::NavigationStatusResponse),
-        (status = "4XX", body = Problem)))]
+        (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn status(
     State(service): State<Service>,
 ) -> Result<Json<v1::NavigationStatusResponse>, Refused> {

@@ -2,13 +2,13 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
+use axum::response::{Html, Response};
 
 use crate::contract::{Readiness, Refusal, Service};
-use crate::grpc;
 use crate::refusal::Code;
 
+use super::admission::{answer, is_grpc};
 use super::openapi;
 use super::problem::Refused;
 
@@ -41,11 +41,7 @@ pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
 pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let message = format!("{method} {} is not a call", uri.path());
     let refusal = Refusal::new(Code::RouteNotFound, message);
-    let kind = headers.get(header::CONTENT_TYPE).map(|kind| kind.as_bytes());
-    if kind.is_some_and(|kind| kind.starts_with(b"application/grpc")) {
-        return grpc::to_status(&refusal).into_http::<axum::body::Body>();
-    }
-    Refused(refusal).into_response()
+    answer(refusal, is_grpc(&headers))
 }
 
 /// The answer to a method that the path does not take.

@@ -17,10 +17,12 @@ use super::sessions::{self, named};
 /// refuses an epoch (a conflict, or out of order), it still positions the others, and the answer
 /// has the refusal in place of that solution. If it refuses every epoch, the call is refused with
 /// the first one's refusal.
-#[utoipa::path(post, path = "/v1/sessions/{session}/epochs", tag = "Positioning",
+#[utoipa::path(post, operation_id = "positioningPushEpochs",
+    path = "/v1/sessions/{session}/epochs", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::PushEpochsRequest,
-    responses((status = 200, body = v1::PushEpochsResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::PushEpochsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn push_epochs(
     State(service): State<Service>,
     Path(session): Path<String>,
@@ -52,10 +54,12 @@ pub(super) async fn act(
 }
 
 /// Solves the session's present window with any mode and options. Nothing is stored.
-#[utoipa::path(post, path = "/v1/sessions/{session}:solve", tag = "Positioning",
+#[utoipa::path(post, operation_id = "positioningSolve",
+    path = "/v1/sessions/{session}:solve", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::SolveRequest,
-    responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 async fn solve(
     State(service): State<Service>,
     session: String,
@@ -67,9 +71,11 @@ async fn solve(
 }
 
 /// Positions one or a few epochs without a session. Nothing is stored.
-#[utoipa::path(post, path = "/v1/solve", tag = "Positioning",
+#[utoipa::path(post, operation_id = "positioningSolveOnce",
+    path = "/v1/solve", tag = "Positioning",
     request_body = v1::SolveOnceRequest,
-    responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn solve_once(
     State(service): State<Service>,
     JsonBody(request): JsonBody<v1::SolveOnceRequest>,

@@ -61,6 +61,8 @@ pub const fn http_status(class: Class) -> StatusCode {
         Class::Conflict | Class::Precondition => StatusCode::CONFLICT,
         Class::Exhausted => StatusCode::TOO_MANY_REQUESTS,
         Class::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
+        Class::Forbidden => StatusCode::FORBIDDEN,
+        Class::Timeout => StatusCode::REQUEST_TIMEOUT,
         Class::Internal | Class::NoCall => StatusCode::INTERNAL_SERVER_ERROR,
     }
 }
@@ -91,7 +93,7 @@ impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let Self(refusal) = self;
         if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
-            tracing::error!(code = refusal.code.name(), "{}", refusal.message);
+            tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
         }
         let status = http_status(refusal.code.class());
         let mut response = (status, Json(Problem::of(&refusal))).into_response();

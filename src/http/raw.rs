@@ -30,11 +30,13 @@ pub(super) struct RawQuery {
 /// The bytes are frames of RTCM 3 and UBX, RINEX observations, or the log of Android's GnssLogger.
 /// All bytes before `rawThrough` of the answer are stored, and the epochs that they complete are
 /// committed. The device continues at this offset. Repeated bytes change nothing.
-#[utoipa::path(post, path = "/v1/sessions/{session}/raw", tag = "Positioning",
+#[utoipa::path(post, operation_id = "rawPush",
+    path = "/v1/sessions/{session}/raw", tag = "Positioning",
     params(("session" = String, Path, description = "Its id"), RawQuery),
     request_body(content = String, content_type = "application/octet-stream",
         description = "Bytes of the stream"),
-    responses((status = 200, body = v1::PushRawResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::PushRawResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn push(
     State(service): State<Service>,
     Path(session): Path<String>,

@@ -1,66 +1,116 @@
 //! The listening port: binds it, serves both doors, and stops in order.
 
 use std::any::Any;
-use std::future::{Future, IntoFuture};
-use std::io;
+use std::future::Future;
+use std::io::Write;
 use std::time::Duration;
 
 use axum::response::{IntoResponse, Response};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
 
 use crate::contract::{Refusal, Service};
 use crate::refusal::Code;
 
-use super::problem::Refused;
+use super::connection::{ConnectionPatience, serve_connection};
+use super::problem::{Problem, Refused};
 use super::router;
+use super::seats::Seats;
 
-/// Why serving ended.
-#[derive(Debug, thiserror::Error)]
-pub enum ServerError {
-    /// The listening socket failed.
-    #[error("the listener failed: {0}")]
-    Listener(#[from] io::Error),
-}
+/// The delay after a connection that could not be accepted.
+const ACCEPT_DELAY: Duration = Duration::from_millis(100);
+/// The delay that a connection which is not served is asked to wait (s).
+const RETRY_AFTER_S: u64 = 2;
 
 /// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains.
 ///
 /// While draining, `/readyz` and the gRPC health service report not ready. After the notice no
-/// connection is accepted, and running requests have `limits.drain_s` to finish.
-///
-/// # Errors
-/// The listening socket fails.
+/// connection is accepted, and running requests have `limits.drain_s` to finish. A listener that
+/// cannot accept, for instance for want of files, tries again.
 pub async fn serve(
     listener: TcpListener,
     service: &Service,
     stop: impl Future<Output = ()> + Send + 'static,
-) -> Result<(), ServerError> {
+) {
     let limits = service.limits();
     let notice = Duration::from_secs(limits.drain_notice_s);
     let patience = Duration::from_secs(limits.drain_s);
-    let (drained, mut draining) = tokio::sync::oneshot::channel();
-    let announce = {
+    let (stopping, is_stopping) = watch::channel(false);
+    let announced = {
         let service = service.clone();
         async move {
             stop.await;
             service.drain();
             tokio::time::sleep(notice).await;
-            // Err: serving has already ended.
-            drained.send(()).ok();
         }
     };
-    let serving = axum::serve(listener, router(service)).with_graceful_shutdown(announce);
-    let mut serving = std::pin::pin!(serving.into_future());
+    let mut connections = JoinSet::new();
     tokio::select! {
-        ended = &mut serving => return Ok(ended?),
-        _ = &mut draining => {}
+        () = accept(listener, service, &mut connections, is_stopping) => {}
+        () = announced => {}
     }
-    match tokio::time::timeout(patience, serving).await {
-        Ok(ended) => Ok(ended?),
-        Err(_) => {
-            tracing::warn!(seconds = limits.drain_s, "requests were still running; cut off");
-            Ok(())
+    stopping.send_replace(true);
+    let ended = async { while connections.join_next().await.is_some() {} };
+    if tokio::time::timeout(patience, ended).await.is_err() {
+        tracing::warn!(seconds = limits.drain_s, "requests were still running; cut off");
+    }
+}
+
+/// Accepts connections, each served by a task of its own.
+async fn accept(
+    listener: TcpListener,
+    service: &Service,
+    connections: &mut JoinSet<()>,
+    is_stopping: watch::Receiver<bool>,
+) {
+    let limits = service.limits();
+    let patience = ConnectionPatience {
+        head: Duration::from_secs(limits.head_s),
+        idle: Duration::from_secs(limits.idle_s),
+        silence: Duration::from_secs(limits.body_silence_s),
+    };
+    let seats = Seats::new(limits.connections, limits.connections_per_address);
+    let router = router(service);
+    loop {
+        let (stream, peer) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                // The peer has gone, or the process has no file for it.
+                tracing::debug!(%error, "a connection was not accepted");
+                tokio::time::sleep(ACCEPT_DELAY).await;
+                continue;
+            }
+        };
+        while connections.try_join_next().is_some() {} // Forgets those that have ended.
+        match seats.take(peer.ip()) {
+            Ok(seat) => {
+                // Err: the connection is lost already.
+                stream.set_nodelay(true).ok();
+                let served =
+                    serve_connection(stream, router.clone(), patience, is_stopping.clone());
+                connections.spawn(async move {
+                    let _seat = seat;
+                    served.await;
+                });
+            }
+            Err(refusal) => refuse(stream, &refusal),
         }
     }
+}
+
+/// Answers a connection that is not served, as far as its buffer takes the answer at once.
+fn refuse(stream: TcpStream, refusal: &Refusal) {
+    let problem = Problem::of(refusal);
+    let body = serde_json::to_string(&problem).expect("a problem is texts and numbers");
+    let answer = format!(
+        "HTTP/1.1 {} Too Many Requests\r\ncontent-type: application/problem+json\r\n\
+         content-length: {}\r\nretry-after: {RETRY_AFTER_S}\r\nconnection: close\r\n\r\n{body}",
+        problem.status,
+        body.len(),
+    );
+    // Err: the peer has gone, or speaks HTTP/2 and takes the end for the answer.
+    stream.into_std().and_then(|mut stream| stream.write(answer.as_bytes())).ok();
 }
 
 /// The answer of the REST door to a panic.

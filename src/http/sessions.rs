@@ -33,9 +33,11 @@ pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
 }
 
 /// Opens a session. Returns it with the configuration in force.
-#[utoipa::path(post, path = "/v1/sessions", tag = "Sessions",
+#[utoipa::path(post, operation_id = "sessionsCreate",
+    path = "/v1/sessions", tag = "Sessions",
     request_body = v1::CreateSessionRequest,
-    responses((status = 201, body = v1::Session), (status = "4XX", body = Problem)))]
+    responses((status = 201, body = v1::Session), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn create(
     State(service): State<Service>,
     JsonBody(request): JsonBody<v1::CreateSessionRequest>,
@@ -44,9 +46,11 @@ pub(super) async fn create(
 }
 
 /// Returns a session with the configuration in force.
-#[utoipa::path(get, path = "/v1/sessions/{session}", tag = "Sessions",
+#[utoipa::path(get, operation_id = "sessionsGet",
+    path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn get(
     State(service): State<Service>,
     Path(session): Path<String>,
@@ -56,8 +60,10 @@ pub(super) async fn get(
 }
 
 /// Lists sessions, the newest first.
-#[utoipa::path(get, path = "/v1/sessions", tag = "Sessions", params(PageQuery),
-    responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem)))]
+#[utoipa::path(get, operation_id = "sessionsList",
+    path = "/v1/sessions", tag = "Sessions", params(PageQuery),
+    responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn list(
     State(service): State<Service>,
     StrictQuery(page): StrictQuery<PageQuery>,
@@ -69,10 +75,12 @@ pub(super) async fn list(
 
 /// Changes the given fields and no others. The epochs that follow are positioned with the new
 /// configuration.
-#[utoipa::path(patch, path = "/v1/sessions/{session}", tag = "Sessions",
+#[utoipa::path(patch, operation_id = "sessionsUpdate",
+    path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::UpdateSessionRequest,
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn update(
     State(service): State<Service>,
     Path(session): Path<String>,
@@ -85,9 +93,11 @@ pub(super) async fn update(
 
 /// Begins a new arc of a session: its next epoch may have any time, and its estimator starts again.
 /// Numbers go on rising.
-#[utoipa::path(post, path = "/v1/sessions/{session}:reset", tag = "Sessions",
+#[utoipa::path(post, operation_id = "sessionsReset",
+    path = "/v1/sessions/{session}:reset", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn reset(
     State(service): State<Service>,
     session: String,
@@ -97,9 +107,11 @@ pub(super) async fn reset(
 }
 
 /// Closes a session. It takes no more epochs, and its solutions stay readable.
-#[utoipa::path(delete, path = "/v1/sessions/{session}", tag = "Sessions",
+#[utoipa::path(delete, operation_id = "sessionsClose",
+    path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn close(
     State(service): State<Service>,
     Path(session): Path<String>,

@@ -30,9 +30,11 @@ pub(super) struct SolutionsQuery {
 }
 
 /// Lists stored solutions of a session in order of seq and revision.
-#[utoipa::path(get, path = "/v1/sessions/{session}/solutions", tag = "Solutions",
+#[utoipa::path(get, operation_id = "solutionsList",
+    path = "/v1/sessions/{session}/solutions", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SolutionsQuery),
-    responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem)))]
+    responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
 pub(super) async fn list(
     State(service): State<Service>,
     Path(session): Path<String>,

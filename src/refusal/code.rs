@@ -62,6 +62,23 @@ codes! {
     /// The content is packed so much that unpacking it could exhaust the service.
     CompressedTooMuch = "COMPRESSED_TOO_MUCH", TooLarge,
         "send it not packed, or in smaller parts";
+    /// The body arrives too slowly.
+    BodyTooSlow = "BODY_TOO_SLOW", Timeout, "send smaller requests, or over a faster connection";
+    /// The call is not answered within the time that its caller gave.
+    DeadlineExceeded = "DEADLINE_EXCEEDED", Timeout,
+        "send the same request again; epochs that are stored are answered from the store";
+    /// All requests together use as much memory as allowed.
+    MemoryExhausted = "MEMORY_EXHAUSTED", Exhausted,
+        "wait for the delay in the answer and send the same request again";
+    /// As many connections are open as allowed, in all or from one address.
+    TooManyConnections = "TOO_MANY_CONNECTIONS", Exhausted,
+        "use one connection for many requests, or let the operator raise limits.connections";
+    /// The request names a host that is not this service, as a web page of another host can.
+    HostRefused = "HOST_REFUSED", Forbidden,
+        "name the service by localhost or its address, or let the operator list the name in hosts";
+    /// A web page of another origin sends the request.
+    OriginRefused = "ORIGIN_REFUSED", Forbidden,
+        "use the service from its own pages, or let the operator list the page's host in hosts";
     /// The path does not exist.
     RouteNotFound = "ROUTE_NOT_FOUND", Route, "see /docs for the paths";
     /// The path does not take this method.
@@ -348,8 +365,6 @@ codes! {
         "choose another address with --listen, or let the process open this one";
     /// The log filter is invalid.
     LogFilterInvalid = "LOG_FILTER_INVALID", NoCall, "write a filter such as info";
-    /// The listening socket failed while the service ran.
-    ListenerFailed = "LISTENER_FAILED", NoCall, "see the log, and start again";
     /// The configuration file is not TOML, or has an unknown key.
     ConfigurationMalformed = "CONFIGURATION_MALFORMED", NoCall,
         "correct the line that the message names";

@@ -27,6 +27,10 @@ pub enum Class {
     Conflict,
     /// The session or base is not in a state to serve the request.
     Precondition,
+    /// The request comes from where none is taken.
+    Forbidden,
+    /// The request or its answer took too long.
+    Timeout,
     /// A limit is reached; the same request may succeed later.
     Exhausted,
     /// The service cannot serve now.

@@ -18,6 +18,12 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::FeatureNotBuilt, "src/config/option_table.rs"),
     (Code::TooCostly, "tests/faults/hostile.rs"),
     (Code::CompressedTooMuch, "tests/faults/hostile.rs"),
+    (Code::BodyTooSlow, "tests/faults/hostile.rs"),
+    (Code::DeadlineExceeded, "tests/faults/hostile.rs"),
+    (Code::MemoryExhausted, "tests/faults/hostile.rs"),
+    (Code::TooManyConnections, "tests/faults/hostile.rs"),
+    (Code::HostRefused, "tests/faults/hostile.rs"),
+    (Code::OriginRefused, "tests/faults/hostile.rs"),
     (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
     (Code::GnssLoggerHeaderInvalid, "tests/doors/raw.rs"),
     (Code::GnssLoggerLineTooLong, "tests/doors/raw.rs"),
@@ -73,7 +79,6 @@ const UNREACHED: &[(Code, &str)] = &[
     (Code::Interrupted, "a session's task ends early only if it panics outside the solver pool"),
     (Code::NoThreads, "threads do not run out on request"),
     (Code::NoReferenceTime, "a stream without its week or day in any message is not at hand"),
-    (Code::ListenerFailed, "a listening socket does not fail on request"),
 ];
 
 fn read(path: &str) -> String {

@@ -490,8 +490,8 @@ async fn push_on(
 ) {
     let mut client = PositioningClient::new(channel.clone());
     let rest = &stream[at as usize..];
-    for (index, bytes) in rest.chunks(3_001).enumerate() {
-        let offset = at + index as u64 * 3_001;
+    for (index, bytes) in rest.chunks(1_001).enumerate() {
+        let offset = at + index as u64 * 1_001;
         let end = offset + bytes.len() as u64 == stream.len() as u64;
         let (session, content) = (session.to_owned(), Bytes::copy_from_slice(bytes));
         let push = v1::PushRawRequest { session, offset, content, end, near: None };
@@ -527,7 +527,7 @@ async fn outlives_kill_9(stream: &[u8], expected: Vec<Epoch>) {
     let mut server = Server::start(&database, port);
     let session = opened(&server.channel(), None).await.session;
     let mut acknowledged = BTreeMap::new();
-    for after_ms in [5, 20, 45, 90, 150] {
+    for after_ms in [5, 15, 30, 60, 100] {
         let channel = server.channel();
         let at = opened(&channel, Some(&session)).await.raw_through.unwrap_or(0);
         let pushing = push_on(&channel, &session, stream, at, &mut acknowledged);

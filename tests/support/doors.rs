@@ -95,7 +95,8 @@ impl Doors {
 
     /// Pushes a file as it is.
     pub(crate) async fn upload(&self, path: &str, bytes: Vec<u8>) -> (StatusCode, Value) {
-        self.ask(Request::post(path).body(Body::from(bytes)).unwrap()).await
+        let request = Request::post(path).header("content-type", "application/octet-stream");
+        self.ask(request.body(Body::from(bytes)).unwrap()).await
     }
 
     /// A new session's id.

@@ -82,7 +82,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
         host::interrupted().await;
     }
     drop(stop);
-    serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
+    serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))?;
     played
 }
 

@@ -6,14 +6,14 @@ use crate::aiding::bases::{
 };
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
-use crate::contract::{Refusal, Service, convert, v1};
+use crate::contract::{Refusal, Service, convert, texts, v1};
 use crate::formats::unpack_within;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
 use super::positioning::{Numbered, epochs};
-use super::upload::{in_background, skipped_entry};
+use super::upload::{read_file, skipped_entry};
 use super::{base_id, page_size, page_token, utc};
 
 /// Bases on a page if the request gives no size.
@@ -35,6 +35,8 @@ pub async fn create(
     service: &Service,
     request: v1::CreateBaseRequest,
 ) -> Result<v1::Base, Refusal> {
+    texts::check_label(&request.label)?;
+    texts::check("antenna", &request.antenna, texts::ANTENNA_MAX)?;
     let site = site(&request)?;
     if request.ntrip.is_some() && request.archive.is_some() {
         let message = "a base is filled by a caster's stream or by an archive, not by both";
@@ -72,6 +74,7 @@ pub async fn list(
     service: &Service,
     request: v1::ListBasesRequest,
 ) -> Result<v1::ListBasesResponse, Refusal> {
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
     let size = page_size(request.page_size, PAGE);
     if PAGE_LIMIT < size {
         let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
@@ -145,8 +148,8 @@ pub async fn upload(
     let id = base_id(&request.base)?;
     let bytes_max = service.limits().decompressed_bytes;
     let (content, limits) = (request.content, service.bases().file_limits());
-    let read = move || BaseFile::read(unpack_within(&content, bytes_max), &limits);
-    let BaseFile { epochs, site, skipped } = in_background(read).await??;
+    let read = move || Ok(BaseFile::read(unpack_within(&content, bytes_max), &limits)?);
+    let BaseFile { epochs, site, skipped } = read_file(service, limits.bytes, read).await?;
     if epochs.is_empty() {
         return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));
     }

@@ -2,7 +2,7 @@
 
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
-use crate::contract::{Refusal, Service, intake, v1};
+use crate::contract::{Refusal, Service, intake, texts, v1};
 use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, NetworkHealth, SourceStatus};
 use crate::gnss::Geodetic;
 use crate::refusal::Code;
@@ -22,6 +22,8 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     };
     let v1::NtripSource { caster, mountpoint, user, password, version, position, near, .. } =
         source;
+    texts::check("ntrip.caster", &caster, texts::ADDRESS_MAX)?;
+    texts::check("ntrip.mountpoint", &mountpoint, texts::NAME_MAX)?;
     let version = match version {
         0 | 2 => 2,
         1 => 1,
@@ -111,6 +113,7 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
 
 /// Reads and checks the archive of a request.
 pub(super) fn archive(service: &Service, source: v1::ArchiveSource) -> Result<String, Refusal> {
+    texts::check("archive.template", &source.template, texts::ADDRESS_MAX)?;
     let checked = service.feeds().check_archive(&source.template);
     checked.map_err(|error| Refusal::from(error).at("archive.template"))?;
     Ok(source.template)

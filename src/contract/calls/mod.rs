@@ -15,6 +15,7 @@ use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::refusal::Code;
 use crate::session::SessionId;
 
+use super::texts::brief;
 use super::{Refusal, Service};
 
 /// The mode if the request has none.
@@ -26,13 +27,14 @@ const NEAREST: &str = "nearest";
 
 fn session_id(text: &str) -> Result<SessionId, Refusal> {
     SessionId::parse(text).ok_or_else(|| {
-        Refusal::new(Code::SessionNotFound, format!("there is no session {text:?}")).at("session")
+        Refusal::new(Code::SessionNotFound, format!("there is no session {:?}", brief(text)))
+            .at("session")
     })
 }
 
 fn base_id(text: &str) -> Result<BaseId, Refusal> {
     BaseId::parse(text).ok_or_else(|| {
-        Refusal::new(Code::BaseNotFound, format!("there is no base {text:?}")).at("base")
+        Refusal::new(Code::BaseNotFound, format!("there is no base {:?}", brief(text))).at("base")
     })
 }
 

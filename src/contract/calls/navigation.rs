@@ -5,7 +5,10 @@ use crate::contract::{Refusal, Service, v1};
 use crate::formats::{rinex, unpack_within};
 
 use super::feeds;
-use super::upload::{in_background, skipped_entry};
+use super::upload::{read_file, skipped_entry};
+
+/// Memory of one ephemeris of each satellite of all constellations (bytes).
+const MEMORY_OF_NUMBER: usize = 200 * 320;
 
 /// Takes a RINEX navigation file.
 ///
@@ -17,9 +20,11 @@ pub async fn push(
 ) -> Result<v1::PushNavigationResponse, Refusal> {
     let limits = service.limits();
     let (bytes_max, most) = (limits.decompressed_bytes, limits.ephemerides_per_satellite);
-    let read =
-        move || rinex::read_navigation_within(unpack_within(&request.content, bytes_max), most);
-    let (navigation, skipped) = in_background(read).await??;
+    let read = move || {
+        let text = unpack_within(&request.content, bytes_max);
+        Ok(rinex::read_navigation_within(text, most)?)
+    };
+    let (navigation, skipped) = read_file(service, most * MEMORY_OF_NUMBER, read).await?;
     let counts = service.navigation().push(navigation, UPLOAD).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,

@@ -2,7 +2,7 @@
 
 use crate::config::IntakeLimits;
 use crate::contract::convert::{self, Stored};
-use crate::contract::{Refusal, Service, intake, v1};
+use crate::contract::{Refusal, Service, intake, off_the_network, texts, v1};
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
 use super::{MODE, PROFILE, base_choice, or_standard, session_id};
@@ -31,6 +31,8 @@ pub async fn solve(
     request: v1::SolveRequest,
 ) -> Result<v1::SolveResponse, Refusal> {
     let id = session_id(&request.session)?;
+    texts::check_names([("mode", &*request.mode), ("profile", &*request.profile)])?;
+    texts::check_overrides(&request.overrides)?;
     let given = |text: String| Some(text).filter(|text| !text.is_empty());
     let request = SolveRequest {
         mode: given(request.mode),
@@ -50,6 +52,8 @@ pub async fn solve_once(
     service: &Service,
     request: v1::SolveOnceRequest,
 ) -> Result<v1::SolveOnceResponse, Refusal> {
+    texts::check_names([("mode", &*request.mode), ("profile", &*request.profile)])?;
+    texts::check_overrides(&request.overrides)?;
     let burst = Burst {
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
@@ -76,6 +80,7 @@ pub(super) fn epochs(
     numbered: Numbered,
 ) -> Result<Vec<SequencedEpoch>, Refusal> {
     intake::epoch_count(messages.len(), limits)?;
+    let observations: usize = messages.iter().map(|epoch| epoch.observations.len()).sum();
     let read = |(index, message): (usize, &v1::Epoch)| {
         let within = |refusal: Refusal| refusal.within(&format!("epochs[{index}]"));
         let seq = match numbered {
@@ -84,7 +89,8 @@ pub(super) fn epochs(
         };
         Ok(SequencedEpoch { seq, epoch: convert::epoch(message, limits).map_err(within)? })
     };
-    messages.iter().enumerate().map(read).collect()
+    let bytes = observations * size_of::<v1::Observation>();
+    off_the_network(bytes, || messages.iter().enumerate().map(read).collect())
 }
 
 fn answer(submitted: Submitted) -> Result<v1::PushEpochsResponse, Refusal> {

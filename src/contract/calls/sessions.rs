@@ -1,7 +1,7 @@
 //! Sessions.
 
 use crate::aiding::bases::BaseChoice;
-use crate::contract::{Refusal, Service, v1};
+use crate::contract::{Refusal, Service, texts, v1};
 use crate::session::{NewSession, SessionInfo, SessionUpdate};
 
 use super::{
@@ -19,6 +19,10 @@ pub async fn create(
     service: &Service,
     request: v1::CreateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
+    texts::check_label(&request.label)?;
+    texts::check_names([("mode", &*request.mode), ("profile", &*request.profile)])?;
+    texts::check_overrides(&request.overrides)?;
+    texts::check("antenna", &request.antenna, texts::ANTENNA_MAX)?;
     let new = NewSession {
         label: request.label,
         mode: or_standard(request.mode, MODE),
@@ -50,6 +54,7 @@ pub async fn list(
     service: &Service,
     request: v1::ListSessionsRequest,
 ) -> Result<v1::ListSessionsResponse, Refusal> {
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
     let size = page_size(request.page_size, PAGE);
     let page = service.sessions().list(size, page_token(&request.page_token)).await?;
     Ok(v1::ListSessionsResponse {
@@ -67,6 +72,14 @@ pub async fn update(
     request: v1::UpdateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
+    request.label.iter().try_for_each(|label| texts::check_label(label))?;
+    let names = [("mode", &request.mode), ("profile", &request.profile)];
+    texts::check_names(names.iter().filter_map(|(field, name)| Some((*field, name.as_deref()?))))?;
+    texts::check_overrides(&request.overrides)?;
+    texts::check_names(request.clear_overrides.iter().map(|key| ("clearOverrides", key.as_str())))?;
+    if let Some(antenna) = &request.antenna {
+        texts::check("antenna", antenna, texts::ANTENNA_MAX)?;
+    }
     let base = match (&request.base, &*request.bases) {
         (None, []) => None,
         (base, bases) => Some(base_choice(service, base.as_deref().unwrap_or_default(), bases)?),

@@ -1,6 +1,6 @@
 //! Stored solutions.
 
-use crate::contract::{Refusal, Service, convert, v1};
+use crate::contract::{Refusal, Service, convert, texts, v1};
 use crate::store::SolutionQuery;
 
 use super::{page_size, page_token, session_id};
@@ -17,6 +17,7 @@ pub async fn list(
     request: v1::ListSolutionsRequest,
 ) -> Result<v1::ListSolutionsResponse, Refusal> {
     let id = session_id(&request.session)?;
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
     let query = SolutionQuery {
         from: convert::time(request.from, "from")?,
         to: convert::time(request.to, "to")?,

@@ -1,15 +1,24 @@
-//! Uploaded files: read on blocking threads.
+//! Uploaded files: unpacked and read within limits, on few blocking threads.
 
-use crate::contract::{Refusal, v1};
+use crate::contract::{Lease, Refusal, Service, in_background, v1};
 use crate::formats::rinex::SkippedEntry;
-use crate::refusal::Code;
 
-/// Runs `work` on a blocking thread, so that other calls need not wait.
-pub(super) async fn in_background<T: Send + 'static>(
-    work: impl FnOnce() -> T + Send + 'static,
+/// Reads a file with `work` on a blocking thread, when one of the few for files is free. `bytes`
+/// is the memory that its content can need.
+pub(super) async fn read_file<T: Send + 'static>(
+    service: &Service,
+    bytes: usize,
+    work: impl FnOnce() -> Result<T, Refusal> + Send + 'static,
 ) -> Result<T, Refusal> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
+    let reader = service.file_reader().await;
+    let lease = Lease::current();
+    lease.as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
+    let work = move || {
+        // Kept until the file is read, also if the caller has gone.
+        let _kept = (reader, lease);
+        work()
+    };
+    in_background(work).await?
 }
 
 /// A skipped record, as a message.

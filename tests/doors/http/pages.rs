@@ -45,8 +45,12 @@ async fn the_schema_is_a_snapshot_and_true() {
     let doors = Doors::open().await;
     let (_, document) = doors.get("/openapi.json").await;
     assert!(document["openapi"].as_str().unwrap().starts_with("3.1"));
+    let mut ids = std::collections::BTreeSet::new();
     for (path, methods) in document["paths"].as_object().unwrap() {
-        for method in methods.as_object().unwrap().keys() {
+        for (method, operation) in methods.as_object().unwrap() {
+            let id = operation["operationId"].as_str().unwrap();
+            assert!(ids.insert(id), "{id} twice");
+            assert!(operation["responses"]["5XX"].is_object(), "{id} describes no failure");
             let request = Request::builder().method(method.to_uppercase().as_str());
             let request = request.uri(path.replace("{session}", "ses_0"));
             let (_, answer) = doors.ask(request.body(Body::empty()).unwrap()).await;

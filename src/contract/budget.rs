@@ -1,0 +1,210 @@
+//! The memory of all requests: one budget in bytes, of which each request has a lease.
+//!
+//! A lease is extended before memory is used: before a body is read, before it is unpacked, and
+//! before a message is decoded. It ends with the request. A quarter of the budget is for small
+//! requests only, so that large ones cannot keep devices from pushing their epochs.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use uuid::Uuid;
+
+use crate::config::IntakeLimits;
+use crate::formats;
+use crate::refusal::Code;
+
+use super::Refusal;
+
+/// What every request uses, whatever its content (bytes).
+const REQUEST_BYTES: usize = 4 << 10;
+/// A request is small up to this size (bytes).
+const SMALL_BYTES: usize = 128 << 10;
+/// The shortest delay before a refused request should be sent again. Each refusal asks for a
+/// random delay between this and twice as long.
+const RETRY_AFTER: Duration = Duration::from_millis(500);
+
+tokio::task_local! {
+    /// The lease of the request that the task serves.
+    static CURRENT: Lease;
+}
+
+/// The memory that all requests share. All clones share it.
+#[derive(Clone, Debug)]
+pub struct Budget(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    total: usize,
+    used: AtomicUsize,
+    limits: IntakeLimits,
+}
+
+/// The memory of one request. It is returned when the last clone is dropped.
+#[derive(Clone, Debug)]
+pub struct Lease(Arc<Leased>);
+
+#[derive(Debug)]
+struct Leased {
+    budget: Budget,
+    reserved: AtomicUsize,
+    /// Bytes of the body that have arrived, before any unpacking.
+    arrived: AtomicUsize,
+    /// Identifies the request in answers and in the log.
+    id: Uuid,
+}
+
+impl Budget {
+    /// A budget of `total` bytes for requests with these limits.
+    pub fn new(total: usize, limits: IntakeLimits) -> Self {
+        Self(Arc::new(Shared { total, used: AtomicUsize::new(0), limits }))
+    }
+
+    /// The lease of a request that begins.
+    ///
+    /// # Errors
+    /// The budget is exhausted.
+    pub fn lease(&self) -> Result<Lease, Refusal> {
+        let (reserved, arrived) = Default::default();
+        let lease =
+            Lease(Arc::new(Leased { budget: self.clone(), reserved, arrived, id: Uuid::now_v7() }));
+        lease.reserve(REQUEST_BYTES)?;
+        Ok(lease)
+    }
+
+    /// Bytes in use.
+    pub fn used(&self) -> usize {
+        self.0.used.load(Ordering::Acquire)
+    }
+
+    /// The part of the budget that large requests share (bytes).
+    fn of_large(&self) -> usize {
+        self.0.total - self.0.total / 4
+    }
+}
+
+impl Lease {
+    /// The lease of the request that the present task serves; none outside a door.
+    pub fn current() -> Option<Self> {
+        CURRENT.try_with(Self::clone).ok()
+    }
+
+    /// Runs `work` with this as [`Lease::current`].
+    pub async fn scope<F: Future>(self, work: F) -> F::Output {
+        CURRENT.scope(self, work).await
+    }
+
+    /// The id of the request.
+    pub fn request_id(&self) -> Uuid {
+        self.0.id
+    }
+
+    /// The limits on the content of a request.
+    pub fn limits(&self) -> &IntakeLimits {
+        &self.0.budget.0.limits
+    }
+
+    /// Adds `bytes` to the lease.
+    ///
+    /// # Errors
+    /// The budget is exhausted, or the request alone exceeds it. Nothing is added.
+    pub fn reserve(&self, bytes: usize) -> Result<(), Refusal> {
+        let Leased { budget, reserved, .. } = &*self.0;
+        let whole = reserved.load(Ordering::Acquire).saturating_add(bytes);
+        let of_large = budget.of_large();
+        if of_large < whole {
+            let message = format!("the request needs {whole} bytes of memory, at most {of_large}");
+            return Err(Refusal::new(Code::BodyTooLarge, message));
+        }
+        let limit = if whole <= SMALL_BYTES { budget.0.total } else { of_large };
+        let add = |used: usize| used.checked_add(bytes).filter(|used| *used <= limit);
+        if budget.0.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, add).is_err() {
+            let message = format!("all requests together use {} bytes of memory", budget.used());
+            let refusal = Refusal::new(Code::MemoryExhausted, message);
+            return Err(refusal.retry_after(with_jitter(RETRY_AFTER)));
+        }
+        reserved.fetch_add(bytes, Ordering::AcqRel);
+        Ok(())
+    }
+
+    /// Counts bytes of the body that have arrived.
+    pub fn arrive(&self, bytes: usize) {
+        self.0.arrived.fetch_add(bytes, Ordering::AcqRel);
+    }
+
+    /// Bytes of the body that have arrived, before any unpacking.
+    pub fn arrived(&self) -> usize {
+        self.0.arrived.load(Ordering::Acquire)
+    }
+
+    /// Checks the ratio of unpacked content to the bytes that have arrived.
+    ///
+    /// # Errors
+    /// [`Code::CompressedTooMuch`].
+    pub fn check_ratio(&self, unpacked: usize) -> Result<(), Refusal> {
+        check_ratio(self.arrived(), unpacked)
+    }
+}
+
+impl Drop for Leased {
+    fn drop(&mut self) {
+        self.budget.0.used.fetch_sub(*self.reserved.get_mut(), Ordering::AcqRel);
+    }
+}
+
+/// Checks the ratio of unpacked to packed content.
+///
+/// # Errors
+/// [`Code::CompressedTooMuch`].
+pub fn check_ratio(packed: usize, unpacked: usize) -> Result<(), Refusal> {
+    Ok(formats::check_ratio(packed as u64, unpacked as u64)?)
+}
+
+/// A random delay from `least` to twice as long, so that refused clients do not return together.
+fn with_jitter(least: Duration) -> Duration {
+    // The quality of these random bits does not matter.
+    let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
+    least.mul_f64(1.0 + fraction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn budget(total: usize) -> Budget {
+        let limits =
+            IntakeLimits { epochs_per_push: 1, satellites_per_epoch: 1, observations_per_epoch: 1 };
+        Budget::new(total, limits)
+    }
+
+    #[test]
+    fn large_requests_leave_a_quarter_to_small_ones() {
+        let budget = budget(16 << 20);
+        let large: Vec<Lease> = (0..3).map(|_| budget.lease().unwrap()).collect();
+        for lease in &large {
+            lease.reserve((4 << 20) - REQUEST_BYTES).unwrap();
+        }
+        let late = budget.lease().unwrap();
+        let refusal = late.reserve(1 << 20).unwrap_err();
+        assert_eq!(refusal.code, Code::MemoryExhausted);
+        assert!((RETRY_AFTER..=2 * RETRY_AFTER).contains(&refusal.retry_after.unwrap()));
+        late.reserve(SMALL_BYTES - REQUEST_BYTES).unwrap();
+        drop((large, late));
+        assert_eq!(budget.used(), 0);
+    }
+
+    #[test]
+    fn a_request_that_never_fits_is_too_large() {
+        let lease = budget(16 << 20).lease().unwrap();
+        assert_eq!(lease.reserve(13 << 20).unwrap_err().code, Code::BodyTooLarge);
+        assert_eq!(lease.reserve(usize::MAX).unwrap_err().code, Code::BodyTooLarge);
+    }
+
+    #[test]
+    fn packed_content_has_a_largest_ratio() {
+        assert!(check_ratio(10, 1 << 20).is_ok());
+        assert!(check_ratio(20_000, 2_000_000).is_ok());
+        let refusal = check_ratio(16_000, 2_000_000).unwrap_err();
+        assert_eq!(refusal.code, Code::CompressedTooMuch);
+    }
+}

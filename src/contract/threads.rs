@@ -1,0 +1,29 @@
+//! Keeps long computations off the threads that serve the network.
+
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::task::{block_in_place, spawn_blocking};
+
+use crate::refusal::Code;
+
+use super::Refusal;
+
+/// Messages up to this size are decoded where they are (bytes).
+const SHORT_BYTES: usize = 64 << 10;
+
+/// Runs `work` on a blocking thread.
+///
+/// # Errors
+/// It panicked.
+pub async fn in_background<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Refusal> {
+    let done = spawn_blocking(work).await;
+    done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
+}
+
+/// Runs `work` on `bytes` bytes. If these are many, other tasks leave the thread first.
+pub fn off_the_network<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+    let is_movable =
+        || Handle::try_current().is_ok_and(|at| at.runtime_flavor() == RuntimeFlavor::MultiThread);
+    if SHORT_BYTES < bytes && is_movable() { block_in_place(work) } else { work() }
+}

@@ -1,0 +1,148 @@
+//! What every request of both doors passes: the host it names, and the memory it may use.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::BoxError;
+use axum::body::{Body, HttpBody};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use crate::contract::{Lease, Refusal, Service};
+use crate::grpc;
+use crate::refusal::Code;
+
+use super::metered::{Keeping, Metered, Patience};
+use super::problem::Refused;
+
+/// Names the request, as the log does.
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// Nothing may be loaded or framed.
+const NO_CONTENT: &str = "default-src 'none'; frame-ancestors 'none'";
+/// The pages load nothing from other hosts.
+const OWN_CONTENT: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; \
+                           img-src 'self' data:; frame-ancestors 'none'";
+
+/// Serves a request with a lease of memory, unless its host or origin is refused.
+pub(super) async fn admit(
+    State(service): State<Service>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let is_grpc = is_grpc(request.headers());
+    let admitted = check_host(&service, request.uri(), request.headers())
+        .and_then(|()| service.budget().lease())
+        .and_then(|lease| metered(&service, request, lease, is_grpc));
+    let response = match admitted {
+        Ok((request, lease)) => {
+            let mut response = lease.clone().scope(next.run(request)).await;
+            let id = lease.request_id().to_string();
+            if let Ok(id) = HeaderValue::from_str(&id) {
+                response.headers_mut().insert(REQUEST_ID, id);
+            }
+            response.map(|body| Keeping::body(body, lease))
+        }
+        Err(refusal) => answer(refusal, is_grpc),
+    };
+    if is_grpc { response } else { with_security_headers(response) }
+}
+
+/// Whether the request is one of gRPC.
+pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE);
+    kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
+}
+
+/// A refusal in the form of the door that was meant.
+pub(super) fn answer(refusal: Refusal, is_grpc: bool) -> Response {
+    if is_grpc {
+        return grpc::to_status(&refusal).into_http::<Body>();
+    }
+    Refused(refusal).into_response()
+}
+
+/// Refuses hosts that are not this service, so that a web page cannot reach it under a name of its
+/// own (DNS rebinding), and pages of other origins.
+fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), Refusal> {
+    let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
+    let host = uri.authority().map(|authority| authority.as_str()).or(text(header::HOST));
+    if let Some(host) = host.filter(|host| !is_own(service, host)) {
+        let message = format!("the request names the host {:?}", brief(host));
+        return Err(Refusal::new(Code::HostRefused, message));
+    }
+    let Some(origin) = text(header::ORIGIN) else { return Ok(()) };
+    let (_, from) = origin.split_once("://").unwrap_or(("", origin));
+    let is_same = host.is_some_and(|host| host.eq_ignore_ascii_case(from));
+    if is_same || service.is_listed_host(name_of(from)) {
+        return Ok(());
+    }
+    let message = format!("the request comes from a page of {:?}", brief(origin));
+    Err(Refusal::new(Code::OriginRefused, message))
+}
+
+/// Whether a host is this machine by its address, or a listed name.
+fn is_own(service: &Service, host: &str) -> bool {
+    let name = name_of(host);
+    let address = name.trim_start_matches('[').trim_end_matches(']');
+    let address: Option<std::net::IpAddr> = address.parse().ok();
+    name.eq_ignore_ascii_case("localhost")
+        || address.is_some_and(|address| address.is_loopback())
+        || service.is_listed_host(name)
+}
+
+/// The host without its port.
+fn name_of(host: &str) -> &str {
+    match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+        _ => host,
+    }
+}
+
+fn brief(text: &str) -> &str {
+    text.get(..80).unwrap_or(text)
+}
+
+/// The request with a body whose memory is reserved as it is read.
+fn metered(
+    service: &Service,
+    request: Request,
+    lease: Lease,
+    is_grpc: bool,
+) -> Result<(Request, Lease), Refusal> {
+    let limit = service.limits().body_bytes;
+    let (parts, body) = request.into_parts();
+    let length = usize::try_from(body.size_hint().lower()).unwrap_or(usize::MAX);
+    if limit < length.saturating_sub(grpc::PREFIX_BYTES) {
+        let message = format!("the body has {length} bytes, at most {limit} are taken");
+        return Err(Refusal::new(Code::BodyTooLarge, message));
+    }
+    let fault = if is_grpc { status_error } else { refusal_error };
+    let patience = Patience { silence: Duration::from_secs(service.limits().body_silence_s) };
+    let body = Metered::new(body, length, lease.clone(), patience, fault)?;
+    Ok((Request::from_parts(parts, Body::new(body)), lease))
+}
+
+fn status_error(refusal: Refusal) -> BoxError {
+    let mut status = grpc::to_status(&refusal);
+    status.set_source(Arc::new(refusal));
+    status.into()
+}
+
+fn refusal_error(refusal: Refusal) -> BoxError {
+    refusal.into()
+}
+
+/// Tells browsers to take an answer for nothing but what it says it is.
+fn with_security_headers(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    let kind = headers.get(header::CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();
+    let is_page = [&b"text/html"[..], b"text/css", b"text/javascript", b"application/javascript"]
+        .iter()
+        .any(|page| kind.starts_with(page));
+    let policy = HeaderValue::from_static(if is_page { OWN_CONTENT } else { NO_CONTENT });
+    headers.insert(header::CONTENT_SECURITY_POLICY, policy);
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
+}

@@ -1,0 +1,159 @@
+//! Bodies that keep to limits while they are read, and bodies that keep something until they end.
+
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use axum::BoxError;
+use axum::body::{Body, Bytes, HttpBody};
+use hyper::body::{Frame, SizeHint};
+use tokio::time::{Instant, Sleep, sleep};
+
+use crate::contract::{Lease, Refusal};
+use crate::refusal::Code;
+
+/// Memory for a body whose length is unknown is reserved in steps of this size (bytes).
+const STEP_BYTES: usize = 16 << 10;
+/// Slowest rate of a body (bytes/s).
+const RATE_MIN: u64 = 16 << 10;
+
+/// How long a body may take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patience {
+    /// Longest time without a byte.
+    pub(super) silence: Duration,
+}
+
+/// The body of a request, whose memory is reserved before it is read.
+pub(super) struct Metered {
+    body: Body,
+    lease: Lease,
+    reserved: usize,
+    arrived: usize,
+    patience: Patience,
+    begun: Instant,
+    silence: Pin<Box<Sleep>>,
+    /// A refusal in the form of the door.
+    fault: fn(Refusal) -> BoxError,
+}
+
+impl Metered {
+    /// The body of a request of which `length` bytes are announced.
+    ///
+    /// # Errors
+    /// There is no memory for them.
+    pub(super) fn new(
+        body: Body,
+        length: usize,
+        lease: Lease,
+        patience: Patience,
+        fault: fn(Refusal) -> BoxError,
+    ) -> Result<Self, Refusal> {
+        lease.reserve(length)?;
+        let silence = Box::pin(sleep(patience.silence));
+        let begun = Instant::now();
+        Ok(Self { body, lease, reserved: length, arrived: 0, patience, begun, silence, fault })
+    }
+
+    /// Makes room for what arrives next.
+    fn reserve_next(&mut self) -> Result<(), Refusal> {
+        if self.body.is_end_stream() || self.arrived < self.reserved {
+            return Ok(());
+        }
+        self.lease.reserve(STEP_BYTES)?;
+        self.reserved += STEP_BYTES;
+        Ok(())
+    }
+
+    fn take(&mut self, frame: &Frame<Bytes>) -> Result<(), Refusal> {
+        let bytes = frame.data_ref().map_or(0, Bytes::len);
+        self.arrived += bytes;
+        self.lease.arrive(bytes);
+        if let Some(surplus) = self.arrived.checked_sub(self.reserved) {
+            self.lease.reserve(surplus)?;
+            self.reserved = self.arrived;
+        }
+        let allowed = self.patience.silence
+            + self.patience.silence
+            + Duration::from_secs(self.arrived as u64 / RATE_MIN);
+        if allowed < self.begun.elapsed() {
+            let message = format!("{} bytes in {:?}", self.arrived, self.begun.elapsed());
+            return Err(Refusal::new(Code::BodyTooSlow, message));
+        }
+        self.silence.as_mut().reset(Instant::now() + self.patience.silence);
+        Ok(())
+    }
+}
+
+impl HttpBody for Metered {
+    type Data = Bytes;
+    type Error = BoxError;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, BoxError>>> {
+        let this = &mut *self;
+        if let Err(refusal) = this.reserve_next() {
+            return Poll::Ready(Some(Err((this.fault)(refusal))));
+        }
+        match Pin::new(&mut this.body).poll_frame(context) {
+            Poll::Ready(Some(Ok(frame))) => {
+                let taken = this.take(&frame).map(|()| frame);
+                Poll::Ready(Some(taken.map_err(this.fault)))
+            }
+            Poll::Ready(Some(Err(error))) => {
+                let refusal = Refusal::new(Code::MalformedBody, error.to_string());
+                Poll::Ready(Some(Err((this.fault)(refusal))))
+            }
+            Poll::Ready(None) => Poll::Ready(None),
+            Poll::Pending => {
+                ready!(this.silence.as_mut().poll(context));
+                let message = format!("no byte of the body for {:?}", this.patience.silence);
+                let refusal = Refusal::new(Code::BodyTooSlow, message);
+                Poll::Ready(Some(Err((this.fault)(refusal))))
+            }
+        }
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// A body that keeps `kept` until it is dropped.
+pub(super) struct Keeping<K> {
+    body: Body,
+    _kept: K,
+}
+
+impl<K: Send + Unpin + 'static> Keeping<K> {
+    /// `body`, which keeps `kept`.
+    pub(super) fn body(body: Body, kept: K) -> Body {
+        Body::new(Self { body, _kept: kept })
+    }
+}
+
+impl<K: Unpin> HttpBody for Keeping<K> {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
