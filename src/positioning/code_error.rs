@@ -6,12 +6,12 @@
 //!
 //! N is the noise of a direct signal. E is that noise plus an exponential extra path of mean λ, the
 //! exponentially modified Gaussian E = (1/λ)·exp(σ²/2λ² − s/λ)·Φ(u), u = s/σ − σ/λ. The uniform
-//! rest ε/W bounds what a fault can do. J = −ln p is minimised by expectation maximisation: with
-//! the responsibilities γ_D and γ_R of the direct and the reflected signal, and h = φ(u)/Φ(u),
+//! density ε/W bounds the influence of a fault. J = −ln p is minimised by expectation maximisation:
+//! with the responsibilities γ_D and γ_R of the direct and the reflected signal, and h = φ(u)/Φ(u),
 //!
 //! dJ/ds = γ_D·s/σ² + γ_R·(1/λ − h/σ), curvature γ_D/σ² + γ_R·h·(u + h)/σ² ≥ 0:
 //!
-//! E is log-concave, so that each step solves a convex problem.
+//! E is log-concave, so each step solves a convex problem.
 //!
 //! Sources: Grushka (1972), *Characterization of exponentially modified Gaussian peaks in
 //! chromatography*, Anal. Chem. 44; Dempster, Laird & Rubin (1977), *Maximum likelihood from
@@ -23,14 +23,16 @@ use crate::snapshot::snapshot_fields;
 
 /// λ (m): the extra path of one bounce in a street is about the street's width.
 pub(super) const EXTRA_PATH_M: f64 = 40.0;
-/// ε: pseudoranges that neither a direct signal nor a reflection explains.
+/// ε: fraction of pseudoranges that are neither direct nor reflected signals, but faults.
 pub(super) const FAULT_SHARE: f64 = 0.02;
 /// W (m): ten extra paths.
 const FAULT_WIDTH_M: f64 = 400.0;
+/// ε/W (1/m).
+const FAULT_DENSITY: f64 = FAULT_SHARE / FAULT_WIDTH_M;
 
 /// φ(0) = 1/√(2π).
 const NORMAL_PEAK: f64 = 0.5 * FRAC_2_SQRT_PI * FRAC_1_SQRT_2;
-/// Beyond so many deviations the normal density is below 10⁻¹³ of its peak.
+/// Standard deviations beyond which the normal density is below 10⁻¹³ of its peak.
 const FAR: f64 = 8.0;
 
 /// Error model of one pseudorange.
@@ -60,14 +62,10 @@ pub(super) struct Evaluated {
 impl CodeError {
     /// The likelihood at s = measured − modelled (m), with slope and curvature of J.
     pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
-        let Self { sigma_m, reflected } = *self;
-        let (per_m, ratio) = (sigma_m.recip(), sigma_m / EXTRA_PATH_M);
+        let (per_m, ratio) = (self.sigma_m.recip(), self.sigma_m / EXTRA_PATH_M);
         let z = s_m * per_m;
-        let (normal, late, hazard) = parts(z, ratio);
-        let known = 1.0 - FAULT_SHARE;
-        let direct = known * (1.0 - reflected) * normal * per_m * NORMAL_PEAK;
-        let late = known * reflected * late / EXTRA_PATH_M;
-        let density = direct + late + FAULT_SHARE / FAULT_WIDTH_M;
+        let (direct, late, hazard) = self.joint_densities(z, ratio);
+        let density = direct + late + FAULT_DENSITY;
         let per_density = density.recip();
         let (direct, late) = (direct * per_density, late * per_density);
         let u = z - ratio;
@@ -78,22 +76,26 @@ impl CodeError {
             direct,
         }
     }
-}
 
-impl CodeError {
     /// p(s) alone (1/m), at s = measured − modelled (m).
     pub(super) fn density(&self, s_m: f64) -> f64 {
-        let (per_m, ratio) = (self.sigma_m.recip(), self.sigma_m / EXTRA_PATH_M);
-        let (normal, late, _) = parts(s_m * per_m, ratio);
-        let direct = (1.0 - self.reflected) * normal * per_m * NORMAL_PEAK;
-        (1.0 - FAULT_SHARE) * (direct + self.reflected * late / EXTRA_PATH_M)
-            + FAULT_SHARE / FAULT_WIDTH_M
+        let z = s_m * self.sigma_m.recip();
+        let (direct, late, _) = self.joint_densities(z, self.sigma_m / EXTRA_PATH_M);
+        direct + late + FAULT_DENSITY
+    }
+
+    /// (1 − ε)·(1 − π)·N and (1 − ε)·π·E (1/m), and h; at z = s/σ, with r = σ/λ.
+    fn joint_densities(&self, z: f64, ratio: f64) -> (f64, f64, f64) {
+        let (normal, late, hazard) = parts(z, ratio);
+        let known = 1.0 - FAULT_SHARE;
+        let direct = known * (1.0 - self.reflected) * normal * self.sigma_m.recip() * NORMAL_PEAK;
+        (direct, known * self.reflected * late / EXTRA_PATH_M, hazard)
     }
 }
 
-/// Σ ln p, by logarithms of products: one for each dozen densities.
+/// Σ ln p, with one logarithm for about twelve densities, of their product.
 pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
-    // No density is below 0.02/400 m: twelve make 10⁻⁵² at the least.
+    // No density is below 0.02/400 m, so the product of twelve is at least 10⁻⁵².
     let (mut sum, mut product) = (0.0, 1.0_f64);
     for density in densities {
         product *= density;
@@ -105,11 +107,11 @@ pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
     sum + product.ln()
 }
 
-/// φ(z)/φ(0), λ·E and h at z = s/σ, of r = σ/λ.
+/// φ(z)/φ(0), λ·E and h at z = s/σ, with r = σ/λ.
 ///
-/// The exponential of E is φ(z)/φ(u), u = z − r: with erfcx(x) = exp(x²)·erfc(x) the left side
-/// needs φ(z) alone, λ·E = ½·exp(−z²/2)·erfcx(−u/√2) and h = √(2/π)/erfcx(−u/√2), and the right
-/// side exp(−u²/2) and exp(−r·(u + r/2)).
+/// The exponential of E is φ(z)/φ(u), u = z − r. With erfcx(x) = exp(x²)·erfc(x), the side u ≤ 0
+/// needs φ(z) only: λ·E = ½·exp(−z²/2)·erfcx(−u/√2), h = √(2/π)/erfcx(−u/√2). The side u > 0 needs
+/// exp(−u²/2) and exp(−r·(u + r/2)).
 fn parts(z: f64, ratio: f64) -> (f64, f64, f64) {
     let u = z - ratio;
     if u <= 0.0 {
@@ -136,7 +138,7 @@ fn erfcx(x: f64) -> f64 {
         let t = (1.0 + 0.327_591_1 * x).recip();
         return t * (A[0] + t * (A[1] + t * (A[2] + t * (A[3] + t * A[4]))));
     }
-    // Its first six terms, as one quotient.
+    // The first six terms of the fraction, as one quotient.
     let y = x * x;
     let above = y * (y * (y + 10.0) + 21.75) + 6.0;
     let below = y * (y * (y + 10.5) + 26.25) + 13.125;
@@ -150,8 +152,8 @@ mod tests {
 
     const TYPICAL: CodeError = CodeError { sigma_m: 4.0, reflected: 0.3 };
 
-    /// ∫ p ds over ±2 km is one less what of the uniform part lies outside its own width: the
-    /// direct and reflected parts sum to 1 − ε, and the uniform density is not cut off.
+    /// ∫ p ds over ±2 km is above one: the direct and reflected parts sum to 1 − ε, and the uniform
+    /// density extends beyond its width W.
     #[test]
     fn the_density_sums_to_one() {
         let step_m = 0.05;

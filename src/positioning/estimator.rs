@@ -10,16 +10,16 @@ use super::aiding::Aiding;
 use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
-use super::integrity::complete;
+use super::integrity::{complete, complete_all};
 use super::rtk::{RtkFilter, RtkWindow};
 use super::setup::Setup;
 use super::spp::SinglePoints;
 
-/// Layout of the snapshots: raised whenever what is in them changes.
+/// Layout of the snapshots. Raise it when their content changes.
 const LAYOUT: u16 = 12;
 
-/// Writes the state of any mode and the memory of all of them, from one table: the mode's number in
-/// snapshots, its name, its engine, and where its memory is.
+/// Defines the state and the scratch of all modes from one table: the mode's number in snapshots,
+/// its name, its engine, and its field in the scratch.
 macro_rules! modes {
     ($($number:literal => $mode:ident($engine:ty), $scratch:ident;)*) => {
         /// The state of one mode.
@@ -28,7 +28,7 @@ macro_rules! modes {
             $($mode(Box<$engine>),)*
         }
 
-        /// Memory that an estimator of any mode computes in; no answer depends on what is in it.
+        /// Scratch for an estimator of any mode. No answer depends on its content.
         #[derive(Debug, Default)]
         pub struct Scratch {
             $($scratch: <$engine as Engine>::Scratch,)*
@@ -106,7 +106,7 @@ macro_rules! modes {
                 }
             }
 
-            /// Copies into the storage already held, where both are of one mode.
+            /// Reuses the storage of `self` if both are of one mode.
             fn clone_from(&mut self, source: &Self) {
                 match (self, source) {
                     $((Self::$mode(state), Self::$mode(from)) => state.clone_from(from),)*
@@ -125,33 +125,33 @@ modes! {
     4 => RtkEkf(RtkFilter), rtk_filter;
 }
 
-/// The state of an estimator, apart from the memory it computes in: plain data, of which copies and
-/// snapshots go on with the same bits.
+/// The state of an estimator, separate from its scratch. It is plain data: copies and snapshots
+/// continue with the same bits.
 ///
-/// In mode `spp` it is the last position, from which the next epoch is solved: this saves
-/// iterations and moves the answer by less than 0.1 mm. In mode `fgo` it is a window of epochs; in
-/// mode `ekf` a mean with its covariance and the last epoch's carrier phases. The `rtk` modes add
-/// the ambiguities against the base.
+/// In mode `spp` it is the last position, where the next solution starts; this saves iterations and
+/// changes the answer by less than 0.1 mm. In mode `fgo` it is a window of epochs, and in mode
+/// `ekf` a mean with its covariance and the last epoch's carrier phases. The `rtk` modes add the
+/// ambiguities against the base.
 #[derive(Debug)]
 pub struct EstimatorState {
     setup: Arc<Setup>,
     mode: ModeState,
-    /// Later answers not yet taken.
+    /// Revisions that have not been taken yet.
     revisions: Vec<Solution>,
 }
 
 clone_fields!(EstimatorState { setup, mode, revisions });
 
 impl EstimatorState {
-    /// The state before the first epoch; with `revises`, a mode with a window answers epochs again
-    /// as they leave it.
+    /// The state before the first epoch. With `revises`, a mode with a window revises epochs when
+    /// they leave it.
     pub fn new(options: PositioningOptions, revises: bool) -> Self {
         let setup = Setup::new(options);
         let mode = ModeState::new(&setup, revises);
         Self { setup: Arc::new(setup), mode, revisions: Vec::new() }
     }
 
-    /// The state with these options before the first epoch again.
+    /// A new state with the same options, before the first epoch.
     pub fn renewed(&self, revises: bool) -> Self {
         let mode = ModeState::new(&self.setup, revises);
         Self { setup: Arc::clone(&self.setup), mode, revisions: Vec::new() }
@@ -162,7 +162,7 @@ impl EstimatorState {
         &self.setup.options
     }
 
-    /// Solves one epoch. No position is an answer too, with its reasons.
+    /// Solves one epoch. A solution without a position states the reasons.
     pub fn advance(
         &mut self,
         epoch: &Epoch,
@@ -174,13 +174,13 @@ impl EstimatorState {
         let due = self.revisions.len();
         let mut solution = self.mode.advance(&inputs, scratch, &mut self.revisions);
         let integrity = &self.setup.options.integrity;
-        self.revisions[due..].iter_mut().for_each(|revision| complete(revision, integrity));
+        complete_all(&mut self.revisions[due..], integrity);
         complete(&mut solution, integrity);
         solution
     }
 
-    /// Answers of the epochs that have left the window since the last call, smoothed by what came
-    /// after them. None unless it revises.
+    /// The revisions of the epochs that have left the window since the last call, smoothed by later
+    /// epochs. Empty unless the state was made with `revises`.
     pub fn take_revisions(&mut self) -> Vec<Solution> {
         std::mem::take(&mut self.revisions)
     }
@@ -189,29 +189,28 @@ impl EstimatorState {
     pub fn finish(mut self, scratch: &mut Scratch) -> Vec<Solution> {
         let due = self.revisions.len();
         self.mode.finish(&self.setup, scratch, &mut self.revisions);
-        let integrity = &self.setup.options.integrity;
-        self.revisions[due..].iter_mut().for_each(|revision| complete(revision, integrity));
+        complete_all(&mut self.revisions[due..], &self.setup.options.integrity);
         self.revisions
     }
 
-    /// Time of the oldest epoch that [`Self::take_revisions`] may still answer again.
+    /// Time of the oldest epoch that [`Self::take_revisions`] may still revise.
     pub fn oldest_unrevised(&self) -> Option<GpsTime> {
         self.mode.oldest_unrevised()
     }
 
-    /// The state as bytes: what the next answers depend on, options and navigation data apart.
-    /// Revisions not yet taken are no part of it: take them first.
+    /// The state as bytes. They contain all that the next answers depend on, except options and
+    /// navigation data. Take the revisions first: the bytes do not contain them.
     pub fn snapshot(&self) -> Vec<u8> {
         let mut writer = SnapshotWriter::new(LAYOUT);
         self.mode.save(&mut writer);
         writer.finish()
     }
 
-    /// The state that goes on where [`Self::snapshot`] was taken, with the same bits. `options`
-    /// must be those of the state it was taken of.
+    /// The state that [`Self::snapshot`] stored; it continues with the same bits. `options` must be
+    /// the same as those of the stored state.
     ///
     /// # Errors
-    /// The bytes are not such a snapshot, or of another layout.
+    /// The bytes are not such a snapshot, or have another layout.
     pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
         let setup = Arc::new(Setup::new(options));
         let mut reader = SnapshotReader::open(snapshot, LAYOUT)?;
@@ -224,7 +223,7 @@ impl EstimatorState {
     }
 }
 
-/// Turns epochs into solutions, one at a time: a state with memory of its own.
+/// Turns epochs into solutions, one at a time: a state with its own scratch.
 ///
 /// # Example
 /// Half a minute of a simulated receiver; each answer is within 10 m of the truth:
@@ -250,12 +249,12 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// An estimator that has seen nothing yet.
+    /// An estimator before its first epoch.
     pub fn new(options: PositioningOptions) -> Self {
         Self::of(EstimatorState::new(options, false))
     }
 
-    /// One that, in a mode with a window, answers epochs again as they leave it.
+    /// An estimator that, in a mode with a window, revises epochs when they leave it.
     pub fn revising(options: PositioningOptions) -> Self {
         Self::of(EstimatorState::new(options, true))
     }
@@ -292,13 +291,13 @@ impl Estimator {
     /// See [`EstimatorState::restore`].
     ///
     /// # Errors
-    /// The bytes are not such a snapshot, or of another layout.
+    /// The bytes are not such a snapshot, or have another layout.
     pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
         EstimatorState::restore(options, snapshot).map(Self::of)
     }
 }
 
-/// Copies the state; each has memory of its own.
+/// Copies the state; the copy has its own scratch.
 impl Clone for Estimator {
     fn clone(&self) -> Self {
         Self::of(self.state.clone())
@@ -335,7 +334,7 @@ impl Clone for Estimator {
 pub struct Batch {
     setup: Setup,
     chain: Whole,
-    /// Answers of chains that have ended.
+    /// Solutions of chains that have ended.
     solutions: Vec<Solution>,
 }
 
@@ -380,8 +379,7 @@ impl Batch {
                 solutions
             }
         };
-        let integrity = &self.setup.options.integrity;
-        solutions.iter_mut().for_each(|solution| complete(solution, integrity));
+        complete_all(&mut solutions, &self.setup.options.integrity);
         solutions
     }
 }

@@ -1,8 +1,8 @@
 //! Protection levels: distances that errors exceed with a stated probability, and their limits.
 //!
 //! Single points bound their error by the hypotheses that one satellite is wrong
-//! (`spp::protection`). The other modes have, as yet, the level of their reported covariance with a
-//! tail of Student's t of ν degrees of freedom:
+//! (`spp::protection`). The other modes use their reported covariance with the tail of Student's t
+//! of ν degrees of freedom:
 //!
 //! HPL = √λ₁·√(ν·(P^(−2/ν) − 1)), VPL = σ_u·√(ν·(P^(−2/ν) − 1)),
 //!
@@ -10,7 +10,7 @@
 //! is √(2·F(2, ν)), whose tail is (1 + r²/ν)^(−ν/2) (Kotz & Nadarajah 2004, *Multivariate t
 //! distributions and their applications*, section 1.7), which also bounds one component.
 //!
-//! Fixed integers that are wrong with a probability above the risk have no level.
+//! A fixed solution whose integers are wrong with a probability above the risk has no level.
 
 use crate::config::{Beyond, IntegrityOptions};
 use crate::gnss::{LocalFrame, Protection, Reason, Solution, SolutionEstimate, Status};
@@ -18,7 +18,7 @@ use crate::gnss::{LocalFrame, Protection, Reason, Solution, SolutionEstimate, St
 /// ν.
 const DEGREES: f64 = 4.0;
 
-/// Gives a solution its protection levels, if its mode has not, and applies their limits.
+/// Sets the protection levels of a solution if its mode has not, and applies their limits.
 pub(super) fn complete(solution: &mut Solution, options: &IntegrityOptions) {
     let Some(estimate) = &solution.estimate else { return };
     if solution.protection.is_none() {
@@ -42,7 +42,12 @@ pub(super) fn complete(solution: &mut Solution, options: &IntegrityOptions) {
     }
 }
 
-/// Levels of a reported covariance; `None` where it bounds nothing.
+/// The same for each of several solutions.
+pub(super) fn complete_all(solutions: &mut [Solution], options: &IntegrityOptions) {
+    solutions.iter_mut().for_each(|solution| complete(solution, options));
+}
+
+/// Levels of a reported covariance; `None` if it gives no bound.
 fn of_covariance(status: Status, estimate: &SolutionEstimate, risk: f64) -> Option<Protection> {
     let integers = estimate.relative.as_ref().filter(|_| status == Status::Fixed);
     let doubt = integers.and_then(|relative| relative.fix_probability).map_or(0.0, |p| 1.0 - p);
