@@ -13,12 +13,13 @@ use super::geometry::{Geometry, UNDETERMINED};
 use super::ranging::Ranging;
 use super::uncertainty::ErrorModel;
 
-/// Smallest weight of a pseudorange that counts as used: a Geman–McClure kernel's at its width.
+/// Smallest weight of a pseudorange that counts as used: that of a Geman–McClure kernel at its
+/// width.
 const USED_WEIGHT: f64 = 0.25;
-/// Standard deviation above which there is no position (m).
+/// Standard deviation above which no position is reported (m).
 pub(super) const LOST_M: f64 = 1e3;
 
-/// The state of one epoch with everything that its solution needs.
+/// The state of one epoch, with the inputs of its solution.
 pub(super) struct Answer<'a> {
     /// Status of the solution.
     pub(super) status: Status,

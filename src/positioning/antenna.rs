@@ -1,8 +1,8 @@
 //! Observations referred from an antenna's phase centres to its reference point.
 //!
-//! The correction depends on the direction of each satellite, for which a position good to some
-//! kilometres is enough. So it is subtracted from the observations before any estimator. Positions
-//! then refer to the antenna reference point.
+//! The correction depends on the direction of each satellite, for which an approximate position,
+//! wrong by some kilometres, is enough. So it is subtracted from the observations before any
+//! estimator. Positions then refer to the antenna reference point.
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{AntennaCalibration, Ecef, Epoch, LocalFrame, Navigation, Observation, Signal};
@@ -10,11 +10,11 @@ use crate::models::antenna::{pattern_of, phase_centre_correction_m};
 use crate::models::{LookAngles, look_angles, select_ephemeris, state_at_transmission};
 
 /// Subtracts the antenna's phase-centre correction from pseudoranges and carrier phases. `position`
-/// is the receiver's, to some kilometres.
+/// is the receiver's approximate position, good to some kilometres.
 ///
-/// Unchanged remain satellites without ephemeris or pseudorange, whose direction is unknown (and
-/// which are not used), and signals without a calibrated frequency within 40 MHz. The latter are
-/// added to `uncalibrated`, each once.
+/// Two kinds of observations stay unchanged: those of satellites without ephemeris or pseudorange,
+/// whose direction is unknown (they are not used), and those of signals without a calibrated
+/// frequency within 40 MHz. The latter signals are added to `uncalibrated`, each once.
 pub fn correct_for_antenna(
     epoch: &mut Epoch,
     antenna: &AntennaCalibration,

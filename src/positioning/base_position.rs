@@ -1,7 +1,8 @@
-//! Whether a base stands where it is stated to stand.
+//! The check of a base's stated position.
 //!
-//! Its own single-point positions, each wrong by some metres, are averaged over ten epochs and
-//! compared with the stated position. The desk for bases and the RTK estimators judge by this rule.
+//! The base's own single-point positions, each wrong by some metres, are averaged over ten epochs
+//! and compared with the stated position. Both the desk for bases and the RTK estimators use this
+//! check.
 
 use nalgebra::Vector3;
 
@@ -62,7 +63,7 @@ impl BasePositionCheck {
         (0 < self.epochs).then(|| self.sum_m.norm() / f64::from(self.epochs))
     }
 
-    /// What the distance says of the stated position.
+    /// The verdict that follows from the distance.
     pub fn verdict(&self) -> BasePositionVerdict {
         match self.distance_m() {
             None => BasePositionVerdict::Unchecked,
@@ -77,7 +78,7 @@ impl BasePositionCheck {
 mod tests {
     use super::*;
 
-    /// Two positions 8 m off to one side and 4 m off to the other are 2 m off in the mean.
+    /// Of two positions 8 m and 4 m off in opposite directions, the mean is 2 m off.
     #[test]
     fn the_mean_distance_decides() {
         let stated = Ecef::new(4e6, 0.0, 0.0);

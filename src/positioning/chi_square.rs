@@ -32,7 +32,7 @@ fn quantile(degrees: usize, probability: f64, guess: f64) -> f64 {
     for _ in 0..50 {
         let (distribution, density) = distribution(degrees, x);
         let step = (distribution - probability) / density;
-        // Far out on either side Newton's steps are too long; x stays positive and changes at most
+        // Far from the solution Newton's steps are too long: x stays positive and changes at most
         // by a factor of two.
         let next = (x - step).clamp(0.5 * x, 2.0 * x + 1.0);
         if (next - x).abs() < 1e-9 * x {

@@ -1,13 +1,13 @@
-//! Steps of a receiver's clock.
+//! Jumps of a receiver's clock.
 //!
-//! Many receivers let their clock drift and correct it by a millisecond. The pseudoranges step with
-//! the clock, the phases not always.
+//! Many receivers let their clock drift and correct it by whole milliseconds. The pseudoranges jump
+//! with the clock, the carrier phases not always.
 
 use crate::gnss::constants::LIGHT_MILLISECOND_M;
 
-/// Largest error of a predicted clock that is not a jump (m), besides that of an unknown drift.
+/// Largest error of a predicted clock that is not a jump (m), in addition to an unknown drift.
 const JUMP_M: f64 = 1e3;
-/// Drift of a plain crystal, 3 ppm (m/s).
+/// Drift of an uncompensated crystal oscillator, 3 ppm (m/s).
 pub(super) const CRYSTAL_DRIFT_M_S: f64 = 1e3;
 
 /// The whole milliseconds nearest to an error of the predicted clock (m).
@@ -15,8 +15,8 @@ pub(super) fn whole_milliseconds_m(miss_m: f64) -> f64 {
     (miss_m / LIGHT_MILLISECOND_M).round() * LIGHT_MILLISECOND_M
 }
 
-/// The jump that explains an error of the predicted clock: zero, whole milliseconds, or `None` if
-/// neither does and the clock restarts.
+/// The jump that explains an error of the predicted clock: zero or whole milliseconds. `None` if
+/// neither explains it, so that the clock must restart.
 pub(super) fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
     let allowed_m = JUMP_M + CRYSTAL_DRIFT_M_S * interval_s;
     let whole_m = whole_milliseconds_m(miss_m);
@@ -27,7 +27,8 @@ pub(super) fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// 1.5 km in a second is drift; two milliseconds less 800 m a jump; half a millisecond neither.
+    /// 1.5 km in a second is drift, two milliseconds less 800 m are a jump, and half a millisecond
+    /// is neither.
     #[test]
     fn misses_are_drift_jumps_or_new_clocks() {
         assert_eq!(jump_m(1_500.0, 1.0), Some(0.0));

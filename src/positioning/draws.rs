@@ -1,4 +1,4 @@
-//! Evenly distributed numbers that follow from a seed, so that a replay draws the same.
+//! Uniform pseudo-random numbers from a seed, so that a replay draws the same ones.
 
 /// Steele, Lea & Flood (2014), *Fast splittable pseudorandom number generators*, OOPSLA:
 /// SplitMix64.
@@ -19,7 +19,7 @@ impl Draws {
         ((z ^ (z >> 31)) % bound as u64) as usize
     }
 
-    /// Brings `count` items, drawn at random, to the front of `items`.
+    /// Moves `count` randomly drawn items to the front of `items`.
     pub(super) fn shuffle_front<T>(&mut self, items: &mut [T], count: usize) {
         for front in 0..count.min(items.len()) {
             items.swap(front, front + self.below(items.len() - front));

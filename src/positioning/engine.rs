@@ -1,4 +1,4 @@
-//! What every mode is: state as plain data, and the memory it computes in apart from it.
+//! The interface of every mode: its state is plain data, and its scratch is separate.
 
 use std::fmt::Debug;
 
@@ -9,7 +9,7 @@ use crate::snapshot::Snapshot;
 use super::aiding::BaseAiding;
 use super::setup::Setup;
 
-/// One epoch with everything it is solved from.
+/// One epoch with all inputs of its solution.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EpochInputs<'a> {
     pub(super) epoch: &'a Epoch,
@@ -20,22 +20,22 @@ pub(super) struct EpochInputs<'a> {
 }
 
 impl<'a> EpochInputs<'a> {
-    /// What the user asked for.
+    /// The user's options.
     pub(super) fn options(&self) -> &'a PositioningOptions {
         &self.setup.options
     }
 }
 
-/// The state of one mode, and how an epoch moves it on.
+/// The state of one mode, and how an epoch advances it.
 ///
-/// The state is all that the next answers depend on besides options and navigation data: copies and
-/// snapshots of it go on with the same bits.
+/// Besides options and navigation data the next answers depend on the state only: copies and
+/// snapshots of it continue with the same bits.
 pub(super) trait Engine: Clone + Debug + Snapshot {
-    /// Memory to compute in. No answer depends on what an earlier epoch left in it.
+    /// Scratch. No answer depends on its content.
     type Scratch: Default + Debug;
 
-    /// The state before the first epoch; with `revises`, a mode with a window answers epochs again
-    /// as they leave it.
+    /// The state before the first epoch. With `revises`, a mode with a window revises epochs when
+    /// they leave it.
     fn new(setup: &Setup, revises: bool) -> Self;
 
     /// Whether a state that was read from a snapshot fits the options.
@@ -43,7 +43,7 @@ pub(super) trait Engine: Clone + Debug + Snapshot {
         true
     }
 
-    /// Solves one epoch. Later answers to earlier epochs are appended to `revisions`.
+    /// Solves one epoch. Revisions of earlier epochs are appended to `revisions`.
     fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -51,7 +51,7 @@ pub(super) trait Engine: Clone + Debug + Snapshot {
         revisions: &mut Vec<Solution>,
     ) -> Solution;
 
-    /// Answers every epoch again that the window still holds; no epoch may follow.
+    /// Revises every epoch that is still in the window; no epoch may follow.
     fn finish(
         &mut self,
         _setup: &Setup,
@@ -60,7 +60,7 @@ pub(super) trait Engine: Clone + Debug + Snapshot {
     ) {
     }
 
-    /// Time of the oldest epoch that may still be answered again.
+    /// Time of the oldest epoch that may still be revised.
     fn oldest_unrevised(&self) -> Option<GpsTime> {
         None
     }

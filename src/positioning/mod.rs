@@ -1,13 +1,13 @@
 //! Estimation: pure, synchronous, deterministic. Same input, same bits.
 //!
 //! [`Estimator::advance`] turns one epoch and the [`Aiding`] valid at its time into a solution.
-//! On the way, `measurements` corrects and weighs what was observed, `spp` finds position and
-//! clocks by least squares and leaves out what contradicts the rest, `velocity` does the same for
-//! Doppler, `fgo` keeps a window of epochs in a factor graph made of `factors`, and `ekf` filters
-//! the same factors with one state. `differencing` sets a rover against a base, and `rtk` finds its
-//! position and the integers from that. [`correct_for_antenna`] brings observations to the antenna
-//! reference point.
-//! Physics is in `models`, the choice of all of it in `config`.
+//! `measurements` corrects and weights the observations. `spp` estimates position and clocks by
+//! least squares and excludes outliers, and `velocity` does the same with Doppler. `fgo` keeps a
+//! window of epochs in a factor graph of `factors`, and `ekf` filters the same factors.
+//! `differencing` differences a rover against a base, and `rtk` estimates its position and
+//! integers. [`correct_for_antenna`] corrects observations to the antenna reference point.
+//!
+//! Physical models are in `models`, the options in `config`.
 
 mod aiding;
 mod answer;

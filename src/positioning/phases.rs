@@ -1,10 +1,10 @@
 //! Carrier phases of the last epoch, and their differences to the next.
 //!
-//! The ionosphere advances a phase φ₁ by I and one on a second frequency, φ₂, by γI: the change of
-//! I between two epochs is seen as Δ(φ₁ − φ₂)/(γ − 1), with three times the noise of a phase, and
-//! predicted by the model, whose error changes slowly. Both are weighted by their variances, so
-//! that the model counts from second to second and the second phase from minute to minute, when
-//! what the model leaves would pass for a drift of the position.
+//! The ionosphere advances a phase φ₁ by I, and one on a second frequency, φ₂, by γI. The change of
+//! I between two epochs is measured as Δ(φ₁ − φ₂)/(γ − 1), with three times the noise of a phase,
+//! and predicted by the model, whose error changes slowly. Both are weighted by their variances. So
+//! the model has most weight from second to second. From minute to minute the second phase has,
+//! when the model's error would appear as a drift of the position.
 
 use crate::config::REFERENCE_CN0_DB_HZ;
 use crate::gnss::{ObservationCode, SatelliteId};
@@ -22,9 +22,9 @@ const PHASE_M: f64 = 0.003;
 /// Correlation time of the ionosphere model's error (s): satellites cross the sky in hours, and the
 /// ionosphere follows the sun.
 const MODEL_LASTS_S: f64 = 1_800.0;
-/// A change of the ionosphere this many standard deviations from the model is a slip.
+/// A change of the ionosphere this many standard deviations from the model is a cycle slip.
 const IONOSPHERE_SIGMAS: f64 = 5.0;
-/// Differences further than this from whole milliseconds have another clock (m): 0.1 ms.
+/// Differences further than this from whole milliseconds are of another clock (m): 0.1 ms.
 const CLOCK_DIFFERS_M: f64 = 3e4;
 
 /// A carrier phase of the last epoch.
@@ -92,7 +92,7 @@ impl Kept {
         if IONOSPHERE_SIGMAS.powi(2) * (model_m2 + noise_m2) < missed_m * missed_m {
             return 0.0;
         }
-        // Written so that an infinite variance means no model.
+        // In this form an infinite variance means that there is no model.
         missed_m / (1.0 + noise_m2 / model_m2)
     }
 }
@@ -115,7 +115,7 @@ snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle, ionosph
 snapshot_fields!(SecondPhase { code, difference_m, half_cycle });
 state_fields!(Phases { kept, sights });
 
-/// Memory for [`Phases::follow_clock`].
+/// Scratch for [`Phases::follow_clock`].
 #[derive(Debug, Default)]
 pub(super) struct ClockScratch {
     /// Lines of sight from the epoch before and from this one.
@@ -124,7 +124,7 @@ pub(super) struct ClockScratch {
 }
 
 impl Phases {
-    /// Forgets them.
+    /// Forgets the phases.
     pub(super) fn clear(&mut self) {
         self.kept.clear();
         self.sights.clear();
@@ -138,7 +138,7 @@ impl Phases {
         self.sights.extend_from_slice(sights);
     }
 
-    /// Whether they refer to their own satellites, of which there are `sights`.
+    /// Whether they refer only to their own satellites, `sights` in number.
     pub(super) fn is_within(&self, sights: usize) -> bool {
         let is_known = |kept: &Kept| usize::from(kept.sight) < sights;
         self.kept.is_empty() || self.sights.len() == sights && self.kept.iter().all(is_known)
@@ -151,8 +151,9 @@ impl Phases {
 
     /// Differences from the kept phases to those of `list`, `interval_s` later.
     ///
-    /// A satellite is left out after a loss of lock, and where only one end may be off by half a
-    /// cycle; where both may, the half cycle is most likely the same and the kernel judges.
+    /// A satellite is left out after a loss of lock, and if only one of the two phases may be off
+    /// by half a cycle. If both may, the half cycle is most likely the same, and the kernel
+    /// decides.
     pub(super) fn differences(
         &self,
         list: &[Measurement],
@@ -180,11 +181,11 @@ impl Phases {
         }
     }
 
-    /// Corrects the differences of a receiver that steps its clock in the pseudoranges alone.
+    /// Corrects the differences of a receiver whose clock jumps in the pseudoranges only.
     ///
-    /// Their median residual between the `states` before and now is rounded to whole milliseconds,
-    /// which all differences are freed of. Differences whose median is off whole milliseconds have
-    /// another clock: they are dropped.
+    /// The median residual of the differences between the `states` before and now is rounded to
+    /// whole milliseconds, which are subtracted from all differences. If the median is not near
+    /// whole milliseconds, the phases have another clock, and the differences are dropped.
     pub(super) fn follow_clock(
         &self,
         sights: &[Sight],
@@ -224,11 +225,11 @@ mod tests {
 
     /// (f₁/f₂)² of L1 and L2 of GPS: (154/120)².
     const GAMMA: f64 = 1.646_944_444_444_444_4;
-    /// What the ionosphere changed (m), of which the model knew nothing.
+    /// Change of the ionosphere that the model does not contain (m).
     const CHANGE_M: f64 = 0.04;
 
-    /// A satellite overhead, its phases advanced by the ionosphere and cycles slipped on the
-    /// second.
+    /// A satellite at the zenith, with phases advanced by the ionosphere and cycle slips on the
+    /// second frequency.
     fn measurement(ionosphere_m: f64, model_m2: f64, slipped_m: f64) -> Measurement {
         let satellite = "G01".parse().unwrap();
         let code = |text| ObservationCode::parse(text).unwrap();
@@ -293,7 +294,7 @@ mod tests {
         assert!((change_m(25.0, 30.0, 0.0) + 0.033 * CHANGE_M).abs() < 1e-4);
         assert!((change_m(25.0, 1.0, 0.0) + 0.969 * CHANGE_M).abs() < 1e-4);
         assert!(change_m(f64::INFINITY, 1.0, 0.0).abs() < 1e-8);
-        // A model that is exact is left alone.
+        // With an exact model there is no correction.
         assert!((change_m(0.0, 30.0, 0.0) + CHANGE_M).abs() < 1e-8);
     }
 

@@ -1,4 +1,4 @@
-//! The satellites that an epoch sees, and its pseudorange factors with what names them.
+//! The satellites of an epoch, and its pseudorange factors with their identification.
 
 use crate::gnss::{Constellation, Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{Kernel, Law, Row};
@@ -14,14 +14,14 @@ pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measu
     (0..).zip(list.iter().filter(|measurement| measurement.is_above_mask))
 }
 
-/// One sight for each measurement above the mask, in their order, into `sights`.
+/// Appends one sight for each measurement above the mask, in their order, to `sights`.
 pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Sight>) {
     sights.clear();
     sights.extend(sighted(list).map(|(_, m)| Sight::new(frame, m.state.position)));
 }
 
-/// Doppler rows, in the frame, of a receiver about at `receiver`, of the measurements above the
-/// mask; `sigma_m_s` is their standard deviation at the reference C/N0.
+/// Doppler rows, in the frame, of the measurements above the mask, for a receiver approximately at
+/// `receiver`; `sigma_m_s` is their standard deviation at the reference C/N0.
 pub(super) fn rates<'a>(
     sighted: impl Iterator<Item = (u16, &'a Measurement)>,
     frame: &LocalFrame,
@@ -54,24 +54,24 @@ pub(super) struct Ranging {
     pub(super) ionosphere_m: f64,
     /// Standard deviation of the troposphere's model in it (m).
     pub(super) troposphere_m: f64,
-    /// Probability that it is a reflection, before its residual is known; `None` where its kernel
-    /// judges it by itself.
+    /// Probability that it is a reflection, before its residual is known; `None` if a robust kernel
+    /// is used instead.
     pub(super) reflected: Option<f64>,
 }
 
-/// A pseudorange in the normal equations: its row counts with a weight and a residual that a
-/// quadratic loss with the same slope would have.
+/// A pseudorange as a row of the normal equations: the weight and the residual of a quadratic loss
+/// with the same slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Judged {
     pub(super) loss: f64,
     pub(super) residual: f64,
     pub(super) weight: f64,
-    /// How far it is the direct signal, 0 … 1.
+    /// Probability that it is the direct signal.
     pub(super) direct: f64,
 }
 
 impl Ranging {
-    /// Of a placed measurement whose satellite is `sight`.
+    /// From a corrected measurement whose satellite is `sight`.
     pub(super) fn new(sight: u16, measurement: &Measurement, bias: Option<u32>) -> Self {
         let factor = PseudorangeFactor {
             corrected_range_m: measurement.corrected_range_m,
@@ -106,21 +106,20 @@ impl Ranging {
         self.factor.linearize(&lines[usize::from(self.sight)], state, self.bias_m(biases_m))
     }
 
-    /// Sets the error model that judges it.
+    /// Sets the error model.
     pub(super) fn follow(&mut self, error: CodeError) {
         self.factor.inverse_sigma = error.sigma_m.recip();
         self.reflected = Some(error.reflected);
     }
 
-    /// Its error model, where it has one.
+    /// The error model, if one is set.
     pub(super) fn error(&self) -> Option<CodeError> {
         let sigma_m = self.factor.inverse_sigma.recip();
         self.reflected.map(|reflected| CodeError { sigma_m, reflected })
     }
 
-    /// What a whitened residual (model − measured) counts for. The error model judges it, but in
-    /// the
-    /// convex opening of a solve, which a Huber kernel marks.
+    /// Loss, weight and equivalent residual of a whitened residual (model − measured). They follow
+    /// from the error model, except in the convex first stage of a solve, whose kernel is Huber's.
     #[inline]
     pub(super) fn judge(&self, residual: f64, kernel: &Kernel) -> Judged {
         match self.error().filter(|_| kernel.law != Law::Huber) {
@@ -139,7 +138,7 @@ impl Ranging {
     }
 }
 
-/// The pseudoranges of an epoch as seen from a state.
+/// The pseudoranges of an epoch at a state.
 #[derive(Clone, Copy)]
 pub(super) struct SeenRanges<'a> {
     pub(super) ranges: &'a [Ranging],
@@ -149,12 +148,12 @@ pub(super) struct SeenRanges<'a> {
 }
 
 impl SeenRanges<'_> {
-    /// Finds the clock, and biases that begin, from the medians of the pseudoranges.
+    /// Finds the clock, and the biases that begin, from the medians of the pseudoranges.
     ///
-    /// Returns measured less predicted clock (m), if any pseudorange shows it. `biases_m` and
-    /// `begun` take in the biases of constellations that have not begun; `begins` is called with
-    /// the index and value of each. Without any clock yet, the first constellation's stands in for
-    /// the reference's.
+    /// Returns measured less predicted clock (m), if there is a pseudorange that determines it. The
+    /// biases of constellations that begin are added to `biases_m` and `begun`, and `begins` is
+    /// called with the index and value of each. If no clock is known yet, the first constellation's
+    /// clock replaces that of the reference.
     pub(super) fn settle_clock(
         &self,
         biases_m: &mut [f64],
@@ -179,7 +178,7 @@ impl SeenRanges<'_> {
         clock_m
     }
 
-    /// Median of measured less predicted pseudoranges (m), of those that `is_wanted` admits.
+    /// Median of measured less predicted pseudoranges (m) for which `is_wanted` is true.
     fn median_miss_m(
         &self,
         is_wanted: impl Fn(&&Ranging) -> bool,
@@ -207,7 +206,7 @@ snapshot_fields!(Ranging {
 });
 
 impl Judged {
-    /// Weight below which a row says nothing.
+    /// Weight below which a row is ignored.
     const NEGLIGIBLE: f64 = 1e-9;
 
     fn of_mixture(residual: f64, error: &CodeError) -> Self {

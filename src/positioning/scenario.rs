@@ -1,4 +1,4 @@
-//! Invented skies: the estimator against observations whose truth is known exactly.
+//! Test skies: the estimators with observations whose truth is known exactly.
 
 use nalgebra::Vector3;
 
@@ -76,7 +76,7 @@ fn ephemeris(satellite: SatelliteId, node_rad: f64, anomaly_rad: f64) -> Ephemer
     })
 }
 
-/// What the receiver measures of a satellite: exact pseudorange and Doppler.
+/// The receiver's observation of a satellite: exact pseudorange and Doppler.
 fn observation(ephemeris: &Ephemeris) -> Observation {
     let mut pseudorange_m = 2.2e7;
     let mut state = state_at_transmission(ephemeris, tag(), pseudorange_m);
@@ -96,7 +96,7 @@ fn observation(ephemeris: &Ephemeris) -> Observation {
     }
 }
 
-/// Satellites of `letter` above 20°, and what is measured of them.
+/// Satellites of constellation `letter` above 20°, with their observations.
 fn sky(letter: char, count: usize, navigation: &mut Navigation) -> Vec<Observation> {
     let frame = LocalFrame::at(receiver());
     let mut observations = Vec::new();
@@ -178,8 +178,8 @@ fn a_reflected_satellite_is_excluded_by_name() {
     assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: vec![reflected] }]);
 }
 
-/// Three of twelve are off by a millisecond of light, a wild range and 5 km; least squares from the
-/// Earth's centre is led hundreds of kilometres away by them.
+/// Three of twelve satellites have errors of a light-millisecond, an arbitrary range and 5 km.
+/// Least squares from the Earth's centre converges hundreds of kilometres away because of them.
 #[test]
 fn wild_pseudoranges_are_left_out_by_name() {
     let mut navigation = Navigation::default();
@@ -197,8 +197,8 @@ fn wild_pseudoranges_are_left_out_by_name() {
     assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: wild }]);
 }
 
-/// Of two ephemerides of one toe the later in the list is taken; if it is false, its pseudorange
-/// shows that the other is right.
+/// Of two ephemerides with one toe the later in the list is used. If it is wrong, the pseudorange
+/// shows that the other one is right.
 #[test]
 fn of_contradictory_ephemerides_the_pseudorange_decides() {
     let mut navigation = Navigation::default();
@@ -216,8 +216,8 @@ fn of_contradictory_ephemerides_the_pseudorange_decides() {
     assert!(issues.iter().all(|issue| issue.issue == 1), "{issues:?}");
 }
 
-/// The clock of Galileo is known from an epoch of many satellites, so that later three of GPS and
-/// two of Galileo give a position that can be checked.
+/// Galileo's clock is known from an epoch of many satellites, so that later three GPS and two
+/// Galileo satellites give a position with redundancy.
 #[test]
 fn known_clocks_make_up_for_few_satellites() {
     let mut navigation = Navigation::default();

@@ -1,4 +1,5 @@
-//! What the options mean to the estimators: worked out once, shared by all copies of a state.
+//! Settings of the estimators that follow from the options, computed once and shared by all copies
+//! of a state.
 
 use crate::config::{GraphOptions, KernelLaw, PositioningOptions};
 use crate::graph::{AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, Phase, Schedule};
@@ -7,9 +8,9 @@ use super::chi_square::ChiSquareLimits;
 use super::factors::{ClockWalk, MotionWalk};
 use super::standstill::StandstillTest;
 
-/// A solve ends with a step shorter than this many standard deviations of the answer.
+/// A solve ends after a step shorter than this many standard deviations of the estimate.
 const TOLERANCE: f64 = 1e-2;
-/// The same for redescending kernels: they reject what would slow a solve down.
+/// The same for redescending kernels, which ignore the outliers that need more steps.
 const ANNEALED_TOLERANCE: f64 = 5e-2;
 
 /// Kernel of the estimate of a group's offset.
@@ -23,24 +24,24 @@ pub(super) struct Setup {
     pub(super) options: PositioningOptions,
     /// Limits of the residual test of single points.
     pub(super) residual_limits: ChiSquareLimits,
-    /// Limit of the filters' innovation test r²/S; infinite where it is not made.
+    /// Limit of the filters' innovation test r²/S; infinite without the test.
     pub(super) innovation_limit: f64,
     pub(super) motion: MotionWalk,
     pub(super) clock: ClockWalk,
-    /// The test for standstill, where it is made.
+    /// The test for standstill, if the options enable it.
     pub(super) standstill: Option<StandstillTest>,
     /// The graph of a receiver without a base.
     pub(super) alone: GraphSettings,
-    /// Whether the noise and the clocks of the receiver are learnt.
+    /// Whether the noise and the clocks of the receiver are estimated.
     pub(super) learns: bool,
     /// The graph of differences against a base.
     pub(super) relative: GraphSettings,
-    /// Whether epochs are answered at the end alone, from the whole recording.
+    /// Whether epochs are answered only at the end, from the whole recording.
     pub(super) is_batch: bool,
 }
 
 impl Setup {
-    /// For epochs that are answered as they come.
+    /// For epochs that are answered one by one.
     pub(super) fn new(options: PositioningOptions) -> Self {
         let residual_limits = ChiSquareLimits::new(options.false_alarm_probability);
         let learns = options.graph.motion && options.graph.pseudorange_kernel == KernelLaw::Mixture;
@@ -64,14 +65,14 @@ impl Setup {
         }
     }
 
-    /// Whether pseudoranges are judged by the mixture, with what is learnt of the receiver.
+    /// Whether pseudoranges have the mixture as error model, with the estimated receiver model.
     pub(super) fn judges_by_mixture(&self) -> bool {
         self.learns && !self.is_batch
     }
 
     /// For a recording that is smoothed as a whole.
     pub(super) fn batch(options: PositioningOptions) -> Self {
-        // A whole recording is annealed from single points, which the mixture cannot be.
+        // A whole recording is annealed from single points, which is not possible with the mixture.
         let alone = GraphSettings::alone(&options.graph);
         Self { is_batch: true, alone, ..Self::new(options) }
     }
@@ -83,11 +84,11 @@ pub(super) struct Kernels {
     pub(super) pseudorange: Kernel,
     pub(super) doppler: Kernel,
     pub(super) phase: Kernel,
-    /// Whether Doppler and phase count as far as the pseudorange of their satellite is direct.
+    /// Whether Doppler and phase are weighted by the probability that the pseudorange is direct.
     pub(super) follow_code: bool,
 }
 
-/// Robust kernels by kind of measurement, with the convex ones they begin as.
+/// Robust kernels by kind of measurement, with the convex ones of the first stage.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AnnealedKernels {
     pub(super) pseudorange: AnnealedKernel,
@@ -107,7 +108,7 @@ impl AnnealedKernels {
         }
     }
 
-    /// The kernels that a solve ends with.
+    /// The kernels at the end of a solve.
     pub(super) fn last(&self) -> Kernels {
         self.at(Phase::Graduated(1.0))
     }
@@ -117,9 +118,9 @@ impl AnnealedKernels {
 #[derive(Clone, Debug)]
 pub(super) struct GraphSettings {
     pub(super) kernels: AnnealedKernels,
-    /// For a window that one epoch was added to.
+    /// For a window after one new epoch.
     pub(super) update: OptimizerOptions,
-    /// For a window or chain whose start is coarse.
+    /// For a window or chain with a coarse start.
     pub(super) whole: OptimizerOptions,
 }
 
@@ -131,7 +132,7 @@ impl GraphSettings {
             KernelLaw::Cauchy => Law::Cauchy,
             KernelLaw::GemanMcclure | KernelLaw::Mixture => Law::GemanMcClure,
         };
-        // A late signal is longer than the model: its residual (model − measured) is negative.
+        // A late signal is longer than modelled: its residual (model − measured) is negative.
         let target = Kernel::new(law, options.early_width)
             .one_sided(options.early_width, options.late_width);
         let kernels = |convex| AnnealedKernels {
@@ -156,9 +157,9 @@ impl GraphSettings {
         }
     }
 
-    /// For pseudoranges under the mixture, which needs no kernel of its own once a solve is past
-    /// its
-    /// convex opening, and Doppler and phase under the law by which their scale is learnt.
+    /// The mixture gives pseudoranges their weights; they need a kernel only in the convex first
+    /// stage of a solve. Doppler and phase have the distribution that their noise scale is
+    /// estimated with.
     fn learning() -> Self {
         let opening = Kernel::huber(HUBER_WIDTH);
         let solve =
@@ -190,13 +191,13 @@ impl GraphSettings {
     }
 }
 
-/// Student's t of three degrees of freedom, but for a factor of 4/3 on its weights: Cauchy's kernel
-/// of width √3.
+/// Cauchy's kernel of width √3: Student's t of three degrees of freedom, except for a factor of 4/3
+/// on the weights.
 pub(super) fn student() -> Kernel {
     Kernel::cauchy(3_f64.sqrt())
 }
 
-/// A kernel that begins as Huber's.
+/// A redescending kernel with Huber's kernel in the first stage.
 fn annealed(target: Kernel) -> AnnealedKernel {
     AnnealedKernel { convex: Kernel::huber(HUBER_WIDTH), target }
 }

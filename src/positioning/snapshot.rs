@@ -1,10 +1,10 @@
-//! The vocabulary within an estimator's snapshot.
+//! Snapshots of the types that several estimators use.
 //!
 //! # A new mode
-//! [`crate::positioning::EstimatorState::snapshot`] writes what the state is made of, each type
-//! next to its definition. To add a mode: give its state `state_fields!`, with a check of whatever
-//! later code indexes by; implement `Engine` for it; add it to the table in `estimator`. Where
-//! fields of a mode that exists change, raise `LAYOUT` there.
+//! [`crate::positioning::EstimatorState::snapshot`] writes the fields of the state, each type next
+//! to its definition. To add a mode: give its state `state_fields!`, with a check of every index in
+//! it; implement `Engine` for it; add it to the table in `estimator`. If fields of an existing mode
+//! change, raise `LAYOUT` there.
 
 use crate::config::IonosphereModel;
 use crate::gnss::{

@@ -19,7 +19,8 @@ const FALSE_ALARM: f64 = 0.05;
 /// The speed that must be visible (m/s), and the rise of the sum that makes it so.
 const SHOWING_M_S: f64 = 0.3;
 const SHOWN_BY: f64 = 25.0;
-/// Time for which every epoch must pass (s); epochs further apart leave motion between them open.
+/// Time for which every epoch must pass the test (s). Between epochs further apart the receiver may
+/// have moved.
 const STILL_S: f64 = 2.0;
 
 /// Chi-square limits of the test.
@@ -68,8 +69,8 @@ impl StandstillTest {
 }
 
 impl Standstill {
-    /// Takes the rates of an epoch, `interval_s` after the previous one if there is one. Returns
-    /// whether the receiver has been at rest for long enough, since before this epoch.
+    /// Adds the rates of an epoch, `interval_s` after the previous one if there is one. Returns
+    /// whether the receiver has been at rest for long enough, up to and including this epoch.
     pub(super) fn observe(
         &mut self,
         test: &StandstillTest,
@@ -129,7 +130,7 @@ mod tests {
         assert!(!at_rest(Vector3::new(0.0, -0.2, 0.0), 0.05, 0.0));
     }
 
-    /// Rates too coarse to show a crawl prove nothing.
+    /// Rates too coarse to show a slow motion do not prove rest.
     #[test]
     fn coarse_rates_prove_no_rest() {
         assert!(!at_rest(Vector3::zeros(), 0.5, 0.0));

@@ -1,26 +1,27 @@
-//! How uncertain a position is whose pseudoranges err alike for a while.
+//! The covariance of a position whose pseudorange errors are correlated.
 //!
-//! The estimators take errors of pseudoranges for independent from epoch to epoch, of the variance
-//! stated for each. They are neither: reflections last for tens of seconds, orbit, clock and
-//! atmosphere for hours, and stated variances are bounds. With C the estimator's covariance of the
-//! position, Λ the information of the epoch's own pseudoranges on it (every clock free), g their
-//! slopes and w/σ² their weights, what is stated is
+//! The estimators assume errors of pseudoranges that are independent from epoch to epoch and have
+//! the variance of the error model. In truth multipath lasts for tens of seconds, and errors of
+//! orbit, clock and atmosphere for hours; and the model's variances are upper bounds. With C the
+//! estimator's covariance of the position, Λ the information of the epoch's own pseudoranges on it
+//! (every clock free), g their slopes and w/σ² their weights, the reported covariance is
 //!
 //! Σ = s²·(Λ + C⁻¹/n)⁻¹ + K·Kᵀ·σ² + (K·i)(K·i)ᵀ + (K·t)(K·t)ᵀ,
 //! K = (Λ + C⁻¹/1000)⁻¹·[(g − ḡ)·w/σ²]
 //!
 //! - n = (1 + ρ)/(1 − ρ), ρ = e^(−Δt/τ): an average of a first-order Gauss–Markov process, sampled
 //!   every Δt and of correlation time τ, has n times the variance of one of white noise (Bartlett
-//!   1946). One epoch counts in full, all others for 1/n: right for an estimator with a long memory
-//!   and for one with none.
-//! - s² is the a-posteriori variance factor of an M-estimator with pull ψ: Σψ²/(m − p) over
-//!   (Σψ′/m)², Huber (1981), *Robust Statistics*, section 7.6. As residuals last like errors, many
-//!   epochs say no more than one; a prior of one redundant pseudorange of the stated variance is
-//!   added.
-//! - σ is the standard deviation of orbit and clock as broadcast, satellites independent; i and t
-//!   are those of the ionosphere's and the troposphere's models, one error for all satellites: such
-//!   a model errs in its zenith delay, and what is common to all goes into clocks and height. K is
-//!   the gain of the epoch alone; the small part of C matters where that determines no position.
+//!   1946). The epoch itself has its full weight, all others 1/n. This is right for an estimator
+//!   with a long memory and for one without memory.
+//! - s² is the a-posteriori variance factor of an M-estimator with influence function ψ:
+//!   Σψ²/(m − p) over (Σψ′/m)², Huber (1981), *Robust Statistics*, section 7.6. Residuals are as
+//!   correlated as errors, so many epochs give no more information than one. One redundant
+//!   pseudorange of the modelled variance is added as a prior.
+//! - σ is the standard deviation of broadcast orbit and clock, independent between satellites. i
+//!   and t are those of the ionosphere's and the troposphere's models, with one error for all
+//!   satellites: such a model errs in its zenith delay, and the common part goes into clocks and
+//!   height. K is the gain of the epoch alone; the small part of C matters if that determines no
+//!   position.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -30,24 +31,25 @@ use crate::snapshot::snapshot_fields;
 use super::factors::Line;
 use super::ranging::Ranging;
 
-/// Redundant pseudoranges of the stated variance that stand before all residuals.
+/// Weight of the prior of s², as a number of redundant pseudoranges of the modelled variance.
 const PRIOR_REDUNDANCY: f64 = 1.0;
-/// Redundant pseudoranges that agree by chance on a wrong position too rarely to matter.
+/// Minimum redundancy without rejected pseudoranges: agreement on a wrong position by chance is
+/// then very rare.
 const AGREEING: f64 = 4.0;
-/// Share of rejected ones that leaves no room for another majority.
+/// Maximum fraction of rejected pseudoranges: a majority for another position is then impossible.
 const DISSENTING: f64 = 0.2;
-/// Share of the estimator's information in the gain of what lasts.
+/// Fraction of the estimator's information in the gain of correlated errors.
 const MEMORY_SHARE: f64 = 1e-3;
-/// Mean slope of the pull below which it says nothing: most pseudoranges are rejected.
+/// Lower bound of the mean of ψ′, which is small if most pseudoranges are rejected.
 const SLOPE_MIN: f64 = 0.2;
 
-/// How many epochs every `spacing_s` repeat one error, n.
+/// Number n of epochs, one every `spacing_s`, that have the same error.
 pub(super) fn repetition(spacing_s: f64, correlation_s: f64) -> f64 {
     // (1 + ρ)/(1 − ρ).
     (0.5 * spacing_s / correlation_s).tanh().recip()
 }
 
-/// What pseudoranges of some epochs miss by.
+/// Sums over the residuals of pseudoranges.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Residuals {
     /// Σψ².
@@ -58,7 +60,7 @@ pub(super) struct Residuals {
     count: f64,
     /// m − p.
     redundancy: f64,
-    /// How many are not rejected.
+    /// Number of pseudoranges that are not rejected.
     accepted: f64,
     epochs: f64,
 }
@@ -66,7 +68,7 @@ pub(super) struct Residuals {
 snapshot_fields!(Residuals { squares, slopes, count, redundancy, accepted, epochs });
 
 impl Residuals {
-    /// Of one epoch's pseudoranges: constellation, ψ and ψ′ of each.
+    /// Sums over one epoch's pseudoranges, given by constellation, ψ and ψ′.
     pub(super) fn of(rows: impl Iterator<Item = (Constellation, f64, f64)>) -> Self {
         let mut sum = Self { epochs: 1.0, ..Self::default() };
         let mut present = [false; Constellation::COUNT];
@@ -82,7 +84,7 @@ impl Residuals {
         sum
     }
 
-    /// Takes in those of other epochs.
+    /// Adds the sums of other epochs.
     pub(super) fn add(&mut self, other: &Self) {
         self.squares += other.squares;
         self.slopes += other.slopes;
@@ -92,14 +94,15 @@ impl Residuals {
         self.epochs += other.epochs;
     }
 
-    /// Whether these of one epoch are so many and so much of one mind that hardly anything but the
-    /// right position explains them.
+    /// Whether the pseudoranges of one epoch agree: redundancy ≥ 4 without the rejected ones, and
+    /// at most 20 % rejected. A wrong position is then very unlikely.
     pub(super) fn agree(&self) -> bool {
         let rejected = self.count - self.accepted;
         AGREEING <= self.redundancy - rejected && rejected <= DISSENTING * self.count
     }
 
-    /// Whether most of these of one epoch are rejected, though they could determine a position.
+    /// Whether most pseudoranges of one epoch are rejected, although they could determine a
+    /// position.
     pub(super) fn is_lost(&self) -> bool {
         1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
     }
@@ -115,7 +118,7 @@ impl Residuals {
     }
 }
 
-/// What is known of the errors of an epoch's pseudoranges.
+/// Error model of an epoch's pseudoranges, beyond their variances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ErrorModel {
     /// n.
@@ -126,7 +129,7 @@ pub(super) struct ErrorModel {
     pub(super) orbit_clock_m2: f64,
 }
 
-/// A constellation's pseudoranges, whose clock is free.
+/// Sums over the pseudoranges of one constellation, whose clock is free.
 #[derive(Clone, Copy, Default)]
 struct Group {
     information: f64,
@@ -224,15 +227,16 @@ mod tests {
     fn a_windows_information_is_divided_by_its_repetition() {
         let east_m2 = stated(0.01, ERRORS)[(0, 0)];
         assert!((east_m2 - 1.0 / (0.25 + 100.0 / 60.0)).abs() < 1e-3, "{east_m2}");
-        // Whose memory is one epoch states that epoch's.
+        // A solution without memory reports the covariance of its own epoch.
         let alone_m2 = stated(4.0, ERRORS)[(0, 0)];
         assert!((alone_m2 - 4.0).abs() < 0.1, "{alone_m2}");
         let doubled = stated(4.0, ErrorModel { variance_factor: 2.0, ..ERRORS })[(0, 0)];
         assert!((doubled / alone_m2 - 2.0).abs() < 1e-9, "{doubled}");
     }
 
-    /// East K·Kᵀ = Σ(g/4)²/(Λ + C⁻¹/1000)² = 0.25·0.25/(0.25 + 0.01)²: nearly an orbit's metre is a
-    /// metre. One ionosphere for all vanishes in the clock.
+    /// East K·Kᵀ = Σ(g/4)²/(Λ + C⁻¹/1000)² = 0.25·0.25/(0.25 + 0.01)²: an orbit error of one metre
+    /// moves the position by nearly a metre. An ionospheric error common to all satellites goes
+    /// into the clock.
     #[test]
     fn what_lasts_is_not_averaged() {
         let with = stated(0.1, ErrorModel { orbit_clock_m2: 9.0, ..ERRORS })[(0, 0)];
@@ -250,8 +254,8 @@ mod tests {
         assert!((repetition(600.0, 30.0) - 1.0).abs() < 1e-6);
     }
 
-    /// Nine of one constellation, five redundant: with one rejected four still agree; with two,
-    /// not.
+    /// Nine pseudoranges of one constellation have redundancy five. With one rejected, four others
+    /// agree, which is enough; with two rejected it is not.
     #[test]
     fn agreement_needs_redundancy_and_few_rejected() {
         let of = |rejected: usize| {
@@ -261,8 +265,8 @@ mod tests {
         assert!(of(0).agree() && of(1).agree() && !of(2).agree());
     }
 
-    /// Nine of one constellation determine four unknowns: with five rejected four are left, which
-    /// agree on anything. Four have nothing to reject.
+    /// Nine pseudoranges of one constellation determine four unknowns. With five rejected four are
+    /// left, which always agree. Four pseudoranges have no redundancy.
     #[test]
     fn an_epoch_is_lost_with_as_many_left_as_unknowns() {
         let of = |count: usize, rejected: usize| {
@@ -272,8 +276,8 @@ mod tests {
         assert!(of(9, 5).is_lost() && !of(9, 4).is_lost() && !of(4, 4).is_lost());
     }
 
-    /// Seven pseudoranges of one constellation, three redundant, ψ = ±2: (28 + 1)/(3 + 1); where
-    /// half of the pulls have no slope, four times as much.
+    /// Seven pseudoranges of one constellation, redundancy three, ψ = ±2: (28 + 1)/(3 + 1). If half
+    /// of them have ψ′ = 0, it is four times that.
     #[test]
     fn the_variance_factor_is_hubers() {
         let of = |slope: f64| {
@@ -283,7 +287,7 @@ mod tests {
         };
         assert!((of(1.0).variance_factor() - 29.0 / 4.0).abs() < 1e-12);
         assert!((of(0.5).variance_factor() - 29.0).abs() < 1e-12);
-        // The same again says the same.
+        // The same residuals again do not change it.
         let mut twice = of(1.0);
         twice.add(&of(1.0));
         assert!((twice.variance_factor() - 29.0 / 4.0).abs() < 1e-12);

@@ -7,11 +7,11 @@
 //! so that z = ρ(s(t_r), p_r) + o + λN: o, what the receivers' clocks and delays leave, is common
 //! to all satellites of one signal; N (cycles) is there for carrier phases only. Each receiver
 //! has its own time of reception, its own satellite state at transmission and its own troposphere;
-//! both use one ephemeris, so that its error cancels. What the ionosphere leaves is in the
-//! variance.
+//! both use one ephemeris, so that its error cancels. The variance includes the residual
+//! ionospheric delay.
 //!
-//! Differences between satellites are not formed here: the graph eliminates o inside each group of
-//! rows, which is the same and prefers no satellite.
+//! Differences between satellites are not formed here. The graph eliminates o in each group of
+//! rows, which is equivalent and needs no reference satellite.
 
 mod pairing;
 mod variances;
@@ -35,7 +35,7 @@ use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use pairing::{Pair, pairs};
 use variances::{DifferenceVariances, PairQuality};
 
-/// States this close in time are carried over by velocity (s): a²t/2 is then 0.03 mm.
+/// Satellite states this close in time are extrapolated by velocity (s): a²t/2 is then 0.03 mm.
 const CARRIED_S: f64 = 0.01;
 
 /// A difference with its variance.
@@ -47,14 +47,14 @@ pub(super) struct Differenced {
     pub(super) variance_m2: f64,
 }
 
-/// A range rate free of the satellite's clock.
+/// A range rate, corrected for the satellite's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct RangeRate {
     pub(super) rate_m_s: f64,
     pub(super) variance_m2_s2: f64,
 }
 
-/// A satellite that both receivers see.
+/// A satellite that both receivers observe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CommonSatellite {
     pub(super) satellite: SatelliteId,
@@ -65,17 +65,16 @@ pub(super) struct CommonSatellite {
     /// From the rover.
     pub(super) look: LookAngles,
     pub(super) ephemeris: EphemerisIssue,
-    /// The rover's pseudorange free of satellite clock and troposphere (m): ρ + c·δt_r and the
-    /// ionosphere.
+    /// The rover's pseudorange without satellite clock and troposphere (m): ρ + c·δt_r + I.
     pub(super) rover_range_m: f64,
 }
 
-/// What differences with a common offset share.
+/// Identifies the differences that have a common offset.
 ///
-/// Geostationary BeiDou satellites are a group of their own: their messages are coded another way,
-/// and receivers of different makers put their phases half a cycle apart from the others'
-/// (Nadarajah, Teunissen & Raziq 2013, *BeiDou inter-satellite-type bias evaluation and calibration
-/// for mixed receiver attitude determination*, Sensors 13).
+/// Geostationary BeiDou satellites are a group of their own: their navigation messages are
+/// modulated differently, and receivers of different makers have half a cycle between their phases
+/// and the others' (Nadarajah, Teunissen & Raziq 2013, *BeiDou inter-satellite-type bias evaluation
+/// and calibration for mixed receiver attitude determination*, Sensors 13).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct DifferenceGroup {
     pub(super) constellation: Constellation,
@@ -96,13 +95,13 @@ impl DifferenceGroup {
 /// A carrier of one satellite that both receivers observe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SingleDifference {
-    /// Place in [`SingleDifferences::satellites`].
+    /// Index in [`SingleDifferences::satellites`].
     pub(super) common: usize,
     pub(super) satellite: SatelliteId,
     pub(super) band: Band,
     /// Codes at rover and base.
     pub(super) codes: [ObservationCode; 2],
-    /// Whether the pseudoranges are of one ranging code, so that the satellite delays both alike.
+    /// Whether both pseudoranges are of one ranging code, so that the satellite's delay cancels.
     pub(super) shares_code: bool,
     pub(super) frequency_hz: f64,
     pub(super) pseudorange: Option<Differenced>,
@@ -119,13 +118,13 @@ impl SingleDifference {
         SPEED_OF_LIGHT / self.frequency_hz
     }
 
-    /// What differences with a common offset share.
+    /// The group, whose differences have a common offset.
     pub(super) fn group(&self) -> DifferenceGroup {
         DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
 }
 
-/// What a rover's epoch is differenced against.
+/// Inputs for differencing a rover's epoch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BaseSide<'a> {
     pub(super) station: &'a BaseStation,
@@ -139,16 +138,16 @@ pub(super) struct SingleDifferences {
     pub(super) satellites: Vec<CommonSatellite>,
     /// By group, then by satellite.
     pub(super) list: Vec<SingleDifference>,
-    /// Satellites both observe for which no valid healthy ephemeris is held, sorted.
+    /// Satellites that both observe and that have no valid healthy ephemeris, sorted.
     pub(super) without_ephemeris: Vec<SatelliteId>,
-    /// Satellites of the base with where their observations begin and end, sorted.
+    /// Satellites of the base with the range of their observations, sorted.
     base: Vec<(SatelliteId, usize, usize)>,
 }
 
 impl SingleDifferences {
-    /// Differences `rover`, whose antenna is about at `position`, against a base.
+    /// Differences `rover`, whose antenna is approximately at `position`, against a base.
     ///
-    /// `None` where no receiver of ours can be, far below the ground or out in space.
+    /// `None` for a position where no receiver can be: far below the ground or in space.
     pub(super) fn gather(
         &mut self,
         rover: &Epoch,
@@ -203,7 +202,7 @@ impl SingleDifferences {
     }
 
     /// The differences of one satellite; none if either receiver has no pseudorange of it, which
-    /// tells when the signal was sent.
+    /// gives the time of transmission.
     fn add(
         &mut self,
         scene: &Scene,
@@ -258,7 +257,8 @@ impl SingleDifferences {
         });
     }
 
-    /// Drops what stands below the elevation mask: the lower one while few stand above the upper.
+    /// Drops satellites below the elevation mask: the lower mask while few satellites are above the
+    /// upper one.
     fn mask(&mut self, options: &PositioningOptions) {
         let satellites = &self.satellites;
         let upper = options.elevation_mask_rad;
@@ -283,7 +283,7 @@ impl SingleDifferences {
     }
 }
 
-/// One receiver with the air above it.
+/// One receiver and the atmosphere above it.
 struct Receiver {
     time: GpsTime,
     frame: LocalFrame,
@@ -308,7 +308,7 @@ impl Receiver {
     }
 }
 
-/// What the differences of all satellites of an epoch share.
+/// Values that are common to the differences of all satellites of an epoch.
 struct Scene {
     rover: Receiver,
     base: Receiver,
@@ -316,7 +316,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// The satellite when it sent what the rover received, and what the base received.
+    /// The satellite at the transmission of the signals that the rover and the base received.
     fn states(&self, ephemeris: &Ephemeris, rover_m: f64, base_m: f64) -> [SatelliteState; 2] {
         let state = state_at_transmission(ephemeris, self.rover.time, rover_m);
         let tags_s = self.base.time - self.rover.time;
@@ -329,7 +329,7 @@ impl Scene {
     }
 }
 
-/// The first pseudorange of each receiver (m): they only tell when the signal was sent.
+/// The first pseudorange of each receiver (m), used only for the time of transmission.
 fn ranges_m(common: &[Pair<'_>]) -> Option<(f64, f64)> {
     let rover = common.iter().find_map(|pair| valid_m(pair.rover))?;
     Some((rover, common.iter().find_map(|pair| valid_m(pair.base))?))
@@ -363,7 +363,7 @@ fn range_rate(
     measured.min_by(|a, b| a.variance_m2_s2.total_cmp(&b.variance_m2_s2))
 }
 
-/// The state a moment later, in a straight line.
+/// The state a moment later, by constant velocity.
 fn carried(state: &SatelliteState, seconds: f64) -> SatelliteState {
     SatelliteState {
         position: Ecef(state.position.0 + state.velocity_m_s * seconds),

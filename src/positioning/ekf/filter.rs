@@ -1,4 +1,4 @@
-//! The filter over epochs: start, prediction, update, and restart once it is lost.
+//! The filter over epochs: start, prediction, update, and restart.
 
 use nalgebra::Vector3;
 
@@ -36,7 +36,7 @@ const BIAS_M: f64 = 300.0;
 /// and its test accepts the first rows: with 0.01 m, `hers-hert` has errors of up to 26 m.
 const PHASE_BOUND_M: f64 = 0.05;
 
-/// What the filter knows between epochs.
+/// State of the filter between epochs.
 #[derive(Debug)]
 struct Known {
     time: GpsTime,
@@ -63,7 +63,7 @@ pub(crate) struct KalmanFilter {
 
 state_fields!(KalmanFilter { known });
 
-/// Memory to compute in.
+/// Scratch of the filter.
 #[derive(Debug, Default)]
 pub(crate) struct FilterScratch {
     single_point: SinglePoint,
@@ -80,7 +80,7 @@ impl Engine for KalmanFilter {
         Self { known: None }
     }
 
-    /// An epoch that is not after the last one is answered by itself and changes nothing.
+    /// An epoch that is not after the last one is answered alone and does not change the state.
     fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -118,7 +118,7 @@ impl KalmanFilter {
 }
 
 impl FilterScratch {
-    /// Predicts and updates by one epoch; `None` where the filter is lost.
+    /// Predicts and updates by one epoch; `None` if the filter is lost and must restart.
     fn go_on(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -169,8 +169,8 @@ impl FilterScratch {
         Some(self.finish(inputs, known, interval_s))
     }
 
-    /// Ends the carrier phases whose ephemeris changed: without a kernel, the step between two
-    /// ephemerides would count as a displacement.
+    /// Ends the carrier phases whose ephemeris changed. The filter has no kernel for phases, so the
+    /// step between two ephemerides would count as a displacement.
     fn end_arcs(&mut self, before: &[EphemerisIssue]) {
         for measurement in &mut self.measurements.list {
             let is_new = !before.contains(&measurement.ephemeris);
@@ -180,7 +180,7 @@ impl FilterScratch {
         }
     }
 
-    /// The displacement by odometry, and whether the receiver stands still.
+    /// The displacement by odometry, and whether the receiver is at rest.
     fn other_sensors(&mut self, known: &mut Known, receiver: Ecef, setup: &Setup, interval_s: f64) {
         let rows = &mut self.rows;
         let over = |odometry| OdometryFactor::over(interval_s, &known.frame, receiver, odometry);
@@ -191,7 +191,7 @@ impl FilterScratch {
         }
     }
 
-    /// Whether the epoch has a position of its own.
+    /// Whether the epoch's own single point has a position.
     fn can_begin(&mut self, inputs: &EpochInputs<'_>) -> bool {
         self.single_point.solve(inputs, None).estimate.is_some()
     }
@@ -241,15 +241,16 @@ impl FilterScratch {
         self.rows.ranges.extend(all.iter().filter(is_used));
         self.rows.enter(&mut known.gaussian, &[], limit, 1.0, &options.graph);
         self.rows.ranges = all;
-        // At least as wide as the single point, whose covariance includes the fit of its residuals.
+        // At least as wide as the covariance of the single point, which includes the fit of its
+        // residuals.
         let own = known.gaussian.state_covariance().fixed_view::<3, 3>(0, 0).trace();
         known.gaussian.scale((estimate.covariance.trace() / own).max(1.0));
         let solution = self.finish(inputs, &mut known, options.graph.independence_s);
         Some((known, solution))
     }
 
-    /// The epoch's measurements, placed at `receiver`, and its pseudoranges; `None` where no
-    /// receiver can be.
+    /// The epoch's measurements, corrected for a receiver at `receiver`, and its pseudoranges;
+    /// `None` for a position where no receiver can be.
     fn observe(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -261,7 +262,7 @@ impl FilterScratch {
         rows.clear();
         measurements.gather(epoch, navigation, inputs.options());
         measurements.place(receiver, epoch.time, navigation, inputs.options())?;
-        // Most precise first; equals in the order of their satellites.
+        // The most precise first; rows of equal precision in the order of their satellites.
         measurements.list.sort_unstable_by(|a, b| {
             a.variance_m2.total_cmp(&b.variance_m2).then(a.satellite.cmp(&b.satellite))
         });
@@ -275,7 +276,8 @@ impl FilterScratch {
         Some(())
     }
 
-    /// Starts clocks, and follows jumps of the receiver's, by the medians of the pseudoranges.
+    /// Starts clocks, and adjusts the receiver clock after jumps, by the medians of the
+    /// pseudoranges.
     ///
     /// Without an interval all clocks start; without a motion model the receiver's starts at every
     /// epoch.
@@ -308,7 +310,7 @@ impl FilterScratch {
         }
     }
 
-    /// Keeps what the next epoch needs and answers this one.
+    /// Keeps the data that the next epoch needs, and answers this one.
     fn finish(&mut self, inputs: &EpochInputs<'_>, known: &mut Known, interval_s: f64) -> Solution {
         let options = inputs.options();
         let has_velocity = options.graph.motion || self.set_doppler_velocity(known, options);

@@ -50,7 +50,7 @@ impl Innovation {
         Self { slope, residual: link.residual, variance: 1.0 }
     }
 
-    /// The same with the R of a share of the information.
+    /// The same row with R divided by the independent share of its information.
     pub(super) fn tempered(self, independent_share: f64) -> Self {
         Self { variance: independent_share.recip(), ..self }
     }
@@ -71,7 +71,7 @@ pub(super) struct Gaussian {
 snapshot_fields!(Gaussian { mean, covariance });
 
 impl Gaussian {
-    /// Zero with certainty.
+    /// Zeros with zero covariance.
     pub(super) fn zero() -> Self {
         Self { mean: Vector::zeros(), covariance: Matrix::zeros() }
     }
@@ -104,7 +104,7 @@ impl Gaussian {
         self.covariance *= factor;
     }
 
-    /// Sets a number, independent of the others.
+    /// Sets the mean and variance of one variable, uncorrelated with the others.
     pub(super) fn renew(&mut self, column: usize, mean: f64, sigma: f64) {
         self.mean[column] = mean;
         self.covariance.row_mut(column).fill(0.0);
@@ -112,12 +112,12 @@ impl Gaussian {
         self.covariance[(column, column)] = sigma * sigma;
     }
 
-    /// Shifts a number by a known amount.
+    /// Shifts the mean of one variable by a known amount.
     pub(super) fn shift(&mut self, column: usize, by: f64) {
         self.mean[column] += by;
     }
 
-    /// Adds to the variance of a number.
+    /// Adds to the variance of one variable.
     pub(super) fn loosen(&mut self, column: usize, variance: f64) {
         self.covariance[(column, column)] += variance;
     }
@@ -147,7 +147,7 @@ impl Gaussian {
         self.make_symmetric();
     }
 
-    /// Noise of a rate with variance `walk`, and of what it moves by the trapezoid with variance
+    /// Adds the noise of a rate with variance `walk`, and of its trapezoidal integral with variance
     /// `link`.
     fn add_noise(&mut self, moved: usize, rate: usize, link: f64, walk: f64, interval_s: f64) {
         let half_s = 0.5 * interval_s;
@@ -157,7 +157,7 @@ impl Gaussian {
         self.covariance[(rate, rate)] += walk;
     }
 
-    /// Updates with a row unless r²/S exceeds the limit; returns whether it did.
+    /// Updates with a row unless r²/S exceeds the limit; returns whether the row was used.
     pub(super) fn update(&mut self, innovation: &Innovation, limit: f64) -> bool {
         let Innovation { slope, residual, variance } = innovation;
         let carried = self.covariance * slope;
@@ -248,8 +248,8 @@ mod tests {
         assert!(difference < 1e-12 * expected.norm(), "{difference}");
     }
 
-    /// The graph's motion and clock factors hold with unit variance between both ends of a
-    /// prediction from a state that is known: J Q Jᵀ = 1 for each, and none correlates.
+    /// After a prediction from a known state, the graph's motion and clock factors between both
+    /// ends have unit variance and no correlation: J Q Jᵀ = I.
     #[test]
     fn the_prediction_is_that_of_the_graphs_factors() {
         let mut gaussian = Gaussian::zero();
@@ -281,8 +281,8 @@ mod tests {
         }
     }
 
-    /// A displacement of 7 ± 0.1 m from a position known to 2 m: it makes the displacement known,
-    /// the position stays uncertain.
+    /// A displacement of 7 ± 0.1 m from a position with σ = 2 m: the displacement is then known,
+    /// and the position stays uncertain.
     #[test]
     fn a_link_measures_against_the_epoch_before() {
         let mut gaussian = gaussian();

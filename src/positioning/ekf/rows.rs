@@ -15,7 +15,7 @@ use super::gaussian::{Gaussian, Innovation};
 pub(super) struct Rows {
     /// Satellites above the mask.
     pub(super) sights: Vec<Sight>,
-    /// Lines of sight from the state last used.
+    /// Lines of sight from the state of the latest linearisation.
     pub(super) lines: Vec<Line>,
     pub(super) ranges: Vec<Ranging>,
     /// Satellites whose pseudoranges passed the test, sorted.
@@ -26,7 +26,7 @@ pub(super) struct Rows {
     pub(super) standstill: Option<ZeroVelocityFactor>,
     /// Weight of each pseudorange: 1 if it passed the test, else 0.
     pub(super) weights: Vec<f64>,
-    /// Memory for medians (m).
+    /// Scratch for medians (m).
     pub(super) numbers: Vec<f64>,
 }
 
@@ -44,8 +44,9 @@ impl Rows {
 
     /// Applies the rows, kind by kind, the most precise kinds first.
     ///
-    /// `before` are the satellites of the previous epoch, `limit` is the limit of the innovation
-    /// test, `independent_share` the share of their information that pseudoranges keep.
+    /// `before` contains the satellites of the previous epoch, `limit` is the limit of the
+    /// innovation test, and `independent_share` is the fraction of their information that
+    /// pseudoranges keep.
     pub(super) fn enter(
         &mut self,
         gaussian: &mut Gaussian,

@@ -1,4 +1,4 @@
-//! What is known of an inter-system bias before any measurement.
+//! The prior of an inter-system bias.
 
 use crate::graph::Row;
 use crate::snapshot::snapshot_fields;

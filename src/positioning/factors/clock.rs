@@ -1,4 +1,4 @@
-//! The clock factor: drift moves the clock and wanders.
+//! The clock factor: the clock follows its drift, and both have noise.
 
 use crate::config::GraphOptions;
 use crate::graph::Link;
@@ -6,7 +6,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::{CLOCK, DRIFT, State};
 
-/// Random walk of the receiver's clock.
+/// Random walks of the receiver's clock and drift.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ClockWalk {
     /// Of the clock (m/√s).
@@ -16,7 +16,7 @@ pub(crate) struct ClockWalk {
 }
 
 impl ClockWalk {
-    /// The walks that options ask for.
+    /// The random walks of the options.
     pub(crate) fn of(options: &GraphOptions) -> Self {
         Self { clock_m: options.clock_walk_m, drift_m_s: options.drift_walk_m_s }
     }
@@ -33,10 +33,10 @@ impl ClockWalk {
     }
 }
 
-/// A step of one clock against another.
+/// The step of one clock against another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ClockTie {
-    /// Expected (m).
+    /// Expected step (m).
     pub(crate) mean_m: f64,
     /// Squared scale of Student's t of three degrees of freedom (m²).
     pub(crate) scale_m2: f64,
@@ -49,11 +49,11 @@ snapshot_fields!(ClockTie { mean_m, scale_m2 });
 /// r₁ = (b₊ − b − J − Δt·(d + d₊)/2) / σ₁, σ₁² = h²Δt + q²Δt³/12
 /// r₂ = (d₊ − d) / σ₂, σ₂² = q²Δt
 ///
-/// J is a jump of the clock found in the pseudoranges, a whole number of milliseconds (m); where a
-/// jump is no such number, σ₁ is infinite.
+/// J is a clock jump found in the pseudoranges, a whole number of milliseconds (m). If a jump is
+/// not a whole number of milliseconds, σ₁ is infinite.
 ///
 /// Source: the two-state clock of Brown & Hwang (1997), *Introduction to Random Signals and Applied
-/// Kalman Filtering*, with the drift's share as in [`super::MotionFactor`].
+/// Kalman Filtering*, with the drift's contribution as in [`super::MotionFactor`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ClockFactor {
     interval_s: f64,
@@ -63,7 +63,7 @@ pub(crate) struct ClockFactor {
 }
 
 impl ClockFactor {
-    /// Over an interval (s), with the jump J (m), or `None` where the clock starts again.
+    /// Over an interval (s), with the jump J (m), or `None` if the clock starts again.
     pub(crate) fn new(walk: &ClockWalk, interval_s: f64, jump_m: Option<f64>) -> Self {
         let inverse = |_| walk.link_m2(interval_s).sqrt().recip();
         Self {
@@ -74,8 +74,8 @@ impl ClockFactor {
         }
     }
 
-    /// The same where the code's clock moves against the integral of the drift: J grows by the
-    /// expected step, σ₁² by its squared scale.
+    /// The same if the code's clock moves against the integral of the drift: the expected step is
+    /// added to J, and its squared scale to σ₁².
     pub(in crate::positioning) fn with_tie(self, tie: ClockTie) -> Self {
         let variance_m2 = self.inverse_clock.powi(-2) + tie.scale_m2;
         Self { jump_m: self.jump_m + tie.mean_m, inverse_clock: variance_m2.sqrt().recip(), ..self }

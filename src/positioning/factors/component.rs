@@ -1,4 +1,4 @@
-//! What is known of one number of a state before any measurement.
+//! The prior of one component of a state.
 
 use nalgebra::SVector;
 

@@ -14,8 +14,8 @@ use super::{DRIFT, State, VELOCITY, VELOCITY_AND_DRIFT};
 /// r = (ρ̇₀ + gᵀv + d − z) / σ
 ///
 /// ρ̇₀ range rate of a receiver at rest (m/s), g = ∂ρ̇/∂v, v local velocity (m/s), d clock drift
-/// (m/s), z = −λD + c·δṫˢ the measured rate (m/s). ρ̇₀ and g are taken where the measurement was
-/// placed: 100 m beside, ρ̇₀ differs by less than 2 cm/s.
+/// (m/s), z = −λD + c·δṫˢ the measured rate (m/s). ρ̇₀ and g refer to the approximate position: 100
+/// m from it, ρ̇₀ differs by less than 2 cm/s.
 ///
 /// Source: Wen & Hsu (2021), equations (3) to (6), with the signs of `models::range_rate`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +29,7 @@ pub(crate) struct DopplerFactor {
 }
 
 impl DopplerFactor {
-    /// Of a rate measured at about `receiver`.
+    /// From a rate measured approximately at `receiver`.
     pub(crate) fn new(
         frame: &LocalFrame,
         receiver: Ecef,
@@ -115,7 +115,7 @@ mod tests {
         check_row(&state(), |state| factor.linearize(state));
     }
 
-    /// Either form says the same of the velocity, and of the drift.
+    /// Both forms give the same velocity, and the same drift.
     #[test]
     fn a_shared_drift_is_the_drift() {
         let factor = DopplerFactor::new(&frame(), frame().origin, &satellite(), -300.0, 0.1);
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(shared.row.columns[..], own.columns[..3]);
     }
 
-    /// The satellite's own motion must be in it.
+    /// The satellite's own motion must be included.
     #[test]
     fn the_satellite_moves() {
         let still = SatelliteState { velocity_m_s: Vector3::zeros(), ..satellite() };

@@ -1,4 +1,4 @@
-//! The Doppler-velocity factor of the paper.
+//! The Doppler-velocity factor of Wen & Hsu (2021).
 
 use nalgebra::Vector3;
 

@@ -18,7 +18,7 @@
 //! | [`BiasFactor`] | β | |
 //! | [`ComponentFactor`] | one number of a state | |
 //!
-//! What is old is a `graph::Prior`.
+//! Marginalised epochs are a `graph::Prior`.
 
 mod bias;
 mod clock;
@@ -44,7 +44,7 @@ pub(super) use pseudorange::PseudorangeFactor;
 pub(super) use sight::{Line, Sight};
 pub(super) use zero_velocity::ZeroVelocityFactor;
 
-/// Numbers in a state.
+/// Number of components of a state.
 pub(super) const STATE: usize = 8;
 /// First column of the velocity.
 pub(super) const VELOCITY: usize = 3;

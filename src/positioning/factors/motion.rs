@@ -1,4 +1,4 @@
-//! The motion factor: velocity moves the position and wanders.
+//! The motion factor: the position follows the velocity, and both have noise.
 
 use nalgebra::SVector;
 
@@ -11,7 +11,7 @@ use super::VELOCITY;
 /// Standard deviation of the trapezoid beyond what acceleration explains (m/√s).
 const LINK_WALK_M: f64 = 0.02;
 
-/// Random walk of the velocity.
+/// Random walk of the velocity by axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct MotionWalk {
     /// East, north, up (m/s/√s).
@@ -19,7 +19,7 @@ pub(crate) struct MotionWalk {
 }
 
 impl MotionWalk {
-    /// The walks that options ask for.
+    /// The random walks of the options.
     pub(crate) fn of(options: &GraphOptions) -> Self {
         let horizontal = options.horizontal_walk_m_s;
         Self { velocity_m_s: [horizontal, horizontal, options.vertical_walk_m_s] }

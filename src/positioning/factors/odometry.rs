@@ -8,7 +8,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::State;
 
-/// A displacement ties epochs that are as far apart as it took, to within this (s).
+/// Largest difference between the duration of a displacement and the interval of the epochs (s).
 const INTERVAL_TOLERANCE_S: f64 = 0.05;
 
 /// Odometry factor between two states, three rows.
@@ -16,9 +16,9 @@ const INTERVAL_TOLERANCE_S: f64 = 0.05;
 /// r = L⁻¹·(p₊ − p − R·d), L·Lᵀ = R·Σ·Rᵀ + σ_ψ²·u·uᵀ
 ///
 /// d displacement along the sensor's axes (m), Σ its covariance (m²), R from those axes to the
-/// local frame. For a body R turns by the heading ψ, north over east: forward is [sin ψ, cos ψ, 0],
-/// left [−cos ψ, sin ψ, 0]; u = ∂(R·d)/∂ψ = [n, −e, 0] for R·d = [e, n, u] carries its deviation
-/// σ_ψ. The body is taken for level: Σ must allow for slopes.
+/// local frame. For body axes R rotates by the heading ψ, from north to east: forward is [sin ψ,
+/// cos ψ, 0], left [−cos ψ, sin ψ, 0]. u = ∂(R·d)/∂ψ = [n, −e, 0] for R·d = [e, n, u]; it
+/// propagates the heading's σ_ψ. The body is assumed level: Σ must allow for slopes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct OdometryFactor {
     /// R·d (m).
@@ -28,8 +28,8 @@ pub(crate) struct OdometryFactor {
 }
 
 impl OdometryFactor {
-    /// The factor between epochs `interval_s` apart; `None` where the displacement took another
-    /// time, or its covariance is not positive definite.
+    /// The factor between epochs `interval_s` apart; `None` if the displacement has another
+    /// duration, or its covariance is not positive definite.
     pub(crate) fn over(
         interval_s: f64,
         frame: &LocalFrame,
@@ -72,7 +72,7 @@ impl OdometryFactor {
 
 snapshot_fields!(OdometryFactor { displacement_m, whitening });
 
-/// From east, north, up at `place` to those of the frame.
+/// From east, north, up at a position to the axes of the frame.
 fn from_enu(frame: &LocalFrame, place: Ecef) -> Matrix3<f64> {
     frame.rotation * LocalFrame::at(place).rotation.transpose()
 }
@@ -106,13 +106,13 @@ mod tests {
         Vector3::from([0, 1, 2].map(|row| factor.linearize(row, &state(), &next_state()).residual))
     }
 
-    /// Moved east 8.5, north −3, up 0.1 m. Heading east, forward 8 and left 1 is east 8, north 1:
-    /// missed by 0.5, −4 and 0.1 m over 0.2, 0.1 and 0.5 m.
+    /// Moved east 8.5, north −3, up 0.1 m. With heading east, forward 8 and left 1 is east 8, north
+    /// 1: residuals of 0.5, −4 and 0.1 m over 0.2, 0.1 and 0.5 m.
     #[test]
     fn residuals_worked_by_hand() {
         let east = residuals(&body(std::f64::consts::FRAC_PI_2, 0.0));
         assert!((east - Vector3::new(2.5, -40.0, 0.2)).norm() < 1e-9, "{east}");
-        // Heading north: east −1, north 8, and the deviations change places.
+        // Heading north: east −1, north 8, and the standard deviations are exchanged.
         let north = residuals(&body(0.0, 0.0));
         assert!((north - Vector3::new(95.0, -55.0, 0.2)).norm() < 1e-9, "{north}");
         let enu = Odometry { frame: OdometryFrame::Enu, ..body(0.0, 0.0) };
@@ -134,7 +134,8 @@ mod tests {
         assert!((a - b).abs() < 1e-6 * a, "{a} {b}");
     }
 
-    /// 0.1 rad of heading on a way of √65 m is 0.81 m across it; along it nothing changes.
+    /// 0.1 rad of heading over a distance of √65 m is 0.81 m across the track; along the track
+    /// nothing changes.
     #[test]
     fn the_headings_deviation_is_across_the_way() {
         let exact = residuals(&body(1.0, 0.0)).norm_squared();

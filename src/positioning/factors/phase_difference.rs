@@ -9,17 +9,17 @@ use super::{CLOCK, Line, POSITION_AND_CLOCK, State};
 ///
 /// r = (ρ(s₊, p₊) − ρ(s, p) + b₊ − b − Δφ) / σ
 ///
-/// Δφ is the change of the carrier phase between the two epochs (m), free of satellite clock,
-/// troposphere and ionosphere; without a cycle slip the ambiguity cancels. A bias of the
-/// constellation cancels too.
+/// Δφ is the change of the carrier phase between the two epochs (m), corrected for satellite clock,
+/// troposphere and ionosphere. Without a cycle slip the ambiguity cancels, and so does an
+/// inter-system bias.
 ///
 /// Source: van Graas & Soloviev (2004), *Precise velocity estimation using a stand-alone GPS
 /// receiver*, Navigation 51(4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PhaseDifferenceFactor {
-    /// Place of the satellite among the sights of the earlier epoch.
+    /// Index of the satellite among the sights of the earlier epoch.
     pub(crate) before: u16,
-    /// Place of it among those of the later epoch.
+    /// Its index among those of the later epoch.
     pub(crate) after: u16,
     /// Δφ (m).
     pub(crate) change_m: f64,
@@ -28,8 +28,8 @@ pub(crate) struct PhaseDifferenceFactor {
 }
 
 impl PhaseDifferenceFactor {
-    /// Whitened residual and its Jacobian on [p; b] and [p₊; b₊], the satellite seen from the
-    /// position of either.
+    /// Whitened residual and its Jacobian on [p; b] and [p₊; b₊], with the satellite seen from both
+    /// positions.
     #[inline]
     pub(crate) fn linearize(
         &self,
@@ -68,7 +68,7 @@ mod tests {
         factor.linearize((&from, state), (&to, next))
     }
 
-    /// Towards a satellite overhead at rest: 5 m nearer, the clock 8 m on, the phase 2.9 m more.
+    /// Towards a satellite at rest in the zenith: 5 m nearer, clock 8 m later, phase 2.9 m longer.
     #[test]
     fn a_residual_worked_by_hand() {
         let frame = LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0));

@@ -10,9 +10,9 @@ use super::{CLOCK, Line, POSITION_AND_CLOCK, State};
 /// r = (ρ(s, p) + b + β − P) / σ
 ///
 /// p local position (m), b receiver clock (m), β inter-system bias (m), zero for the reference
-/// constellation; P is free of c·δtˢ, group delay, troposphere and ionosphere. ∂r/∂β = 1/σ.
+/// constellation. P is corrected for c·δtˢ, group delay, troposphere and ionosphere. ∂r/∂β = 1/σ.
 ///
-/// Source: Wen & Hsu (2021), equations (9) and (10), whose clock is one.
+/// Source: Wen & Hsu (2021), equations (9) and (10), which have one clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PseudorangeFactor {
     /// P (m).
@@ -70,7 +70,7 @@ mod tests {
         assert!((slope / 2.0 - FACTOR.inverse_sigma).abs() < 1e-6);
     }
 
-    /// The Sagnac term is 1.4 m here, half of it over σ; a factor without it would be wrong by as
+    /// The Sagnac term is 1.4 m here, half of it over σ; a factor without it would be wrong by this
     /// much.
     #[test]
     fn the_earth_turns() {

@@ -5,7 +5,7 @@ use crate::graph::{Link, Row};
 
 use super::{STATE, State};
 
-/// A place in Hong Kong.
+/// A frame in Hong Kong.
 pub(super) fn frame() -> LocalFrame {
     LocalFrame::at(Ecef::new(-2_414_266.9, 5_386_768.9, 2_407_460.0))
 }

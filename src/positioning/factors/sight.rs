@@ -6,13 +6,13 @@ use crate::gnss::{Ecef, LocalFrame};
 use crate::models::geometric_range;
 use crate::snapshot::snapshot_fields;
 
-/// What a sight shows from one place: the range ρ (m), and its slope ∂ρ/∂p.
+/// The range ρ (m) from one position, and its gradient ∂ρ/∂p.
 pub(crate) type Line = (f64, Vector3<f64>);
 
-/// A satellite as seen from anywhere near the origin of a local frame.
+/// A satellite as seen from positions near the origin of a local frame.
 ///
-/// ρ(p) = ‖s − p‖ + a + gᵀp: the Sagnac term is linear in the receiver's position, so that the
-/// frame's origin o gives its value a and its slope g once, exactly; s, p, g local.
+/// ρ(p) = ‖s − p‖ + a + gᵀp. The Sagnac term is linear in the receiver's position, so its value a
+/// and its gradient g at the frame's origin are exact; s, p, g local.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sight {
     satellite_m: Vector3<f64>,
@@ -21,7 +21,7 @@ pub(crate) struct Sight {
 }
 
 impl Sight {
-    /// Of a satellite at transmission.
+    /// Of a satellite at the transmission of its signal.
     pub(crate) fn new(frame: &LocalFrame, satellite: Ecef) -> Self {
         let line = satellite.0 - frame.origin.0;
         let distance_m = line.norm();

@@ -1,14 +1,15 @@
-//! The zero-velocity factor: a receiver that stands still.
+//! The zero-velocity factor: a receiver at rest.
 
 use crate::graph::{Link, Row};
 use crate::snapshot::snapshot_fields;
 
 use super::{State, VELOCITY};
 
-/// Deviation of a standing receiver's velocity, per axis (m/s): engine, wind, passengers.
+/// Standard deviation of the velocity of a receiver at rest, per axis (m/s): engine, wind,
+/// passengers.
 const STANDING_M_S: f64 = 0.02;
 
-/// Zero-velocity factor on two states between which the receiver stood, two rows an axis.
+/// Zero-velocity factor on two states between which the receiver was at rest, two rows per axis.
 ///
 /// r₁ = (p₊ − p) / (σ·Δt), r₂ = v₊ / σ
 #[derive(Clone, Copy, Debug, PartialEq)]

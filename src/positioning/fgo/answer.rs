@@ -15,7 +15,7 @@ use super::epoch::GraphEpoch;
 /// The variance factor uses residuals of epochs within this time (s).
 const NEIGHBOURS_S: f64 = 15.0;
 
-/// Memory to answer in.
+/// Scratch for answers.
 #[derive(Debug, Default)]
 pub(super) struct AnswerScratch {
     lines: Vec<Line>,

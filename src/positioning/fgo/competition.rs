@@ -1,8 +1,8 @@
-//! When a window's position is given up for another.
+//! Decides whether a window moves to another position.
 //!
-//! The newest epoch is solved again from its own pseudoranges where the window rejects most of them
-//! ([`Chain::retry`]); the whole window moves where its residuals have long agreed on another
-//! position ([`Chain::reconsider`]).
+//! If the window rejects most pseudoranges of the newest epoch, this epoch is solved again from its
+//! own pseudoranges ([`Chain::retry`]). If the window's residuals have agreed on another position
+//! for long enough, the whole window moves there ([`Chain::reconsider`]).
 
 use std::sync::Arc;
 
@@ -21,8 +21,8 @@ use super::watch::Verdict;
 const MOVED_M: f64 = 30.0;
 
 impl Chain {
-    /// Solves once more from the newest epoch's own position; keeps the likelier of both minima,
-    /// of which the first has this cost.
+    /// Solves once more from the newest epoch's own position, and keeps the likelier of both
+    /// minima. `cost` is the cost of the first one.
     pub(super) fn retry(
         &mut self,
         cost: f64,
@@ -44,7 +44,8 @@ impl Chain {
         Ok(())
     }
 
-    /// Moves the newest state to where its own pseudoranges agree; whether they do elsewhere.
+    /// Moves the newest state to the position that its own pseudoranges agree on; returns whether
+    /// that is another position.
     fn start_at_consensus(&mut self, scratch: &mut ChainScratch) -> bool {
         let Some(now) = self.last_time() else { return false };
         let mut pool = self.pooled(0.0, scratch);
@@ -63,9 +64,8 @@ impl Chain {
         true
     }
 
-    /// Asks whether the position is clearly likelier elsewhere, and moves the window there if it
-    /// is;
-    /// it must then be solved again.
+    /// Tests whether another position is clearly likelier, and moves the window there. Returns
+    /// whether it moved; it must then be solved again.
     pub(super) fn reconsider(&mut self, scratch: &mut ChainScratch) -> bool {
         let Some(now) = self.last_time() else { return false };
         let interval_s = match &*self.epochs {
@@ -115,7 +115,7 @@ impl Chain {
         all.chunk_by(|a, b| a.satellite == b.satellite).map(middle).collect()
     }
 
-    /// Moves the window by an offset of position and clocks; what was before no longer counts.
+    /// Moves the window by an offset of position and clocks, and drops the prior.
     fn move_by(&mut self, offset: &Offset) {
         let by_m = offset.position_m();
         let reference_m = offset.clock_m(Constellation::Gps);

@@ -19,18 +19,18 @@ use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
-/// Weight of the phase of a satellite whose pseudorange is rejected: it keeps epochs without other
-/// phases linked.
+/// Weight of the phase of a satellite whose pseudorange is rejected: small, but enough to link
+/// epochs without other phases.
 const PHASE_WEIGHT_MIN: f64 = 0.1;
 /// Kernel of odometry, since wheels slip: Huber's, 95 % efficient under normal errors.
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
 const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
-/// Weight from which on a pseudorange counts as used.
+/// Smallest weight of a pseudorange that counts as used.
 const USED_WEIGHT: f64 = 0.25;
 /// Index of the clock in [`POSITION_AND_CLOCK`].
 const CLOCK_INDEX: usize = 3;
-/// Reweighted solutions for the step of the phase's clock.
+/// Number of reweighted solutions for the step of the phase's clock.
 const CLOCK_ITERATIONS: usize = 5;
 
 /// What links an epoch to the previous one, besides carrier phase.
@@ -42,14 +42,14 @@ pub(super) enum Tie {
     DopplerVelocity(DopplerVelocityFactor),
 }
 
-/// An epoch's satellites at the estimate.
+/// An epoch's satellites at the current estimate.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
     /// Lines of sight, from the epoch's state.
     pub(super) lines: Vec<Line>,
-    /// Weight of each satellite's phase: how far its pseudorange is direct. The phase of a
-    /// reflection is as steady as a direct one but moves with the reflection; several reflections
-    /// agree with one another and not with the receiver.
+    /// Weight of each satellite's phase: the probability that its pseudorange is direct. The phase
+    /// of a reflection is as precise as a direct one but follows the reflected path; several
+    /// reflections can agree with one another and not with the receiver's motion.
     phase_weights: Vec<f64>,
     /// Residual, 1/σ (1/m) and weight of each phase difference.
     phases: Vec<(f64, f64, f64)>,
@@ -60,9 +60,9 @@ pub(super) struct Seen {
 #[derive(Clone, Debug)]
 pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
-    /// Share of their information that pseudoranges keep, since errors are correlated in time.
+    /// Fraction of their information that pseudoranges keep, because errors are correlated in time.
     pub(super) share: f64,
-    /// Number of epochs that repeat one error.
+    /// Number of epochs that have the same error.
     pub(super) repetition: f64,
     /// Residuals of its pseudoranges in the last solve.
     pub(super) residuals: Residuals,
@@ -73,8 +73,8 @@ pub(super) struct GraphEpoch {
 snapshot_fields!(GraphEpoch { time, share, repetition, residuals, factors });
 
 impl GraphEpoch {
-    /// Adds the factors on this epoch's state alone and on the border; computes the lines of sight
-    /// and phase weights that its links need.
+    /// Adds the factors on this epoch's state alone and on the border. Computes the lines of sight
+    /// and phase weights for the links.
     fn add_to(
         &self,
         k: usize,
@@ -132,7 +132,7 @@ pub(super) struct Factors {
     pub(super) rates: Vec<DopplerFactor>,
     /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
-    /// How the phase's clock moves against the code's; `None` where they are one.
+    /// Tie between the phase's clock and the code's; `None` if both are the same clock.
     pub(super) phase_clock: Option<ClockTie>,
     /// From the previous epoch to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
@@ -142,7 +142,7 @@ pub(super) struct Factors {
     pub(super) standstill: Option<ZeroVelocityFactor>,
     pub(super) components: Vec<ComponentFactor>,
     pub(super) biases: Vec<BiasFactor>,
-    /// Local velocity from this epoch's Doppler alone, where the next tie needs it (m/s).
+    /// Local velocity from this epoch's Doppler alone, if the next link uses it (m/s).
     pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
     /// Satellites without an ephemeris.
     pub(super) without_ephemeris: Vec<SatelliteId>,
@@ -173,7 +173,7 @@ snapshot_fields!(Factors {
 });
 
 impl Factors {
-    /// Empties the lists and keeps their memory.
+    /// Empties the lists and keeps their storage.
     pub(super) fn clear(&mut self) {
         self.sights.clear();
         self.ranges.clear();
@@ -191,7 +191,7 @@ impl Factors {
         self.doppler_velocity_m_s = None;
     }
 
-    /// Appends what the epoch lacked to `reasons`.
+    /// Appends the reasons for missing data to `reasons`.
     pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
         aiding_reasons(&self.without_ephemeris, self.ionosphere_fallback, reasons);
         let unused = |interval_s| Reason::OdometryUnused { interval_s };
@@ -210,7 +210,7 @@ impl Factors {
         lines.extend(self.sights.iter().map(|sight| sight.range(&from)));
     }
 
-    /// Sums up the residuals of the pseudoranges at `state`, of the lines of sight there, under
+    /// Sums the residuals of the pseudoranges at `state`, with the lines of sight from there, under
     /// their kernel.
     pub(super) fn residuals(
         &self,
@@ -230,7 +230,7 @@ impl Factors {
         }))
     }
 
-    /// Computes lines of sight and phase weights as [`Self::add_to`] does, and adds nothing.
+    /// Computes lines of sight and phase weights like [`Self::add_to`], without adding factors.
     fn look(&self, state: &State, biases_m: &[f64], pseudorange: &Kernel, seen: &mut Seen) {
         self.see(state, &mut seen.lines);
         seen.phase_weights.clear();
@@ -283,8 +283,8 @@ impl Factors {
 }
 
 impl Factors {
-    /// Adds the phase differences to the previous epoch; eliminates the step of their clock against
-    /// the code's.
+    /// Adds the phase differences to the previous epoch. Eliminates the step of their clock against
+    /// the code's clock.
     fn add_phases_to(
         &self,
         k: usize,
@@ -330,8 +330,8 @@ impl Factors {
         system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
     }
 
-    /// Whitened residuals of the phase differences between two states, the median step of their
-    /// clock taken out.
+    /// Whitened residuals of the phase differences between two states, without the median step of
+    /// their clock.
     pub(super) fn phase_residuals(
         &self,
         [before, lines]: [&[Line]; 2],
@@ -349,8 +349,9 @@ impl Factors {
     }
 }
 
-/// The likeliest step of the phase's clock against the code's (m), of residual, 1/σ and weight of
-/// each phase difference, from about `start_m`; and the information of its tie there (1/m²).
+/// The likeliest step of the phase's clock against the code's (m), from the residual, 1/σ and
+/// weight of each phase difference, starting at `start_m`; and the information of its tie there
+/// (1/m²).
 fn clock_step(
     tie: ClockTie,
     start_m: f64,
@@ -419,12 +420,13 @@ pub(super) struct Rows<'a> {
     pub(super) epochs: &'a [GraphEpoch],
     pub(super) prior: &'a Prior<STATE>,
     pub(super) kernels: &'a AnnealedKernels,
-    /// Memory for two neighbours.
+    /// Scratch for two neighbouring epochs.
     pub(super) seen: &'a mut [Seen; 2],
 }
 
 impl Rows<'_> {
-    /// Adds what touches the first epoch: its factors, the links to the second, and the prior.
+    /// Adds all terms on the first epoch: its factors, the links to the second epoch, and the
+    /// prior.
     pub(super) fn add_oldest(&mut self, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
         let kernels = self.kernels.last();
         let [before, seen] = &mut *self.seen;

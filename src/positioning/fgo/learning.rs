@@ -1,4 +1,4 @@
-//! What a chain learns from its newest epoch.
+//! Updates the receiver model from the newest epoch of a chain.
 
 use nalgebra::SMatrix;
 
@@ -9,7 +9,7 @@ use crate::positioning::receiver::{CodeResidual, PostFit};
 use super::chain::{Chain, ChainScratch};
 
 impl Chain {
-    /// Learns from the newest epoch, whose state has this covariance.
+    /// Updates the receiver model from the newest epoch, whose state has this covariance.
     pub(super) fn learn(
         &mut self,
         covariance: &SMatrix<f64, STATE, STATE>,

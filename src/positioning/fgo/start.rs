@@ -1,21 +1,22 @@
-//! Where the solve of an added epoch starts.
+//! The start of the solve after an epoch is added.
 //!
-//! Robust kernels have many minima, so the start decides. The last velocity carried over some
-//! seconds is tens of metres off where the receiver has braked or turned; the epoch's own Doppler
-//! tells.
+//! Robust kernels have many minima, so the start decides which one is found. Extrapolation by the
+//! last velocity over some seconds is wrong by tens of metres if the receiver has braked or turned.
+//! The epoch's own Doppler gives its velocity, and so the displacement.
 
 use nalgebra::{Matrix4, Vector4};
 
 use crate::graph::{HUBER_WIDTH, Kernel};
 use crate::positioning::factors::{DRIFT, DopplerFactor, State, VELOCITY};
 
-/// Number of Doppler shifts, two more than there are unknowns, so that a wrong one shows.
+/// Minimum number of Doppler measurements: two more than the unknowns, so that an outlier is
+/// visible.
 const RATES_MIN: usize = 6;
 /// Iterations of reweighted least squares.
 const ITERATIONS: usize = 10;
 
-/// Moves `guess` to the velocity of the epoch's own Doppler, and its position by the mean of that
-/// and the velocity of `before`, `interval_s` earlier.
+/// Sets the velocity of `guess` from the epoch's own Doppler. Its position follows from the mean of
+/// that velocity and the velocity of `before`, `interval_s` earlier.
 pub(super) fn follow_doppler(
     guess: &mut State,
     before: &State,
@@ -31,8 +32,8 @@ pub(super) fn follow_doppler(
     guess[DRIFT] = rate[3];
 }
 
-/// Velocity and drift (m/s) by least squares reweighted after Huber; `None` if the Doppler shifts
-/// do not determine them.
+/// Velocity and drift (m/s) by least squares with Huber's weights; `None` if the Doppler
+/// measurements do not determine them.
 fn velocity_and_drift(rates: &[DopplerFactor], start: &State) -> Option<Vector4<f64>> {
     if rates.len() < RATES_MIN {
         return None;
@@ -91,7 +92,7 @@ mod tests {
         (0..7).map(rate).collect()
     }
 
-    /// From 10 m/s east to a stop within 4 s: 20 m, not 40.
+    /// From 10 m/s east to a stop within 4 s the displacement is 20 m, not 40 m.
     #[test]
     fn a_start_follows_the_brakes() {
         let mut before = State::zeros();
@@ -103,8 +104,8 @@ mod tests {
         assert!((guess[DRIFT] - 3.0).abs() < 0.05, "{guess}");
     }
 
-    /// One Doppler 2 m/s off, 40 deviations, moves the velocity by less than 0.6 m/s; five shifts
-    /// move nothing.
+    /// One Doppler 2 m/s (40 σ) off moves the velocity by less than 0.6 m/s. With five Doppler
+    /// measurements the start is not changed.
     #[test]
     fn a_wrong_doppler_shift_is_bounded() {
         let before = State::zeros();

@@ -1,14 +1,13 @@
-//! The watch over a window's position: is another position clearly likelier?
+//! Tests whether another position than the window's is clearly likelier.
 //!
-//! A wrong start, or a reflection that many satellites share, is carried along by phase and Doppler
-//! and marginalised into the prior; right satellites are outliers then. So the residuals of the
-//! last
-//! half minute are asked again and again whether they are better explained elsewhere
-//! ([`hypotheses`]): those of the window as it stands, and those of the two windows before it.
+//! After a wrong start, or multipath on many satellites, carrier phase and Doppler carry the error
+//! along, and it is marginalised into the prior; the right pseudoranges are then outliers. So the
+//! residuals of the last half minute are tested repeatedly against other positions
+//! ([`hypotheses`]): the residuals of the present window, and of the two windows before it.
 //!
-//! A position is given up for another whose odds exceed a bar. After a start or an outage the bar
-//! rises within half a minute from 1 nat to 10 nats, 1 : 22,000: a search each two seconds makes
-//! some 1,800 decisions an hour.
+//! The window moves to another position if that position's log odds exceed a threshold. After a
+//! start or an outage the threshold rises within half a minute from 1 nat to 10 nats, 1 : 22,000,
+//! because a search every two seconds makes about 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;

@@ -1,4 +1,4 @@
-//! The sliding window: each epoch answered as it comes, and again when it leaves.
+//! The sliding window: each epoch is answered at once, and revised when it leaves.
 
 use nalgebra::SMatrix;
 
@@ -19,14 +19,14 @@ use super::chain::{Chain, ChainScratch};
 /// A causal estimator over a sliding window.
 #[derive(Debug)]
 pub(crate) struct SlidingWindow {
-    /// Whether epochs are answered again when they leave.
+    /// Whether epochs are revised when they leave.
     revises: bool,
     chain: Chain,
 }
 
 state_fields!(SlidingWindow { revises, chain });
 
-/// Memory to compute in.
+/// Scratch of the window.
 #[derive(Debug)]
 pub(crate) struct WindowScratch {
     single_point: SinglePoint,
@@ -65,7 +65,7 @@ impl Engine for SlidingWindow {
         self.chain.ring() == ring(&setup.options)
     }
 
-    /// An epoch that is not after the last one is answered by itself and changes nothing.
+    /// An epoch that is not after the last one is answered alone and does not change the state.
     fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -130,7 +130,8 @@ fn ring(options: &PositioningOptions) -> usize {
 }
 
 impl WindowScratch {
-    /// The epoch's measurements, placed at `receiver`; `None` where no receiver can be.
+    /// The epoch's measurements, corrected for a receiver at `receiver`; `None` for a position
+    /// where no receiver can be.
     fn measure(&mut self, inputs: &EpochInputs<'_>, receiver: Ecef) -> Option<()> {
         let EpochInputs { epoch, navigation, .. } = *inputs;
         self.measurements.gather(epoch, navigation, inputs.options());
@@ -183,7 +184,7 @@ impl SlidingWindow {
         solution
     }
 
-    /// An answer of the epoch alone, which no revision will follow.
+    /// Records the answer of an epoch alone, which will not be revised.
     fn unanswered(&self, mut alone: Solution, revisions: &mut Vec<Solution>) -> Solution {
         if alone.estimate.is_some() {
             alone.reasons.push(Reason::NotConverged);
@@ -194,22 +195,22 @@ impl SlidingWindow {
         alone
     }
 
-    /// Number of oldest epochs that leave when one at `time` comes.
+    /// Number of oldest epochs that leave when an epoch at `time` is added.
     fn leaving(&self, time: GpsTime, setup: &Setup) -> usize {
         let options = &setup.options;
         let epochs = &self.chain.epochs;
         let count = epochs.len() + 1;
         let over = count.saturating_sub(options.graph.window_epochs_max);
         if !setup.learns && self.chain.unproven_s(time).is_some() {
-            // What is marginalised cannot be corrected any more.
+            // A marginalised epoch cannot be corrected any more.
             return over;
         }
         let late = epochs.iter().filter(|epoch| options.graph.window_s < time - epoch.time).count();
         over.max(late.min(count.saturating_sub(WINDOW_EPOCHS_MIN)))
     }
 
-    /// Answers the oldest `count` epochs again, from all that the window has seen. Where the normal
-    /// equations cannot be factored, their first answers stand.
+    /// Revises the oldest `count` epochs with all epochs of the window. If the normal equations
+    /// cannot be factored, their first answers stay.
     fn revise(
         &self,
         count: usize,
@@ -242,7 +243,7 @@ impl SlidingWindow {
         for _ in 0..leaving {
             chain.forget_oldest(settings, bias_walk_m, chain_scratch, oldest).ok()?;
         }
-        // Until the first epoch is forgotten, its minimum can still be left for a better one.
+        // Until the first epoch is marginalised, the window can still move to a better minimum.
         let how = if chain.has_past() { &settings.update } else { &settings.whole };
         let cost = chain.solve(settings, how, chain_scratch, workspace).ok()?;
         if setup.learns && chain.is_lost() {

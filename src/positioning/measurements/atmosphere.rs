@@ -1,4 +1,4 @@
-//! What troposphere and ionosphere do to the measurements of a receiver at one place.
+//! Tropospheric and ionospheric delays of the measurements of one receiver.
 
 use crate::config::{
     IonosphereModel, PositioningOptions, TroposphereMapping, TroposphereModel, WeightModel,
@@ -35,12 +35,12 @@ pub(super) struct Atmosphere<'a> {
 struct Delay {
     delay_m: f64,
     variance_m2: f64,
-    /// The model that had to stand in, if one had to.
+    /// The model that was used instead of the chosen one, if it was not available.
     fallback: Option<&'static str>,
 }
 
 impl<'a> Atmosphere<'a> {
-    /// `None` where no receiver of ours can be.
+    /// `None` for a position where no receiver can be.
     pub(super) fn at(
         position: Ecef,
         time: GpsTime,
@@ -60,8 +60,8 @@ impl<'a> Atmosphere<'a> {
         Some(Self { frame, geodetic, time, navigation, troposphere, weights })
     }
 
-    /// Takes the atmosphere off the measurements and states their variances; returns the ionosphere
-    /// model that had to stand in for the one asked for, if one had to.
+    /// Subtracts the atmospheric delays from the measurements and sets their variances. Returns the
+    /// ionosphere model that was used if the chosen one was not available.
     pub(super) fn correct(
         &self,
         list: &mut [Measurement],
@@ -124,7 +124,7 @@ impl<'a> Atmosphere<'a> {
         measurement.troposphere_m = troposphere_m;
         measurement.corrected_range_m = range_m - troposphere_m;
         measurement.variance_m2 = match options.weighting {
-            // As published: nothing but elevation and C/N0.
+            // As published: elevation and C/N0 only.
             WeightModel::GoGps => measurement.noise_m2,
             WeightModel::Cn0Elevation | WeightModel::Rtklib => {
                 variance_m2 + measurement.state.variance_m2 + troposphere_m2
@@ -140,7 +140,7 @@ impl<'a> Atmosphere<'a> {
             * self.weights.variance_m2(measurement.look.elevation_rad, cn0_db_hz)
     }
 
-    /// The delay on the main frequency as the model asked for has it.
+    /// The delay on the main frequency by the chosen model.
     fn ionosphere(&self, measurement: &Measurement, options: &PositioningOptions) -> Delay {
         match options.ionosphere {
             IonosphereModel::None => Delay { delay_m: 0.0, variance_m2: 0.0, fallback: None },
@@ -156,7 +156,7 @@ impl<'a> Atmosphere<'a> {
         }
     }
 
-    /// `None` where Galileo broadcast no coefficients, or the model has no answer for this ray.
+    /// `None` if Galileo broadcast no coefficients, or if the model gives no delay for this ray.
     #[cfg(feature = "nequick")]
     fn nequick(&self, measurement: &Measurement) -> Option<Delay> {
         let delay_m = nequick_delay_m(
@@ -201,7 +201,7 @@ impl<'a> Atmosphere<'a> {
     }
 }
 
-/// The elevation mask in force: the lower one while few satellites stand above the upper one.
+/// The elevation mask in force: the lower one while few satellites are above the upper one.
 fn mask_rad(list: &[Measurement], options: &PositioningOptions) -> f64 {
     let high = list.iter().filter(|m| options.elevation_mask_rad <= m.look.elevation_rad).count();
     match high < options.sparse_below {
@@ -215,8 +215,8 @@ fn mask_rad(list: &[Measurement], options: &PositioningOptions) -> f64 {
 /// P₁ = g + I, P₂ − b = g + γI, and the model's I ± its standard deviation.
 ///
 /// With an infinite variance of the model this is the ionosphere-free combination; with infinite
-/// noise on P₂ it is the single-frequency correction. Returns g (m), its variance (m²) and what the
-/// model's standard deviation puts into it (m).
+/// noise on P₂ it is the single-frequency correction. Returns g (m), its variance (m²) and the
+/// contribution of the model's standard deviation to g (m).
 fn dual_frequency_range(
     measurement: &Measurement,
     second: &SecondFrequency,
@@ -224,7 +224,7 @@ fn dual_frequency_range(
 ) -> (f64, f64, f64) {
     let (first_weight, second_weight) = (measurement.noise_m2.recip(), second.noise_m2.recip());
     let prior = measurement.ionosphere_m2.recip();
-    // Relative to P₁, so that no digits are lost.
+    // Relative to P₁, to keep all digits.
     let difference_m = second.pseudorange_m - bias_m - measurement.pseudorange_m;
     let gamma = second.gamma;
     let (gg, gi) = (first_weight + second_weight, first_weight + gamma * second_weight);
@@ -236,11 +236,12 @@ fn dual_frequency_range(
     (measurement.pseudorange_m + (ii * g - gi * i) / determinant, ii / determinant, share_m)
 }
 
-/// What the receiver delays each second signal against the main one, by signal.
+/// Receiver delay of each second signal against the main one, by signal.
 ///
-/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. The model's
-/// own common error goes into b too: the two cannot be told apart in one epoch, and what is left of
-/// the second frequency is how the ionosphere differs from satellite to satellite.
+/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. An error of
+/// the model that is common to all satellites goes into b too, because one epoch cannot separate
+/// the two. So the second frequency contributes only how the ionosphere differs from satellite to
+/// satellite.
 #[derive(Clone, Debug, Default)]
 pub(super) struct InterFrequencyBiases(Vec<InterFrequencyBias>);
 
@@ -278,7 +279,7 @@ impl InterFrequencyBiases {
         }
     }
 
-    /// b of a measurement's second signal (m); zero where nothing tells, as without a model.
+    /// b of a measurement's second signal (m); zero if it is unknown, as without a model.
     fn of(&self, measurement: &Measurement, second: &SecondFrequency) -> f64 {
         let known = self.0.iter().find(|bias| bias.is_of(measurement, second));
         known.filter(|bias| 0.0 < bias.weight).map_or(0.0, |bias| bias.weighted_m / bias.weight)

@@ -1,9 +1,10 @@
 //! From observations to corrected, weighted measurements.
 //!
-//! [`Measurements::gather`] selects one main signal per satellite, and if asked a second one on
-//! another frequency. It finds the ephemeris and the satellite's state at transmission, and
-//! subtracts clock and group delay. [`Measurements::place`] adds what depends on the receiver's
-//! position: angles, atmosphere and variance. The remaining pseudorange is ρ + c·δt_r + noise.
+//! [`Measurements::gather`] selects one main signal per satellite and, if the options require it, a
+//! second one on another frequency. It finds the ephemeris and the satellite's state at
+//! transmission, and subtracts clock and group delay. [`Measurements::place`] adds the corrections
+//! that depend on the receiver's position: angles, atmosphere and variance. The remaining
+//! pseudorange is ρ + c·δt_r + noise.
 
 mod atmosphere;
 mod signals;
@@ -80,7 +81,7 @@ pub struct Measurement {
     pub phase: Option<CarrierPhase>,
     /// C/N0 of the main signal (dB-Hz).
     pub cn0_db_hz: Option<f64>,
-    /// Azimuth and elevation from the position last given.
+    /// Azimuth and elevation from the latest position.
     pub look: LookAngles,
     /// Variance of the main signal's receiver noise and multipath (m²).
     pub noise_m2: f64,
@@ -111,17 +112,18 @@ pub struct Measurements {
     pub list: Vec<Measurement>,
     /// Observed satellites without a valid healthy ephemeris, sorted.
     pub without_ephemeris: Vec<SatelliteId>,
-    /// Coefficients for the ionosphere model asked for are missing; named is what is used instead.
+    /// Coefficients for the chosen ionosphere model are missing; this model is used instead.
     pub ionosphere_fallback: Option<&'static str>,
-    /// What another sensor says of the way since the epoch before.
+    /// Displacement since the previous epoch by another sensor.
     pub odometry: Option<Odometry>,
     biases: atmosphere::InterFrequencyBiases,
 }
 
 impl Measurements {
-    /// Takes over what `epoch` offers under `options`, satellites and clocks corrected.
+    /// Takes the usable measurements of `epoch` under `options`, corrected for satellites and
+    /// clocks.
     ///
-    /// A satellite or signal that appears twice counts once, as first met.
+    /// A satellite or signal that appears twice counts once: the first one.
     pub fn gather(&mut self, epoch: &Epoch, navigation: &Navigation, options: &PositioningOptions) {
         self.list.clear();
         self.without_ephemeris.clear();
@@ -149,7 +151,7 @@ impl Measurements {
 
     /// Adds what depends on the receiver's position: angles, atmosphere, variance and mask.
     ///
-    /// `None` where no receiver of ours can be, far below the ground or out in space.
+    /// `None` for a position where no receiver can be: far below the ground or in space.
     pub fn place(
         &mut self,
         position: Ecef,
@@ -162,14 +164,14 @@ impl Measurements {
         Some(())
     }
 
-    /// What the epoch lacked before any position was sought, into `reasons`.
+    /// Appends the reasons for missing data that are known before the position to `reasons`.
     pub(super) fn aiding_reasons(&self, reasons: &mut Vec<Reason>) {
         aiding_reasons(&self.without_ephemeris, self.ionosphere_fallback, reasons);
     }
 }
 
-/// What an epoch lacked, into `reasons`: ephemerides of these satellites, and the ionosphere model
-/// asked for, which another stood in for.
+/// Appends the reasons for missing data to `reasons`: satellites without an ephemeris, and the
+/// replacement of the chosen ionosphere model.
 pub(super) fn aiding_reasons(
     without_ephemeris: &[SatelliteId],
     ionosphere_fallback: Option<&'static str>,
@@ -182,8 +184,8 @@ pub(super) fn aiding_reasons(
 }
 
 impl Measurement {
-    /// This measurement with the first other ephemeris in force that makes it one that `agrees`;
-    /// its atmosphere is that of this one until it is placed.
+    /// This measurement with the first other ephemeris in force for which `agrees` is true. Its
+    /// atmospheric delays stay those of this measurement until [`Measurements::place`].
     pub(super) fn with_other_ephemeris(
         &self,
         epoch: &Epoch,
@@ -210,7 +212,7 @@ impl Measurement {
     }
 }
 
-/// The measurement of one satellite, not yet placed.
+/// The measurement of one satellite, before [`Measurements::place`].
 fn measurement(
     tag: GpsTime,
     ephemeris: &Ephemeris,
@@ -283,7 +285,7 @@ fn carrier_phase(
     })
 }
 
-/// A pseudorange that can be used, with what is known of its signal.
+/// A usable pseudorange with the properties of its signal.
 struct Candidate<'a> {
     observation: &'a Observation,
     pseudorange_m: f64,
@@ -293,8 +295,8 @@ struct Candidate<'a> {
     group_delay_m: f64,
 }
 
-/// The preferred signal of the first band, in the order of [`Band::ALL`], that the satellite
-/// offers; with `other_than`, of the first that is not that.
+/// The preferred signal of the first band, in the order of [`Band::ALL`], in which the satellite
+/// was observed; with `other_than`, of the first other band.
 fn best_of_first_band<'a>(
     ephemeris: &Ephemeris,
     observations: &'a [Observation],

@@ -1,9 +1,9 @@
-//! Which of a satellite's signals to use.
+//! The choice among a satellite's signals.
 
 use crate::gnss::{Band, Constellation, ObservationCode, Signal};
 
-/// Place of a signal in the order of preference within its band, 0 first; `None` for no civil or
-/// semi-codeless ranging signal of that constellation and band.
+/// Rank of a signal within its band, the best is 0; `None` for signals that are not civil or
+/// semi-codeless ranging signals of that constellation and band.
 ///
 /// Order: on L1 the signal that nearly every receiver tracks and the legacy message describes (C/A,
 /// E1, B1I); elsewhere pilots before combined before data channels; GPS L2 semi-codeless P(Y)

@@ -6,7 +6,8 @@ use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
 
 /// RTKLIB 2.4's code noise: 0.3 m and 0.3 m/√sin E.
 const RTKLIB_NOISE_M: f64 = 0.3;
-/// Half the width of an LNAV P(Y) or C/A code bias that nobody corrects (m); RTKLIB's `ERR_CBIAS`.
+/// Half of the width of the LNAV code bias between P(Y) and C/A, which is not corrected (m);
+/// RTKLIB's `ERR_CBIAS`.
 const CODE_BIAS_M: f64 = 0.3;
 /// RTKLIB's factor on the standard deviation of GLONASS.
 const GLONASS_FACTOR: f64 = 1.5;
@@ -14,9 +15,11 @@ const GLONASS_FACTOR: f64 = 1.5;
 /// Receiver noise and multipath of pseudoranges under `options`.
 ///
 /// `cn0-elevation`: σ² = s²/sin²E + u²·10^(−(S−42)/10), s and u from the options, S the C/N0. The
-/// first term is multipath that grows towards the horizon, the second thermal noise and, where
-/// buildings weaken a signal, the reflections that come with it.
-/// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²), which then is the whole variance.
+/// first term is multipath that grows towards the horizon. The second is thermal noise and, where
+/// buildings weaken a signal, the multipath that comes with it.
+///
+/// `gogps`: σ² = 1/sin²E times goGPS's factor of C/N0 (m²), which is the whole variance.
+///
 /// `rtklib`: σ² = 0.3² + 0.3²/sin E, and 0.3² for code biases.
 pub(crate) fn receiver_weights(options: &PositioningOptions) -> MeasurementWeights {
     match options.weighting {

@@ -1,17 +1,15 @@
-//! How far code, phase and Doppler of a receiver share one clock.
+//! Estimates how closely code, phase and Doppler of a receiver follow one clock.
 //!
 //! Geodetic receivers derive all three from one oscillator and one time tag. Phones steer and round
-//! the time tag, which the code follows, by up to hundreds of metres each second, while Doppler,
-//! and
-//! on some chips phase, follows the free oscillator. The change of code minus that of phase, or
-//! minus the integral of Doppler, is free of geometry: its median over the satellites is the step
-//! of
-//! one clock against the other, with the noise of a median, 1.2533·σ/√n.
+//! the time tag by up to hundreds of metres each second. The code follows the time tag; Doppler,
+//! and on some chips phase, follows the free oscillator. The change of code minus that of phase, or
+//! minus the integral of Doppler, is free of geometry. Its median over the satellites is the step
+//! of one clock against the other, with the noise of a median, 1.2533·σ/√n.
 //!
-//! Steps are taken for a steady drift with Student's t of three degrees of freedom about it, whose
-//! scale lies on a grid of octaves from 0.1 m/√s to 205 m/√s with a flat prior. What is answered is
-//! the upper end of what is plausible, two standard deviations of the posterior above its mean: a
-//! clock is tied only where the data bear it out, and without any data it is free.
+//! Steps are modelled as a steady drift plus Student's t of three degrees of freedom. The scale of
+//! t has a flat prior on a grid of octaves from 0.1 m/√s to 205 m/√s. The estimate is conservative:
+//! two standard deviations of the posterior above its mean. So clocks are tied only if the data
+//! confirm it, and without data they are free.
 
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::Measurement;
@@ -23,18 +21,18 @@ use crate::snapshot::{snapshot_fields, state_fields};
 use super::grid::Grid;
 use super::kept;
 
-/// First scale of the grid (m/√s), and how many octaves there are.
+/// First scale of the grid (m/√s), and number of octaves.
 const FIRST_M: f64 = 0.1;
 const VALUES: usize = 12;
-/// Standard deviations of the posterior above its mean that are answered.
+/// Standard deviations by which the estimate exceeds the posterior mean.
 const PLAUSIBLE: f64 = 2.0;
-/// Satellites without which an epoch shows no step.
+/// Minimum number of satellites for the step of an epoch.
 const SATELLITES_MIN: usize = 4;
-/// Beyond this interval epochs are not compared (s).
+/// Epochs further apart than this are not compared (s).
 const INTERVAL_MAX_S: f64 = 5.0;
-/// Epochs from which on the drift is robust against single steps.
+/// Number of epochs after which the drift is robust against single steps.
 const DRIFT_EPOCHS: f64 = 10.0;
-/// Variance of a median of readings with few digits (m²).
+/// Variance of a median of values with few digits (m²).
 const READING_M2: f64 = 0.01;
 
 /// The drift of one clock against another, and the scale of its steps.
@@ -64,7 +62,7 @@ impl Steps {
         ClockTie { mean_m: self.drift_m_s * interval_s, scale_m2: scale_m * scale_m * interval_s }
     }
 
-    /// Takes in the changes of one observable minus another, satellite by satellite (m).
+    /// Updates with the changes of one observable minus another, one for each satellite (m).
     fn learn(&mut self, interval_s: f64, changes_m: &mut [f64]) {
         let keep = kept(interval_s);
         self.octave.fade(keep, flat);
@@ -116,7 +114,7 @@ impl Kept {
     }
 }
 
-/// What is known of the clocks, and the last epoch's observations.
+/// Estimates of the clocks, and the last epoch's observations.
 #[derive(Debug, Default)]
 pub(super) struct ClockCoupling {
     last: Vec<Kept>,
@@ -150,12 +148,12 @@ impl ClockCoupling {
         self.last.extend(list.iter().map(Kept::of));
     }
 
-    /// How the code's clock moves against the integral of the Doppler's drift in `interval_s`.
+    /// Tie of the code's clock to the integral of the Doppler's drift over `interval_s`.
     pub(super) fn code_against_doppler(&self, interval_s: f64) -> ClockTie {
         self.code_minus_doppler.tie(interval_s)
     }
 
-    /// How the phase's clock moves against the code's in `interval_s`.
+    /// Tie of the phase's clock to the code's over `interval_s`.
     pub(super) fn phase_against_code(&self, interval_s: f64) -> ClockTie {
         let tie = self.code_minus_phase.tie(interval_s);
         ClockTie { mean_m: -tie.mean_m, ..tie }
@@ -181,7 +179,7 @@ mod tests {
         assert!((steps.tie(2.0).scale_m2 / tie.scale_m2 - 2.0).abs() < 1e-12);
     }
 
-    /// Without data, or with too few satellites, nothing is tied: beyond 100 m/√s.
+    /// Without data, or with too few satellites, nothing is tied: the scale is above 100 m/√s.
     #[test]
     fn nothing_is_tied_without_evidence() {
         let mut steps = Steps::default();
@@ -189,7 +187,7 @@ mod tests {
         assert!(1e4 < steps.tie(1.0).scale_m2);
     }
 
-    /// A whole millisecond is the code's own step, repaired elsewhere: it is no drift.
+    /// A jump by whole milliseconds of the code alone is corrected elsewhere: it is not a drift.
     #[test]
     fn milliseconds_are_taken_off() {
         let mut steps = Steps::default();

@@ -1,18 +1,17 @@
-//! Noise of pseudoranges and chance of reflection by C/N0, relative to a level that is learnt.
+//! Noise of pseudoranges and probability of reflection by C/N0, relative to an estimated level.
 //!
-//! Receivers state C/N0 differently and streets differ in how much they weaken a direct signal.
-//! One number carries both: S₀, the C/N0 at which half of the signals are reflections. With
-//! a = S − S₀ (dB):
+//! Receivers report C/N0 differently, and streets weaken direct signals differently. One parameter
+//! describes both: S₀, the C/N0 at which half of the signals are reflections. With a = S − S₀ (dB):
 //!
 //! π = 1/(1 + e^(a/3 dB)), within 0.02 … 0.98
 //! σ² = (1 m)² + ½·(0.5 m/sin E)² + (4 m·10^(−a/20))² + i²
 //!
 //! S₀ has a normal prior of 32 ± 6 dB-Hz on a grid of 2 dB. Its likelihood is that of the
-//! residuals, each counted by its independent share. The floor of 1 m is multipath of a strong
-//! signal with orbit and clock; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
+//! residuals, each weighted by its independent share. The floor of 1 m is multipath of a strong
+//! signal with orbit and clock errors; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
 //! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
-//! receiver (docs/estimation.md). i is what the ionosphere's model errs by beyond the least of the
-//! epoch: a common error goes into the clock.
+//! receiver (docs/estimation.md). i is the standard deviation of the ionosphere's model beyond the
+//! smallest one of the epoch: a common error goes into the clock.
 
 use std::f64::consts::{FRAC_1_SQRT_2, LN_10};
 
@@ -24,37 +23,37 @@ use super::grid::Grid;
 use super::kept;
 use crate::positioning::code_error::{CodeError, log_product};
 
-/// First value of the grid and its step (dB-Hz).
+/// First value of the grid, and its step (dB-Hz).
 const FIRST_DB_HZ: f64 = 20.0;
 const STEP_DB: f64 = 2.0;
-/// Up to 48 dB-Hz.
+/// The last value is 48 dB-Hz.
 const VALUES: usize = 15;
 /// Mean and standard deviation of the prior (dB-Hz).
 const PRIOR_DB_HZ: (f64, f64) = (32.0, 6.0);
-/// Decline of the chance of reflection (dB).
+/// Width of the logistic function of the probability of reflection (dB).
 const LOGISTIC_DB: f64 = 3.0;
-/// Bounds of the chance of reflection: C/N0 alone never makes certain.
+/// Bounds of the probability of reflection: C/N0 alone is never certain evidence.
 const REFLECTED: std::ops::RangeInclusive<f64> = 0.02..=0.98;
 /// Standard deviation of a strong signal (m).
 const FLOOR_M: f64 = 1.0;
-/// Part that grows towards the horizon (m).
+/// Standard deviation that grows towards the horizon (m).
 const ELEVATION_M: f64 = 0.5;
-/// Standard deviation by noise at S₀ (m).
+/// Standard deviation of noise at S₀ (m).
 const NOISE_M: f64 = 4.0;
-/// C/N0 taken where the receiver states none (dB-Hz): S₀ is then learnt against it.
+/// C/N0 that replaces a missing one (dB-Hz). S₀ is then relative to it.
 const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 
-/// What the noise of a pseudorange depends on.
+/// Properties of a pseudorange that its noise depends on.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::positioning) struct Signal {
     pub(in crate::positioning) cn0_db_hz: Option<f64>,
     pub(in crate::positioning) elevation_rad: f64,
-    /// Standard deviation of the ionosphere's model beyond what all satellites share (m).
+    /// Standard deviation of the ionosphere's model beyond the part that all satellites share (m).
     pub(in crate::positioning) ionosphere_m: f64,
 }
 
 impl Signal {
-    /// Of a placed measurement, with [`common_ionosphere_m`] of its epoch.
+    /// From a corrected measurement; `common_m` is [`common_ionosphere_m`] of its epoch.
     pub(in crate::positioning) fn of(measurement: &Measurement, common_m: f64) -> Self {
         Self {
             cn0_db_hz: measurement.cn0_db_hz,
@@ -64,14 +63,14 @@ impl Signal {
     }
 }
 
-/// What the ionosphere's model errs by for all satellites alike (m, standard deviation): it goes
-/// into the clock.
+/// Standard deviation of the ionosphere's model that all satellites share (m): this part of the
+/// error goes into the clock.
 pub(in crate::positioning) fn common_ionosphere_m(list: &[Measurement]) -> f64 {
     let used = list.iter().filter(|m| m.is_above_mask);
     used.map(|m| m.ionosphere_share_m).fold(f64::INFINITY, f64::min)
 }
 
-/// A pseudorange residual with what its noise depends on.
+/// A pseudorange residual with the properties that its noise depends on.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::positioning) struct CodeResidual {
     pub(in crate::positioning) satellite: SatelliteId,
@@ -82,7 +81,7 @@ pub(in crate::positioning) struct CodeResidual {
     pub(in crate::positioning) residual_m: f64,
 }
 
-/// What is known of S₀.
+/// Posterior of S₀.
 #[derive(Clone, Debug)]
 pub(super) struct CodeNoise {
     level: Grid<VALUES>,
@@ -106,12 +105,12 @@ fn prior(index: f64) -> f64 {
 }
 
 impl CodeNoise {
-    /// Error model of a pseudorange at the mean of S₀.
+    /// Error model of a pseudorange for the mean of S₀.
     pub(super) fn error(&self, signal: &Signal) -> CodeError {
         error_at(level_db_hz(self.level.moments().0), signal)
     }
 
-    /// Takes in the residuals of an epoch, each for `share` of an independent one.
+    /// Updates with the residuals of an epoch, each with the weight `share` of an independent one.
     pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[CodeResidual]) {
         self.level.fade(kept(interval_s), prior);
         self.level.update(|index| {
@@ -128,7 +127,7 @@ fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
     let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - level_db_hz;
     let reflected = (1.0 + (above_db / LOGISTIC_DB).exp()).recip();
     let noise_m = NOISE_M * (-above_db * (LN_10 / 20.0)).exp();
-    // The mask keeps elevations above some degrees; 0.1 is 6°.
+    // The mask excludes elevations below some degrees; 0.1 is 6°.
     let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
     let squares =
         [FLOOR_M, FRAC_1_SQRT_2 * low_m, noise_m, ionosphere_m].map(|sigma| sigma * sigma);
@@ -142,8 +141,8 @@ fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
 mod tests {
     use super::*;
 
-    /// At S₀ and the zenith half are reflections: σ² = 1 + ½·0.25 + 16; 20 dB above, 0.4 m of
-    /// noise.
+    /// At S₀ and the zenith half of the signals are reflections, σ² = 1 + ½·0.25 + 16. At 20 dB
+    /// above S₀ the noise is 0.4 m.
     #[test]
     fn the_model_worked_by_hand() {
         let error = |cn0_db_hz| {
@@ -158,7 +157,7 @@ mod tests {
         assert_eq!(strong.reflected, 0.02);
     }
 
-    /// Residuals of half a metre at 30 dB-Hz lower the level; 30 m late ones raise it.
+    /// Residuals of half a metre at 30 dB-Hz lower the level; residuals 30 m late raise it.
     #[test]
     fn the_level_follows_the_residuals() {
         let learnt = |residual_m: f64| {

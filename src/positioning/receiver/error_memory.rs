@@ -1,14 +1,15 @@
-//! How much the pseudorange errors of successive epochs have in common.
+//! Correlation of the pseudorange errors of successive epochs.
 //!
-//! Errors of one satellite are taken for a first-order Gauss–Markov process: their correlation over
-//! Δt is ρ = r^Δt with the correlation r over one second. The mean of many epochs then holds
-//! κ = (1 − ρ)/(1 + ρ) of the information of independent ones (Bartlett 1946), and each pseudorange
-//! enters the graph with this share. Any rate of epochs so brings the same information a second.
+//! Errors of one satellite are modelled as a first-order Gauss–Markov process: their correlation
+//! over Δt is ρ = r^Δt, with the correlation r over one second. The mean of many epochs then has κ
+//! = (1 − ρ)/(1 + ρ) of the information of independent ones (Bartlett 1946), and each pseudorange
+//! enters the graph with this fraction. So the information per second does not depend on the rate
+//! of epochs.
 //!
-//! r is learnt from products of whitened residuals of the same satellite in successive epochs. It
-//! starts at, and never exceeds, that of multipath of a vehicle in a street, five seconds:
-//! residuals
-//! also hold what the estimate itself errs by, slowly, and must not talk it into trusting itself.
+//! r is estimated from products of whitened residuals of the same satellite in successive epochs.
+//! Its start and upper bound is that of multipath of a vehicle in a street, five seconds. The bound
+//! is needed because residuals also contain the slow errors of the estimate itself, which must not
+//! increase the weight of the pseudoranges.
 
 use crate::gnss::SatelliteId;
 use crate::snapshot::snapshot_fields;
@@ -18,22 +19,22 @@ use super::kept;
 
 /// Correlation time of multipath in a street (s).
 const CORRELATION_S: f64 = 5.0;
-/// Products of residuals that the prior counts for.
+/// Weight of the prior, as a number of products of residuals.
 const PRIOR_PRODUCTS: f64 = 200.0;
-/// Beyond this interval epochs are not compared (s).
+/// Epochs further apart than this are not compared (s).
 const INTERVAL_MAX_S: f64 = 5.0;
-/// Whitened residuals are cut off here: single reflections would decide otherwise.
+/// Bound of whitened residuals, so that single reflections do not dominate.
 const CUT_OFF: f64 = 3.0;
-/// Least share: 50 epochs a second.
+/// Lower bound of κ, reached at 50 epochs a second.
 const SHARE_MIN: f64 = 1e-3;
 
 /// Whitened residuals of the newest epoch, and the sums that give r.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ErrorMemory {
     newest: Vec<(SatelliteId, f64)>,
-    /// Products of successive residuals, brought to one second.
+    /// Sum of products of successive residuals, scaled to an interval of one second.
     products: f64,
-    /// Their squares.
+    /// Sum of their squares.
     squares: f64,
 }
 
@@ -48,7 +49,7 @@ impl ErrorMemory {
         ((1.0 - correlation) / (1.0 + correlation)).max(SHARE_MIN)
     }
 
-    /// Takes in the residuals of an epoch.
+    /// Updates with the residuals of an epoch.
     pub(super) fn learn(&mut self, interval_s: f64, residuals: &[CodeResidual]) {
         let whitened = |r: &CodeResidual| (r.residual_m / r.sigma_m).clamp(-CUT_OFF, CUT_OFF);
         let keep = kept(interval_s);
@@ -98,7 +99,7 @@ mod tests {
         assert!((memory.independent_share(60.0) - 1.0).abs() < 1e-4);
     }
 
-    /// Alternating errors are independent; standing ones leave the share as it began.
+    /// Errors of alternating sign are independent; constant errors leave κ at its start.
     #[test]
     fn the_share_follows_the_residuals() {
         let learnt = |sign: f64| {

@@ -16,7 +16,7 @@ impl<const N: usize> Grid<N> {
         Self { log: std::array::from_fn(|index| prior(index as f64)) }
     }
 
-    /// Lets the evidence fade towards the prior: a share `kept` of it stays.
+    /// Lets the evidence fade towards the prior: the fraction `kept` of it stays.
     pub(super) fn fade(&mut self, kept: f64, prior: impl Fn(f64) -> f64) {
         for (index, log) in self.log.iter_mut().enumerate() {
             *log = kept * *log + (1.0 - kept) * prior(index as f64);
@@ -49,8 +49,8 @@ impl<const N: usize> Grid<N> {
 mod tests {
     use super::*;
 
-    /// Three equal values: mean 1, variance 2/3; with evidence for the last one, 2 and 0; faded
-    /// wholly, the prior again.
+    /// Three equal values have mean 1 and variance 2/3. With evidence for the last one they are 2
+    /// and 0, and after complete fading the prior's again.
     #[test]
     fn moments_follow_the_evidence_and_fade() {
         let flat = |_: f64| 0.0;

@@ -1,10 +1,10 @@
-//! What a receiver's own data tell of its noise and its clocks, learnt as epochs pass.
+//! Noise and clocks of a receiver, estimated from its own data.
 //!
-//! Receivers differ by more than any table of defaults: in how C/N0 is stated, in the noise of
-//! Doppler and phase, in how long multipath lasts, and in whether code, phase and Doppler share one
-//! clock. [`ReceiverModel`] starts from priors that cover all of them and narrows with the
-//! residuals of the newest epoch. What is learnt fades with a time constant of five minutes, so
-//! that it follows a change of surroundings.
+//! Receivers differ by more than any table of defaults: in how they report C/N0, in the noise of
+//! Doppler and phase, in how long multipath lasts, and in whether code, phase and Doppler follow
+//! one clock. [`ReceiverModel`] starts from priors that cover all of them and narrows with the
+//! residuals of each epoch. Its evidence fades with a time constant of five minutes, so that it
+//! follows a change of surroundings.
 //!
 //! | part | learns | from |
 //! |---|---|---|
@@ -40,18 +40,19 @@ use vertical_speed::VerticalSpeed;
 
 pub(super) use code_noise::{CodeResidual, Signal, common_ionosphere_m};
 
-/// Time constant with which what is learnt fades (s): streets change within some minutes.
+/// Time constant with which the evidence fades (s): streets change within some minutes.
 const FADING_S: f64 = 300.0;
 
-/// Interval at which the level of C/N0 is learnt (s): residuals closer than this are one.
+/// Interval at which the level of C/N0 is updated (s): residuals closer in time are not
+/// independent.
 const LEARNING_S: f64 = 0.9;
 
-/// The share of what is known that is left after an interval (s).
+/// The fraction of the evidence that is left after an interval (s).
 fn kept(interval_s: f64) -> f64 {
     (-interval_s / FADING_S).exp()
 }
 
-/// What is known of one receiver.
+/// Estimated properties of one receiver.
 #[derive(Debug, Default)]
 pub(super) struct ReceiverModel {
     code: CodeNoise,
@@ -61,24 +62,25 @@ pub(super) struct ReceiverModel {
     clocks: ClockCoupling,
     vertical: VerticalSpeed,
     rates: RepeatedRates,
-    /// Since the level of C/N0 was learnt last (s).
+    /// Time since the level of C/N0 was last updated (s).
     unlearnt_s: f64,
 }
 
 state_fields!(ReceiverModel { code, doppler, phase, memory, clocks, vertical, rates, unlearnt_s });
 
-/// What the solved newest epoch left.
+/// Residuals and state of the newest epoch after the solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PostFit<'a> {
-    /// Since the epoch before (s).
+    /// Time since the previous epoch (s).
     pub(super) interval_s: f64,
-    /// Of the pseudoranges.
+    /// Residuals of the pseudoranges.
     pub(super) code: &'a [CodeResidual],
-    /// Of Doppler, over the standard deviation in force.
+    /// Residuals of Doppler over the standard deviation in force.
     pub(super) doppler: &'a [f64],
-    /// Of phase differences, over the standard deviation in force, the clock's step taken out.
+    /// Residuals of phase differences over the standard deviation in force, without the clock's
+    /// step.
     pub(super) phase: &'a [f64],
-    /// Of the newest epoch.
+    /// State of the newest epoch.
     pub(super) state: &'a State,
     /// Its formal covariance.
     pub(super) covariance: &'a SMatrix<f64, STATE, STATE>,
@@ -91,7 +93,7 @@ impl ReceiverModel {
         self.rates.observe(list);
     }
 
-    /// Takes in the residuals of the newest epoch.
+    /// Updates with the residuals of the newest epoch.
     pub(super) fn learn(&mut self, fit: &PostFit<'_>) {
         self.unlearnt_s += fit.interval_s;
         if LEARNING_S <= self.unlearnt_s {
@@ -110,28 +112,28 @@ impl ReceiverModel {
         self.code.error(signal)
     }
 
-    /// Share of independent information in a pseudorange that follows one of the same satellite
-    /// after `spacing_s`.
+    /// Independent share of a pseudorange's information, `spacing_s` after the last pseudorange of
+    /// the same satellite.
     pub(super) fn independent_share(&self, spacing_s: f64) -> f64 {
         self.memory.independent_share(spacing_s)
     }
 
-    /// Factor on the stated standard deviation of Doppler.
+    /// Factor on the a-priori standard deviation of Doppler.
     pub(super) fn doppler_scale(&self) -> f64 {
         self.doppler.value()
     }
 
-    /// Factor on the stated standard deviation of phase differences.
+    /// Factor on the a-priori standard deviation of phase differences.
     pub(super) fn phase_scale(&self) -> f64 {
         self.phase.value()
     }
 
-    /// How the code's clock moves against the integral of the Doppler's drift in `interval_s`.
+    /// Tie of the code's clock to the integral of the Doppler's drift over `interval_s`.
     pub(super) fn code_against_doppler(&self, interval_s: f64) -> ClockTie {
         self.clocks.code_against_doppler(interval_s)
     }
 
-    /// How the phase's clock moves against the code's in `interval_s`.
+    /// Tie of the phase's clock to the code's over `interval_s`.
     pub(super) fn phase_against_code(&self, interval_s: f64) -> ClockTie {
         self.clocks.phase_against_code(interval_s)
     }
@@ -141,7 +143,7 @@ impl ReceiverModel {
         self.vertical.sigma_m_s(spacing_s)
     }
 
-    /// Whether the Doppler of a measurement of the epoch observed last repeats the one before.
+    /// Whether the newest Doppler of a measurement's signal repeats the value before.
     pub(super) fn repeats_rate(&self, measurement: &Measurement) -> bool {
         self.rates.repeats(measurement)
     }

@@ -1,26 +1,25 @@
-//! A factor on a stated standard deviation, learnt from whitened residuals.
+//! A factor on an a-priori standard deviation, estimated from whitened residuals.
 //!
-//! Grid of half octaves from 1/4 to 128; the prior is log-normal about one with a standard
-//! deviation
-//! of two octaves. Residuals are taken for Student's t of three degrees of freedom, whose tails
-//! cover
-//! multipath and slips; n residuals of a solution with p unknowns are inflated by √(n/(n − p)).
+//! The factor has a grid of half octaves from 1/4 to 128 and a log-normal prior about one with a
+//! standard deviation of two octaves. Residuals have Student's t distribution of three degrees of
+//! freedom, whose tails cover multipath and slips. n residuals of a solution with p unknowns are
+//! multiplied by √(n/(n − p)).
 
 use crate::snapshot::snapshot_fields;
 
 use super::grid::Grid;
 use super::kept;
 
-/// Octaves of the first value, and between two.
+/// First value of the grid (octaves), and the step.
 const FIRST_OCTAVE: f64 = -2.0;
 const STEP_OCTAVES: f64 = 0.5;
 const VALUES: usize = 19;
 /// Standard deviation of the prior (octaves).
 const PRIOR_OCTAVES: f64 = 2.0;
-/// Position or velocity, and a clock or its drift.
+/// Number of unknowns p: position or velocity, and a clock or its drift.
 const UNKNOWNS: usize = 4;
 
-/// What is known of the factor.
+/// Posterior of the factor.
 #[derive(Clone, Debug)]
 pub(super) struct NoiseScale {
     octave: Grid<VALUES>,
@@ -48,7 +47,8 @@ impl NoiseScale {
         octaves(self.octave.moments().0).exp2()
     }
 
-    /// Takes in residuals over the standard deviations in force, which hold the present factor.
+    /// Updates with residuals over the standard deviations in force, which include the present
+    /// factor.
     pub(super) fn learn(&mut self, interval_s: f64, whitened: &[f64]) {
         let present = self.value();
         self.octave.fade(kept(interval_s), prior);
@@ -71,9 +71,9 @@ impl NoiseScale {
 mod tests {
     use super::*;
 
-    /// Eight residuals of ±3 stated deviations, whose factor goes into the next whitening. The
-    /// likeliest scale k of t₃ has Σ (4z²/k²)/(3 + z²/k²) = n: z² = k², inflated by 8/4, so k =
-    /// 3·√2.
+    /// Eight residuals of ±3 a-priori standard deviations; the factor is used in the next
+    /// whitening. The likeliest scale k of t₃ satisfies Σ (4z²/k²)/(3 + z²/k²) = n: z² = k²,
+    /// multiplied by 8/4, so k = 3·√2.
     #[test]
     fn the_factor_becomes_that_of_the_residuals() {
         let mut scale = NoiseScale::default();
@@ -84,7 +84,7 @@ mod tests {
         }
         let expected = 3.0 * 2.0_f64.sqrt();
         assert!((scale.value() / expected - 1.0).abs() < 0.2, "{}", scale.value());
-        // Too few residuals say nothing.
+        // Too few residuals change nothing.
         let before = scale.value();
         scale.learn(0.0, &[100.0; 4]);
         assert_eq!(scale.value(), before);

@@ -1,15 +1,14 @@
 //! Doppler values that repeat the last epoch's to the last digit.
 //!
-//! Some chips state a Doppler again where they have no new one. The range rate of a satellite of a
-//! medium orbit changes by up to 0.1 m/s each second even for a receiver at rest, so that a
-//! repeated
-//! value is an old one: it is left out.
+//! Some chips report an old Doppler value again if they have no new one. The range rate of a
+//! satellite in a medium orbit changes by up to 0.1 m/s each second even for a receiver at rest. So
+//! a repeated value is an old one, and is left out.
 
 use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::Measurement;
 use crate::snapshot::snapshot_fields;
 
-/// Rates this close are the same (m/s): a twentieth of RINEX's last digit, 0.001 Hz.
+/// Rates closer than this are the same (m/s): a twentieth of RINEX's last digit, 0.001 Hz.
 const SAME_M_S: f64 = 1e-5;
 
 /// Range rate of one signal in the last epoch.
@@ -18,13 +17,13 @@ struct Rate {
     satellite: SatelliteId,
     code: ObservationCode,
     rate_m_s: f64,
-    /// Whether it repeated the one before.
+    /// Whether it repeated the value before.
     repeats: bool,
 }
 
 snapshot_fields!(Rate { satellite, code, rate_m_s, repeats });
 
-/// Range rates of the epoch observed last.
+/// Range rates of the last epoch.
 #[derive(Debug, Default)]
 pub(super) struct RepeatedRates {
     rates: Vec<Rate>,
@@ -44,7 +43,7 @@ impl RepeatedRates {
         self.rates = list.iter().filter_map(rate).collect();
     }
 
-    /// Whether the Doppler of a measurement of the epoch observed last is an old one.
+    /// Whether the newest Doppler of a measurement's signal is an old value.
     pub(super) fn repeats(&self, measurement: &Measurement) -> bool {
         self.find(measurement).is_some_and(|rate| rate.repeats)
     }

@@ -1,10 +1,9 @@
-//! How fast a receiver climbs and sinks.
+//! The prior of a receiver's vertical velocity.
 //!
-//! The vertical velocity is taken for zero with a variance that is learnt: a car's stays below half
-//! a metre a second, a drone's does not. The variance is that of expectation maximisation, the mean
-//! of v̂² + var(v̂) over the last minute, so that an estimate that merely repeats the prior does
-//! not
-//! narrow it. It starts at 2 m/s.
+//! The vertical velocity has a prior of zero mean, whose variance is estimated: a car's velocity
+//! stays below 0.5 m/s, a drone's does not. As in expectation maximisation, the variance is the
+//! mean of v̂² + var(v̂) over the last minute. So an estimate that only repeats the prior does not
+//! make it narrower. It starts at 2 m/s.
 
 use nalgebra::SMatrix;
 
@@ -13,11 +12,11 @@ use crate::snapshot::snapshot_fields;
 
 /// Column of the vertical velocity.
 const UP: usize = VELOCITY + 2;
-/// Where the standard deviation starts (m/s).
+/// Standard deviation at the start (m/s).
 const START_M_S: f64 = 2.0;
 /// Time constant of the mean (s).
 const MEAN_S: f64 = 60.0;
-/// Interval in which the velocity becomes another (s): epochs closer than this share one weight.
+/// Time after which the vertical velocity is independent (s): closer epochs share one weight.
 const INDEPENDENT_S: f64 = 1.0;
 
 /// The variance (m²/s²).
@@ -35,12 +34,12 @@ impl Default for VerticalSpeed {
 }
 
 impl VerticalSpeed {
-    /// Standard deviation of the velocity of one epoch, `spacing_s` after the last (m/s).
+    /// Standard deviation of the prior for one epoch, `spacing_s` after the last (m/s).
     pub(super) fn sigma_m_s(&self, spacing_s: f64) -> f64 {
         (self.variance_m2_s2 / (spacing_s / INDEPENDENT_S).min(1.0)).sqrt()
     }
 
-    /// Takes in the state of an epoch with its covariance.
+    /// Updates with the state of an epoch and its covariance.
     pub(super) fn learn(
         &mut self,
         interval_s: f64,
@@ -57,7 +56,8 @@ impl VerticalSpeed {
 mod tests {
     use super::*;
 
-    /// After many minutes at 3 ± 4 m/s the variance is 25 m²/s²; epochs of 0.25 s count a quarter.
+    /// After many minutes at 3 ± 4 m/s the variance is 25 m²/s²; epochs 0.25 s apart have a quarter
+    /// of the weight each.
     #[test]
     fn the_variance_is_that_of_what_was_seen() {
         let mut speed = VerticalSpeed::default();

@@ -10,8 +10,8 @@ use super::least_squares::Step;
 use super::{Fit, SinglePoint};
 
 impl SinglePoint {
-    /// The estimate of a fit whose position has the frame `frame`, or the reason if its geometry
-    /// is too weak.
+    /// The estimate of a fit, with the local frame at its position; the reason if its geometry is
+    /// too weak.
     pub(super) fn estimate(
         &mut self,
         epoch: &Epoch,
@@ -21,7 +21,7 @@ impl SinglePoint {
     ) -> Result<SolutionEstimate, Reason> {
         let position = fit.position();
         let dops = self.dops(frame).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
-        // Where clocks are tied and the satellites agree, the covariance states the weakness.
+        // If clocks are tied and the satellites agree, the covariance shows a weak geometry.
         let agrees = fit.step.is_tied() && fit.test_ratio.is_some();
         if options.gdop_limit < dops.gdop && !agrees {
             return Err(Reason::GeometryTooWeak { gdop: dops.gdop });
@@ -88,7 +88,7 @@ impl SinglePoint {
         })
     }
 
-    /// Reasons known before the position, such as missing ephemerides.
+    /// Reasons that are known before the position, such as missing ephemerides.
     pub(super) fn aiding_reasons(&self) -> Vec<Reason> {
         let mut reasons = Vec::new();
         self.measurements.aiding_reasons(&mut reasons);

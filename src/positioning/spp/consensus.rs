@@ -1,20 +1,21 @@
-//! A position where some pseudoranges, or ephemerides, are grossly wrong.
+//! A position in spite of gross errors of pseudoranges or ephemerides.
 //!
-//! Least squares converges nowhere, or to a place far away, if one satellite is off by kilometres.
-//! Then the positions of minimal subsets compete (Fischler & Bolles 1981, *Random sample
-//! consensus*, CACM 24), by the sum of ln(1 + min(|s|, W)²/λ²) over all satellites, s the residual
-//! against the clock that most agree on and λ = 40 m, the extra path of a reflection in a street.
-//! Clocks whose differences are known count as one. Subsets are drawn until one of sound
-//! satellites is among them with 99.9 %, for the share of sound ones that the best subset found.
+//! If one satellite is off by kilometres, least squares diverges or converges to a wrong position
+//! far away. Then the positions of minimal subsets compete (Fischler & Bolles 1981, *Random sample
+//! consensus*, CACM 24) by the sum of ln(1 + min(|s|, W)²/λ²) over all satellites. s is the
+//! residual against the clock on which most satellites agree, and λ = 40 m is the extra path of a
+//! reflection in a street. Clocks with known differences count as one. Subsets are drawn until one
+//! of them contains only good satellites with a probability of 99.9 %, given the fraction of good
+//! satellites that the best subset found.
 //!
-//! From the best, what is further than W from its clock is left out, and the rest
-//! is solved again until the same satellites are left out. W is 1.5 chips of the C/A code, 440 m: a
-//! reflection that comes later than that does not correlate with the signal (Van Nee 1993,
+//! Satellites further than W from their clock at the best position are excluded, and the rest is
+//! solved again until the set of excluded satellites is stable. W is 1.5 chips of the C/A code, 440
+//! m: a reflection that arrives later does not correlate with the signal (Van Nee 1993,
 //! *Spread-spectrum code and carrier synchronization errors caused by multipath and interference*,
-//! IEEE Trans. Aerosp. Electron. Syst. 29), so that no street explains such an error.
+//! IEEE Trans. Aerosp. Electron. Syst. 29), so multipath cannot cause a larger error.
 //!
-//! A satellite that is left out may have another ephemeris of nearly the same time. If its
-//! pseudorange agrees with that one, the satellite stays.
+//! An excluded satellite may have another ephemeris of nearly the same time. If its pseudorange
+//! agrees with that one, the satellite stays.
 
 use crate::gnss::{Constellation, Ecef, Reason};
 use crate::models::geometric_range;
@@ -29,31 +30,32 @@ use super::{EpochInputs, STEPS_MAX, SinglePoint};
 pub(super) const WILD_M: f64 = 1.5 * 293.052_256;
 /// λ (m): the width of a street.
 const LATE_M: f64 = 40.0;
-/// Subsets drawn at most: one of four sound satellites is among them with 99.9 % where 51 % of the
-/// satellites are sound.
+/// Maximum number of subsets. If 51 % of the satellites are good, one of the subsets contains only
+/// good ones with a probability of 99.9 %.
 const SUBSETS_MAX: usize = 100;
-/// ln of the probability that no subset is sound.
+/// ln of the probability that no subset contains only good satellites.
 const LN_MISSED: f64 = -6.907_755_278_982_137;
 /// Steps of a refinement.
 const REFINEMENTS: usize = 5;
-/// Standard deviations that a known clock may be off by.
+/// Tolerance of a known clock (standard deviations).
 const SLACK_SIGMAS: f64 = 3.0;
-/// A step of a subset's position that ends it (m): atmosphere and rows are good to this.
+/// Step of a subset's position after which it is accepted (m): atmosphere and rows are accurate
+/// enough.
 const SUBSET_STEP_M: f64 = 10.0;
-/// Changes of the satellites left out, at most.
+/// Maximum number of changes of the excluded satellites.
 const CHANGES_MAX: usize = 8;
 
-/// Memory of the search.
+/// Scratch of the search.
 #[derive(Debug, Default)]
 pub(super) struct Search {
-    /// What is known of the clocks of the epoch's constellations before it, if anything.
+    /// The clocks of the epoch's constellations by earlier epochs, if they are known.
     pub(super) known: Option<[Tie; Constellation::COUNT]>,
     order: Vec<usize>,
     subset: Vec<Row>,
     misses: Vec<Miss>,
 }
 
-/// What a pseudorange misses its range by.
+/// Residual of a pseudorange against its range.
 #[derive(Clone, Copy, Debug)]
 struct Miss {
     /// Index of the measurement.
@@ -62,7 +64,7 @@ struct Miss {
     clock: usize,
     /// Measured less range and known bias (m).
     miss_m: f64,
-    /// How far from its clock it may be besides W (m).
+    /// Tolerance against its clock, in addition to W (m).
     slack_m: f64,
 }
 
@@ -74,12 +76,14 @@ struct Candidate {
 }
 
 impl Search {
-    /// The clock of a constellation in the search: of its own, or one for all where they are known.
+    /// Index of a constellation's clock in the search: its own, or one common clock if they are
+    /// known.
     fn clock(&self, constellation: Constellation) -> usize {
         if self.known.is_some() { 0 } else { constellation.index() }
     }
 
-    /// Collects what `ranges` (measurement, measured less range) miss by, sorted by clock and size.
+    /// Collects the residuals of `ranges` (measurement, measured less range), sorted by clock and
+    /// size.
     fn collect(&mut self, ranges: impl Iterator<Item = (usize, Constellation, f64)>) {
         self.misses.clear();
         for (index, constellation, miss_m) in ranges {
@@ -97,14 +101,15 @@ impl Search {
         self.misses.sort_unstable_by(order);
     }
 
-    /// The misses of each clock, with the clock: the middle of the most that are within W of one.
+    /// The residuals of each clock, and the clock: the middle of the largest set within W of one
+    /// value.
     fn clocks(&self) -> impl Iterator<Item = (&[Miss], f64)> {
         self.misses.chunk_by(|a, b| a.clock == b.clock).map(|misses| {
             let end = |first: usize| {
                 let reach_m = misses[first].miss_m + WILD_M;
                 misses.partition_point(|miss| miss.miss_m <= reach_m)
             };
-            // Of several as many, the first: the earliest signals.
+            // Of several sets of equal size the first: the earliest signals.
             let most = (0..misses.len()).rev().max_by_key(|first| end(*first) - first);
             let first = most.expect("a chunk has a member");
             (misses, misses[(first + end(first) - 1) / 2].miss_m)
@@ -113,15 +118,15 @@ impl Search {
 }
 
 impl Miss {
-    /// How far it is from its clock (m).
+    /// Distance from its clock (m).
     fn off_m(&self, clock_m: f64) -> f64 {
         ((self.miss_m - clock_m).abs() - self.slack_m).max(0.0)
     }
 }
 
 impl SinglePoint {
-    /// Whether a satellite is off by what no reflection explains: r/(1 − w·aᵀQa), if it alone is
-    /// wrong.
+    /// Whether the error of a satellite, r/(1 − w·aᵀQa) if it alone is wrong, is larger than
+    /// multipath can cause.
     pub(super) fn has_wild(&self, step: &Step) -> bool {
         self.rows.iter().filter(|row| row.is_used).any(|row| {
             WILD_M * step.redundancy(row).max(REDUNDANCY_MIN) < step.residual_after_m(row).abs()
@@ -191,7 +196,7 @@ impl SinglePoint {
         None
     }
 
-    /// The candidate after steps with all satellites, weighted by the cost's own slope: a subset's
+    /// The candidate after steps with all satellites, with the weights of the cost: a subset's
     /// position is as uncertain as its geometry is weak (Chum, Matas & Kittler 2003, *Locally
     /// optimized RANSAC*).
     fn refined(&mut self, begin: Candidate) -> Candidate {
@@ -218,7 +223,7 @@ impl SinglePoint {
         best
     }
 
-    /// A row of unit weight for the search, with the clock that it has there.
+    /// A row of unit weight for the search, with its clock in the search.
     fn search_row(&self, index: usize, position: Ecef) -> Row {
         let mut row = self.raw_row(index, position);
         if let Some(known) = &self.search.known {
@@ -228,8 +233,8 @@ impl SinglePoint {
         row
     }
 
-    /// How many of the first in `order` determine a position: three more than they have clocks.
-    /// Those that are alone with their clock are moved behind.
+    /// Number of satellites at the beginning of `order` that determine a position: three more than
+    /// they have clocks. Satellites that are alone with their clock are moved behind the others.
     fn minimal(&mut self) -> Option<usize> {
         let mut order = std::mem::take(&mut self.search.order);
         let clock =
@@ -270,7 +275,7 @@ impl SinglePoint {
         }
     }
 
-    /// How well all satellites agree with a position.
+    /// A position with its cost over all satellites.
     fn candidate(&mut self, position: Ecef) -> Candidate {
         self.collect_all(position);
         let (mut cost, mut agreeing) = (0.0, 0);
@@ -283,7 +288,7 @@ impl SinglePoint {
         Candidate { position, cost, agreeing }
     }
 
-    /// Collects what all pseudoranges, without atmosphere, miss by.
+    /// Collects the residuals of all pseudoranges, without atmosphere.
     fn collect_all(&mut self, position: Ecef) {
         let Self { search, measurements, .. } = self;
         search.collect(measurements.list.iter().enumerate().map(|(index, m)| {
@@ -292,7 +297,7 @@ impl SinglePoint {
         }));
     }
 
-    /// Marks the placed measurements that are further than W from their clock.
+    /// Marks the corrected measurements that are further than W from their clock.
     fn mark_wild(&mut self, inputs: &EpochInputs<'_>, position: Ecef) {
         let Self { search, measurements, wild, .. } = self;
         let range_m = |m: &Measurement| geometric_range(m.state.position, position).0;

@@ -1,15 +1,14 @@
-//! The residual test, the exclusion of satellites that contradict the rest, and what is done where
-//! too many do.
+//! The residual test, the exclusion of an outlier, and the robust solution if there are several.
 //!
 //! Global test: the sum of squared whitened residuals against its chi-square limit. If it fails and
-//! enough redundancy remains for a second test to mean something, the satellite goes whose removal
-//! lowers the sum most, w·r²/(1 − w·aᵀQa): Baarda's (1968) w-test, which is the generalised
-//! likelihood ratio of an error in that satellite alone. One only: among several reflections,
-//! exclusion after exclusion soon leaves those that agree on a wrong place.
+//! enough redundancy remains for a second test, the satellite is excluded whose removal lowers the
+//! sum most, w·r²/(1 − w·aᵀQa): Baarda's (1968) w-test, which is the generalised likelihood ratio
+//! of an error in that satellite alone. Only one satellite is excluded: with several reflections,
+//! repeated exclusion soon leaves a set that agrees on a wrong position.
 //!
-//! Where one exclusion does not lead to a set that agrees, all satellites stay and Huber's (1964)
-//! weights min(1, c/|s|) bound the pull of each: c = 1.345 for signals that came late, twice that
-//! for early ones, because a reflected path is longer than the direct one and never shorter.
+//! If one exclusion does not lead to a set that agrees, all satellites stay and Huber's (1964)
+//! weights min(1, c/|s|) bound the influence of each: c = 1.345 for late signals, twice that for
+//! early ones, because a reflected path is always longer than the direct one.
 
 use crate::gnss::Ecef;
 use crate::graph::HUBER_WIDTH;
@@ -17,7 +16,8 @@ use crate::graph::HUBER_WIDTH;
 use super::least_squares::{Row, Step};
 use super::{EpochInputs, Fit, LAST_STEP_M, SinglePoint};
 
-/// Least share of a residual that redundancy leaves; a satellite with less cannot be judged.
+/// Smallest fraction of an error that its residual must show; a satellite with less cannot be
+/// tested.
 pub(super) const REDUNDANCY_MIN: f64 = 1e-6;
 /// Degrees of freedom that must remain after an exclusion. With fewer, some subset of satellites
 /// that share a reflection can always be found to agree.
@@ -26,17 +26,17 @@ const DEGREES_LEFT_MIN: usize = 3;
 const HUBER_LATE: f64 = HUBER_WIDTH;
 /// Huber's constant for early signals.
 const HUBER_EARLY: f64 = 2.0 * HUBER_LATE;
-/// Reweighted solutions at most.
+/// Maximum number of reweighted solutions.
 const REWEIGHTINGS_MAX: usize = 500;
-/// Distance within which rows need no new place before their weights have settled (m): the range's
+/// Distance within which rows stay linearised until their weights have converged (m): the range's
 /// curvature is less than a millimetre.
 const STRAIGHT_M: f64 = 100.0;
-/// Change of position at which the weights have settled (m).
+/// Change of position below which the weights have converged (m).
 const SETTLED_M: f64 = 1e-6;
 
 impl SinglePoint {
-    /// The fit itself if its residuals agree; else one in which what contradicts is excluded or
-    /// bounded.
+    /// The fit itself if its residuals agree; otherwise a fit with the outlier excluded or with
+    /// bounded influence.
     pub(super) fn validated(&mut self, inputs: &EpochInputs<'_>, all: Fit) -> Fit {
         if all.test_ratio.is_none() || all.is_valid() {
             return all;
@@ -51,7 +51,7 @@ impl SinglePoint {
         }
     }
 
-    /// The fit of all satellites with bounded influence; `all` itself where that cannot be had.
+    /// The fit of all satellites with bounded influence; `all` itself if there is none.
     fn bounded(&mut self, inputs: &EpochInputs<'_>, all: Fit) -> Fit {
         self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
         self.linearize(all.origin);
@@ -66,7 +66,7 @@ impl SinglePoint {
                 break;
             }
             if has_settled || STRAIGHT_M < moved_m {
-                // The weights carry over to rows at the new place.
+                // The weights carry over to rows at the new position.
                 origin.0 += next.position_m;
                 let Some(moved) = self.replaced(inputs, origin, &next) else { return all };
                 next = moved;
@@ -76,7 +76,7 @@ impl SinglePoint {
         Fit { test_ratio: all.test_ratio, ..self.judge(inputs, origin, step) }
     }
 
-    /// Rows placed and linearised at `origin` with the weights their residuals had before.
+    /// Rows corrected and linearised at `origin`, with the weights that their residuals had before.
     fn replaced(&mut self, inputs: &EpochInputs<'_>, origin: Ecef, before: &Step) -> Option<Step> {
         let (time, options) = (inputs.epoch.time, inputs.options());
         self.reweigh(before);
@@ -92,12 +92,12 @@ impl SinglePoint {
         self.step_of(&self.rows)
     }
 
-    /// The factor that a row's weight has been given.
+    /// The kernel weight of a row.
     fn kernel(&self, row: &Row) -> f64 {
         row.weight * self.measurements.list[row.index].variance_m2
     }
 
-    /// Gives every row the weight of its residual after `step`.
+    /// Sets the weight of every row by its residual after `step`.
     fn reweigh(&mut self, step: &Step) {
         for row in &mut self.rows {
             let stated = self.measurements.list[row.index].variance_m2.recip();
@@ -121,8 +121,8 @@ impl SinglePoint {
         }
     }
 
-    /// The fit without the satellite that contradicts the others most; `None` where none
-    /// can be spared.
+    /// The fit without the satellite that contradicts the others most; `None` if there is not
+    /// enough redundancy.
     fn without_worst(&mut self, inputs: &EpochInputs<'_>, fit: &Fit) -> Option<Fit> {
         let gain = |row: &Row| {
             let redundancy = 1.0 - row.weight * fit.step.variance_of(row);
@@ -135,7 +135,7 @@ impl SinglePoint {
         self.refit(inputs, fit.origin)
     }
 
-    /// Solves again without the excluded, from rows at `origin` if that step is short.
+    /// Solves again without the excluded satellites, from rows at `origin` if that step is short.
     fn refit(&mut self, inputs: &EpochInputs<'_>, origin: Ecef) -> Option<Fit> {
         self.linearize(origin);
         let step = self.determined_step().ok()?;

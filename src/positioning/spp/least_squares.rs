@@ -6,7 +6,7 @@
 //!
 //! N = Σ w_i (g_i − ḡ_c)(g_i − ḡ_c)ᵀ, 3×3, ḡ_c = Σ w g / Σ w over constellation c.
 //!
-//! The means are taken before the products (not N − Σ b bᵀ/n), which keeps all digits.
+//! The means are subtracted before the products are formed (not N − Σ b bᵀ/n), to keep all digits.
 //!
 //! Clocks may be tied to each other: δb_c = δB + η_c with η_c of a known variance p_c. Then
 //!
@@ -48,7 +48,7 @@ pub(crate) struct ConstellationMean {
     pub(crate) residual_m: f64,
 }
 
-/// A constellation's clock as one epoch has it.
+/// A constellation's clock by one epoch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Clock {
     pub(crate) constellation: Constellation,
@@ -56,32 +56,32 @@ pub(crate) struct Clock {
     pub(crate) value_m: f64,
     /// Variance (m²).
     pub(crate) variance_m2: f64,
-    /// Whether it rests on one satellite, which nothing checks.
+    /// Whether it is determined by one satellite only, without redundancy.
     pub(crate) is_alone: bool,
 }
 
-/// What is known of a constellation's clock: the common clock plus a bias.
+/// Prior of a constellation's clock: the common clock plus a bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Tie {
     /// o_c (m).
     pub(crate) bias_m: f64,
     /// p_c (m²).
     pub(crate) variance_m2: f64,
-    /// Whether that comes from earlier epochs.
+    /// Whether the bias was estimated in earlier epochs.
     pub(crate) is_known: bool,
 }
 
-/// What ties add to a solution.
+/// Contribution of ties to a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Tied {
-    /// Share of each clock that its own rows determine.
+    /// Fraction of each clock that its own rows determine.
     own: [f64; Constellation::COUNT],
     /// Sum of the designs with the common clock, and its information.
     cross: Vector3<f64>,
     common: f64,
     /// Squares of their residuals over their variances.
     squares: f64,
-    /// Differences of clocks known from earlier epochs.
+    /// Number of differences of clocks known from earlier epochs.
     known: usize,
 }
 
@@ -96,7 +96,7 @@ pub(crate) struct Step {
     pub(crate) means: [ConstellationMean; Constellation::COUNT],
     /// Steps δb of the clocks by constellation (m).
     clocks_m: [f64; Constellation::COUNT],
-    /// What the ties add, where clocks are tied.
+    /// Contribution of the ties, if clocks are tied.
     tied: Option<Tied>,
 }
 
@@ -230,7 +230,7 @@ impl Step {
         self.covariance * (row.gradient - offset) * row.weight
     }
 
-    /// Share of a row's error that stays in its residual, 1 − w·aᵀQa.
+    /// Fraction of a row's error that stays in its residual, 1 − w·aᵀQa.
     pub(crate) fn redundancy(&self, row: &Row) -> f64 {
         let Some(tied) = &self.tied else { return 1.0 - row.weight * self.variance_of(row) };
         let index = row.constellation.index();
@@ -282,8 +282,8 @@ fn means(rows: &[Row]) -> [ConstellationMean; Constellation::COUNT] {
     means
 }
 
-/// Smallest ratio of det N to (tr N/3)³ at which a geometry determines a position. Below it
-/// satellites are closer than some 10⁻⁴ rad, and rounding decides.
+/// Smallest ratio of det N to (tr N/3)³ for which a geometry determines a position. Below it the
+/// lines of sight differ by less than some 10⁻⁴ rad, and rounding errors dominate.
 const DETERMINANT_RATIO_MIN: f64 = 1e-12;
 
 /// Inverse of a symmetric, positive definite matrix; `None` if it is numerically singular.
@@ -412,7 +412,7 @@ mod tests {
         }
     }
 
-    /// Ties that say nothing change nothing.
+    /// Ties of infinite variance change nothing.
     #[test]
     fn loose_ties_are_free_clocks() {
         let rows = rows();

@@ -1,13 +1,14 @@
 //! Single-point positioning: one epoch's pseudoranges, weighted least squares, fault exclusion.
 //!
-//! Unknowns are the position and one clock per constellation. From the Earth's centre, or from the
-//! previous position, Gauss–Newton steps alternate with placing the measurements anew until a step
-//! is shorter than 0.1 m: then the range's curvature (step²/ρ < 1 nm) and the atmosphere's slope
-//! (below 0.1 mm) are exhausted, so that the answer no longer depends on the start.
+//! Unknowns are the position and one clock per constellation. The iteration starts at the Earth's
+//! centre or at the previous position. Gauss–Newton steps alternate with correcting the
+//! measurements for the new position, until a step is shorter than 0.1 m. The range's curvature
+//! (step²/ρ < 1 nm) and the slope of the atmosphere (below 0.1 mm) are then negligible, so that the
+//! answer does not depend on the start.
 //!
 //! The residual test compares the sum of squared whitened residuals with its chi-square limit, and
-//! `exclusion` then leaves out what contradicts the rest. An epoch that still fails is answered
-//! with its covariance multiplied by that sum per degree of freedom, and the reason.
+//! `exclusion` then excludes outliers. An epoch that still fails is answered with the reason, and
+//! with its covariance multiplied by that sum per degree of freedom.
 
 mod answer;
 mod consensus;
@@ -33,54 +34,54 @@ use system_biases::SystemBiases;
 
 pub(super) use single_points::SinglePoints;
 
-/// A step shorter than this needs no further one (m).
+/// The iteration ends after a step shorter than this (m).
 const LAST_STEP_M: f64 = 0.1;
-/// A coarse step shorter than this gives way to full models (m).
+/// After a coarse step shorter than this, full models are used (m).
 const COARSE_STEP_M: f64 = 10_000.0;
-/// Steps at most, coarse or fine; from the Earth's centre some five and three are taken.
+/// Maximum number of steps, coarse or fine; from the Earth's centre about five and three are taken.
 const STEPS_MAX: usize = 15;
 
-/// Solves epochs by themselves; holds memory that is used again, and no state.
+/// Solves epochs independently. Contains scratch only, no state.
 #[derive(Debug, Default)]
 pub(super) struct SinglePoint {
     measurements: Measurements,
     rows: Vec<Row>,
     velocity: VelocityEstimator,
-    /// By measurement: whether no reflection explains its residual.
+    /// By measurement: whether its residual is too large for multipath.
     wild: Vec<bool>,
-    /// What the clocks of the epoch's constellations are tied by, if they are.
+    /// Ties between the clocks of the epoch's constellations, if there are any.
     ties: Option<[Tie; Constellation::COUNT]>,
     search: Search,
     influences: Vec<Influence>,
 }
 
-/// A position found, with the rows that determined it.
+/// A position with the rows that determined it.
 struct Fit {
-    /// Where the rows were linearised.
+    /// Linearisation point of the rows.
     origin: Ecef,
     step: Step,
-    /// Measurements less unknowns.
+    /// Number of measurements minus number of unknowns.
     degrees: usize,
     /// Sum of squared whitened residuals over its limit; `None` without redundancy.
     test_ratio: Option<f64>,
-    /// What the stated covariance is multiplied by.
+    /// Factor on the a-priori covariance.
     variance_factor: f64,
 }
 
-/// An answer, or why there is none.
+/// A position, or the reason why the epoch has none.
 type Answer = Result<Answered, Reason>;
 
-/// A fit with what is made of it.
+/// A fit with its estimate and protection levels.
 struct Answered {
     fit: Fit,
     estimate: SolutionEstimate,
     protection: Option<Protection>,
 }
 
-/// Satellites that give a position, however uncertain.
+/// Number of satellites that always give a position, however uncertain.
 const SUFFICIENT: usize = 5;
 
-/// Whether an answer of four satellites is none: its standard deviation is above a kilometre.
+/// Whether the position of four satellites is useless: its standard deviation is above a kilometre.
 fn is_lost(Answered { estimate, .. }: &Answered) -> bool {
     estimate.satellites_used.len() < SUFFICIENT && LOST_M * LOST_M < estimate.covariance.trace()
 }
@@ -91,22 +92,22 @@ impl Fit {
         Ecef(self.origin.0 + self.step.position_m)
     }
 
-    /// Whether the residual test was made and passed.
+    /// Whether there was a residual test and it passed.
     fn is_valid(&self) -> bool {
         self.test_ratio.is_some_and(|ratio| ratio <= 1.0)
     }
 }
 
 impl SinglePoint {
-    /// Solves one epoch, from `start` if it is given and else from the Earth's centre.
+    /// Solves one epoch, from `start` if there is one, otherwise from the Earth's centre.
     pub(super) fn solve(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Solution {
         self.gather(inputs);
         let answer = self.answer(inputs, start);
         self.solution(inputs, answer)
     }
 
-    /// As [`Self::solve`], but where the satellites do not determine every clock by themselves the
-    /// clocks are tied by `biases`; learns these where they do.
+    /// Like [`Self::solve`]. If the satellites do not determine every clock, the clocks are tied by
+    /// `biases`; if they do, `biases` is updated.
     fn solve_with(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -126,7 +127,7 @@ impl SinglePoint {
         if options.fault_exclusion && !is_redundant {
             (self.ties, self.search.known) = (Some(ties), Some(ties));
             let tied = self.answer(inputs, start);
-            // Without redundancy a free clock hides what the ties show.
+            // Without redundancy a free clock absorbs an error that tied clocks show.
             if !tied.as_ref().is_ok_and(is_lost)
                 && matches!(tied, Ok(_) | Err(Reason::NotConverged))
             {
@@ -173,8 +174,8 @@ impl SinglePoint {
         }
     }
 
-    /// Measurements of the epoch solved last, none excluded; placed where its position is, if it
-    /// has one.
+    /// Measurements of the last epoch, none of them excluded; corrected for its position, if it has
+    /// one.
     pub(super) fn measurements(&mut self) -> &mut Measurements {
         self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
         &mut self.measurements
@@ -202,7 +203,7 @@ impl SinglePoint {
         Ok(self.validated(inputs, judged))
     }
 
-    /// A position good to kilometres from unit weights and no atmosphere.
+    /// A position accurate to kilometres, from unit weights and without atmosphere.
     fn coarse_position(&mut self) -> Result<Ecef, Reason> {
         let mut position = Ecef::new(0.0, 0.0, 0.0);
         for _ in 0..STEPS_MAX {
@@ -220,7 +221,8 @@ impl SinglePoint {
         Err(Reason::NotConverged)
     }
 
-    /// Steps with full models until one is short; gives where the last step began, and that step.
+    /// Steps with full models until one is short. Returns the start of the last step, and that
+    /// step.
     fn converge(&mut self, inputs: &EpochInputs<'_>, start: Ecef) -> Result<(Ecef, Step), Reason> {
         let mut position = start;
         for _ in 0..STEPS_MAX {
@@ -237,7 +239,7 @@ impl SinglePoint {
         Err(Reason::NotConverged)
     }
 
-    /// Rows of the placed measurements above the mask.
+    /// Rows of the corrected measurements above the mask.
     fn linearize(&mut self, position: Ecef) {
         self.rows.clear();
         for (index, measurement) in self.measurements.list.iter().enumerate() {
@@ -256,12 +258,12 @@ impl SinglePoint {
         }
     }
 
-    /// The step of the rows, or why there is none.
+    /// The step of the rows, or the reason why there is no position.
     fn determined_step(&mut self) -> Result<Step, Reason> {
         let mut counts = [0_usize; Constellation::COUNT];
         self.rows.iter().for_each(|row| counts[row.constellation.index()] += 1);
         if let Some(ties) = &self.ties {
-            // As below, but where the clock is known.
+            // As below, but with a known clock.
             let determines = |c: Constellation| 1 < counts[c.index()] || ties[c.index()].is_known;
             self.rows.iter_mut().for_each(|row| row.is_used = determines(row.constellation));
             let used = self.rows.iter().filter(|row| row.is_used).count();
@@ -273,7 +275,7 @@ impl SinglePoint {
         }
         let needed = 3 + counts.iter().filter(|count| 0 < **count).count();
         let too_few = Reason::TooFewSatellites { used: self.rows.len(), needed: needed.max(4) };
-        // A constellation's only satellite determines its clock and nothing else.
+        // The only satellite of a constellation determines its clock and nothing else.
         self.rows.iter_mut().for_each(|row| row.is_used = 1 < counts[row.constellation.index()]);
         let used = counts.iter().filter(|count| 1 < **count).sum::<usize>();
         let unknowns = 3 + counts.iter().filter(|count| 1 < **count).count();

@@ -1,6 +1,6 @@
 //! Protection levels of a single point.
 //!
-//! Which satellites are wrong is not known; each hypothesis has its own bound (Pervan, Pullen &
+//! It is unknown which satellites are wrong, so each hypothesis has its own bound (Pervan, Pullen &
 //! Christie 1998, *A multiple hypothesis approach to satellite navigation integrity*, Navigation
 //! 45; Blanch et al. 2015, *Baseline advanced RAIM user algorithm and possible improvements*, IEEE
 //! Trans. Aerosp. Electron. Syst. 51; Joerger, Chan & Pervan 2014, *Solution separation versus
@@ -8,13 +8,14 @@
 //! satellite i:
 //!
 //! - none is wrong, but each may be reflected, with the probability π_i of its C/N0 and an extra
-//!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, f ≥ 1 by how much the
-//!   residuals exceed what that lets expect;
+//! ··path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, with f ≥ 1 the ratio of
+//! the
+//!   residuals to their expectation;
 //! - satellite i alone is wrong, with probability ε: |p − p₋ᵢ| + k(P/(2nε))·σ₋ᵢ, with p₋ᵢ and Σ₋ᵢ
-//!   the solution without it; where others cannot replace it, |S_i|·W + k(P/(2nε))·σ₀.
+//!   the solution without it; if others cannot replace it, |S_i|·W + k(P/(2nε))·σ₀.
 //!
-//! The level is the largest of these, each at its share of the risk P. π, λ and ε are those of the
-//! pseudoranges' likelihood, W is what no reflection exceeds.
+//! The level is the largest of these, each with its part of the risk P. π, λ and ε are those of the
+//! pseudoranges' likelihood; W is the largest error that multipath can cause.
 
 use nalgebra::Vector3;
 
@@ -33,20 +34,20 @@ const WIDTH_DB: f64 = 4.81;
 /// C/N0 assumed where none is reported (dB-Hz).
 const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 
-/// A row's part in the position.
+/// Influence of a row on the position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Influence {
     /// S_i, local.
     gain: Vector3<f64>,
     /// Residual after the fit (m).
     residual_m: f64,
-    /// Share of an error that stays in the residual.
+    /// Fraction of an error that stays in the residual.
     redundancy: f64,
     /// 1/w (m²).
     variance_m2: f64,
 }
 
-/// The elements of a local covariance that levels need (m²).
+/// The elements of a local covariance that the levels depend on (m²).
 #[derive(Clone, Copy)]
 struct Spread {
     east: f64,
@@ -56,7 +57,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// With the covariance of an error of variance `variance_m2` along `direction` added.
+    /// The covariance plus that of an error of variance `variance_m2` along `direction`.
     fn with(self, direction: &Vector3<f64>, variance_m2: f64) -> Self {
         Self {
             east: self.east + direction.x * direction.x * variance_m2,
@@ -105,7 +106,7 @@ impl SinglePoint {
         (levels.horizontal_m.is_finite() && levels.vertical_m.is_finite()).then_some(levels)
     }
 
-    /// Collects the influences of the rows in use; returns the stated covariance, local.
+    /// Collects the influences of the rows in use; returns the formal covariance, local.
     fn influences(&mut self, frame: &LocalFrame, fit: &Fit) -> Spread {
         self.influences.clear();
         for row in self.rows.iter().filter(|row| row.is_used) {
@@ -120,7 +121,7 @@ impl SinglePoint {
         Spread { east: enu[(0, 0)], north: enu[(1, 1)], cross: enu[(0, 1)], up: enu[(2, 2)] }
     }
 
-    /// Σ₀ of the stated covariance.
+    /// Σ₀ from the formal covariance.
     fn spread(&self, stated: Spread) -> Spread {
         let used = self.rows.iter().filter(|row| row.is_used);
         let late_m2 = |index: usize| {
@@ -136,8 +137,8 @@ impl SinglePoint {
             squares += influence.residual_m * influence.residual_m;
             expected += (influence.variance_m2 + late_m2) * influence.redundancy;
         }
-        // Residuals may show more than the C/N0 lets expect; that they show less proves nothing,
-        // since reflections agree. One pseudorange of the expected variance stands before them.
+        // Residuals larger than C/N0 predicts raise the factor. Smaller ones do not lower it, since
+        // reflections may agree. One pseudorange of the expected variance is added as a prior.
         let one = late / self.influences.len() as f64;
         let shown = ((squares + one) / (expected + one)).max(1.0);
         Spread {

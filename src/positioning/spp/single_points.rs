@@ -1,4 +1,4 @@
-//! Mode `spp`: every epoch by itself.
+//! Mode `spp`: every epoch is solved independently.
 
 use crate::gnss::{Ecef, Solution};
 use crate::positioning::engine::{Engine, EpochInputs};
@@ -7,8 +7,8 @@ use crate::snapshot::state_fields;
 
 use super::{SinglePoint, SystemBiases};
 
-/// The last position, from which the next epoch is solved, and what the receiver's clocks differ
-/// by, which helps epochs of few satellites.
+/// The last position, where the solution of the next epoch starts, and the differences between the
+/// clocks of the constellations, which support epochs of few satellites.
 #[derive(Debug)]
 pub(crate) struct SinglePoints {
     start: Option<Ecef>,

@@ -1,15 +1,14 @@
-//! What the receiver's clocks of the constellations differ by, learnt from the epochs before.
+//! Inter-system biases of a receiver, estimated from earlier epochs.
 //!
 //! Clock of constellation c: b_c = B + o_c, B free at each epoch. An epoch whose satellites
-//! determine every clock by themselves needs no o_c, and uses none. One that has too few borrows
-//! them, each with its variance p_c. Without any knowledge p_c is (1 km)²: phones have 1.5 km
-//! between GPS and GLONASS, other receivers some metres.
+//! determine every clock does not use o_c. An epoch with too few satellites uses them, each with
+//! its variance p_c. Without any estimate p_c is (1 km)²: phones have 1.5 km between GPS and
+//! GLONASS, other receivers some metres.
 //!
-//! Each answered epoch brings o_c = b_c − B with the clock's variance v_c, B the weighted mean over
-//! the known; successive errors are correlated, so v_c counts (1 + ρ)/(1 − ρ) times (Bartlett
-//! 1946).
-//! Between epochs p_c grows by the options' walk. A clock that steps by more than five standard
-//! deviations is learnt again, if two satellites show it.
+//! Each epoch with a position gives o_c = b_c − B with the clock's variance v_c, B the weighted
+//! mean over the known clocks. Successive errors are correlated, so v_c is multiplied by (1 + ρ)/(1
+//! − ρ) (Bartlett 1946). Between epochs p_c grows by the options' random walk. If a clock steps by
+//! more than five standard deviations and two satellites show it, its estimate starts again.
 
 use crate::config::GraphOptions;
 use crate::gnss::{Constellation, GpsTime};
@@ -18,10 +17,10 @@ use crate::snapshot::{clone_fields, snapshot_fields};
 
 use super::least_squares::{Clock, Tie};
 
-/// Standard deviation of an inter-system bias that nothing is known of (m).
+/// Standard deviation of an inter-system bias before any estimate (m).
 const UNKNOWN_M: f64 = 1e3;
 const UNKNOWN: Bias = Bias { value_m: 0.0, variance_m2: UNKNOWN_M * UNKNOWN_M };
-/// Step of a bias that is not chance, in standard deviations.
+/// Change of a bias that is a step and not noise, in standard deviations.
 const STEP_SIGMAS: f64 = 5.0;
 
 /// o_c and p_c of one constellation.
@@ -44,7 +43,7 @@ snapshot_fields!(SystemBiases { known, updated });
 clone_fields!(SystemBiases { known, updated });
 
 impl SystemBiases {
-    /// What an epoch may borrow.
+    /// Ties that an epoch may use.
     pub(super) fn ties(
         &self,
         time: GpsTime,
@@ -62,7 +61,7 @@ impl SystemBiases {
         self.updated.is_some()
     }
 
-    /// Takes in the clocks of an epoch that determined them by itself, in a fixed order.
+    /// Updates with the clocks of an epoch that determined them independently, in a fixed order.
     pub(super) fn learn(&mut self, time: GpsTime, clocks: &[Clock], options: &GraphOptions) {
         let grown = self.growth_m2(time, options);
         let since = self.updated.map_or(f64::INFINITY, |updated| time - updated);
@@ -78,7 +77,8 @@ impl SystemBiases {
             common_m += weight * (clock.value_m - bias.value_m);
         }
         if information == 0.0 {
-            // Nothing in common with what is known: the first clock is the common one from here.
+            // No clock in common with the known ones: the first clock is the common one from now
+            // on.
             let Some(first) = proven().next() else { return };
             self.known = [None; Constellation::COUNT];
             (information, common_m) = (f64::INFINITY, first.value_m);
@@ -109,7 +109,7 @@ impl SystemBiases {
 }
 
 impl Bias {
-    /// Whether a measured one differs by chance.
+    /// Whether a measured bias differs from the estimate by noise only.
     fn agrees(&self, measured: &Self) -> bool {
         let miss_m = measured.value_m - self.value_m;
         let variance_m2 = self.variance_m2 + measured.variance_m2;
@@ -146,8 +146,8 @@ mod tests {
         (beidou.bias_m - gps.bias_m, (beidou.variance_m2 + gps.variance_m2).sqrt())
     }
 
-    /// A bias of 1.4 km is learnt at once, whatever the common clock does; a satellite alone moves
-    /// it only by what chance allows, two show that it has stepped.
+    /// A bias of 1.4 km is found at once, whatever value the common clock has. One satellite moves
+    /// it only within its noise; two show that it has stepped.
     #[test]
     fn a_bias_is_learnt_and_followed() {
         use Constellation::{BeiDou, Gps};
