@@ -46,7 +46,7 @@
 //! | [`session`] | one task for each receiver: order, estimate, commit, answer |
 //! | [`contract`] | the messages of both network interfaces and their error codes |
 //! | [`grpc`], [`http`] | the network interfaces |
-//! | [`app`] | a service opened as its configuration says |
+//! | [`app`] | opens a service by its configuration |
 //! | [`cli`] | the command line |
 //!
 //! [`gnss`], [`models`], [`graph`], [`lambda`], [`snapshot`], [`positioning`], [`formats`] and

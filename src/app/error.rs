@@ -13,7 +13,7 @@ pub enum AppError {
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// What is stored of ephemerides or bases.
+    /// Stored ephemerides or bases.
     #[error(transparent)]
     Aiding(#[from] AidingError),
     /// A source of data.
@@ -24,7 +24,7 @@ pub enum AppError {
     Antex {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error in it.
         reason: String,
     },
 }

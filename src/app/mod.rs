@@ -1,7 +1,7 @@
-//! The composition root: a service's desks, opened with what its configuration says.
+//! The composition root: opens a service's desks by its configuration.
 //!
-//! `serve`, `demo`, `replay` and the tests of the doors open their desks here, so that the wiring
-//! of limits and of sources of data exists once.
+//! `serve`, `demo`, `replay` and the tests of the doors open their desks here, so that limits and
+//! sources of data are connected in one place.
 
 mod error;
 
@@ -35,17 +35,17 @@ use crate::store::Store;
 
 pub use error::AppError;
 
-/// Interval of the check which streams of a network rovers need.
+/// Interval of the check for streams of a network that rovers need.
 const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
 
-/// A service whose desks are open.
+/// A service with open desks.
 pub struct App {
     store: Store,
     service: Service,
 }
 
-/// Opens the database and the desks, and starts what brings ephemerides and bases. Connections to
-/// other hosts are made with `time_limits` and kept as `feed_options` say.
+/// Opens the database and the desks, and starts the sources of ephemerides and bases. `time_limits`
+/// and `feed_options` apply to the connections to other hosts.
 ///
 /// # Errors
 /// The database or the ANTEX file cannot be read, or an address of a source is invalid or not
@@ -61,7 +61,7 @@ pub async fn open(
     let sources = navigation_sources(navigation)?;
     let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
     let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
-    // What the operator names may be anywhere; what clients name only at the hosts listed.
+    // The operator's sources may be anywhere, those of clients only at the listed hosts.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
     let node = match &configuration.node {
@@ -92,8 +92,8 @@ async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
     Ok(store)
 }
 
-/// Opens the database for reading, and what is stored of ephemerides, bases and antennas, for a
-/// computation that needs neither sessions nor sources. A service may be using the database.
+/// Opens the database for reading, with the stored ephemerides, bases and antennas, for a
+/// computation without sessions and sources. A service may be using the database.
 ///
 /// # Errors
 /// The database cannot be read.
@@ -108,12 +108,13 @@ pub async fn open_stored(
 }
 
 impl App {
-    /// What the doors open to.
+    /// The desks, for the doors.
     pub const fn service(&self) -> &Service {
         &self.service
     }
 
-    /// Serves until `stop` is ready; then refuses what comes, finishes what runs, and closes.
+    /// Serves until `stop` is ready. Then it refuses new requests, finishes the running ones, and
+    /// closes.
     pub async fn serve(
         self,
         listener: TcpListener,
@@ -123,8 +124,8 @@ impl App {
         self.close().await;
     }
 
-    /// Finishes what runs and closes the database. What is not finished in `limits.drain_s` is cut
-    /// off; it was not acknowledged.
+    /// Finishes the running requests and closes the database. Requests that take longer than
+    /// `limits.drain_s` are cut off; they were not acknowledged.
     pub async fn close(self) {
         let limit = Duration::from_secs(self.service.limits().drain_s);
         if timeout(limit, self.service.sessions().drain()).await.is_err() {
@@ -185,7 +186,7 @@ fn network_requests(configuration: &BasesConfiguration) -> Result<Vec<NetworkReq
     configuration.networks.iter().map(request).collect()
 }
 
-/// `None` where no user is named.
+/// `None` if no user is named.
 fn credentials(user: &str, password: &str) -> Option<Credentials> {
     let credentials = Credentials { name: user.to_owned(), password: password.to_owned() };
     (!user.is_empty()).then_some(credentials)

@@ -20,7 +20,7 @@ use super::Failure;
 use super::option_arguments::assignments;
 use super::recording::RecordingArguments;
 
-/// Largest number of methods of one report: more lines cannot be told apart in a plot.
+/// Largest number of methods of one report: more lines cannot be distinguished in a plot.
 const METHODS_MAX: usize = 7;
 
 /// Positions one recording in several modes and writes their errors and tracks as one HTML page.

@@ -52,7 +52,7 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
     Ok(())
 }
 
-/// What names the node at the beginning of a line.
+/// The name of the node at the beginning of a line.
 fn mark(node: &str, is_json: bool) -> String {
     match is_json {
         true => format!("{{\"node\":{},", serde_json::Value::from(node)),

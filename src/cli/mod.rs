@@ -84,7 +84,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// Prints help or version where asked for, else the reason in one line.
+/// Prints help or version if requested, otherwise the reason in one line.
 fn refuse(refusal: &clap::Error) -> ExitCode {
     if !refusal.use_stderr() {
         // Err: standard output is closed, so nobody reads the help.

@@ -110,7 +110,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
 }
 
 impl SimulateArguments {
-    /// The scenario of the name, and what it is.
+    /// The scenario of the name, and its description.
     fn named(&self) -> Result<(Scenario, String), Failure> {
         if self.scenario == RandomDrive::NAME.0 {
             let drive = RandomDrive::draw(self.seed);
@@ -128,7 +128,7 @@ impl SimulateArguments {
         Ok((scenario, meaning.to_owned()))
     }
 
-    /// The same with the options asked for.
+    /// The scenario with the requested options.
     fn scenario(&self) -> Result<(Scenario, String), Failure> {
         let (mut scenario, meaning) = self.named()?;
         if let Some(duration_s) = self.duration {

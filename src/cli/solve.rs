@@ -202,8 +202,8 @@ impl Progress {
     }
 }
 
-/// The closing lines: epochs, speed, reasons, what was left out of the files, what the positions
-/// rest on.
+/// The closing lines: epochs, speed, reasons, skipped content of the files, provenance of the
+/// positions.
 fn summary(tally: &Tally, provenance: &Provenance, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!(

@@ -41,12 +41,12 @@ named_choice! {
     Mode {
         /// Single-point positioning: least squares on the pseudoranges of one epoch.
         Spp = "spp",
-        /// Extended Kalman filter on the factors of the graph, as its comparator.
+        /// Extended Kalman filter on the factors of the graph, for comparison.
         Ekf = "ekf",
         /// Factor graph over a sliding window: pseudoranges, Doppler, time-differenced phase,
         /// motion.
         Fgo = "fgo",
-        /// Extended Kalman filter on differences against a base, the comparator of `rtk-fgo`.
+        /// Extended Kalman filter on differences against a base, for comparison with `rtk-fgo`.
         RtkEkf = "rtk-ekf",
         /// Factor graph on differences against a base, with integer ambiguities.
         RtkFgo = "rtk-fgo",
@@ -54,7 +54,7 @@ named_choice! {
 }
 
 named_choice! {
-    /// What becomes of a position whose protection level exceeds its limit.
+    /// The answer to a position whose protection level exceeds its limit.
     Beyond {
         /// It is answered, with the reason.
         Flag = "flag",
@@ -74,7 +74,7 @@ named_choice! {
         Cauchy = "cauchy",
         /// Geman and McClure's kernel: redescending, with bounded loss.
         GemanMcclure = "geman-mcclure",
-        /// Mixture of direct signal, late reflection and fault; learns the receiver's noise.
+        /// Mixture of direct signal, late reflection and fault; estimates the receiver's noise.
         Mixture = "mixture",
     }
 }

@@ -75,7 +75,7 @@ impl GraphOptions {
                 ..general
             },
             Profile::Phone => Self { phase_sigma_m: 0.1, ..general },
-            // The paper prints neither; both values are those of GraphGNSSLib, the program it
+            // The paper gives neither; both values are those of GraphGNSSLib, the program it
             // names.
             Profile::Paper => Self {
                 doppler_velocity_sigma_m_s: 0.6,

@@ -14,7 +14,7 @@ use super::web::WebError;
 /// State of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeedState {
-    /// The caster is asked for the stream.
+    /// The stream has been requested from the caster.
     Connecting,
     /// The caster sends the stream.
     Streaming,

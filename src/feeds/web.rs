@@ -176,9 +176,9 @@ pub async fn fetch(
     known: &Validators,
     limit: usize,
 ) -> Result<Fetched, WebError> {
-    let time_limits = connector.time_limits().listing;
-    let slow = |_| WebError::Slow { seconds: time_limits.as_secs() };
-    timeout(time_limits, follow(connector, url, known, limit)).await.map_err(slow)?
+    let longest = connector.time_limits().listing;
+    let slow = |_| WebError::Slow { seconds: longest.as_secs() };
+    timeout(longest, follow(connector, url, known, limit)).await.map_err(slow)?
 }
 
 async fn follow(

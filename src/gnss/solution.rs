@@ -148,7 +148,7 @@ pub enum Reason {
     },
     /// The iteration did not converge.
     NotConverged,
-    /// The ionosphere model asked for lacks its broadcast coefficients; another was used.
+    /// Broadcast coefficients of the chosen ionosphere model are missing; another model was used.
     IonosphereFallback {
         /// The model that was used.
         used: &'static str,

@@ -1,4 +1,4 @@
-//! Which of an estimator's answers is asked for: at once, smoothed, or from the whole recording.
+//! The kinds of answers of an estimator: at once, smoothed, or from the whole recording.
 
 use std::collections::VecDeque;
 
@@ -39,15 +39,15 @@ impl AnswerKind {
 /// last one is repeated, with the reason `EPOCH_REPEATED`.
 pub struct Solver {
     estimator: AnyEstimator,
-    /// Time of the last epoch that the estimator has seen.
+    /// Time of the last epoch that the estimator has received.
     last: Option<GpsTime>,
-    /// The last answer, where answers come at once.
+    /// The last answer, if answers come at once.
     answer: Option<Solution>,
-    /// Epochs that repeat the one of the first time, in order, where answers come later.
+    /// Repetitions of epochs before the first answer, in order, if answers come later.
     repetitions: VecDeque<Repetition>,
 }
 
-/// A repeated epoch whose answer is not there yet.
+/// A repeated epoch whose answer has not come yet.
 #[derive(Clone, Copy)]
 struct Repetition {
     of: GpsTime,
@@ -107,7 +107,7 @@ impl Solver {
         interleave(&mut self.repetitions, left)
     }
 
-    /// Repeats the last answer, now if it is there.
+    /// Repeats the last answer, at once if there is one.
     fn repeat(&mut self, repetition: Repetition) -> Vec<Solution> {
         match &self.answer {
             Some(answer) => vec![repeated(answer, repetition.behind_s)],

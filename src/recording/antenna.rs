@@ -10,7 +10,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::AntennaProvenance;
 
-/// A single-point position is used for this long (s).
+/// Age after which a single-point position is computed again (s).
 const LASTS_S: f64 = 60.0;
 
 /// The antenna of one receiver.
@@ -56,7 +56,7 @@ impl ReceiverAntenna {
         }
     }
 
-    /// What was corrected, and what was not.
+    /// Signals that were corrected, and signals that were not.
     pub(super) fn provenance(&self) -> AntennaProvenance {
         let (antenna, radome) = split_antenna_name(&self.name);
         AntennaProvenance {
@@ -71,11 +71,11 @@ impl ReceiverAntenna {
     }
 }
 
-/// The rover's position to some kilometres, for the directions in which antenna corrections are
-/// taken: an error of 1 km turns a direction by 5·10⁻⁵ rad, and moves the correction for a phase
-/// centre 10 cm off the antenna reference point by 5 µm.
+/// The rover's approximate position, good to some kilometres, for the directions of antenna
+/// corrections: an error of 1 km turns a direction by 5·10⁻⁵ rad, which changes the correction of a
+/// phase centre 10 cm from the antenna reference point by 5 µm.
 ///
-/// It is a single-point position, taken again when it is a minute old.
+/// It is a single-point position, computed again after a minute.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ApproximatePosition {
     position: Option<Ecef>,
@@ -86,12 +86,12 @@ pub struct ApproximatePosition {
 snapshot_fields!(ApproximatePosition { position, since });
 
 impl ApproximatePosition {
-    /// `reported` serves until there is a single-point position.
+    /// `reported` is used until there is a single-point position.
     pub const fn new(reported: Option<Ecef>) -> Self {
         Self { position: reported, since: None }
     }
 
-    /// The position at an epoch; the last one where the epoch gives none.
+    /// The position at an epoch; the last position if the epoch gives none.
     pub fn at(&mut self, epoch: &Epoch, navigation: &Navigation) -> Option<Ecef> {
         if self.since.is_none_or(|since| LASTS_S < epoch.time - since) {
             let options = PositioningOptions::new(Mode::Spp, Profile::General);

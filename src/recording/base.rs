@@ -15,12 +15,12 @@ use super::navigation::Dating;
 use super::observations::{ObservationFile, ReportedSite, observations};
 use super::{AntennaProvenance, BaseProvenance, Input, RecordingError};
 
-/// Where a base's position must come from.
+/// The required source of a base's position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BasePosition {
     /// From the header or from messages 1005 and 1006; never from the base's own pseudoranges.
     FromHeader,
-    /// This is the marker's.
+    /// This position of the marker.
     Marker(Ecef),
 }
 
@@ -33,18 +33,18 @@ pub(super) struct BaseRecording<'a> {
     averaged: u64,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
-    /// How often messages moved it.
+    /// Number of times that messages moved it.
     moves: u64,
     /// An epoch that is later than the rover's, with the antenna reference point at its time.
     ahead: Option<(Epoch, Ecef)>,
-    /// Epochs that are new since the rover's last one: the first `count` of them.
+    /// The first `count` epochs are new since the rover's last one.
     epochs: Vec<Epoch>,
     count: usize,
 }
 
 impl<'a> BaseRecording<'a> {
-    /// Opens a base's file and finds the base's position: the one asked for, else what header or
-    /// messages report, else the mean of the base's own single-point positions.
+    /// Opens a base's file and finds the base's position: the requested one, otherwise that of
+    /// header or messages, otherwise the mean of the base's own single-point positions.
     ///
     /// # Errors
     /// The file cannot be read, or no source gives the position.
@@ -62,13 +62,15 @@ impl<'a> BaseRecording<'a> {
             (Some(BasePosition::Marker(marker)), _) => (marker, PositionSource::Given),
             (_, Some(marker)) => (marker, reported.source),
             (Some(BasePosition::FromHeader), None) => {
-                let reason = "neither header nor messages 1005 and 1006 tell the base's position";
+                let reason =
+                    "neither header nor messages 1005 and 1006 contain the base's position";
                 return Err(RecordingError::BasePositionMissing { reason });
             }
             (None, None) => {
                 let (point, count) = mean_position(input, dating, navigation)?;
                 averaged = count;
-                let reason = "nothing tells the base's position, nor do its pseudoranges";
+                let reason =
+                    "no source gives the base's position, and its pseudoranges do not determine it";
                 let point = point.ok_or(RecordingError::BasePositionMissing { reason })?;
                 let [height, east, north] = antenna_delta_hen_m;
                 let below = Enu(Vector3::new(-east, -north, -height));
@@ -96,10 +98,10 @@ impl<'a> BaseRecording<'a> {
         })
     }
 
-    /// Reads up to the rover's time; [`Self::aiding`] then has what is new.
+    /// Reads up to the rover's time; [`Self::aiding`] then returns the new epochs.
     ///
     /// # Errors
-    /// The file cannot be read on.
+    /// The file cannot be read.
     pub(super) fn follow(
         &mut self,
         rover: GpsTime,
@@ -157,12 +159,12 @@ impl<'a> BaseRecording<'a> {
         reported.unwrap_or(self.station.antenna_reference_point)
     }
 
-    /// What an estimator needs for the rover's epoch.
+    /// The base data of the rover's epoch for an estimator.
     pub(super) fn aiding(&self) -> BaseAiding<'_> {
         BaseAiding { station: &self.station, epochs: &self.epochs[..self.count] }
     }
 
-    /// Looks up the antenna that header or messages name; later epochs are corrected for it.
+    /// Looks up the antenna that header or messages name, to correct later epochs.
     pub(super) fn find_antenna(&mut self, catalogue: &AntennaCatalogue) {
         self.antenna = Some(ReceiverAntenna::new("base", &self.site.antenna, catalogue));
     }
@@ -176,7 +178,7 @@ impl<'a> BaseRecording<'a> {
         self.antenna.as_ref().map(ReceiverAntenna::provenance)
     }
 
-    /// The file's name and what was left out of it.
+    /// The file's name and its skipped content.
     pub(super) fn left_out(&self) -> (&'a str, LeftOut) {
         (self.input.name(), self.reader.left_out())
     }

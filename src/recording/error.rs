@@ -13,7 +13,7 @@ pub enum RecordingError {
         /// What the system reports.
         source: io::Error,
     },
-    /// A file is not of the kind that it should be, or is damaged.
+    /// A file is damaged, or not of the required kind.
     #[error("{name}: {reason}")]
     NotUnderstood {
         /// The file.
@@ -32,7 +32,7 @@ pub enum RecordingError {
     /// No source gives the base's position.
     #[error("{reason}")]
     BasePositionMissing {
-        /// Which sources were asked.
+        /// The sources that were tried.
         reason: &'static str,
     },
     /// The mode is relative to a base, and the recording has none.
@@ -41,15 +41,15 @@ pub enum RecordingError {
         /// The mode.
         mode: &'static str,
     },
-    /// The mode has no window, and with it no such answer.
+    /// The mode has no window, so it does not give this kind of answer.
     #[error("mode {mode} has no answer {answer:?}")]
     NoSuchAnswer {
         /// The mode.
         mode: &'static str,
-        /// The answer asked for.
+        /// The requested kind of answer.
         answer: &'static str,
     },
-    /// The rover has no epoch in the span of time asked for.
+    /// The rover has no epoch in the requested span of time.
     #[error("{name} has no epoch in the span")]
     NoEpochs {
         /// The rover's file.

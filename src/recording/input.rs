@@ -34,7 +34,7 @@ impl Input {
         &self.name
     }
 
-    /// Opens it, unpacked where it is gzip.
+    /// Opens it, and unpacks gzip.
     ///
     /// # Errors
     /// It cannot be opened.
@@ -60,13 +60,14 @@ impl Input {
         self.open().map(Recognised::new)
     }
 
-    /// The error of a file that cannot be read on.
+    /// The error of a file that cannot be read to its end.
     pub(super) fn damaged(&self, error: &FileError) -> RecordingError {
-        let remedy = error.remedy().unwrap_or("repair or cut the file at that place");
+        let remedy =
+            error.remedy().unwrap_or("repair the file at that position, or cut it off there");
         self.not_understood(error, remedy)
     }
 
-    /// The error of a file that is of another kind than it should be.
+    /// The error of a file that is not of the required kind.
     pub(super) fn not_understood(
         &self,
         error: &dyn fmt::Display,

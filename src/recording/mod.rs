@@ -1,15 +1,15 @@
-//! The desk for recordings: files of a rover, of a base and of what belongs to them, positioned
-//! together.
+//! The desk for recordings: positions the files of a rover with those of a base and of navigation
+//! data.
 //!
-//! [`Solutions`] gives the positions of the recording that [`RecordingInputs`] name. The rules
-//! stand here and not in the doors: which source gives the base's position ([`BasePosition`]), what
+//! [`Solutions`] gives the positions of the recording that [`RecordingInputs`] name. This module,
+//! not the doors, has the rules: which source gives the base's position ([`BasePosition`]), what
 //! dates receiver data without a GPS week, which observations are corrected for antennas
-//! ([`ApproximatePosition`]), which row of odometry belongs to which epoch, and which of the
-//! estimator's answers is the one asked for ([`AnswerKind`]). [`Provenance`] says afterwards what
-//! was decided and what was left out.
+//! ([`ApproximatePosition`]), which row of odometry belongs to which epoch, and which kind of
+//! answer the estimator gives ([`AnswerKind`]). [`Provenance`] reports these decisions and the
+//! skipped content.
 //!
-//! Nothing here opens a file: an [`Input`] is a name and a way to read its bytes from the first
-//! one. It is read several times, to recognise its format, to date it and to find the station.
+//! Nothing here opens a file. An [`Input`] is a name and a way to read its bytes from the first
+//! one; it is read several times, to recognise its format, to date it and to find the station.
 
 mod answers;
 mod antenna;

@@ -1,4 +1,4 @@
-//! Navigation data of a recording, and what dates its receiver data.
+//! Navigation data of a recording, and the dates of its receiver data.
 //!
 //! RTCM 3 gives times of week without the week. It comes, in this order, from a time in the same
 //! file, from the user, from another file of the recording, or from the times of ephemeris.
@@ -9,11 +9,11 @@ use crate::gnss::{Ephemeris, GpsTime, Navigation};
 
 use super::{Input, RecordingError};
 
-/// What dates the receiver data of a recording, whose files are of one time.
+/// Dates the receiver data of a recording, whose files are of one time.
 pub(super) struct Dating {
-    /// What the user gives.
+    /// The reference time that the user gives.
     given: Option<TimeReference>,
-    /// From another file, or from the navigation data.
+    /// A reference time from another file, or from the navigation data.
     found: Option<TimeReference>,
 }
 
@@ -25,7 +25,7 @@ impl Dating {
     }
 }
 
-/// What was left out of each file.
+/// Skipped content of each file.
 pub(super) type LeftOutOf<'a> = Vec<(&'a str, LeftOut)>;
 
 /// The navigation data of a recording.
@@ -36,10 +36,10 @@ pub(super) struct NavigationFiles<'a> {
 }
 
 impl<'a> NavigationFiles<'a> {
-    /// Reads the navigation data of `inputs`. `observations` help to date what has no GPS week.
+    /// Reads the navigation data of `inputs`. `observations` help to date data without a GPS week.
     ///
     /// # Errors
-    /// A file cannot be read, or nothing dates it.
+    /// A file cannot be read or dated.
     pub(super) fn read(
         inputs: &'a [Input],
         observations: &[&Input],
@@ -65,7 +65,7 @@ impl<'a> NavigationFiles<'a> {
         }
         let middle = || middle_toe(&files.navigation).map(TimeReference::Week);
         files.dating.found = files.dating.found.or_else(middle);
-        // Some ephemerides carry the full week: they date the others.
+        // Some ephemerides contain the full week and date the others.
         for input in undated {
             let name = input.name();
             let reference = files.dating.found;
@@ -92,7 +92,7 @@ impl<'a> NavigationFiles<'a> {
     }
 }
 
-/// The median of all times of ephemeris, which old ephemerides of single satellites do not move.
+/// The median of all times of ephemeris. Old ephemerides of single satellites do not change it.
 fn middle_toe(navigation: &Navigation) -> Option<GpsTime> {
     let mut times: Vec<GpsTime> =
         navigation.satellites().flat_map(|(_, list)| list.iter().map(Ephemeris::toe)).collect();

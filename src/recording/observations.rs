@@ -1,4 +1,4 @@
-//! Files of observations and what they report of their station.
+//! Files of observations and the station data in them.
 
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ pub(super) type ObservationFile = Observations<Reader>;
 /// Opens a file of observations.
 ///
 /// # Errors
-/// The file has no observations that can be read, or nothing gives its week or day.
+/// The file has no readable observations, or its week or day is unknown.
 pub(super) fn observations(
     input: &Input,
     dating: &Dating,
@@ -34,13 +34,13 @@ pub(super) fn observations(
         .map_err(|error| input.not_understood(&error, remedy))
 }
 
-/// What a file reports of its station.
+/// Station data in a file.
 pub(super) struct ReportedSite {
     pub(super) name: String,
-    /// Type and radome; empty where not reported.
+    /// Type and radome; empty if unknown.
     pub(super) antenna: String,
     pub(super) marker: Option<Ecef>,
-    /// What reports the marker's position, where anything does.
+    /// The marker's position, if it is known.
     pub(super) source: PositionSource,
     /// Antenna reference point above, east and north of the marker (m).
     pub(super) antenna_delta_hen_m: [f64; 3],
@@ -51,7 +51,7 @@ impl ReportedSite {
     /// data. A GnssLogger log reports nothing.
     ///
     /// # Errors
-    /// Receiver data cannot be read on.
+    /// Receiver data cannot be read.
     pub(super) fn of(input: &Input, file: &ObservationFile) -> Result<Self, RecordingError> {
         if let Observations::Rinex(reader) = file {
             let header = reader.header();
@@ -75,7 +75,7 @@ impl ReportedSite {
         let station = station(input.recognised()?)
             .map_err(|error| input.damaged(&error))?
             .unwrap_or_default();
-        // Messages give the antenna reference point and its height above the marker.
+        // Messages contain the antenna reference point and its height above the marker.
         let height_m = station.antenna_height_m.unwrap_or(0.0);
         let below = Enu(Vector3::new(0.0, 0.0, -height_m));
         let point = station.antenna_reference_point;

@@ -1,4 +1,4 @@
-//! Odometry of a recording: which row belongs to which epoch.
+//! Odometry of a recording: assigns rows to epochs.
 
 use crate::formats::odometry::OdometryRow;
 use crate::gnss::{GpsTime, Odometry};
@@ -25,7 +25,7 @@ impl OdometryRows {
         let late = |row: &&OdometryRow| NEAR_S < time - row.time;
         self.next += self.rows[self.next..].iter().take_while(late).count();
         let away_s = |index: usize| self.rows.get(index).map(|row| (row.time - time).abs());
-        // Of two near rows the nearer one.
+        // Of two rows within the tolerance the nearer one.
         while let (Some(here), Some(further)) = (away_s(self.next), away_s(self.next + 1))
             && further < here
         {

@@ -1,54 +1,55 @@
-//! What the positions of a recording rest on.
+//! The sources of a recording's positions.
 
 use crate::formats::observations::LeftOut;
 use crate::gnss::{BaseSite, Ecef, PositionSource, Signal};
 
-/// What was decided about a recording, and what was left out of it.
+/// The decisions about a recording, and its skipped content.
 #[derive(Clone, Debug)]
 pub struct Provenance {
-    /// Where the base stands and which source gives it, in modes relative to one.
+    /// Position of the base and its source, in modes relative to one.
     pub base: Option<BaseProvenance>,
     /// The antennas that were looked up, the base's first.
     pub antennas: Vec<AntennaProvenance>,
-    /// Rows of odometry that belong to no epoch, where there is odometry.
+    /// Number of rows of odometry without an epoch, if there is odometry.
     pub unmatched_odometry: Option<usize>,
-    /// What was left out of each file, the rover's first.
+    /// Skipped content of each file, the rover's first.
     pub left_out: Vec<(String, LeftOut)>,
 }
 
-/// Where the base stands.
+/// Position of the base.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseProvenance {
     /// Marker, antenna and the source of the position.
     pub site: BaseSite,
-    /// Single-point positions of which the base's position is the mean; zero where another source
-    /// gives it.
+    /// Number of single-point positions of which the base's position is the mean; zero if another
+    /// source gives it.
     pub averaged: u64,
-    /// How often messages moved the base, as those of virtual bases do.
+    /// Number of times that messages moved the base, as with virtual bases.
     pub moves: u64,
 }
 
-/// What was corrected for one receiver's antenna.
+/// Antenna corrections of one receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AntennaProvenance {
     /// "rover" or "base".
     pub receiver: &'static str,
-    /// Type; empty where nothing names it.
+    /// Type; empty if unknown.
     pub antenna: String,
     /// Radome.
     pub radome: String,
-    /// Both, as header or message have them.
+    /// Type and radome as header or message contain them.
     pub name: String,
-    /// Frequencies with a calibrated phase centre; `None` where the antenna is not calibrated.
+    /// Number of frequencies with a calibrated phase centre; `None` if the antenna is not
+    /// calibrated.
     pub frequencies: Option<usize>,
     /// Signals without a calibration, which were not corrected.
     pub uncalibrated: Vec<Signal>,
-    /// Epochs that were not corrected because no position of the receiver was known.
+    /// Number of epochs that were not corrected because the receiver's position was unknown.
     pub unplaced_epochs: u64,
 }
 
 impl Provenance {
-    /// It as lines of text; those that need attention begin with "warning: ".
+    /// The provenance as lines of text; lines that need attention begin with "warning: ".
     pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if let Some(base) = &self.base {
@@ -80,8 +81,8 @@ impl BaseProvenance {
         )];
         if self.site.source == PositionSource::SinglePoints {
             lines.push(format!(
-                "warning: base: nothing tells its position; the mean of {} single-point positions \
-                 may be metres off, and all positions relative to it by as much",
+                "warning: base: no source gives its position; the mean of {} single-point \
+                 positions may be metres off, and all positions relative to it by as much",
                 self.averaged
             ));
         }

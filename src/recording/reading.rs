@@ -21,7 +21,7 @@ pub struct RecordingInputs {
     pub navigation: Vec<Input>,
     /// Observations of the base, for modes relative to one.
     pub base: Option<Input>,
-    /// Where the base's position must come from; `None`: from the best source there is.
+    /// Required source of the base's position; `None`: the best available source.
     pub base_position: Option<BasePosition>,
     /// Phase centres of antennas (ANTEX); headers and messages name the antennas.
     pub antex: Option<Input>,
@@ -36,7 +36,7 @@ pub struct RecordingInputs {
 }
 
 impl RecordingInputs {
-    /// All epochs of a rover, and nothing else.
+    /// The inputs of a rover alone, with all its epochs.
     pub const fn of_rover(rover: Input) -> Self {
         Self {
             rover,
@@ -51,11 +51,11 @@ impl RecordingInputs {
         }
     }
 
-    /// Refuses a mode that needs a base where no base is named, and a kind of answer that the mode
-    /// does not give.
+    /// Refuses a mode that needs a base if none is named, and a kind of answer that the mode does
+    /// not give.
     ///
     /// # Errors
-    /// Either of these.
+    /// The mode or the kind of answer is refused.
     pub fn check(
         &self,
         options: &PositioningOptions,
@@ -84,7 +84,7 @@ pub struct Recording<'a> {
     left_out: LeftOutOf<'a>,
     rover: ObservationFile,
     base: Option<BaseRecording<'a>>,
-    /// The rover's antenna, and where the rover is.
+    /// The rover's antenna and approximate position.
     antenna: Option<(ReceiverAntenna, ApproximatePosition)>,
     odometry: Option<OdometryRows>,
 }
@@ -93,7 +93,7 @@ impl<'a> Recording<'a> {
     /// Reads the navigation data and the header of the observations.
     ///
     /// # Errors
-    /// A file cannot be read, or nothing dates it or gives the base's position.
+    /// A file cannot be read or dated, or no source gives the base's position.
     pub fn open(inputs: &'a RecordingInputs) -> Result<Self, RecordingError> {
         let observed: Vec<&Input> = std::iter::once(&inputs.rover).chain(&inputs.base).collect();
         let files = NavigationFiles::read(&inputs.navigation, &observed, inputs.reference)?;
@@ -112,23 +112,23 @@ impl<'a> Recording<'a> {
         &self.navigation
     }
 
-    /// What an estimator needs for the epoch read last.
+    /// The aiding data of the last epoch read.
     pub fn aiding(&self) -> Aiding<'_> {
         let base = self.base.as_ref().map(BaseRecording::aiding);
         Aiding { navigation: &self.navigation, base }
     }
 
-    /// Reads the next epoch of the span asked for into `epoch`; false at the end.
+    /// Reads the next epoch of the requested span into `epoch`; false at the end.
     ///
     /// # Errors
-    /// The rover's file or the base's cannot be read on.
+    /// The rover's or the base's file cannot be read.
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RecordingError> {
         let damaged = |error| self.inputs.rover.damaged(&error);
         loop {
             if !self.rover.read_epoch(epoch).map_err(damaged)? {
                 return Ok(false);
             }
-            // Also for epochs outside the span, so that their rows are not left for later ones.
+            // Also for epochs outside the span, so that their rows are not assigned to later ones.
             epoch.odometry = self.odometry.as_mut().and_then(|rows| rows.at(epoch.time));
             if self.inputs.is_outside(epoch.time) {
                 continue;
@@ -160,7 +160,7 @@ impl<'a> Recording<'a> {
         Ok(())
     }
 
-    /// What the positions of the epochs read so far rest on.
+    /// The provenance of the epochs read so far.
     pub fn provenance(&self) -> Provenance {
         let rover_name = self.inputs.rover.name();
         let mut left_out = vec![(rover_name, self.rover.left_out())];

@@ -7,10 +7,10 @@ use crate::gnss::{Epoch, GpsTime, LeapSeconds, Solution};
 
 use super::{AnswerKind, Provenance, Recording, RecordingError, RecordingInputs, Solver};
 
-/// The positions of a recording, in the order in which the estimator gives them: one for each
-/// epoch of the span asked for.
+/// The positions of a recording, in the order in which the estimator gives them: one for each epoch
+/// of the requested span.
 ///
-/// An error ends the iteration. A recording without an epoch in the span is one.
+/// An error ends the iteration. A recording without an epoch in the span is an error.
 ///
 /// ```no_run
 /// use std::fs::File;
@@ -38,20 +38,20 @@ use super::{AnswerKind, Provenance, Recording, RecordingError, RecordingInputs, 
 pub struct Solutions<'a> {
     inputs: &'a RecordingInputs,
     recording: Recording<'a>,
-    /// `None` once it has answered everything.
+    /// `None` after the last answer.
     solver: Option<Solver>,
     epoch: Epoch,
     has_epochs: bool,
-    /// Answers not yet given.
+    /// Answers that have not been returned yet.
     due: VecDeque<Solution>,
 }
 
 impl<'a> Solutions<'a> {
-    /// Opens the files and reads what comes before the first epoch.
+    /// Opens the files and reads their headers and the navigation data.
     ///
     /// # Errors
-    /// A file cannot be read, nothing dates it or gives the base's position, or the options and
-    /// the kind of answer ask for what the recording or the mode has not.
+    /// A file cannot be read or dated, no source gives the base's position, or the mode or the kind
+    /// of answer is refused.
     pub fn open(
         inputs: &'a RecordingInputs,
         options: PositioningOptions,
@@ -68,17 +68,17 @@ impl<'a> Solutions<'a> {
         })
     }
 
-    /// Leap seconds as the navigation data have them.
+    /// Leap seconds of the navigation data.
     pub fn leap_seconds(&self) -> LeapSeconds {
         self.recording.navigation().leap_seconds
     }
 
-    /// What the positions given so far rest on.
+    /// The provenance of the positions so far.
     pub fn provenance(&self) -> Provenance {
         self.recording.provenance()
     }
 
-    /// Positions the next epoch; at the end, what the estimator still has to answer.
+    /// Positions the next epoch; at the end, gives the estimator's remaining answers.
     fn advance(&mut self) -> Result<(), RecordingError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if self.recording.read_epoch(&mut self.epoch)? {
@@ -151,7 +151,7 @@ mod tests {
         }
     }
 
-    /// Whatever the kind of answer, each epoch has one, in the order of time.
+    /// With every kind of answer, each epoch has one, in the order of time.
     #[test]
     fn each_epoch_is_answered_once() {
         let inputs = simulated();
@@ -163,8 +163,8 @@ mod tests {
         }
     }
 
-    /// Epochs written twice, and one out of order, repeat the answer before them; every other
-    /// answer is as without them.
+    /// Epochs written twice, and one out of order, repeat the answer before them. All other answers
+    /// are the same as without them.
     #[test]
     fn epochs_not_after_the_last_one_repeat_its_answer() {
         let inputs = simulated();

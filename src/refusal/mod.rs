@@ -1,8 +1,7 @@
-//! Stable codes of refusals and failures, each with its class and its remedy, written once.
+//! Stable codes of refusals and failures, each with its class and its remedy, defined once.
 //!
-//! An error of any room gives its [`Code`]. The doors turn the code's [`Class`] into a status, and
-//! `docs/errors.md` is the table for readers.A
-//! command may state the remedy in terms of its own arguments.
+//! An error of any module has a [`Code`]. The doors turn the code's [`Class`] into a status. Users
+//! find the table in `docs/errors.md`. A command may give the remedy in terms of its own arguments.
 
 mod code;
 
@@ -37,7 +36,7 @@ pub enum Class {
     Unavailable,
     /// The service failed.
     Internal,
-    /// No call is refused with it: it appears in the health of a stream or archive, in the log, or
-    /// where a command ends.
+    /// No request is refused with it. It appears in the health of a stream or archive, in the log,
+    /// or when a command ends.
     NoCall,
 }

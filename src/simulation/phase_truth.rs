@@ -1,4 +1,4 @@
-//! What a simulated carrier phase truly is.
+//! The truth of a simulated carrier phase.
 
 /// The true values of a carrier phase.
 #[derive(Clone, Copy, Debug, PartialEq)]

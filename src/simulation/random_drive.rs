@@ -150,7 +150,7 @@ fn city(random: &mut Random) -> CityPlan {
     }
 }
 
-/// Speed limits are 30 to 60 km/h. Half of the drives start inside a street and stand there for up
+/// Speed limits are 30 to 60 km/h. Half of the drives start inside a street and wait there for up
 /// to a minute: a cold start between walls.
 fn traffic(plan: &CityPlan, walks: bool, random: &mut Random) -> Traffic {
     let half_m = 0.5 * plan.street_width_m;
@@ -189,7 +189,7 @@ fn traffic(plan: &CityPlan, walks: bool, random: &mut Random) -> Traffic {
     }
 }
 
-/// Kinematics, time, constellations and atmosphere.
+/// Draws origin, time, constellations and atmosphere of a drive.
 fn sky(random: &mut Random) -> Scenario {
     use Constellation as C;
     let open = Scenario::open_sky();

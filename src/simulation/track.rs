@@ -17,7 +17,7 @@ const CALM_SHARE: f64 = 0.25;
 /// Largest carrier multipath: a quarter of a wavelength.
 const PHASE_MULTIPATH_LIMIT: f64 = 0.25;
 
-/// How a signal comes to the receiver at an epoch.
+/// Reception of a signal at an epoch.
 pub(super) struct Reception<'a> {
     pub(super) time: GpsTime,
     pub(super) look: &'a LookAngles,

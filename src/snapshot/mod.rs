@@ -7,9 +7,9 @@
 //! # Form
 //! A snapshot is `layout` (16 bits, little-endian), the values one after the other without names,
 //! and the first eight bytes of the BLAKE3 hash of all that. `f64` are little-endian IEEE 754,
-//! integers LEB128, lists preceded by their length. Whoever changes what is stored raises the
-//! layout: older snapshots are then refused, never misread. Corrupt bytes give a
-//! [`SnapshotError`] that says where; reading allocates no more than a small multiple of their
+//! integers LEB128, lists preceded by their length. A change of the stored fields must raise the
+//! layout, so that older snapshots are refused and not misread. Corrupt bytes give a
+//! [`SnapshotError`] with their position; reading allocates at most a small multiple of their
 //! length.
 
 mod error;

@@ -250,7 +250,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever byte is changed, the hash says so.
+        /// A change of any byte changes the hash.
         #[test]
         fn a_changed_byte_is_noticed(place: prop::sample::Index, change in 1_u8..) {
             let mut snapshot = bytes(&vec![1.5_f64; 9]);

@@ -1,4 +1,4 @@
-//! Where `solve` takes the base to stand: as asked for, else as its file tells, else by itself.
+//! The base position of `solve`: as given, otherwise from the file, otherwise by single points.
 
 use std::fs;
 use std::path::Path;
@@ -17,7 +17,7 @@ fn run(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
     (output.status.success(), text(output.stdout), text(output.stderr))
 }
 
-/// The marker that a summary names, and what it says of its source.
+/// The marker in a summary, and its stated source.
 fn marker(summary: &str) -> (Ecef, String) {
     let line = summary.lines().find_map(|l| l.trim().strip_prefix("base: marker at ")).unwrap();
     let (numbers, rest) = line.split_once(" (ECEF, m) ").unwrap();
@@ -26,7 +26,7 @@ fn marker(summary: &str) -> (Ecef, String) {
     (Ecef::new(x, y, z), rest.split_once(", antenna").unwrap().0.to_owned())
 }
 
-/// A simulated base whose header tells its place, tells the geocentre, or tells none.
+/// A simulated base whose header contains its position, the geocentre, or no position.
 #[test]
 fn a_base_of_rinex_stands_where_it_can_be_known() {
     let folder = tempfile::tempdir().unwrap();
@@ -63,7 +63,7 @@ fn a_base_of_rinex_stands_where_it_can_be_known() {
         let off_m = mean.distance_m(truth);
         // Metres of orbits, clocks and atmosphere; not the millimetres of the header's digits.
         assert!((0.01..10.0).contains(&off_m), "{off_m}");
-        let warning = "warning: base: nothing tells its position; the mean of 31 single-point";
+        let warning = "warning: base: no source gives its position; the mean of 31 single-point";
         assert!(summary.contains(warning), "{summary}");
         let (done, _, error) = solve(base, &["--base-position", "from-header"]);
         assert!(!done && error.contains("BASE_POSITION_MISSING"), "{error}");
@@ -73,7 +73,8 @@ fn a_base_of_rinex_stands_where_it_can_be_known() {
     }
 }
 
-/// The Galway base's log has messages 1005 and no header. Without them nothing tells its place.
+/// The Galway base's log has messages 1005 and no header. Without them no source gives its
+/// position.
 #[test]
 fn a_base_of_messages_stands_where_they_say_or_by_itself() {
     let Some(data) = data::set("galway-static") else { return };
@@ -108,11 +109,11 @@ fn a_base_of_messages_stands_where_they_say_or_by_itself() {
     assert_eq!(source, "from its own single-point positions");
     let off_m = mean.distance_m(truth);
     assert!((0.01..15.0).contains(&off_m), "{off_m}");
-    assert!(summary.contains("warning: base: nothing tells its position"), "{summary}");
+    assert!(summary.contains("warning: base: no source gives its position"), "{summary}");
 }
 
-/// Messages 1005 that move the base by 5 m along x: positions follow from that epoch on, which is
-/// said, and the fix comes back.
+/// Messages 1005 that move the base by 5 m along x: positions follow from that epoch on, the reason
+/// is reported, and the rover is fixed again.
 #[test]
 fn a_base_of_messages_may_move() {
     let Some(data) = data::set("galway-static") else { return };

@@ -35,7 +35,7 @@ pub(super) fn decode(number: u16, mut bits: Bits<'_>, clock: &Clock) -> Result<E
         1044 => qzss(&mut bits, clock).map(Ephemeris::Keplerian),
         _ => galileo(&mut bits, clock, number == 1046).map(Ephemeris::Keplerian),
     };
-    // A truncated message is refused as such, whatever its content.
+    // A truncated message is refused as such, independent of its content.
     bits.require_sound()?;
     let ephemeris = ephemeris?;
     if is_plausible(&ephemeris) { Ok(ephemeris) } else { Err(Refusal::ImplausibleEphemeris) }

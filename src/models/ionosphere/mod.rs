@@ -1,7 +1,7 @@
 //! Ionospheric delay.
 //!
 //! The first-order delay is inverse to the square of the frequency, I(f) = I(f_0)·(f_0/f)². Every
-//! model here gives the delay of a pseudorange on the frequency asked for; a carrier phase is
+//! model here gives the delay of a pseudorange on the requested frequency; a carrier phase is
 //! advanced by the same amount.
 
 mod klobuchar;

@@ -1,4 +1,4 @@
-//! The stream itself.
+//! A receiver's stream.
 
 mod packed;
 

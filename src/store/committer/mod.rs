@@ -182,7 +182,7 @@ struct Running<C: Connect> {
 }
 
 impl<C: Connect> Running<C> {
-    /// Commits until told to stop, and then the batches that wait.
+    /// Commits until it is to stop, and then the waiting batches.
     async fn run(mut self, mut inbox: mpsc::Receiver<Message>) {
         let mut group = Vec::new();
         while self.reconnected(&mut inbox).await {
@@ -255,7 +255,7 @@ impl<C: Connect> Running<C> {
     }
 
     /// Opens and probes another connection if there is none, and refuses all batches meanwhile.
-    /// Returns `false` if told to stop before it succeeds.
+    /// Returns `false` if it is to stop before it succeeds.
     async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
         while self.link.is_none() {
             let connecting = connected(&self.connector, self.timing.deadline, &self.health);
@@ -350,7 +350,7 @@ fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<
     }
 }
 
-/// Runs `work`, and refuses all batches meanwhile. `None` if told to stop.
+/// Runs `work`, and refuses all batches meanwhile. `None` if it is to stop.
 async fn refusing<T>(
     work: impl Future<Output = T>,
     health: &watch::Sender<CommitterHealth>,

@@ -108,7 +108,7 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
     assert_eq!(committer.health().panics, 1);
 }
 
-/// While the database is away, batches are refused at once, and the state says so.
+/// While the database is away, batches are refused at once, and the state reports it.
 #[tokio::test]
 async fn batches_are_refused_at_once_while_the_database_is_away() {
     let (committer, shared) = started().await;
@@ -128,7 +128,7 @@ async fn batches_are_refused_at_once_while_the_database_is_away() {
     assert_eq!(*shared.written.lock().unwrap(), [3]);
 }
 
-/// An idle committer asks the database; told to stop, it stops even while the database is away.
+/// An idle committer probes the database. It stops on request, also while the database is away.
 #[tokio::test]
 async fn an_idle_committer_probes_and_stops_when_told() {
     let shared = Arc::new(Shared::default());
