@@ -25,9 +25,9 @@ use graphfix::simulation::{Scenario, Simulator};
 /// Number of epochs until the storage has its final size.
 const WARM: usize = 200;
 const PASSES: usize = 15;
-/// Number of lists of an epoch in the window, with what shares them.
+/// Number of lists of an epoch in the window, including their shared owner.
 const EPOCH_LISTS: u64 = 9;
-/// Most that the epochs of one window hold more than those of another (bytes).
+/// Largest difference in memory between the epochs of two windows (bytes).
 const KEPT_MAX: i64 = 100_000;
 /// The part of the recording that the paper evaluates (seconds of week).
 const SCORED_S: std::ops::RangeInclusive<f64> = 46_701.0..=47_185.5;

@@ -1,5 +1,5 @@
-//! The integration tests, one binary, by what they hold: truth, doors, faults, invariance, oracles,
-//! and the architecture itself.
+//! The integration tests, one binary, by kind: truth, doors, faults, invariance, oracles, and the
+//! architecture itself.
 
 #![allow(clippy::unwrap_used, reason = "a test that panics says what went wrong")]
 

@@ -86,7 +86,8 @@ fn bring(doors: &Doors, sources: NavigationSources) {
     doors.service.feeds().bring_navigation(sources, &own).unwrap();
 }
 
-/// A file a day: fetched, unpacked, held; then asked for only if newer.
+/// One file per day: it is fetched, unpacked and stored; then it is fetched again only if it is
+/// newer.
 #[tokio::test]
 async fn an_archive_is_asked_again_only_for_news() {
     let file = gzip(&DRIVE.navigation_file());
@@ -135,7 +136,7 @@ async fn an_archive_is_asked_again_only_for_news() {
     assert_eq!(after["ephemerides"], held["ephemerides"]);
 }
 
-/// What an archive gives wrongly is told, and harms nothing.
+/// Wrong content of an archive is reported and has no other effect.
 #[tokio::test]
 async fn archives_that_fail_are_told() {
     let doors = Doors::open().await;
@@ -170,7 +171,7 @@ async fn archives_that_fail_are_told() {
     assert_eq!(doors.get("/v1/navigation").await.1["ephemerides"], 0);
 }
 
-/// A caster's stream brings ephemerides though no base is filled by it.
+/// A caster's stream supplies ephemerides although it fills no base.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_brings_ephemerides() {
     let Some(folder) = data::set("galway-static") else { return };

@@ -26,13 +26,13 @@ fn around_six() -> Pair {
     simulated(PAIR.base[0].time - 75.0)
 }
 
-/// An archive that answers each path with what is listed for it, else that there is no such file.
-/// The paths that were asked for, in order.
+/// An archive that answers each path with the listed content, otherwise with 404.
+/// The requested paths, in order.
 struct Archive {
     host: HostileCaster,
     asked: Arc<Mutex<Vec<String>>>,
     files: Arc<Mutex<BTreeMap<String, Vec<u8>>>>,
-    /// Whether it answers, or lets who asks wait.
+    /// Whether it answers, or lets clients wait.
     opening: watch::Sender<bool>,
 }
 
@@ -123,9 +123,9 @@ fn count(archive: &Value, field: &str) -> u64 {
     archive[field].as_u64().unwrap_or_else(|| panic!("{field} of {archive}"))
 }
 
-/// An hour's file comes when epochs of the hour do, the next one a minute before its hour; the
-/// session goes on meanwhile and is fixed from then on. Nothing is asked for twice, nor after a
-/// restart. Both doors say the same of it.
+/// The file of an hour is fetched when epochs of that hour arrive, the next file one minute before
+/// its hour. The session continues meanwhile and is fixed from then on. No file is fetched twice,
+/// also not after a restart. Both doors report the same.
 #[tokio::test]
 async fn hours_come_as_they_are_needed() {
     let pair = around_six();
@@ -166,12 +166,13 @@ async fn hours_come_as_they_are_needed() {
     let doors = doors.restarted().await;
     let rover = session(&doors, &base).await;
     assert!(!push(&doors, &rover, &pair, 0..60).await.iter().any(lacks_base));
-    // The file of six does not say by itself that it ends after 75 s, so it is asked for again.
+    // The file of six o'clock ends after 75 s, which its header does not contain, so it is fetched
+    // again.
     let asked = until("asked", async || archive.asked(), |asked| 2 < asked.len()).await;
     assert!(!asked[2..].contains(&expected[0].to_owned()), "{asked:?}");
 }
 
-/// However many sessions ask at once, and whatever the file's form.
+/// The file is fetched once for any number of sessions, in every format.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn twenty_sessions_share_one_fetch() {
     let archive = Archive::start().await;
@@ -195,7 +196,8 @@ async fn twenty_sessions_share_one_fetch() {
     stays("one connection", Duration::from_millis(500), connections, |n| *n == 1).await;
 }
 
-/// A file that is not there yet is asked for again, seldom; when it comes, sessions go on with it.
+/// A file that does not exist yet is requested again at long intervals; when it exists, sessions
+/// use it.
 #[tokio::test]
 async fn a_late_file_is_waited_for() {
     let archive = Archive::start().await;
@@ -214,11 +216,11 @@ async fn a_late_file_is_waited_for() {
     let held = doors.until(&path(&base), |base| base["archive"]["state"] == "CURRENT").await;
     assert_eq!((&held["archive"]["problem"], &held["epochs"]), (&Value::Null, &json!(150)));
     assert!(!push(&doors, &rover, &PAIR, 3..30).await.iter().any(lacks_base));
-    // With delays of 50 ms to 0.8 s, and not once for each epoch that came.
+    // With delays of 50 ms to 0.8 s, and not once for each received epoch.
     assert!(archive.asked().len() < 30, "{:?}", archive.asked());
 }
 
-/// What is no file of the base is told and harms nothing.
+/// A file that is not of the base is reported and has no other effect.
 #[tokio::test]
 async fn files_that_are_none_are_told() {
     let tomorrow = simulated(PAIR.base[0].time + 86_400.0);
@@ -250,7 +252,8 @@ async fn files_that_are_none_are_told() {
     }
 }
 
-/// Only what the operator lists is asked, and only what names its files by their days.
+/// Only hosts that the operator lists are contacted, and only addresses with placeholders for the
+/// day are accepted.
 #[tokio::test]
 async fn archives_that_may_not_be_asked_are_refused() {
     let doors = Doors::open().await;
@@ -274,7 +277,8 @@ async fn archives_that_may_not_be_asked_are_refused() {
     assert_eq!(doors.get("/v1/bases").await.1["bases"], json!([]));
 }
 
-/// A base's epochs are numbered in order of time: what is older is not asked for, and that is said.
+/// A base's epochs are numbered in order of time: older files are not requested, and this is
+/// reported.
 #[tokio::test]
 async fn older_data_needs_another_base() {
     let pair = around_six();
@@ -293,7 +297,7 @@ async fn older_data_needs_another_base() {
     assert_eq!(told["refusal"]["code"], "BASE_OUT_OF_ORDER", "{told}");
     assert!(told["refusal"]["remedy"].as_str().unwrap().contains("another base"), "{told}");
     assert_eq!(archive.asked(), ["/26001g"]);
-    // Which is what the remedy says.
+    // The remedy recommends this.
     let other = base_of(&doors, &archive.template("/{yy}{ddd}{h}")).await;
     let early = session(&doors, &other).await;
     push(&doors, &early, &pair, 0..1).await;
@@ -301,7 +305,7 @@ async fn older_data_needs_another_base() {
     assert_eq!(archive.asked(), ["/26001g", "/26001f"]);
 }
 
-/// A file that fails for a while is waited for, lest the next one shut it out.
+/// Newer files wait for a file that fails for a while, because they would exclude it.
 #[tokio::test]
 async fn a_file_that_fails_is_not_overtaken() {
     let pair = around_six();
@@ -322,7 +326,7 @@ async fn a_file_that_fails_is_not_overtaken() {
     assert_eq!(archive.asked().last().unwrap(), "/26001g");
 }
 
-/// A file of today is asked for again while it grows, by its validator.
+/// A file of today is requested again while it grows, with its validator.
 #[tokio::test]
 async fn a_growing_file_is_followed() {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
@@ -362,7 +366,7 @@ async fn a_growing_file_is_followed() {
     assert!(requests[4].contains("\"150\""), "{:?}", requests[4]);
 }
 
-/// A real hour as archives have it: CRINEX within gzip.
+/// One real hour in the format of archives: CRINEX packed with gzip.
 #[tokio::test]
 async fn crinex_is_taken_as_archives_have_it() {
     let Some(folder) = data::set("formats") else { return };

@@ -102,7 +102,7 @@ fn codes(solution: &Solution) -> Vec<&'static str> {
     solution.reasons.iter().map(Reason::code).collect()
 }
 
-/// In every mode that is relative to a base: a file's worth of base epochs first, then the rover's.
+/// In every mode that is relative to a base: all base epochs of a file first, then the rover's.
 async fn a_session_answers_as_solve_does(database: Database) {
     let desk = desk(&database).await;
     desk.navigate().await;
@@ -129,8 +129,8 @@ async fn a_session_answers_as_solve_does(database: Database) {
     assert!(info.check.distance_m().unwrap() < 10.0 && 10 < info.satellites);
 }
 
-/// The base comes in bursts, now early, now late; each rover epoch is solved with what is there.
-/// Restarts after each batch change nothing, and replay gives the same bits.
+/// Base epochs arrive in bursts, some early, some late; each rover epoch is solved with the
+/// received ones. Restarts after each batch change nothing, and replay gives the same bits.
 async fn a_base_in_step_gives_the_same_bits_after_restarts(database: Database) {
     let steady = desk(&database).await;
     steady.navigate().await;
@@ -153,14 +153,15 @@ async fn a_base_in_step_gives_the_same_bits_after_restarts(database: Database) {
         |s: &StoredSolution| s.solution.estimate.as_ref()?.relative.as_ref().map(|r| r.age_s);
     let late = first.iter().copied().filter_map(ages).filter(|age_s| 1.0 < *age_s).count();
     assert!(10 < late && late < 140, "{late} with an old base epoch");
-    // Early epochs, too, were solved with what was there then, though more is there now.
+    // Early epochs were also solved with the base epochs received by then, although more are stored
+    // now.
     for id in [&whole, &restarted] {
         let same = Check { compared: expected.len(), ..Check::default() };
         assert_eq!(checked(&database, id).await, Ok(same));
     }
 }
 
-/// Answers are then those of a window without a base, each with its reason and remedy.
+/// The answers are those of a window without a base, each with its reason and remedy.
 async fn without_its_base_a_session_says_why(database: Database) {
     let desk = desk(&database).await;
     desk.navigate().await;
@@ -190,13 +191,13 @@ async fn a_base_in_the_wrong_place_is_refused_or_doubted(database: Database) {
     let desk = desk(&database).await;
     let create =
         async |off_m: f64| id_of(&desk.aiding.bases.create(PAIR.new_base(off_m)).await.unwrap());
-    // Without navigation data nothing can be checked …
+    // Without navigation data the position cannot be checked …
     let (early, unplaced) = (create(500.0).await, NewBase::default());
     desk.push(&early, &PAIR.base).await;
     let verdict = async |base: &BaseId| desk.aiding.bases.get(base).await.unwrap().check.verdict();
     assert_eq!(verdict(&early).await, BasePositionVerdict::Unchecked);
     desk.navigate().await;
-    // … which is made up for when they come; sessions refuse such a base by themselves.
+    // … and it is checked when they arrive. Sessions refuse such a base themselves.
     assert_eq!(verdict(&early).await, BasePositionVerdict::Refused);
     let session = desk.session(&early).await;
     let answer = desk.submit(&session, &PAIR.rover[..5]).await.pop().unwrap();
@@ -235,7 +236,7 @@ async fn a_bases_epochs_keep_their_order(database: Database) {
         assert_eq!(outcomes[2].as_ref().unwrap_err().code().name(), "BASE_OUT_OF_ORDER");
         assert_eq!(desk.aiding.bases.get(&base).await.unwrap().epochs, 15);
     }
-    // Within one push, too.
+    // Also within one push.
     let twice = vec![PAIR.base[20].clone(), PAIR.base[20].clone()];
     let outcomes = restarted.aiding.bases.push(&base, twice).await.unwrap().outcomes;
     assert_eq!(outcomes[0].as_ref().unwrap().number, 16);
@@ -271,7 +272,7 @@ async fn what_a_base_holds_is_bounded(database: Database) {
     desk.base().await;
     let error = desk.aiding.bases.create(PAIR.new_base(0.0)).await.unwrap_err();
     assert_eq!(error.code().name(), "TOO_MANY_BASES");
-    // By bytes: what is stored is bounded as what is held.
+    // The limit of bytes applies to stored epochs and to those in memory.
     let few = AidingLimits { bytes_per_base: 10_000, epochs_per_base: 1_000, ..limits };
     let desk = desk_with(&database, few.clone()).await;
     desk.push(&base, &PAIR.base[13..15]).await;
@@ -309,8 +310,9 @@ async fn a_base_in_use_stays(database: Database) {
     assert_eq!(error.code().name(), "BASE_NOT_FOUND");
 }
 
-/// A virtual base moves while the rover is silent: each of its epochs keeps its place, ambiguities
-/// begin anew, which is said, and are fixed again at the same positions; replay gives the same bits.
+/// A virtual base moves while the rover sends nothing. Each base epoch keeps its position,
+/// ambiguities start again with a reason, and are fixed again at the same positions. Replay gives
+/// the same bits.
 async fn a_base_may_move(database: Database) {
     let desk = desk(&database).await;
     desk.navigate().await;
@@ -354,7 +356,7 @@ async fn a_base_may_move(database: Database) {
     assert!(checked(&database, &session).await.unwrap().is_same());
 }
 
-/// Another base begins the estimator anew, as another configuration does, and is said.
+/// Another base restarts the estimator, like another configuration, and this is reported.
 async fn a_session_may_change_its_base(database: Database) {
     let desk = desk(&database).await;
     desk.navigate().await;
@@ -419,7 +421,7 @@ async fn a_base_serves_positions_on_request(database: Database) {
     let burst = desk.sessions.solve_once(burst).await.unwrap();
     let solutions: Vec<Solution> = burst.into_iter().map(|computed| computed.solution).collect();
     assert_eq!(solutions[..], PAIR.solved(Mode::RtkFgo, &base)[..60]);
-    // What another configuration would have given.
+    // The result of another configuration.
     let store = database.store().await;
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     let change = SolveRequest {
@@ -433,8 +435,8 @@ async fn a_base_serves_positions_on_request(database: Database) {
     assert_eq!(first.map(|answer| answer.solution).collect::<Vec<_>>(), solutions);
 }
 
-/// Base epochs that were pushed out are missed by replay, which says so; a session whose state is
-/// restored goes on.
+/// Replay reports base epochs that were deleted because of the limit. A session whose state is
+/// restored continues.
 async fn forgotten_base_epochs_are_said(database: Database) {
     let limits = AidingLimits { epochs_per_base: 40, ..AidingLimits::service() };
     let desk = desk_with(&database, limits.clone()).await;

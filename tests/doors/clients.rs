@@ -1,4 +1,4 @@
-//! Clients that nobody here wrote: Python's grpcio with stubs generated from `proto/`, and curl.
+//! Independent clients: Python's grpcio with stubs generated from `proto/`, and curl.
 
 use std::fs;
 use std::path::Path;
@@ -56,7 +56,7 @@ async fn python_and_curl_read_the_same_solution() {
     asks.arg(client).arg(&stubs).arg(&address).arg(&gps).arg(&file);
     let by_grpc: Value = serde_json::from_str(&run(&mut asks)).unwrap();
 
-    // The other door, and a session of its own.
+    // Through the other door, with a session of its own.
     let session = by_grpc["session"].as_str().unwrap();
     let list = |session: &str| {
         curl(&[&format!("http://{address}/v1/sessions/{session}/solutions")])["solutions"].take()

@@ -1,4 +1,4 @@
-//! `graphfix compare` as a user calls it, on a simulated recording.
+//! `graphfix compare` as users call it, on a simulated recording.
 
 use std::path::Path;
 use std::process::{Command, Output};

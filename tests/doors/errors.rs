@@ -1,4 +1,4 @@
-//! Every refusal stands in `docs/errors.md`, and the REST door answers with its code and status.
+//! Every refusal is in `docs/errors.md`, and the REST door answers with its code and status.
 
 use std::collections::BTreeSet;
 
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::doors::http::navigation::navigation;
 use crate::support::doors::{Doors, code, epoch};
 
-/// Codes that no request of this file brings about, each with the test file that reaches it.
+/// Codes that no request in this file causes, each with the test file that does.
 const REACHED_BY: &[(Code, &str)] = &[
     (Code::FeatureNotBuilt, "src/config/option_table.rs"),
     (Code::TooCostly, "tests/faults/hostile.rs"),
@@ -105,7 +105,7 @@ fn the_document_and_the_table_are_one_set() {
     assert_eq!(rows.len(), Code::ALL.len(), "docs/errors.md has a row that is no code");
 }
 
-/// Every room takes its codes from the table: none spells one.
+/// Every module takes its codes from the table; none writes a code as text.
 #[test]
 fn no_room_spells_a_code_again() {
     const ROOMS: [&str; 15] = [
@@ -531,7 +531,7 @@ fn a_refused_start_has_its_code_and_remedy() {
     }
 }
 
-/// Commands that must fail, in a folder with `text.obs`, which is no RINEX.
+/// Commands that must fail, in a folder with `text.obs`, which is not RINEX.
 fn refused_commands() -> Vec<(&'static str, Code)> {
     vec![
         ("solve", Code::Usage),
@@ -556,7 +556,7 @@ fn a_refused_command_has_its_code_in_one_line() {
     }
 }
 
-/// A refusal that passes by itself has a delay.
+/// A refusal that passes without a change has a delay.
 #[test]
 fn a_full_mailbox_asks_for_a_delay() {
     let retry_after = std::time::Duration::from_millis(100);

@@ -42,7 +42,7 @@ async fn feed(doors: &Doors, base: &str) -> Value {
     doors.get(&path(base)).await.1["feed"].clone()
 }
 
-/// Waits until the feed is as asked for.
+/// Waits until the feed satisfies a condition.
 async fn feed_once(doors: &Doors, base: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     doors.until(&path(base), |base| is_so(&base["feed"])).await["feed"].clone()
 }
@@ -67,8 +67,9 @@ fn second(solution: &v1::Solution) -> f64 {
     solution.time.unwrap().ns_of_week as f64 * 1e-9
 }
 
-/// The whole: `str2str` plays the base's log, a device sends its receiver's bytes, nobody uploads a
-/// file. Then the caster dies, the session says what it lacks; it comes back, and so does the fix.
+/// End to end: `str2str` plays the base's log, a device sends its receiver's bytes, and no file is
+/// uploaded. Then the caster stops and the session reports the missing base; the caster starts
+/// again, and the session is fixed again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_device_and_a_caster_are_enough() {
     let Some((rover, base_log)) = logs() else { return };
@@ -109,7 +110,7 @@ async fn a_device_and_a_caster_are_enough() {
     let granted = lost["connections"].as_u64().unwrap();
     let (begin, attempts) = (Instant::now(), |feed: &Value| feed["attempts"].as_u64().unwrap());
     let waiting = feed_once(&doors, &base, |feed| attempts(&lost) + 5 <= attempts(feed)).await;
-    // Five delays, of which the last four are 100 to 800 ms long, less up to half of each.
+    // Five delays, the last four of which are 100 to 800 ms, reduced at random by up to half.
     assert!(Duration::from_millis(700) < begin.elapsed(), "asked without a pause");
     assert_eq!(waiting["problem"]["code"], "HOST_UNREACHABLE", "{waiting}");
 
@@ -123,8 +124,8 @@ async fn a_device_and_a_caster_are_enough() {
     assert!(after.len() / 2 < fixed(&after), "{} of {}", fixed(&after), after.len());
 }
 
-/// Two bases of one stream and two hundred sessions: one connection. When the last base goes, so
-/// does the connection.
+/// Two bases of one stream and two hundred sessions have one connection. When the last base is
+/// deleted, the connection is closed.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_connection_serves_everybody() {
     let Some((_, base_log)) = logs() else { return };
@@ -163,17 +164,17 @@ async fn one_connection_serves_everybody() {
     assert_eq!(caster.connections.load(Ordering::SeqCst), 1);
 }
 
-/// What a caster sends: bytes of a log, while it lives.
+/// The data of a caster: bytes of a log, while it runs.
 #[derive(Clone, Copy)]
 struct Air {
     lives: bool,
-    /// Who asks is sent the log from here …
+    /// New clients receive the log from this offset …
     from: usize,
-    /// … to here.
+    /// … to this one.
     until: usize,
 }
 
-/// A caster that sends what is on air; it notes when it was asked.
+/// A caster that sends current data and records the times of requests.
 async fn station(
     log: Vec<u8>,
     air: &watch::Sender<Air>,
@@ -204,7 +205,7 @@ async fn station(
     (caster, asked)
 }
 
-/// Where in a log all epochs before a second of the week have come.
+/// Offset in a log after all epochs before a second of the week.
 fn place_in(log: &[u8], second: f64) -> usize {
     let mut decoder = Decoder::new(Some(TimeReference::Day(NEAR)));
     let mut events = Vec::new();
@@ -221,7 +222,7 @@ fn place_in(log: &[u8], second: f64) -> usize {
     panic!("the log ends before {second}")
 }
 
-/// Waits until a base holds an epoch of a second of the week.
+/// Waits until a base has an epoch of a second of the week.
 async fn until_held(doors: &Doors, base: &str, second: f64) {
     let base = BaseId::parse(base).unwrap();
     let span = async || doors.service.bases().get(&base).await.unwrap().span;
@@ -231,7 +232,7 @@ async fn until_held(doors: &Doors, base: &str, second: f64) {
     until("held", span, reaches).await;
 }
 
-/// The last answers to some epochs that each session is sent.
+/// The latest answers of each session to some epochs.
 async fn last_answers(
     doors: &Doors,
     sessions: &[String],
@@ -251,9 +252,9 @@ async fn last_answers(
     answers
 }
 
-/// The caster dies for 30 s of the service's time_limits, here a twentieth of that, under two hundred
-/// sessions: each says that its base is stale, and each is fixed again; the caster is asked as often
-/// as the backoff allows, and by one connection.
+/// The caster is down for 30 s on the service's time scale, of which the test takes a twentieth,
+/// while two hundred sessions use it. Each session reports that its base is stale, and each is
+/// fixed again. The caster receives only the requests that the backoff allows, on one connection.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_caster_that_dies_is_missed_and_comes_back() {
     let Some((rover_log, base_log)) = logs() else { return };
@@ -261,14 +262,14 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     let events = decode(&rover_log[..rover_log.len() / 4], None).0;
     doors.service.navigation().push(navigation(&events), "test").await.unwrap();
     let mut rover = epochs(events);
-    // The base tells its place from 391166 on.
+    // The base's stream contains its position from 391166 on.
     rover.retain(|epoch| 391_199.5 < epoch.time.seconds_of_week());
     let start = rover[0].time.seconds_of_week().round();
     let at = |second: f64| place_in(&base_log, start + second);
     let (air, _) = watch::channel(Air { lives: true, from: 0, until: at(7.0) });
     let (caster, asked) = station(base_log.clone(), &air).await;
     let base = base_of(&doors, caster.port, "", "").await;
-    // Bold enough to fix within seconds: what is tested here is not the estimator.
+    // Low thresholds, to fix within seconds: this is not a test of the estimator.
     let options = [
         ("ambiguity.probability_min", "0.5"),
         ("ambiguity.ratio_min", "1"),
@@ -282,7 +283,7 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     }
     until_held(&doors, &base, start + 7.0).await;
     assert_eq!(fixed(&last_answers(&doors, &sessions, 1, &rover[..7]).await), 200);
-    // A connection that lasts this long is asked for again without the delay of earlier failures.
+    // After a connection that lasts this long the next request has no delay of earlier failures.
     let asked_times = async || asked.lock().unwrap().len();
     stays("asked once", BRISK.steady, asked_times, |times| *times == 1).await;
 
@@ -305,7 +306,7 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     let mut delay = BRISK.delay;
     for pair in [&[death], &times[1..]].concat().windows(2) {
         let gap = pair[1] - pair[0];
-        // A second more where the machine is busy.
+        // One second more for a busy machine.
         let bounds = delay / 2..delay + Duration::from_secs(1);
         assert!(bounds.contains(&gap), "asked after {gap:?}, not {bounds:?}");
         delay = (2 * delay).min(BRISK.delay_ceiling);
@@ -316,7 +317,7 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     assert_eq!(told["attempts"], times.len(), "{told}");
 }
 
-/// What each caster that misbehaves is called, and that it is not asked all the time.
+/// The code of each caster that misbehaves; it is not contacted continuously.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn casters_that_misbehave_are_told_and_left_alone() {
     let doors = Doors::open().await;

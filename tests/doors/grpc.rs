@@ -54,7 +54,7 @@ async fn a_refusal_has_code_field_and_remedy() {
     assert!(info.metadata["remedy"].contains("G05"));
 }
 
-/// A message beyond the limit is refused by its length, and packed by what it unpacks to.
+/// A message beyond the limit is refused by its length; a packed one by its unpacked length.
 #[tokio::test]
 async fn a_message_too_large_is_refused_packed_and_plain() {
     let mut limits = graphfix::config::Limits::standard();
@@ -85,7 +85,7 @@ async fn a_service_that_is_not_there_is_unimplemented() {
     assert_eq!(graphfix::grpc::code_of(&status).as_deref(), Some("ROUTE_NOT_FOUND"));
 }
 
-/// The schema as reflection serves it: what clients were built against does not change unseen.
+/// The schema by reflection: it must not change unnoticed, because clients were built against it.
 #[test]
 fn the_schema_is_a_snapshot() {
     let set = prost_types::FileDescriptorSet::decode(graphfix::grpc::DESCRIPTORS).unwrap();

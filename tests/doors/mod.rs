@@ -1,5 +1,5 @@
-//! The service as its clients and its operator meet it: REST, gRPC, streams, sessions, the command
-//! line, and the store under them.
+//! The service from the view of its clients and its operator: REST, gRPC, streams, sessions, the
+//! command line, and the store below them.
 
 mod archives;
 mod base_files;

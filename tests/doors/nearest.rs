@@ -33,14 +33,14 @@ on_both_databases!(
     candidates_in_use_stay,
 );
 
-/// How far the bases are from where the rover starts (m), west and east.
+/// Distances of the bases from the rover's start (m), west and east.
 const FROM_START_M: f64 = 3_000.0;
 
 struct Between {
     /// Numbered from 1.
     rover: Vec<SequencedEpoch>,
     truth: Vec<Ecef>,
-    /// West and east of the rover, with what they observe at the same times.
+    /// West and east of the rover, with their observations of the same times.
     bases: [(Ecef, Vec<Epoch>); 2],
     navigation: Navigation,
 }
@@ -93,7 +93,7 @@ async fn desk(database: &Database) -> Desk {
 }
 
 impl Desk {
-    /// The two bases, without an epoch yet; with the sky's navigation data.
+    /// The two bases without epochs, and the navigation data.
     async fn bases(&self) -> [BaseId; 2] {
         self.aiding.navigation.push(BETWEEN.navigation.clone(), "test").await.unwrap();
         let [west, east] = BETWEEN.bases.each_ref().map(|(place, _)| *place);
@@ -147,7 +147,7 @@ fn base_of(solution: &Solution) -> Option<&str> {
     solution.provenance.base.as_ref().map(|used| used.base.as_str())
 }
 
-/// The bases used, each with the index of the first epoch that used it.
+/// The used bases, each with the index of the first epoch that used it.
 fn courses(answers: &[Solution]) -> Vec<(usize, Option<String>)> {
     let mut courses: Vec<(usize, Option<String>)> = Vec::new();
     for (index, solution) in answers.iter().enumerate() {
@@ -159,7 +159,7 @@ fn courses(answers: &[Solution]) -> Vec<(usize, Option<String>)> {
     courses
 }
 
-/// Indices of the epochs that say the base changed, and how far (m).
+/// Indices of the epochs that report a change of the base, with the distance (m).
 fn changes(answers: &[Solution]) -> Vec<(usize, f64)> {
     let said = |solution: &Solution| {
         solution.reasons.iter().find_map(|reason| match reason {
@@ -170,9 +170,10 @@ fn changes(answers: &[Solution]) -> Vec<(usize, f64)> {
     answers.iter().enumerate().filter_map(|(index, s)| Some((index, said(s)?))).collect()
 }
 
-/// West at first, where both are as far; east once that was heard for a minute, for the rover is
-/// nearer to it by more than a fifth and a kilometre; west again once the rover is 500 m west of
-/// the start. Each time a fix comes back, at the right place, in both modes.
+/// West at first, where both are at the same distance. East once it was received for a minute,
+/// since the rover is then nearer to it by more than a fifth and a kilometre. West again once the
+/// rover is 500 m west of the start. After each change the rover is fixed again, at the right
+/// position, in both modes.
 async fn a_rover_between_two_bases_changes_twice(database: Database) {
     let desk = desk(&database).await;
     let [west, east] = desk.bases().await;
@@ -194,7 +195,7 @@ async fn a_rover_between_two_bases_changes_twice(database: Database) {
             let bases: Vec<_> = courses.iter().map(|(_, base)| base.as_deref()).collect();
             let [_, last_two @ ..] = &bases[..] else { panic!("{courses:?}") };
             let (w, e) = (Some(west.as_str()), Some(east.as_str()));
-            // Where both are as far, noise decides who is first, or the list.
+            // If both are at the same distance, noise or the order of the list decides.
             match bases[0] == w {
                 true => assert_eq!(last_two, [e, w], "{courses:?}"),
                 false => assert_eq!(last_two, [w], "{courses:?}"),
@@ -220,8 +221,9 @@ async fn a_rover_between_two_bases_changes_twice(database: Database) {
     }
 }
 
-/// The bases' epochs come as the rover's do; one session in a service that stays, one whose service
-/// is gone after each batch, one whose service stops in order, its state stored.
+/// The bases' epochs arrive with the rover's. Three sessions: one in a service that runs on, one
+/// whose service is killed after each batch, one whose service stops regularly with its state
+/// stored.
 async fn restarts_and_parking_change_no_bit(database: Database) {
     let steady = desk(&database).await;
     let [west, east] = steady.bases().await;
@@ -256,21 +258,22 @@ async fn restarts_and_parking_change_no_bit(database: Database) {
     let answers: Vec<Solution> = answers.into_iter().map(|s| s.solution.clone()).collect();
     let changed = changes(&answers);
     assert!(!changed.is_empty());
-    // What an epoch is answered with later names its base and its reason, too.
+    // Revisions contain the base and the reason too.
     for (index, _) in &changed {
         let again = revised.iter().find(|s| s.seq == *index as u64 + 1).unwrap();
         assert_eq!(base_of(&again.solution), base_of(&answers[*index]));
         assert_eq!(changes(std::slice::from_ref(&again.solution)).len(), 1);
     }
-    // Everything is there now, and would be chosen otherwise: replay uses what was used then.
+    // Now all data is stored, and another base would be chosen: replay uses the base that was used
+    // then.
     for id in [&whole, &restarted, &parked] {
         let same = Check { compared: expected.len(), ..Check::default() };
         assert_eq!(checked(&database, id).await, same);
     }
 }
 
-/// The nearer base falls silent: after the age limit the other is used, which is heard; and the
-/// first again only once it was heard for a minute.
+/// The nearer base sends nothing: after the age limit the other one is used, which is received. The
+/// first is used again only after it was received for a minute.
 async fn a_base_that_falls_silent_is_left(database: Database) {
     let desk = desk(&database).await;
     let [west, _] = desk.bases().await;
@@ -278,7 +281,7 @@ async fn a_base_that_falls_silent_is_left(database: Database) {
     let (_, far_epochs) = &BETWEEN.bases[0];
     let (_, near_epochs) = &BETWEEN.bases[1];
     desk.push(&west, far_epochs).await;
-    // Silent from second 70 to second 120; the rover comes at second 10, 300 m east of the start.
+    // No data from second 70 to 120; at second 10 the rover is 300 m east of the start.
     desk.push(&near, &near_epochs[..70]).await;
     desk.push(&near, &near_epochs[120..]).await;
     let session = desk.session(BaseChoice::NearestOf(vec![west.clone(), near.clone()])).await;
@@ -293,7 +296,7 @@ async fn far_and_unknown_bases_are_not_used(database: Database) {
     let desk = desk(&database).await;
     let [west, east] = desk.bases().await;
     let unplaced = desk.base(None).await;
-    // Nothing was heard of any: the nearest is named, and what is wrong with it.
+    // No base was received: the nearest one is named, with its problem.
     let session = desk.session(BaseChoice::Nearest).await;
     let silent = desk.submit(&session, &BETWEEN.rover[..5]).await;
     let last = |solution: &Solution| solution.reasons.last().map(Reason::code);
@@ -301,7 +304,7 @@ async fn far_and_unknown_bases_are_not_used(database: Database) {
     for (base, (_, epochs)) in [&west, &east].into_iter().zip(&BETWEEN.bases) {
         desk.push(base, epochs).await;
     }
-    // Beyond the greatest distance none is used.
+    // No base beyond the longest baseline is used.
     let mut new = new_session(BaseChoice::NearestOf(vec![west.clone(), unplaced.clone()]));
     new.overrides.insert("differencing.baseline_max_km".to_owned(), "2".to_owned());
     let session = desk.sessions.create(new).await.unwrap().id;
@@ -313,15 +316,15 @@ async fn far_and_unknown_bases_are_not_used(database: Database) {
         assert!((2_900.0..3_300.0).contains(length_m), "{length_m}");
         assert_eq!((base_of(solution), solution.status), (None, Status::Fgo));
     }
-    // Of bases whose place nobody knows none is chosen.
+    // No base of unknown position is chosen.
     let session = desk.session(BaseChoice::NearestOf(vec![unplaced])).await;
     let unknown = desk.submit(&session, &BETWEEN.rover[..5]).await;
     assert!(unknown.iter().all(|solution| last(solution) == Some("BASE_MISSING")));
     assert!(checked(&database, &session).await.is_same());
 }
 
-/// Without ephemerides nobody knows where the rover is, nor which base is near; with them the
-/// epoch's own single point tells.
+/// Without ephemerides the rover's position is unknown, and so is the nearest base. With them the
+/// epoch's own single point gives the position.
 async fn who_has_no_position_has_no_base(database: Database) {
     let desk = desk(&database).await;
     for (place, epochs) in &BETWEEN.bases {
@@ -372,7 +375,7 @@ async fn a_choice_serves_positions_on_request(database: Database) {
     let solved = desk.sessions.solve(&points, &request).await.unwrap();
     assert_eq!(base_of(&solved.solution), Some(east.as_str()));
     assert_eq!(solved.solution.status, Status::Fixed);
-    // What another choice would have given a session.
+    // The result of another choice in a session.
     let session = desk.session(BaseChoice::One(west.clone())).await;
     desk.submit(&session, &BETWEEN.rover[..100]).await;
     let store = database.store().await;
@@ -394,7 +397,7 @@ async fn candidates_in_use_stay(database: Database) {
         desk.aiding.bases.delete(base).await.err().map(|error| error.code().name())
     };
     assert_eq!(refused(&west).await, Some("BASE_IN_USE"));
-    // The order in which they were named is kept; so are they over a change of something else.
+    // The order of the named bases is kept, also if other settings change.
     let label = SessionUpdate { label: Some("x".to_owned()), ..SessionUpdate::default() };
     let info = desk.sessions.update(&session, label).await.unwrap();
     assert_eq!(info.base.try_map(|id| BaseId::parse(&id).ok_or(())).unwrap(), both);
@@ -434,7 +437,7 @@ async fn between() -> (Doors, [String; 2]) {
     (doors, ids)
 }
 
-/// By REST a list, by the calls that gRPC carries the word: the same answers.
+/// A list through REST, the word through gRPC: the same answers.
 #[tokio::test]
 async fn both_doors_take_the_nearest_base() {
     let (doors, [west, east]) = between().await;

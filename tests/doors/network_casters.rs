@@ -1,4 +1,4 @@
-//! Casters that compute a stream for a rover: what they are told, and what their base does.
+//! Casters that compute a stream for a rover: the positions they receive, and the bases they fill.
 
 use std::time::{Duration, Instant};
 
@@ -29,7 +29,7 @@ fn degrees(field: &str, hemisphere: &str) -> f64 {
     if "SW".contains(hemisphere) { -angle } else { angle }
 }
 
-/// Nothing is told before a rover's position is known; then it is the last one that was answered.
+/// No position is sent before the rover's is known; then it is the last answered one.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_caster_is_told_where_the_rover_is() {
     let doors = Doors::open().await;
@@ -73,14 +73,15 @@ async fn a_caster_is_told_where_the_rover_is() {
                 degrees(fields[2], fields[3]) - place.latitude_rad.to_degrees(),
                 degrees(fields[4], fields[5]) - place.longitude_rad.to_degrees(),
             ];
-            // The sentence has a tenth of a thousandth of a minute, 0.2 m.
+            // The sentence has a resolution of 10⁻⁴ minutes, 0.2 m.
             if off_deg.iter().all(|off| off.abs() < 1e-6) {
                 break;
             }
             assert!(start.elapsed() < Duration::from_secs(10), "{line}, not {place:?}");
         }
     }
-    // Who comes back is told at once: in the request of version 2, and as a sentence.
+    // After a reconnection the position is sent at once: in the request of version 2, and as a
+    // sentence.
     let request = loop {
         let request = tokio::time::timeout(Duration::from_secs(10), asking.recv());
         let request = request.await.unwrap().unwrap();
@@ -105,8 +106,8 @@ async fn following(doors: &Doors, port: u16) -> String {
     base["base"].as_str().unwrap().to_owned()
 }
 
-/// Frames of the log, each message 1005 5 m further than the one before: what one connection sends,
-/// and what the next, which begins without any.
+/// Frames of the log, each message 1005 5 m further than the one before: the data of one
+/// connection, and of the next one, which begins without a message 1005.
 fn moving() -> Option<[Vec<u8>; 2]> {
     let folder = data::set("galway-static")?;
     let log = unpacked(&folder.join("base-20181004-1236.ubx.gz"));
@@ -126,7 +127,8 @@ fn moving() -> Option<[Vec<u8>; 2]> {
     Some(streams)
 }
 
-/// The epochs of a stream by time, each with the place told last, the first ones with the first.
+/// The epochs of a stream by time, each with the latest position before it, the first ones with the
+/// first position.
 fn places(stream: &[u8]) -> Vec<(GpsTime, Ecef)> {
     let mut place = None;
     let mut epochs: Vec<(GpsTime, Option<Ecef>)> = Vec::new();
@@ -141,8 +143,8 @@ fn places(stream: &[u8]) -> Vec<(GpsTime, Ecef)> {
     epochs.into_iter().map(|(time, place)| (time, place.unwrap_or(first))).collect()
 }
 
-/// Messages move the base by 5 m each, many in one piece, and between two connections: each epoch
-/// keeps the place that it was sent for.
+/// Messages move the base by 5 m each, many of them in one chunk, and between two connections: each
+/// epoch keeps the position that was sent for it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn epochs_keep_the_place_of_their_virtual_base() {
     let Some(streams) = moving() else { return };
@@ -163,7 +165,7 @@ async fn epochs_keep_the_place_of_their_virtual_base() {
     .await;
     let base = BaseId::parse(&following(&doors, caster.port).await).unwrap();
     let ask = async || doors.service.bases().get(&base).await.unwrap();
-    // The last epoch of a connection may wait for a message that never comes.
+    // The last epoch of a connection may wait for a message that does not come.
     let held = until("filled", ask, |held| expected.len() - 2 <= held.epochs).await;
     let mut seen = Vec::new();
     for number in 1..=held.epochs as u64 {

@@ -1,4 +1,4 @@
-//! Casters whose sourcetable brings bases: the stream nearest to a rover is connected while the
+//! Casters whose sourcetable lists bases: the stream nearest to a rover is connected while the
 //! rover needs it.
 
 use std::sync::{Arc, Mutex};
@@ -16,10 +16,10 @@ use crate::support::device::{NEAR, fixed, logs, push};
 use crate::support::doors::Doors;
 use crate::support::wait::until;
 
-/// Bytes of the rover's log after which it knows where it is.
+/// Number of bytes of the rover's log after which its position is known.
 const AT_FIRST: usize = 300_000;
 
-/// Two streams of a station in Galway, 80 km apart, and what does not serve, nearer than both.
+/// Two streams of a station in Galway, 80 km apart, and unusable ones nearer than both.
 const TABLE: &str = "SOURCETABLE 200 OK\r\nContent-Type: text/plain\r\n\r\n\
     STR;THERE;Athlone;RTCM 3.2;1005(10),1077(1);2;GPS;N;IRL;53.42;-7.94;0;0;x;none;N;N;9;\r\n\
     STR;HERE;Galway;RTCM 3.2;1005(10),1077(1),1087(1);2;GPS;N;IRL;53.28;-9.06;0;0;x;none;N;N;9;\r\n\
@@ -55,8 +55,8 @@ fn bases_of(solutions: &[v1::Solution]) -> Vec<String> {
     solutions.iter().filter_map(base).collect()
 }
 
-/// Two sessions, one connection, to the nearest stream that serves; given up when nobody needs it,
-/// asked for again when somebody does; the same base all the while.
+/// Two sessions, one connection to the nearest usable stream. It is closed when no rover needs it
+/// and opened again when one does; the base stays the same.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_nearest_stream_is_connected_while_it_is_needed() {
     let Some((rover, base_log)) = logs() else { return };
@@ -74,7 +74,7 @@ async fn the_nearest_stream_is_connected_while_it_is_needed() {
                 return;
             }
             stream.write_all(b"ICY 200 OK\r\n").await.unwrap();
-            // Err: the client has given it up.
+            // Err: the client has closed the connection.
             stream.write_all(&base_log).await.ok();
             stream.read_to_end(&mut Vec::new()).await.ok();
             *given_up.lock().unwrap() += 1;
@@ -124,7 +124,7 @@ async fn the_nearest_stream_is_connected_while_it_is_needed() {
     doors.service.feeds().close().await;
 }
 
-/// The caster of RTKLIB's `str2str`, which asks for a password, and its sourcetable.
+/// The caster of RTKLIB's `str2str`, which requires a password, and its sourcetable.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn str2str_brings_the_base_that_it_lists() {
     let Some((rover, base_log)) = logs() else { return };
@@ -138,7 +138,8 @@ async fn str2str_brings_the_base_that_it_lists() {
         ..network(caster.port)
     };
     let feeds = doors.service.feeds();
-    // It may not listen yet; the table would be asked for again after half a minute.
+    // If the caster does not listen yet, the table would be requested again only after half a
+    // minute.
     let ask = async || {
         feeds.close().await;
         feeds.bring_bases(vec![request.clone()]).unwrap();
@@ -163,7 +164,7 @@ async fn str2str_brings_the_base_that_it_lists() {
     assert!(solutions.len() < 2 * bases.len() && 0 < fixed(&solutions), "{}", bases.len());
 }
 
-/// A host that the operator does not list is not asked; a caster that gives no table is said.
+/// A host that the operator does not list is not contacted; a caster without a table is reported.
 #[tokio::test]
 async fn casters_without_a_table_are_said() {
     let doors = Doors::open().await;

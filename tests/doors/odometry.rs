@@ -1,4 +1,4 @@
-//! Another sensor's displacements: what they are worth, and their way through the service.
+//! Another sensor's displacements: their effect on positions, and their way through the service.
 
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::contract::v1;
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::support::doors::{Doors, code};
 
-/// A drive through the canyon, with what the wheels say or without.
+/// A drive through the canyon, with or without the wheels' odometry.
 fn drive(seed: u64, duration_s: f64) -> (Simulator, Vec<SimulatedEpoch>) {
     let simulator = Simulator::new(Scenario { duration_s, ..Scenario::urban_canyon() }, seed);
     let mut epochs: Vec<_> = simulator.clone().collect();
@@ -25,7 +25,7 @@ fn without_odometry(epochs: &[SimulatedEpoch]) -> Vec<SimulatedEpoch> {
     bare
 }
 
-/// Horizontal errors, at once or from everything (m).
+/// Horizontal errors of causal answers or of the batch (m).
 fn errors_m(
     simulator: &Simulator,
     epochs: &[SimulatedEpoch],
@@ -54,7 +54,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// A minute without satellites: wheels know the way, a constant velocity does not.
+/// A minute without satellites: with wheels the position stays known, with a constant velocity it
+/// does not.
 #[test]
 fn wheels_lead_through_a_tunnel() {
     let tunnel = 100..160;
@@ -72,14 +73,14 @@ fn wheels_lead_through_a_tunnel() {
             bare_m.extend_from_slice(&errors_m(simulator, bare, &options, batch)[tunnel.clone()]);
         }
         let worst_m = with_m.iter().copied().fold(0.0, f64::max);
-        // 1 % of the scale and 1° of the heading on some 500 m, and where the tunnel began.
+        // 1 % of scale and 1° of heading over some 500 m, and the error at the tunnel's entrance.
         assert!(worst_m < 30.0, "{mode:?} {batch}: {worst_m}");
         let (with_m, bare_m) = (mean(&with_m), mean(&bare_m));
         assert!(with_m < 0.5 * bare_m, "{mode:?} {batch}: {with_m} with, {bare_m} without");
     }
 }
 
-/// A receiver of pseudoranges alone: its wheels average the canyon's reflections.
+/// A receiver with pseudoranges only: its wheels average the canyon's multipath.
 #[test]
 fn wheels_improve_the_canyon() {
     let mut options = PositioningOptions::new(Mode::Ekf, Profile::General);
@@ -98,7 +99,7 @@ fn wheels_improve_the_canyon() {
     }
 }
 
-/// A displacement over another interval is not used, and the solution says so.
+/// A displacement over another interval is not used, and the solution reports it.
 #[test]
 fn a_displacement_over_another_interval_is_left_out() {
     let (simulator, mut epochs) = drive(1, 20.0);
@@ -121,7 +122,7 @@ fn a_displacement_over_another_interval_is_left_out() {
     }
 }
 
-/// A restart between two epochs changes no bit of what follows.
+/// A restart between two epochs changes no bit of later answers.
 #[test]
 fn a_snapshot_keeps_what_odometry_did() {
     let (simulator, epochs) = drive(2, 30.0);
@@ -138,7 +139,7 @@ fn a_snapshot_keeps_what_odometry_did() {
     }
 }
 
-/// The displacement as JSON; the heading is left to unit tests, since degrees cost bits.
+/// The displacement as JSON. Unit tests cover the heading, because degrees change bits.
 fn message(odometry: &Odometry) -> Value {
     let c = &odometry.covariance;
     json!({
@@ -158,7 +159,7 @@ fn epoch_message(seq: u64, epoch: &Epoch) -> Value {
     value
 }
 
-/// Both doors give the bits that the estimator gives, and odometry is among what they carry.
+/// Both doors give the bits of the estimator, and both accept odometry.
 #[tokio::test]
 async fn both_doors_carry_odometry() {
     let (simulator, mut epochs) = drive(2, 9.0);
@@ -191,7 +192,8 @@ async fn both_doors_carry_odometry() {
     }
 }
 
-/// Odometry is stored with its epoch: a resend is the same with it and another epoch without.
+/// Odometry is stored with its epoch: with it a resent epoch is the same one, without it it is
+/// another.
 #[tokio::test]
 async fn odometry_is_part_of_an_epochs_content() {
     let doors = Doors::open().await;

@@ -80,7 +80,7 @@ async fn stored(store: &Store, id: &SessionId) -> Vec<Epoch> {
     rows.iter().map(|row| row.epoch().unwrap()).collect()
 }
 
-/// The first `length` bytes of a real rover's log: RXM-RAWX, RXM-SFRBX and what else it said.
+/// The first `length` bytes of a real rover's log: RXM-RAWX, RXM-SFRBX and other messages.
 fn log(length: usize) -> Option<Vec<u8>> {
     let folder = data::set("galway-static")?;
     let mut bytes = unpacked(&folder.join("rover-20181004-1237.ubx.gz"));
@@ -88,8 +88,8 @@ fn log(length: usize) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Pushes a stream in random pieces; every now and then the service starts anew, or a piece comes
-/// twice. Returns how often each.
+/// Pushes a stream in random chunks. At random the service restarts, or a chunk is sent twice.
+/// Returns the numbers of both.
 async fn push_at_random(
     database: &Database,
     id: &SessionId,
@@ -111,7 +111,7 @@ async fn push_at_random(
                 assert_eq!(sessions.get(id).await.unwrap().raw_through, Some(to as u64));
             }
             1 => {
-                // The answer was lost: the same piece, and the same answer.
+                // The answer was lost: the same chunk again has the same answer.
                 let again = sessions.receive(id, piece(stream, at, to)).await.unwrap();
                 assert!(again.resent);
                 let solution = |answer: &RawReceived, index: usize| {
@@ -140,7 +140,7 @@ async fn split_anywhere_it_gives_the_epochs_of_the_file(database: Database) {
     let expected = epochs(decode(&stream, None).0);
     assert!(200 < expected.len(), "{}", expected.len());
     assert_eq!(stored(&store, &id).await, expected);
-    // Nothing but the observed bytes: ephemerides were in them.
+    // Only the observed bytes: they contain the ephemerides.
     let key = store.session(id.as_str()).await.unwrap().unwrap().key;
     let rows = store.epochs_after(key, None, 10_000).await.unwrap();
     let single = rows.iter().filter(|row| row.solution.solution.status == Status::Single).count();
@@ -156,7 +156,7 @@ async fn bytes_sent_again_change_nothing(database: Database) {
     let first = sessions.receive(&id, piece(&stream, 0, 30_000)).await.unwrap();
     let second = sessions.receive(&id, piece(&stream, 30_000, 40_000)).await.unwrap();
     assert!(!numbers(&first).is_empty() && !numbers(&second).is_empty());
-    // Within the first, across both, and beyond what is stored.
+    // Within the first chunk, across both, and beyond the stored bytes.
     for (from, to, new) in [(0, 30_000, 0), (10_000, 35_000, 0), (20_000, 50_000, 10_000)] {
         let answer = sessions.receive(&id, piece(&stream, from, to)).await.unwrap();
         assert_eq!(answer.resent, new == 0);
@@ -183,7 +183,7 @@ async fn rinex_comes_in_pieces(database: Database) {
     assert_eq!((found.len(), found), (PAIR.base.len(), epochs_of(&file)));
 }
 
-/// Every epoch of CRINEX rests on those before it, over restarts too.
+/// Every epoch of CRINEX depends on those before it, also over restarts.
 async fn crinex_comes_in_pieces(database: Database) {
     let Some(folder) = data::set("formats") else { return };
     for name in ["crx1/eijs0010.21d", "crx3/YEBE00ESP_R_20230891800_01H_30S_MO.crx.gz"] {
@@ -198,13 +198,13 @@ async fn crinex_comes_in_pieces(database: Database) {
     }
 }
 
-/// Gzip of frames, of RINEX and of CRINEX: what is in it, wherever it is split.
+/// Gzip of frames, of RINEX and of CRINEX: the same content however it is split.
 async fn packed_streams_come_in_pieces(database: Database) {
     let (Some(frames), Some(folder)) = (log(400_000), data::set("formats")) else { return };
     let crinex = unpacked(&folder.join("crx1/eijs0010.21d"));
     let rinex = PAIR.base_file(Some(PAIR.position));
     let of_frames = epochs(decode(&frames, None).0);
-    // Two members, one behind the other.
+    // Two gzip members, one after the other.
     let frames = [gzip(&frames[..250_001]), gzip(&frames[250_001..])].concat();
     for (packed, expected) in [
         (frames, of_frames),
@@ -219,8 +219,8 @@ async fn packed_streams_come_in_pieces(database: Database) {
     }
 }
 
-/// A phone's log of a minute and a half, with so many lines of its sensors between the epochs of
-/// the second half that they are forgotten.
+/// A phone's log of a minute and a half. In the second half the lines of its sensors between two
+/// epochs are longer than the kept text.
 fn phone_log() -> Vec<u8> {
     let mut log = LogWriter::new(Vec::new(), &PAIR.navigation).unwrap();
     for rover in &PAIR.rover[..90] {
@@ -264,8 +264,8 @@ async fn a_phones_log_comes_in_pieces(database: Database) {
     }
 }
 
-/// A log is refused with the line at fault, through its whole text; what a phone could not use is
-/// counted.
+/// A log is refused with the wrong line, in every part of its text; measurements that the phone
+/// could not use are counted.
 #[tokio::test]
 async fn phones_logs_are_judged() {
     let doors = Doors::open().await;
@@ -294,8 +294,7 @@ async fn phones_logs_are_judged() {
     assert_eq!(answer["leftOut"][0]["first"], json!(title + 1));
 }
 
-/// What is incomplete is taken at the end; behind it another format may follow. RTCM 3 is dated by
-/// what the request says.
+/// Incomplete data at the end is decoded; another format may follow. The request dates RTCM 3.
 async fn the_end_of_a_stream_begins_another(database: Database) {
     let Some(folder) = data::set("galway-static") else { return };
     let Some(ubx) = log(60_000) else { return };
@@ -323,12 +322,12 @@ async fn the_end_of_a_stream_begins_another(database: Database) {
         }
     }
     let found = stored(&store, &id).await;
-    // The simulated file is of later years than both logs: the second is refused epoch by epoch.
+    // The simulated file is years later than both logs: the second log is refused epoch by epoch.
     assert_eq!(found.len(), of_base + PAIR.base.len());
     assert_eq!(found[..of_base + 100], expected);
 }
 
-/// The reader of pieces gives what the reader of files gives, wherever the pieces end.
+/// Reading in chunks gives the same as reading the file, for every split.
 #[test]
 fn rinex_of_every_version_is_read_in_pieces() {
     let Some(folder) = data::set("formats") else { return };
@@ -376,7 +375,7 @@ async fn push(doors: &Doors, session: &str, query: &str, bytes: &[u8]) -> (u16, 
     (status.as_u16(), answer)
 }
 
-/// Both doors: the same answers, and an account of what the bytes held.
+/// Both doors give the same answers, with counts of the content.
 #[tokio::test]
 async fn both_doors_answer_alike() {
     let Some(stream) = log(100_000) else { return };
@@ -443,7 +442,7 @@ async fn what_is_no_stream_is_refused() {
         assert_eq!(code(&answer), expected, "{answer}");
         assert!((400..500).contains(&status) && answer["field"] == "content", "{answer}");
     }
-    // A navigation file, and one whose header is cut by the end: what was taken stays taken.
+    // A navigation file, and one that ends in its header: the decoded data is kept.
     let mut navigation = Vec::new();
     graphfix::formats::rinex::write_navigation(&mut navigation, &PAIR.navigation).unwrap();
     let (status, answer) = push(&doors, &session, "", &navigation).await;
@@ -453,12 +452,12 @@ async fn what_is_no_stream_is_refused() {
     let file = PAIR.base_file(None);
     let (_, answer) = push(&doors, &session, "end=true", &file[..300]).await;
     assert_eq!((&answer["rawThrough"], &answer["results"]), (&json!(300), &json!([])));
-    // The stream is over, the session is not.
+    // The stream has ended, the session has not.
     let (_, answer) = push(&doors, &session, "offset=300", &file[..100_000]).await;
     assert!(9 < answer["results"].as_array().unwrap().len(), "{answer}");
 }
 
-/// Text that is RINEX all through: its header, then one epoch of no satellites after the other.
+/// Valid RINEX without end: its header, then epochs without satellites.
 fn bomb() -> Vec<u8> {
     let file = String::from_utf8(PAIR.base_file(None)).unwrap();
     let end = file.find("END OF HEADER").unwrap() + 14;
@@ -466,7 +465,7 @@ fn bomb() -> Vec<u8> {
     [&file[..end], &epoch.repeat((9 << 20) / epoch.len())].concat().into_bytes()
 }
 
-/// A stream of gzip that is cut by its end: what it holds is taken, and the cut is told.
+/// A truncated stream of gzip: its content is decoded, and the truncation is reported.
 #[tokio::test]
 async fn a_packed_stream_may_be_cut() {
     let doors = Doors::open().await;
@@ -480,7 +479,7 @@ async fn a_packed_stream_may_be_cut() {
     assert_eq!(answer["leftOut"][0]["why"], "gzip ends before its end");
 }
 
-/// Pushes from `at` on until the service dies or all is sent.
+/// Pushes from `at` on until the service is killed or all is sent.
 async fn push_on(
     channel: &Channel,
     session: &str,
@@ -505,15 +504,15 @@ async fn push_on(
     }
 }
 
-/// `kill -9` in the middle of a stream: the device goes on where the service says, no epoch is
-/// missing, none twice, and each is as the bytes have it.
+/// `kill -9` in the middle of a stream: the device continues at the offset that the service gives.
+/// No epoch is missing or stored twice, and each is as in the file.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_outlives_kill_9() {
     let Some(stream) = log(400_000) else { return };
     outlives_kill_9(&stream, epochs(decode(&stream, None).0)).await;
 }
 
-/// The same of CRINEX within gzip, neither of which can be read from the middle on.
+/// The same with CRINEX packed with gzip, neither of which can be read from the middle.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_packed_stream_outlives_kill_9() {
     let Some(folder) = data::set("formats") else { return };
@@ -551,7 +550,7 @@ async fn outlives_kill_9(stream: &[u8], expected: Vec<Epoch>) {
     }
 }
 
-/// `graphfix stream` sends the bytes of a receiver's file as they are, and goes on where it was.
+/// `graphfix stream` sends the bytes of a receiver's file unchanged, and continues where it ended.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_receivers_file_is_streamed() {
     let Some(bytes) = log(300_000) else { return };
@@ -572,12 +571,12 @@ async fn a_receivers_file_is_streamed() {
     }
     let list = v1::ListSolutionsRequest { session, page_size: 10_000, ..Default::default() };
     let listed = SolutionsClient::new(server.channel()).list(list).await.unwrap().into_inner();
-    // The first run ended its stream inside a frame, which is lost to the second.
+    // The first run ended its stream inside a frame, which the second run cannot decode.
     let found = listed.solutions.len();
     assert!(expected - 1 <= found && found <= expected, "{found} of {expected}");
 }
 
-/// A device needs nothing else: a factor graph from the bytes alone is where the receiver stood.
+/// The bytes alone are enough for a device: a factor graph gives the receiver's position.
 #[tokio::test]
 async fn a_device_needs_nothing_but_its_bytes() {
     let Some(stream) = log(600_000) else { return };
@@ -585,7 +584,7 @@ async fn a_device_needs_nothing_but_its_bytes() {
     let new = v1::CreateSessionRequest { mode: "fgo".into(), ..Default::default() };
     let session = calls::sessions::create(&doors.service, new).await.unwrap().session;
     let (mut offset, mut errors_m) = (0, Vec::new());
-    // The receiver's own RTK position of the set.
+    // The receiver's own RTK position in the data set.
     let (latitude_rad, longitude_rad) =
         (53.280_471_167_f64.to_radians(), -9.057_821_f64.to_radians());
     let truth = Geodetic { latitude_rad, longitude_rad, height_m: 67.8 }.to_ecef();

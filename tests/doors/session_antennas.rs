@@ -1,4 +1,4 @@
-//! Sessions correct observations for antennas as `solve --antex` does, and replay them so.
+//! Sessions correct observations for antennas like `solve --antex`, and replay does the same.
 
 use std::collections::BTreeMap;
 
@@ -96,7 +96,7 @@ impl Desk {
         Self { sessions: Sessions::open(store, aiding.clone(), SessionLimits::service()), aiding }
     }
 
-    /// Navigation data and a base, whose file's header tells place and antenna.
+    /// Navigation data, and a base whose file's header contains position and antenna.
     async fn fill(&self) -> BaseId {
         let (navigation, _) = read_navigation(navigation_file().as_slice()).unwrap();
         self.aiding.navigation.push(navigation, "test").await.unwrap();
@@ -142,7 +142,7 @@ fn rover() -> Vec<SequencedEpoch> {
     epochs
 }
 
-/// Replayed by a program that has no calibrations but the stored ones.
+/// Replayed by a program that has the stored calibrations only.
 async fn replayed(database: &Database, id: &SessionId) -> Check {
     let store = database.store().await;
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
@@ -157,7 +157,7 @@ fn assert_same(answers: &[Solution], expected: &[Solution]) {
     }
 }
 
-/// Bit by bit what `solve --antex` answers, also after a restart without the ANTEX file.
+/// The same bits as `solve --antex`, also after a restart without the ANTEX file.
 async fn a_session_corrects_as_solve_does_and_replays_without_the_file(database: Database) {
     let expected = solved(Some(&[ROVER, BASE]));
     let desk = Desk::open(&database, &[ROVER, BASE]).await;
@@ -176,8 +176,8 @@ async fn a_session_corrects_as_solve_does_and_replays_without_the_file(database:
     assert!(check.is_same() && EPOCHS <= check.compared, "{check:?}");
 }
 
-/// The base's antenna is calibrated after half of the epochs: from then on the session answers as
-/// one that begins there, and is replayed so.
+/// The base's antenna is calibrated after half of the epochs: from then on the session answers like
+/// one that begins there, and replay does the same.
 async fn a_base_that_is_calibrated_later_begins_the_estimator_again(database: Database) {
     let desk = Desk::open(&database, &[ROVER]).await;
     let base = desk.fill().await;
@@ -193,7 +193,7 @@ async fn a_base_that_is_calibrated_later_begins_the_estimator_again(database: Da
     for (answer, expected) in answers.iter().zip(&expected) {
         let (answered, begun) = (answer.estimate.as_ref(), expected.estimate.as_ref());
         let apart_m = answered.unwrap().position.distance_m(begun.unwrap().position);
-        // Ambiguities kept from before would leave the base's 6 cm in the height.
+        // Ambiguities from before would keep the base's 6 cm in the height.
         assert!(apart_m < 0.01, "{}: {apart_m}", expected.time);
     }
     desk.sessions.drain().await;
@@ -201,7 +201,7 @@ async fn a_base_that_is_calibrated_later_begins_the_estimator_again(database: Da
     assert!(check.is_same() && EPOCHS <= check.compared, "{check:?}");
 }
 
-/// Without an antenna named nothing is corrected; a session whose antenna is taken away goes on so.
+/// Without a named antenna nothing is corrected; nor is a session after its antenna is removed.
 async fn a_session_without_an_antenna_is_not_corrected(database: Database) {
     let expected = solved(None);
     let corrected = solved(Some(&[ROVER, BASE]));
@@ -219,7 +219,7 @@ async fn a_session_without_an_antenna_is_not_corrected(database: Database) {
     assert_same(&desk.submit(&session, 0..BEFORE).await, &expected[..BEFORE]);
 }
 
-/// Epochs without a session are corrected as those of a session.
+/// Epochs without a session are corrected like those of a session.
 async fn a_burst_corrects_as_a_session_does(database: Database) {
     let expected = solved(Some(&[ROVER, BASE]));
     let desk = Desk::open(&database, &[ROVER, BASE]).await;

@@ -87,8 +87,8 @@ async fn created(sessions: &Sessions) -> SessionId {
     sessions.create(new_session()).await.unwrap().id
 }
 
-/// An epoch at a second of week 2051 with one pseudorange, for which no ephemeris is held: the
-/// answer is that there is no position, and why.
+/// An epoch at a second of week 2051 with one pseudorange and without an ephemeris: the answer has
+/// no position, and states the reason.
 fn epoch(seq: u64, second: f64) -> SequencedEpoch {
     let satellite: SatelliteId = "G05".parse().unwrap();
     let code = ObservationCode::parse("1C").unwrap();
@@ -225,7 +225,7 @@ async fn an_epoch_beyond_the_limits_is_refused(database: Database) {
     assert_eq!(code(sessions.submit(&unknown, batch([1])).await), "SESSION_NOT_FOUND");
 }
 
-/// A receiver that counts weeks wrongly: its epoch is refused, and the right ones are taken.
+/// A receiver with a wrong week number: its epoch is refused, and the right ones are accepted.
 async fn an_epoch_of_the_future_does_no_harm(database: Database) {
     let sessions = desk(&database.store().await).await;
     let id = created(&sessions).await;
@@ -239,8 +239,8 @@ async fn an_epoch_of_the_future_does_no_harm(database: Database) {
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 3]);
 }
 
-/// A new arc begins where the clock of the receiver was wrong. What was stored stays, and a restart
-/// and a replay know of the arc.
+/// A new arc after a wrong clock of the receiver. Stored epochs stay, and a restart and a replay
+/// respect the arc.
 async fn a_reset_session_takes_epochs_of_any_time(database: Database) {
     let store = database.store().await;
     let sessions = desk(&store).await;
@@ -469,7 +469,7 @@ async fn another_writer_is_noticed(database: Database) {
     let id = created(&one).await;
     one.submit(&id, batch([1])).await.unwrap();
     other.submit(&id, batch([2])).await.unwrap();
-    // `one` does not know of 2 until the store refuses its own.
+    // `one` learns of 2 only when the store refuses its own commit.
     let error = one.submit(&id, batch([2])).await.unwrap_err();
     assert_eq!(error.code().name(), "WRITTEN_ELSEWHERE");
     let again = one.submit(&id, batch([2, 3])).await.unwrap();
@@ -563,8 +563,8 @@ async fn requests_are_solved_without_a_trace(database: Database) {
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 2, 3]);
 }
 
-/// A session interrupted after every 100 epochs and restored from the store gives the solutions of
-/// one that was not, bit by bit; so does a session that is parked after every batch.
+/// A session interrupted after every 100 epochs and restored from the store gives the same bits as
+/// one without interruptions; so does a session that is parked after every batch.
 #[tokio::test]
 async fn real_epochs_give_the_same_bits_after_restarts() {
     let Some(folder) = data::set("tst-2019") else { return };

@@ -1,4 +1,4 @@
-//! `graphfix simulate`: what it writes reads back, and what it refuses.
+//! `graphfix simulate`: its files can be read back, and wrong arguments are refused.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -78,8 +78,8 @@ fn what_is_written_reads_back() {
     }
 }
 
-/// A log of a phone is solved as the RINEX file of the same observations, which has half a
-/// millimetre less of each range.
+/// A phone's log gives the same positions as the RINEX file of the same observations, which rounds
+/// each range to half a millimetre.
 #[test]
 fn a_phones_log_is_solved_like_rinex() {
     let folder = tempfile::tempdir().unwrap();
@@ -173,8 +173,8 @@ fn what_it_cannot_do_is_refused_in_one_line() {
     assert!(refusal(&["--scenario", "clean", "--baseline", "1e6"]).contains("--baseline"));
 }
 
-/// The base of `--baseline` is as far as asked, and the ionosphere's gradient lengthens its
-/// pseudoranges against those without one in proportion.
+/// `--baseline` sets the distance of the base, and the ionosphere's gradient lengthens its
+/// pseudoranges in proportion to it.
 #[test]
 fn baselines_and_gradients() {
     let quiet = |baseline_m: f64, gradient: [f64; 2]| {
@@ -199,7 +199,8 @@ fn baselines_and_gradients() {
         let (distance_m, plain) = quiet(baseline_m, [0.0; 2]);
         assert!((distance_m - baseline_m).abs() < 0.01 * baseline_m, "{distance_m}");
         let (_, sloped) = quiet(baseline_m, [3e-6, 4e-6]);
-        // 5 mm/km along the gradient: no less than the cosine of the baseline's direction to it.
+        // 5 mm/km along the gradient, times the cosine of its angle to the baseline, at most one,
+        // and a slant factor below 3.5.
         let largest_m = 5e-6 * baseline_m * 3.5;
         let mut seen_m = 0.0_f64;
         for (a, b) in plain.iter().zip(&sloped).filter(|(a, _)| a.code.band_digit() == 1) {

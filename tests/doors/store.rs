@@ -158,7 +158,7 @@ async fn a_batch_is_stored_whole_or_not_at_all(database: Database) {
     assert_eq!(store.epochs(key, &[4, 5, 6]).await.unwrap().len(), 1);
 }
 
-/// The batches are in one transaction: they are handed over before the committer runs.
+/// The batches are in one transaction, because they are passed before the committer runs.
 async fn one_contradiction_fails_alone(database: Database) {
     let store = database.store().await;
     let (one, other) = (session(&store, "one").await, session(&store, "other").await);
@@ -202,7 +202,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }
 
-/// Nobody knows what the schema is where the list of migrations was lost.
+/// If the list of migrations is lost, the schema is unknown.
 async fn a_schema_that_cannot_be_migrated_is_refused(database: Database) {
     database.store().await.close().await;
     database.execute("DELETE FROM _sqlx_migrations").await;
@@ -312,7 +312,7 @@ async fn old_ephemerides_make_room(database: Database) {
         broker.push(pushed, "archive").await
     };
     push(&[7_200, 14_400]).await.unwrap();
-    // What comes is wanted, though it be older than what is held.
+    // A new ephemeris is kept, even if it is older than the stored ones.
     let counts = push(&[0]).await.unwrap();
     assert_eq!((counts.new, counts.dropped, counts.in_force), (1, 1, 2));
     let held = |navigation: &Navigation| -> Vec<GpsTime> {
@@ -334,7 +334,7 @@ async fn coverage_is_told(database: Database) {
     let status = broker.status();
     let [five, seven] = &status.satellites[..] else { panic!("{status:?}") };
     assert_eq!((five.ephemerides, &*five.source), (2, "archive"));
-    // A fit interval of 4 h reaches 2 h to either side of toe.
+    // A fit interval of 4 h extends 2 h to both sides of toe.
     assert_eq!(five.usable, Some((time(0), time(21_600))));
     assert_eq!((seven.usable, &*seven.source), (None, "upload"));
     assert!(!status.klobuchar_gps && status.ephemerides == 3);

@@ -1,5 +1,4 @@
-//! The client of NTRIP casters against casters that nobody here wrote, and against one that is
-//! hostile.
+//! The client of NTRIP casters against independent casters, and against a hostile one.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -23,14 +22,14 @@ use crate::support::python;
 use crate::support::server::free_port;
 use crate::support::wait::until;
 
-/// What the stream holds up to its end, or `limit` bytes.
+/// The content of the stream up to its end, or `limit` bytes.
 async fn content(stream: &mut NtripStream, limit: usize) -> Vec<u8> {
     let mut content = Vec::new();
     while content.len() < limit && stream.read(&mut content).await.is_ok() {}
     content
 }
 
-/// What a caster answers that may not listen yet.
+/// The answer of a caster that may not listen yet.
 async fn connected(
     connector: &Connector,
     asked: &StreamRequest,
@@ -75,7 +74,7 @@ async fn answers_are_told_apart() {
     );
 }
 
-/// A head that comes byte by byte, each in time, is not waited for longer than a head may take.
+/// A head whose bytes arrive slowly one by one must still be complete within the limit for a head.
 #[tokio::test]
 async fn a_head_that_drips_is_given_up() {
     let caster = HostileCaster::start(|_, stream, _| {
@@ -89,7 +88,7 @@ async fn a_head_that_drips_is_given_up() {
     assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
-/// Chunks as the network splits them; what comes with the head is not lost.
+/// Chunks split by the network; bytes that arrive with the head are kept.
 #[tokio::test]
 async fn chunks_arrive_whole_however_they_are_cut() {
     let sent: Vec<u8> = (0..50_000_u32).map(|i| (i * 7) as u8).collect();
@@ -159,7 +158,7 @@ async fn a_sourcetable_that_never_ends_is_given_up() {
     assert_eq!(listed.unwrap_err().code().name(), "CASTER_PROTOCOL");
 }
 
-/// Nothing is asked that the operator has not listed, nor at an address of a private network.
+/// No unlisted host is contacted, and no address of a private network.
 #[tokio::test]
 async fn hosts_that_may_not_be_asked_are_not() {
     let caster = HostileCaster::answering("ICY 200 OK\r\n").await;
@@ -182,7 +181,7 @@ async fn hosts_that_may_not_be_asked_are_not() {
     assert!(ntrip::connect(&policy(&["127.0.0.1"], true), &asked, None).await.is_ok());
 }
 
-/// TLS with a certificate of an authority that the operator names, and with none.
+/// TLS with a certificate of an authority that the operator names, and without one.
 #[tokio::test]
 async fn encrypted_casters_must_prove_who_they_are() {
     let folder = tempfile::tempdir().unwrap();
@@ -233,7 +232,7 @@ async fn str2str_gives_its_stream_to_who_may_have_it() {
         let asked = StreamRequest { version, ..caster.request("BASE") };
         let mut stream = connected(&connector, &asked).await.unwrap();
         let sent: Vec<u8> = (0..40_000_u32).map(|i| ((i * 13) >> 3) as u8).collect();
-        // It drops what comes before it has taken a client on.
+        // It drops data that arrives before a client is connected.
         while timeout(Duration::from_millis(100), stream.read(&mut Vec::new())).await.is_err() {
             caster.source.write_all(&[0]).await.unwrap();
         }
@@ -256,7 +255,7 @@ async fn str2str_gives_its_stream_to_who_may_have_it() {
     }
 }
 
-/// A caster that computes a stream for the rover's position is sent it, in the request and after.
+/// A caster that computes a stream for the rover's position receives it, in the request and later.
 #[tokio::test]
 async fn a_position_is_sent_to_casters_that_need_it() {
     let (told, mut telling) = tokio::sync::mpsc::unbounded_channel();
@@ -280,7 +279,7 @@ async fn a_position_is_sent_to_casters_that_need_it() {
     stream.send(&sentence).await.unwrap();
 }
 
-/// `pygnssutils`' caster; `None`, said plainly, where it is not installed.
+/// `pygnssutils`' caster; `None`, with a note, if it is not installed.
 fn pygnssutils(port: u16, version: &str) -> Option<Running> {
     let python = python::with("pygnssutils")?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/python/caster.py");

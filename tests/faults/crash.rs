@@ -20,7 +20,8 @@ use crate::support::wait::interrupted;
 const EPOCHS: u64 = 600;
 const BATCH: usize = 20;
 
-/// Pushes from `next` on until the service dies or all is sent; what is acknowledged is kept.
+/// Pushes from `next` on until the service is killed or all is sent; records the acknowledged
+/// epochs.
 async fn push_on(
     channel: &Channel,
     session: &str,
@@ -55,7 +56,7 @@ async fn what_was_acknowledged_outlives_kill_9() {
         let resumed = opened(&channel, Some(&session)).await.durable_through;
         let last = acknowledged.keys().next_back().copied();
         assert!(last <= resumed, "acknowledged {last:?}, durable {resumed:?}");
-        // Some epochs are sent again that may have been stored without an answer.
+        // Some epochs are resent that may have been stored without an answer.
         let next = last.map_or(1, |last| last + 1);
         let pushing = push_on(&channel, &session, next, &mut acknowledged);
         interrupted(pushing, Duration::from_millis(after_ms), || server.kill()).await;
@@ -76,7 +77,7 @@ async fn what_was_acknowledged_outlives_kill_9() {
     }
 }
 
-/// Pushes epochs of a drive from `next` on until the service dies or all is sent.
+/// Pushes epochs of a drive from `next` on until the service is killed or all is sent.
 async fn drive_on(channel: &Channel, session: &str, next: u64) -> Option<()> {
     let mut client = PositioningClient::new(channel.clone());
     let rest: Vec<_> = DRIVE.epochs.iter().filter(|epoch| next <= epoch.seq).collect();
@@ -112,8 +113,8 @@ async fn whole(channel: &Channel, session: &str) -> Vec<v1::Solution> {
     SolutionsClient::new(channel.clone()).list(list).await.unwrap().into_inner().solutions
 }
 
-/// A window is more than its last solution: killed again and again, it gives the solutions and the
-/// revisions of one that was not. `graphfix replay` gives them too.
+/// A window is more than its last solution: a session that is killed repeatedly gives the same
+/// solutions and revisions as one that is not. `graphfix replay` gives them too.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_window_outlives_kill_9() {
     let folder = tempfile::tempdir().unwrap();
@@ -146,7 +147,7 @@ async fn a_window_outlives_kill_9() {
     replayed(&database, &session, expected.len());
 }
 
-/// What `graphfix replay` says of a session, and what it writes of another configuration.
+/// The output of `graphfix replay` for a session, and the file it writes for another configuration.
 fn replayed(database: &Path, session: &str, solutions: usize) {
     let replay = |arguments: &[&str]| server::replayed(database, session, arguments);
     let same = format!("{solutions} solutions compared, 0 different\n");
@@ -170,8 +171,8 @@ fn resident_kb(process: u32) -> u64 {
     line.split_whitespace().nth(1).unwrap().parse().unwrap()
 }
 
-/// What one of many idle sessions of a mode keeps resident (kB), all that belongs to it included:
-/// task, mailbox, state. Its window holds 30 epochs.
+/// Resident memory of one of many idle sessions of a mode (kB), including its task, mailbox and
+/// state. Its window has 30 epochs.
 #[cfg(target_os = "linux")]
 async fn held_kb(mode: &str) -> f64 {
     const SESSIONS: usize = 150;

@@ -1,5 +1,5 @@
-//! A database that fails while sessions use it: refused clearly, served again by itself, and
-//! nothing that was acknowledged is lost.
+//! A database that fails while sessions use it: epochs are refused clearly, the service recovers by
+//! itself, and nothing acknowledged is lost.
 
 use std::time::{Duration, Instant};
 
@@ -37,7 +37,7 @@ fn assert_failed(error: &SessionError) {
     assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
 }
 
-/// A lock on what the committer writes, held by another client.
+/// A lock on the committer's tables, held by another client.
 enum Lock {
     Sqlite(SqliteConnection),
     Postgres(PgConnection),
@@ -91,7 +91,7 @@ async fn a_locked_database_is_refused_and_served_again(database: Database) {
     assert_eq!(sessions.counts().restores, 1, "the state in memory was dropped");
 }
 
-/// As for `graphfix replay`: no migration, no commit, and another schema is refused.
+/// As with `graphfix replay`: no migration, no commit, and another schema is refused.
 async fn a_store_opened_to_read_changes_nothing(database: Database) {
     let id = {
         let sessions = desk(&database.store().await).await;
@@ -123,7 +123,8 @@ async fn the_settings_of_durability_are_reported(database: Database) {
     assert!(synchronous.unwrap().is_safe);
 }
 
-/// A role or server with `synchronous_commit` off acknowledges what a power failure loses.
+/// A role or server with `synchronous_commit` off would acknowledge epochs that a power failure
+/// loses.
 #[tokio::test]
 async fn commits_are_durable_whatever_the_server_says() {
     on_postgres(async |database| {
@@ -135,7 +136,7 @@ async fn commits_are_durable_whatever_the_server_says() {
     .await;
 }
 
-/// The server ends the committer's process again and again while a device pushes.
+/// The server ends the committer's process repeatedly while a device pushes.
 #[tokio::test]
 async fn an_ended_connection_loses_nothing() {
     on_postgres(async |database| {

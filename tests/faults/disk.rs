@@ -1,6 +1,6 @@
 //! A disk that fails under a running service: full, broken, not synchronising, slow.
 //!
-//! `disk.c` is preloaded into `graphfix serve`, so that its writes fail as a file says.
+//! `disk.c` is preloaded into `graphfix serve`; a file controls which writes fail.
 
 #![cfg(target_os = "linux")]
 
@@ -60,7 +60,7 @@ impl Failing {
         std::fs::write(&self.control, fault).unwrap();
     }
 
-    /// Pushes an epoch, and keeps what is acknowledged.
+    /// Pushes an epoch, and records it if it is acknowledged.
     async fn push(&mut self, seq: u64) -> Result<(), String> {
         let channel: Channel = self.server.channel();
         let epochs = vec![serde_json::from_value(epoch(seq)).unwrap()];
@@ -74,8 +74,8 @@ impl Failing {
         Ok(())
     }
 
-    /// With the fault an epoch is refused in time and the service is not ready; after it, without a
-    /// restart, both end.
+    /// During the fault an epoch is refused in time and the service is not ready; afterwards both
+    /// end without a restart.
     async fn fails_and_recovers(&mut self, fault: &str, seq: u64) {
         self.push(seq).await.unwrap();
         self.set(fault);
@@ -87,7 +87,7 @@ impl Failing {
         until("not ready", ready, |status| *status == 503).await;
         self.set("none");
         let ended = Instant::now();
-        // The epoch that was refused may have been stored: it is sent again.
+        // The refused epoch may have been stored: it is resent.
         while let Err(code) = self.push(seq + 1).await {
             assert_eq!(code, "DATABASE_FAILED");
             assert!(ended.elapsed() < SERVED_WITHIN, "{fault}: not served again");
@@ -122,7 +122,7 @@ async fn a_disk_that_fails_is_refused_and_served_again() {
     service.finish().await;
 }
 
-/// A commit that takes longer than its deadline is refused; it ends all the same, and the epoch is
+/// A commit that takes longer than its deadline is refused. It still ends, and the epoch is then
 /// answered from the store.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_slow_disk_is_refused_and_served_again() {

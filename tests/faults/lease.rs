@@ -22,7 +22,7 @@ async fn a_second_service_is_refused_by_name(database: Database) {
     let refused = alone(&database.url, "second").await.unwrap_err();
     assert_eq!(refused.code().name(), "DATABASE_IN_USE");
     assert!(refused.to_string().contains("first"), "{refused}");
-    // A replay may read meanwhile.
+    // Meanwhile a replay may read.
     Store::open_read_only(&database.url).await.unwrap().close().await;
     let sessions = desk(&first).await;
     let id = created(&sessions).await;
@@ -34,7 +34,7 @@ async fn a_second_service_is_refused_by_name(database: Database) {
     second.close().await;
 }
 
-/// Two writers without a lease: the head of the session says that the other one has closed it.
+/// Two writers without a lease: the session's head shows that the other one has closed it.
 async fn a_session_closed_elsewhere_takes_no_epoch(database: Database) {
     let one = desk(&database.store().await).await;
     let other = desk(&database.store().await).await;
@@ -50,7 +50,7 @@ async fn a_session_closed_elsewhere_takes_no_epoch(database: Database) {
     assert_eq!(one.get(&id).await.unwrap().durable_through, Some(1));
 }
 
-/// A later service has committed to the session: an earlier one commits nothing to it any more.
+/// After a later service has committed to the session, an earlier one cannot commit to it any more.
 async fn nothing_is_committed_below_the_fence(database: Database) {
     let store = alone(&database.url, "first").await.unwrap();
     let sessions = desk(&store).await;
@@ -64,8 +64,8 @@ async fn nothing_is_committed_below_the_fence(database: Database) {
     store.close().await;
 }
 
-/// Whoever commits has the lease: a service whose connection the server has ended does not commit
-/// once another service has taken the lease.
+/// Only the holder of the lease commits: a service whose connection the server has ended cannot
+/// commit once another service has taken the lease.
 #[tokio::test]
 async fn a_service_that_lost_the_lease_commits_nothing() {
     on_postgres(async |database| {

@@ -1,4 +1,4 @@
-//! What goes wrong: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
+//! Faults: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
 
 mod casters;
 mod crash;

@@ -1,7 +1,8 @@
-//! What must not break an estimator that remembers: each misfortune, each kind of answer.
+//! Disturbances that an estimator with memory must survive: each disturbance with each kind of
+//! answer.
 //!
-//! A simulated rover under the open sky, so that the truth is exact and every error is the
-//! misfortune's.
+//! A simulated rover under open sky, so that the truth is exact and every error is caused by the
+//! disturbance.
 
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::gnss::constants::SPEED_OF_LIGHT;
@@ -74,7 +75,7 @@ impl Drive {
         LocalFrame::at(nearest.1).to_enu(estimate.position).0.xy().norm()
     }
 
-    /// Every epoch is answered by the filter or graph itself, none off by more than `limit_m`.
+    /// Every epoch is answered by the filter or graph itself, and no error exceeds `limit_m`.
     fn assert_all(&self, limit_m: f64, what: &str) {
         for kind in KINDS {
             let solutions = self.solve(kind);
@@ -99,7 +100,7 @@ impl Drive {
     }
 }
 
-/// What the limits below are to be compared with.
+/// Reference for the limits below.
 #[test]
 fn nothing_happens() {
     Drive::new(120.0).assert_all(3.0, "nothing");
@@ -109,7 +110,8 @@ fn nothing_happens() {
 fn satellites_appear_and_vanish() {
     let mut drive = Drive::new(150.0);
     for (second, epoch) in drive.epochs.iter_mut().enumerate() {
-        // Another half of the sky every seven seconds, and for a second none that was there.
+        // Every seven seconds the other half of the sky; for one second no satellite of the
+        // previous epoch.
         let half = (second / 7 % 2) as u8;
         epoch.observations.retain(|o| o.satellite.number % 2 == half);
     }
@@ -119,13 +121,13 @@ fn satellites_appear_and_vanish() {
 #[test]
 fn minutes_without_epochs() {
     let mut drive = Drive::new(500.0);
-    // Shorter than what starts anew, and longer.
+    // Shorter and longer than the gap that restarts.
     drive.epochs.drain(320..480);
     drive.epochs.drain(60..150);
     drive.assert_all(6.0, "gaps");
 }
 
-/// The clock steps by a millisecond: tag and pseudoranges with it, and the phases or not.
+/// The clock steps by a millisecond in tag and pseudoranges, and with or without the phases.
 #[test]
 fn the_clock_steps_by_a_millisecond() {
     for (with_phase, steps_ms) in [(false, 1.0), (true, 1.0), (true, -1.0)] {
@@ -173,7 +175,7 @@ fn one_constellation_alone() {
         }
         drive.assert_all(6.0, &format!("{constellation:?} alone"));
     }
-    // One hands over to the next, with no epoch in common.
+    // The satellites change from one set to another without a common epoch.
     let mut drive = Drive::new(120.0);
     for (second, epoch) in drive.epochs.iter_mut().enumerate() {
         let turn = match second / 40 {
@@ -199,7 +201,7 @@ fn satellites_sent_twice() {
     }
 }
 
-/// Epochs sent twice or late are answered by themselves, and the others as if they were not.
+/// Epochs sent twice or late are answered alone, and the others as without them.
 #[test]
 fn epochs_sent_twice_or_late() {
     let plain = Drive::new(90.0);
@@ -212,7 +214,7 @@ fn epochs_sent_twice_or_late() {
         let (single, own): (Vec<_>, Vec<_>) =
             all.into_iter().partition(|solution| solution.status == Status::Single);
         assert_eq!(own, expected, "{kind:?}");
-        // What never entered the window is not revised.
+        // An epoch that did not enter the window is not revised.
         assert_eq!(single.len(), if kind == Kind::FixedLag { 0 } else { 2 }, "{kind:?}");
         plain.assert_each(&own, kind, 3.0, "epochs twice or late");
     }

@@ -60,7 +60,7 @@ fn run(folder: &Path, arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// `solve --antex` says which antennas it corrected and which it could not.
+/// `solve --antex` reports the corrected and the uncorrected antennas.
 #[test]
 fn the_summary_names_the_antennas() {
     let folder = tempfile::tempdir().unwrap();

@@ -40,7 +40,7 @@ fn a_day_of_a_reference_station() {
     measured::EKF_STATION.holds(&Errors::of(&solutions, |_| truth));
 }
 
-/// A clone goes on with the same bits; so does one copied into another's storage.
+/// A clone continues with the same bits; so does one that is copied into another's storage.
 #[test]
 fn clones_answer_alike() {
     let Some(recording) = canyon() else { return };

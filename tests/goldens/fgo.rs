@@ -1,4 +1,4 @@
-//! Goldens of the factor graph on real and simulated recordings, and what must not break it.
+//! Goldens of the factor graph on real and simulated recordings, and its robustness.
 
 use std::collections::BTreeMap;
 
@@ -61,8 +61,8 @@ fn a_day_of_a_reference_station_smoothed() {
     }
 }
 
-/// Exact observations but for the troposphere's mapping: the graph adds nothing to what one epoch
-/// has.
+/// Exact observations except for the troposphere's mapping: the graph adds nothing to single
+/// epochs.
 #[test]
 fn a_simulated_receiver_is_placed_better_than_by_single_points() {
     let Some(folder) = data::set("spirent-rtk") else { return };
@@ -77,7 +77,8 @@ fn a_simulated_receiver_is_placed_better_than_by_single_points() {
     assert!(smoothed.greatest_m < 0.02, "{}", smoothed.greatest_m);
 }
 
-/// Revisions are one for each epoch, in order, and the same whatever cuts the stream into calls.
+/// There is one revision for each epoch, in order, and they do not depend on how the stream is cut
+/// into calls.
 #[test]
 fn every_epoch_is_revised_once() {
     let Some(mut recording) = canyon() else { return };
@@ -94,7 +95,7 @@ fn every_epoch_is_revised_once() {
     assert_eq!(revised.iter().map(|solution| solution.time).collect::<Vec<_>>(), times);
 }
 
-/// A clone goes on with the same bits; so does one copied into another's storage.
+/// A clone continues with the same bits; so does one that is copied into another's storage.
 #[test]
 fn clones_answer_alike() {
     let Some(recording) = canyon() else { return };
@@ -110,10 +111,10 @@ fn clones_answer_alike() {
     }
 }
 
-/// How much farther from the truth the second run is, in the mean (m).
+/// Mean difference between the second run's error and the first run's (m).
 ///
-/// Not how far the runs are apart: where two heights are about as likely, a centimetre can tip the
-/// odds and decide when the window moves from one to the other.
+/// Not the distance between the runs: if two heights are about equally likely, a centimetre can
+/// decide when the window moves from one to the other.
 fn worse_by_m(plain: &[Solution], other: &[Solution]) -> f64 {
     Errors::in_the_canyon(other).mean_m - Errors::in_the_canyon(plain).mean_m
 }
@@ -182,7 +183,7 @@ fn one_constellation_alone_is_enough() {
     }
 }
 
-/// A satellite's slip of a thousand cycles, unflagged, is judged by the kernel.
+/// The kernel rejects an unflagged slip of a thousand cycles.
 #[test]
 fn an_unflagged_slip_moves_nothing_far() {
     let Some(mut recording) = canyon() else { return };
@@ -198,7 +199,7 @@ fn an_unflagged_slip_moves_nothing_far() {
     assert!(worse_by_m.abs() < 0.5, "{worse_by_m}");
 }
 
-/// Some simulated drives; all of the seeds are for `examples/canyon_campaign.rs`.
+/// Some simulated drives; `examples/canyon_campaign.rs` runs all seeds.
 #[test]
 fn simulated_drives_are_better_than_single_points_and_honest() {
     let drives = [("urban-canyon", Profile::UrbanVehicle), ("open-sky", Profile::General)];
@@ -221,16 +222,16 @@ fn simulated_drives_are_better_than_single_points_and_honest() {
             }
         }
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        // Under an open sky the likelihood has no variance of the atmosphere's models, which single
-        // points weigh by: the window is up to 1.4 times as far off there.
+        // Under open sky the likelihood does not include the variance of the atmosphere's models,
+        // which single points use as weights: there the window's error is up to 1.4 times as large.
         let limit = if scenario == "urban-canyon" { 0.6 } else { 1.1 };
         assert!(mean(&means) < limit, "{scenario}: {means:?}");
         assert!((0.9..=1.0).contains(&mean(&inside)), "{scenario}: {inside:?}");
     }
 }
 
-/// A start with four satellites proves nothing, whatever they agree on; the whole sky that follows
-/// does within ten seconds.
+/// A start with four satellites is not proven, even if they agree; the whole sky that follows
+/// proves it within ten seconds.
 #[test]
 fn a_start_is_doubted_until_it_is_proven() {
     let scenario = Scenario { base: None, duration_s: 40.0, ..Scenario::open_sky() };

@@ -1,14 +1,15 @@
-//! The figures that the goldens hold, as this version of the estimators gives them on each recording.
+//! The figures that the goldens check, as this version of the estimators gives them on each
+//! recording.
 //!
-//! They are bounds on both sides: a figure that becomes better is revised here, so that a later loss is
-//! seen. The tolerances are above what another order of sums or another compiler moves, and below
-//! the differences between settings that `docs/accuracy.md` compares.
+//! The figures are bounds on both sides: if one improves, it is revised here, so that a later loss
+//! is visible. The tolerances are above the effect of another order of sums or another compiler,
+//! and below the differences between settings that `docs/accuracy.md` compares.
 
 use crate::support::recording::Errors;
 
 /// Relative tolerance of an error.
 const ERROR: f64 = 0.05;
-/// The largest error is one epoch's, and moves more.
+/// Relative tolerance of the largest error, which belongs to one epoch and varies more.
 const GREATEST: f64 = 0.10;
 /// Tolerance of a share of epochs.
 const SHARE: f64 = 0.02;
@@ -39,13 +40,13 @@ pub(super) const SPP_CANYON: Measured = measured(11.195, 14.582, 87.595, 0.837);
 /// hers, `spp`, `general`.
 pub(super) const SPP_STATION: Measured = measured(0.795, 0.435, 3.077, 1.0);
 
-/// Epochs that are fixed, by recording.
+/// Number of fixed epochs, by recording.
 pub(super) const HERS_L1: usize = 2_878;
 pub(super) const HERS_L1_SINGLE_EPOCH: usize = 905;
 pub(super) const HERS_L1_FILTER: usize = 2_871;
-/// Of 205.
+/// Of 205 epochs.
 pub(super) const KLT: usize = 127;
-/// Of 552 with truth.
+/// Of 552 epochs with truth.
 pub(super) const GALWAY_WALK: usize = 435;
 /// Six simulated drives in streets: per cent of the epochs that are fixed at once, and per cent of
 /// these fixes that are more than 10 cm off.
@@ -67,7 +68,7 @@ impl Measured {
     }
 }
 
-/// Whether each figure (name, value, measured, tolerance) is near what was measured.
+/// Checks that each figure (name, value, measured, tolerance) is near the measured one.
 #[track_caller]
 pub(super) fn near(figures: &[(&str, f64, f64, f64)]) {
     let is_near = |(_, value, measured, tolerance): &&(&str, f64, f64, f64)| {
@@ -79,7 +80,7 @@ pub(super) fn near(figures: &[(&str, f64, f64, f64)]) {
     assert!(far.is_empty(), "far from (name, value, measured, tolerance): {far:?}\nall: {all:?}");
 }
 
-/// Whether a number of fixed epochs is within a hundredth of what was measured.
+/// Checks that a number of fixed epochs is within a hundredth of the measured one.
 #[track_caller]
 pub(super) fn near_count(count: usize, measured: usize) {
     near(&[("fixed epochs", count as f64, measured as f64, (0.01 * measured as f64).max(1.0))]);

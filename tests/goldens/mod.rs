@@ -1,4 +1,4 @@
-//! Answers held against a truth: a survey, a reference receiver, a simulator.
+//! Answers compared with a truth: a survey, a reference receiver, a simulator.
 
 mod antennas;
 mod ekf;

@@ -1,4 +1,4 @@
-//! RINEX goldens on real files: what decodes, what is refused, and how much comes out.
+//! RINEX goldens on real files: decoded content, refusals, and their numbers.
 
 use std::fmt::Write;
 use std::fs;
@@ -10,8 +10,8 @@ use graphfix::gnss::{Cycles, Epoch, GpsTime};
 use crate::support::data;
 use crate::support::reading::open;
 
-/// What becomes of each file, judged one by one: the counts of plain observation files that are not
-/// broken agree with `scripts/count_rinex.py`, and each reason with the lines it names.
+/// The outcome for each file, reviewed one by one: the counts of plain, undamaged observation files
+/// agree with `scripts/count_rinex.py`, and each reason with the lines it names.
 const OUTCOMES: &str = include_str!("rinex/outcomes.txt");
 
 /// All epochs of a file, with its reader.
@@ -25,7 +25,7 @@ fn read_epochs(path: &Path) -> Result<(Vec<Epoch>, Skipped), RinexError> {
     Ok((epochs, reader.skipped().clone()))
 }
 
-/// One line that says what became of a file.
+/// One line with the outcome for a file.
 fn outcome(path: &Path) -> String {
     let (mut text, skipped) = match read_epochs(path) {
         Ok((epochs, skipped)) => {
@@ -140,7 +140,7 @@ fn counts_agree_with_an_independent_count() {
     }
 }
 
-/// The rover of hers-hert has P1 and no C1: one L1 observation, its phase with it.
+/// The rover of hers-hert has P1 and no C1: one L1 observation, with its phase.
 #[test]
 fn rinex_2_phase_goes_with_the_pseudorange_there_is() {
     let Some(folder) = data::set("hers-hert") else { return };
@@ -152,7 +152,8 @@ fn rinex_2_phase_goes_with_the_pseudorange_there_is() {
     assert_eq!(epochs[0].observations[1].signal().to_string(), "G2W");
 }
 
-/// Column `X1` of meijo-static is a channel number: passed over, and no column moves.
+/// Column `X1` of meijo-static is a channel number: it is skipped, and the other columns stay in
+/// place.
 #[test]
 fn unknown_types_keep_their_column() {
     let Some(folder) = data::set("meijo-static") else { return };

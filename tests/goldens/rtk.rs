@@ -33,7 +33,7 @@ impl Pair {
         }
     }
 
-    /// Gives each epoch of the rover with what is new of the base.
+    /// Gives each epoch of the rover with the new base epochs.
     fn give(&self, mut take: impl FnMut(&Epoch, &Aiding<'_>)) {
         let mut given = 0;
         for epoch in &self.rover {
@@ -53,7 +53,7 @@ impl Pair {
         solutions
     }
 
-    /// Each epoch as it leaves the window, and before that as `causal` has it.
+    /// Each epoch when it leaves the window; before that `causal` has its first answer.
     fn smoothed(&self, options: &PositioningOptions, causal: &[Solution]) -> Vec<Solution> {
         let mut estimator = Estimator::revising(options.clone());
         let (mut solutions, mut first) = (Vec::new(), causal.iter());
@@ -103,7 +103,8 @@ fn fixed(solutions: &[Solution]) -> usize {
 }
 
 /// A day at 30 s, 136 m: 99.9 % of the epochs are fixed, none wrong, 4 mm rms against IGS
-/// coordinates. The height is 6 cm off because antenna models are not applied. The filter does the same.
+/// coordinates. The height is 6 cm off because antenna models are not applied. The filter gives the
+/// same.
 #[test]
 fn a_day_of_two_reference_stations_is_fixed_throughout() {
     let Some(pair) = hers_hert() else { return };
@@ -125,8 +126,8 @@ fn is_fixed_throughout(solutions: &[Solution]) {
     assert!(rms_m < 0.004, "{rms_m}");
 }
 
-/// One frequency: the first minutes are float, and nothing is wrong (10 cm). With ambiguities
-/// forgotten after each epoch few are fixed, and those are right too.
+/// One frequency: the first minutes are float, and no fix is wrong (10 cm). If ambiguities restart
+/// at each epoch few epochs are fixed, and these are right too.
 #[test]
 fn one_frequency_is_fixed_and_never_wrong() {
     let Some(pair) = hers_hert() else { return };
@@ -146,8 +147,9 @@ fn one_frequency_is_fixed_and_never_wrong() {
     }
 }
 
-/// A drive among towers, 4 km from its base, without truth. Where an epoch is fixed at once, the batch
-/// is within 10 cm; since it takes the same integers, this shows that both agree, not that both are right.
+/// A drive among towers, 4 km from its base, without truth. Epochs that are fixed at once agree
+/// with the batch within 10 cm. Both use the same integers, so this shows agreement, not
+/// correctness.
 #[test]
 fn a_drive_among_towers_is_fixed_where_it_can_be() {
     let Some(folder) = data::set("klt-2021") else { return };
@@ -187,8 +189,8 @@ fn a_walk_on_one_frequency_is_fixed_and_never_wrong() {
     }
 }
 
-/// Two static pairs on GPS's first frequency: fixed by the third and the second epoch, and never
-/// wrong. Of the first there is no truth but the position by both frequencies.
+/// Two static pairs on GPS's first frequency: fixed at the third and the second epoch, and never
+/// wrong. The truth of the first pair is the position by both frequencies.
 #[test]
 fn the_first_fix_on_one_frequency_is_soon() {
     let mut alone = general();
@@ -218,7 +220,7 @@ fn the_first_fix_on_one_frequency_is_soon() {
     }
 }
 
-/// The filter on one frequency: as the graph, and nothing is wrong.
+/// The filter on one frequency: as the graph, and no fix is wrong.
 #[test]
 fn the_filter_is_never_wrong_on_one_frequency() {
     let Some(pair) = hers_hert() else { return };
@@ -232,9 +234,9 @@ fn the_filter_is_never_wrong_on_one_frequency() {
     near_count(fixed(&solutions), measured::HERS_L1_FILTER);
 }
 
-/// What comes later finds the integers of what was float: as epochs leave the window, and of all at
-/// the end, where the first minutes are of the same arcs as the next ones. Nothing is wrong, every
-/// epoch is answered once and in its order, and an epoch fixed at once stays so.
+/// Later epochs give the integers of float epochs: when epochs leave the window, and at the end,
+/// since the first minutes have the same arcs as the next ones. No fix is wrong, every epoch is
+/// answered once and in order, and an epoch that is fixed at once stays fixed.
 #[test]
 fn later_epochs_fix_earlier_ones() {
     let Some(pair) = hers_hert() else { return };
@@ -258,7 +260,7 @@ fn later_epochs_fix_earlier_ones() {
     assert!(square(&batch) < square(&smoothed) && square(&smoothed) < square(&causal));
 }
 
-/// Epochs without a base between others that have one: all answered once, in their order.
+/// Epochs without a base between others that have one: each is answered once, in order.
 #[test]
 fn revisions_pass_over_a_missing_base() {
     let Some(mut pair) = hers_hert() else { return };
@@ -278,8 +280,9 @@ fn revisions_pass_over_a_missing_base() {
     }
 }
 
-/// Streets, six drives: some epochs are fixed at once, more as epochs leave the window, most at the end,
-/// and of each next to nothing wrongly; the campaign in `examples/rtk_campaign.rs` counts more.
+/// Six drives in streets: some epochs are fixed at once, more when they leave the window, most at
+/// the end, and hardly any of them wrongly; the campaign in `examples/rtk_campaign.rs` has more
+/// drives.
 #[test]
 fn the_canyon_is_seldom_fixed_wrongly() {
     let (mut all, mut fixed, mut wrong) = (0, [0; 3], [0; 3]);
@@ -316,7 +319,7 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     let wrong_percent = 100.0 * wrong[0] as f64 / fixed[0] as f64;
     near(&[
         ("fixed (%)", fixed_percent, measured::CANYON_FIXED_PERCENT, 2.0),
-        // Of about 1500 fixes: three more or fewer.
+        // Of about 1500 fixes a tolerance of three.
         ("wrong (%)", wrong_percent, measured::CANYON_WRONG_PERCENT, 0.2),
     ]);
     assert!(fixed[0] < fixed[1] && fixed[1] < fixed[2], "{fixed:?} of {all} fixed");
@@ -324,8 +327,8 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     assert!(wrong.iter().zip(&fixed).all(is_rare), "{wrong:?} of {fixed:?} wrong");
 }
 
-/// Without a search for integers every epoch is float, in the graph and in the filter, and no reason
-/// says that a fix was refused.
+/// Without a search for integers every epoch is float, in the graph and in the filter, and no
+/// reason states that a fix was refused.
 #[test]
 fn integers_that_are_not_asked_for_are_not_searched() {
     for mut options in [general(), filter()] {
@@ -350,8 +353,8 @@ fn integers_that_are_not_asked_for_are_not_searched() {
     }
 }
 
-/// GLONASS's integers, each of a wavelength of its own, are found beside GPS's, between receivers
-/// whose delays differ from channel to channel, too: by 3 cm, as some makers' do.
+/// GLONASS's integers, each with its own wavelength, are found together with GPS's. This also works
+/// between receivers whose delays differ by 3 cm per channel, as between some makers.
 #[test]
 fn integers_of_glonass_are_found() {
     for (slope_m, least) in [(0.0, 50), (0.03, 1)] {
@@ -384,7 +387,7 @@ fn integers_of_glonass_are_found() {
     }
 }
 
-/// Delays GLONASS's phases by so much a channel.
+/// Delays GLONASS's phases by a length per channel.
 fn shift_channels(epoch: &mut Epoch, navigation: &Navigation, slope_m: f64) {
     for observation in &mut epoch.observations {
         let ephemeris = select_ephemeris(navigation, observation.satellite, epoch.time);
@@ -396,8 +399,8 @@ fn shift_channels(epoch: &mut Epoch, navigation: &Navigation, slope_m: f64) {
     }
 }
 
-/// Over 8 km under a sloping ionosphere fixes are off to one side for minutes, by some centimetres:
-/// as far as is stated, and neither no distance nor any.
+/// Over 8 km under a sloping ionosphere fixes are biased for minutes by some centimetres: about as
+/// much as the covariance states.
 #[test]
 fn fixes_state_what_the_ionosphere_leaves() {
     let simulator = Simulator::new(Scenario::by_name("rtk-open").unwrap(), 1);
@@ -428,7 +431,7 @@ fn fixes_state_what_the_ionosphere_leaves() {
     assert!((0.3..=1.5).contains(&normalised), "{normalised}");
 }
 
-/// A hardware simulator's signals, 2 km: 2 mm are the rounding of phases and the troposphere.
+/// A hardware simulator's signals, 2 km: the 2 mm are the rounding of phases and the troposphere.
 #[test]
 fn simulated_signals_are_fixed_to_millimetres() {
     [general(), filter()].iter().for_each(spirent_is_fixed_to_millimetres);
@@ -458,8 +461,8 @@ fn spirent_is_fixed_to_millimetres(options: &PositioningOptions) {
     assert!(!errors_m(&solutions, at).iter().any(far));
 }
 
-/// Half an hour without a base: answered by the graph alone, or the filter alone, with the reason;
-/// fixed again within a minute of its return.
+/// Half an hour without a base: answered by the graph or the filter alone, with the reason; fixed
+/// again within a minute of the base's return.
 #[test]
 fn a_missing_base_is_said_and_survived() {
     for (options, alone) in [(general(), Status::Fgo), (filter(), Status::Ekf)] {
@@ -478,14 +481,14 @@ fn is_survived(options: &PositioningOptions, alone: Status) {
         // The base epoch before the gap is used until it is 30 s old.
         let is_gone = (101..160).contains(&k);
         let expected = if is_gone { alone } else { Status::Fixed };
-        // All arcs begin anew with the base: two epochs may pass before they are fixed.
+        // All arcs begin again with the base: two epochs may pass before they are fixed.
         let is_new = (160..162).contains(&k) && solution.status == Status::Float;
         assert!(solution.status == expected || is_new, "epoch {k}: {:?}", solution.reasons);
         assert_eq!(solution.reasons.iter().any(is_stale), is_gone, "epoch {k}");
     }
 }
 
-/// A base 150 m from where it says it is, is refused; 20 m off, it is doubted.
+/// A base 150 m from its stated position is refused; one 20 m off is reported as doubtful.
 #[test]
 fn a_wrong_base_position_is_refused_or_doubted() {
     let Some(mut pair) = hers_hert() else { return };
@@ -504,7 +507,7 @@ fn a_wrong_base_position_is_refused_or_doubted() {
     }
 }
 
-/// Stored and restored after every epoch, with the base away for a while: the same bits.
+/// Stored and restored after every epoch, with the base missing for a while: the same bits.
 #[test]
 fn a_restored_estimator_goes_on_with_the_same_bits() {
     for (options, alone) in [(general(), Status::Fgo), (filter(), Status::Ekf)] {

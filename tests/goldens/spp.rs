@@ -31,7 +31,8 @@ fn the_default_profile_is_better_in_the_canyon() {
 
 const SPIRENT_NAVIGATION: [&str; 2] = ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"];
 
-/// 3D 95 % of at most 35 mm, 601 of 601: what is left is the simulator's own troposphere mapping.
+/// 3D 95 % of at most 35 mm, 601 of 601 epochs: the rest is the simulator's own troposphere
+/// mapping.
 #[test]
 fn simulated_receivers_are_placed_within_centimetres() {
     let Some(folder) = data::set("spirent-rtk") else { return };
@@ -59,8 +60,8 @@ fn a_day_of_a_reference_station() {
     measured::SPP_STATION.holds(&Errors::of(&solutions, |_| truth));
 }
 
-/// The start moves no answer by more than 0.1 mm where the epoch checks itself; others borrow what
-/// the clocks differ by.
+/// The start moves no answer by more than 0.1 mm if the epoch has redundancy; other epochs use
+/// known differences between the clocks.
 #[test]
 fn the_previous_position_decides_nothing() {
     let Some(folder) = data::set("tst-2019") else { return };
@@ -84,7 +85,7 @@ fn the_previous_position_decides_nothing() {
     assert!(500 < moved.len() && greatest_m < 1e-4, "{} epochs, {greatest_m} m", moved.len());
 }
 
-/// Walks and drives with a false ephemeris, clocks a kilometre apart and a handful of satellites:
+/// Walks and drives with a wrong ephemeris, clocks that differ by a kilometre, and few satellites:
 /// the epochs that have a position. The others have fewer than four satellites with known clocks.
 #[test]
 fn epochs_with_sound_satellites_are_answered() {

@@ -1,4 +1,4 @@
-//! What must not change an answer: restarts, snapshots, the order of what comes.
+//! Changes that must not affect an answer: restarts, snapshots, the order of the input.
 
 mod restoring;
 mod windows;

@@ -1,4 +1,4 @@
-//! Estimators stored and restored: the same bits afterwards, whatever the mode and the moment.
+//! Estimators stored and restored give the same bits, in every mode and at every epoch.
 
 use std::sync::LazyLock;
 
@@ -11,8 +11,8 @@ use proptest::prelude::*;
 use crate::support::data;
 use crate::support::recording::Recording;
 
-/// A drive through a canyon that meets what begins windows anew: a gap beyond the limit, one within
-/// it, epochs with few satellites and with none.
+/// A drive through a canyon with everything that restarts a window: gaps beyond and within the
+/// limit, epochs with few satellites and without any.
 fn eventful_drive(epochs: usize) -> Option<Recording> {
     let folder = data::set("tst-2019")?;
     let files = ["hksc1180.19n", "hksc1180.19b"];
@@ -28,13 +28,13 @@ fn eventful_drive(epochs: usize) -> Option<Recording> {
     Some(recording)
 }
 
-/// The answer and the revisions due, every bit of them printed.
+/// The answer and the revisions due, with every bit printed.
 fn answers(estimator: &mut Estimator, epoch: &Epoch, navigation: &Navigation) -> String {
     let now: Solution = estimator.advance(epoch, &Aiding::alone(navigation));
     format!("{now:?} {:?}", estimator.take_revisions())
 }
 
-/// Restored after each epoch and never restored: the same answers, revisions, last revisions.
+/// Restored after each epoch or never: the same answers, revisions and last revisions.
 #[test]
 fn an_estimator_restored_after_every_epoch_answers_alike() {
     let Some(recording) = eventful_drive(120) else { return };
@@ -75,7 +75,7 @@ fn a_snapshot_of_other_options_is_refused() {
     }
 }
 
-/// Changed bytes under a right hash, as only a fault of the program could write them.
+/// Changed bytes with a right hash, as only a fault of the program could write them.
 fn resealed(mut bytes: Vec<u8>, changes: &[(prop::sample::Index, u8)]) -> Vec<u8> {
     bytes.truncate(bytes.len() - 8);
     for (place, byte) in changes {
@@ -87,7 +87,7 @@ fn resealed(mut bytes: Vec<u8>, changes: &[(prop::sample::Index, u8)]) -> Vec<u8
     bytes
 }
 
-/// Of each mode an estimator's after some epochs; none without the data.
+/// The estimator of each mode after some epochs; none without the data.
 static SNAPSHOTS: LazyLock<Vec<(Mode, Vec<u8>)>> = LazyLock::new(|| {
     let Some(recording) = eventful_drive(34) else { return Vec::new() };
     let of_mode = |mode: &Mode| {
@@ -103,7 +103,7 @@ static SNAPSHOTS: LazyLock<Vec<(Mode, Vec<u8>)>> = LazyLock::new(|| {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// Corrupt snapshots are refused, or are other snapshots; they never panic.
+    /// Corrupt snapshots are refused or read as other snapshots; they never cause a panic.
     #[test]
     fn corrupt_snapshots_never_panic(
         mode in prop::sample::select(Mode::ALL),

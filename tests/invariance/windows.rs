@@ -1,4 +1,4 @@
-//! Sessions whose estimator holds a window, on both databases: restarts, revisions, replay.
+//! Sessions whose estimator has a window, on both databases: restarts, revisions, replay.
 
 use std::collections::BTreeMap;
 
@@ -73,8 +73,8 @@ async fn submit(sessions: &Sessions, id: &SessionId, epochs: &[SequencedEpoch]) 
     assert!(answer.outcomes.iter().all(|outcome| outcome.result.is_ok()));
 }
 
-/// One session in large batches, one parked after each small batch, one whose service is gone after
-/// each: the same solutions and revisions. Navigation data comes in the middle.
+/// One session in large batches, one parked after each small batch, one whose service is killed
+/// after each: the same solutions and revisions. Navigation data arrives in the middle.
 async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
     let store = database.store().await;
     let aiding = broker(&store).await;
@@ -123,7 +123,8 @@ async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
     }
 }
 
-/// With the epoch that pushes it out, or when the session is closed; once, also after a resend.
+/// An epoch is revised when a new one pushes it out of the window, or when the session is closed;
+/// once, also after a resend.
 async fn each_epoch_is_revised_once(database: Database) {
     let sessions = desk(&database).await;
     let store = database.store().await;
@@ -154,7 +155,7 @@ async fn each_epoch_is_revised_once(database: Database) {
     let moved = |pair: &[StoredSolution]| pair[0].solution.estimate != pair[1].solution.estimate;
     assert!(30 < all.chunks(2).filter(|pair| moved(pair)).count(), "smoothing moves positions");
 
-    // What is stored otherwise is found.
+    // A changed stored solution is detected.
     let swap = "UPDATE solutions SET content = (SELECT content FROM solutions WHERE seq = 7 \
                 AND revision = 0) WHERE seq = 8 AND revision = 0";
     database.execute(swap).await;
@@ -164,8 +165,8 @@ async fn each_epoch_is_revised_once(database: Database) {
     assert_eq!(checked(&database, &id).await.not_stored, 1);
 }
 
-/// The first epoch under another configuration begins a new window; what the old one held is
-/// revised. Restarts on the way change nothing.
+/// The first epoch under another configuration begins a new window, and the epochs in the old one
+/// are revised. Restarts in between change nothing.
 async fn another_configuration_begins_anew(database: Database) {
     let store = database.store().await;
     broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
@@ -215,7 +216,7 @@ async fn a_window_is_solved_on_request(database: Database) {
     let own = sessions.solve(&window, &SolveRequest::default()).await.unwrap();
     let last = listed(&sessions, &window, Revisions::First).await.pop().unwrap();
     assert_eq!((own.seq, &own.solution), (60, &last.solution));
-    // A window of the same epochs under the other session: without the past, nearly the same.
+    // A window of the same epochs under the other session: without earlier epochs, nearly the same.
     let mode = Some("fgo".to_owned());
     let profile = Some("urban-vehicle".to_owned());
     let request = SolveRequest { mode, profile, ..SolveRequest::default() };
@@ -238,7 +239,7 @@ async fn a_state_that_cannot_be_read_is_rebuilt(database: Database) {
     assert!(store.snapshot(sessions_key(&store, &id).await).await.unwrap().is_some());
     database.execute("UPDATE snapshots SET content = '\\x'").await;
     submit(&desk(&database).await, &id, &DRIVE.epochs[300..310]).await;
-    // All epochs stand behind it, so that the bits are the same here.
+    // The window contains all epochs, so that the bits are the same here.
     assert!(checked(&database, &id).await.is_same());
 }
 
@@ -246,8 +247,8 @@ async fn sessions_key(store: &Store, id: &SessionId) -> graphfix::store::Session
     store.session(id.as_str()).await.unwrap().unwrap().key
 }
 
-/// Navigation data of long ago is kept up to a limit; replay beyond it says so, and a session whose
-/// state was stored since goes on.
+/// Old navigation data is kept up to a limit; replay beyond it is refused, and a session whose
+/// state was stored later continues.
 async fn forgotten_navigation_data_is_said(database: Database) {
     let store = database.store().await;
     let few = AidingLimits {

@@ -8,13 +8,13 @@ use serde_json::Value;
 
 use crate::support::{data, python};
 
-/// Relative agreement asked of every number.
+/// Required relative agreement of every number.
 const RELATIVE: f64 = 1e-6;
-/// What the judge's own arithmetic leaves (m, s): it counts seconds since 1980 in a double, whose
-/// grid of 0.24 µs moves a car's interpolated reference by some micrometres.
+/// Rounding errors of the judge (m, s): it counts seconds since 1980 in a double, with steps of
+/// 0.24 µs, which move a car's interpolated reference by some micrometres.
 const ABSOLUTE: f64 = 1e-5;
 
-/// The judge beside the data folder; `None` (noted) where it or its Python is not there.
+/// The judge beside the data folder; `None` (noted) if it or its Python is absent.
 fn judge() -> Option<Command> {
     let python = python::with("numpy")?;
     let script = data::root().0.join("../tools/evaluate.py");

@@ -1,5 +1,5 @@
-//! Logs of GnssLogger: written from the simulator's epochs and read back, rearranged as other
-//! versions of the app and other phones write them, and damaged.
+//! Logs of GnssLogger: written from the simulator's epochs and read back, in the variants of other
+//! versions of the app and other phones, and damaged.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -43,7 +43,7 @@ fn read(log: &str) -> (Vec<Epoch>, Skipped) {
     (epochs, reader.skipped().clone())
 }
 
-/// The fields of each record, changed by `change`; other lines as they are.
+/// The fields of each record after `change`; other lines unchanged.
 fn with_records(log: &str, mut change: impl FnMut(&mut Vec<String>)) -> String {
     let line = |line: &str| {
         if !line.starts_with("Raw,") {
@@ -81,7 +81,7 @@ fn with_gaps(epochs: &[Epoch]) -> Vec<Epoch> {
     epochs
 }
 
-/// Everything within the resolution of a double: 10 µm of range, 0.1 mm of phase.
+/// All values agree within the resolution of a double: 10 µm of range, 0.1 mm of phase.
 fn assert_same(read: &[Epoch], expected: &[Epoch]) {
     assert_eq!(read.len(), expected.len());
     let near = |a: Option<f64>, b: Option<f64>, tolerance: f64| match (a, b) {
@@ -109,7 +109,7 @@ fn positions(epochs: &[Epoch], navigation: &Navigation, mode: Mode) -> Vec<Solut
     epochs.iter().map(|epoch| estimator.advance(epoch, &aiding)).collect()
 }
 
-/// Every constellation and scenario: the same epochs, and the same positions to 1 mm.
+/// For every constellation and scenario: the same epochs, and the same positions to 1 mm.
 #[test]
 fn what_is_written_reads_back() {
     for name in ["open-sky", "urban-canyon"] {
@@ -136,8 +136,8 @@ fn what_is_written_reads_back() {
     }
 }
 
-/// The same log with its columns in reverse, spaces after commas, other records between, and the
-/// ends of lines of another system.
+/// The same log with its columns in reverse order, spaces after commas, other records in between,
+/// and another system's line ends.
 #[test]
 fn the_title_decides_on_the_order() {
     let drive = drive("open-sky", 5.0);
@@ -160,9 +160,9 @@ fn the_title_decides_on_the_order() {
     assert!(skipped.is_empty(), "{skipped:?}");
 }
 
-/// A phone that steers FullBiasNanos by up to 0.4 ms from epoch to epoch measures the same: the
-/// oscillator behind TimeNanos counts. Steered beyond 0.5 ms, tag and range step by a millisecond
-/// together and the phase does not.
+/// A phone that steers FullBiasNanos by up to 0.4 ms between epochs gives the same measurements:
+/// the oscillator behind TimeNanos matters. Steered beyond 0.5 ms, tag and range step by a
+/// millisecond together and the phase does not.
 #[test]
 fn the_steered_bias_does_not_enter() {
     let drive = drive("open-sky", 20.0);
@@ -188,7 +188,7 @@ fn the_steered_bias_does_not_enter() {
     }
 }
 
-/// A discontinuity of the clock and a phase that was invalid in between end every arc.
+/// A discontinuity of the clock, and an invalid phase in between, end every arc.
 #[test]
 fn arcs_end_where_the_phone_says() {
     let drive = drive("open-sky", 6.0);
@@ -220,7 +220,7 @@ fn arcs_end_where_the_phone_says() {
     assert_eq!((lost(&reset)[3], lost(&reset)[4]), ((false, 0), (false, tracked[4])));
 }
 
-/// What a phone does not know yet is left out and counted; the rest of the epoch counts.
+/// Values that a phone does not know yet are left out and counted; the rest of the epoch is used.
 #[test]
 fn what_is_not_usable_is_left_out_and_counted() {
     let drive = drive("open-sky", 3.0);

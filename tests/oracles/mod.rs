@@ -1,4 +1,4 @@
-//! Comparisons with programs that others wrote. `lambda` is a crate of its own: see its Cargo.toml.
+//! Comparisons with independent programs. `lambda` is a crate of its own: see its Cargo.toml.
 
 mod evaluation;
 mod gnss_logger;

@@ -87,7 +87,7 @@ fn oracle() -> Option<(Navigation, Vec<Row>)> {
     Some((navigation, read_table(&folder.join("Iono-Klob_tropo-Saast/sat_data_V1A1.csv"))))
 }
 
-/// The first ephemeris of the set, for GLONASS, else the one that is to be used.
+/// The record in force; for GLONASS the first record of the set.
 ///
 /// The simulator's later GLONASS records contradict its own table: 6 m at their own reference time
 /// for the second, kilometres for the last. The table follows from the first record of each
@@ -110,7 +110,7 @@ fn at_reception(vector: Vector3<f64>, row: &Row) -> Vector3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), -angle) * vector
 }
 
-/// Puts a geostationary orbit into the plane that the simulator's records mean.
+/// Tilts a geostationary orbit as the simulator's records require.
 ///
 /// BDS-SIS-ICD-B1I-3.0 tilts by −5° about the Earth-fixed x axis of toe. The simulator's records
 /// fit its table when they are tilted by +5° about an axis that stays fixed in inertial space, the
@@ -180,11 +180,11 @@ fn kepler_orbits_agree_with_the_simulator() {
     rate.check("Kepler range rate (m/s)", 1_200, 0.002);
 }
 
-/// Geostationary orbits but for their tilt, which the simulator defines its own way.
+/// Geostationary orbits except for their tilt, which the simulator defines in its own way.
 ///
-/// Measured at most 3.0 m, growing over each hour; the records of the first hour, whose
-/// plane the simulator broadcasts 14 m (C02) to 55 km (C01) off, are left out. That the tilt is
-/// right is shown by `real_ephemerides_of_one_satellite_agree`.
+/// Measured at most 3.0 m, growing over each hour. The records of the first hour are left out,
+/// because the simulator broadcasts their plane 14 m (C02) to 55 km (C01) off.
+/// `real_ephemerides_of_one_satellite_agree` shows that the tilt is right.
 #[test]
 fn geostationary_orbits_agree_in_the_simulator_tilt() {
     let Some((navigation, rows)) = oracle() else { return };
@@ -225,10 +225,10 @@ fn first_signal(satellite: SatelliteId) -> ObservationCode {
     ObservationCode::parse(if beidou { "2I" } else { "1C" }).unwrap()
 }
 
-/// Seconds after a first record's t_b at which the simulator's GLONASS clocks are −τ_n.
+/// Time from a first record's t_b to the moment when the simulator's GLONASS clocks are −τ_n (s).
 ///
-/// All its records carry the same τ_n whatever γ_n is; the table fits −τ_n + γ_n·(t − t_b) with
-/// this shift of t_b for every satellite.
+/// All its records have the same τ_n for every γ_n. The table agrees with −τ_n + γ_n·(t − t_b)
+/// after this shift of t_b, for every satellite.
 const GLONASS_CLOCK_SHIFT_S: f64 = 50_400.0;
 
 /// Clocks with relativity and group delays: range + delays − pseudorange of the table's group A.
@@ -266,9 +266,9 @@ fn clocks_agree_with_the_simulator() {
 
 /// Klobuchar on each satellite's first signal: 0.15 mm at most.
 ///
-/// The simulator takes GPS's formula for BeiDou too, with BeiDou's coefficients, so that is what is
-/// compared here; BeiDou's own formula differs by up to metres. Its Galileo delays are no
-/// Klobuchar's with any coefficients of the set (0.4 to 1.2 times GPS's) and are left out.
+/// The simulator uses GPS's formula for BeiDou too, with BeiDou's coefficients, so this is compared
+/// here; BeiDou's own formula differs by up to metres. Its Galileo delays do not agree with
+/// Klobuchar for any coefficients of the set (0.4 to 1.2 times GPS's) and are left out.
 #[test]
 fn klobuchar_agrees_with_the_simulator() {
     let Some((navigation, rows)) = oracle() else { return };
@@ -297,9 +297,9 @@ fn klobuchar_agrees_with_the_simulator() {
 
 /// Consecutive real ephemerides of one satellite agree half-way between their reference times.
 ///
-/// Broadcast orbits are good to a metre or two, so their halves meet within metres; a wrong tilt
-/// of a geostationary orbit would part them by hundreds of kilometres. Measured: median 0.3 m and
-/// 90 % below 1.2 m for geostationary satellites, 0.2 and 0.6 m for the others.
+/// Broadcast orbits are accurate to a metre or two, so that two of them agree within metres; a
+/// wrong tilt of a geostationary orbit would separate them by hundreds of kilometres. Measured:
+/// median 0.3 m and 90 % below 1.2 m for geostationary satellites, 0.2 and 0.6 m for the others.
 #[test]
 fn real_ephemerides_of_one_satellite_agree() {
     let Some(folder) = data::set("tst-2019") else { return };

@@ -165,7 +165,7 @@ fn a_message_of_many_cells_keeps_them_apart() {
     }
 }
 
-/// Missing values are missing, and an unknown signal costs itself only.
+/// Missing values stay missing, and an unknown signal does not affect the others.
 #[test]
 fn what_is_missing_or_unknown_costs_no_more_than_itself() {
     let known = Cell { signal: 2, ..PLAIN };
@@ -327,8 +327,9 @@ fn messages_are_refused_with_their_reason() {
     assert_eq!(statistics.refused_for(Refusal::NoReferenceTime), 1);
 }
 
-/// Messages without C/N0 lack the whole light-milliseconds too (DF014): a pseudorange of theirs is
-/// any of a row 300 km apart. They are refused and counted by type, and cost no other message.
+/// Messages without C/N0 also lack the whole light-milliseconds (DF014): their pseudoranges are
+/// ambiguous by multiples of 300 km. They are refused and counted by type, and do not affect other
+/// messages.
 #[test]
 fn messages_of_ambiguous_ranges_are_counted_and_cost_no_other() {
     let mut bytes = Vec::new();
@@ -379,7 +380,7 @@ fn mixture() -> Vec<u8> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// How a stream is split changes nothing.
+    /// The result does not depend on how a stream is split.
     #[test]
     fn any_split_gives_the_same(piece in 1_usize..400) {
         let bytes = mixture();
@@ -388,7 +389,7 @@ proptest! {
         prop_assert_eq!(decode_in_pieces(&bytes, day(2100, 0.0), piece), whole);
     }
 
-    /// Behind any garbage a good frame is found.
+    /// A good frame is found after any other bytes.
     #[test]
     fn garbage_hides_no_frame(garbage in proptest::collection::vec(any::<u8>(), 0..2000)) {
         let mut bytes = garbage;
@@ -397,7 +398,7 @@ proptest! {
         prop_assert_eq!(statistics.of(MessageKind::Rtcm(1077)).decoded, 1);
     }
 
-    /// Any payload behind a right CRC is decoded or refused.
+    /// Any payload with a right CRC is decoded or refused.
     #[test]
     fn no_payload_panics(
         number in 1000_u64..1240,
@@ -454,12 +455,12 @@ fn filtered(bytes: &[u8], dropped: &[u16], last: Option<u16>) -> Vec<u8> {
     kept
 }
 
-/// A stream, when it begins, what RTKLIB needs changed in it, and what the comparison finds.
+/// A stream, its beginning, the changes that RTKLIB needs in it, and the result of the comparison.
 struct Case {
     name: &'static str,
     start: &'static str,
     week_second: (i32, f64),
-    /// Types to drop and the type that ends the epoch then.
+    /// Types to drop, and the type that then ends the epoch.
     change: Option<(&'static [u16], u16)>,
     epochs: usize,
     observations: usize,
@@ -483,7 +484,7 @@ const CASES: [Case; 17] = [
     case("jenoba-jrr32m.rtcm3", "2019/03/28 08:40:39", (2046, 376_839.0), 67, 2998),
     case("missing-beidou-STR17.rtcm3", "2018/07/25 03:16:09", (2011, 270_969.0), 502, 57_003),
     Case {
-        // SBAS messages end its epochs, and RTKLIB takes their other time for the epoch's.
+        // SBAS messages end its epochs, and RTKLIB uses their different time for the epoch.
         change: Some((&[1104], 1094)),
         ..case("missing-gps.rtcm", "2019/03/27 08:29:51", (2046, 289_791.0), 50, 4903)
     },
@@ -492,7 +493,7 @@ const CASES: [Case; 17] = [
     case("navcom.rtcm", "2019/03/30 00:32:14", (2046, 520_334.0), 64, 2128),
     case("piksi-5Hz.rtcm3", "2019/03/26 08:43:56", (2046, 204_236.6), 38, 2052),
     Case {
-        // BeiDou is labelled in GPS time, which for RTKLIB makes epochs of its own and hides the rest.
+        // BeiDou has GPS time here; RTKLIB then makes separate epochs of it, which hides the rest.
         change: Some((&[1127], 1117)),
         ..case("rtklib_GMSD7_20121014.rtcm3", "2012/10/13 23:59:44", (1709, 604_784.0), 257, 13_103)
     },
@@ -512,7 +513,7 @@ const CASES: [Case; 17] = [
     case("trimble.rtcm", "2019/03/29 20:11:12", (2046, 504_672.0), 153, 7137),
 ];
 
-/// All that RTKLIB's `convbin` decodes is ours too, to the last digit of its RINEX.
+/// Every observation that RTKLIB's `convbin` decodes agrees, to the last digit of its RINEX.
 ///
 /// Doppler within RTKLIB's single precision. Indicators of lost lock are Graphfix's own.
 #[test]
@@ -561,7 +562,7 @@ fn ephemerides_are_those_of_rtklib() {
     }
 }
 
-/// Galileo's and BeiDou's weeks are whole, GLONASS's date too: they date GPS's.
+/// Galileo's and BeiDou's week numbers are complete, and so is GLONASS's date: they date GPS.
 #[test]
 fn some_ephemerides_need_no_reference() {
     let Some(streams) = streams() else { return };
@@ -575,11 +576,11 @@ fn some_ephemerides_need_no_reference() {
     });
     let weeks: Vec<i32> = toes.map(Ephemeris::toe).map(|toe| toe.week()).collect();
     assert_eq!(weeks.len(), 1712 - 576);
-    // One GLONASS satellite states a date of 2002.
+    // One GLONASS satellite has a date of 2002.
     assert_eq!(weeks.iter().filter(|week| **week == 2012).count(), weeks.len() - 16);
 }
 
-/// Damaged streams, and damaged messages behind a right CRC, never panic.
+/// Damaged streams, and damaged messages with a right CRC, never cause a panic.
 #[test]
 fn mutated_streams_never_panic() {
     let mut sources: Vec<Vec<u8>> = vec![mixture()];

@@ -101,13 +101,13 @@ fn lock_and_half_cycles_follow_the_tracking_status() {
     };
     let lock = |lock_ms| Measurement { lock_ms, ..PLAIN };
     let status = |status| Measurement { status, ..PLAIN };
-    // First, on, fell, zero.
+    // First, tracked, fell, zero.
     let found = lost_and_half(&[lock(4000), lock(5000), lock(900), lock(0), lock(1000)]);
     assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [true, false, true, true, false]);
     // Half cycle unresolved, resolved, then taken out of the phase.
     let found = lost_and_half(&[status(3), status(7), status(15), status(15)]);
     assert_eq!(found, [(true, true), (false, false), (true, false), (false, false)]);
-    // What happens while there is no phase is told with the next one.
+    // A loss while there is no phase is reported with the next phase.
     let found = lost_and_half(&[lock(4000), Measurement { status: 1, ..lock(0) }, lock(9000)]);
     assert_eq!(found, [(true, false), (false, false), (true, false)]);
     let worst = Measurement { phase_deviation: 15, ..PLAIN };
@@ -132,7 +132,7 @@ fn broken_frames_are_told_with_their_place() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// How a stream is split changes nothing.
+    /// The result does not depend on how a stream is split.
     #[test]
     fn any_split_gives_the_same(piece in 1_usize..300) {
         let mut bytes = b"\xb5\x62junk$".to_vec();
@@ -157,7 +157,7 @@ proptest! {
     }
 }
 
-/// All observations of a log are those of the RINEX beside it, lock and half cycles included.
+/// All observations of a log agree with the RINEX beside it, including lock and half cycles.
 #[test]
 fn a_recording_is_its_rinex() {
     let Some(folder) = data::set("spirent-ubx") else { return };
@@ -169,8 +169,8 @@ fn a_recording_is_its_rinex() {
     assert_eq!(ours.len(), 931);
 }
 
-/// The logs of Galway hold what RTKLIB's RINEX of them holds, and more epochs: RTKLIB passes over
-/// frames behind broken ones.
+/// The logs of Galway contain all observations of RTKLIB's RINEX, and more epochs: RTKLIB skips
+/// frames after damaged ones.
 ///
 /// Phases whose standard deviation the receiver puts above 0.02 cycles are not in that RINEX.
 #[test]
@@ -193,7 +193,7 @@ fn logs_with_broken_frames_give_all_their_epochs() {
     }
 }
 
-/// A base sends its observations as RTCM 3 too: RXM-RAWX is taken, and the station from 1005.
+/// A base sends its observations also as RTCM 3: RXM-RAWX is used, and the station from 1005.
 #[test]
 fn rawx_is_preferred_and_the_station_read() {
     let Some(folder) = data::set("galway-static") else { return };
@@ -211,7 +211,7 @@ fn rawx_is_preferred_and_the_station_read() {
     assert!((points[0].0.x - 3_774_089.212).abs() < 1e-4, "{points:?}");
 }
 
-/// Subframes give the ephemerides that RTKLIB made of the same logs.
+/// Subframes give the same ephemerides as RTKLIB from the same logs.
 #[test]
 fn ephemerides_are_those_of_the_rinex() {
     for (name, count) in [
@@ -231,7 +231,7 @@ fn ephemerides_are_those_of_the_rinex() {
     }
 }
 
-/// A receiver of all systems: ephemerides of BeiDou and QZSS too, ionosphere and leap seconds.
+/// A receiver of all systems: also ephemerides of BeiDou and QZSS, ionosphere and leap seconds.
 #[test]
 fn all_systems_of_a_receiver_are_decoded() {
     let Some(folder) = data::set("formats") else { return };
@@ -303,7 +303,7 @@ fn positions(path: &Path) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// A UBX log alone is positioned as the RINEX made from it, and RTCM 3 is dated or refused.
+/// A UBX log alone gives the same positions as its RINEX; RTCM 3 is dated or refused.
 #[test]
 fn a_log_alone_is_positioned_as_its_rinex() {
     let Some(folder) = data::set("spirent-ubx") else { return };
@@ -333,7 +333,7 @@ fn a_log_alone_is_positioned_as_its_rinex() {
     }
 }
 
-/// Damaged logs, and damaged messages behind a right checksum, never panic.
+/// Damaged logs, and damaged messages with a right checksum, never cause a panic.
 #[test]
 fn mutated_logs_never_panic() {
     let mut sources = vec![(0..50).flat_map(|s| rawx(f64::from(s), &[PLAIN; 12])).collect()];

@@ -1,4 +1,4 @@
-//! Casters and hosts on this machine: ours, which does what a test asks of it, and RTKLIB's.
+//! Casters and hosts on this machine: our own, controlled by a test, and RTKLIB's.
 
 use std::io::Write;
 use std::path::Path;
@@ -16,14 +16,14 @@ use super::doors::Doors;
 use super::server::free_port;
 use super::wait::until;
 
-/// Patient enough for this machine, and no more.
+/// Time limits that are long enough for this machine.
 pub(crate) const PATIENCE: TimeLimits = TimeLimits {
     connecting: Duration::from_secs(2),
     answering: Duration::from_millis(800),
     listing: Duration::from_secs(3),
 };
 
-/// Quicker than casters of the internet like it.
+/// Shorter delays than for casters on the internet.
 pub(crate) const BRISK: FeedOptions = FeedOptions {
     silence: Duration::from_millis(1500),
     no_epochs: Duration::from_millis(2500),
@@ -38,7 +38,7 @@ pub(crate) const BRISK: FeedOptions = FeedOptions {
     file_refresh: Duration::from_millis(300),
 };
 
-/// As brisk, and content with casters that have said all that they have to say.
+/// The same delays and no limit of silence, for casters that have sent everything.
 pub(crate) const CONTENT: FeedOptions =
     FeedOptions { silence: Duration::from_secs(300), no_epochs: Duration::from_secs(300), ..BRISK };
 
@@ -56,7 +56,7 @@ pub(crate) fn request(port: u16, mountpoint: &str) -> StreamRequest {
     }
 }
 
-/// A caster of ours, which does to each connection what it is told.
+/// Our own caster, which serves each connection as the test defines.
 pub(crate) struct HostileCaster {
     pub(crate) port: u16,
     pub(crate) connections: Arc<AtomicUsize>,
@@ -87,13 +87,13 @@ impl HostileCaster {
         Self { port, connections }
     }
 
-    /// Answers every request so, and closes.
+    /// Answers every request with these bytes, and closes.
     pub(crate) async fn answering(answer: impl Into<Vec<u8>>) -> Self {
         let answer = Arc::new(answer.into());
         Self::start(move |_, mut stream, _| {
             let answer = answer.clone();
             async move {
-                // Err: the client has had enough.
+                // Err: the client has closed the connection.
                 stream.write_all(&answer).await.ok();
                 stream.shutdown().await.ok();
             }
@@ -113,7 +113,7 @@ pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
     packed.finish().unwrap()
 }
 
-/// A program that ends with its test.
+/// A program that is killed at the end of its test.
 pub(crate) struct Running(pub(crate) Child);
 
 impl Drop for Running {
@@ -123,10 +123,10 @@ impl Drop for Running {
     }
 }
 
-/// RTKLIB's `str2str` as a caster: what comes in by TCP it gives to whoever knows the password.
+/// RTKLIB's `str2str` as a caster: forwards its TCP input to clients with the password.
 pub(crate) struct Str2str {
     pub(crate) port: u16,
-    /// What is written here is its stream.
+    /// Bytes written here are its stream.
     pub(crate) source: TcpStream,
     _running: Running,
 }
@@ -136,7 +136,7 @@ pub(crate) async fn keep(mut stream: TcpStream) {
     stream.read_to_end(&mut Vec::new()).await.ok();
 }
 
-/// Sends a piece again and again, one each `interval`, until the client has had enough.
+/// Sends a chunk repeatedly, one each `interval`, until the client closes the connection.
 pub(crate) async fn drip(
     mut stream: TcpStream,
     pieces: impl Iterator<Item = Vec<u8>>,
@@ -177,12 +177,12 @@ impl Str2str {
         Self { port, source, _running: running }
     }
 
-    /// Sends bytes no faster than it hands them on, until the feed of a base has them all.
+    /// Sends bytes no faster than it forwards them, until the feed of a base has received all.
     pub(crate) async fn play(&mut self, doors: &Doors, base: &str, bytes: &[u8]) {
         let path = format!("/v1/bases/{base}");
         let counted = async || doors.get(&path).await.1["feed"]["bytes"].as_u64().unwrap();
         let begin = counted().await;
-        // It drops what comes before it has taken its client on.
+        // It drops data that arrives before its client is connected.
         let probe = async || {
             self.source.write_all(&[0]).await.unwrap();
             counted().await

@@ -1,4 +1,4 @@
-//! Where real data is found. None of it is in the repository.
+//! The folders of real data. None of it is in the repository.
 //!
 //! `GRAPHFIX_DATA` names the folder; without it `../shared/data` is tried. Where the variable is
 //! set, a missing set fails the test; elsewhere the test is noted as not run, and `scripts/test`
@@ -17,7 +17,7 @@ pub(crate) fn root() -> (PathBuf, bool) {
     (required.map_or_else(sibling, PathBuf::from), is_required)
 }
 
-/// The folder of a data set, or `None` (noted) where it is absent and need not be there.
+/// The folder of a data set, or `None` (noted) if it is absent and not required.
 #[track_caller]
 pub(crate) fn set(name: &str) -> Option<PathBuf> {
     let (root, is_required) = root();
@@ -30,7 +30,7 @@ pub(crate) fn set(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Notes that the calling test does not run, or not all of it, because `what` is absent.
+/// Notes that the calling test does not run, or not completely, because `what` is absent.
 #[track_caller]
 pub(crate) fn note_missing(what: &str) {
     // The harness names the thread of a test after it, unless there is a single thread for all.

@@ -1,7 +1,8 @@
-//! The databases that store and sessions are tested on: each test on both, in a place of its own.
+//! The databases of the store's and sessions' tests: each test runs on both, with its own database
+//! or schema.
 //!
-//! `GRAPHFIX_TEST_POSTGRES` names a Postgres server; where it is set the server must answer, else
-//! tests on Postgres are noted as skipped, as data sets are that are not there.
+//! `GRAPHFIX_TEST_POSTGRES` names a Postgres server. If it is set the server must answer; otherwise
+//! tests on Postgres are noted as skipped, like those without their data set.
 
 use std::future::Future;
 
@@ -12,7 +13,7 @@ use uuid::Uuid;
 
 use super::data;
 
-/// All that a session has, revisions included, on one page.
+/// All solutions of a session, revisions included, on one page.
 pub(crate) fn whole_session() -> SolutionQuery {
     SolutionQuery {
         from: None,
@@ -43,7 +44,7 @@ impl Database {
         Store::open(&self.url).await.unwrap()
     }
 
-    /// Runs SQL behind the store's back.
+    /// Runs SQL directly on the database, without the store.
     pub(crate) async fn execute(&self, sql: &str) {
         let sql = AssertSqlSafe(sql);
         if self.url.starts_with("sqlite") {

@@ -1,4 +1,4 @@
-//! A service in this process, asked through its router as a client would.
+//! A service in this process; requests go through its router.
 
 use axum::Router;
 use axum::body::Body;
@@ -32,12 +32,12 @@ impl Doors {
         Self::with_feeds(limits, BRISK).await
     }
 
-    /// Where streams are kept up like this.
+    /// With these options of streams.
     pub(crate) async fn with_feeds(limits: Limits, options: FeedOptions) -> Self {
         Self::within(tempfile::tempdir().unwrap(), limits, options).await
     }
 
-    /// Where these antennas are calibrated.
+    /// With calibrations of these antennas.
     pub(crate) async fn with_antex(antex: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(ANTEX), antex).unwrap();
@@ -65,7 +65,7 @@ impl Doors {
         Self { router: graphfix::http::router(&service), service, app, folder }
     }
 
-    /// The status and JSON that a request is answered with.
+    /// Status and JSON of the answer to a request.
     pub(crate) async fn ask(&self, request: Request<Body>) -> (StatusCode, Value) {
         let response = self.router.clone().oneshot(request).await.unwrap();
         let status = response.status();
@@ -78,7 +78,7 @@ impl Doors {
         self.ask(Request::get(path).body(Body::empty()).unwrap()).await
     }
 
-    /// What `path` answers once `is_so` holds for it.
+    /// The answer of `path` once `is_so` holds for it.
     pub(crate) async fn until(&self, path: &str, is_so: impl Fn(&Value) -> bool) -> Value {
         until(path, async || self.get(path).await.1, is_so).await
     }
@@ -93,7 +93,7 @@ impl Doors {
         self.send("POST", path, body).await
     }
 
-    /// Pushes a file as it is.
+    /// Pushes a file unchanged.
     pub(crate) async fn upload(&self, path: &str, bytes: Vec<u8>) -> (StatusCode, Value) {
         let request = Request::post(path).header("content-type", "application/octet-stream");
         self.ask(request.body(Body::from(bytes)).unwrap()).await
@@ -107,7 +107,7 @@ impl Doors {
     }
 }
 
-/// An epoch that no ephemeris is held for: its answer is status NONE with the reason.
+/// An epoch without an ephemeris: its answer has the status NONE and the reason.
 pub(crate) fn epoch(seq: u64) -> Value {
     let observation = json!({"satellite": "G05", "code": "1C", "pseudorangeM": 22_000_000.0});
     let time = json!({"week": 2051, "nsOfWeek": 46_701_000_000_000_u64 + seq * 1_000_000_000});

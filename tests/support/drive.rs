@@ -1,4 +1,4 @@
-//! A simulated drive, which needs no data: observations and the navigation data for them.
+//! A simulated drive, for tests without data: observations and their navigation data.
 
 use std::sync::LazyLock;
 
@@ -13,8 +13,8 @@ pub(crate) struct Drive {
     pub(crate) navigation: Navigation,
 }
 
-/// Six minutes among tall buildings, an epoch a second. On the way come an epoch without
-/// observations and a gap of two and a half minutes.
+/// Six minutes among tall buildings, an epoch a second, with one epoch without observations and a
+/// gap of two and a half minutes.
 pub(crate) static DRIVE: LazyLock<Drive> = LazyLock::new(|| {
     let canyon = Scenario::by_name("urban-canyon").unwrap();
     let simulator = Simulator::new(Scenario { duration_s: 510.0, ..canyon }, 7);

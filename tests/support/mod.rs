@@ -1,4 +1,4 @@
-//! What the tests share: data, databases, a service in this process, streams, and waiting.
+//! Shared parts of the tests: data, databases, a service in this process, streams, and waiting.
 
 pub(crate) mod antex;
 pub(crate) mod casters;

@@ -1,4 +1,4 @@
-//! A simulated rover with its base, which needs no data.
+//! A simulated rover with its base, for tests without data.
 
 use std::sync::LazyLock;
 
@@ -19,7 +19,7 @@ pub(crate) struct Pair {
     /// Of the same times.
     pub(crate) base: Vec<Epoch>,
     pub(crate) navigation: Navigation,
-    /// Where the base's antenna is.
+    /// Position of the base's antenna.
     pub(crate) position: Ecef,
     scenario: Scenario,
 }
@@ -28,7 +28,7 @@ pub(crate) struct Pair {
 pub(crate) static PAIR: LazyLock<Pair> =
     LazyLock::new(|| simulated(Scenario::by_name("rtk-open").unwrap().start));
 
-/// The same, begun at another time.
+/// The same, starting at another time.
 pub(crate) fn simulated(start: GpsTime) -> Pair {
     let open = Scenario::by_name("rtk-open").unwrap();
     let scenario = Scenario { start, duration_s: 149.0, ..open };
@@ -43,7 +43,7 @@ pub(crate) fn simulated(start: GpsTime) -> Pair {
 }
 
 impl Pair {
-    /// The base, standing `off_m` east and as much north of where it is.
+    /// The base with a stated position `off_m` east and as much north of the true one.
     pub(crate) fn new_base(&self, off_m: f64) -> NewBase {
         let frame = graphfix::gnss::LocalFrame::at(self.position);
         let there = graphfix::gnss::Enu(nalgebra::Vector3::new(off_m, off_m, 0.0));
@@ -58,14 +58,15 @@ impl Pair {
         NewBase { label: "base".to_owned(), site: Some(site), feed: None, archive: None }
     }
 
-    /// What the base would observe from another place, so far from the origin, and that place.
+    /// The base's observations at another position, at this distance from the origin, and that
+    /// position.
     pub(crate) fn base_elsewhere(&self, distance_m: f64) -> (Vec<Epoch>, Ecef) {
         let simulator = Simulator::new(self.scenario.clone().with_baseline(distance_m), 1);
         let position = simulator.base_position().unwrap();
         (simulator.map(|epoch| epoch.base.unwrap()).collect(), position)
     }
 
-    /// What an estimator alone answers, given all of the base.
+    /// Answers of an estimator without a service, with all base epochs.
     pub(crate) fn solved(&self, mode: Mode, base: &BaseId) -> Vec<Solution> {
         let options = PositioningOptions::new(mode, Profile::General);
         let mut estimator = Estimator::new(options);

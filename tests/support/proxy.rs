@@ -19,7 +19,8 @@ pub(crate) enum Mode {
     Refuse,
     /// Closes the connection that commits next before the server receives `COMMIT`.
     CutBeforeCommit,
-    /// Closes it after the server has committed, and before the client knows.
+    /// Closes the connection that commits next after the server has committed, before the client is
+    /// answered.
     CutAfterCommit,
 }
 

@@ -1,10 +1,10 @@
-//! The Python that `scripts/test` prepares for programs that others wrote.
+//! The Python that `scripts/test` prepares for independent programs.
 
 use std::process::Command;
 
 use super::data;
 
-/// Python with a package; `None` (noted) where there is none.
+/// Python with a package; `None` (noted) if it is absent.
 #[track_caller]
 pub(crate) fn with(package: &str) -> Option<String> {
     let python = std::env::var("GRAPHFIX_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());

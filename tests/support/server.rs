@@ -64,7 +64,7 @@ impl Drop for Server {
     }
 }
 
-/// What `graphfix replay` says of a session: whether it succeeds, its output and its errors.
+/// The result of `graphfix replay` for a session: whether it succeeds, its output and its errors.
 pub(crate) fn replayed(
     database: &Path,
     session: &str,
@@ -91,7 +91,7 @@ pub(crate) fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// Asks for a new session, or for one that is there, until the service answers.
+/// Requests a new session, or an existing one, until the service answers.
 pub(crate) async fn opened(channel: &Channel, session: Option<&str>) -> v1::Session {
     let ask = async || {
         let mut client = SessionsClient::new(channel.clone());

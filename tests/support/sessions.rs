@@ -26,8 +26,8 @@ pub(crate) async fn created(sessions: &Sessions) -> SessionId {
     sessions.create(new).await.unwrap().id
 }
 
-/// An epoch at a second of week 2051 with one pseudorange, for which there is no ephemeris: the
-/// answer is that there is no position, and why.
+/// An epoch at a second of week 2051 with one pseudorange and without an ephemeris: the answer has
+/// no position, and states the reason.
 pub(crate) fn epoch(seq: u64, second: f64) -> SequencedEpoch {
     let satellite: SatelliteId = "G05".parse().unwrap();
     let code = ObservationCode::parse("1C").unwrap();

@@ -1,10 +1,10 @@
-//! Texts that must not change unseen, in `tests/support/snapshots`.
+//! Texts that must not change unnoticed, in `tests/support/snapshots`.
 
 use std::path::Path;
 
 use serde_json::Value;
 
-/// Fails where `text` differs from the snapshot; `GRAPHFIX_ACCEPT=1` takes the text over.
+/// Fails if `text` differs from the snapshot; `GRAPHFIX_ACCEPT=1` stores the new text.
 pub(crate) fn assert(name: &str, text: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/snapshots").join(name);
     if std::env::var_os("GRAPHFIX_ACCEPT").is_some() {
@@ -20,7 +20,7 @@ pub(crate) fn assert(name: &str, text: &str) {
     );
 }
 
-/// The same document with the keys of every object in order, which JSON does not define.
+/// The same document with the keys of every object in a fixed order, which JSON does not define.
 pub(crate) fn sorted(document: &Value) -> Value {
     match document {
         Value::Object(members) => {

@@ -88,7 +88,7 @@ pub(crate) fn message_number(payload: &[u8]) -> u16 {
     u16::from(payload[0]) << 4 | u16::from(payload[1]) >> 4
 }
 
-/// Message 1005 or 1006 with its x moved by so many tenths of millimetres.
+/// Message 1005 or 1006 with its x moved by this many tenths of millimetres.
 pub(crate) fn moved_station(payload: &[u8], by: i64) -> Vec<u8> {
     let bits = payload.iter().flat_map(|byte| (0..8).rev().map(move |bit| byte >> bit & 1 == 1));
     let mut bits: Vec<bool> = bits.collect();
@@ -187,7 +187,7 @@ pub(crate) fn convbin(bytes: &[u8], format: &str, start: Option<&str>) -> (Vec<u
 /// Tags this close are of one epoch (s).
 const SAME_EPOCH_S: f64 = 0.004;
 
-/// What a comparison of epochs found.
+/// The result of a comparison of epochs.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Agreement {
     /// Epochs in both.
@@ -202,10 +202,10 @@ pub(crate) struct Agreement {
     pub(crate) flags: usize,
 }
 
-/// Compares ours with a RINEX file's, to its last digit; a value that differs is a panic.
+/// Compares our epochs with a RINEX file's, to its last digit; a value that differs is a panic.
 ///
-/// Where a code is not in the other epoch another of its band is taken: RINEX files of receivers
-/// that track pilot and data name both X, or one of them.
+/// If the other epoch does not have a code, another code of its band is used: RINEX files of
+/// receivers that track pilot and data call both X, or contain one of them.
 pub(crate) fn compare(ours: &[Epoch], theirs: &[Epoch]) -> Agreement {
     let mut agreement = Agreement::default();
     let mut ours = ours.iter().peekable();
@@ -241,7 +241,7 @@ fn compare_observation(
     theirs: &Observation,
     agreement: &mut Agreement,
 ) {
-    // Half a digit, and what reading and adding the numbers loses.
+    // Half a digit, and rounding errors of reading and adding.
     let digit = |value: f64| 0.0005 + value.abs() * 1e-15 + 1e-9;
     let values = [
         (ours.pseudorange_m, theirs.pseudorange_m, 0.0),
@@ -270,10 +270,12 @@ fn compare_observation(
     }
 }
 
-/// Asserts that all ephemerides of a RINEX file are ours, to its twelve digits; returns how many.
+/// Asserts that all ephemerides of a RINEX file agree with ours, to its twelve digits; returns
+/// their number.
 ///
-/// Left out are times of transmission, for which RTKLIB writes others; the fit interval of QZSS,
-/// which it writes as 1; and the bit of the GLONASS health for l_n, which RINEX 3.04 lacks.
+/// Not compared are times of transmission, for which RTKLIB writes other values; the fit interval
+/// of QZSS, which it writes as 1; and the bit of the GLONASS health for l_n, which RINEX 3.04 does
+/// not have.
 pub(crate) fn compare_ephemerides(ours: &Navigation, theirs: &Navigation) -> usize {
     for (satellite, list) in theirs.satellites() {
         for other in list {
@@ -354,13 +356,13 @@ impl Random {
     }
 }
 
-/// How many bytes the kept mutation runs decode; `GRAPHFIX_MUTATED_BYTES` asks for more.
+/// Number of bytes that each mutation test decodes; `GRAPHFIX_MUTATED_BYTES` sets a larger one.
 pub(crate) fn mutated_bytes() -> usize {
     let asked = std::env::var("GRAPHFIX_MUTATED_BYTES").ok();
     asked.map_or(2_000_000, |text| text.parse().expect("a number of bytes"))
 }
 
-/// Damages bytes here and there: flipped, replaced, dropped, doubled, cut.
+/// Damages bytes at random positions: flipped, replaced, dropped, doubled, cut.
 pub(crate) fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..1 + random.below(8) {
         if bytes.len() < 2 {

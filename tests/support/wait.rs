@@ -8,7 +8,7 @@ const DEADLINE: Duration = Duration::from_secs(60);
 
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// Asks again and again until `is_so` holds for the answer, and returns that answer.
+/// Calls again until `is_so` holds for the answer, and returns that answer.
 ///
 /// Panics with `what` and the last answer when the deadline passes.
 pub(crate) async fn until<T: Debug>(
@@ -27,7 +27,7 @@ pub(crate) async fn until<T: Debug>(
     }
 }
 
-/// Asks for a while whether `is_so` still holds, and panics with `what` when it does not.
+/// Checks for a while that `is_so` holds, and panics with `what` if it does not.
 pub(crate) async fn stays<T: Debug>(
     what: &str,
     duration: Duration,
@@ -42,7 +42,7 @@ pub(crate) async fn stays<T: Debug>(
     }
 }
 
-/// Runs `task`, and `interruption` at a moment that nothing but the time decides.
+/// Runs `task`, and `interruption` at an arbitrary time.
 pub(crate) async fn interrupted<T>(
     task: impl Future<Output = T>,
     after: Duration,

@@ -1,8 +1,8 @@
-//! The architecture as a test: who may name whom, what is absent where, and how long things may be.
+//! The architecture as a test: which module may name which, what must be absent, and size limits.
 //!
-//! The rules stand in `ARCHITECTURE.md`; here they are held. Sources are read as text, up to the
-//! unit tests of each file: `source` tells code from comments and literals, `modules` reads which
-//! module names which.
+//! The rules are in `ARCHITECTURE.md`; this test checks them. Sources are read as text, up to the
+//! unit tests of each file: `source` separates code from comments and literals, `modules` finds
+//! which module names which.
 
 mod modules;
 mod source;
@@ -17,8 +17,8 @@ use source::{
     Function, before_tests, code_of, code_only, functions, identifier, literals, root, rust_files,
 };
 
-/// Module → modules it names, all of which stand before it here. Neither more nor fewer: a
-/// permission that nobody uses fails as a name without a permission does.
+/// Each module with the modules that it names, all of which are above it in this list. The list is
+/// exact: an unused permission fails, and so does a missing one.
 const MAY_NAME: &[(&str, &[&str])] = &[
     ("gnss", &[]),
     ("id", &[]),
@@ -102,7 +102,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// Modules that compute and nothing else, and what must not occur in them.
+/// Modules that only compute, and what must not occur in them.
 const PURE: &[&str] =
     &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning", "reception"];
 const IMPURE: &[&str] = &[
@@ -122,7 +122,7 @@ const IMPURE: &[&str] = &[
     "std::thread",
 ];
 
-/// Words of satellite navigation, none of which `graph` and `lambda` know.
+/// Words of satellite navigation, none of which may occur in `graph` and `lambda`.
 const GNSS_WORDS: &[&str] = &[
     "gnss",
     "gps",
@@ -140,9 +140,9 @@ const GNSS_WORDS: &[&str] = &[
 const FILE_LINES: usize = 500;
 const FUNCTION_LINES: usize = 70;
 const LINE_CHARACTERS: usize = 100;
-/// Lines that nine of ten functions do not exceed.
+/// Maximum lines of 90 % of the functions.
 const MOST_FUNCTION_LINES: usize = 26;
-/// Parameters of a function besides `self`.
+/// Maximum number of parameters of a function, without `self`.
 const PARAMETERS: usize = 5;
 /// Functions with more: file, name, parameters.
 const MANY_PARAMETERS: &[(&str, &str, usize)] = &[
@@ -209,8 +209,8 @@ fn modules_name_what_the_table_says() {
 const FLOORS_BEGIN: &str = "<!-- floors: GRAPHFIX_ACCEPT=1 cargo test --test main tidy -->\n";
 const FLOORS_END: &str = "<!-- end of floors -->";
 
-/// The floors in `ARCHITECTURE.md` are those of the table: a module stands one floor above the
-/// highest that it names.
+/// The floors in `ARCHITECTURE.md` are those of the table: a module is one floor above the highest
+/// module that it names.
 #[test]
 fn the_floors_are_those_of_the_map() {
     let mut floors: BTreeMap<&str, usize> = BTreeMap::new();
@@ -341,7 +341,7 @@ fn functions_take_few_parameters() {
     assert!(tenth <= MOST_FUNCTION_LINES, "nine of ten functions have at most {tenth} lines");
 }
 
-/// The modules of a folder, whatever its depth, do not name each other in a circle.
+/// The modules of a folder, at any depth, do not name each other in a circle.
 #[test]
 fn no_module_names_itself_in_a_circle() {
     let circles = Modules::read(&root()).circles();

@@ -91,7 +91,7 @@ impl Modules {
         arrows
     }
 
-    /// The module in which stands what a path means; `None` outside the crate.
+    /// The module that defines the target of a path; `None` outside the crate.
     fn definition(&self, path: &[String]) -> Option<&ModulePath> {
         let mut path = path;
         // A chain of re-exports is no longer than the tree is deep.
@@ -219,8 +219,8 @@ fn absolute(
     }
 }
 
-/// Finds what it should: circles of two and three, through a re-export, a folder, a deep path and
-/// the middle of a file that declares a module of tests; and no circle where there is none.
+/// Circles of two and three are found: through a re-export, a folder, a deep path, and the middle
+/// of a file that declares a module of tests. No circle is reported where none exists.
 #[test]
 fn circles_are_seen_at_every_depth() {
     let circles = |sources: &[(&str, &str)]| {

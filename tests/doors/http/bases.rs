@@ -25,7 +25,7 @@ async fn navigated() -> Doors {
     doors
 }
 
-/// A marker 1.5 m below the antenna, as the file's header has it.
+/// A marker 1.5 m below the antenna, as in the file's header.
 fn marker() -> Ecef {
     let frame = graphfix::gnss::LocalFrame::at(PAIR.position);
     frame.to_ecef(graphfix::gnss::Enu(nalgebra::Vector3::new(0.0, 0.0, -1.5)))
@@ -39,7 +39,8 @@ fn epochs_of(file: &[u8]) -> Vec<v1::Epoch> {
     reading::epochs_of(file).iter().map(|epoch| convert::epoch_message(0, epoch)).collect()
 }
 
-/// REST: the base from a file whose header tells its place; a session relative to it is fixed.
+/// REST: the base from a file whose header contains its position; a session relative to it is
+/// fixed.
 #[tokio::test]
 async fn a_file_fills_a_base_and_its_session_is_fixed() {
     let doors = navigated().await;
@@ -84,7 +85,7 @@ async fn a_file_fills_a_base_and_its_session_is_fixed() {
     assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "BASE_IN_USE"));
 }
 
-/// The same calls as gRPC carries them: a stated marker, pushed epochs, the same positions.
+/// The same calls through gRPC: a stated marker, pushed epochs, the same positions.
 #[tokio::test]
 async fn pushed_epochs_give_the_positions_of_a_file() {
     let doors = navigated().await;

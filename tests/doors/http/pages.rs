@@ -39,7 +39,7 @@ async fn the_page_of_the_schema_comes_from_the_binary() {
     }
 }
 
-/// Every path of the document is routed, and the document is the one that was looked at.
+/// Every path of the document is routed, and the document is the reviewed one.
 #[tokio::test]
 async fn the_schema_is_a_snapshot_and_true() {
     let doors = Doors::open().await;

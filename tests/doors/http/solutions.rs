@@ -33,7 +33,7 @@ async fn solutions_are_listed_by_time_status_and_page() {
     assert_eq!(numbers(&doors.get(&format!("{path}?status=SINGLE")).await.1), [0; 0]);
 }
 
-/// The last answer to each epoch unless the query says otherwise.
+/// The latest answer to each epoch unless the query requires another one.
 #[tokio::test]
 async fn revisions_are_chosen() {
     let doors = Doors::open().await;
