@@ -47,10 +47,32 @@ impl Quantity {
     }
 }
 
+/// What the digits of a phase's loss-of-lock indicator mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Indicator {
+    /// Bit 0 is loss of lock, bit 1 half-cycle ambiguity (RINEX 3.05).
+    #[default]
+    Rinex,
+    /// Loss of lock, plus 3 for half-cycle ambiguity: RTKLIB's convbin 2.4 writes it of RTCM 3.
+    Convbin,
+}
+
+impl Indicator {
+    /// Loss of lock, and half-cycle ambiguity, by a digit.
+    const fn flags(self, digit: u8) -> (bool, bool) {
+        match (self, digit) {
+            (Self::Convbin, b'3') => (false, true),
+            (Self::Convbin, b'4') => (true, true),
+            _ => (digit & 1 != 0, digit & 2 != 0),
+        }
+    }
+}
+
 /// The destination of a column's number.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Column {
     quantity: Quantity,
+    indicator: Indicator,
     /// Index into the table's codes.
     slot: u8,
     /// Divisor from `SYS / SCALE FACTOR`.
@@ -120,14 +142,15 @@ impl ColumnTable {
     }
 
     fn push(&mut self, quantity: Quantity, code: Option<ObservationCode>, divisor: f64) {
+        let indicator = Indicator::Rinex;
         let code = code.filter(|_| quantity != Quantity::Ignored);
         let slot = code.map(|code| self.slot(code));
         let taken = |slot| self.columns.iter().any(|c| (c.quantity, c.slot) == (quantity, slot));
         let column = match slot {
-            Some(slot) if !taken(slot) => Column { quantity, slot, divisor },
+            Some(slot) if !taken(slot) => Column { quantity, indicator, slot, divisor },
             _ => {
                 self.unknown_types += 1;
-                Column { quantity: Quantity::Ignored, slot: 0, divisor }
+                Column { quantity: Quantity::Ignored, indicator, slot: 0, divisor }
             }
         };
         self.columns.push(column);
@@ -151,6 +174,12 @@ impl ColumnTable {
                 }
             }
         }
+    }
+
+    /// The same columns with another meaning of the loss-of-lock indicators.
+    pub(super) fn with_indicator(mut self, indicator: Indicator) -> Self {
+        self.columns.iter_mut().for_each(|column| column.indicator = indicator);
+        self
     }
 
     /// Moves phase, Doppler and C/N0 to the pseudorange of their band that is present.
@@ -269,8 +298,7 @@ pub(super) fn set_value(column: &Column, value: Option<f64>, slots: &mut [Observ
 pub(super) fn set_loss_of_lock(column: &Column, lli: u8, slots: &mut [Observation]) {
     if column.quantity == Quantity::CarrierPhase && lli.is_ascii_digit() {
         let Some(slot) = slots.get_mut(usize::from(column.slot)) else { return };
-        slot.loss_of_lock = lli & 1 != 0;
-        slot.half_cycle = lli & 2 != 0;
+        (slot.loss_of_lock, slot.half_cycle) = column.indicator.flags(lli);
     }
 }
 

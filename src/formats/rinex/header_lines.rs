@@ -1,6 +1,6 @@
 //! Header records of observation files, at the start of the file and in events.
 
-use super::columns::{ColumnTable, ScaleFactor};
+use super::columns::{ColumnTable, Indicator, ScaleFactor};
 use super::fields::{columns, constellation, date, decimal, integer, text};
 use super::header::ObservationHeader;
 use super::lines::Lines;
@@ -114,6 +114,10 @@ pub(super) struct HeaderState {
     /// single satellites; RINEX 2.11.
     pub(super) half_cycles: [bool; 2],
     pub(super) half_cycles_of: Vec<(SatelliteId, [bool; 2])>,
+    /// Whether RTKLIB's convbin 2.4 made the file, and whether of RTCM 3: see
+    /// [`Indicator::Convbin`].
+    by_convbin: bool,
+    of_rtcm3: bool,
     /// System letter of the last type record, for its continuation lines.
     types_of: u8,
     /// Stated number of types and line, by system letter.
@@ -140,6 +144,8 @@ impl HeaderState {
             scales: Vec::new(),
             half_cycles: [false; 2],
             half_cycles_of: Vec::new(),
+            by_convbin: false,
+            of_rtcm3: false,
             types_of: b' ',
             stated: Vec::new(),
         }
@@ -216,6 +222,11 @@ impl HeaderState {
             let table = ColumnTable::of_rinex3(c, self.header.version, types, &self.scales);
             (!types.is_empty()).then_some(table)
         });
+        let indicator = match self.by_convbin && self.of_rtcm3 {
+            true => Indicator::Convbin,
+            false => Indicator::Rinex,
+        };
+        let tables = tables.map(|table| table.map(|table| table.with_indicator(indicator)));
         for (codes, table) in self.header.codes.iter_mut().zip(&tables) {
             *codes = table.as_ref().map_or_else(Vec::new, |t| t.codes.clone());
         }
@@ -226,6 +237,8 @@ impl HeaderState {
     pub(super) fn apply(&mut self, line: &[u8], number: u64) -> Option<()> {
         let header = &mut self.header;
         match label(line) {
+            b"PGM / RUN BY / DATE" => self.by_convbin = line.starts_with(b"CONVBIN 2.4."),
+            b"COMMENT" => self.of_rtcm3 |= text(line, 0, 60) == "format: RTCM 3",
             b"MARKER NAME" => header.marker = text(line, 0, 60),
             b"REC # / TYPE / VERS" => header.receiver = text(line, 20, 40),
             b"ANT # / TYPE" => header.antenna = text(line, 20, 40),

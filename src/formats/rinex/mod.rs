@@ -14,7 +14,9 @@
 //!   phases are used as they are.
 //! - Observations are divided by `SYS / SCALE FACTOR`.
 //! - Loss-of-lock indicator: bit 0 is loss of lock, bit 1 half-cycle ambiguity; bit 2
-//!   (anti-spoofing in RINEX 2, BOC tracking later) is ignored.
+//!   (anti-spoofing in RINEX 2, BOC tracking later) is ignored. RTKLIB's convbin 2.4 adds 3, not 2,
+//!   for half cycles that RTCM 3 messages report: where the header says that it made the file of
+//!   RTCM 3, 3 is a half-cycle ambiguity alone and 4 a loss of lock with it.
 //! - RINEX 2 observation types are mapped to RINEX 3 codes as in the `columns` module.
 //! - Receiver clock offsets on epoch lines are not applied: epochs keep the receiver's time tags.
 //!

@@ -317,6 +317,35 @@ fn survives(bytes: &[u8]) {
     let _ = read_navigation(bytes);
 }
 
+/// The digits 0 to 4 on a phase: RTKLIB's convbin adds 3 for a half cycle where it read RTCM 3.
+#[test]
+fn indicators_of_convbin_are_understood() {
+    let file = |program: &str, source: &str| {
+        let mut text = String::from(
+            "     3.03           OBSERVATION DATA    M: Mixed            RINEX VERSION / TYPE\n",
+        );
+        text += &format!("{program:60}PGM / RUN BY / DATE\n{source:60}COMMENT\n");
+        text += &format!("{:60}SYS / # / OBS TYPES\n{:60}END OF HEADER\n", "G    2 C1C L1C", "");
+        for digit in 0..5 {
+            text += &format!("> 2023 05 19 06 33 {digit:2}.0000000  0  1\n");
+            text += &format!("G03  24600079.188   129274136.841{digit} \n");
+        }
+        let mut reader = ObservationReader::new(text.as_bytes()).expect("a header");
+        let (mut epoch, mut flags) = (Epoch::new(GpsTime::EPOCH), Vec::new());
+        while reader.read_epoch(&mut epoch).expect("epochs") {
+            let observation = &epoch.observations[0];
+            flags.push((observation.loss_of_lock, observation.half_cycle));
+        }
+        flags
+    };
+    let standard = [(false, false), (true, false), (false, true), (true, true), (false, false)];
+    let convbin = [(false, false), (true, false), (false, true), (false, true), (true, true)];
+    let by = "CONVBIN 2.4.3                           20261122 105000 UTC";
+    assert_eq!(file(by, "format: RTCM 3"), convbin);
+    assert_eq!(file(by, "format: u-blox UBX"), standard);
+    assert_eq!(file("another program", "format: RTCM 3"), standard);
+}
+
 const RINEX2: &str =
     "     2.11           OBSERVATION DATA    M                   RINEX VERSION / TYPE
      7    L1    L2    C1    P2    S1    D1    C2            # / TYPES OF OBSERV
