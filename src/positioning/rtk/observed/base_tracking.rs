@@ -6,7 +6,7 @@
 use crate::gnss::{BaseStation, Ecef, GpsTime, Reason, SatelliteId};
 use crate::positioning::BasePositionVerdict;
 use crate::positioning::aiding::TAG_SLACK_S;
-use crate::positioning::differencing::{BaseSide, SingleDifferences};
+use crate::positioning::differencing::{BaseSide, SignalLevels, SingleDifferences};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
@@ -47,11 +47,13 @@ pub(crate) struct Intake {
 #[derive(Debug, Default)]
 pub(crate) struct BaseTracking {
     base: BaseMemory,
+    /// Of the rover.
+    levels: SignalLevels,
     /// Time of the newest epoch answered.
     last: Option<GpsTime>,
 }
 
-state_fields!(BaseTracking { base, last });
+state_fields!(BaseTracking { base, levels, last });
 
 impl BaseTracking {
     /// Takes in an epoch and the new base epochs. `None`, and no change, if the epoch is not after
@@ -62,6 +64,7 @@ impl BaseTracking {
             return None;
         }
         self.last = Some(epoch.time);
+        self.levels.learn(epoch);
         let base = inputs.base.as_ref();
         let base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
         if base_changed_m.is_some() {
@@ -123,7 +126,7 @@ impl BaseTracking {
             return Err(Reason::BaselineTooLong { length_m });
         }
         let newest = self.base.newest().ok_or(Reason::BaseMissing)?;
-        let side = BaseSide { station, epoch: newest };
+        let side = BaseSide { station, epoch: newest, levels: &self.levels };
         let gathered = differences.gather(epoch, rover, &side, navigation, inputs.options());
         gathered.ok_or(Reason::NotConverged)?;
         let (used, needed) = differences.used_and_needed();
