@@ -12,11 +12,20 @@ impl Draws {
 
     /// A number below `bound`, which is small: the excess of the lower ones is bound/2⁶⁴.
     pub(super) fn below(&mut self, bound: usize) -> usize {
+        (self.next_bits() % bound as u64) as usize
+    }
+
+    /// A number from 0 up to 1, in steps of 2⁻⁵³.
+    pub(super) fn unit(&mut self) -> f64 {
+        (self.next_bits() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn next_bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % bound as u64) as usize
+        z ^ (z >> 31)
     }
 
     /// Moves `count` randomly drawn items to the front of `items`.

@@ -29,6 +29,7 @@ mod measurements;
 mod phases;
 mod ranging;
 mod receiver;
+mod rivals;
 mod rtk;
 #[cfg(test)]
 mod scenario;

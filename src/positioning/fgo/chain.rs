@@ -18,6 +18,7 @@ use crate::positioning::factors::{
 use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::receiver::{ReceiverModel, Signal, common_ionosphere_m};
+use crate::positioning::rivals::Watch;
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
 use crate::positioning::starts::{
@@ -30,7 +31,6 @@ use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
 use super::start::follow_doppler;
-use super::watch::Watch;
 
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 pub(super) const BIAS_M: f64 = 300.0;

@@ -10,12 +10,11 @@ use crate::gnss::Constellation;
 use crate::graph::{EliminationError, Estimate, Prior, Workspace};
 use crate::positioning::clock_jump::CRYSTAL_DRIFT_M_S;
 use crate::positioning::factors::{BiasFactor, CLOCK, ComponentFactor, DRIFT, STATE, VELOCITY};
+use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, Verdict, rivalry};
 use crate::positioning::setup::GraphSettings;
 use crate::positioning::starts::{START_CLOCK_M, START_M_S};
 
 use super::chain::{BIAS_M, Chain, ChainScratch};
-use super::hypotheses::{Knowledge, Offset, Pooled, Rivalry, rivalry};
-use super::watch::Verdict;
 
 /// Standard deviation of a position about the hypothesis that it was moved to (m).
 const MOVED_M: f64 = 30.0;

@@ -10,10 +10,8 @@ mod batch;
 mod chain;
 mod competition;
 mod epoch;
-mod hypotheses;
 mod learning;
 mod start;
-mod watch;
 mod window;
 
 pub(super) use batch::WholeChain;

@@ -32,6 +32,8 @@ const VALUES: usize = 15;
 const PRIOR_DB_HZ: (f64, f64) = (32.0, 6.0);
 /// Width of the logistic function of the probability of reflection (dB).
 const LOGISTIC_DB: f64 = 3.0;
+/// The same where S₀ is unknown (dB).
+const UNLEARNT_LOGISTIC_DB: f64 = 4.81;
 /// Bounds of the probability of reflection: C/N0 alone is never certain evidence.
 const REFLECTED: std::ops::RangeInclusive<f64> = 0.02..=0.98;
 /// Standard deviation of a strong signal (m).
@@ -119,6 +121,16 @@ impl CodeNoise {
             share * log_product(residuals.iter().map(density))
         });
     }
+}
+
+/// Chance of reflection by the prior of S₀ alone.
+///
+/// The mean over S₀ = 32 ± 6 dB-Hz of the logistic function of width 3 dB is, within 0.011, one of
+/// width 3·√(1 + π/8·(6/3)²) dB: both are nearly normal distribution functions, whose variances
+/// add.
+pub(in crate::positioning) fn reflected_before_learning(cn0_db_hz: Option<f64>) -> f64 {
+    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - PRIOR_DB_HZ.0;
+    (1.0 + (above_db / UNLEARNT_LOGISTIC_DB).exp()).recip()
 }
 
 /// Error model for S₀ = `level_db_hz`.

@@ -38,7 +38,7 @@ use noise_scale::NoiseScale;
 use repeated_rates::RepeatedRates;
 use vertical_speed::VerticalSpeed;
 
-pub(super) use code_noise::{CodeResidual, Signal, common_ionosphere_m};
+pub(super) use code_noise::{CodeResidual, Signal, common_ionosphere_m, reflected_before_learning};
 
 /// Time constant with which the evidence fades (s): streets change within some minutes.
 const FADING_S: f64 = 300.0;

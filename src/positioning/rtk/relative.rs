@@ -18,7 +18,10 @@ use crate::snapshot::{Snapshot, state_fields};
 
 use super::ambiguity::Resolution;
 use super::answer::{AnswerParts, solution};
-use super::observed::{Arcs, BaseTracking, Intake, Received, RtkEpoch, STATE, State, UsableBase};
+use super::observed::{
+    Arcs, BaseTracking, Intake, Judged, PseudorangeWatch, Received, RowScratch, RtkEpoch, STATE,
+    State, UsableBase,
+};
 use super::tracking::Tracking;
 
 /// A solver of differences: a window of epochs, or a filter.
@@ -122,24 +125,32 @@ pub(crate) struct Resolved {
 pub(crate) struct Relative<S: RelativeSolver> {
     solver: S,
     base: BaseTracking,
+    /// Doubts positions without integers.
+    watch: PseudorangeWatch,
     /// Answers while no base can be used.
     alone: Option<Box<S::Alone>>,
     past: S::Past,
 }
 
-state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, alone, past });
+state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, watch, alone, past });
 
 /// Scratch of the estimator.
 #[derive(Debug)]
 pub(crate) struct RelativeScratch<S: RelativeSolver> {
     intake: Intake,
+    rows: RowScratch,
     alone: <S::Alone as Engine>::Scratch,
     solver: S::Scratch,
 }
 
 impl<S: RelativeSolver> Default for RelativeScratch<S> {
     fn default() -> Self {
-        Self { intake: Intake::default(), alone: Default::default(), solver: S::Scratch::default() }
+        Self {
+            intake: Intake::default(),
+            rows: RowScratch::default(),
+            alone: Default::default(),
+            solver: S::Scratch::default(),
+        }
     }
 }
 
@@ -155,7 +166,8 @@ impl<S: RelativeSolver> Engine for Relative<S> {
 
     fn new(_setup: &Setup, revises: bool) -> Self {
         let (solver, past) = (S::new(), S::past(revises));
-        Self { solver, base: BaseTracking::default(), alone: None, past }
+        let (base, watch) = (BaseTracking::default(), PseudorangeWatch::default());
+        Self { solver, base, watch, alone: None, past }
     }
 
     fn fits(&self, setup: &Setup) -> bool {
@@ -294,6 +306,8 @@ impl<S: RelativeSolver> Relative<S> {
         let new = NewEpoch { time, guess, differences, setup, slipped };
         let resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
         let resolved = resolved.inspect_err(|_| S::leave_all(&mut self.past, revisions))?;
+        let resolved = self.reconsider(resolved, inputs, scratch, revisions)?;
+        let Intake { differences, slipped, .. } = &mut scratch.intake;
         reasons.extend(slip_reasons(slipped, &self.solver.tracking().arcs, time));
         Ok(solution(AnswerParts {
             frame: self.solver.frame(),
@@ -306,6 +320,38 @@ impl<S: RelativeSolver> Relative<S> {
             base,
             options: &setup.options.rtk,
         }))
+    }
+
+    /// Starts again where the pseudoranges clearly agree on another position than a float
+    /// solution's.
+    fn reconsider(
+        &mut self,
+        resolved: Resolved,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Result<Resolved, Reason> {
+        let RelativeScratch { intake, rows, solver: memory, .. } = scratch;
+        let Intake { differences, slipped, .. } = intake;
+        if resolved.resolution.outcome.is_ok() || inputs.options().rtk.single_epoch {
+            self.watch = PseudorangeWatch::default();
+            return Ok(resolved);
+        }
+        let judged = Judged {
+            epoch: self.solver.epoch(memory),
+            state: &resolved.state,
+            frame: self.solver.frame(),
+            differences,
+        };
+        let Some(start) = self.watch.reconsider(&judged, rows) else { return Ok(resolved) };
+        let (time, setup) = (inputs.epoch.time, inputs.setup);
+        let mut guess = resolved.state;
+        guess.fixed_rows_mut::<3>(0).fill(0.0);
+        self.solver.answer_all(setup, &mut self.past, memory, revisions);
+        self.solver.begin(start, &guess);
+        let new = NewEpoch { time, guess, differences, setup, slipped };
+        let again = self.solver.solve(new, &mut self.past, memory);
+        again.inspect_err(|_| S::leave_all(&mut self.past, revisions))
     }
 }
 

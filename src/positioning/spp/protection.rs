@@ -22,17 +22,11 @@ use nalgebra::Vector3;
 use crate::gnss::{LocalFrame, Protection};
 use crate::positioning::code_error::{EXTRA_PATH_M, FAULT_SHARE};
 use crate::positioning::integrity::{major_m2, normal_one_sided};
+use crate::positioning::receiver::reflected_before_learning;
 
 use super::consensus::WILD_M;
 use super::exclusion::REDUNDANCY_MIN;
 use super::{Fit, SinglePoint};
-
-/// S₀ (dB-Hz).
-const LEVEL_DB_HZ: f64 = 32.0;
-/// Width of the logistic function with S₀ unknown (dB).
-const WIDTH_DB: f64 = 4.81;
-/// C/N0 assumed where none is reported (dB-Hz).
-const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 
 /// Influence of a row on the position.
 #[derive(Clone, Copy, Debug)]
@@ -126,7 +120,7 @@ impl SinglePoint {
         let used = self.rows.iter().filter(|row| row.is_used);
         let late_m2 = |index: usize| {
             let cn0_db_hz = self.measurements.list[index].cn0_db_hz;
-            2.0 * EXTRA_PATH_M * EXTRA_PATH_M * reflected(cn0_db_hz)
+            2.0 * EXTRA_PATH_M * EXTRA_PATH_M * reflected_before_learning(cn0_db_hz)
         };
         let zero = Spread { east: 0.0, north: 0.0, cross: 0.0, up: 0.0 };
         let (mut reflections, mut late, mut squares, mut expected) = (zero, 0.0, 0.0, 0.0);
@@ -150,14 +144,6 @@ impl SinglePoint {
     }
 }
 
-/// π of a C/N0 (dB-Hz), a logistic function of C/N0 − S₀ of width 3 dB, over S₀ = 32 ± 6 dB-Hz:
-/// that widens it by √(1 + π/8·(6/3)²) (MacKay 1992, *The evidence framework applied to
-/// classification networks*, Neural Comput. 4).
-fn reflected(cn0_db_hz: Option<f64>) -> f64 {
-    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - LEVEL_DB_HZ;
-    (1.0 + (above_db / WIDTH_DB).exp()).recip()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -165,7 +151,11 @@ mod tests {
     /// Without C/N0 as at 38 dB-Hz: 1/(1 + exp(6/4.81)) = 0.2232; half at 32 dB-Hz.
     #[test]
     fn the_probability_of_a_reflection_worked_by_hand() {
-        assert!((reflected(None) - 0.223_2).abs() < 1e-4, "{}", reflected(None));
-        assert!((reflected(Some(32.0)) - 0.5).abs() < 1e-12);
+        assert!(
+            (reflected_before_learning(None) - 0.223_2).abs() < 1e-4,
+            "{}",
+            reflected_before_learning(None)
+        );
+        assert!((reflected_before_learning(Some(32.0)) - 0.5).abs() < 1e-12);
     }
 }

@@ -10,6 +10,7 @@ mod noise;
 mod pseudorange_age;
 mod receivers;
 mod residuals;
+mod rivals;
 mod rows;
 mod slips;
 
@@ -21,5 +22,6 @@ pub(crate) use epoch::{DifferenceFactor, Group};
 pub(crate) use noise::{FREEDOM_LEAST, KnownNoise, Residuals};
 pub(crate) use receivers::Receivers;
 pub(crate) use residuals::{carrier_residuals, window_residuals};
+pub(crate) use rivals::{Judged, PseudorangeWatch};
 pub(crate) use rows::{NewRows, fill};
 pub(crate) use slips::{SLIP_ROUNDS, Slips, cut_slips};

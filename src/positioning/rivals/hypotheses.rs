@@ -21,6 +21,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::gnss::{Constellation, SatelliteId};
 use crate::positioning::code_error::{CodeError, log_product};
+use crate::positioning::draws::Draws;
 use crate::snapshot::snapshot_fields;
 
 /// Position and a clock for each constellation.
@@ -49,43 +50,43 @@ const SETTLED_M: f64 = 10.0;
 
 /// The residual of one satellite over some seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Pooled {
-    pub(super) satellite: SatelliteId,
+pub(crate) struct Pooled {
+    pub(crate) satellite: SatelliteId,
     /// ∂ρ/∂p, local.
-    pub(super) slope: Vector3<f64>,
+    pub(crate) slope: Vector3<f64>,
     /// Median of measured − modelled (m).
-    pub(super) residual_m: f64,
-    pub(super) error: CodeError,
+    pub(crate) residual_m: f64,
+    pub(crate) error: CodeError,
     /// κ: share of independent information, one for all of a pool.
-    pub(super) independent: f64,
+    pub(crate) independent: f64,
 }
 
 snapshot_fields!(Pooled { satellite, slope, residual_m, error, independent });
 
 /// What is known besides residuals.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Knowledge {
+pub(crate) struct Knowledge {
     /// β (m); infinite where inter-system biases are not known yet.
-    pub(super) bias_sigma_m: f64,
+    pub(crate) bias_sigma_m: f64,
     /// a.
-    pub(super) settled: f64,
+    pub(crate) settled: f64,
 }
 
 /// An offset of the trajectory that explains the residuals.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Offset {
+pub(crate) struct Offset {
     x: Unknowns,
     cost: f64,
 }
 
 impl Offset {
     /// Of the position, local (m).
-    pub(super) fn position_m(&self) -> Vector3<f64> {
+    pub(crate) fn position_m(&self) -> Vector3<f64> {
         self.x.fixed_rows::<3>(0).into_owned()
     }
 
     /// Of a constellation's clock (m).
-    pub(super) fn clock_m(&self, constellation: Constellation) -> f64 {
+    pub(crate) fn clock_m(&self, constellation: Constellation) -> f64 {
         self.x[3 + constellation.index()]
     }
 
@@ -96,7 +97,7 @@ impl Offset {
 
 /// What the residuals say of other positions.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Rivalry {
+pub(crate) enum Rivalry {
     /// Nothing: there is no redundancy.
     Undetermined,
     /// No candidate lies elsewhere, or none can be likely enough.
@@ -120,7 +121,7 @@ struct Evidence<'a> {
 
 /// Looks for the likeliest position more than [`DISTINCT_M`] away from where the trajectory is, if
 /// its log odds can reach `least`; `seed` decides the draws.
-pub(super) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
+pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
     let mut present = [false; Constellation::COUNT];
     pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
     let evidence = Evidence { pool, knowledge, present };
@@ -241,7 +242,7 @@ impl Evidence<'_> {
 
     /// The best distinct positions of the subsets drawn, best first.
     fn candidates(&self, seed: u64) -> Vec<Unknowns> {
-        let mut draws = Draws(seed);
+        let mut draws = Draws::new(seed);
         let mut found: Vec<Offset> = (0..SUBSETS)
             .filter_map(|_| self.solve_subset(&self.draw_subset(&mut draws)))
             .map(|x| Offset { x, cost: self.cost(&x) })
@@ -268,7 +269,7 @@ impl Evidence<'_> {
             if !subset.is_empty() && 3 + clocks <= subset.len() {
                 break;
             }
-            let mut left = draws.next() * total;
+            let mut left = draws.unit() * total;
             let reached = |pooled: &Pooled| {
                 left -= 1.0 - pooled.error.reflected;
                 left < 0.0
@@ -319,22 +320,6 @@ impl Evidence<'_> {
             x[3 + system] = *own.select_nth_unstable_by(third, f64::total_cmp).1;
         }
         Some(x)
-    }
-}
-
-/// Evenly distributed numbers in 0 … 1 that follow from a seed.
-///
-/// Steele, Lea & Flood (2014), *Fast splittable pseudorandom number generators*, OOPSLA:
-/// SplitMix64.
-struct Draws(u64);
-
-impl Draws {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
 

@@ -17,7 +17,7 @@ use super::hypotheses::{self, Knowledge, Offset, Pooled, Rivalry};
 /// Interval between two searches (s).
 const SEARCH_S: f64 = 2.0;
 /// Length of a pool, over which multipath is one error (s).
-pub(super) const POOL_S: f64 = 10.0;
+pub(crate) const POOL_S: f64 = 10.0;
 /// Pause after which the position counts as a start (s).
 const OUTAGE_S: f64 = 10.0;
 /// Time after which a position counts as settled (s).
@@ -31,7 +31,7 @@ const PROVEN: f64 = 4.6;
 
 /// What a search found.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Verdict {
+pub(crate) enum Verdict {
     /// No rival comes near.
     Proven,
     /// A rival is possible, or nothing can be said.
@@ -42,7 +42,7 @@ pub(super) enum Verdict {
 
 /// Residuals of earlier windows, and when they were taken.
 #[derive(Debug, Default)]
-pub(super) struct Watch {
+pub(crate) struct Watch {
     /// Of the two windows before this one, the newer first.
     earlier: [Vec<Pooled>; 2],
     /// When the newer of them was taken.
@@ -57,7 +57,7 @@ state_fields!(Watch { earlier, pooled, searched, settling });
 
 impl Watch {
     /// Takes note of an epoch at `now`, `interval_s` after the one before; whether a search is due.
-    pub(super) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
+    pub(crate) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
         if interval_s.is_none_or(|interval_s| OUTAGE_S < interval_s) {
             self.earlier.iter_mut().for_each(Vec::clear);
             (self.settling, self.pooled, self.searched) = (Some(now), Some(now), None);
@@ -66,7 +66,7 @@ impl Watch {
     }
 
     /// What inter-system biases may be off by at `now` (m).
-    pub(super) fn bias_sigma_m(&self, now: GpsTime) -> f64 {
+    pub(crate) fn bias_sigma_m(&self, now: GpsTime) -> f64 {
         if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SIGMA_M }
     }
 
@@ -77,13 +77,13 @@ impl Watch {
     }
 
     /// How far the window's residuals are not yet among the earlier ones (s).
-    pub(super) fn unpooled_s(&self, now: GpsTime) -> f64 {
+    pub(crate) fn unpooled_s(&self, now: GpsTime) -> f64 {
         self.pooled.map_or(0.0, |pooled| now - pooled).min(POOL_S)
     }
 
     /// Judges the position from the window's residuals, pooled over [`Self::unpooled_s`]. One that
     /// is proven stays so until it moves.
-    pub(super) fn judge(&mut self, now: GpsTime, window: &[Pooled], is_proven: bool) -> Verdict {
+    pub(crate) fn judge(&mut self, now: GpsTime, window: &[Pooled], is_proven: bool) -> Verdict {
         self.searched = Some(now);
         let mut pool = window.to_vec();
         if POOL_S <= self.unpooled_s(now) {
@@ -110,7 +110,7 @@ impl Watch {
     }
 
     /// Moves the residuals along with a position that was moved.
-    pub(super) fn follow(&mut self, offset: &Offset) {
+    pub(crate) fn follow(&mut self, offset: &Offset) {
         for pooled in self.earlier.iter_mut().flatten() {
             let constellation: Constellation = pooled.satellite.constellation;
             let along_m = pooled.slope.dot(&offset.position_m());

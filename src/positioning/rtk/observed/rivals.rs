@@ -1,0 +1,131 @@
+//! Whether the differenced pseudoranges are better explained by another position.
+//!
+//! A float solution carries a wrong start along: phases tie the epochs together, and the prior of
+//! the epochs that left the window outweighs the pseudoranges that contradict it. As without a
+//! base, the residuals of the last half minute are asked whether another position explains them
+//! better ([`Watch`]); the solver then starts again from there.
+
+use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
+use crate::graph::shared_offset;
+use crate::positioning::code_error::CodeError;
+use crate::positioning::differencing::SingleDifferences;
+use crate::positioning::receiver::reflected_before_learning;
+use crate::positioning::rivals::{POOL_S, Pooled, Verdict, Watch};
+use crate::positioning::setup::OFFSET_KERNEL;
+use crate::snapshot::{snapshot_fields, state_fields};
+
+use super::epoch::{RowScratch, RtkEpoch, State};
+
+/// Epochs closer than this are not both kept (s): their errors are the same.
+const SPACING_S: f64 = 0.9;
+
+/// The residual of a satellite at an epoch.
+#[derive(Clone, Debug)]
+struct Seen {
+    time: GpsTime,
+    pooled: Pooled,
+}
+
+snapshot_fields!(Seen { time, pooled });
+
+/// The watch over a position by its pseudoranges.
+#[derive(Debug, Default)]
+pub(crate) struct PseudorangeWatch {
+    watch: Watch,
+    /// Of the last ten seconds, in order of time.
+    seen: Vec<Seen>,
+    last: Option<GpsTime>,
+    is_proven: bool,
+}
+
+state_fields!(PseudorangeWatch { watch, seen, last, is_proven });
+
+/// A float solution to judge.
+pub(crate) struct Judged<'a> {
+    pub(crate) epoch: &'a RtkEpoch,
+    pub(crate) state: &'a State,
+    pub(crate) frame: &'a LocalFrame,
+    pub(crate) differences: &'a SingleDifferences,
+}
+
+impl PseudorangeWatch {
+    /// Takes in a float solution; another position (local, ECEF) if that is clearly likelier.
+    pub(crate) fn reconsider(
+        &mut self,
+        judged: &Judged<'_>,
+        scratch: &mut RowScratch,
+    ) -> Option<Ecef> {
+        let now = judged.epoch.time;
+        let interval_s = self.last.map(|last| now - last);
+        self.last = Some(now);
+        if interval_s.is_none_or(|interval_s| POOL_S < interval_s) {
+            self.seen.clear();
+            self.is_proven = false;
+        }
+        if self.seen.last().is_none_or(|seen| SPACING_S <= now - seen.time) {
+            self.take(judged, scratch);
+        }
+        if !self.watch.is_due(now, interval_s) {
+            return None;
+        }
+        let pool = self.pooled(now);
+        match self.watch.judge(now, &pool, self.is_proven) {
+            Verdict::Proven => self.is_proven = true,
+            Verdict::Open => {}
+            Verdict::Move(offset) => {
+                *self = Self { last: Some(now), ..Self::default() };
+                let local = judged.state.fixed_rows::<3>(0).into_owned();
+                return Some(judged.frame.to_ecef(Enu(local + offset.position_m())));
+            }
+        }
+        None
+    }
+
+    /// Adds the residuals of an epoch: of each satellite the one of its most exact pseudorange.
+    fn take(&mut self, judged: &Judged<'_>, scratch: &mut RowScratch) {
+        let Judged { epoch, state, differences, .. } = *judged;
+        self.seen.retain(|seen| epoch.time - seen.time <= POOL_S);
+        let begin = self.seen.len();
+        epoch.see(state, scratch);
+        for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+            epoch.linearize_group(group, &[], scratch);
+            let RowScratch { rows, numbers, .. } = &mut *scratch;
+            let offset_m = shared_offset(rows, &OFFSET_KERNEL, numbers);
+            for (row, factor) in rows.iter().zip(&epoch.rows[group.begin..group.end]) {
+                let satellite = &differences.satellites[factor.sight];
+                let residual_m = -(row.row.residual / row.by_offset + offset_m);
+                let pooled = Pooled {
+                    satellite: satellite.satellite,
+                    slope: nalgebra::Vector3::from(row.row.jacobian) / row.by_offset,
+                    residual_m,
+                    error: CodeError {
+                        sigma_m: row.by_offset.recip(),
+                        reflected: reflected_before_learning(satellite.cn0_db_hz),
+                    },
+                    independent: row.independent_share,
+                };
+                let of_satellite = |seen: &&mut Seen| seen.pooled.satellite == pooled.satellite;
+                match self.seen[begin..].iter_mut().find(of_satellite) {
+                    Some(known) if known.pooled.error.sigma_m <= pooled.error.sigma_m => {}
+                    Some(known) => known.pooled = pooled,
+                    None => self.seen.push(Seen { time: epoch.time, pooled }),
+                }
+            }
+        }
+    }
+
+    /// The median residual of each satellite since the residuals were pooled last.
+    fn pooled(&self, now: GpsTime) -> Vec<Pooled> {
+        let span_s = self.watch.unpooled_s(now);
+        let recent = self.seen.iter().filter(|seen| now - seen.time <= span_s);
+        let mut all: Vec<Pooled> = recent.map(|seen| seen.pooled).collect();
+        all.sort_by(|a, b| {
+            a.satellite.cmp(&b.satellite).then(a.residual_m.total_cmp(&b.residual_m))
+        });
+        let middle = |group: &[Pooled]| {
+            let independent: f64 = group.iter().map(|pooled| pooled.independent).sum();
+            Pooled { independent: independent.min(1.0), ..group[group.len() / 2] }
+        };
+        all.chunk_by(|a, b| a.satellite == b.satellite).map(middle).collect()
+    }
+}
