@@ -8,9 +8,9 @@ pub const BASE_LATER_S: f64 = 0.02;
 /// Tolerance of time tags when the age of a base epoch is compared with its limit (s).
 pub(crate) const TAG_SLACK_S: f64 = 1e-3;
 
-/// A base has moved if its stated position changes by more than this (m). Messages have a
-/// resolution of 0.1 mm.
-pub(crate) const BASE_MOVED_M: f64 = 1e-3;
+/// A base whose stated position changes by more than this has moved (m). Less is a correction of
+/// its coordinates: a twentieth of a cycle on L1, so that all integers stay the same.
+pub(crate) const BASE_MOVED_M: f64 = 0.01;
 
 /// Input of an epoch besides its own observations.
 #[derive(Clone, Copy, Debug)]

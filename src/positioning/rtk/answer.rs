@@ -8,9 +8,11 @@ use crate::gnss::{
     BaseEpochIssue, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
     SolutionEstimate, Status, Velocity,
 };
+use crate::graph::shared_offset;
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::geometry::{Geometry, UNDETERMINED};
+use crate::positioning::setup::OFFSET_KERNEL;
 
 use super::ambiguity::Resolution;
 use super::observed::{RtkEpoch, STATE, State, UsableBase};
@@ -77,7 +79,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
         velocity: Some(Velocity {
             velocity_m_s: rotation.transpose() * velocity,
             covariance: to_ecef(&velocity_covariance),
-            clock_drift_m_s: 0.0,
+            clock_drift_m_s: clock_drift_m_s(epoch, &velocity),
         }),
         clock_m,
         inter_system_biases_m: Vec::new(),
@@ -99,6 +101,13 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     let provenance = Provenance { ephemerides, base: Some(BaseEpochIssue { base: name, time }) };
     let estimate = Some(estimate);
     Solution { time: epoch.time, status, estimate, protection: None, reasons, provenance }
+}
+
+/// The rover's clock drift (m/s): the common offset of its Doppler shifts at a velocity; zero
+/// without any.
+fn clock_drift_m_s(epoch: &RtkEpoch, velocity: &Vector3<f64>) -> f64 {
+    let rows: Vec<_> = epoch.rates.iter().map(|rate| rate.linearize_sharing(velocity)).collect();
+    shared_offset(&rows, &OFFSET_KERNEL, &mut Vec::new())
 }
 
 /// The rover's clock (m), from the mean of the first constellation's pseudoranges; it includes the

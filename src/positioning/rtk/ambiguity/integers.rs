@@ -34,8 +34,6 @@ const LIKELY: f64 = 0.5;
 pub(crate) struct Resolution {
     /// Double-differenced ambiguities.
     pub(crate) ambiguities: usize,
-    /// Ambiguities that began this epoch and have no integer yet.
-    pub(crate) begun: usize,
     pub(crate) ratio: Option<f64>,
     pub(crate) success_rate: Option<f64>,
     pub(crate) outcome: Result<FixedPosition, Reason>,
@@ -45,7 +43,7 @@ impl Resolution {
     /// The ambiguities stay real-valued because the caller requests no integers.
     pub(crate) fn unresolved(ambiguities: usize) -> Self {
         let (ratio, success_rate) = (None, None);
-        Self { ambiguities, begun: 0, ratio, success_rate, outcome: Err(Reason::FixRejected) }
+        Self { ambiguities, ratio, success_rate, outcome: Err(Reason::FixRejected) }
     }
 
     /// The same, refused for a reason.
@@ -53,16 +51,11 @@ impl Resolution {
         Self { outcome: Err(reason), ..self }
     }
 
-    /// Rejects a fix with σ_h > 5 cm, or with fewer than half of the ambiguities fixed that have
-    /// been tracked before this epoch.
+    /// Rejects a fix with σ_h > 5 cm.
     pub(crate) fn require_precise(self) -> Self {
-        let expected = self.ambiguities - self.begun;
         let precise = |fixed: FixedPosition| {
             let sigma_m = fixed.horizontal_sigma_m();
-            if FIXED_SIGMA_M < sigma_m {
-                return Err(Reason::FixImprecise { sigma_m });
-            }
-            if 2 * fixed.held < expected { Err(Reason::FixRejected) } else { Ok(fixed) }
+            if FIXED_SIGMA_M < sigma_m { Err(Reason::FixImprecise { sigma_m }) } else { Ok(fixed) }
         };
         Self { outcome: self.outcome.and_then(precise), ..self }
     }
@@ -206,7 +199,7 @@ impl IntegerSearch {
     fn refused(&self, reason: Reason) -> Resolution {
         let ambiguities = self.pairs.len();
         let (ratio, success_rate) = (None, None);
-        Resolution { ambiguities, begun: 0, ratio, success_rate, outcome: Err(reason) }
+        Resolution { ambiguities, ratio, success_rate, outcome: Err(reason) }
     }
 
     /// Conditions on the held integers, then searches for those of the others. `None` where too few
@@ -249,10 +242,8 @@ impl IntegerSearch {
                 rest = left;
             }
         }
-        let is_new = |arc: &CarrierArc| arc.epochs == 1 && arc.held.is_none();
         Some(Resolution {
             ambiguities: self.pairs.len(),
-            begun: self.pairs.iter().filter(|pair| is_new(&arcs.list()[pair.arc])).count(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
             outcome: Ok(fixed_position(&rest, held, probability)),
@@ -614,22 +605,18 @@ mod tests {
         assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
     }
 
-    /// Four of eight ambiguities are enough, four of nine are not unless one has just begun, nor
-    /// are eight that leave the position uncertain by more than 5 cm.
+    /// Integers that leave the position uncertain by more than 5 cm are no fix.
     #[test]
-    fn few_integers_or_an_uncertain_position_are_refused() {
-        let outcome = |ambiguities, begun, held, sigma_m: f64| {
+    fn an_uncertain_position_is_refused() {
+        let outcome = |sigma_m: f64| {
             let covariance = Matrix3::identity() * sigma_m.powi(2);
             let position = Vector3::zeros();
-            let fixed = FixedPosition { position, covariance, held, probability: 0.999 };
+            let fixed = FixedPosition { position, covariance, held: 8, probability: 0.999 };
             let (ratio, success_rate) = (None, None);
             let outcome = Ok(fixed);
-            Resolution { ambiguities, begun, ratio, success_rate, outcome }
-                .require_precise()
-                .outcome
+            Resolution { ambiguities: 9, ratio, success_rate, outcome }.require_precise().outcome
         };
-        assert!(outcome(8, 0, 4, 0.04).is_ok() && outcome(9, 1, 4, 0.04).is_ok());
-        assert!(matches!(outcome(9, 0, 4, 0.04), Err(Reason::FixRejected)));
-        assert!(matches!(outcome(8, 0, 8, 0.06), Err(Reason::FixImprecise { .. })));
+        assert!(outcome(0.04).is_ok());
+        assert!(matches!(outcome(0.06), Err(Reason::FixImprecise { .. })));
     }
 }
