@@ -8,9 +8,8 @@
 //! satellite i:
 //!
 //! - none is wrong, but each may be reflected, with the probability π_i of its C/N0 and an extra
-//! ··path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, with f ≥ 1 the ratio of
-//! the
-//!   residuals to their expectation;
+//!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, with f ≥ 1 the ratio of
+//!   the residuals to their expectation;
 //! - satellite i alone is wrong, with probability ε: |p − p₋ᵢ| + k(P/(2nε))·σ₋ᵢ, with p₋ᵢ and Σ₋ᵢ
 //!   the solution without it; if others cannot replace it, |S_i|·W + k(P/(2nε))·σ₀.
 //!
