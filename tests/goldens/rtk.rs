@@ -319,7 +319,7 @@ fn the_canyon_is_seldom_fixed_wrongly() {
     let wrong_percent = 100.0 * wrong[0] as f64 / fixed[0] as f64;
     near(&[
         ("fixed (%)", fixed_percent, measured::CANYON_FIXED_PERCENT, 2.0),
-        // Of about 1500 fixes a tolerance of three.
+        // Of about 2800 fixes a tolerance of six.
         ("wrong (%)", wrong_percent, measured::CANYON_WRONG_PERCENT, 0.2),
     ]);
     assert!(fixed[0] < fixed[1] && fixed[1] < fixed[2], "{fixed:?} of {all} fixed");
@@ -341,14 +341,16 @@ fn integers_that_are_not_asked_for_are_not_searched() {
         let antenna_reference_point = simulator.base_position().unwrap();
         let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
         let mut estimator = Estimator::new(options);
-        for epoch in simulator {
+        for (index, epoch) in simulator.enumerate() {
             let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
             let aiding = Aiding { navigation: &navigation, base };
             let solution = estimator.advance(&epoch.rover, &aiding);
             assert_eq!(solution.status, Status::Float);
             assert!(!solution.reasons.contains(&Reason::FixRejected), "{:?}", solution.reasons);
             let relative = solution.estimate.unwrap().relative.unwrap();
-            assert!(relative.fixed_ambiguities == 0 && 10 < relative.ambiguities, "{relative:?}");
+            // In the first epoch the half cycles of all phases are open: there is none to estimate.
+            let is_estimated = index == 0 || 10 < relative.ambiguities;
+            assert!(relative.fixed_ambiguities == 0 && is_estimated, "{relative:?}");
         }
     }
 }
