@@ -62,16 +62,9 @@ pub(super) struct SolvedBatch {
 }
 
 impl SolvedBatch {
-    /// Positions `epochs` one after another, starting from `state`.
-    pub(super) fn position(
-        state: State,
-        epochs: impl IntoIterator<Item = SequencedEpoch>,
-        aiding: &BatchAiding,
-        configuration: &Configuration,
-        rules: EpochRules,
-        scratch: &mut Scratch,
-    ) -> Self {
-        let mut batch = Self {
+    /// A batch without epochs, which starts from `state`.
+    pub(super) fn new(state: State) -> Self {
+        Self {
             state,
             plans: Vec::new(),
             rows: Vec::new(),
@@ -79,23 +72,33 @@ impl SolvedBatch {
             snapshot: None,
             solutions: Vec::new(),
             panics: Vec::new(),
+        }
+    }
+
+    /// Positions the next epoch.
+    pub(super) fn position(
+        &mut self,
+        epoch: SequencedEpoch,
+        aiding: &BatchAiding,
+        configuration: &Configuration,
+        rules: &EpochRules,
+        scratch: &mut Scratch,
+    ) {
+        let seq = epoch.seq;
+        let plan = match self.refusal(&epoch, rules) {
+            Some(refusal) => Plan::Refused(refusal),
+            None if self.is_after_last(seq) => self.advance(&epoch, aiding, configuration, scratch),
+            None => self.repeated(epoch),
         };
-        for epoch in epochs {
-            let seq = epoch.seq;
-            let plan = match batch.refusal(&epoch, &rules) {
-                Some(refusal) => Plan::Refused(refusal),
-                None if batch.is_after_last(seq) => {
-                    batch.advance(&epoch, aiding, configuration, scratch)
-                }
-                None => batch.repeated(epoch),
-            };
-            batch.plans.push((seq, plan));
+        self.plans.push((seq, plan));
+    }
+
+    /// Encodes the state if it is due, after the last epoch.
+    pub(super) fn finish(&mut self) {
+        if EPOCHS_PER_SNAPSHOT <= self.state.unsaved {
+            self.snapshot = self.state.encoded();
+            self.state.unsaved = 0;
         }
-        if EPOCHS_PER_SNAPSHOT <= batch.state.unsaved {
-            batch.snapshot = batch.state.encoded();
-            batch.state.unsaved = 0;
-        }
-        batch
     }
 
     fn is_after_last(&self, seq: u64) -> bool {

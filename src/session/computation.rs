@@ -13,7 +13,7 @@ use crate::store::StoredSolution;
 
 use super::antenna::corrected;
 use super::base_selection::{BaseSelection, BaseSource};
-use super::solvers::Solvers;
+use super::solvers::{Lane, Progress, Solvers};
 use super::state::Configuration;
 use super::{SequencedEpoch, SessionError};
 
@@ -37,10 +37,6 @@ impl From<StoredSolution> for Computed {
     }
 }
 
-/// A quantum ends after this time or this number of epochs.
-const QUANTUM: Duration = Duration::from_millis(10);
-const QUANTUM_EPOCHS: usize = 16;
-
 /// Epochs that a new estimator positions.
 pub(super) struct Computation {
     estimation: Configuration,
@@ -51,17 +47,20 @@ pub(super) struct Computation {
     antenna_position: ApproximatePosition,
     waiting: IntoIter<SequencedEpoch>,
     computed: Vec<Computed>,
-    /// Time on the solver pool so far.
+    /// Time on the solver pool so far, and at most.
     used: Duration,
+    limit: Duration,
 }
 
 impl Computation {
-    /// The computation of `epochs` with what positioning needs beside them.
+    /// The computation of `epochs` with what positioning needs beside them, within `limit` on the
+    /// solver pool.
     pub(super) fn new(
         estimation: Configuration,
         epochs: Vec<SequencedEpoch>,
         navigation: Arc<Navigation>,
         source: BaseSource,
+        limit: Duration,
     ) -> Self {
         Self {
             estimator: EstimatorState::new(estimation.options.clone(), false),
@@ -73,6 +72,7 @@ impl Computation {
             computed: Vec::with_capacity(epochs.len()),
             waiting: epochs.into_iter(),
             used: Duration::ZERO,
+            limit,
         }
     }
 
@@ -80,38 +80,27 @@ impl Computation {
     ///
     /// # Errors
     /// The estimator panics, or the epochs need more than `limit` on the solver pool.
-    pub(super) async fn run(
-        self,
-        solvers: &Solvers,
-        limit: Duration,
-    ) -> Result<Vec<Computed>, SessionError> {
-        let mut computation = self;
-        while computation.waiting.len() != 0 {
-            if limit < computation.used {
-                let (done, of) = (computation.computed.len(), computation.waiting.len());
-                return Err(SessionError::TooCostly { done, epochs: done + of, limit });
-            }
-            let quantum = move |scratch: &mut Scratch| {
-                computation.advance(scratch);
-                computation
-            };
-            computation = solvers.estimate(quantum).await?;
+    pub(super) async fn run(self, solvers: &Solvers) -> Result<Vec<Computed>, SessionError> {
+        let Self { computed, waiting, limit, .. } =
+            solvers.in_quanta(Lane::OnDemand, self, Self::advance).await?;
+        match (waiting.len(), computed.len()) {
+            (0, _) => Ok(computed),
+            (left, done) => Err(SessionError::TooCostly { done, epochs: done + left, limit }),
         }
-        Ok(computation.computed)
     }
 
-    /// Computes the epochs of a quantum.
-    fn advance(&mut self, scratch: &mut Scratch) {
+    /// Computes the next epoch, unless the computation has used its time.
+    fn advance(&mut self, scratch: &mut Scratch) -> Progress {
+        if self.limit < self.used {
+            return Progress::Done;
+        }
         let begun = Instant::now();
-        for _ in 0..QUANTUM_EPOCHS {
-            let Some(epoch) = self.waiting.next() else { break };
+        if let Some(epoch) = self.waiting.next() {
             let computed = self.position(epoch, scratch);
             self.computed.push(computed);
-            if QUANTUM < begun.elapsed() {
-                break;
-            }
         }
         self.used += begun.elapsed();
+        if self.waiting.len() == 0 { Progress::Done } else { Progress::Remaining }
     }
 
     fn position(

@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use crate::aiding::AidingDesk;
 use crate::gnss::LeapSeconds;
+use crate::positioning::Scratch;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
 use super::configuration::{base_of, configuration_hash};
 use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, calibration};
-use super::solvers::Solvers;
+use super::solvers::{Lane, Solvers};
 use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
 
@@ -124,7 +125,8 @@ impl Recomputation {
         if !self.ends_windows && !ends_arc {
             return Ok(None);
         }
-        self.replay.solvers.estimate(move |scratch| Some(state.finish(scratch))).await
+        let finish = move |scratch: &mut Scratch| Some(state.finish(scratch));
+        self.replay.solvers.estimate(Lane::Restore, finish).await
     }
 
     /// Computes everything and compares it with the stored solutions.

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::vec::IntoIter;
 
 use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
@@ -15,7 +16,7 @@ use super::SessionError;
 use super::base_selection::BaseSource;
 use super::configuration::{base_of, kept_options, stored_options};
 use super::panics::caught;
-use super::solvers::Solvers;
+use super::solvers::{Lane, Progress, Solvers};
 use super::state::{Advanced, Configuration, State, VERSION};
 
 /// Stored epochs per read.
@@ -116,12 +117,34 @@ impl Step {
     }
 }
 
+/// A page of epochs that is being computed.
+struct Page {
+    state: State,
+    steps: IntoIter<Step>,
+    arcs: Arc<[u64]>,
+    answers: Vec<StoredSolution>,
+}
+
+impl Page {
+    /// Computes the next epoch.
+    fn advance(&mut self, scratch: &mut Scratch) -> Progress {
+        let Some(step) = self.steps.next() else { return Progress::Done };
+        if let Some(revisions) = step.begin_arc(&mut self.state, &self.arcs, scratch) {
+            self.answers.extend(revisions);
+        }
+        let advanced = step.advance(&mut self.state, scratch);
+        self.answers.push(advanced.solution);
+        self.answers.extend(advanced.revisions);
+        Progress::Remaining
+    }
+}
+
 impl Replay {
     /// Computes the next epochs after those of `state`. Returns their solutions and revisions; none
     /// once everything is computed.
     pub(super) async fn next(
         &self,
-        mut state: State,
+        state: State,
         after: Option<u64>,
     ) -> Result<(State, Vec<StoredSolution>), SessionError> {
         let stored = self.store.epochs_after(self.key, after, PAGE).await?;
@@ -130,19 +153,10 @@ impl Replay {
         }
         let steps = self.steps(stored).await?;
         let arcs = self.arcs.clone();
-        let work = move |scratch: &mut Scratch| {
-            let mut answers = Vec::with_capacity(2 * steps.len());
-            for step in steps {
-                if let Some(revisions) = step.begin_arc(&mut state, &arcs, scratch) {
-                    answers.extend(revisions);
-                }
-                let advanced = step.advance(&mut state, scratch);
-                answers.push(advanced.solution);
-                answers.extend(advanced.revisions);
-            }
-            (state, answers)
-        };
-        self.solvers.estimate(work).await
+        let answers = Vec::with_capacity(2 * steps.len());
+        let page = Page { state, steps: steps.into_iter(), arcs, answers };
+        let done = self.solvers.in_quanta(Lane::Restore, page, Page::advance).await?;
+        Ok((done.state, done.answers))
     }
 
     async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
@@ -314,7 +328,7 @@ pub(super) async fn restored(
         state.begin_arc(&configuration, scratch); // Its revisions are stored.
         state
     };
-    replay.solvers.estimate(work).await
+    replay.solvers.estimate(Lane::Restore, work).await
 }
 
 async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {

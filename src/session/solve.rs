@@ -192,7 +192,7 @@ impl Sessions {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().next().zip(times().next_back());
         let source = BaseSource::new(&self.aiding().bases, &base, span, &estimation.options);
-        let computation = Computation::new(estimation, epochs, navigation, source);
-        computation.run(self.solvers(), self.limits().solve_time).await
+        let limit = self.limits().solve_time;
+        Computation::new(estimation, epochs, navigation, source, limit).run(self.solvers()).await
     }
 }

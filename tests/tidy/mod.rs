@@ -152,7 +152,6 @@ const MANY_PARAMETERS: &[(&str, &str, usize)] = &[
     ("models/ionosphere/nequick.rs", "nequick_delay_m", 6),
     ("positioning/rtk/observed/residuals.rs", "gather", 6),
     ("session/batch.rs", "advance", 7),
-    ("session/batch.rs", "position", 6),
     ("session/configuration.rs", "settings", 6),
     ("session/state.rs", "advance", 6),
     ("store/bases.rs", "create_base", 6),

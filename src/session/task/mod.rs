@@ -1,5 +1,6 @@
 //! One session's task: the sole owner of its estimator. It handles messages in order of arrival.
 
+mod positioning;
 mod receive;
 
 use std::collections::HashMap;
@@ -11,19 +12,18 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
-use crate::clock::{gps_time, unix_ms};
+use crate::clock::unix_ms;
 use crate::positioning::Scratch;
 use crate::store::{
     ArcStart, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch,
     StoredSolution,
 };
 
-use super::base_selection::BaseSource;
-use super::batch::{BatchAiding, EpochRules, Plan, SolvedBatch};
+use super::batch::{Plan, SolvedBatch};
 use super::counters::Counters;
 use super::raw::Reception;
 use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, restored};
-use super::solvers::Solvers;
+use super::solvers::{Lane, Solvers};
 use super::state::State;
 use super::{
     Acknowledged, EpochOutcome, EpochRefusal, RawChunk, RawReceived, SequencedEpoch, SessionError,
@@ -211,7 +211,7 @@ impl Task {
             let snapshot = state.encoded();
             (state, revisions, snapshot)
         };
-        let (state, revisions, snapshot) = self.solvers.estimate(work).await?;
+        let (state, revisions, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
         let arc = Some(ArcStart { after_seq, unix_ms });
         let batch = Batch { revisions, snapshot, arc, ..Batch::new(self.key, Some(after_seq)) };
         let stored = self.store.commit(batch).await;
@@ -228,7 +228,8 @@ impl Task {
     async fn close(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let mut state = (*self.activate(active).await?.committed).clone();
         let previous = state.last_seq();
-        let revisions = self.solvers.estimate(move |scratch| state.finish(scratch)).await?;
+        let revisions =
+            self.solvers.estimate(Lane::RealTime, move |scratch| state.finish(scratch)).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
         let batch = Batch::new(self.key, previous);
@@ -243,7 +244,10 @@ impl Task {
             return;
         }
         let batch = Batch::new(self.key, committed.last_seq());
-        let Ok(snapshot) = self.solvers.run(move || committed.encoded()).await else { return };
+        let Ok(snapshot) = self.solvers.run(Lane::Restore, move || committed.encoded()).await
+        else {
+            return;
+        };
         if let Err(error) = self.store.commit(Batch { snapshot, ..batch }).await {
             // Nothing is lost, because the epochs are replayed.
             tracing::warn!(session = %self.id, %error, "a session's state was not stored");
@@ -398,43 +402,6 @@ impl Task {
             _ => *active = None, // Another writer's epochs: restored from the store.
         }
         Ok(())
-    }
-
-    /// Positions a batch on the solver pool, starting from a copy of `committed`.
-    async fn position(
-        &self,
-        committed: Arc<State>,
-        configuration: &Arc<ActiveConfiguration>,
-        epochs: Vec<SequencedEpoch>,
-    ) -> Result<SolvedBatch, SessionError> {
-        let aiding = self.aiding_for(configuration, &epochs);
-        let configuration = configuration.clone();
-        let rules = EpochRules {
-            observations_max: self.observations_per_epoch,
-            now: gps_time(unix_ms()),
-            future_s: self.future_s,
-        };
-        let memory = self.solvers.memory().clone();
-        let work = move |scratch: &mut Scratch| {
-            let state = memory.copy_of(&committed);
-            drop(committed);
-            let estimation = &configuration.estimation;
-            SolvedBatch::position(state, epochs, &aiding, estimation, rules, scratch)
-        };
-        self.solvers.estimate(work).await
-    }
-
-    /// The aiding data for these epochs: everything known now.
-    fn aiding_for(
-        &self,
-        configuration: &ActiveConfiguration,
-        epochs: &[SequencedEpoch],
-    ) -> BatchAiding {
-        let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
-        let span = times().min().zip(times().max());
-        let options = &configuration.estimation.options;
-        let source = BaseSource::new(&self.aiding.bases, &configuration.bases, span, options);
-        BatchAiding { navigation: self.aiding.navigation.current(), source }
     }
 
     async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<HashMap<u64, StoredEpoch>, StoreError> {

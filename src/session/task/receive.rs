@@ -5,6 +5,7 @@ use crate::clock::unix_ms;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
 use crate::session::raw::{Order, RawChunk, RawReceived, Reception};
+use crate::session::solvers::Lane;
 use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
 use crate::store::{RawChange, RawPosition, StoredEpoch};
 
@@ -71,7 +72,7 @@ impl Task {
             let received = reception.take(&chunk, known, &channels);
             (received, reception, chunk)
         };
-        let (received, mut reception, chunk) = self.solvers.run(work).await?;
+        let (received, mut reception, chunk) = self.solvers.run(Lane::RealTime, work).await?;
         let mut received = self.brought(received.map_err(SessionError::Raw)?).await?;
         let epochs = std::mem::take(&mut received.epochs);
         if let Some(permit) = permit {
@@ -158,7 +159,7 @@ impl Task {
         let bytes = whole(self.store.raw_bytes(self.key, tail, through).await?);
         let needed = Needed { header: stream..header_end, tail: tail..through };
         let restore = move || Stream::restore(&needed, &header, &bytes, time);
-        let stream = self.solvers.run(restore).await?.map_err(SessionError::Raw)?;
+        let stream = self.solvers.run(Lane::Restore, restore).await?.map_err(SessionError::Raw)?;
         Ok(Reception { stream, position })
     }
 }

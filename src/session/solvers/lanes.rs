@@ -1,0 +1,235 @@
+//! Who uses the solver pool next.
+//!
+//! Work waits in a lane. Each lane has a share of the pool while others wait, too; within a lane,
+//! work is served in order. A session has one piece of work at a time and returns to the end of its
+//! lane after each quantum, so sessions take turns.
+//!
+//! The lane whose time on the pool, divided by its share, is the least comes next (stride
+//! scheduling: Waldspurger and Weihl, 1995, *Stride Scheduling: Deterministic Proportional-Share
+//! Resource Management*). A lane that has been empty begins at the present virtual time, so it has
+//! no claim to the time before.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot;
+
+/// What work is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::session) enum Lane {
+    /// New epochs of sessions.
+    RealTime,
+    /// The state of sessions that are not in memory.
+    Restore,
+    /// Computations that are not stored.
+    OnDemand,
+}
+
+/// Shares of the pool, by lane.
+const SHARES: [f64; 3] = [8.0, 4.0, 1.0];
+/// All lanes.
+const LANES: [Lane; 3] = [Lane::RealTime, Lane::Restore, Lane::OnDemand];
+
+/// The threads of a pool. All clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Lanes(Arc<Mutex<Queues>>);
+
+#[derive(Debug)]
+struct Queues {
+    /// Number of threads that do nothing.
+    free: usize,
+    queues: [Queue; 3],
+    /// Virtual time: that of the lane that was served last (s).
+    now_s: f64,
+}
+
+#[derive(Debug, Default)]
+struct Queue {
+    waiting: VecDeque<oneshot::Sender<Turn>>,
+    /// Number of threads that work for this lane, and may.
+    running: usize,
+    most: usize,
+    /// Time on the pool, divided by the share (s).
+    used_s: f64,
+}
+
+/// The right to use a thread of the pool. Dropping it returns the thread.
+#[derive(Debug)]
+pub(super) struct Turn {
+    lanes: Lanes,
+    lane: Lane,
+    begun: Instant,
+}
+
+impl Lanes {
+    /// A pool of `threads` threads. Computations on request leave one of them to others.
+    pub(super) fn new(threads: usize) -> Self {
+        let most = [threads, threads, threads.saturating_sub(1).max(1)];
+        let queues = most.map(|most| Queue { most, ..Queue::default() });
+        Self(Arc::new(Mutex::new(Queues { free: threads, queues, now_s: 0.0 })))
+    }
+
+    /// Waits for a thread.
+    pub(super) async fn turn(&self, lane: Lane) -> Turn {
+        let (turn, granted) = oneshot::channel();
+        self.queues().enter(lane, turn);
+        self.serve();
+        granted.await.expect("a turn that waits is granted")
+    }
+
+    /// Whether work waits for a thread.
+    pub(super) fn is_awaited(&self) -> bool {
+        self.queues().queues.iter().any(|queue| !queue.waiting.is_empty())
+    }
+
+    /// Grants turns while there are threads.
+    fn serve(&self) {
+        loop {
+            let Some((lane, waiting)) = self.queues().next() else { return };
+            let turn = Turn { lanes: self.clone(), lane, begun: Instant::now() };
+            // Err: who waited has gone; dropping the turn returns the thread.
+            drop(waiting.send(turn));
+        }
+    }
+
+    fn queues(&self) -> MutexGuard<'_, Queues> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Queues {
+    fn enter(&mut self, lane: Lane, waiting: oneshot::Sender<Turn>) {
+        let now_s = self.now_s;
+        let queue = &mut self.queues[lane as usize];
+        if queue.waiting.is_empty() && queue.running == 0 {
+            queue.used_s = queue.used_s.max(now_s);
+        }
+        queue.waiting.push_back(waiting);
+    }
+
+    /// The work that comes next, if there is a thread for it.
+    fn next(&mut self) -> Option<(Lane, oneshot::Sender<Turn>)> {
+        for queue in &mut self.queues {
+            while queue.waiting.front().is_some_and(oneshot::Sender::is_closed) {
+                queue.waiting.pop_front(); // Its caller has gone.
+            }
+        }
+        if self.free == 0 {
+            return None;
+        }
+        let queue = |lane: &Lane| &self.queues[*lane as usize];
+        let can_run =
+            |lane: &Lane| !queue(lane).waiting.is_empty() && queue(lane).running < queue(lane).most;
+        let by_used = |a: &Lane, b: &Lane| queue(a).used_s.total_cmp(&queue(b).used_s);
+        let lane = LANES.into_iter().filter(can_run).min_by(by_used)?;
+        let queue = &mut self.queues[lane as usize];
+        let waiting = queue.waiting.pop_front()?;
+        queue.running += 1;
+        self.free -= 1;
+        self.now_s = self.now_s.max(queue.used_s);
+        Some((lane, waiting))
+    }
+
+    fn leave(&mut self, lane: Lane, used: Duration) {
+        let queue = &mut self.queues[lane as usize];
+        queue.running -= 1;
+        queue.used_s += used.as_secs_f64() / SHARES[lane as usize];
+        self.free += 1;
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        self.lanes.queues().leave(self.lane, self.begun.elapsed());
+        self.lanes.serve();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::future::Future;
+    use std::pin::pin;
+    use std::task::{Context, Poll, Waker};
+
+    use super::*;
+
+    fn now<F: Future>(future: F) -> Option<F::Output> {
+        match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(output) => Some(output),
+            Poll::Pending => None,
+        }
+    }
+
+    /// Lets work of three lanes wait all the time; returns how many of `turns` each had.
+    fn served(lanes: &Lanes, turns: usize) -> [usize; 3] {
+        let mut waiting: Vec<_> = LANES.iter().map(|lane| Box::pin(lanes.turn(*lane))).collect();
+        let mut counts = [0; 3];
+        for index in (0..LANES.len()).cycle() {
+            let Some(mut turn) = now(waiting[index].as_mut()) else { continue };
+            counts[index] += 1;
+            if counts.iter().sum::<usize>() == turns {
+                break;
+            }
+            // The lane waits again before the thread is free; each quantum takes 10 ms.
+            waiting[index] = Box::pin(lanes.turn(LANES[index]));
+            assert!(now(waiting[index].as_mut()).is_none());
+            turn.begun -= Duration::from_millis(10);
+        }
+        counts
+    }
+
+    #[test]
+    fn lanes_have_their_shares() {
+        let [real_time, restore, on_demand] = served(&Lanes::new(1), 1300);
+        assert!((780..=820).contains(&real_time), "{real_time} of 800");
+        assert!((380..=420).contains(&restore), "{restore} of 400");
+        assert!((90..=110).contains(&on_demand), "{on_demand} of 100");
+    }
+
+    #[test]
+    fn a_lane_that_was_empty_has_no_claim_to_the_past() {
+        let lanes = Lanes::new(1);
+        for _ in 0..100 {
+            let mut turn = now(lanes.turn(Lane::RealTime)).unwrap();
+            turn.begun -= Duration::from_secs(1);
+        }
+        let turn = now(lanes.turn(Lane::RealTime)).unwrap();
+        let (mut late, mut next) =
+            (Box::pin(lanes.turn(Lane::OnDemand)), Box::pin(lanes.turn(Lane::RealTime)));
+        assert!(now(late.as_mut()).is_none() && now(next.as_mut()).is_none());
+        drop(turn);
+        let mut turn = now(late.as_mut()).unwrap();
+        turn.begun -= Duration::from_secs(1);
+        drop(turn);
+        for _ in 0..8 {
+            let mut turn = now(next.as_mut()).unwrap();
+            turn.begun -= Duration::from_millis(100);
+            late = Box::pin(lanes.turn(Lane::OnDemand));
+            next = Box::pin(lanes.turn(Lane::RealTime));
+            assert!(now(late.as_mut()).is_none() && now(next.as_mut()).is_none());
+        }
+    }
+
+    #[test]
+    fn a_caller_that_goes_loses_no_thread() {
+        let lanes = Lanes::new(1);
+        let turn = now(lanes.turn(Lane::RealTime)).unwrap();
+        let mut gone = Box::pin(lanes.turn(Lane::RealTime));
+        let mut granted = Box::pin(lanes.turn(Lane::RealTime));
+        assert!(now(gone.as_mut()).is_none() && now(granted.as_mut()).is_none());
+        drop(gone);
+        drop(turn);
+        // Granted, but never taken.
+        drop(granted);
+        assert!(now(lanes.turn(Lane::RealTime)).is_some());
+    }
+
+    #[test]
+    fn computations_on_request_leave_a_thread_to_others() {
+        let lanes = Lanes::new(2);
+        let _first = now(lanes.turn(Lane::OnDemand)).unwrap();
+        assert!(now(lanes.turn(Lane::OnDemand)).is_none());
+        assert!(now(lanes.turn(Lane::RealTime)).is_some());
+    }
+}

@@ -1,0 +1,205 @@
+//! The solver pool: estimation runs here, never on the threads that serve the network.
+
+mod lanes;
+
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::task::{JoinError, spawn_blocking};
+
+use crate::positioning::Scratch;
+
+use super::SessionError;
+use super::panics::message;
+use super::state::State;
+
+pub(super) use lanes::Lane;
+use lanes::Lanes;
+
+/// A quantum ends after this time, or after this number of steps if others wait.
+const QUANTUM: Duration = Duration::from_millis(10);
+const QUANTUM_STEPS: usize = 16;
+/// Most spare states that are kept.
+const SPARE_STATES: usize = 64;
+
+/// A bounded number of threads for estimation, which lanes share.
+#[derive(Clone)]
+pub(super) struct Solvers {
+    lanes: Lanes,
+    memory: MemoryPool,
+}
+
+/// Whether steps are left after one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Progress {
+    Remaining,
+    Done,
+}
+
+/// Memory that all sessions share, so that a session at rest needs its state only.
+#[derive(Clone, Default)]
+pub(super) struct MemoryPool {
+    shared: Arc<Mutex<Shared>>,
+}
+
+#[derive(Default)]
+struct Shared {
+    states: Vec<State>,
+    /// One for each estimation that has run at the same time.
+    scratches: Vec<Box<Scratch>>,
+}
+
+impl Solvers {
+    pub(super) fn new(threads: NonZeroUsize) -> Self {
+        Self { lanes: Lanes::new(threads.get()), memory: MemoryPool::default() }
+    }
+
+    pub(super) fn memory(&self) -> &MemoryPool {
+        &self.memory
+    }
+
+    /// Runs `work` on a thread of the pool.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(super) async fn run<T: Send + 'static>(
+        &self,
+        lane: Lane,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, SessionError> {
+        let turn = self.lanes.turn(lane).await;
+        let running = spawn_blocking(move || {
+            let _turn = turn;
+            work()
+        });
+        running.await.map_err(|error| SessionError::EstimatorFailed { message: message_of(error) })
+    }
+
+    /// Runs `work` on a thread of the pool, with an estimator's scratch.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(super) async fn estimate<T: Send + 'static>(
+        &self,
+        lane: Lane,
+        work: impl FnOnce(&mut Scratch) -> T + Send + 'static,
+    ) -> Result<T, SessionError> {
+        let memory = self.memory.clone();
+        let with_scratch = move || {
+            let scratch = memory.shared().scratches.pop();
+            let mut scratch = scratch.unwrap_or_default();
+            let done = work(&mut scratch);
+            memory.shared().scratches.push(scratch);
+            done
+        };
+        self.run(lane, with_scratch).await
+    }
+
+    /// Runs the steps of `work` until `step` returns whether none is left. Others of the lane have
+    /// their turn after each quantum. Dropping the future ends the work after its present quantum.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(super) async fn in_quanta<T: Send + 'static>(
+        &self,
+        lane: Lane,
+        work: T,
+        step: impl Fn(&mut T, &mut Scratch) -> Progress + Copy + Send + 'static,
+    ) -> Result<T, SessionError> {
+        let mut work = work;
+        loop {
+            let lanes = self.lanes.clone();
+            let quantum = move |scratch: &mut Scratch| {
+                let begun = Instant::now();
+                for steps in 1.. {
+                    if step(&mut work, scratch) == Progress::Done {
+                        return (work, Progress::Done);
+                    }
+                    let elapsed = begun.elapsed();
+                    if QUANTUM < elapsed || (QUANTUM_STEPS <= steps && lanes.is_awaited()) {
+                        break;
+                    }
+                }
+                (work, Progress::Remaining)
+            };
+            let (advanced, progress) = self.estimate(lane, quantum).await?;
+            if progress == Progress::Done {
+                return Ok(advanced);
+            }
+            work = advanced;
+        }
+    }
+}
+
+impl MemoryPool {
+    /// A copy of `state`, in storage that an earlier one left.
+    pub(super) fn copy_of(&self, state: &State) -> State {
+        let spare = self.shared().states.pop();
+        match spare {
+            None => state.clone(),
+            Some(mut spare) => {
+                spare.clone_from(state);
+                spare
+            }
+        }
+    }
+
+    /// Keeps the storage of a state that is no longer needed.
+    pub(super) fn recycle(&self, state: State) {
+        let mut shared = self.shared();
+        if shared.states.len() < SPARE_STATES {
+            shared.states.push(state);
+        }
+    }
+
+    fn shared(&self) -> std::sync::MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn message_of(error: JoinError) -> String {
+    error.try_into_panic().map_or_else(|_| "it was cancelled".to_owned(), |p| message(&*p))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use crate::refusal::Code;
+
+    #[tokio::test]
+    async fn a_panic_is_an_error_and_frees_its_thread() {
+        let solvers = Solvers::new(NonZeroUsize::MIN);
+        let failed = solvers.run(Lane::RealTime, || panic!("singular at {}", 3)).await.unwrap_err();
+        assert_eq!(failed.code(), Code::EstimatorFailed);
+        assert!(failed.to_string().ends_with("singular at 3"), "{failed}");
+        assert_eq!(solvers.run(Lane::RealTime, || 7).await.unwrap(), 7);
+    }
+
+    /// A computation of many steps lets one of a single step pass, and ends with its caller.
+    #[tokio::test]
+    async fn long_work_lets_others_pass() {
+        let solvers = Solvers::new(NonZeroUsize::MIN);
+        let steps = Arc::new(AtomicUsize::new(0));
+        let step = |steps: &mut Arc<AtomicUsize>, _: &mut Scratch| {
+            steps.fetch_add(1, Ordering::AcqRel);
+            Progress::Remaining
+        };
+        let endless = solvers.in_quanta(Lane::OnDemand, steps.clone(), step);
+        tokio::select! {
+            _ = endless => panic!("it has no end"),
+            done = async {
+                while steps.load(Ordering::Acquire) == 0 {
+                    tokio::task::yield_now().await;
+                }
+                solvers.run(Lane::RealTime, || 7).await
+            } => assert_eq!(done.unwrap(), 7),
+        }
+        solvers.run(Lane::RealTime, || ()).await.unwrap();
+        let ended = steps.load(Ordering::Acquire);
+        solvers.run(Lane::RealTime, || ()).await.unwrap();
+        assert_eq!(steps.load(Ordering::Acquire), ended);
+    }
+}
