@@ -54,7 +54,7 @@ impl<U: Message + Default + 'static> Decoder for MessageDecoder<U> {
     fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<U>, tonic::Status> {
         let length = buffer.remaining();
         if let Some(lease) = Lease::current() {
-            let extent = extent_of::<U>(buffer.chunk());
+            let extent = off_the_network(length, || extent_of::<U>(buffer.chunk()));
             extent.reserve(length, &lease).map_err(|refusal| to_status(&refusal))?;
         }
         off_the_network(length, || U::decode(&mut *buffer)).map(Some).map_err(|error| {
