@@ -7,5 +7,6 @@ mod disk;
 mod forged;
 mod hostile;
 mod lease;
+mod mutated;
 mod robustness;
 mod server;
