@@ -7,6 +7,7 @@ use std::process::Command;
 use graphfix::contract::{convert, v1};
 use serde_json::{Value, json};
 
+use crate::support::database::sqlite_url;
 use crate::support::server::{Server, free_port, opened};
 use crate::support::{data, python, reading};
 
@@ -34,7 +35,7 @@ async fn python_and_curl_read_the_same_solution() {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("clients.db"), free_port());
+    let server = Server::start(&sqlite_url(&folder.path().join("clients.db")), free_port());
     let address = format!("127.0.0.1:{}", server.port);
     opened(&server.channel(), None).await;
     let epochs = epochs(&data.join("COM3_190428_124409.obs"));

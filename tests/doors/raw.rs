@@ -21,7 +21,7 @@ use tonic::transport::Channel;
 
 use crate::support::casters::gzip;
 use crate::support::data;
-use crate::support::database::{Database, on_both_databases};
+use crate::support::database::{Database, on_both_databases, sqlite_url};
 use crate::support::doors::{Doors, code};
 use crate::support::pair::PAIR;
 use crate::support::reading::epochs_of;
@@ -522,7 +522,7 @@ async fn a_packed_stream_outlives_kill_9() {
 
 async fn outlives_kill_9(stream: &[u8], expected: Vec<Epoch>) {
     let folder = tempfile::tempdir().unwrap();
-    let (database, port) = (folder.path().join("raw.db"), free_port());
+    let (database, port) = (sqlite_url(&folder.path().join("raw.db")), free_port());
     let mut server = Server::start(&database, port);
     let session = opened(&server.channel(), None).await.session;
     let mut acknowledged = BTreeMap::new();
@@ -555,7 +555,7 @@ async fn outlives_kill_9(stream: &[u8], expected: Vec<Epoch>) {
 async fn a_receivers_file_is_streamed() {
     let Some(bytes) = log(300_000) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("stream.db"), free_port());
+    let server = Server::start(&sqlite_url(&folder.path().join("stream.db")), free_port());
     let session = opened(&server.channel(), None).await.session;
     let expected = epochs(decode(&bytes, None).0).len();
     for (length, speed) in [(200_000, "max"), (bytes.len(), "1000")] {

@@ -1,7 +1,6 @@
 //! `kill -9` in the middle of a stream: nothing acknowledged is missing, nothing appears twice.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Duration;
 
 use graphfix::contract::{convert, v1};
@@ -12,13 +11,28 @@ use graphfix::grpc::v1::solutions_client::SolutionsClient;
 use graphfix::session::SequencedEpoch;
 use tonic::transport::Channel;
 
+use crate::support::database::{Database, on_both_databases};
 use crate::support::doors::epoch;
 use crate::support::drive::DRIVE;
 use crate::support::server::{self, Server, free_port, opened};
+use crate::support::streams::Random;
 use crate::support::wait::interrupted;
+
+on_both_databases!(what_was_acknowledged_outlives_kill_9, a_window_outlives_kill_9);
 
 const EPOCHS: u64 = 600;
 const BATCH: usize = 20;
+
+/// Delays of the kills after the first push (ms), spread over commit, answer and reading. With a
+/// seed in `GRAPHFIX_CRASH_SEED` they are random up to twice the last of these.
+fn delays(standard_ms: [u64; 4]) -> [Duration; 4] {
+    let Ok(seed) = std::env::var("GRAPHFIX_CRASH_SEED") else {
+        return standard_ms.map(Duration::from_millis);
+    };
+    let mut random = Random::new(1 + seed.parse::<u64>().unwrap());
+    let limit_us = 2_000 * standard_ms[3] as usize;
+    standard_ms.map(|_| Duration::from_micros(random.below(limit_us) as u64))
+}
 
 /// Pushes from `next` on until the service is killed or all is sent; records the acknowledged
 /// epochs.
@@ -27,31 +41,29 @@ async fn push_on(
     session: &str,
     next: u64,
     acknowledged: &mut BTreeMap<u64, v1::Solution>,
-) {
+) -> Option<()> {
     let mut client = PositioningClient::new(channel.clone());
     let all: Vec<u64> = (next..=EPOCHS).collect();
     for numbers in all.chunks(BATCH) {
         let epochs = numbers.iter().map(|n| serde_json::from_value(epoch(*n)).unwrap()).collect();
         let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
-        let Ok(answer) = client.push_epochs(push).await else { return };
-        for result in answer.into_inner().results {
+        let answer = client.push_epochs(push).await.ok()?.into_inner();
+        for result in answer.results {
             let solution = result.solution.unwrap_or_else(|| panic!("{:?}", result.refusal));
             if let Some(before) = acknowledged.insert(solution.seq, solution.clone()) {
                 assert_eq!(before, solution, "a resend got another answer");
             }
         }
     }
+    Some(())
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_was_acknowledged_outlives_kill_9() {
-    let folder = tempfile::tempdir().unwrap();
-    let (database, port) = (folder.path().join("crash.db"), free_port());
-    let mut server = Server::start(&database, port);
+async fn what_was_acknowledged_outlives_kill_9(database: Database) {
+    let port = free_port();
+    let mut server = Server::start(&database.url, port);
     let session = opened(&server.channel(), None).await.session;
-    let mut acknowledged = BTreeMap::new();
-    // Instants after the first push, spread over commit, answer and reading.
-    for after_ms in [3, 11, 24, 47] {
+    let (mut acknowledged, mut killed_within) = (BTreeMap::new(), 0);
+    for delay in delays([3, 11, 24, 47]) {
         let channel = server.channel();
         let resumed = opened(&channel, Some(&session)).await.durable_through;
         let last = acknowledged.keys().next_back().copied();
@@ -59,13 +71,16 @@ async fn what_was_acknowledged_outlives_kill_9() {
         // Some epochs are resent that may have been stored without an answer.
         let next = last.map_or(1, |last| last + 1);
         let pushing = push_on(&channel, &session, next, &mut acknowledged);
-        interrupted(pushing, Duration::from_millis(after_ms), || server.kill()).await;
-        server = Server::start(&database, port);
+        let all = interrupted(pushing, delay, || server.kill()).await;
+        killed_within += usize::from(all.is_none());
+        server = Server::start(&database.url, port);
     }
+    eprintln!("{killed_within} of 4 kills fell into a push");
+    assert!(0 < killed_within, "every push was done before the kill");
     let channel = server.channel();
     opened(&channel, Some(&session)).await;
     let next = acknowledged.keys().next_back().map_or(1, |last| last + 1);
-    push_on(&channel, &session, next, &mut acknowledged).await;
+    push_on(&channel, &session, next, &mut acknowledged).await.unwrap();
 
     let list = v1::ListSolutionsRequest { session, page_size: 10_000, ..Default::default() };
     let listed = SolutionsClient::new(channel).list(list).await.unwrap().into_inner().solutions;
@@ -115,11 +130,9 @@ async fn whole(channel: &Channel, session: &str) -> Vec<v1::Solution> {
 
 /// A window is more than its last solution: a session that is killed repeatedly gives the same
 /// solutions and revisions as one that is not. `graphfix replay` gives them too.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_window_outlives_kill_9() {
-    let folder = tempfile::tempdir().unwrap();
-    let (database, port) = (folder.path().join("window.db"), free_port());
-    let mut server = Server::start(&database, port);
+async fn a_window_outlives_kill_9(database: Database) {
+    let port = free_port();
+    let mut server = Server::start(&database.url, port);
     let session = {
         opened(&server.channel(), None).await;
         let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };
@@ -127,14 +140,15 @@ async fn a_window_outlives_kill_9() {
         fgo_session(&server.channel()).await
     };
     let mut killed_within = 0;
-    for after_ms in [15, 40, 90, 160] {
+    for delay in delays([15, 40, 90, 160]) {
         let channel = server.channel();
         let durable = opened(&channel, Some(&session)).await.durable_through;
         let pushing = drive_on(&channel, &session, durable.map_or(1, |last| last + 1));
-        let all = interrupted(pushing, Duration::from_millis(after_ms), || server.kill()).await;
+        let all = interrupted(pushing, delay, || server.kill()).await;
         killed_within += usize::from(all.is_none());
-        server = Server::start(&database, port);
+        server = Server::start(&database.url, port);
     }
+    eprintln!("{killed_within} of 4 kills fell into a push");
     assert!(0 < killed_within, "every push was done before the kill");
     let channel = server.channel();
     let durable = opened(&channel, Some(&session)).await.durable_through;
@@ -144,15 +158,16 @@ async fn a_window_outlives_kill_9() {
     let expected = whole(&channel, &undisturbed).await;
     assert_eq!(expected.len(), 2 * DRIVE.epochs.len());
     assert_eq!(whole(&channel, &session).await, expected);
-    replayed(&database, &session, expected.len());
+    replayed(&database.url, &session, expected.len());
 }
 
 /// The output of `graphfix replay` for a session, and the file it writes for another configuration.
-fn replayed(database: &Path, session: &str, solutions: usize) {
+fn replayed(database: &str, session: &str, solutions: usize) {
     let replay = |arguments: &[&str]| server::replayed(database, session, arguments);
     let same = format!("{solutions} solutions compared, 0 different\n");
     assert_eq!(replay(&[]), (true, same, String::new()));
-    let written = database.with_file_name("general.csv");
+    let folder = tempfile::tempdir().unwrap();
+    let written = folder.path().join("general.csv");
     let path = written.to_str().unwrap();
     let (done, text, errors) = replay(&["--profile", "general", "--smoothed", "--output", path]);
     assert!(done, "{errors}");
@@ -177,8 +192,8 @@ fn resident_kb(process: u32) -> u64 {
 async fn held_kb(mode: &str) -> f64 {
     const SESSIONS: usize = 150;
     const WARMING: usize = 50;
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("idle.db"), free_port());
+    let database = Database::sqlite();
+    let server = Server::start(&database.url, free_port());
     let channel = server.channel();
     opened(&channel, None).await;
     let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };

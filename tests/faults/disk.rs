@@ -1,132 +1,89 @@
-//! A disk that fails under a running service: full, broken, not synchronising, slow.
-//!
-//! `disk.c` is preloaded into `graphfix serve`; a file controls which writes fail.
+//! The disk, the clock and the descriptors of a running service fail.
 
 #![cfg(target_os = "linux")]
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::time::{Duration, Instant};
+use std::process::{self, Command};
+use std::time::Duration;
 
-use graphfix::contract::v1;
-use graphfix::grpc::code_of;
-use graphfix::grpc::v1::positioning_client::PositioningClient;
-use graphfix::grpc::v1::solutions_client::SolutionsClient;
-use tonic::transport::Channel;
+use sqlx::{Connection, PgConnection};
 
-use crate::support::doors::epoch;
-use crate::support::server::{Server, free_port, opened, replayed, status_of};
-use crate::support::wait::until;
+use crate::support::database::{Database, on_both_databases};
+use crate::support::failing::Failing;
+use crate::support::wait::stays;
 
-const REFUSED_WITHIN: Duration = Duration::from_secs(7);
-const SERVED_WITHIN: Duration = Duration::from_secs(5);
+on_both_databases!(a_clock_that_steps_loses_nothing, descriptors_that_run_out_are_refused);
 
-/// Compiles `disk.c`.
-fn library(folder: &Path) -> PathBuf {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/disk.c");
-    let library = folder.join("disk.so");
-    let mut command = Command::new("cc");
-    command.args(["-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o"]).arg(&library).arg(source);
-    assert!(command.arg("-ldl").status().expect("cc is installed").success());
-    library
-}
-
-/// A service whose disk fails on demand.
-struct Failing {
-    server: Server,
-    session: String,
-    control: PathBuf,
-    database: PathBuf,
-    acknowledged: BTreeMap<u64, v1::Solution>,
-    _folder: tempfile::TempDir,
-}
-
-impl Failing {
-    async fn start() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let (database, control) = (folder.path().join("disk.db"), folder.path().join("fault"));
-        let library = library(folder.path());
-        let server = Server::start_with(&database, free_port(), |command| {
-            command.env("LD_PRELOAD", &library).env("GRAPHFIX_FAULT", &control);
-            command.env("GRAPHFIX_FAULT_FILES", &database);
-        });
-        let session = opened(&server.channel(), None).await.session;
-        let acknowledged = BTreeMap::new();
-        Self { server, session, control, database, acknowledged, _folder: folder }
-    }
-
-    fn set(&self, fault: &str) {
-        std::fs::write(&self.control, fault).unwrap();
-    }
-
-    /// Pushes an epoch, and records it if it is acknowledged.
-    async fn push(&mut self, seq: u64) -> Result<(), String> {
-        let channel: Channel = self.server.channel();
-        let epochs = vec![serde_json::from_value(epoch(seq)).unwrap()];
-        let push = v1::PushEpochsRequest { session: self.session.clone(), epochs };
-        let answer = PositioningClient::new(channel).push_epochs(push).await;
-        let answer = answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))?;
-        let solution = answer.into_inner().results.remove(0).solution.unwrap();
-        if let Some(before) = self.acknowledged.insert(seq, solution.clone()) {
-            assert_eq!(before, solution, "a resend got another answer");
-        }
-        Ok(())
-    }
-
-    /// During the fault an epoch is refused in time and the service is not ready; afterwards both
-    /// end without a restart.
-    async fn fails_and_recovers(&mut self, fault: &str, seq: u64) {
-        self.push(seq).await.unwrap();
-        self.set(fault);
-        let began = Instant::now();
-        assert_eq!(self.push(seq + 1).await, Err("DATABASE_FAILED".to_owned()), "{fault}");
-        assert!(began.elapsed() < REFUSED_WITHIN, "{fault}: refused after {:?}", began.elapsed());
-        let port = self.server.port;
-        let ready = async || status_of(port, "/readyz");
-        until("not ready", ready, |status| *status == 503).await;
-        self.set("none");
-        let ended = Instant::now();
-        // The refused epoch may have been stored: it is resent.
-        while let Err(code) = self.push(seq + 1).await {
-            assert_eq!(code, "DATABASE_FAILED");
-            assert!(ended.elapsed() < SERVED_WITHIN, "{fault}: not served again");
-        }
-        until("ready", ready, |status| *status == 200).await;
-    }
-
-    /// Everything acknowledged is stored once, and a replay gives the same bits.
-    async fn finish(self) {
-        let list = v1::ListSolutionsRequest {
-            session: self.session.clone(),
-            page_size: 10_000,
-            ..Default::default()
-        };
-        let mut client = SolutionsClient::new(self.server.channel());
-        let listed = client.list(list).await.unwrap().into_inner().solutions;
-        let count = listed.len();
-        let stored: BTreeMap<_, _> = listed.into_iter().map(|s| (s.seq, s)).collect();
-        assert_eq!(stored, self.acknowledged);
-        assert_eq!(stored.len(), count, "doubled");
-        let (is_same, text, errors) = replayed(&self.database, &self.session, &[]);
-        assert!(is_same, "{text}{errors}");
-    }
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+/// Full, broken, not synchronising.
+#[tokio::test]
 async fn a_disk_that_fails_is_refused_and_served_again() {
-    let mut service = Failing::start().await;
+    let database = Database::sqlite();
+    let mut service = Failing::start(&database.url).await;
     for (index, fault) in ["full", "broken", "unsynced", "full"].into_iter().enumerate() {
         service.fails_and_recovers(fault, 10 * index as u64 + 1).await;
     }
     service.finish().await;
 }
 
-/// A commit that takes longer than its deadline is refused. It still ends, and the epoch is then
+/// A commit that takes longer than its deadline is refused; it ends all the same, and the epoch is
 /// answered from the store.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[tokio::test]
 async fn a_slow_disk_is_refused_and_served_again() {
-    let mut service = Failing::start().await;
+    let database = Database::sqlite();
+    let mut service = Failing::start(&database.url).await;
     service.fails_and_recovers("slow 7", 1).await;
+    service.finish().await;
+}
+
+/// Years back, all epochs lie in the future and are refused one by one; nothing else minds.
+async fn a_clock_that_steps_loses_nothing(database: Database) {
+    let mut service = Failing::start(&database.url).await;
+    service.push(1).await.unwrap();
+    service.set("clock -630720000");
+    assert_eq!(service.push(2).await, Err("TIME_IMPLAUSIBLE".to_owned()));
+    for (seq, clock) in [(2, "none"), (3, "clock 86400"), (4, "clock -7200"), (5, "none")] {
+        service.set(clock);
+        service.push(seq).await.unwrap();
+        service.is_ready(200).await;
+    }
+    service.finish().await;
+}
+
+/// Limits the descriptors of a running service.
+fn limit_descriptors(service: &Failing, limit: u64) {
+    let process = service.server.process().to_string();
+    let mut command = Command::new("prlimit");
+    let limited = command.args(["--pid", &process, &format!("--nofile={limit}:")]).status();
+    assert!(limited.expect("prlimit is installed").success());
+}
+
+/// The committer's connection is lost while no other can be opened.
+async fn descriptors_that_run_out_are_refused(database: Database) {
+    let (is_file, name) = (database.url.starts_with("sqlite"), format!("few_{}", process::id()));
+    let url =
+        if is_file { database.url } else { format!("{}&application_name={name}", database.url) };
+    let mut service = Failing::start(&url).await;
+    service.push(1).await.unwrap();
+    if is_file {
+        service.set("broken");
+        service.refuses("broken", 2).await;
+    }
+    limit_descriptors(&service, 3);
+    if is_file {
+        // A connection that was being opened fails by the disk; after it none is opened.
+        let refused = async || service.push(2).await;
+        stays("refused", Duration::from_secs(2), refused, Result::is_err).await;
+    }
+    service.set("none");
+    if !is_file {
+        let mut server = PgConnection::connect(&url).await.unwrap();
+        let end = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+                   WHERE starts_with(application_name, $1 || ' committer')";
+        let ended = sqlx::query(end).bind(&name).execute(&mut server).await.unwrap();
+        assert_eq!(ended.rows_affected(), 1);
+    }
+    service.refuses("no descriptors", 2).await;
+    service.refuses("no descriptors", 2).await;
+    limit_descriptors(&service, 1_024);
+    service.serves_again("no descriptors", 2).await;
     service.finish().await;
 }

@@ -1,6 +1,7 @@
 //! Faults: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
 
 mod casters;
+mod cluster;
 mod crash;
 mod database;
 mod disk;

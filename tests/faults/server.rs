@@ -72,6 +72,7 @@ async fn a_frozen_server_is_refused_and_served_again() {
         let thawed = Instant::now();
         service.acknowledged(2).await;
         assert!(thawed.elapsed() < SERVED_WITHIN, "served after {:?}", thawed.elapsed());
+        eprintln!("frozen: served {:.1?} after its end", thawed.elapsed());
         service.acknowledged(3).await;
         assert_eq!(service.numbers().await, [1, 2, 3]);
         assert_eq!(service.sessions.counts().restores, 1, "the state in memory was dropped");
@@ -90,6 +91,7 @@ async fn a_server_that_restarts_is_waited_for() {
         let restarted = Instant::now();
         service.acknowledged(2).await;
         assert!(restarted.elapsed() < SERVED_WITHIN, "served after {:?}", restarted.elapsed());
+        eprintln!("restarted: served {:.1?} after its end", restarted.elapsed());
         assert_eq!(service.numbers().await, [1, 2]);
         assert_eq!(service.sessions.counts().restores, 1, "the state in memory was dropped");
     })

@@ -5,6 +5,7 @@
 //! tests on Postgres are noted as skipped, like those without their data set.
 
 use std::future::Future;
+use std::path::Path;
 
 use graphfix::store::{Revisions, SolutionQuery, Store};
 use sqlx::{AssertSqlSafe, Connection, PgConnection, SqliteConnection};
@@ -25,6 +26,10 @@ pub(crate) fn whole_session() -> SolutionQuery {
     }
 }
 
+pub(crate) fn sqlite_url(file: &Path) -> String {
+    format!("sqlite://{}", file.display())
+}
+
 /// An empty database for one test.
 pub(crate) struct Database {
     pub(crate) url: String,
@@ -35,7 +40,7 @@ pub(crate) struct Database {
 impl Database {
     pub(crate) fn sqlite() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let url = sqlite_url(&folder.path().join("graphfix.db"));
         Self { url, _folder: Some(folder) }
     }
 

@@ -7,6 +7,8 @@ pub(crate) mod database;
 pub(crate) mod device;
 pub(crate) mod doors;
 pub(crate) mod drive;
+#[cfg(target_os = "linux")]
+pub(crate) mod failing;
 pub(crate) mod pair;
 pub(crate) mod proxy;
 pub(crate) mod python;

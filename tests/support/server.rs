@@ -2,7 +2,6 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use graphfix::contract::v1;
@@ -18,21 +17,17 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    pub(crate) fn start(database: &Path, port: u16) -> Self {
+    /// A service with the database of this URL.
+    pub(crate) fn start(database: &str, port: u16) -> Self {
         Self::start_with(database, port, |_| {})
     }
 
     /// Started by a command with these changes.
-    pub(crate) fn start_with(
-        database: &Path,
-        port: u16,
-        change: impl FnOnce(&mut Command),
-    ) -> Self {
+    pub(crate) fn start_with(database: &str, port: u16, change: impl FnOnce(&mut Command)) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
         command
             .args(["serve", "--log", "warn", "--listen", &format!("127.0.0.1:{port}")])
-            .arg("--database")
-            .arg(format!("sqlite://{}", database.display()))
+            .args(["--database", database])
             .stdin(Stdio::null());
         change(&mut command);
         Self { child: command.spawn().unwrap(), port }
@@ -66,13 +61,12 @@ impl Drop for Server {
 
 /// The result of `graphfix replay` for a session: whether it succeeds, its output and its errors.
 pub(crate) fn replayed(
-    database: &Path,
+    database: &str,
     session: &str,
     arguments: &[&str],
 ) -> (bool, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
-    command.args(["replay", session, "--database"]);
-    command.arg(format!("sqlite://{}", database.display())).args(arguments);
+    command.args(["replay", session, "--database", database]).args(arguments);
     let output = command.output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     (output.status.success(), text, String::from_utf8(output.stderr).unwrap())

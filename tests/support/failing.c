@@ -1,8 +1,10 @@
-/* Preloaded into the service: makes the disk of some files fail as a control file says.
+/* Preloaded into a program: makes the disk of some files, the clock and new descriptors fail as a
+ * control file says.
  *
  * GRAPHFIX_FAULT_FILES is the beginning of the paths of these files, GRAPHFIX_FAULT names the
  * control file. Its content: "full" (ENOSPC on write), "broken" (EIO on write), "unsynced" (EIO on
- * fsync), "slow SECONDS" (fsync takes that long), anything else for no fault. */
+ * fsync), "slow SECONDS" (fsync takes that long), "clock SECONDS" (the time of day is that much
+ * ahead), anything else for no fault. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -11,24 +13,29 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/types.h>
+#include <time.h>
 #include <unistd.h>
 
-/* The fault in force for a file, or an empty text. */
-static void fault_of(int file, char *fault, size_t size) {
+/* The fault in force, or an empty text. The control file stays open, for there may be no other
+ * descriptor. */
+static void fault(char *found, size_t size) {
+    static int handle = -1;
+    const char *control = getenv("GRAPHFIX_FAULT");
+    if (handle < 0 && control) handle = open(control, O_RDONLY | O_CLOEXEC);
+    ssize_t length = handle < 0 ? 0 : pread(handle, found, size - 1, 0);
+    found[length < 0 ? 0 : length] = 0;
+}
+
+/* The same for a file; an empty text where its disk does not fail. */
+static void fault_of(int file, char *found, size_t size) {
     char link[64], path[4096];
-    const char *files = getenv("GRAPHFIX_FAULT_FILES"), *control = getenv("GRAPHFIX_FAULT");
-    fault[0] = 0;
-    if (!files || !control) return;
+    const char *files = getenv("GRAPHFIX_FAULT_FILES");
+    found[0] = 0;
     snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-    ssize_t length = readlink(link, path, sizeof path - 1);
+    ssize_t length = files ? readlink(link, path, sizeof path - 1) : -1;
     if (length < 0) return;
     path[length] = 0;
-    if (strncmp(path, files, strlen(files)) != 0) return;
-    int handle = open(control, O_RDONLY | O_CLOEXEC);
-    if (handle < 0) return;
-    length = read(handle, fault, size - 1);
-    fault[length < 0 ? 0 : length] = 0;
-    close(handle);
+    if (strncmp(path, files, strlen(files)) == 0) fault(found, size);
 }
 
 static int write_fails(int file) {
@@ -43,7 +50,8 @@ static int sync_fails(int file) {
     char fault[64];
     fault_of(file, fault, sizeof fault);
     if (strncmp(fault, "unsynced", 8) == 0) return errno = EIO, 1;
-    if (strncmp(fault, "slow ", 5) == 0) sleep((unsigned)atoi(fault + 5));
+    unsigned left_s = strncmp(fault, "slow ", 5) == 0 ? (unsigned)atoi(fault + 5) : 0;
+    while (left_s) left_s = sleep(left_s); /* A signal ends a sleep. */
     return 0;
 }
 
@@ -67,4 +75,13 @@ int fsync(int file) {
 int fdatasync(int file) {
     if (sync_fails(file)) return -1;
     return NEXT("fdatasync", int (*)(int))(file);
+}
+
+int clock_gettime(clockid_t clock, struct timespec *time) {
+    int result = NEXT("clock_gettime", int (*)(clockid_t, struct timespec *))(clock, time);
+    char now[64];
+    if (clock != CLOCK_REALTIME || result != 0) return result;
+    fault(now, sizeof now);
+    if (strncmp(now, "clock ", 6) == 0) time->tv_sec += atoll(now + 6);
+    return 0;
 }

@@ -1,0 +1,137 @@
+//! A `graphfix serve` whose disk, clock and descriptors fail on demand.
+//!
+//! `failing.c` is preloaded, so that its calls of the system fail as a file says.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use graphfix::contract::v1;
+use graphfix::grpc::code_of;
+use graphfix::grpc::v1::positioning_client::PositioningClient;
+use graphfix::grpc::v1::solutions_client::SolutionsClient;
+use tonic::transport::Channel;
+
+use super::doors::epoch;
+use super::server::{Server, free_port, opened, replayed, status_of};
+use super::wait::until;
+
+/// After a deadline of 5 s.
+const REFUSED_WITHIN: Duration = Duration::from_secs(7);
+const SERVED_WITHIN: Duration = Duration::from_secs(5);
+
+/// Compiles `failing.c`.
+pub(crate) fn library(folder: &Path) -> PathBuf {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/failing.c");
+    let library = folder.join("failing.so");
+    let mut command = Command::new("cc");
+    command.args(["-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o"]).arg(&library).arg(source);
+    assert!(command.arg("-ldl").status().expect("cc is installed").success());
+    library
+}
+
+/// A service with one session that fails on demand.
+pub(crate) struct Failing {
+    pub(crate) server: Server,
+    channel: Channel,
+    session: String,
+    control: PathBuf,
+    database: String,
+    acknowledged: BTreeMap<u64, v1::Solution>,
+    _folder: tempfile::TempDir,
+}
+
+impl Failing {
+    /// A service on the database of this URL. The disk of the file fails, if it is one.
+    pub(crate) async fn start(database: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let (library, control) = (library(folder.path()), folder.path().join("fault"));
+        std::fs::write(&control, "none").unwrap();
+        let server = Server::start_with(database, free_port(), |command| {
+            command.env("LD_PRELOAD", &library).env("GRAPHFIX_FAULT", &control);
+            command.env("GRAPHFIX_FAULT_FILES", database.trim_start_matches("sqlite://"));
+        });
+        let channel = server.channel();
+        let session = opened(&channel, None).await.session;
+        let (database, acknowledged) = (database.to_owned(), BTreeMap::new());
+        Self { server, channel, session, control, database, acknowledged, _folder: folder }
+    }
+
+    /// What fails from now on, as `failing.c` says.
+    pub(crate) fn set(&self, fault: &str) {
+        std::fs::write(&self.control, fault).unwrap();
+    }
+
+    /// Pushes an epoch, and keeps what is acknowledged.
+    pub(crate) async fn push(&mut self, seq: u64) -> Result<(), String> {
+        let epochs = vec![serde_json::from_value(epoch(seq)).unwrap()];
+        let push = v1::PushEpochsRequest { session: self.session.clone(), epochs };
+        let answer = PositioningClient::new(self.channel.clone()).push_epochs(push).await;
+        let answer = answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))?;
+        let result = answer.into_inner().results.remove(0);
+        if let Some(refusal) = result.refusal {
+            return Err(refusal.code);
+        }
+        let solution = result.solution.unwrap();
+        if let Some(before) = self.acknowledged.insert(seq, solution.clone()) {
+            assert_eq!(before, solution, "a resend got another answer");
+        }
+        Ok(())
+    }
+
+    /// An epoch is refused in time.
+    pub(crate) async fn refuses(&mut self, fault: &str, seq: u64) {
+        let began = Instant::now();
+        assert_eq!(self.push(seq).await, Err("DATABASE_FAILED".to_owned()), "{fault}");
+        let took = began.elapsed();
+        assert!(took < REFUSED_WITHIN, "{fault}: refused after {took:?}");
+        eprintln!("{fault}: refused after {took:.1?}");
+    }
+
+    /// The epoch that was refused, which may have been stored, is acknowledged in time.
+    pub(crate) async fn serves_again(&mut self, fault: &str, seq: u64) {
+        let ended = Instant::now();
+        while let Err(code) = self.push(seq).await {
+            assert_eq!(code, "DATABASE_FAILED");
+            assert!(ended.elapsed() < SERVED_WITHIN, "{fault}: not served again");
+        }
+        eprintln!("{fault}: served {:.1?} after its end", ended.elapsed());
+        self.is_ready(200).await;
+    }
+
+    /// `/readyz` answers with this status before long.
+    pub(crate) async fn is_ready(&self, expected: u16) {
+        let port = self.server.port;
+        let ready = async || status_of(port, "/readyz");
+        until("as ready as expected", ready, |status| *status == expected).await;
+    }
+
+    /// With the fault an epoch is refused in time and the service is not ready; after it, without a
+    /// restart, both end.
+    pub(crate) async fn fails_and_recovers(&mut self, fault: &str, seq: u64) {
+        self.push(seq).await.unwrap();
+        self.set(fault);
+        self.refuses(fault, seq + 1).await;
+        self.is_ready(503).await;
+        self.set("none");
+        self.serves_again(fault, seq + 1).await;
+    }
+
+    /// Everything acknowledged is stored once, and a replay gives the same bits.
+    pub(crate) async fn finish(self) {
+        let list = v1::ListSolutionsRequest {
+            session: self.session.clone(),
+            page_size: 10_000,
+            ..Default::default()
+        };
+        let mut client = SolutionsClient::new(self.channel);
+        let listed = client.list(list).await.unwrap().into_inner().solutions;
+        let count = listed.len();
+        let stored: BTreeMap<_, _> = listed.into_iter().map(|s| (s.seq, s)).collect();
+        assert_eq!(stored, self.acknowledged);
+        assert_eq!(stored.len(), count, "doubled");
+        let (is_same, text, errors) = replayed(&self.database, &self.session, &[]);
+        assert!(is_same, "{text}{errors}");
+    }
+}
