@@ -50,4 +50,11 @@ impl Sessions for Door {
     ) -> Result<Response<v1::Session>, Status> {
         carry(calls::sessions::close(&self.0, request.into_inner()).await)
     }
+
+    async fn delete(
+        &self,
+        request: Request<v1::DeleteSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        carry(calls::sessions::delete(&self.0, request.into_inner()).await)
+    }
 }

@@ -106,16 +106,30 @@ pub(super) async fn reset(
     Ok(Json(calls::sessions::reset(&service, request).await?))
 }
 
-/// Closes a session. It takes no more epochs, and its solutions stay readable.
+/// Whether to delete what a session has stored.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct CloseQuery {
+    /// Also deletes the session with its epochs and solutions. It is then not found any more.
+    pub(super) purge: bool,
+}
+
+/// Closes a session. It takes no more epochs, and its solutions stay readable, unless it is purged.
 #[utoipa::path(delete, operation_id = "sessionsClose",
     path = "/v1/sessions/{session}", tag = "Sessions",
-    params(("session" = String, Path, description = "Its id")),
+    params(("session" = String, Path, description = "Its id"), CloseQuery),
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn close(
     State(service): State<Service>,
     Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<CloseQuery>,
 ) -> Result<Json<v1::Session>, Refused> {
+    if query.purge {
+        let request = v1::DeleteSessionRequest { session };
+        return Ok(Json(calls::sessions::delete(&service, request).await?));
+    }
     let request = v1::CloseSessionRequest { session };
     Ok(Json(calls::sessions::close(&service, request).await?))
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
@@ -18,6 +18,7 @@ use crate::store::{
 
 use super::configuration::settings;
 use super::counters::Counters;
+use super::removal::remove_deleted;
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::{
@@ -52,6 +53,10 @@ struct Desk {
     /// Locked from reading a session's row until its task is started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
+    /// Wakes the task in `removal`.
+    deleted: Arc<Notify>,
+    /// Ends when the desk drains or is dropped.
+    removal: Mutex<JoinSet<()>>,
 }
 
 /// The running tasks. Messages are sent while this is locked, so a task that was removed from
@@ -86,6 +91,8 @@ impl Sessions {
         limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_push);
         let tasks =
             Tasks { handles: HashMap::new(), running: JoinSet::new(), posted: 0, draining: false };
+        let (deleted, mut removal) = (Arc::new(Notify::new()), JoinSet::new());
+        removal.spawn(remove_deleted(store.clone(), deleted.clone()));
         let desk = Desk {
             store,
             aiding,
@@ -95,6 +102,8 @@ impl Sessions {
             waiting: Arc::default(),
             starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
             tasks: Mutex::new(tasks),
+            deleted,
+            removal: Mutex::new(removal),
         };
         Self { desk: Arc::new(desk) }
     }
@@ -207,6 +216,18 @@ impl Sessions {
         let closing = tokio::spawn(async move { desk.close_whole(&session).await });
         closing.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
+    }
+
+    /// Deletes a session with all that it has stored; closes it before, if it is open. Returns it
+    /// as it was. From then on it is not found; its space is freed in the background.
+    ///
+    /// # Errors
+    /// No session has this id, the service is stopping, or the store fails; it may then be closed.
+    pub async fn delete(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        let (info, row) = (self.close(id).await?, self.row(id).await?);
+        self.desk.store.delete_session(row.key, unix_ms()).await?;
+        self.desk.deleted.notify_one();
+        Ok(info)
     }
 
     async fn close_whole(&self, id: &SessionId) -> Result<(), SessionError> {
@@ -322,6 +343,7 @@ impl Sessions {
             mem::take(&mut tasks.running)
         };
         while running.join_next().await.is_some() {}
+        self.desk.removal.lock().unwrap_or_else(PoisonError::into_inner).abort_all();
     }
 
     /// Whether [`Self::drain`] was called.

@@ -32,6 +32,11 @@
 //! states, and asks the store before the next batch which one holds. Clients send the epochs again;
 //! those that were stored are answered from the store.
 //!
+//! # Deletion
+//! A deleted session is closed first and then not found any more. Its epochs and solutions are
+//! removed in the background, a few hundred in a transaction, and after a restart too. Its id is
+//! never used again.
+//!
 //! # Example
 //!
 //! ```
@@ -85,6 +90,7 @@ mod panics;
 
 mod raw;
 mod recomputation;
+mod removal;
 mod replay;
 mod solve;
 mod solvers;

@@ -18,6 +18,7 @@ mod codec;
 mod committer;
 mod database;
 mod deadline;
+mod deletion;
 mod error;
 mod feeds;
 mod health;

@@ -245,13 +245,23 @@ impl Store {
     /// The database fails, or the row is corrupt.
     pub async fn session(&self, id: &str) -> Result<Option<SessionRow>, StoreError> {
         let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
-            sqlx::query_as(select_sessions!("WHERE id = $1")).bind(id).fetch_optional(pool).await
+            let sql = select_sessions!("WHERE id = $1 AND deleted_unix_ms IS NULL");
+            sqlx::query_as(sql).bind(id).fetch_optional(pool).await
         });
         let Some(row) = row.map_err(StoreError::database("reading a session"))? else {
             return Ok(None);
         };
         let candidates = self.candidates(row.key, row.key).await?;
         row.parse(&candidates).map(Some)
+    }
+
+    /// The key of an id, of deleted sessions too.
+    async fn key_of(&self, id: &str) -> Result<Option<i64>, StoreError> {
+        let key: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT key FROM sessions WHERE id = $1";
+            sqlx::query_scalar(sql).bind(id).fetch_optional(pool).await
+        });
+        key.map_err(StoreError::database("reading a session"))
     }
 
     /// The candidate bases of the sessions in a range of keys, in the order of each session.
@@ -278,12 +288,15 @@ impl Store {
         let before = match page_token {
             None => i64::MAX,
             Some(id) => {
-                let row = self.session(id).await?;
-                row.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?.key.0
+                let key = self.key_of(id).await?;
+                key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
         let rows: Result<Vec<RawSession>, _> = reading!(&self.pool, pool => {
-            sqlx::query_as(select_sessions!("WHERE key < $1 ORDER BY key DESC LIMIT $2"))
+            let sql = select_sessions!(
+                "WHERE key < $1 AND deleted_unix_ms IS NULL ORDER BY key DESC LIMIT $2"
+            );
+            sqlx::query_as(sql)
                 .bind(before)
                 .bind(rows_asked)
                 .fetch_all(pool)

@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
+use std::slice;
 use std::time::Duration;
 
 use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Status};
+use graphfix::refusal::Code;
 use graphfix::session::{
     Burst, EpochOutcome, EpochRefusal, NewSession, Recomputation, SequencedEpoch, SessionError,
     SessionId, SessionLimits, SessionUpdate, Sessions, SolveRequest,
@@ -16,6 +18,7 @@ use graphfix::store::{Revisions, SolutionQuery, Store, StoredSolution};
 use crate::support::data;
 use crate::support::database::{Database, on_both_databases, whole_session};
 use crate::support::reading;
+use crate::support::wait::until;
 
 on_both_databases!(
     what_is_acknowledged_survives,
@@ -28,6 +31,7 @@ on_both_databases!(
     an_epoch_of_the_future_does_no_harm,
     a_reset_session_takes_epochs_of_any_time,
     a_closed_session_is_readable,
+    a_deleted_session_leaves_nothing,
     an_update_holds_for_the_epochs_that_follow,
     a_full_mailbox_asks_to_wait,
     all_mailboxes_together_are_bounded,
@@ -289,6 +293,37 @@ async fn a_closed_session_is_readable(database: Database) {
     assert_eq!(update.unwrap_err().code().name(), "SESSION_CLOSED");
     assert_eq!(sessions.close(&id).await.unwrap().closed_unix_ms, closed.closed_unix_ms);
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 2, 3]);
+}
+
+/// Deleted while epochs wait; what it stored is removed, by the next service if need be.
+async fn a_deleted_session_leaves_nothing(database: Database) {
+    let store = database.store().await;
+    let sessions = desk(&store).await;
+    let (id, other) = (created(&sessions).await, created(&sessions).await);
+    for first in (1..=1_200).step_by(30) {
+        sessions.submit(&id, batch(first..first + 30)).await.unwrap();
+    }
+    sessions.submit(&other, batch(1..=3)).await.unwrap();
+    let pending = sessions.enqueue(&id, batch([1_300])).await.unwrap();
+    let deleted = sessions.delete(&id).await.unwrap();
+    assert!(pending.answer().await.unwrap().outcomes[0].result.is_ok());
+    assert_eq!((deleted.durable_through, deleted.closed_unix_ms.is_some()), (Some(1_300), true));
+    let codes = [
+        sessions.get(&id).await.unwrap_err().code(),
+        sessions.submit(&id, batch([1_301])).await.unwrap_err().code(),
+        sessions.delete(&id).await.unwrap_err().code(),
+        sessions.solutions(&id, &whole_session()).await.unwrap_err().code(),
+    ];
+    assert_eq!(codes, [Code::SessionNotFound; 4]);
+    let listed = sessions.list(10, None).await.unwrap().items;
+    assert_eq!(listed.into_iter().map(|info| info.id).collect::<Vec<_>>(), slice::from_ref(&other));
+    sessions.drain().await;
+    let restarted = desk(&store).await;
+    let count = async |table: &str| database.count(table).await;
+    until("removed", async || count("epochs").await, |epochs| *epochs == 3).await;
+    until("removed", async || count("session_heads").await, |heads| *heads == 1).await;
+    assert_eq!((count("solutions").await, count("sessions").await), (3, 2));
+    assert_eq!(stored_numbers(&restarted, &other).await, [1, 2, 3]);
 }
 
 async fn an_update_holds_for_the_epochs_that_follow(database: Database) {

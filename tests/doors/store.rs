@@ -197,7 +197,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 13"
+        "the database has schema 9000, this Graphfix knows schemas up to 14"
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }

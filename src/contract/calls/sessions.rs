@@ -120,6 +120,18 @@ pub async fn close(
     Ok(message(service.sessions().close(&id).await?))
 }
 
+/// Deletes a session with all that it has stored.
+///
+/// # Errors
+/// The session does not exist.
+pub async fn delete(
+    service: &Service,
+    request: v1::DeleteSessionRequest,
+) -> Result<v1::Session, Refusal> {
+    let id = session_id(&request.session)?;
+    Ok(message(service.sessions().delete(&id).await?))
+}
+
 fn message(info: SessionInfo) -> v1::Session {
     let option = |entry: crate::config::OptionEntry| v1::Option {
         name: entry.name.to_owned(),

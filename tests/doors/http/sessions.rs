@@ -32,6 +32,19 @@ async fn a_session_is_created_changed_and_closed() {
 }
 
 #[tokio::test]
+async fn a_purged_session_is_gone() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let path = format!("/v1/sessions/{session}");
+    let (status, refused) = doors.send("DELETE", &format!("{path}?purge=perhaps"), json!({})).await;
+    assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
+    let (status, purged) = doors.send("DELETE", &format!("{path}?purge=true"), json!({})).await;
+    assert_eq!((status, &purged["session"]), (StatusCode::OK, &json!(session)));
+    let (status, refused) = doors.get(&path).await;
+    assert_eq!((status, code(&refused)), (StatusCode::NOT_FOUND, "SESSION_NOT_FOUND"));
+}
+
+#[tokio::test]
 async fn sessions_are_listed_page_by_page() {
     let doors = Doors::open().await;
     let mut created = Vec::new();

@@ -1,0 +1,81 @@
+//! Deletes sessions: at once for whoever asks, and piece by piece on the disk.
+
+use super::pool::{reading, writing};
+use super::{SessionKey, Store, StoreError};
+
+/// Number of the epoch up to which a step removes epochs.
+const LAST_OF_STEP: &str =
+    "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
+const REMOVE_SOLUTIONS: &str = "DELETE FROM solutions WHERE session = $1 AND seq <= $2";
+const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
+/// The rest, once there are no epochs. Without its head a session is not found any more.
+const REMOVE_REST: [&str; 7] = [
+    "DELETE FROM solutions WHERE session = $1",
+    "DELETE FROM snapshots WHERE session = $1",
+    "DELETE FROM raw_pieces WHERE session = $1",
+    "DELETE FROM raw_streams WHERE session = $1",
+    "DELETE FROM session_arcs WHERE session = $1",
+    "DELETE FROM session_bases WHERE session = $1",
+    "DELETE FROM session_heads WHERE session = $1",
+];
+/// What is stored with a session beside its id.
+const FORGET: &str =
+    "UPDATE sessions SET label = '', overrides = '{}', configuration = '{}' WHERE key = $1";
+
+impl Store {
+    /// Deletes a closed session: it is not found any more. [`Self::remove_deleted`] frees its
+    /// space.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn delete_session(
+        &self,
+        session: SessionKey,
+        unix_ms: i64,
+    ) -> Result<(), StoreError> {
+        let deleted = writing!(&self.pool, pool => {
+            let sql = "UPDATE sessions SET deleted_unix_ms = $2 WHERE key = $1";
+            sqlx::query(sql).bind(session.0).bind(unix_ms).execute(pool).await.map(drop)
+        });
+        deleted.map_err(StoreError::database("deleting a session"))
+    }
+
+    /// Removes up to `epochs` epochs of a deleted session, or all else of it if it has none.
+    /// Returns `false` if there is nothing to remove.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn remove_deleted(&self, epochs: usize) -> Result<bool, StoreError> {
+        let failed = StoreError::database("removing deleted sessions");
+        let found: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT key FROM sessions JOIN session_heads ON session = key
+                       WHERE deleted_unix_ms IS NOT NULL LIMIT 1";
+            sqlx::query_scalar(sql).fetch_optional(pool).await
+        });
+        let key = match found {
+            Ok(Some(key)) => key,
+            Ok(None) => return Ok(false),
+            Err(error) => return Err(failed(error)),
+        };
+        let removed = writing!(&self.pool, pool => {
+            let step = async {
+                let mut transaction = pool.begin().await?;
+                let last = sqlx::query_scalar(LAST_OF_STEP).bind(key).bind(epochs as i64 - 1);
+                let last: Option<i64> = last.fetch_optional(&mut *transaction).await?;
+                let through = last.unwrap_or(i64::MAX);
+                for sql in [REMOVE_SOLUTIONS, REMOVE_EPOCHS] {
+                    let remove = sqlx::query(sql).bind(key).bind(through);
+                    remove.execute(&mut *transaction).await?;
+                }
+                if last.is_none() {
+                    for sql in REMOVE_REST.into_iter().chain([FORGET]) {
+                        sqlx::query(sql).bind(key).execute(&mut *transaction).await?;
+                    }
+                }
+                transaction.commit().await
+            };
+            step.await
+        });
+        removed.map(|()| true).map_err(failed)
+    }
+}
