@@ -15,17 +15,18 @@ pub struct Failure {
 
 impl Failure {
     /// From a code, what is wrong, and the remedy in terms of the command's arguments.
-    pub fn new(code: Code, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
+    pub(crate) fn new(code: Code, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
         Self { code, message: message.to_string(), remedy: remedy.to_string() }
     }
 
     /// From a code with its own remedy.
-    pub fn of(code: Code, message: impl fmt::Display) -> Self {
+    pub(crate) fn of(code: Code, message: impl fmt::Display) -> Self {
         Self::new(code, message, code.remedy())
     }
 
     /// The stable code.
-    pub const fn code(&self) -> Code {
+    #[cfg(test)]
+    pub(crate) const fn code(&self) -> Code {
         self.code
     }
 }

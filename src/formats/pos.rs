@@ -24,7 +24,7 @@ const LARGEST_ANGLE: f64 = 1000.0;
 const RATIO_MAX: f64 = 999.9;
 
 /// RTKLIB's quality number of a status; `None` for a status without row.
-pub const fn quality(status: Status) -> Option<u8> {
+pub(crate) const fn quality(status: Status) -> Option<u8> {
     match status {
         Status::None => None,
         Status::Single | Status::Ekf | Status::Fgo => Some(5),
@@ -114,7 +114,7 @@ pub struct PosRow {
 
 impl PosRow {
     /// The row of a solution, with all digits; `None` without a position.
-    pub fn of(solution: &Solution) -> Option<Self> {
+    pub(crate) fn of(solution: &Solution) -> Option<Self> {
         let estimate = solution.estimate.as_ref()?;
         Some(Self {
             time: solution.time,

@@ -119,7 +119,7 @@ fn row_of(values: &[f64; 5], is_ecef: bool, unknown_week: i32) -> TruthRow {
 }
 
 /// Writes a truth file in ECEF, to a hundredth of a millimetre.
-pub fn write(mut output: impl Write, rows: &[TruthRow]) -> io::Result<()> {
+pub(crate) fn write(mut output: impl Write, rows: &[TruthRow]) -> io::Result<()> {
     writeln!(output, "gps_week,tow,x_m,y_m,z_m")?;
     let mut line = Vec::new();
     for row in rows {

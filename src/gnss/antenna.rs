@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Constellation, GpsTime, SatelliteId};
+use super::Constellation;
 
 /// Phase centre of an antenna on one frequency.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,28 +43,11 @@ pub struct AntennaCalibration {
     pub patterns: Vec<PhaseCentrePattern>,
 }
 
-/// The calibration of a satellite antenna.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SatelliteAntenna {
-    /// The satellite that had this number from `valid_from` to `valid_until`.
-    pub satellite: SatelliteId,
-    /// Satellite block, such as `BLOCK IIF`.
-    pub kind: String,
-    /// First instant of validity; `None`: unbounded.
-    pub valid_from: Option<GpsTime>,
-    /// Last instant of validity; `None`: unbounded.
-    pub valid_until: Option<GpsTime>,
-    /// One pattern for each frequency.
-    pub patterns: Vec<PhaseCentrePattern>,
-}
-
-/// A catalogue of calibrated antennas.
+/// A catalogue of calibrated receiver antennas.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AntennaCatalogue {
-    /// Calibrations of receiver antennas.
+    /// The calibrations.
     pub receivers: Vec<AntennaCalibration>,
-    /// Calibrations of satellite antennas.
-    pub satellites: Vec<SatelliteAntenna>,
 }
 
 impl AntennaCatalogue {
@@ -79,15 +62,6 @@ impl AntennaCatalogue {
         });
         let own = same.clone().find(|one| !serial.is_empty() && one.serial == serial);
         own.or_else(|| same.find(|one| one.serial.is_empty()))
-    }
-
-    /// The antenna of the satellite that has this number at `time`.
-    pub fn satellite(&self, satellite: SatelliteId, time: GpsTime) -> Option<&SatelliteAntenna> {
-        self.satellites.iter().find(|one| {
-            one.satellite == satellite
-                && one.valid_from.is_none_or(|from| from <= time)
-                && one.valid_until.is_none_or(|until| time <= until)
-        })
     }
 }
 
@@ -141,7 +115,7 @@ mod tests {
             calibration("TRM59800.00", "SCIS", "1234"),
             calibration("TRM59800.00", "NONE", ""),
         ];
-        let catalogue = AntennaCatalogue { receivers, satellites: Vec::new() };
+        let catalogue = AntennaCatalogue { receivers };
         let serial = |name: &str, serial: &str| {
             catalogue.receiver(name, serial).map(|one| (one.radome.clone(), one.serial.clone()))
         };

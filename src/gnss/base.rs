@@ -33,10 +33,11 @@ pub enum PositionSource {
 
 impl PositionSource {
     /// All sources of a base position.
-    pub const ALL: [Self; 4] = [Self::Given, Self::Header, Self::Message, Self::SinglePoints];
+    pub(crate) const ALL: [Self; 4] =
+        [Self::Given, Self::Header, Self::Message, Self::SinglePoints];
 
     /// The name in the API.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Given => "given",
             Self::Header => "header",
@@ -46,7 +47,7 @@ impl PositionSource {
     }
 
     /// The source with this name in the API, or `None`.
-    pub fn from_name(name: &str) -> Option<Self> {
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|source| source.name() == name)
     }
 }
@@ -68,13 +69,13 @@ pub struct BaseSite {
 
 impl BaseSite {
     /// The antenna reference point, ECEF (m).
-    pub fn antenna_reference_point(&self) -> Ecef {
+    pub(crate) fn antenna_reference_point(&self) -> Ecef {
         let [height, east, north] = self.antenna_delta_hen_m;
         LocalFrame::at(self.marker).to_ecef(Enu(Vector3::new(east, north, height)))
     }
 
     /// The base station at this position, with the name given.
-    pub fn station(&self, name: String) -> BaseStation {
+    pub(crate) fn station(&self, name: String) -> BaseStation {
         BaseStation { name, antenna_reference_point: self.antenna_reference_point() }
     }
 }

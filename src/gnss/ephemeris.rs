@@ -39,7 +39,7 @@ impl Ephemeris {
     }
 
     /// Issue of data; with `toe` it identifies an ephemeris of a satellite.
-    pub const fn issue(&self) -> u32 {
+    pub(crate) const fn issue(&self) -> u32 {
         match self {
             Self::Keplerian(e) => e.iode,
             Self::Glonass(e) => e.age_days as u32,

@@ -18,7 +18,7 @@ mod solution;
 mod time;
 
 pub(crate) use antenna::split_antenna_name;
-pub use antenna::{AntennaCalibration, AntennaCatalogue, PhaseCentrePattern, SatelliteAntenna};
+pub use antenna::{AntennaCalibration, AntennaCatalogue, PhaseCentrePattern};
 pub use base::{BaseSite, BaseStation, PositionSource};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{

@@ -61,7 +61,7 @@ impl Observation {
     }
 
     /// Whether there is no measurement.
-    pub const fn is_empty(&self) -> bool {
+    pub(crate) const fn is_empty(&self) -> bool {
         self.pseudorange_m.is_none()
             && self.carrier_phase.is_none()
             && self.doppler_hz.is_none()

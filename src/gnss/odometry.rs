@@ -81,7 +81,7 @@ impl Odometry {
     ///
     /// # Errors
     /// The first value that is invalid.
-    pub fn checked(self) -> Result<Self, OdometryError> {
+    pub(crate) fn checked(self) -> Result<Self, OdometryError> {
         if !(INTERVAL_MIN_S..=INTERVAL_MAX_S).contains(&self.interval_s) {
             return Err(OdometryError::Interval { interval_s: self.interval_s });
         }

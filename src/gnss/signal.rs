@@ -13,7 +13,7 @@ pub struct ObservationCode([u8; 2]);
 
 impl ObservationCode {
     /// The code of an ASCII band digit 1 … 9 and an ASCII upper-case attribute.
-    pub const fn new(band: u8, attribute: u8) -> Option<Self> {
+    pub(crate) const fn new(band: u8, attribute: u8) -> Option<Self> {
         if matches!(band, b'1'..=b'9') && attribute.is_ascii_uppercase() {
             Some(Self([band, attribute]))
         } else {
@@ -40,7 +40,7 @@ impl ObservationCode {
     }
 
     /// The code as text.
-    pub fn as_str(&self) -> &str {
+    pub(crate) fn as_str(&self) -> &str {
         std::str::from_utf8(&self.0).expect("both bytes are ASCII by construction")
     }
 }
@@ -73,10 +73,10 @@ pub enum Band {
 
 impl Band {
     /// Every band, in order of preference.
-    pub const ALL: [Self; 4] = [Self::L1, Self::L2, Self::L5, Self::L6];
+    pub(crate) const ALL: [Self; 4] = [Self::L1, Self::L2, Self::L5, Self::L6];
 
     /// The name in options.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::L1 => "L1",
             Self::L2 => "L2",
@@ -127,7 +127,7 @@ impl Signal {
     }
 
     /// The band of the signal, or `None` where the constellation has no such band.
-    pub fn band(self) -> Option<Band> {
+    pub(crate) fn band(self) -> Option<Band> {
         use Constellation as C;
         match (self.constellation, self.code.band_digit()) {
             (C::Glonass, 1 | 4) => Some(Band::L1),

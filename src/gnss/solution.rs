@@ -25,11 +25,11 @@ pub enum Status {
 
 impl Status {
     /// Every status, from none to best.
-    pub const ALL: [Self; 6] =
+    pub(crate) const ALL: [Self; 6] =
         [Self::None, Self::Single, Self::Ekf, Self::Fgo, Self::Float, Self::Fixed];
 
     /// The name in the API.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::None => "NONE",
             Self::Single => "SINGLE",
@@ -38,11 +38,6 @@ impl Status {
             Self::Float => "FLOAT",
             Self::Fixed => "FIXED",
         }
-    }
-
-    /// The status with this name in the API, or `None`.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|status| status.name() == name)
     }
 }
 

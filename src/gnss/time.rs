@@ -95,7 +95,7 @@ impl GpsTime {
     }
 
     /// Nanoseconds of the GPS week.
-    pub const fn ns_of_week(self) -> i64 {
+    pub(crate) const fn ns_of_week(self) -> i64 {
         self.0.rem_euclid(NS_PER_WEEK)
     }
 
@@ -293,7 +293,7 @@ impl LeapSeconds {
     }
 
     /// GPS time minus UTC at `time` (s).
-    pub fn at(&self, time: GpsTime) -> i64 {
+    pub(crate) fn at(&self, time: GpsTime) -> i64 {
         self.lookup(|label_s, before| (label_s + before) * NS_PER_SECOND <= time.0, time.0)
     }
 

@@ -59,11 +59,6 @@ pub struct Stage {
 pub struct Schedule(Vec<Stage>);
 
 impl Schedule {
-    /// A schedule of these stages; without any, the estimate does not change.
-    pub fn new(stages: Vec<Stage>) -> Self {
-        Self(stages)
-    }
-
     /// One stage with the final kernels: for convex kernels, or where the start is good.
     pub fn direct(iterations: usize) -> Self {
         Self(vec![Stage { phase: Phase::Graduated(1.0), iterations }])

@@ -20,7 +20,7 @@ impl<const S: usize> Estimate<S> {
     }
 
     /// x ← x + δ.
-    pub fn step(&mut self, delta: &Self) {
+    pub(crate) fn step(&mut self, delta: &Self) {
         for (state, d) in self.states.iter_mut().zip(&delta.states) {
             *state += d;
         }

@@ -71,7 +71,7 @@ impl Kernel {
     pub const QUADRATIC: Self = Self::new(Law::Quadratic, 1.0);
 
     /// A law with the same width on both sides.
-    pub const fn new(law: Law, width: f64) -> Self {
+    pub(crate) const fn new(law: Law, width: f64) -> Self {
         Self { law, positive_width: width, negative_width: width, independent_share: 1.0 }
     }
 
@@ -110,7 +110,8 @@ impl Kernel {
     }
 
     /// Loss ρ(s).
-    pub fn loss(&self, s: f64) -> f64 {
+    #[cfg(test)]
+    pub(crate) fn loss(&self, s: f64) -> f64 {
         self.loss_and_weight(s).0
     }
 

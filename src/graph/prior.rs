@@ -39,7 +39,7 @@ pub struct Prior<const S: usize> {
 
 impl<const S: usize> Prior<S> {
     /// A prior without information.
-    pub fn none() -> Self {
+    pub(crate) fn none() -> Self {
         Self::on_state(SVector::zeros(), SMatrix::zeros())
     }
 
@@ -55,7 +55,8 @@ impl<const S: usize> Prior<S> {
     }
 
     /// Information Λ of the state given the border variables, both triangles.
-    pub fn information(&self) -> &SMatrix<f64, S, S> {
+    #[cfg(test)]
+    pub(crate) fn information(&self) -> &SMatrix<f64, S, S> {
         &self.information
     }
 
@@ -64,7 +65,7 @@ impl<const S: usize> Prior<S> {
     }
 
     /// Border variables in the prior.
-    pub fn variables(&self) -> impl Iterator<Item = usize> + '_ {
+    pub(crate) fn variables(&self) -> impl Iterator<Item = usize> + '_ {
         self.border.iter().map(|bordering| bordering.variable)
     }
 

@@ -155,17 +155,12 @@ impl<const S: usize> System<S> {
     }
 
     /// Number of states.
-    pub fn states(&self) -> usize {
+    pub(crate) fn states(&self) -> usize {
         self.states
     }
 
-    /// Number of border variables, untouched ones included.
-    pub fn border(&self) -> usize {
-        self.lives.len()
-    }
-
     /// Σ ρ(r) of the rows added since the reset.
-    pub fn cost(&self) -> f64 {
+    pub(crate) fn cost(&self) -> f64 {
         self.cost.value()
     }
 

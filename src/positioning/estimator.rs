@@ -157,11 +157,6 @@ impl EstimatorState {
         Self { setup: Arc::clone(&self.setup), mode, revisions: Vec::new() }
     }
 
-    /// The options it was made with.
-    pub fn options(&self) -> &PositioningOptions {
-        &self.setup.options
-    }
-
     /// Solves one epoch. A solution without a position states the reasons.
     pub fn advance(
         &mut self,

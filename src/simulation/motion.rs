@@ -34,7 +34,7 @@ pub struct Traffic {
 
 impl Traffic {
     /// A car in town that starts at a crossing.
-    pub const fn town() -> Self {
+    pub(crate) const fn town() -> Self {
         Self {
             cruise_m_s: 12.0,
             acceleration_m_s2: 2.0,

@@ -53,7 +53,7 @@ pub struct Oddities {
 
 impl Oddities {
     /// An ordinary receiver.
-    pub const fn none() -> Self {
+    pub(crate) const fn none() -> Self {
         Self {
             cn0_offset_db: 0.0,
             cn0_step_db: 0.0,

@@ -40,7 +40,7 @@ pub enum DriveKind {
 
 impl DriveKind {
     /// Its name.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::City => "city",
             Self::Open => "open",
@@ -76,11 +76,11 @@ pub struct RandomDrive {
 
 impl RandomDrive {
     /// Name of the scenario and its description.
-    pub const NAME: (&'static str, &'static str) =
+    pub(crate) const NAME: (&'static str, &'static str) =
         ("random-drive", "streets, traffic, receiver and sky drawn from the seed");
 
     /// The drive of a seed.
-    pub fn draw(seed: u64) -> Self {
+    pub(crate) fn draw(seed: u64) -> Self {
         let random = &mut Random::new(seed, STREAM);
         let receiver = pick(
             random,

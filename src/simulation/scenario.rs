@@ -150,7 +150,7 @@ const ANTENNA_HEIGHT_M: f64 = 1.6;
 
 impl ReceiverErrors {
     /// A receiver with a good antenna under open sky.
-    pub const fn open_sky() -> Self {
+    pub(crate) const fn open_sky() -> Self {
         Self {
             code_m: 0.25,
             phase_m: 0.001_5,
@@ -173,7 +173,7 @@ impl ReceiverErrors {
     }
 
     /// A low-cost receiver on a car between walls.
-    pub const fn urban() -> Self {
+    pub(crate) const fn urban() -> Self {
         Self {
             code_m: 0.4,
             phase_m: 0.002,

@@ -38,7 +38,7 @@ pub struct Method {
 
 impl Method {
     /// Mode and kind of answer, for titles.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         format!("{} {}", self.mode.to_uppercase(), self.answer)
     }
 

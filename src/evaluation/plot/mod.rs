@@ -51,7 +51,7 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotE
 }
 
 /// Writes the figure as SVG or PNG, by the extension of the path.
-pub fn write(path: &Path, title: &str, judgement: &Judgement) -> Result<(), PlotError> {
+pub(crate) fn write(path: &Path, title: &str, judgement: &Judgement) -> Result<(), PlotError> {
     let ending = path.extension().and_then(|ending| ending.to_str()).map(str::to_lowercase);
     let content = match ending.as_deref() {
         Some("svg") => svg(title, judgement)?.into_bytes(),
@@ -80,7 +80,7 @@ fn png(title: &str, judgement: &Judgement) -> Result<Vec<u8>, PlotError> {
 }
 
 /// The figure as an SVG document.
-pub fn svg(title: &str, judgement: &Judgement) -> Result<String, PlotError> {
+pub(crate) fn svg(title: &str, judgement: &Judgement) -> Result<String, PlotError> {
     let mut text = String::new();
     let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
     draw(&area, title, judgement)?;

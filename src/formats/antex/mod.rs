@@ -2,8 +2,9 @@
 //!
 //! Rothacher & Schmid (2010), *ANTEX: The Antenna Exchange Format, Version 1.4*. Offsets and
 //! variations are millimetres in the file. Sections of standard deviations and frequencies of
-//! unknown systems are skipped. Calibrations relative to a reference antenna cannot be mixed with
-//! absolute ones and are refused.
+//! unknown systems are skipped. So are satellite antennas, after the same checks: broadcast
+//! ephemerides refer to their phase centres. Calibrations relative to a reference antenna cannot be
+//! mixed with absolute ones and are refused.
 
 mod error;
 mod grid;
@@ -13,7 +14,7 @@ use std::io::BufRead;
 
 use crate::gnss::{
     AntennaCalibration, AntennaCatalogue, CivilTime, GpsTime, LeapSeconds, PhaseCentrePattern,
-    SatelliteAntenna, SatelliteId, TimeScale, split_antenna_name,
+    TimeScale, split_antenna_name,
 };
 
 pub use error::AntexError;
@@ -58,18 +59,15 @@ pub fn read(input: impl BufRead) -> Result<AntennaCatalogue, AntexError> {
     let mut lines = Lines::new(input);
     read_header(&mut lines)?;
     let mut catalogue = AntennaCatalogue::default();
+    let mut count = 0;
     while lines.next()? {
         match lines.label() {
             "START OF ANTENNA" => {
-                let count = catalogue.receivers.len() + catalogue.satellites.len();
                 if ANTENNAS_LIMIT <= count {
                     return Err(lines.malformed("START OF ANTENNA", "too many antennas"));
                 }
-                match read_antenna(&mut lines)? {
-                    Some(Antenna::Receiver(antenna)) => catalogue.receivers.push(antenna),
-                    Some(Antenna::Satellite(antenna)) => catalogue.satellites.push(antenna),
-                    None => {}
-                }
+                count += 1;
+                catalogue.receivers.extend(read_antenna(&mut lines)?);
             }
             "COMMENT" => {}
             _ if lines.text().is_empty() => {}
@@ -102,29 +100,25 @@ fn read_header<R: BufRead>(lines: &mut Lines<R>) -> Result<(), AntexError> {
     }
 }
 
-enum Antenna {
-    Receiver(AntennaCalibration),
-    Satellite(SatelliteAntenna),
-}
-
 /// The records of an antenna before and between its frequencies.
 #[derive(Default)]
 struct Description {
     /// Type and radome, columns 1 to 20.
     name: Option<String>,
-    /// Serial number, or the satellite.
+    /// Serial number; of a satellite antenna the satellite.
     serial: String,
     azimuth_step_deg: Option<f64>,
     zeniths_deg: Option<[f64; 3]>,
     frequencies: Option<usize>,
-    valid: [Option<GpsTime>; 2],
     patterns: Vec<PhaseCentrePattern>,
     /// Number of frequencies read, unknown systems included.
     read: usize,
 }
 
-/// Reads an antenna to its end; `None` for a satellite of an unknown system.
-fn read_antenna<R: BufRead>(lines: &mut Lines<R>) -> Result<Option<Antenna>, AntexError> {
+/// Reads an antenna to its end; `None` for a satellite's.
+fn read_antenna<R: BufRead>(
+    lines: &mut Lines<R>,
+) -> Result<Option<AntennaCalibration>, AntexError> {
     let mut description = Description::default();
     loop {
         lines.next_of("an antenna")?;
@@ -141,8 +135,8 @@ fn read_antenna<R: BufRead>(lines: &mut Lines<R>) -> Result<Option<Antenna>, Ant
                 let wrong = lines.malformed("# OF FREQUENCIES", "not a count from 1 to 32");
                 description.frequencies = Some(count.ok_or(wrong)?);
             }
-            "VALID FROM" => description.valid[0] = Some(time(lines, "VALID FROM")?),
-            "VALID UNTIL" => description.valid[1] = Some(time(lines, "VALID UNTIL")?),
+            "VALID FROM" => drop(time(lines, "VALID FROM")?),
+            "VALID UNTIL" => drop(time(lines, "VALID UNTIL")?),
             "START OF FREQUENCY" => read_frequency(lines, &mut description)?,
             "START OF FREQ RMS" => pass_over(lines, "END OF FREQ RMS")?,
             "METH / BY / # / DATE" | "SINEX CODE" | "COMMENT" => {}
@@ -155,7 +149,7 @@ fn read_antenna<R: BufRead>(lines: &mut Lines<R>) -> Result<Option<Antenna>, Ant
 fn finish<R: BufRead>(
     lines: &Lines<R>,
     description: Description,
-) -> Result<Option<Antenna>, AntexError> {
+) -> Result<Option<AntennaCalibration>, AntexError> {
     const LABEL: &str = "END OF ANTENNA";
     let name = description.name.ok_or(lines.malformed(LABEL, "TYPE / SERIAL NO is missing"))?;
     let zeniths = description.zeniths_deg;
@@ -163,24 +157,16 @@ fn finish<R: BufRead>(
     if description.frequencies.is_some_and(|count| count != description.read) {
         return Err(lines.malformed(LABEL, "the number of frequencies differs from the stated one"));
     }
-    let patterns = description.patterns;
     if zeniths[1] < NADIR_LIMIT_DEG {
-        let satellite = description.serial.parse::<SatelliteId>().ok();
-        let [valid_from, valid_until] = description.valid;
-        return Ok(satellite.map(|satellite| {
-            let antenna =
-                SatelliteAntenna { satellite, kind: name, valid_from, valid_until, patterns };
-            Antenna::Satellite(antenna)
-        }));
+        return Ok(None);
     }
     let (antenna, radome) = split_antenna_name(&name);
-    let calibration = AntennaCalibration {
+    Ok(Some(AntennaCalibration {
         antenna: antenna.to_owned(),
         radome: radome.to_owned(),
         serial: description.serial,
-        patterns,
-    };
-    Ok(Some(Antenna::Receiver(calibration)))
+        patterns: description.patterns,
+    }))
 }
 
 /// Step of the azimuth grid (deg); zero without a grid.
@@ -352,7 +338,7 @@ mod tests {
     #[test]
     fn antennas_are_read() {
         let catalogue = read(sample().as_bytes()).unwrap();
-        assert_eq!((catalogue.receivers.len(), catalogue.satellites.len()), (2, 1));
+        assert_eq!(catalogue.receivers.len(), 2, "without the satellite's");
         let dome = catalogue.receiver("MAKER123.00     DOME", "").unwrap();
         let bands: Vec<_> = dome.patterns.iter().map(|pattern| pattern.band_digit).collect();
         assert_eq!(bands, [1, 2]);
@@ -364,22 +350,6 @@ mod tests {
         assert_eq!(first.zenith_step_rad, 45_f64.to_radians());
         assert_eq!(catalogue.receiver("MAKER77", "4711").unwrap().serial, "4711");
         assert_eq!(catalogue.receiver("MAKER123.00     NONE", ""), None);
-        let satellite = "G07".parse().unwrap();
-        let at = |year| {
-            let text = (year, 6, 1);
-            let civil = CivilTime {
-                year: text.0,
-                month: text.1,
-                day: text.2,
-                hour: 0,
-                minute: 0,
-                second: 0,
-                nanosecond: 0,
-            };
-            GpsTime::from_civil(&civil, TimeScale::Gps, &LeapSeconds::table()).unwrap()
-        };
-        assert_eq!(catalogue.satellite(satellite, at(2010)).unwrap().kind, "BLOCK X");
-        assert_eq!(catalogue.satellite(satellite, at(2020)), None);
     }
 
     #[test]

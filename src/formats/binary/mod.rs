@@ -29,7 +29,7 @@ pub enum Ionosphere {
 
 impl Ionosphere {
     /// Replaces the coefficients of its kind.
-    pub fn apply_to(self, navigation: &mut Navigation) {
+    pub(crate) fn apply_to(self, navigation: &mut Navigation) {
         match self {
             Self::Gps(coefficients) => navigation.klobuchar_gps = Some(coefficients),
             Self::BeiDou(coefficients) => navigation.klobuchar_beidou = Some(coefficients),

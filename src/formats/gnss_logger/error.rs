@@ -39,7 +39,7 @@ pub enum GnssLoggerError {
 
 impl GnssLoggerError {
     /// The stable code.
-    pub const fn code(&self) -> Code {
+    pub(crate) const fn code(&self) -> Code {
         match self {
             Self::NoColumns { .. } | Self::MissingColumn { .. } | Self::ColumnsChange { .. } => {
                 Code::GnssLoggerHeaderInvalid
@@ -49,7 +49,7 @@ impl GnssLoggerError {
     }
 
     /// Number (from 1) of the line with the error.
-    pub const fn line(&self) -> u64 {
+    pub(crate) const fn line(&self) -> u64 {
         match self {
             Self::NoColumns { line }
             | Self::MissingColumn { line, .. }

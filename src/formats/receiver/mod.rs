@@ -26,7 +26,7 @@ pub use crate::formats::rtcm::Station;
 use frames::{Frame, FrameBuffer, Scan};
 
 /// Whether the first bytes of a file hold a complete frame of UBX or RTCM 3.
-pub fn is_receiver_data(head: &[u8]) -> bool {
+pub(crate) fn is_receiver_data(head: &[u8]) -> bool {
     let mut frames = FrameBuffer::new();
     frames.push(head);
     while let Some(scan) = frames.next(false) {

@@ -34,7 +34,7 @@ pub struct ReceiverReader<R> {
 
 impl<R: BufRead> ReceiverReader<R> {
     /// A reader at the file's start; see [`Decoder::new`].
-    pub fn new(input: R, reference: Option<TimeReference>) -> Self {
+    pub(crate) fn new(input: R, reference: Option<TimeReference>) -> Self {
         let decoder = Decoder::new(reference);
         let events = VecDeque::new();
         Self { input, decoder, events, offset: 0, is_at_end: false, station: None }
@@ -79,7 +79,7 @@ impl<R: BufRead> ReceiverReader<R> {
     ///
     /// # Errors
     /// As `read_event`.
-    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, ReceiverError> {
+    pub(crate) fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, ReceiverError> {
         while let Some(event) = self.read_event()? {
             if let Event::Epoch(read) = event {
                 *epoch = read;
@@ -90,17 +90,17 @@ impl<R: BufRead> ReceiverReader<R> {
     }
 
     /// The station as described by the events read so far.
-    pub const fn station(&self) -> Option<&Station> {
+    pub(crate) const fn station(&self) -> Option<&Station> {
         self.station.as_ref()
     }
 
     /// Counts of what was read so far.
-    pub const fn statistics(&self) -> &Statistics {
+    pub(crate) const fn statistics(&self) -> &Statistics {
         self.decoder.statistics()
     }
 
     /// The decoder with its present state.
-    pub const fn decoder(&self) -> &Decoder {
+    pub(crate) const fn decoder(&self) -> &Decoder {
         &self.decoder
     }
 }

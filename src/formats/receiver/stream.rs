@@ -125,12 +125,12 @@ impl Decoder {
     }
 
     /// Sets a time within half a day of what follows, as after a gap without dated messages.
-    pub fn date(&mut self, time: GpsTime) {
+    pub(crate) fn date(&mut self, time: GpsTime) {
         self.clock.set(time);
     }
 
     /// The newest known time, from the reference or from the stream.
-    pub const fn time(&self) -> Option<GpsTime> {
+    pub(crate) const fn time(&self) -> Option<GpsTime> {
         self.clock.time()
     }
 

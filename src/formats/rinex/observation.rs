@@ -50,7 +50,7 @@ impl<R: BufRead> ObservationReader<R> {
     }
 
     /// The header, with the changes of events read so far.
-    pub const fn header(&self) -> &ObservationHeader {
+    pub(crate) const fn header(&self) -> &ObservationHeader {
         &self.state.header
     }
 

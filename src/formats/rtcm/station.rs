@@ -43,7 +43,7 @@ pub struct Station {
 
 impl Station {
     /// The station's position, once a message has given it.
-    pub fn site(&self) -> Option<BaseSite> {
+    pub(crate) fn site(&self) -> Option<BaseSite> {
         let point = self.antenna_reference_point?;
         let height_m = self.antenna_height_m.unwrap_or(0.0);
         let below = Enu(Vector3::new(0.0, 0.0, -height_m));
