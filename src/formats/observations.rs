@@ -38,7 +38,7 @@ pub struct Recognised<R> {
 impl<R: BufRead> Recognised<R> {
     /// Recognises the format: receiver data if the first bytes hold a whole frame, a GnssLogger log
     /// by its first lines, else RINEX.
-    pub(crate) fn new(mut input: R) -> Self {
+    pub fn new(mut input: R) -> Self {
         let mut head = Vec::new();
         // An error here occurs again, and is reported, when the caller reads on.
         let _ = input.by_ref().take(HEAD_BYTES).read_to_end(&mut head);
@@ -53,7 +53,7 @@ impl<R: BufRead> Recognised<R> {
     }
 
     /// The format.
-    pub(crate) const fn format(&self) -> FileFormat {
+    pub const fn format(&self) -> FileFormat {
         self.format
     }
 }
@@ -118,7 +118,7 @@ impl<R: BufRead> Observations<R> {
     ///
     /// # Errors
     /// The header cannot be read.
-    pub(crate) fn new(
+    pub fn new(
         file: Recognised<R>,
         reference: Option<TimeReference>,
         navigation: &Navigation,
@@ -142,7 +142,7 @@ impl<R: BufRead> Observations<R> {
     ///
     /// # Errors
     /// The rest of the file cannot be read.
-    pub(crate) fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, FileError> {
+    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, FileError> {
         Ok(match self {
             Self::Rinex(reader) => reader.read_epoch(epoch)?,
             Self::Receiver(reader) => reader.read_epoch(epoch)?,
@@ -151,7 +151,7 @@ impl<R: BufRead> Observations<R> {
     }
 
     /// The station as described by the messages read so far; `None` for other formats.
-    pub(crate) fn station(&self) -> Option<&Station> {
+    pub fn station(&self) -> Option<&Station> {
         match self {
             Self::Rinex(_) | Self::GnssLogger(_) => None,
             Self::Receiver(reader) => reader.station(),
@@ -219,7 +219,7 @@ pub(crate) fn first_time<R: BufRead>(file: Recognised<R>) -> Result<Option<GpsTi
 ///
 /// # Errors
 /// The rest of the file cannot be read.
-pub(crate) fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
+pub fn station<R: BufRead>(file: Recognised<R>) -> Result<Option<Station>, FileError> {
     if file.format != FileFormat::Receiver {
         return Ok(None);
     }

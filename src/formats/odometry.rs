@@ -105,7 +105,7 @@ pub enum OdometryFileError {
 /// assert_eq!(rows[0].odometry.displacement_m.norm(), 5_f64.sqrt());
 /// # Ok::<(), graphfix::formats::odometry::OdometryFileError>(())
 /// ```
-pub(crate) fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileError> {
+pub fn read(mut input: impl BufRead) -> Result<Vec<OdometryRow>, OdometryFileError> {
     let (mut rows, mut indices) = (Vec::<OdometryRow>::new(), None);
     let (mut bytes, mut line) = (Vec::new(), 0);
     loop {
@@ -218,7 +218,7 @@ impl Fields<'_> {
 }
 
 /// Writes an odometry file, lengths to a hundredth of a millimetre.
-pub(crate) fn write(mut output: impl Write, rows: &[OdometryRow]) -> io::Result<()> {
+pub fn write(mut output: impl Write, rows: &[OdometryRow]) -> io::Result<()> {
     writeln!(output, "{}", COLUMNS.join(","))?;
     let mut line = Vec::new();
     for OdometryRow { time, odometry } in rows {

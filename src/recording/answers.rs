@@ -19,7 +19,7 @@ pub enum AnswerKind {
 
 impl AnswerKind {
     /// The name as users write it.
-    pub(crate) const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Causal => "causal",
             Self::FixedLag => "smoothed",
@@ -28,7 +28,7 @@ impl AnswerKind {
     }
 
     /// The kind of a name as users write it.
-    pub(crate) fn from_name(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         [Self::Causal, Self::FixedLag, Self::Batch].into_iter().find(|kind| kind.name() == name)
     }
 }
@@ -63,7 +63,7 @@ enum AnyEstimator {
 
 impl Solver {
     /// A solver before its first epoch.
-    pub(crate) fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
+    pub fn new(options: PositioningOptions, kind: AnswerKind) -> Self {
         use AnyEstimator::{Whole, Window};
         let estimator = match kind {
             AnswerKind::Causal => Window(kind, Box::new(Estimator::new(options))),
@@ -74,7 +74,7 @@ impl Solver {
     }
 
     /// The answers due after an epoch.
-    pub(crate) fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Vec<Solution> {
+    pub fn advance(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) -> Vec<Solution> {
         if let Some(last) = self.last.filter(|last| epoch.time <= *last) {
             return self.repeat(Repetition { of: last, behind_s: last - epoch.time });
         }
@@ -98,7 +98,7 @@ impl Solver {
     }
 
     /// The answers due at the end.
-    pub(crate) fn finish(mut self) -> Vec<Solution> {
+    pub fn finish(mut self) -> Vec<Solution> {
         let left = match self.estimator {
             AnyEstimator::Window(AnswerKind::FixedLag, estimator) => estimator.finish(),
             AnyEstimator::Window(..) => return Vec::new(),

@@ -87,12 +87,12 @@ snapshot_fields!(ApproximatePosition { position, since });
 
 impl ApproximatePosition {
     /// `reported` is used until there is a single-point position.
-    pub(crate) const fn new(reported: Option<Ecef>) -> Self {
+    pub const fn new(reported: Option<Ecef>) -> Self {
         Self { position: reported, since: None }
     }
 
     /// The position at an epoch; the last position if the epoch gives none.
-    pub(crate) fn at(&mut self, epoch: &Epoch, navigation: &Navigation) -> Option<Ecef> {
+    pub fn at(&mut self, epoch: &Epoch, navigation: &Navigation) -> Option<Ecef> {
         if self.since.is_none_or(|since| LASTS_S < epoch.time - since) {
             let options = PositioningOptions::new(Mode::Spp, Profile::General);
             let solution = Estimator::new(options).advance(epoch, &Aiding::alone(navigation));

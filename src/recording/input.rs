@@ -20,7 +20,7 @@ pub struct Input {
 
 impl Input {
     /// An input that `open` opens, at its first byte each time.
-    pub(crate) fn new(name: String, open: impl Fn() -> io::Result<Reader> + 'static) -> Self {
+    pub fn new(name: String, open: impl Fn() -> io::Result<Reader> + 'static) -> Self {
         Self { name, open: Box::new(open) }
     }
 
@@ -30,7 +30,7 @@ impl Input {
     }
 
     /// The name, for messages.
-    pub(crate) fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         &self.name
     }
 
@@ -38,7 +38,7 @@ impl Input {
     ///
     /// # Errors
     /// It cannot be opened.
-    pub(crate) fn open(&self) -> Result<Reader, RecordingError> {
+    pub fn open(&self) -> Result<Reader, RecordingError> {
         let opened = (self.open)();
         let reader = opened.map_err(|source| {
             let name = self.name.clone();
@@ -51,7 +51,7 @@ impl Input {
     ///
     /// # Errors
     /// It cannot be opened.
-    pub(crate) fn format(&self) -> Result<FileFormat, RecordingError> {
+    pub fn format(&self) -> Result<FileFormat, RecordingError> {
         Ok(self.recognised()?.format())
     }
 

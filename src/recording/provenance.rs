@@ -50,7 +50,7 @@ pub struct AntennaProvenance {
 
 impl Provenance {
     /// The provenance as lines of text; lines that need attention begin with "warning: ".
-    pub(crate) fn lines(&self) -> Vec<String> {
+    pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if let Some(base) = &self.base {
             lines.push("positions are of the rover's antenna reference point".to_owned());

@@ -56,7 +56,7 @@ impl RecordingInputs {
     ///
     /// # Errors
     /// The mode or the kind of answer is refused.
-    pub(crate) fn check(
+    pub fn check(
         &self,
         options: &PositioningOptions,
         answer: AnswerKind,
@@ -94,7 +94,7 @@ impl<'a> Recording<'a> {
     ///
     /// # Errors
     /// A file cannot be read or dated, or no source gives the base's position.
-    pub(crate) fn open(inputs: &'a RecordingInputs) -> Result<Self, RecordingError> {
+    pub fn open(inputs: &'a RecordingInputs) -> Result<Self, RecordingError> {
         let observed: Vec<&Input> = std::iter::once(&inputs.rover).chain(&inputs.base).collect();
         let files = NavigationFiles::read(&inputs.navigation, &observed, inputs.reference)?;
         let NavigationFiles { navigation, left_out, dating } = files;
@@ -108,12 +108,12 @@ impl<'a> Recording<'a> {
     }
 
     /// The broadcast navigation data.
-    pub(crate) const fn navigation(&self) -> &Navigation {
+    pub const fn navigation(&self) -> &Navigation {
         &self.navigation
     }
 
     /// The aiding data of the last epoch read.
-    pub(crate) fn aiding(&self) -> Aiding<'_> {
+    pub fn aiding(&self) -> Aiding<'_> {
         let base = self.base.as_ref().map(BaseRecording::aiding);
         Aiding { navigation: &self.navigation, base }
     }
@@ -122,7 +122,7 @@ impl<'a> Recording<'a> {
     ///
     /// # Errors
     /// The rover's or the base's file cannot be read.
-    pub(crate) fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RecordingError> {
+    pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RecordingError> {
         let damaged = |error| self.inputs.rover.damaged(&error);
         loop {
             if !self.rover.read_epoch(epoch).map_err(damaged)? {
@@ -161,7 +161,7 @@ impl<'a> Recording<'a> {
     }
 
     /// The provenance of the epochs read so far.
-    pub(crate) fn provenance(&self) -> Provenance {
+    pub fn provenance(&self) -> Provenance {
         let rover_name = self.inputs.rover.name();
         let mut left_out = vec![(rover_name, self.rover.left_out())];
         left_out.extend(self.base.as_ref().map(BaseRecording::left_out));

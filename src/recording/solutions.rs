@@ -69,12 +69,12 @@ impl<'a> Solutions<'a> {
     }
 
     /// Leap seconds of the navigation data.
-    pub(crate) fn leap_seconds(&self) -> LeapSeconds {
+    pub fn leap_seconds(&self) -> LeapSeconds {
         self.recording.navigation().leap_seconds
     }
 
     /// The provenance of the positions so far.
-    pub(crate) fn provenance(&self) -> Provenance {
+    pub fn provenance(&self) -> Provenance {
         self.recording.provenance()
     }
 

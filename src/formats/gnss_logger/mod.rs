@@ -83,7 +83,7 @@ pub type Skipped = super::skipped::Skipped<Cause>;
 /// assert_eq!(is_gnss_logger(b"# Version: v3.1"), None);
 /// assert_eq!(is_gnss_logger(b"$GPGGA,123519,4807.038,N\n"), Some(false));
 /// ```
-pub(crate) fn is_gnss_logger(head: &[u8]) -> Option<bool> {
+pub fn is_gnss_logger(head: &[u8]) -> Option<bool> {
     let mut rest = head;
     loop {
         let end = memchr::memchr(b'\n', rest);
