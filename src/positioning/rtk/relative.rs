@@ -6,7 +6,7 @@
 
 use std::fmt::Debug;
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, Vector3};
 
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
 use crate::positioning::differencing::SingleDifferences;
@@ -127,12 +127,14 @@ pub(crate) struct Relative<S: RelativeSolver> {
     base: BaseTracking,
     /// Doubts positions without integers.
     watch: PseudorangeWatch,
+    /// Where the solver starts again at the next epoch, from its prediction (m, local).
+    move_m: Option<Vector3<f64>>,
     /// Answers while no base can be used.
     alone: Option<Box<S::Alone>>,
     past: S::Past,
 }
 
-state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, watch, alone, past });
+state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, watch, move_m, alone, past });
 
 /// Scratch of the estimator.
 #[derive(Debug)]
@@ -167,7 +169,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
     fn new(_setup: &Setup, revises: bool) -> Self {
         let (solver, past) = (S::new(), S::past(revises));
         let (base, watch) = (BaseTracking::default(), PseudorangeWatch::default());
-        Self { solver, base, watch, alone: None, past }
+        Self { solver, base, watch, move_m: None, alone: None, past }
     }
 
     fn fits(&self, setup: &Setup) -> bool {
@@ -264,14 +266,19 @@ impl<S: RelativeSolver> Relative<S> {
         revisions: &mut Vec<Solution>,
     ) -> Result<State, Reason> {
         let (time, options) = (inputs.epoch.time, inputs.options());
-        let mut start = None;
+        let (mut start, move_m) = (None, self.move_m.take());
         if let Some(last) = self.solver.last_time() {
-            let guess = self.solver.predicted(time);
+            let mut guess = self.solver.predicted(time);
             let is_near = guess.fixed_rows::<3>(0).norm() < FRAME_LIMIT_M;
             if options.rtk.single_epoch {
                 start = Some((position(self.solver.frame(), &guess), State::zeros()));
             } else if time - last <= options.graph.gap_s && is_near {
-                return Ok(guess);
+                let Some(move_m) = move_m else { return Ok(guess) };
+                let mut local = guess.fixed_rows_mut::<3>(0);
+                local += move_m;
+                let from = position(self.solver.frame(), &guess);
+                guess.fixed_rows_mut::<3>(0).fill(0.0);
+                start = Some((from, guess));
             }
         }
         let (start, guess) = match start {
@@ -306,7 +313,7 @@ impl<S: RelativeSolver> Relative<S> {
         let new = NewEpoch { time, guess, differences, setup, slipped };
         let resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
         let resolved = resolved.inspect_err(|_| S::leave_all(&mut self.past, revisions))?;
-        let resolved = self.reconsider(resolved, inputs, scratch, revisions)?;
+        self.reconsider(&resolved, setup.options.rtk.single_epoch, scratch);
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         reasons.extend(slip_reasons(slipped, &self.solver.tracking().arcs, time));
         Ok(solution(AnswerParts {
@@ -322,36 +329,24 @@ impl<S: RelativeSolver> Relative<S> {
         }))
     }
 
-    /// Starts again where the pseudoranges clearly agree on another position than a float
-    /// solution's.
+    /// Takes in a solution; without integers, asks whether another position is clearly likelier.
+    ///
+    /// The solver starts there at the next epoch: this one is part of its window already, and of
+    /// the answers that may be revised.
     fn reconsider(
         &mut self,
-        resolved: Resolved,
-        inputs: &EpochInputs<'_>,
+        resolved: &Resolved,
+        is_single_epoch: bool,
         scratch: &mut RelativeScratch<S>,
-        revisions: &mut Vec<Solution>,
-    ) -> Result<Resolved, Reason> {
-        let RelativeScratch { intake, rows, solver: memory, .. } = scratch;
-        let Intake { differences, slipped, .. } = intake;
-        if resolved.resolution.outcome.is_ok() || inputs.options().rtk.single_epoch {
+    ) {
+        if resolved.resolution.outcome.is_ok() || is_single_epoch {
             self.watch = PseudorangeWatch::default();
-            return Ok(resolved);
+            return;
         }
-        let judged = Judged {
-            epoch: self.solver.epoch(memory),
-            state: &resolved.state,
-            frame: self.solver.frame(),
-            differences,
-        };
-        let Some(start) = self.watch.reconsider(&judged, rows) else { return Ok(resolved) };
-        let (time, setup) = (inputs.epoch.time, inputs.setup);
-        let mut guess = resolved.state;
-        guess.fixed_rows_mut::<3>(0).fill(0.0);
-        self.solver.answer_all(setup, &mut self.past, memory, revisions);
-        self.solver.begin(start, &guess);
-        let new = NewEpoch { time, guess, differences, setup, slipped };
-        let again = self.solver.solve(new, &mut self.past, memory);
-        again.inspect_err(|_| S::leave_all(&mut self.past, revisions))
+        let RelativeScratch { intake, rows, solver: memory, .. } = scratch;
+        let (epoch, differences) = (self.solver.epoch(memory), &intake.differences);
+        let judged = Judged { epoch, state: &resolved.state, differences };
+        self.move_m = self.watch.reconsider(&judged, rows);
     }
 }
 

@@ -5,7 +5,9 @@
 //! base, the residuals of the last half minute are asked whether another position explains them
 //! better ([`Watch`]); the solver then starts again from there.
 
-use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
+use nalgebra::Vector3;
+
+use crate::gnss::GpsTime;
 use crate::graph::shared_offset;
 use crate::positioning::code_error::CodeError;
 use crate::positioning::differencing::SingleDifferences;
@@ -44,17 +46,17 @@ state_fields!(PseudorangeWatch { watch, seen, last, is_proven });
 pub(crate) struct Judged<'a> {
     pub(crate) epoch: &'a RtkEpoch,
     pub(crate) state: &'a State,
-    pub(crate) frame: &'a LocalFrame,
     pub(crate) differences: &'a SingleDifferences,
 }
 
 impl PseudorangeWatch {
-    /// Takes in a float solution; another position (local, ECEF) if that is clearly likelier.
+    /// Takes in a float solution; the move to another position (m, local) if that is clearly
+    /// likelier.
     pub(crate) fn reconsider(
         &mut self,
         judged: &Judged<'_>,
         scratch: &mut RowScratch,
-    ) -> Option<Ecef> {
+    ) -> Option<Vector3<f64>> {
         let now = judged.epoch.time;
         let interval_s = self.last.map(|last| now - last);
         self.last = Some(now);
@@ -74,8 +76,7 @@ impl PseudorangeWatch {
             Verdict::Open => {}
             Verdict::Move(offset) => {
                 *self = Self { last: Some(now), ..Self::default() };
-                let local = judged.state.fixed_rows::<3>(0).into_owned();
-                return Some(judged.frame.to_ecef(Enu(local + offset.position_m())));
+                return Some(offset.position_m());
             }
         }
         None
@@ -96,7 +97,7 @@ impl PseudorangeWatch {
                 let residual_m = -(row.row.residual / row.by_offset + offset_m);
                 let pooled = Pooled {
                     satellite: satellite.satellite,
-                    slope: nalgebra::Vector3::from(row.row.jacobian) / row.by_offset,
+                    slope: Vector3::from(row.row.jacobian) / row.by_offset,
                     residual_m,
                     error: CodeError {
                         sigma_m: row.by_offset.recip(),
