@@ -40,6 +40,12 @@ pub(crate) async fn push(
     solutions
 }
 
+/// Number of solutions relative to a base.
+pub(crate) fn relative(solutions: &[v1::Solution]) -> usize {
+    let is_relative = |status| matches!(status, v1::Status::Fixed | v1::Status::Float);
+    solutions.iter().filter(|solution| is_relative(solution.status())).count()
+}
+
 pub(crate) fn fixed(solutions: &[v1::Solution]) -> usize {
     solutions.iter().filter(|solution| solution.status() == v1::Status::Fixed).count()
 }
