@@ -1,4 +1,4 @@
-//! Whose navigation data are believed when sources contradict each other.
+//! Which source of navigation data has precedence when sources contradict each other.
 //!
 //! The operator's archives and streams come first. Uploads, devices and the streams of bases only
 //! offer data: an offer that contradicts the operator's ephemerides is refused, and is dropped when

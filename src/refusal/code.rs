@@ -59,7 +59,7 @@ codes! {
     /// The unpacked upload exceeds its limit.
     DecompressedTooLarge = "DECOMPRESSED_TOO_LARGE", TooLarge,
         "split the file, or let the operator raise limits.decompressed_bytes";
-    /// The content is packed so much that unpacking it could exhaust the service.
+    /// The compression ratio of the content exceeds its limit.
     CompressedTooMuch = "COMPRESSED_TOO_MUCH", TooLarge,
         "send it not packed, or in smaller parts";
     /// The body arrives too slowly.

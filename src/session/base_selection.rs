@@ -94,7 +94,7 @@ impl BaseSelection {
     }
 
     /// The rover's approximate position: its last position if that is recent, otherwise the
-    /// single-point position of this epoch. If there is none, the last position, however old.
+    /// single-point position of this epoch, otherwise the last position, however old.
     fn position_at(
         &self,
         epoch: &Epoch,

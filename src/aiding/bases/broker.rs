@@ -27,7 +27,7 @@ type PushedEpoch = Result<StoredBaseEpoch, BaseEpochRefusal>;
 enum PushedSite<'a> {
     /// It replaces the present one.
     Stated(&'a BaseSite),
-    /// It is used if there is none yet.
+    /// It is used as long as the base has no other.
     IfUnknown(&'a BaseSite),
 }
 

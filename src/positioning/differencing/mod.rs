@@ -348,8 +348,8 @@ fn valid_m(observation: &Observation) -> Option<f64> {
 
 /// The carrier phase as a range (m).
 ///
-/// One whose lock was lost and whose half cycle is open is none: the loop has not settled (of 4773
-/// on `shanghai-walk` one in nine agrees with the others within a tenth of a cycle).
+/// A phase that lost lock and whose half cycle is open is not used: its tracking loop has not
+/// settled.
 fn carrier_m(observation: &Observation, pair: &Pair<'_>) -> Option<f64> {
     let wavelength = Meters(SPEED_OF_LIGHT / pair.frequency_hz);
     let is_settled = !(observation.loss_of_lock && observation.half_cycle);

@@ -51,7 +51,7 @@ impl SinglePoint {
         }
     }
 
-    /// The fit of all satellites with bounded influence; `all` itself if there is none.
+    /// The fit of all satellites with bounded influence; `all` itself if that fit fails.
     fn bounded(&mut self, inputs: &EpochInputs<'_>, all: Fit) -> Fit {
         self.measurements.list.iter_mut().for_each(|measurement| measurement.is_excluded = false);
         self.linearize(all.origin);

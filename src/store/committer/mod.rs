@@ -254,7 +254,7 @@ impl<C: Connect> Running<C> {
         }
     }
 
-    /// Opens and probes another connection if there is none, and refuses all batches meanwhile.
+    /// Opens and probes a connection if none is open, and refuses all batches meanwhile.
     /// Returns `false` if it is to stop before it succeeds.
     async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
         while self.link.is_none() {
