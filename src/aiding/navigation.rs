@@ -179,7 +179,7 @@ impl NavigationBroker {
         };
         let mut new = new_ephemerides(&before.navigation, &pushed);
         if !is_offer {
-            // What others have brought becomes the operator's.
+            // Ephemerides that were offered before become the operator's.
             let all = pushed.satellites().flat_map(|(_, list)| list);
             let is_taken_over = |e: &&Ephemeris| before.offered.contains(e) && !new.contains(e);
             let taken_over: Vec<&Ephemeris> = all.filter(is_taken_over).collect();

@@ -1,8 +1,9 @@
 //! Which source of navigation data has precedence when sources contradict each other.
 //!
-//! The operator's archives and streams come first. Uploads, devices and the streams of bases only
-//! offer data: an offer that contradicts the operator's ephemerides is refused, and is dropped when
-//! these arrive later. An offer replaces nothing, and makes room only where older offers end.
+//! The operator's archives and streams have precedence. Uploads, devices and the streams of bases
+//! only offer data. An offer that contradicts the operator's ephemerides is refused, or dropped when
+//! these arrive later. An offer replaces no data of the operator. If a satellite has as many
+//! ephemerides as allowed, a new offer takes the place of an offer of more than a day ago.
 
 use std::collections::BTreeMap;
 
@@ -13,12 +14,12 @@ use crate::models::{satellite_state, validity_s};
 pub const UPLOAD: &str = "upload";
 /// Source of ephemerides from devices.
 pub const DEVICE: &str = "device";
-/// How the name of a base's stream begins, as a source.
+/// Prefix of the sources that are streams of bases.
 pub const OF_BASE: &str = "base ";
-/// Distance between the satellite's positions, and between its clocks, of two ephemerides that
-/// agree (m). Consecutive broadcasts differ by some metres at times that both are valid for.
+/// Largest difference of the satellite's positions and clocks by two ephemerides that agree (m).
+/// Consecutive broadcasts differ by some metres at times for which both are valid.
 const AGREEMENT_M: f64 = 100.0;
-/// Time for which an offered ephemeris makes room for no other offer (ms).
+/// Age below which an offered ephemeris is not dropped for another offer (ms).
 const LASTING_MS: i64 = 86_400_000;
 
 /// Whether a source is the operator's.
@@ -26,8 +27,8 @@ pub(super) fn is_of_operator(source: &str) -> bool {
     source != UPLOAD && source != DEVICE && !source.starts_with(OF_BASE)
 }
 
-/// Whether two ephemerides of one satellite give the same orbit and clock, as far as both are valid
-/// at one time. Ephemerides of different times neither agree nor contradict.
+/// Whether two ephemerides of one satellite give different orbits or clocks at a time for which
+/// both are valid. False if there is no such time, or if they are of different messages.
 fn contradict(one: &Ephemeris, other: &Ephemeris) -> bool {
     let apart_s = (one.toe() - other.toe()).abs();
     if message(one) != message(other) || validity_s(one).min(validity_s(other)) < apart_s {
@@ -39,21 +40,22 @@ fn contradict(one: &Ephemeris, other: &Ephemeris) -> bool {
     !apart_m.is_finite() || AGREEMENT_M < apart_m
 }
 
-/// The ephemerides in force that others than the operator have brought, by issue.
+/// The offered ephemerides in force, by issue, each with the time at which it was stored (ms since
+/// 1970-01-01 UTC).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Offered(BTreeMap<Issue, i64>);
 
-/// What names one issue of an ephemeris.
+/// Identifies one issue of an ephemeris: satellite, message, toe, toc, issue of data.
 type Issue = (SatelliteId, NavigationMessage, GpsTime, GpsTime, u32);
 
-/// What an offer adds, and what makes room for it.
+/// The accepted part of an offer, and the older offers that are dropped for it.
 pub(super) struct Accepted {
     pub(super) navigation: Navigation,
     pub(super) dropped: Vec<Ephemeris>,
 }
 
 impl Offered {
-    /// Notes that `ephemeris` is in force since `stored_unix_ms`, brought by `source`.
+    /// Records that `ephemeris` of `source` is in force since `stored_unix_ms`.
     pub(super) fn note(&mut self, ephemeris: &Ephemeris, source: &str, stored_unix_ms: i64) {
         if is_of_operator(source) {
             self.0.remove(&issue(ephemeris));
@@ -62,12 +64,12 @@ impl Offered {
         }
     }
 
-    /// Notes that `ephemeris` is no longer in force.
+    /// Records that `ephemeris` is no longer in force.
     pub(super) fn forget(&mut self, ephemeris: &Ephemeris) {
         self.0.remove(&issue(ephemeris));
     }
 
-    /// Whether others than the operator have brought this ephemeris.
+    /// Whether this ephemeris was offered, and not brought by the operator.
     pub(super) fn contains(&self, ephemeris: &Ephemeris) -> bool {
         self.0.contains_key(&issue(ephemeris))
     }
@@ -87,8 +89,8 @@ impl Offered {
         found
     }
 
-    /// The part of an offer that adds to `known` without contradiction. If a satellite has `limit`
-    /// ephemerides, only offers of more than a day ago make room.
+    /// The part of an offer that is new and does not contradict the operator's data in `known`. If
+    /// a satellite has `limit` ephemerides, only offers of more than a day ago are dropped for it.
     pub(super) fn accept(
         &self,
         known: &Navigation,

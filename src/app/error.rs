@@ -30,7 +30,7 @@ pub enum AppError {
 }
 
 impl AppError {
-    /// Its code.
+    /// The stable code.
     pub fn code(&self) -> Code {
         match self {
             Self::Store(error) => error.code(),

@@ -136,7 +136,7 @@ impl App {
     }
 }
 
-/// A name for a node: that of the host and a random mark.
+/// A name for a node: the host's name and a random suffix.
 pub fn random_node() -> String {
     let host = rustix::system::uname();
     let mark = Uuid::new_v4().simple().to_string();

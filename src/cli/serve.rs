@@ -24,7 +24,7 @@ pub(super) struct ServeArguments {
     /// Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
-    /// Name of this node in the log and in answers. Default: the host's, and a random mark.
+    /// Name of this node in the log and in answers. Default: the host's name and a random suffix.
     #[arg(long, value_name = "NAME", env = "GRAPHFIX_NODE")]
     node: Option<String>,
     /// sqlite://FILE (created if absent) or postgres://…; default: sqlite://graphfix.db.

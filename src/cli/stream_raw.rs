@@ -19,7 +19,7 @@ use super::files;
 use super::progress::{Progress, Speed};
 
 /// Bytes of a chunk at full speed.
-const PIECE_BYTES: usize = 64 << 10;
+const CHUNK_BYTES: usize = 64 << 10;
 /// Bytes of a chunk that is searched for the end of an epoch; an epoch has more.
 const PACE_BYTES: usize = 256;
 
@@ -77,7 +77,7 @@ impl<'a> Bytestream<'a> {
         let mut left = skipped;
         while 0 < left {
             // The header of a log is among these bytes.
-            let bytes = stream.read(PIECE_BYTES.min(left as usize))?;
+            let bytes = stream.read(CHUNK_BYTES.min(left as usize))?;
             stream.pace.push(&bytes);
             left = if bytes.is_empty() { 0 } else { left - bytes.len() as u64 };
         }
@@ -104,8 +104,8 @@ impl<'a> Bytestream<'a> {
     ) -> Result<(), Failure> {
         match speed {
             Speed::Max => loop {
-                let bytes = self.read(PIECE_BYTES)?;
-                let is_end = bytes.len() < PIECE_BYTES;
+                let bytes = self.read(CHUNK_BYTES)?;
+                let is_end = bytes.len() < CHUNK_BYTES;
                 self.push(bytes, is_end, device, progress).await?;
                 if is_end {
                     return Ok(());
@@ -134,7 +134,7 @@ impl<'a> Bytestream<'a> {
                 let after_s = (time - *first.get_or_insert(time)) / factor;
                 let when = start + Duration::from_secs_f64(after_s.max(0.0));
                 let is_ahead = tokio::time::Instant::now() < when;
-                if is_ahead || PIECE_BYTES < due.len() {
+                if is_ahead || CHUNK_BYTES < due.len() {
                     tokio::time::sleep_until(when).await;
                     self.push(std::mem::take(&mut due), false, device, progress).await?;
                 }

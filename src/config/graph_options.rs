@@ -2,7 +2,7 @@
 
 use super::{DopplerUse, KernelLaw, Profile};
 
-/// Options of the modes with a factor graph, beside those of every mode.
+/// Options of the modes with a factor graph, besides those of every mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GraphOptions {
     /// Length of the sliding window (s); older epochs are marginalised.

@@ -2,7 +2,7 @@
 
 use super::Profile;
 
-/// Options of the modes relative to a base, beside those of every mode.
+/// Options of the modes relative to a base, besides those of every mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RtkOptions {
     /// Initial standard deviation of a strong signal's pseudorange at zenith (m); a factor on it is

@@ -34,7 +34,7 @@ pub struct ServiceConfiguration {
     pub log: LogConfiguration,
     /// Hosts that the service may connect to at a client's request.
     pub fetch: FetchConfiguration,
-    /// Sources of ephemerides beside uploads.
+    /// Sources of ephemerides besides uploads.
     pub navigation: NavigationConfiguration,
     /// Sources of base stations.
     pub bases: BasesConfiguration,
@@ -44,7 +44,7 @@ pub struct ServiceConfiguration {
     pub limits: Limits,
 }
 
-/// Sources of ephemerides beside uploads, bases and devices.
+/// Sources of ephemerides besides uploads, bases and devices.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NavigationConfiguration {
@@ -57,7 +57,7 @@ pub struct NavigationConfiguration {
     pub casters: Vec<CasterConfiguration>,
 }
 
-/// Sources of base stations beside those that clients create.
+/// Sources of base stations besides those that clients create.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BasesConfiguration {
@@ -130,7 +130,7 @@ pub struct FetchConfiguration {
     pub hosts: Vec<String>,
     /// Whether these hosts may have addresses of private networks.
     pub private_addresses: bool,
-    /// PEM file of certificate authorities trusted beside the system's.
+    /// PEM file of certificate authorities trusted besides the system's.
     pub ca_file: Option<PathBuf>,
 }
 

@@ -1,7 +1,8 @@
-//! How large a protobuf message becomes, read off its wire form before it is decoded.
+//! The memory of a decoded protobuf message, computed from its encoded form.
 //!
-//! Two bytes of an empty epoch decode to 200. So the fields are counted first, without decoding
-//! them. Source: Protocol Buffers, *Encoding* (protobuf.dev/programming-guides/encoding).
+//! An empty epoch has two bytes encoded and 200 bytes decoded. So the fields are counted, and their
+//! memory is reserved, before anything is decoded. Source: Protocol Buffers, *Encoding*
+//! (protobuf.dev/programming-guides/encoding).
 
 use std::any::TypeId;
 
@@ -13,13 +14,13 @@ use super::{Lease, Refusal, v1};
 const OBSERVATIONS: u32 = 3;
 /// Most fields of a message other than its epochs: entries of maps and ids of bases.
 const FIELDS_MAX: usize = 4096;
-/// Fields of an epoch beside its observations, and some that are unknown.
+/// Most fields of an epoch besides its observations, with a margin for unknown ones.
 const FIELDS_OF_EPOCH: usize = 16;
-/// Memory of a decoded epoch, beside its observations (bytes).
+/// Memory of a decoded epoch without its observations (bytes).
 const EPOCH_BYTES: usize = 512;
 /// Memory of a decoded observation: as a message, and as a measurement (bytes).
 const OBSERVATION_BYTES: usize = 256;
-/// Memory of another decoded field, beside its content (bytes).
+/// Memory of any other decoded field without its content (bytes).
 const FIELD_BYTES: usize = 128;
 
 /// What a request contains, counted before it is decoded.
@@ -48,8 +49,8 @@ impl Extent {
         self.others += count;
     }
 
-    /// Checks the counts, and reserves the memory of the decoded request: what is counted, and
-    /// `text_bytes` of texts.
+    /// Checks the counts, and reserves the memory of the decoded request: that of what is counted,
+    /// and `text_bytes` for its texts.
     ///
     /// # Errors
     /// More epochs, observations or other fields than a request may have, or too little memory.
@@ -204,7 +205,8 @@ mod tests {
         assert_eq!(refused::<v1::SolveRequest>(&bases.encode_to_vec()).0, Code::InvalidField);
     }
 
-    /// What the decoder skips is skipped here: a group of unknown fields, and damaged ends.
+    /// Epochs after a group of unknown fields and before a damaged end are counted, as the decoder
+    /// reads them.
     #[test]
     fn unknown_and_damaged_fields_hide_nothing() {
         let group = [0x7b, 0x12, 2, 9, 9, 0x08, 1, 0x7c];

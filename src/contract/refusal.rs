@@ -20,7 +20,7 @@ pub struct Refusal {
     pub byte_offset: Option<u64>,
     /// The delay before the next attempt.
     pub retry_after: Option<Duration>,
-    /// The cause of a failure, which only the log names: it may say how data is stored.
+    /// The cause of a failure. Only the log contains it, because it may reveal how data is stored.
     pub cause: Option<Box<str>>,
 }
 
@@ -32,14 +32,14 @@ impl Refusal {
         Self { code, message, field, line, byte_offset, retry_after: None, cause: None }
     }
 
-    /// The refusal with the cause that only the log names.
+    /// The refusal with its cause for the log.
     #[must_use]
     pub(super) fn because(mut self, cause: impl Into<Box<str>>) -> Self {
         self.cause = Some(cause.into());
         self
     }
 
-    /// What the log says of a failure.
+    /// The message of a failure for the log.
     pub fn logged(&self) -> String {
         match &self.cause {
             Some(cause) => format!("{}: {cause}", self.message),

@@ -11,7 +11,7 @@ use crate::session::Sessions;
 
 use super::Budget;
 
-/// Uploaded files that are read at the same time. More would only share the processors with the
+/// Uploaded files that are read at the same time. More would take processor time from the
 /// estimators.
 const FILE_READERS: usize = 1;
 
@@ -25,14 +25,14 @@ pub struct Service {
     budget: Budget,
     /// Limits how many uploaded files are read at the same time.
     file_readers: Arc<Semaphore>,
-    /// Names under which the service may be asked, beside `localhost` and its address.
+    /// Host names that requests may use, besides `localhost` and loopback addresses.
     hosts: Arc<[String]>,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
 }
 
 impl Service {
-    /// The service over these desks.
+    /// A service with these desks.
     pub fn new(sessions: Sessions, aiding: AidingDesk, feeds: Feeds, limits: Limits) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
         Self {
@@ -48,7 +48,7 @@ impl Service {
         }
     }
 
-    /// The service as the node of this name.
+    /// The service with the name of its node.
     #[must_use]
     pub fn named(mut self, node: String) -> Self {
         self.node = node.into();
@@ -60,14 +60,14 @@ impl Service {
         &self.node
     }
 
-    /// The same service, which may also be asked under these names.
+    /// The service with further host names that requests may use.
     #[must_use]
     pub fn with_hosts(mut self, hosts: &[String]) -> Self {
         self.hosts = hosts.into();
         self
     }
 
-    /// Whether the operator lists this name of the service.
+    /// Whether the operator lists this host name of the service.
     pub fn is_listed_host(&self, name: &str) -> bool {
         self.hosts.iter().any(|host| host.eq_ignore_ascii_case(name))
     }
@@ -77,7 +77,7 @@ impl Service {
         &self.budget
     }
 
-    /// Waits until a further uploaded file may be read; it is read while the answer is kept.
+    /// Waits until another uploaded file may be read. The caller keeps the permit while it reads.
     pub(super) async fn file_reader(&self) -> OwnedSemaphorePermit {
         let permit = self.file_readers.clone().acquire_owned().await;
         permit.expect("the semaphore is never closed")

@@ -7,7 +7,7 @@ use crate::refusal::Code;
 
 use super::Refusal;
 
-/// Messages up to this size are decoded where they are (bytes).
+/// Messages up to this size are decoded on the thread that received them (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 
 /// Runs `work` on a blocking thread.
@@ -21,7 +21,8 @@ pub async fn in_background<T: Send + 'static>(
     done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
 }
 
-/// Runs `work` on `bytes` bytes. If these are many, other tasks leave the thread first.
+/// Runs `work`, which processes `bytes` bytes. If these are many, the runtime first moves the other
+/// tasks of this thread to another one.
 pub fn off_the_network<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     let is_movable =
         || Handle::try_current().is_ok_and(|at| at.runtime_flavor() == RuntimeFlavor::MultiThread);

@@ -25,7 +25,7 @@ const COMPLETE_AFTER_MS: i64 = 3_600_000;
 /// After this many failures in a row a file no longer delays newer ones. The base takes epochs in
 /// order of time, so the file can no longer be added once a newer one is.
 const BLOCKING_FAILURES: u32 = 4;
-/// Longest time between two looks at the requested times.
+/// Longest interval at which the requested times are read.
 const LOOK_INTERVAL: Duration = Duration::from_secs(3600);
 /// Tolerance of epoch tags to the nominal second (s).
 const TAG_TOLERANCE_S: f64 = 0.5;

@@ -22,7 +22,7 @@ use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptio
 struct StreamKey {
     request: StreamRequest,
     near: Option<GpsTime>,
-    /// Bits of the position. They are only compared.
+    /// The coordinates' bits, which are compared only.
     position: Option<[u64; 3]>,
     /// The base whose rovers' position is reported to the caster. The stream fills this base only.
     follows: Option<BaseId>,

@@ -80,7 +80,7 @@ pub struct FeedHealth {
     /// Number of bytes received.
     pub bytes: u64,
     /// When bytes were last received (ms since 1970-01-01 UTC).
-    pub heard_unix_ms: Option<i64>,
+    pub received_unix_ms: Option<i64>,
     /// Number of epochs received.
     pub epochs: u64,
     /// Time of the last epoch.
@@ -104,7 +104,7 @@ impl FeedHealth {
             connections: 0,
             attempts: 0,
             bytes: 0,
-            heard_unix_ms: None,
+            received_unix_ms: None,
             epochs: 0,
             last_epoch: None,
             ephemerides: 0,

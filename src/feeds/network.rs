@@ -52,7 +52,7 @@ pub struct NetworkRequest {
     pub table_interval: Duration,
     /// A stream that no rover has needed for this long is disconnected.
     pub idle: Duration,
-    /// Interval between two looks at which streams rovers need.
+    /// Interval at which the streams that rovers need are determined.
     pub demand_interval: Duration,
 }
 

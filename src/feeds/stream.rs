@@ -98,11 +98,11 @@ impl StreamStatus {
     }
 }
 
-/// What the stream cannot know itself: its approximate time, and the rovers' position.
+/// Data that the stream does not contain: its approximate time, and the rovers' position.
 #[derive(Default)]
 pub(super) struct StreamHints {
     pub(super) near: Option<GpsTime>,
-    /// The rovers' position until one of them is computed.
+    /// Position reported to the caster until the first rover is positioned.
     pub(super) position: Option<Ecef>,
     /// The base whose rovers' position is reported to the caster.
     pub(super) follows: Option<BaseId>,
@@ -111,12 +111,12 @@ pub(super) struct StreamHints {
 /// Epochs of a station at one position.
 #[derive(Default)]
 struct StationEpochs {
-    /// The station message that came just before the epochs.
+    /// The station message that preceded the epochs.
     station: Option<Station>,
     epochs: Vec<Epoch>,
 }
 
-/// What a stream connects with and what it fills.
+/// The connector of a stream, the desk that it fills, and its timing.
 pub(super) struct StreamMeans {
     pub(super) connector: Connector,
     pub(super) aiding: AidingDesk,
@@ -129,7 +129,7 @@ pub(super) struct Stream {
     hints: StreamHints,
     /// Position and antenna of the station, once the stream has reported them.
     site: Option<BaseSite>,
-    /// Epochs that came before this. Bases accept them only with a position.
+    /// Epochs received before `site`. They wait, because bases without a position refuse them.
     early: VecDeque<Epoch>,
     status: Arc<StreamStatus>,
     connector: Connector,
@@ -271,7 +271,7 @@ impl Stream {
         {
             let mut health = self.status.lock();
             health.bytes += bytes as u64;
-            health.heard_unix_ms = Some(unix_ms());
+            health.received_unix_ms = Some(unix_ms());
             health.epochs += count as u64;
             health.ephemerides += navigation.len() as u64;
             health.last_epoch = last.or(health.last_epoch);

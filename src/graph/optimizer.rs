@@ -50,7 +50,7 @@ pub enum Outcome {
     Stalled,
 }
 
-/// Result of a solve, beside the estimate.
+/// Result of a solve, besides the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// How the last stage ended.

@@ -1,7 +1,7 @@
-//! What a request passes before it is a call: its content type, its encoding, and its deadline.
+//! Checks of a request before its call: content type, encoding and deadline.
 //!
-//! Messages are unpacked here, and not by tonic, so that the ratio and the memory are checked while
-//! a message is unpacked, outside the threads that serve the network.
+//! Messages are unpacked here and not by tonic. So their compression ratio and memory are checked
+//! while they are unpacked, and this happens outside the threads that serve the network.
 
 use std::io::{BufRead, Read};
 use std::time::Duration;
@@ -59,8 +59,8 @@ fn refused(refusal: &Refusal) -> Response {
     to_status(refusal).into_http::<Body>()
 }
 
-/// The time that the caller waits; up to eight digits and a unit. Invalid texts are ignored, as
-/// the specification asks.
+/// The value of `grpc-timeout`: up to eight digits and a unit. Invalid values are ignored, as the
+/// specification of gRPC demands.
 fn timeout_of(headers: &HeaderMap) -> Option<Duration> {
     let text = headers.get(TIMEOUT)?.to_str().ok()?;
     let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
@@ -125,7 +125,8 @@ async fn collected(mut body: Body, limit: usize) -> Result<Bytes, Refusal> {
     Ok(packed.freeze())
 }
 
-/// The same message, not packed. What is not a packed message is left to tonic.
+/// The same message, unpacked. Bytes that are not one packed message are returned unchanged, for
+/// tonic to refuse or to read.
 fn unpacked(
     packed: Bytes,
     encoding: Encoding,
@@ -153,7 +154,7 @@ fn unpacked(
     Ok(message.into())
 }
 
-/// Reads a message to its end, behind the place of its prefix.
+/// Reads a message to its end. The result begins with [`PREFIX_BYTES`] zeros for its prefix.
 fn read(
     reader: &mut dyn Read,
     packed: usize,

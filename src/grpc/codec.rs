@@ -13,8 +13,8 @@ use crate::refusal::Code;
 use super::status::to_status;
 
 /// Encodes like [`ProstCodec`]. A message that cannot be decoded is refused as `MALFORMED_BODY`,
-/// with the byte at which decoding stopped. In a door its content is counted first, and the memory
-/// of the decoded message is reserved.
+/// with the byte at which decoding stopped. The service, but not a client, first counts the content
+/// and reserves the memory of the decoded message.
 #[derive(Clone, Debug)]
 pub struct Codec<T, U>(PhantomData<(T, U)>);
 

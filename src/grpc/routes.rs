@@ -19,7 +19,7 @@ use super::v1::sessions_server::SessionsServer;
 use super::v1::solutions_server::SolutionsServer;
 use super::{DESCRIPTORS, Door, admission, frame};
 
-/// Time between two looks at the service's readiness.
+/// Interval at which the service's readiness is checked.
 const HEALTH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// All services, health and reflection, without a fallback: the shared router has one.
@@ -56,10 +56,10 @@ pub(crate) fn routes(service: &Service) -> Router {
         .layer(CatchPanicLayer::custom(frame::panicked))
 }
 
-/// The reflection service. It must stay a function of its own that is never inlined: with
+/// The reflection service. It must stay a separate function that is never inlined: with
 /// optimisation by rustc 1.95, two builders configured through one closure shared a buffer that the
-/// first one had freed, and the service died at its start. Whether the compiler or the library is
-/// at fault is unknown.
+/// first one had freed, and the service crashed at its start. Whether the compiler or the library
+/// is at fault is unknown.
 #[inline(never)]
 fn reflection() -> tonic_reflection::server::Builder<'static> {
     tonic_reflection::server::Builder::configure()

@@ -9,7 +9,7 @@ use tonic_types::{ErrorDetails, StatusExt};
 use crate::contract::Refusal;
 use crate::refusal::Class;
 
-/// Answers are compressed from this length on (bytes): below it the time is worth more.
+/// Answers are compressed from this length on (bytes). Shorter ones are not worth the time.
 const COMPRESSED_FROM_BYTES: usize = 1 << 10;
 /// Domain of the codes in `ErrorInfo`.
 const DOMAIN: &str = "graphfix";

@@ -1,4 +1,4 @@
-//! What every request of both doors passes: the host it names, and the memory it may use.
+//! Checks of every request of both doors: the host that it names, and the memory that it may use.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,11 +17,11 @@ use crate::refusal::Code;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
 
-/// Names the request, as the log does.
+/// Header of an answer with the request's id. The log has the same id.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-/// Nothing may be loaded or framed.
+/// `Content-Security-Policy` of answers that are not pages: nothing may be loaded or framed.
 const NO_CONTENT: &str = "default-src 'none'; frame-ancestors 'none'";
-/// The pages load nothing from other hosts.
+/// `Content-Security-Policy` of the pages, which load nothing from other hosts.
 const OWN_CONTENT: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; \
                            img-src 'self' data:; frame-ancestors 'none'";
 
@@ -49,13 +49,13 @@ pub(super) async fn admit(
     if is_grpc { response } else { with_security_headers(response) }
 }
 
-/// Whether the request is one of gRPC.
+/// Whether these are the headers of a gRPC request.
 pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
     let kind = headers.get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
-/// A refusal in the form of the door that was meant.
+/// A refusal as the addressed door sends it: a gRPC status, or a problem document.
 pub(super) fn answer(refusal: Refusal, is_grpc: bool) -> Response {
     if is_grpc {
         return grpc::to_status(&refusal).into_http::<Body>();
@@ -63,8 +63,9 @@ pub(super) fn answer(refusal: Refusal, is_grpc: bool) -> Response {
     Refused(refusal).into_response()
 }
 
-/// Refuses hosts that are not this service, so that a web page cannot reach it under a name of its
-/// own (DNS rebinding), and pages of other origins.
+/// Refuses a request for a host that is not this service, and a request from a page of another
+/// origin. Otherwise a web page could resolve its own host name to this machine and so reach the
+/// service (DNS rebinding).
 fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), Refusal> {
     let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
     let host = uri.authority().map(|authority| authority.as_str()).or(text(header::HOST));
@@ -82,7 +83,7 @@ fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), R
     Err(Refusal::new(Code::OriginRefused, message))
 }
 
-/// Whether a host is this machine by its address, or a listed name.
+/// Whether a host is `localhost`, a loopback address, or a name that the operator lists.
 fn is_own(service: &Service, host: &str) -> bool {
     let name = name_of(host);
     let address = name.trim_start_matches('[').trim_end_matches(']');
@@ -134,7 +135,7 @@ fn refusal_error(refusal: Refusal) -> BoxError {
     refusal.into()
 }
 
-/// Tells browsers to take an answer for nothing but what it says it is.
+/// Adds a `Content-Security-Policy`, and forbids browsers to guess the content type.
 fn with_security_headers(mut response: Response) -> Response {
     let headers = response.headers_mut();
     let kind = headers.get(header::CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();

@@ -18,7 +18,7 @@ use super::problem::Refused;
 /// Longer bodies are read on a blocking thread (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 /// Content types of bodies that are files or bytes of a receiver. A web page of another origin
-/// cannot send them unasked.
+/// cannot send them without a CORS preflight, which the service does not grant.
 const RAW_TYPES: [&str; 3] = ["application/octet-stream", "application/gzip", "application/x-gzip"];
 
 /// Largest body of a route (bytes), after decompression in transit.
@@ -44,7 +44,7 @@ impl<S: Send + Sync, T: DeserializeOwned + Send + 'static> FromRequest<S> for Js
         check_type(&request, &["application/json"])?;
         let bytes = read(request).await?;
         if let Some(lease) = Lease::current() {
-            // Its texts are copied once.
+            // The texts are copied; twice the length of the body bounds their memory.
             extent_of(&bytes).reserve(2 * bytes.len(), &lease)?;
         }
         if bytes.len() <= SHORT_BYTES {
@@ -136,7 +136,7 @@ pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
     Ok(value)
 }
 
-/// The refusal of a body or query that is not of the schema.
+/// The refusal of a body or query that does not match the schema.
 fn unfit(message: String, path: &str) -> Refusal {
     let unknown = message.contains("unknown field");
     let code = if unknown { Code::UnknownField } else { Code::InvalidField };

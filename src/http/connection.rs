@@ -1,4 +1,4 @@
-//! One connection: serves its requests, and closes it when its peer keeps it waiting.
+//! One connection: serves its requests, and closes it when its peer is too slow.
 
 use std::convert::Infallible;
 use std::io;
@@ -25,18 +25,19 @@ use super::metered::Keeping;
 
 /// Largest head of a request (bytes).
 const HEAD_BYTES: usize = 16 << 10;
-/// Bytes that a peer may send before a request reads them: of a connection, and of a stream.
+/// HTTP/2 flow-control windows (bytes): of a connection, and of a stream. A peer may send this much
+/// before a request reads it.
 const WINDOWS_BYTES: [u32; 2] = [512 << 10, 256 << 10];
-/// Bytes of an answer that wait for a slow reader, of one stream.
+/// Most bytes of answers that one stream buffers for a slow reader.
 const SEND_BYTES: usize = 256 << 10;
-/// Requests of one connection at the same time.
+/// Most concurrent requests of one HTTP/2 connection.
 const STREAMS: u32 = 128;
 /// Interval of pings to a peer of HTTP/2, and the time that it has to answer.
 const PING_INTERVAL: Duration = Duration::from_secs(20);
 const PING_TIMEOUT: Duration = Duration::from_secs(20);
-/// Time between two looks at a connection that serves a request.
+/// Interval at which a connection that serves a request is checked.
 const LOOK_INTERVAL: Duration = Duration::from_secs(5);
-/// Time that a connection has to end after it was asked to.
+/// Time that a connection has for its shutdown.
 const END_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// How long a connection waits for its peer.
@@ -58,10 +59,10 @@ struct Activity {
     running: AtomicUsize,
     /// When the last request ended.
     ended_ms: AtomicU64,
-    /// Since when the peer has taken nothing of an answer.
+    /// Since when the peer has read nothing of an answer.
     blocked_ms: AtomicU64,
-    /// When the head of the next request began. Only known of HTTP/1, where nothing but requests
-    /// arrives.
+    /// When the head of the next request began. Known for HTTP/1 only, where the peer sends nothing
+    /// but requests.
     head_ms: AtomicU64,
     is_http1: AtomicBool,
 }
@@ -153,7 +154,7 @@ pub(super) async fn serve_connection(
         stopping.wait_for(|stopping| *stopping).await.ok();
     };
     tokio::select! {
-        // Err: the peer broke the protocol or the connection, which it knows.
+        // Err: the peer violated the protocol or ended the connection. Nobody waits for an answer.
         _ = connection.as_mut() => return,
         () = must_close => {}
         () = stopped => {}
@@ -194,7 +195,7 @@ fn builder(patience: &ConnectionPatience) -> auto::Builder<TokioExecutor> {
     builder
 }
 
-/// A stream that notes since when its peer takes no bytes.
+/// A stream that records since when its peer has read nothing.
 struct Watched<I> {
     io: I,
     activity: Arc<Activity>,

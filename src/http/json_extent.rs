@@ -44,7 +44,7 @@ pub(super) fn extent_of(text: &[u8]) -> Extent {
     extent
 }
 
-/// The position after the quote that ends a text which begins at `at`.
+/// The offset after the closing quote of a string whose content begins at `at`.
 fn end_of_text(text: &[u8], mut at: usize) -> usize {
     while let Some(found) = memchr2(b'"', b'\\', &text[at..]) {
         at += found + 1;

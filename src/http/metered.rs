@@ -1,4 +1,5 @@
-//! Bodies that keep to limits while they are read, and bodies that keep something until they end.
+//! Bodies of requests, limited while they are read; and bodies of answers that keep a value alive
+//! until they are sent.
 
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -33,15 +34,15 @@ pub(super) struct Metered {
     patience: Patience,
     begun: Instant,
     silence: Pin<Box<Sleep>>,
-    /// A refusal in the form of the door.
+    /// Converts a refusal into the error that the door expects from a body.
     fault: fn(Refusal) -> BoxError,
 }
 
 impl Metered {
-    /// The body of a request of which `length` bytes are announced.
+    /// The body of a request that announces `length` bytes.
     ///
     /// # Errors
-    /// There is no memory for them.
+    /// The budget does not have this much memory.
     pub(super) fn new(
         body: Body,
         length: usize,
@@ -55,7 +56,7 @@ impl Metered {
         Ok(Self { body, lease, reserved: length, arrived: 0, patience, begun, silence, fault })
     }
 
-    /// Makes room for what arrives next.
+    /// Reserves memory for the next bytes.
     fn reserve_next(&mut self) -> Result<(), Refusal> {
         if self.body.is_end_stream() || self.arrived < self.reserved {
             return Ok(());
@@ -125,14 +126,14 @@ impl HttpBody for Metered {
     }
 }
 
-/// A body that keeps `kept` until it is dropped.
+/// A body that keeps a value alive until the body is dropped.
 pub(super) struct Keeping<K> {
     body: Body,
     _kept: K,
 }
 
 impl<K: Send + Unpin + 'static> Keeping<K> {
-    /// `body`, which keeps `kept`.
+    /// `body`, keeping `kept` alive.
     pub(super) fn body(body: Body, kept: K) -> Body {
         Body::new(Self { body, _kept: kept })
     }

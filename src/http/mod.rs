@@ -1,4 +1,4 @@
-//! The REST door, and the port that both doors share. The router is on this page.
+//! The REST door, and the port that both doors share. The router is in this file.
 
 mod admission;
 mod bases;
@@ -40,7 +40,7 @@ pub use server::serve;
 /// Largest body of a call that brings neither epochs nor a file (bytes).
 const CONTROL_BYTES: usize = 256 << 10;
 
-/// Names the node that answers, on both doors.
+/// Header with the name of the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
 
 async fn name_node(State(service): State<Service>, mut response: Response) -> Response {

@@ -37,7 +37,7 @@ pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
     Json(openapi::document())
 }
 
-/// The answer to an unknown path, in the form of the door that was meant.
+/// The answer to an unknown path, as the addressed door sends it.
 pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     let message = format!("{method} {} is not a call", uri.path());
     let refusal = Refusal::new(Code::RouteNotFound, message);

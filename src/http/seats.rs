@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::contract::Refusal;
 use crate::refusal::Code;
 
-/// Files that are kept for the database, feeds and the log.
+/// File descriptors that are reserved for the database, the feeds and the log.
 const OTHER_FILES: usize = 256;
-/// Where Linux reports how many files the process may open.
+/// Where Linux reports how many file descriptors the process may open.
 const PROCESS_LIMITS: &str = "/proc/self/limits";
 
 /// The connections that may be open. All clones share them.
@@ -87,7 +87,7 @@ impl Drop for Seat {
     }
 }
 
-/// The soft limit of open files in a text like `/proc/self/limits`; none if it has no limit.
+/// The soft limit of open files in a text like `/proc/self/limits`; `None` if there is no limit.
 fn open_files(text: &str) -> Option<usize> {
     let line = text.lines().find_map(|line| line.strip_prefix("Max open files"))?;
     line.split_whitespace().next()?.parse().ok()

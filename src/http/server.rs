@@ -1,4 +1,4 @@
-//! The listening port: binds it, serves both doors, and stops in order.
+//! The listening port: accepts connections, serves both doors, and drains when the service stops.
 
 use std::any::Any;
 use std::future::Future;
@@ -20,14 +20,15 @@ use super::seats::Seats;
 
 /// The delay after a connection that could not be accepted.
 const ACCEPT_DELAY: Duration = Duration::from_millis(100);
-/// The delay that a connection which is not served is asked to wait (s).
+/// `Retry-After` of the answer to a refused connection (s).
 const RETRY_AFTER_S: u64 = 2;
 
 /// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains.
 ///
-/// While draining, `/readyz` and the gRPC health service report not ready. After the notice no
-/// connection is accepted, and running requests have `limits.drain_s` to finish. A listener that
-/// cannot accept, for instance for want of files, tries again.
+/// While draining, `/readyz` and the gRPC health service report not ready. After
+/// `limits.drain_notice_s` no connection is accepted, and running requests have `limits.drain_s` to
+/// finish. If a connection cannot be accepted, for instance because no file descriptor is free, the
+/// listener tries again after a delay.
 pub async fn serve(
     listener: TcpListener,
     service: &Service,
@@ -57,7 +58,7 @@ pub async fn serve(
     }
 }
 
-/// Accepts connections, each served by a task of its own.
+/// Accepts connections and serves each in its own task.
 async fn accept(
     listener: TcpListener,
     service: &Service,
@@ -76,7 +77,7 @@ async fn accept(
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
-                // The peer has gone, or the process has no file for it.
+                // The peer has ended the connection, or no file descriptor is free.
                 tracing::debug!(%error, "a connection was not accepted");
                 tokio::time::sleep(ACCEPT_DELAY).await;
                 continue;
@@ -99,7 +100,7 @@ async fn accept(
     }
 }
 
-/// Answers a connection that is not served, as far as its buffer takes the answer at once.
+/// Answers a refused connection without waiting: what the socket's buffer does not take is lost.
 fn refuse(stream: TcpStream, refusal: &Refusal) {
     let problem = Problem::of(refusal);
     let body = serde_json::to_string(&problem).expect("a problem is texts and numbers");
@@ -109,7 +110,7 @@ fn refuse(stream: TcpStream, refusal: &Refusal) {
         problem.status,
         body.len(),
     );
-    // Err: the peer has gone, or speaks HTTP/2 and takes the end for the answer.
+    // Err: the peer has ended the connection. A peer with HTTP/2 sees only that it ends.
     stream.into_std().and_then(|mut stream| stream.write(answer.as_bytes())).ok();
 }
 

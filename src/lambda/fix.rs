@@ -3,7 +3,7 @@
 use crate::lambda::EXACT_MAX;
 use crate::lambda::reduction::Reduction;
 
-/// The integers of the entries; a partial fix has them of some.
+/// The integers of the entries; a partial fix has integers for some of them only.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
     entries: Vec<Option<i64>>,
@@ -25,8 +25,8 @@ impl Fix {
         self.entries.resize(size, None);
     }
 
-    /// Stores the decorrelated integers `z` of all `members`, the original entries of which the
-    /// reduction was made: a = base + Z⁻ᵀz.
+    /// Stores the integers of `members`, the entries that were decorrelated together, from their
+    /// decorrelated integers `z`: a = base + Z⁻ᵀz.
     ///
     /// `base` are the members' integer parts, subtracted before decorrelation. Returns whether all
     /// products of these with the transformation are exact in an `f64`.

@@ -173,7 +173,8 @@ impl Reduction {
         self.scale.swap(p, i);
     }
 
-    /// Before decorrelation Z is a permutation: where its column `i` points.
+    /// The original index of entry `i`. Before decorrelation Z is a permutation, and this is the
+    /// row of the one in its column `i`.
     fn original_index(&self, i: usize) -> usize {
         let column = self.combination(i);
         column.iter().position(|&z| z != 0.0).expect("a permutation has a one in each column")

@@ -23,9 +23,10 @@ pub struct Options {
     /// Smallest ratio R = ‖â − a₂‖² / ‖â − a₁‖² of the second best to the best; 0: no condition.
     pub ratio_min: f64,
     /// Smallest posterior probability of the best candidate; 0: no condition. If the covariance is
-    /// right, no other test accepts more at the same rate of accepted wrong integers.
+    /// right, no other test accepts more integers at the same rate of wrong ones.
     pub probability_min: f64,
-    /// Prior of the covariance's scale, for that probability; `None`: the scale is exact.
+    /// Prior of the covariance's unknown scale, for the posterior probability; `None`: the scale is
+    /// exact.
     pub scale: Option<KnownScale>,
     /// Smallest number of entries in a fix.
     pub fixed_min: usize,

@@ -81,7 +81,7 @@ mod tests {
         assert!((1.0 - erfc_fraction(2.0) - erf_series(2.0)).abs() < 1e-15);
     }
 
-    /// Against four hundred levels.
+    /// Compared with 400 levels of the continued fraction.
     #[test]
     fn more_levels_change_nothing() {
         for x in (0..560).map(|i| 2.0 + 0.05 * f64::from(i)) {
@@ -98,7 +98,7 @@ mod tests {
         assert!((bootstrapped_success_rate(&[0.25; 3]) - 0.682_689_492_f64.powi(3)).abs() < 1e-9);
     }
 
-    /// Two sides beyond 7.07σ: 1.54e-12, lost if taken as 1 − P.
+    /// Both tails beyond 7.07σ have 1.54e-12. Computed as 1 − P, its digits would be lost.
     #[test]
     fn tiny_failure_rates_keep_their_digits() {
         let rate = -log_success_rate(&[0.005]).exp_m1();

@@ -1,4 +1,4 @@
-//! Laws of the whole: brute force, unimodularity, calibration, bounds.
+//! Properties of the whole module: agreement with brute force, unimodularity, calibration, bounds.
 
 use nalgebra::DMatrix;
 use nalgebra::DVector;
@@ -9,7 +9,7 @@ use crate::lambda::search::{Search, SearchLimits};
 use crate::lambda::success::bootstrapped_success_rate;
 use crate::lambda::*;
 
-/// SplitMix64, for floats and covariances that repeat.
+/// SplitMix64, for reproducible floats and covariances.
 struct Random(u64);
 
 impl Random {
@@ -30,7 +30,8 @@ impl Random {
         DMatrix::from_fn(rows, columns, |_, _| self.normal())
     }
 
-    /// Strongly correlated: three coarse real parameters seen by fine measurements.
+    /// A strongly correlated covariance: that of differences of unit noise, which depend on three
+    /// common real parameters of standard deviation `coarseness`; all scaled by `sigma`.
     fn covariance(&mut self, size: usize, sigma: f64, coarseness: f64) -> DMatrix<f64> {
         let design = self.matrix(size, 3) * coarseness;
         (DMatrix::from_fn(size, size, |i, j| if i == j { 2.0 } else { 1.0 })
@@ -125,7 +126,7 @@ fn three_by_three_example() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Best and second best are those of enumeration, where the cube holds the ellipsoid.
+    /// Best and second best are those of enumeration, if the cube contains the ellipsoid.
     #[test]
     fn equals_brute_force(seed in any::<u64>(), size in 1_usize..=4) {
         let mut random = Random(seed);
@@ -200,7 +201,8 @@ proptest! {
     }
 }
 
-/// Bootstrapping of 20 000 floats succeeds at its stated rate, and least squares at least at it.
+/// Bootstrapping of 20 000 floats succeeds at the stated rate; integer least squares at no lower
+/// rate.
 #[test]
 fn success_rate_matches_monte_carlo() {
     let mut random = Random(7);
@@ -225,7 +227,7 @@ fn success_rate_matches_monte_carlo() {
     assert!(bootstrapped <= least_squares);
 }
 
-/// Integers with posterior p are right in a share p of the cases, within 3σ and 1 %.
+/// Integers with the posterior p are right in a fraction p of the cases, within 3σ and 1 %.
 #[test]
 fn posterior_is_calibrated() {
     let mut random = Random(11);
@@ -304,7 +306,7 @@ fn badly_conditioned_covariances_end() {
     assert!(5 <= answered, "only {answered} of 9 answered");
 }
 
-/// The restored integers have the norm the search states.
+/// The restored integers have the squared norm that the search reports.
 #[test]
 fn stated_norm_is_that_of_the_integers() {
     let mut random = Random(17);

@@ -114,8 +114,8 @@ fn log_chi_squared_survival(n: usize, q: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Known as well as by four residuals, two integers of squared norm 8 against 2 have
-    /// (6/12)^3 = 1/8 of their odds; with the scale certain it would be e^−3.
+    /// With ν = 4 and s² = 1, two entries of squared norm 8 have the odds ((4 + 2)/(4 + 8))^3 = 1/8
+    /// against those of squared norm 2. With an exact scale the odds would be e^−3.
     #[test]
     fn odds_worked_by_hand() {
         let scale = |freedom| KnownScale { freedom, variance: 1.0 };
@@ -137,7 +137,7 @@ mod tests {
         KnownScale { freedom, variance: 1.0 }
     }
 
-    /// A scale known to be about a quarter is a covariance a quarter as large.
+    /// A well known scale of ¼ gives the same posterior as a covariance a quarter as large.
     #[test]
     fn a_known_scale_is_a_covariance() {
         let (norms, variances) = ([0.4, 2.0, 3.0, 3.5], [2e-2, 5e-2, 1e-2]);
@@ -159,12 +159,12 @@ mod tests {
         let mut norms: Vec<f64> = (-4..=4).map(|z: i32| (float - f64::from(z)).powi(2)).collect();
         norms.sort_by(f64::total_cmp);
         let found = scaled_posterior_probability(&norms, &[1.0], about_one(freedom));
-        // The tail is an integral over what is a sum.
+        // The tail approximates a sum by an integral.
         assert!((found - weight(0) / sum).abs() < 2e-3, "{found} {}", weight(0) / sum);
         let normal = posterior_probability(&norms, &[1.0]);
         let certain = scaled_posterior_probability(&norms, &[1.0], about_one(1e4));
         assert!((certain - normal).abs() < 1e-3);
-        // The same difference of norms, a poorer best.
+        // The same difference of squared norms, but a best candidate that fits worse.
         let near = scaled_posterior_probability(&[1.0, 15.0], &[1e-3; 4], about_one(10.0));
         let poor = scaled_posterior_probability(&[20.0, 34.0], &[1e-3; 4], about_one(10.0));
         assert!(0.99 < near && poor < 0.97, "{near} {poor}");

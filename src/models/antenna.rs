@@ -16,8 +16,8 @@ use nalgebra::Vector3;
 use super::LookAngles;
 use crate::gnss::{AntennaCalibration, ObservationCode, PhaseCentrePattern, Signal};
 
-/// Largest distance to a calibrated frequency that replaces a missing one (Hz): B1I and G1 take the
-/// calibration of GPS L1, E5b that of L2; L5 has no replacement.
+/// Largest difference to a calibrated frequency that is used for a missing one (Hz): B1I and G1
+/// take the calibration of GPS L1, E5b that of L2. L5 has no such neighbour.
 const NEAREST_HZ: f64 = 40e6;
 
 /// Phase-centre correction of a range from the antenna reference point (m).
@@ -89,7 +89,8 @@ mod tests {
     use super::*;
     use crate::gnss::Constellation;
 
-    /// Up 10 cm, north 1 cm; 1 mm per 10° from the zenith, turned by azimuth where asked.
+    /// Offset 10 cm up and 1 cm north; variation of 1 mm per 10° from the zenith, which depends on
+    /// the azimuth if `with_azimuth`.
     fn pattern(with_azimuth: bool) -> PhaseCentrePattern {
         let row = |scale: f64| (0..=9).map(|step| scale * f64::from(step) * 1e-3).collect();
         let turned = (0..=4).map(|quarter| row(if quarter == 1 { 2.0 } else { 1.0 })).collect();
@@ -112,8 +113,8 @@ mod tests {
         )
     }
 
-    /// In the zenith the phase centre is 10 cm nearer; at 30° in the north 0.5·10 + 0.866·1 cm, and
-    /// 6 mm of variation; in the south the centimetre counts the other way.
+    /// In the zenith the phase centre is 10 cm nearer. At 30° in the north it is
+    /// 0.5·10 + 0.866·1 cm nearer, and the variation is 6 mm; in the south 0.5·10 − 0.866·1 cm.
     #[test]
     fn offsets_shorten_and_variations_lengthen() {
         assert!((at(false, 0.0, 90.0) + 0.1).abs() < 1e-12);

@@ -107,7 +107,8 @@ mod tests {
         }
     }
 
-    /// The Sagnac term equals turning the satellite's position by the Earth's rotation en route.
+    /// The Sagnac term equals rotating the satellite's position by the Earth's rotation during the
+    /// signal's travel.
     #[test]
     fn sagnac_is_the_turn_of_the_frame() {
         let (range, _) = geometric_range(SATELLITE, RECEIVER);

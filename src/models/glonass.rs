@@ -93,7 +93,7 @@ mod tests {
     use super::*;
     use crate::models::sample;
 
-    /// Fifteen minutes there and back again end where they began.
+    /// Integration over 15 minutes forwards and backwards returns to the start.
     #[test]
     fn integration_undoes_itself() {
         let start = sample::glonass();
@@ -111,8 +111,8 @@ mod tests {
         }
     }
 
-    /// In inertial axes and without oblateness, Sun and Moon the orbit would keep its energy; with
-    /// oblateness it keeps the sum with that potential, µJ₂a²(3 sin²φ − 1)/2r³.
+    /// Without Sun and Moon the orbit's energy in inertial axes is constant, including the potential
+    /// of the oblateness, µJ₂a²(3 sin²φ − 1)/2r³.
     #[test]
     fn energy_is_kept() {
         let mut start = sample::glonass();

@@ -1,7 +1,7 @@
 //! Keplerian broadcast orbits and their clocks: GPS, Galileo, BeiDou and QZSS.
 //!
 //! The algorithm is IS-GPS-200N, table 20-IV (legacy) and table 30-II (CNAV: rates of A and n),
-//! which Galileo OS SIS ICD 2.1, 5.1.1, and BDS-SIS-ICD-B1I-3.0, table 5-11, share but for their
+//! which Galileo OS SIS ICD 2.1, 5.1.1, and BDS-SIS-ICD-B1I-3.0, table 5-11, share except for the
 //! constants; geostationary BeiDou satellites are given in a frame tilted by −5°. Velocities are
 //! the same equations differentiated, as in Remondi (2004), *Computing satellite velocity using
 //! the broadcast ephemeris*, GPS Solutions 8(3).
@@ -228,8 +228,8 @@ mod tests {
         relativity_rate_m_s: f64,
     }
 
-    /// Worked apart with 30 digits (Python's mpmath), through the true anomaly by `atan2` and
-    /// with velocities as differences over 2 µs.
+    /// Computed independently with 30 digits (Python's mpmath): the true anomaly by `atan2`,
+    /// velocities as differences over 2 µs.
     fn expected() -> [Expected; 4] {
         [
             Expected {

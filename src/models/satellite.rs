@@ -113,7 +113,7 @@ mod tests {
         }
     }
 
-    /// What the flight and the satellite's clock move the satellite by: both must be there.
+    /// The signal's travel time and the satellite's clock each change the satellite's position.
     #[test]
     fn flight_and_clock_matter() {
         let ephemeris = Ephemeris::Keplerian(sample::gps());

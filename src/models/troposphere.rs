@@ -215,7 +215,7 @@ mod tests {
         assert!((value - expected).abs() < tolerance, "{value}, not {expected}");
     }
 
-    /// Zenith delays worked in Python from the formulas above.
+    /// Expected values: zenith delays computed in Python from the formulas above.
     #[test]
     fn zenith_delays_worked_apart() {
         let sea = Geodetic::from_degrees(45.0, 0.0, 0.0);
@@ -230,7 +230,8 @@ mod tests {
         near(wet, 0.064_719_185_444_12, 1e-12);
     }
 
-    /// Niell's functions worked in Python: at 45° in mid-spring, at 30° on the winter day.
+    /// Expected values: Niell's functions computed in Python, at 45° in mid-spring and at 30° on
+    /// the winter day.
     #[test]
     fn niell_worked_apart() {
         let winter = GpsTime::EPOCH + (WINTER_DAY - GPS_EPOCH_DAY) * SECONDS_PER_DAY;
@@ -252,7 +253,7 @@ mod tests {
         near(slant(&south, winter + YEAR_S / 2.0, 10.0, 1.0, 0.0), 5.556_008_471_066_759, 1e-9);
     }
 
-    /// The mappings agree high in the sky and part towards the horizon.
+    /// The mappings agree at high elevations and differ towards the horizon.
     #[test]
     fn mappings_part_towards_the_horizon() {
         let receiver = Geodetic::from_degrees(22.3, 114.2, 5.0);

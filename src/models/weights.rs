@@ -191,7 +191,7 @@ mod tests {
         near(model.variance_m2(1.0, None), 10.25);
     }
 
-    /// goGPS's factor worked in Python from the published formula.
+    /// Expected values: goGPS's factor computed in Python from the published formula.
     #[test]
     fn gogps_worked_apart() {
         let cosecant = ElevationTerm::InverseSineSquared { a_m: 0.0, b_m: 1.0 };

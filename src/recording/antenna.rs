@@ -71,7 +71,7 @@ impl ReceiverAntenna {
     }
 }
 
-/// The rover's approximate position, good to some kilometres, for the directions of antenna
+/// The rover's approximate position, to a few kilometres, for the directions of antenna
 /// corrections: an error of 1 km turns a direction by 5·10⁻⁵ rad, which changes the correction of a
 /// phase centre 10 cm from the antenna reference point by 5 µm.
 ///

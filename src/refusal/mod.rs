@@ -26,7 +26,7 @@ pub enum Class {
     Conflict,
     /// The session or base is not in a state to serve the request.
     Precondition,
-    /// The request comes from where none is taken.
+    /// Requests for this host or from this origin are not accepted.
     Forbidden,
     /// The request or its answer took too long.
     Timeout,

@@ -13,7 +13,7 @@ use super::{BaseEpochRefusal, CommittedEpoch};
 /// Tolerance of epoch tags to the nominal second (s).
 const TAG_TOLERANCE_S: f64 = 0.5;
 
-/// Whether a span of time, without its end, has all its epochs.
+/// Whether all epochs of a span of time, which excludes its end, are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Coverage {
     /// More epochs of the span may still arrive.
@@ -35,7 +35,7 @@ pub(super) struct BaseEpochs {
     /// Encoded size of the epochs.
     pub(super) bytes: usize,
     pub(super) checks: PositionChecks,
-    /// The push of navigation data and the newest epoch that a check on request had.
+    /// The navigation push and the newest epoch (their numbers) of the last check on request.
     pub(super) check_tried: Option<(u64, u64)>,
     /// Number of satellites in the newest epoch.
     pub(super) satellites: usize,

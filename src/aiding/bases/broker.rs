@@ -25,9 +25,9 @@ type PushedEpoch = Result<StoredBaseEpoch, BaseEpochRefusal>;
 
 /// The site of a push.
 enum PushedSite<'a> {
-    /// It replaces the present one.
+    /// Replaces the present site.
     Stated(&'a BaseSite),
-    /// It is used as long as the base has no other.
+    /// Is used only if the base has no site.
     IfUnknown(&'a BaseSite),
 }
 
@@ -41,7 +41,7 @@ impl<'a> PushedSite<'a> {
     }
 }
 
-/// Number of newest epochs that a position is checked with on request.
+/// Number of the newest epochs with which a position is checked on request.
 const CHECKED_EPOCHS: usize = 20;
 
 /// The desk for base stations. All clones share the same bases.
@@ -209,7 +209,7 @@ impl BaseBroker {
         Ok(self.base(id)?.stored().coverage(from, until))
     }
 
-    /// Most that a file of a base may bring.
+    /// Limits of a file of a base.
     pub const fn file_limits(&self) -> BaseFileLimits {
         BaseFileLimits {
             epochs: self.limits.epochs_per_base,
@@ -374,7 +374,7 @@ impl BaseBroker {
         let stored_unix_ms = unix_ms();
         let change = BaseChange { site, epochs: &epochs, first_kept, stored_unix_ms };
         if let Err(error) = self.store.push_base(base.name().key, &change).await {
-            // A connection that breaks during the commit leaves its fate open.
+            // If the connection broke during the commit, its outcome is unknown.
             base.stored().outdated = true;
             return Err(error.into());
         }
@@ -414,7 +414,7 @@ impl BaseBroker {
             let epochs = epochs.iter().filter_map(|stored| stored.epoch().ok());
             checks.advance(&site, epochs, &navigation)
         };
-        // Err: it panicked, so the check learns nothing.
+        // Err: it panicked; the checks stay as they were.
         tokio::task::spawn_blocking(work).await.unwrap_or(checks)
     }
 

@@ -7,20 +7,20 @@ use crate::positioning::{Aiding, BasePositionCheck, Estimator};
 /// Interval of checks (s).
 const INTERVAL_S: f64 = 3600.0;
 
-/// The checks of a base's position, one after another: a base may move, and the ephemerides of a
-/// check may have been wrong.
+/// Repeated checks of a base's position: a base may move, and the ephemerides of an earlier check
+/// may have been wrong.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PositionChecks {
-    /// The last check that ended, or the first one.
+    /// The last completed check; before that the first one, complete or not.
     pub(super) present: BasePositionCheck,
-    /// The check that follows `present`.
+    /// The check to continue.
     next: BasePositionCheck,
-    /// Time of the epoch that ended `present`.
+    /// Time of the epoch that completed `present`.
     ended: Option<GpsTime>,
 }
 
 impl PositionChecks {
-    /// No epoch has checked the position.
+    /// A check that has had no epoch.
     pub(super) fn new() -> Self {
         let none = BasePositionCheck::new();
         Self { present: none, next: none, ended: None }
@@ -31,7 +31,7 @@ impl PositionChecks {
         self.ended.is_none_or(|ended| INTERVAL_S <= time - ended)
     }
 
-    /// Continues the check that is due with epochs.
+    /// Continues the check with these epochs.
     pub(super) fn advance(
         mut self,
         site: &BaseSite,
@@ -41,7 +41,7 @@ impl PositionChecks {
         let mut last = None;
         let epochs = epochs.into_iter().inspect(|epoch| last = Some(epoch.time));
         let check = continue_check(self.next, site, epochs, navigation);
-        // The first check counts from its first epoch on.
+        // Only the first check is reported before it is complete.
         if self.ended.is_none() || check.is_done() {
             self.present = check;
         }

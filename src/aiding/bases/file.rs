@@ -18,7 +18,7 @@ pub struct BaseFile {
     pub skipped: Skipped,
 }
 
-/// Most that a file may bring.
+/// Limits of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseFileLimits {
     /// Epochs of the file.

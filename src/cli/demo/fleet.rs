@@ -62,7 +62,7 @@ pub(super) async fn drive(
     let (mode, profile) = (mode.to_owned(), profile.to_owned());
     let new = v1::CreateSessionRequest { label, mode, profile, ..Default::default() };
     let mut device = connection.open(None, new).await?;
-    // The devices are out of step on purpose.
+    // Each device starts at another fraction of the interval, so that their pushes are spread.
     let start = Instant::now() + interval.mul_f64(plan.index as f64 * 0.618 % 1.0);
     for (number, simulated) in simulator.enumerate() {
         tokio::time::sleep_until(start + interval * number as u32).await;

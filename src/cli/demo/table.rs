@@ -122,7 +122,7 @@ fn row(report: &Report, epochs: u32) -> String {
     )
 }
 
-/// The nearest-rank percentile for a share; zero without values.
+/// The nearest-rank percentile for a fraction (0 … 1); zero without values.
 fn percentile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

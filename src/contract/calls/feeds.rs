@@ -100,7 +100,7 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
         attempts: health.attempts,
         connections: health.connections,
         bytes: health.bytes,
-        silent_s: health.heard_unix_ms.map(|heard| seconds_between(heard, now)),
+        silent_s: health.received_unix_ms.map(|heard| seconds_between(heard, now)),
         epochs: health.epochs,
         last_time: health.last_epoch.map(Into::into),
         messages,
@@ -160,7 +160,7 @@ pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::Navi
             health.retry_unix_ms,
             health.problem,
             health.ephemerides,
-            health.heard_unix_ms,
+            health.received_unix_ms,
         ),
     };
     v1::NavigationSource {

@@ -4,7 +4,7 @@ use crate::contract::{Lease, Refusal, Service, in_background, v1};
 use crate::formats::rinex::SkippedEntry;
 
 /// Reads a file with `work` on a blocking thread, when one of the few for files is free. `bytes`
-/// is the memory that its content can need.
+/// is the most memory that the file's content can use.
 pub(super) async fn read_file<T: Send + 'static>(
     service: &Service,
     bytes: usize,
@@ -14,7 +14,7 @@ pub(super) async fn read_file<T: Send + 'static>(
     let lease = Lease::current();
     lease.as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
     let work = move || {
-        // Kept until the file is read, also if the caller has gone.
+        // Kept until the file is read, also if the caller no longer waits.
         let _kept = (reader, lease);
         work()
     };

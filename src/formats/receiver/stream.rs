@@ -10,7 +10,7 @@ use super::assembly::{Assembly, Part, Rank};
 use super::frames::{Frame, FrameBuffer, Scan};
 use super::statistics::{MessageKind, Outcome, Statistics};
 
-/// Number of bytes decoded in one step, which bounds the memory beside one frame.
+/// Number of bytes decoded in one step, which bounds the memory besides one frame.
 const PIECE_BYTES: usize = 1 << 16;
 
 /// Something that the stream has completed.

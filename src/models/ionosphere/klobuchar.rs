@@ -103,7 +103,7 @@ mod tests {
         assert!((value - expected).abs() < 1e-9, "{value}, not {expected}");
     }
 
-    /// The formulas of both documents worked in Python, term by term as printed there.
+    /// Expected values: the formulas of both documents computed in Python, term by term as printed.
     #[test]
     fn delays_worked_apart() {
         let hong_kong = Geodetic::from_degrees(22.3, 114.2, 0.0);

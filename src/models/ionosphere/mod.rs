@@ -19,8 +19,8 @@ use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
 
 /// Broadcast Klobuchar delay of a signal (m), or `None` without broadcast coefficients.
 ///
-/// BeiDou takes its own model and coefficients, all others those of GPS; BeiDou also, if its own
-/// coefficients are missing.
+/// BeiDou satellites take the model of BeiDou if its coefficients are known; all others take that
+/// of GPS.
 pub(crate) fn broadcast_delay_m(
     navigation: &Navigation,
     constellation: Constellation,

@@ -14,7 +14,7 @@ use super::chain::{Chain, ChainScratch};
 #[derive(Debug)]
 pub(crate) struct WholeChain {
     chain: Chain,
-    /// The single point of each epoch in the chain, used if the chain cannot be solved.
+    /// The single-point solution of each epoch in the chain, used if the chain cannot be solved.
     alone: Vec<Solution>,
     solutions: Vec<Solution>,
     single_point: SinglePoint,
@@ -35,7 +35,8 @@ impl WholeChain {
         }
     }
 
-    /// Takes one epoch. An epoch that is not after the last one is answered alone.
+    /// Adds one epoch. An epoch that is not after the last one is answered by its single-point
+    /// solution.
     pub(crate) fn push(&mut self, inputs: &EpochInputs<'_>) {
         let EpochInputs { epoch, navigation, .. } = *inputs;
         let options = inputs.options();

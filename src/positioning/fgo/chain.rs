@@ -44,17 +44,18 @@ pub(super) struct Chain {
     pub(super) prior: Prior<STATE>,
     phases: Phases,
     standstill: Standstill,
-    /// What is learnt of the receiver; outlives a restart.
+    /// Receiver model, learnt from residuals. A restart does not clear it.
     pub(super) receiver: ReceiverModel,
     pub(super) watch: Watch,
-    /// Constellations whose constant bias has begun.
+    /// Constellations whose constant inter-system bias is in the graph.
     pub(super) begun: [bool; Constellation::COUNT],
     sequence: usize,
     /// Time of its first epoch.
     started: GpsTime,
     /// Whether the pseudoranges of some epoch have agreed with one another.
     pub(super) is_proven: bool,
-    /// Number of epochs with biases of their own; zero where biases are constant.
+    /// Largest number of epochs that each have separate inter-system biases; zero if the biases are
+    /// constant.
     ring: usize,
 }
 
@@ -77,7 +78,7 @@ state_fields!(
     checked by is_whole
 );
 
-/// Memory to build and solve a chain in.
+/// Scratch to build and solve a chain.
 #[derive(Debug, Default)]
 pub(super) struct ChainScratch {
     /// The epoch that is being built.
@@ -87,13 +88,13 @@ pub(super) struct ChainScratch {
     pub(super) seen: [Seen; 2],
     clock: ClockScratch,
     velocity: VelocityEstimator,
-    /// Of the newest epoch's pseudoranges.
+    /// Signals of the newest epoch's pseudoranges.
     pub(super) signals: Vec<Signal>,
 }
 
 impl Chain {
-    /// An empty chain; `ring` is the number of epochs with biases of their own, zero for constant
-    /// biases.
+    /// An empty chain, with separate inter-system biases for each of up to `ring` epochs, or with
+    /// constant biases if `ring` is zero.
     pub(super) fn new(ring: usize) -> Self {
         Self {
             frame: start_frame(),
@@ -117,7 +118,7 @@ impl Chain {
         self.epochs.last().map(|epoch| epoch.time)
     }
 
-    /// Number of epochs with biases of their own.
+    /// Largest number of epochs that each have separate biases; zero if the biases are constant.
     pub(super) fn ring(&self) -> usize {
         self.ring
     }
@@ -128,13 +129,13 @@ impl Chain {
         self.estimate.states.pop();
     }
 
-    /// Forgets everything and puts the origin at `start`.
+    /// Empties the chain, and sets the origin of its local frame to `start`.
     pub(super) fn begin(&mut self, start: Ecef) {
         self.clear();
         self.frame = LocalFrame::at(start);
     }
 
-    /// Forgets everything.
+    /// Empties the chain. The receiver model stays.
     pub(super) fn clear(&mut self) {
         self.epochs.clear();
         self.estimate.states.clear();
@@ -148,7 +149,7 @@ impl Chain {
         self.is_proven = false;
     }
 
-    /// The newest state moved on to `time` by its velocity and drift.
+    /// The newest state, extrapolated to `time` by its velocity and clock drift.
     pub(super) fn predicted(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.last_time(), self.estimate.states.last()) else {
             return State::zeros();
@@ -161,10 +162,11 @@ impl Chain {
         next
     }
 
-    /// Adds an epoch whose state is approximately `guess`, where the measurements are placed.
+    /// Adds an epoch with the initial state `guess`, at whose position the measurements were
+    /// modelled.
     ///
-    /// The guess's clock and the biases of constellations met for the first time are set from the
-    /// median of the pseudoranges.
+    /// The clock of the guess, and the biases of constellations that the chain has not had before,
+    /// are set from the medians of the pseudorange residuals.
     pub(super) fn append(
         &mut self,
         time: GpsTime,
@@ -234,7 +236,7 @@ impl Chain {
         self.sequence += 1;
     }
 
-    /// Begins the factors of an epoch; returns the time since the one before (s).
+    /// Begins the factors of an epoch; returns the time since the previous epoch (s).
     fn open_epoch(
         &mut self,
         time: GpsTime,
@@ -252,7 +254,8 @@ impl Chain {
         interval_s
     }
 
-    /// Share of independent information in the epoch's pseudoranges; finds a standstill.
+    /// Independent fraction of the information in the epoch's pseudoranges. Also detects a
+    /// standstill and adds its factor.
     fn independent_share(
         &mut self,
         interval_s: Option<f64>,
@@ -270,11 +273,11 @@ impl Chain {
             return share;
         }
         factors.standstill = interval_s.map(ZeroVelocityFactor::new);
-        // At rest multipath repeats: the weight is that of Δt over its correlation time.
+        // At rest multipath repeats: scale the weight by Δt/τ, with τ its correlation time.
         (spacing_s / options.correlation_s).min(share)
     }
 
-    /// The displacement by odometry, where it covers the interval.
+    /// Adds the factor of the odometry's displacement, if this covers the interval.
     fn add_odometry(
         &self,
         factors: &mut Factors,
@@ -287,7 +290,7 @@ impl Chain {
         factors.unused_odometry_s = factors.odometry.is_empty().then_some(odometry.interval_s);
     }
 
-    /// Doppler factors of the measurements that are used.
+    /// Adds the Doppler factors of the measurements that are used.
     fn add_rates(
         &self,
         receiver: Ecef,
@@ -305,7 +308,7 @@ impl Chain {
         scratch.factors.rates.extend(rates.map(|rate| rate.scaled(scale)));
     }
 
-    /// Pseudorange factors of the measurements that are used.
+    /// Adds the pseudorange factors of the measurements that are used.
     fn range(&mut self, measurements: &Measurements, setup: &Setup, scratch: &mut ChainScratch) {
         let (list, factors) = (&measurements.list, &mut scratch.factors);
         scratch.signals.clear();
@@ -336,8 +339,8 @@ impl Chain {
         }
     }
 
-    /// Sets the clock of `guess` and the biases that begin; returns measured less predicted clock
-    /// (m), if any pseudorange shows it.
+    /// Sets the clock of `guess` and the biases that begin; returns the measured minus the
+    /// predicted clock (m), if a pseudorange measures it.
     fn settle_clock(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
         let ChainScratch { factors, numbers, lines, .. } = scratch;
         factors.see(guess, lines);
@@ -352,7 +355,7 @@ impl Chain {
         clock_m
     }
 
-    /// The tie to the epoch before.
+    /// The tie to the previous epoch.
     fn tie(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> Tie {
         if setup.options.graph.motion {
             let jump_m = jump_m(clock_m.unwrap_or(0.0), interval_s);
@@ -375,19 +378,19 @@ impl Chain {
         })
     }
 
-    /// Sums up the residuals of every epoch at the estimate.
+    /// Updates the sums of each epoch's residuals at the estimate.
     pub(super) fn weigh_residuals(&mut self, settings: &GraphSettings, scratch: &mut ChainScratch) {
         let (kernel, lines) = (settings.kernels.last().pseudorange, &mut scratch.lines);
         let Estimate { states, border } = &self.estimate;
         for (epoch, state) in self.epochs.iter_mut().zip(states) {
             epoch.factors.see(state, lines);
             epoch.residuals = epoch.factors.residuals(lines, state, border, &kernel);
-            // Where hypotheses compete, they prove a position.
+            // With `follow_code`, the search for other positions proves the position instead.
             self.is_proven |= !settings.kernels.last().follow_code && epoch.residuals.agree();
         }
     }
 
-    /// Age of the chain at `time` while no epoch has proven its start (s).
+    /// Age of the chain at `time` (s), if its start is not proven yet.
     ///
     /// If the first epochs have few satellites or mostly reflections, a redescending kernel may
     /// settle on the wrong ones, and later epochs agree with the prior that these leave.
@@ -410,7 +413,7 @@ impl Chain {
         Ok(summary.cost)
     }
 
-    /// Whether the pseudoranges of the newest epoch that count do not determine its position.
+    /// Whether the accepted pseudoranges of the newest epoch do not determine its position.
     pub(super) fn is_lost(&self) -> bool {
         self.epochs.last().is_some_and(|newest| newest.residuals.is_lost())
     }
@@ -434,12 +437,12 @@ impl Chain {
         let border = self.estimate.border.len();
         self.epochs.len() == self.estimate.states.len()
             && self.epochs.len() <= self.sequence
-            && self.names_what_it_holds(border)
+            && self.has_valid_references(border)
             && self.prior.variables().all(|variable| variable < border)
     }
 
     /// Whether every factor refers to variables, columns and satellites that exist.
-    fn names_what_it_holds(&self, border: usize) -> bool {
+    fn has_valid_references(&self, border: usize) -> bool {
         // The first epoch's phases refer to an epoch that is marginalised.
         let before =
             |k: usize| k.checked_sub(1).map_or(usize::MAX, |k| self.epochs[k].factors.sights.len());
@@ -479,7 +482,7 @@ impl Chain {
     }
 }
 
-/// Adds the priors of single numbers of a state.
+/// Adds the priors on single components of a state.
 fn regularize(factors: &mut Factors, is_first: bool, guess: &State, options: &GraphOptions) {
     let mut add = |column: usize, mean: f64, sigma: f64| {
         factors.components.push(ComponentFactor { column, mean, inverse_sigma: sigma.recip() });

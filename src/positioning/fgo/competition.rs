@@ -16,12 +16,12 @@ use crate::positioning::starts::{START_CLOCK_M, START_M_S};
 
 use super::chain::{BIAS_M, Chain, ChainScratch};
 
-/// Standard deviation of a position about the hypothesis that it was moved to (m).
+/// Standard deviation of the first position's prior after a move (m).
 const MOVED_M: f64 = 30.0;
 
 impl Chain {
-    /// Solves once more from the newest epoch's own position, and keeps the likelier of both
-    /// minima. `cost` is the cost of the first one.
+    /// Solves again, starting from the position of the newest epoch's own pseudoranges, and keeps
+    /// the minimum of lower cost. `cost` is the cost of the present minimum.
     pub(super) fn retry(
         &mut self,
         cost: f64,
@@ -43,8 +43,8 @@ impl Chain {
         Ok(())
     }
 
-    /// Moves the newest state to the position that its own pseudoranges agree on; returns whether
-    /// that is another position.
+    /// Moves the newest state to the position on which its own pseudoranges agree; returns whether
+    /// this is another position.
     fn start_at_consensus(&mut self, scratch: &mut ChainScratch) -> bool {
         let Some(now) = self.last_time() else { return false };
         let mut pool = self.pooled(0.0, scratch);
@@ -84,7 +84,7 @@ impl Chain {
         matches!(verdict, Verdict::Move(_))
     }
 
-    /// The residuals of the window's last `span_s`: the median of each satellite.
+    /// The median residual of each satellite over the window's last `span_s`.
     pub(super) fn pooled(&self, span_s: f64, scratch: &mut ChainScratch) -> Vec<Pooled> {
         let ChainScratch { lines, .. } = scratch;
         let Some(now) = self.last_time() else { return Vec::new() };

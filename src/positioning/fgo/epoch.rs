@@ -30,7 +30,7 @@ const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
 const USED_WEIGHT: f64 = 0.25;
 /// Index of the clock in [`POSITION_AND_CLOCK`].
 const CLOCK_INDEX: usize = 3;
-/// Number of reweighted solutions for the step of the phase's clock.
+/// Iterations of reweighted least squares for the step of the phase clock.
 const CLOCK_ITERATIONS: usize = 5;
 
 /// What links an epoch to the previous one, besides carrier phase.
@@ -42,7 +42,7 @@ pub(super) enum Tie {
     DopplerVelocity(DopplerVelocityFactor),
 }
 
-/// An epoch's satellites at the current estimate.
+/// Lines of sight and phase residuals of an epoch at the current estimate.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
     /// Lines of sight, from the epoch's state.
@@ -66,7 +66,7 @@ pub(super) struct GraphEpoch {
     pub(super) repetition: f64,
     /// Residuals of its pseudoranges in the last solve.
     pub(super) residuals: Residuals,
-    /// They never change once the epoch is in the chain: copies of a state share them.
+    /// Factors do not change once the epoch is in the chain, so copies of a state share them.
     pub(super) factors: Arc<Factors>,
 }
 
@@ -132,7 +132,7 @@ pub(super) struct Factors {
     pub(super) rates: Vec<DopplerFactor>,
     /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
-    /// Tie between the phase's clock and the code's; `None` if both are the same clock.
+    /// Tie between the clocks of carrier phase and of pseudoranges; `None` if both are the same.
     pub(super) phase_clock: Option<ClockTie>,
     /// From the previous epoch to this one; `None` for the first of a chain.
     pub(super) tie: Option<Tie>,
@@ -283,8 +283,8 @@ impl Factors {
 }
 
 impl Factors {
-    /// Adds the phase differences to the previous epoch. Eliminates the step of their clock against
-    /// the code's clock.
+    /// Adds the phase differences to the previous epoch. Eliminates the step of the phase clock
+    /// against the pseudorange clock.
     fn add_phases_to(
         &self,
         k: usize,
@@ -330,8 +330,8 @@ impl Factors {
         system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
     }
 
-    /// Whitened residuals of the phase differences between two states, without the median step of
-    /// their clock.
+    /// Whitened residuals of the phase differences between two states, after subtraction of their
+    /// median.
     pub(super) fn phase_residuals(
         &self,
         [before, lines]: [&[Line]; 2],
@@ -349,9 +349,9 @@ impl Factors {
     }
 }
 
-/// The likeliest step of the phase's clock against the code's (m), from the residual, 1/σ and
-/// weight of each phase difference, starting at `start_m`; and the information of its tie there
-/// (1/m²).
+/// The likeliest step of the phase clock against the pseudorange clock (m), and the information of
+/// its tie at this step (1/m²). `phases` are residual, 1/σ and weight of each phase difference; the
+/// iteration starts at `start_m`.
 fn clock_step(
     tie: ClockTie,
     start_m: f64,

@@ -121,7 +121,7 @@ impl Engine for SlidingWindow {
     }
 }
 
-/// Number of epochs with biases of their own; zero where biases are constant.
+/// Largest number of epochs that each have separate biases; zero if the biases are constant.
 fn ring(options: &PositioningOptions) -> usize {
     match options.graph.motion {
         true => 0,
@@ -140,7 +140,7 @@ impl WindowScratch {
 }
 
 impl SlidingWindow {
-    /// Begins a new chain from the epoch's own position.
+    /// Begins a new chain at the epoch's single-point position.
     fn restart(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -154,7 +154,7 @@ impl SlidingWindow {
         started.unwrap_or_else(|| self.unanswered(alone, revisions))
     }
 
-    /// The answer of a chain that begins with an epoch whose own solution is `alone`.
+    /// Begins a chain with an epoch whose single-point solution is `alone`, and answers it.
     fn start(
         &mut self,
         alone: &Solution,
@@ -184,7 +184,7 @@ impl SlidingWindow {
         solution
     }
 
-    /// Records the answer of an epoch alone, which will not be revised.
+    /// The single-point solution as the answer of an epoch outside the chain, also as its revision.
     fn unanswered(&self, mut alone: Solution, revisions: &mut Vec<Solution>) -> Solution {
         if alone.estimate.is_some() {
             alone.reasons.push(Reason::NotConverged);

@@ -1,21 +1,23 @@
-//! Which position the pseudoranges of the last half minute agree on.
+//! Searches for the position on which the pseudoranges of the last half minute agree.
 //!
-//! The trajectory is taken as rigid: an offset d of its position and an offset c of the clock of
-//! each constellation leave the residuals s − gᵀd − c, with s = measured − modelled (m) along the
-//! trajectory as it stands and g = ∂ρ/∂p. Hypotheses (d, c) compete by their cost
+//! A hypothesis (d, c) moves the whole estimated trajectory by the offset d, and the clock of each
+//! constellation by an offset c. It leaves the residuals s − gᵀd − c, with s = measured − modelled
+//! (m) at the estimate and g = ∂ρ/∂p. Its cost is
 //!
 //! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
 //!
-//! J is the likelihood of [`CodeError`], with one term for each satellite and ten seconds, κ of
-//! which are independent: less at rest, where multipath repeats. Inter-system biases of the graph
-//! hold within β once they are known. T is Student's t of three degrees of freedom with a scale of
-//! 10 m: a trajectory that has been right for a while (a → 1) is not a hundred metres off. Two
-//! hypotheses have the odds exp(−Δcost).
+//! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds.
+//! - κ: independent fraction of these terms' information; smaller at rest, where multipath repeats.
+//! - β: standard deviation of the graph's inter-system biases; infinite while they are unknown.
+//! - T: −ln of Student's t density with three degrees of freedom and a scale of 10 m. It penalises
+//!   large offsets of a trajectory that has been accepted for a while (a → 1).
+//!
+//! Two hypotheses have the odds exp(−Δcost).
 //!
 //! Candidates are the positions of minimal subsets of satellites, drawn with the probability that
-//! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24); the best, and the
-//! trajectory itself, are refined by expectation maximisation. The draws follow from the time of
-//! the epoch, so that a replay makes the same.
+//! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24). The best ones, and
+//! the trajectory itself, are refined by expectation maximisation. The draws depend on the time of
+//! the epoch only, so that a replay makes the same ones.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -30,49 +32,50 @@ const UNKNOWNS: usize = 3 + Constellation::COUNT;
 type Unknowns = SVector<f64, UNKNOWNS>;
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Subsets drawn: one of four direct satellites is among them with 93 % where half are direct.
+/// Number of subsets drawn. If half of the satellites are direct, at least one subset of four is
+/// all direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
 const SUBSETS: usize = 40;
-/// Draws after which a subset is given up.
+/// Most draws of a satellite for one subset.
 const DRAWS_MAX: usize = 60;
-/// Candidates refined.
+/// Number of candidates that are refined.
 const REFINED: usize = 2;
-/// Iterations of a refinement at most, and the step that ends it (m).
+/// Most iterations of a refinement, and the length of a step that ends it (m).
 const ITERATIONS_MAX: usize = 12;
 const LAST_STEP_M: f64 = 0.3;
-/// Longest step (m): beyond it the likelihood's curvature means nothing.
+/// Longest step (m): farther away the quadratic approximation of the cost is invalid.
 const STEP_MAX_M: f64 = 30.0;
-/// Candidates nearer to each other than this, horizontally, are one (m).
+/// Horizontal distance up to which two positions count as the same (m).
 const DISTINCT_M: f64 = 8.0;
-/// Candidates farther away are no candidates: horizontally and vertically (m).
+/// Largest offset of a candidate: horizontal, vertical (m).
 const REACH_M: (f64, f64) = (1e3, 300.0);
-/// Scale of the offset of a settled trajectory (m).
+/// Scale of T (m).
 const SETTLED_M: f64 = 10.0;
 
-/// The residual of one satellite over some seconds.
+/// The residual of one satellite over a few seconds: a term of the cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pooled {
     pub(crate) satellite: SatelliteId,
-    /// ∂ρ/∂p, local.
+    /// g = ∂ρ/∂p, local east, north, up.
     pub(crate) slope: Vector3<f64>,
-    /// Median of measured − modelled (m).
+    /// s: median of measured − modelled (m).
     pub(crate) residual_m: f64,
     pub(crate) error: CodeError,
-    /// κ: share of independent information, one for all of a pool.
+    /// κ: independent fraction of the information, the same for all residuals of a pool.
     pub(crate) independent: f64,
 }
 
 snapshot_fields!(Pooled { satellite, slope, residual_m, error, independent });
 
-/// What is known besides residuals.
+/// Prior knowledge of the clocks and the trajectory.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Knowledge {
-    /// β (m); infinite where inter-system biases are not known yet.
+    /// β: standard deviation of inter-system biases (m); infinite while they are unknown.
     pub(crate) bias_sigma_m: f64,
-    /// a.
+    /// a: 0 at a start … 1 for a trajectory that has been accepted for a while.
     pub(crate) settled: f64,
 }
 
-/// An offset of the trajectory that explains the residuals.
+/// A hypothesis (d, c) with its cost.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Offset {
     x: Unknowns,
@@ -80,12 +83,12 @@ pub(crate) struct Offset {
 }
 
 impl Offset {
-    /// Of the position, local (m).
+    /// d: offset of the position, local east, north, up (m).
     pub(crate) fn position_m(&self) -> Vector3<f64> {
         self.x.fixed_rows::<3>(0).into_owned()
     }
 
-    /// Of a constellation's clock (m).
+    /// c: offset of a constellation's clock (m).
     pub(crate) fn clock_m(&self, constellation: Constellation) -> f64 {
         self.x[3 + constellation.index()]
     }
@@ -95,32 +98,32 @@ impl Offset {
     }
 }
 
-/// What the residuals say of other positions.
+/// The result of a search.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Rivalry {
-    /// Nothing: there is no redundancy.
+    /// The satellites are too few for a redundant position.
     Undetermined,
-    /// No candidate lies elsewhere, or none can be likely enough.
+    /// There is no candidate at another position, or none can reach the required odds.
     Unrivalled,
-    /// The likeliest candidate elsewhere.
+    /// The likeliest candidate at another position.
     Rival {
-        /// Where it is, from the trajectory as it stands.
+        /// Its offset from the estimated trajectory.
         offset: Offset,
         /// Logarithm of its odds against the trajectory.
         log_odds: f64,
     },
 }
 
-/// Residuals with what is known of them.
+/// Residuals and prior knowledge.
 struct Evidence<'a> {
     pool: &'a [Pooled],
     knowledge: Knowledge,
-    /// Constellations among them.
+    /// Constellations that have residuals.
     present: [bool; Constellation::COUNT],
 }
 
-/// Looks for the likeliest position more than [`DISTINCT_M`] away from where the trajectory is, if
-/// its log odds can reach `least`; `seed` decides the draws.
+/// Searches for the likeliest position more than [`DISTINCT_M`] from the trajectory. The search is
+/// skipped if no position can have log odds of `least`. `seed` determines the draws.
 pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
     let mut present = [false; Constellation::COUNT];
     pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
@@ -149,12 +152,13 @@ impl Evidence<'_> {
         satellites.len()
     }
 
-    /// Whether the graph's inter-system biases are known, so that one clock serves all.
+    /// Whether inter-system biases are known, so that a subset determines one clock for all
+    /// constellations.
     fn shares_clock(&self) -> bool {
         self.knowledge.bias_sigma_m.is_finite()
     }
 
-    /// Clocks that a subset must determine.
+    /// Number of clocks that a subset must determine.
     fn clocks(&self) -> usize {
         if self.shares_clock() { 1 } else { self.present.iter().filter(|p| **p).count() }
     }
@@ -181,7 +185,7 @@ impl Evidence<'_> {
         self.loss(|p| Self::residual_m(p, x)) + biases.sum::<f64>() + settled * moved
     }
 
-    /// The cost of a position that explains every residual: no other costs less.
+    /// A lower bound of all costs: the cost of a position that leaves no residual.
     fn least_cost(&self) -> f64 {
         self.loss(|_| 0.0)
     }
@@ -193,7 +197,8 @@ impl Evidence<'_> {
         pools.map(|pool| -pool[0].independent * log_product(pool.iter().map(density))).sum()
     }
 
-    /// Expectation maximisation from `x`, of the clocks alone where the position does not move.
+    /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
+    /// only.
     fn refine(&self, mut x: Unknowns, moves: bool) -> Offset {
         for _ in 0..ITERATIONS_MAX {
             let (normal, right) = self.normal_equations(&x, moves);
@@ -210,7 +215,8 @@ impl Evidence<'_> {
 
     /// Lower triangle of the normal equations of a step from `x`, and their right side.
     fn normal_equations(&self, x: &Unknowns, moves: bool) -> (Normal, Unknowns) {
-        // What no row determines stays: positions far below, and clocks of absent constellations.
+        // WEAK keeps unknowns that no residual determines where they are. HELD fixes the position
+        // if it does not move, and the clocks of absent constellations.
         const WEAK: f64 = 1e-9;
         const HELD: f64 = 1e12;
         let bias_sigma_m = self.knowledge.bias_sigma_m;
@@ -240,7 +246,7 @@ impl Evidence<'_> {
         (normal, right)
     }
 
-    /// The best distinct positions of the subsets drawn, best first.
+    /// The best distinct positions of the drawn subsets, best first.
     fn candidates(&self, seed: u64) -> Vec<Unknowns> {
         let mut draws = Draws::new(seed);
         let mut found: Vec<Offset> = (0..SUBSETS)
@@ -260,7 +266,7 @@ impl Evidence<'_> {
         distinct.into_iter().map(|offset| offset.x).collect()
     }
 
-    /// Satellites that determine a position and their clocks, each by one of its terms.
+    /// Draws residuals of different satellites until they determine a position and their clocks.
     fn draw_subset(&self, draws: &mut Draws) -> Vec<usize> {
         let total: f64 = self.pool.iter().map(|pooled| 1.0 - pooled.error.reflected).sum();
         let (mut subset, mut drawn) = (Vec::with_capacity(UNKNOWNS), [false; Constellation::COUNT]);
@@ -284,8 +290,8 @@ impl Evidence<'_> {
         subset
     }
 
-    /// The offset that leaves no residual in the terms of a subset; clocks that it does not
-    /// determine are set from the early third of their own residuals.
+    /// The offset that leaves no residual in a subset. A clock that the subset does not determine
+    /// is set to the lower tercile of its constellation's residuals, because reflections are late.
     fn solve_subset(&self, subset: &[usize]) -> Option<Unknowns> {
         let (mut normal, mut right) = (Normal::identity() * 1e-10, Unknowns::zeros());
         let mut drawn = [self.shares_clock(); Constellation::COUNT];
@@ -329,8 +335,8 @@ mod tests {
 
     const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };
 
-    /// Twelve satellites around, seen from a trajectory that is `off` its true position; those of
-    /// `late` are reflections, 45 m late.
+    /// Residuals of twelve satellites on a trajectory that is wrong by `off`. The pseudoranges of
+    /// `late` are reflections, 45 m too long.
     fn pool(off: Vector3<f64>, late: &[usize]) -> Vec<Pooled> {
         let pooled = |index: usize| {
             let azimuth = index as f64 * 2.4;
@@ -354,7 +360,7 @@ mod tests {
         (0..12).map(pooled).collect()
     }
 
-    /// The rival that must be there, and its log odds.
+    /// The rival, which must exist, and its log odds.
     fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
         match rivalry(pool, knowledge, f64::NEG_INFINITY, 7) {
             Rivalry::Rival { offset, log_odds } => (offset, log_odds),
@@ -384,7 +390,7 @@ mod tests {
         assert!(is_right, "{rivalry:?}");
     }
 
-    /// 60 m off, T(60 m) = 2·ln(1 + 3600/300) = 5.13; and nothing for the height.
+    /// The offset of 60 m costs T(60 m) = 2·ln(1 + 3600/300) = 5.13; that of the height is zero.
     #[test]
     fn a_settled_trajectory_is_moved_for_more() {
         let pool = pool(Vector3::new(60.0, 0.0, 0.0), &[]);

@@ -1,7 +1,7 @@
-//! Whether pseudoranges are better explained by another position than the estimate's.
+//! Tests whether another position explains the pseudoranges better than the estimate does.
 //!
-//! [`rivalry`] looks for the likeliest other position in residuals that were gathered; [`Watch`]
-//! decides when to look and when to move.
+//! [`rivalry`] searches pooled residuals for the likeliest other position. [`Watch`] decides when
+//! to search and when to move.
 
 mod hypotheses;
 mod watch;

@@ -1,13 +1,14 @@
 //! Tests whether another position than the window's is clearly likelier.
 //!
-//! After a wrong start, or multipath on many satellites, carrier phase and Doppler carry the error
-//! along, and it is marginalised into the prior; the right pseudoranges are then outliers. So the
-//! residuals of the last half minute are tested repeatedly against other positions
-//! ([`hypotheses`]): the residuals of the present window, and of the two windows before it.
+//! After a wrong start, or multipath on many satellites, carrier phase and Doppler propagate the
+//! error from epoch to epoch, and marginalisation puts it into the prior. The correct pseudoranges
+//! are then outliers. So the residuals of the last half minute are tested repeatedly against other
+//! positions ([`hypotheses`]): the residuals of the present window, and of two pools before it.
 //!
 //! The window moves to another position if that position's log odds exceed a threshold. After a
-//! start or an outage the threshold rises within half a minute from 1 nat to 10 nats, 1 : 22,000,
-//! because a search every two seconds makes about 1,800 decisions an hour.
+//! start or an outage the threshold rises within half a minute from 1 nat to 10 nats (odds of
+//! 22,000 : 1). It is this high because a search every two seconds makes about 1,800 decisions an
+//! hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;
@@ -16,47 +17,49 @@ use super::hypotheses::{self, Knowledge, Offset, Pooled, Rivalry};
 
 /// Interval between two searches (s).
 const SEARCH_S: f64 = 2.0;
-/// Length of a pool, over which multipath is one error (s).
+/// Length of a pool (s). Multipath is nearly constant over this time, so a satellite has one
+/// residual in it.
 pub(crate) const POOL_S: f64 = 10.0;
-/// Pause after which the position counts as a start (s).
+/// Time without an epoch after which the position counts as a new start (s).
 const OUTAGE_S: f64 = 10.0;
-/// Time after which a position counts as settled (s).
+/// Time after a start until a position counts as settled (s).
 const SETTLING_S: f64 = 30.0;
-/// Bars at the start and of a settled position (nats).
-const BARS: (f64, f64) = (1.0, 10.0);
-/// What inter-system biases of a settled window may be off by (m).
+/// Log odds above which the window moves: at a start, and from a settled position (nats).
+const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);
+/// Standard deviation of the inter-system biases of a settled window (m).
 const BIAS_SIGMA_M: f64 = 6.0;
-/// Odds of 99 : 1 against the likeliest rival prove a position.
-const PROVEN: f64 = 4.6;
+/// Log odds against the likeliest rival that prove a position: 99 : 1 (nats).
+const PROVEN_LOG_ODDS: f64 = 4.6;
 
-/// What a search found.
+/// The verdict on the window's position.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Verdict {
-    /// No rival comes near.
+    /// Every other position is far less likely.
     Proven,
-    /// A rival is possible, or nothing can be said.
+    /// Another position is possible, or the residuals do not decide.
     Open,
-    /// This one is clearly likelier.
+    /// The position at this offset is clearly likelier.
     Move(Offset),
 }
 
-/// Residuals of earlier windows, and when they were taken.
+/// Residuals of earlier windows, and the times of the last search and the last start.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
-    /// Of the two windows before this one, the newer first.
+    /// The two pools before the present window, the newer one first.
     earlier: [Vec<Pooled>; 2],
-    /// When the newer of them was taken.
+    /// Time of the newer pool.
     pooled: Option<GpsTime>,
-    /// When the last search was.
+    /// Time of the last search.
     searched: Option<GpsTime>,
-    /// Since when the position has settled.
+    /// Time of the last start.
     settling: Option<GpsTime>,
 }
 
 state_fields!(Watch { earlier, pooled, searched, settling });
 
 impl Watch {
-    /// Takes note of an epoch at `now`, `interval_s` after the one before; whether a search is due.
+    /// Records an epoch at `now`, `interval_s` after the previous one; returns whether a search is
+    /// due.
     pub(crate) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
         if interval_s.is_none_or(|interval_s| OUTAGE_S < interval_s) {
             self.earlier.iter_mut().for_each(Vec::clear);
@@ -65,24 +68,25 @@ impl Watch {
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
-    /// What inter-system biases may be off by at `now` (m).
+    /// Standard deviation of inter-system biases at `now` (m); infinite until the position is
+    /// settled.
     pub(crate) fn bias_sigma_m(&self, now: GpsTime) -> f64 {
         if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SIGMA_M }
     }
 
-    /// How far a position has settled, 0 … 1.
+    /// How settled the position is: 0 at a start … 1.
     fn settled(&self, now: GpsTime) -> f64 {
         let age_s = self.settling.map_or(0.0, |settling| now - settling);
         (age_s / SETTLING_S).min(1.0)
     }
 
-    /// How far the window's residuals are not yet among the earlier ones (s).
+    /// Length of the window's residuals that are in no pool yet (s).
     pub(crate) fn unpooled_s(&self, now: GpsTime) -> f64 {
         self.pooled.map_or(0.0, |pooled| now - pooled).min(POOL_S)
     }
 
-    /// Judges the position from the window's residuals, pooled over [`Self::unpooled_s`]. One that
-    /// is proven stays so until it moves.
+    /// Judges the position by the earlier pools and by the window's residuals, pooled over
+    /// [`Self::unpooled_s`]. If it `is_proven`, only a position to move to is searched for.
     pub(crate) fn judge(&mut self, now: GpsTime, window: &[Pooled], is_proven: bool) -> Verdict {
         self.searched = Some(now);
         let mut pool = window.to_vec();
@@ -99,17 +103,18 @@ impl Watch {
         let settled = self.settled(now);
         let knowledge = Knowledge { bias_sigma_m: self.bias_sigma_m(now), settled };
         let seed = now.as_ns() as u64;
-        let bar = BARS.0 + (BARS.1 - BARS.0) * settled;
-        let least = if is_proven { bar } else { -PROVEN };
+        let (at_start, when_settled) = MOVE_LOG_ODDS;
+        let threshold = at_start + (when_settled - at_start) * settled;
+        let least = if is_proven { threshold } else { -PROVEN_LOG_ODDS };
         match hypotheses::rivalry(&pool, knowledge, least, seed) {
-            Rivalry::Rival { offset, log_odds } if bar < log_odds => Verdict::Move(offset),
-            Rivalry::Rival { log_odds, .. } if -PROVEN <= log_odds => Verdict::Open,
+            Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
+            Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
             Rivalry::Rival { .. } | Rivalry::Unrivalled if POOL_S <= age_s => Verdict::Proven,
             _ => Verdict::Open,
         }
     }
 
-    /// Moves the residuals along with a position that was moved.
+    /// Corrects the pooled residuals for a move of the position.
     pub(crate) fn follow(&mut self, offset: &Offset) {
         for pooled in self.earlier.iter_mut().flatten() {
             let constellation: Constellation = pooled.satellite.constellation;
