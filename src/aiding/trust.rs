@@ -1,8 +1,8 @@
 //! Which source of navigation data has precedence when sources contradict each other.
 //!
 //! The operator's archives and streams have precedence. Uploads, devices and the streams of bases
-//! only offer data. An offer that contradicts the operator's ephemerides is refused, or dropped when
-//! these arrive later. An offer replaces no data of the operator. If a satellite has as many
+//! only offer data. An offer that contradicts the operator's ephemerides is refused, or dropped
+//! when these arrive later. An offer replaces no data of the operator. If a satellite has as many
 //! ephemerides as allowed, a new offer takes the place of an offer of more than a day ago.
 
 use std::collections::BTreeMap;

@@ -162,8 +162,7 @@ impl Chain {
         next
     }
 
-    /// Adds an epoch with the initial state `guess`, at whose position the measurements were
-    /// modelled.
+    /// Adds an epoch with the initial state `guess`, where the measurements were modelled.
     ///
     /// The clock of the guess, and the biases of constellations that the chain has not had before,
     /// are set from the medians of the pseudorange residuals.
@@ -254,8 +253,7 @@ impl Chain {
         interval_s
     }
 
-    /// Independent fraction of the information in the epoch's pseudoranges. Also detects a
-    /// standstill and adds its factor.
+    /// Independent fraction of the epoch's pseudorange information. Adds a standstill's factor.
     fn independent_share(
         &mut self,
         interval_s: Option<f64>,
