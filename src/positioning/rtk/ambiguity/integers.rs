@@ -8,12 +8,13 @@
 use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
-use crate::gnss::{Constellation, GpsTime, Reason, SatelliteId};
+use crate::gnss::{GpsTime, Reason, SatelliteId};
 use crate::lambda::{Options, Outcome, Partial, Resolver, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
 use super::confirmation::Verdict;
+use super::differences::{Differences, DoubleDifference};
 use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
 use super::float::FloatSolution;
 use super::hold::{Found, HoldState};
@@ -71,15 +72,6 @@ pub(crate) struct IntegerQuestion<'a> {
     pub(crate) options: &'a RtkOptions,
 }
 
-/// A double difference against the reference of its group, as indices of arcs.
-#[derive(Clone, Copy, Debug)]
-struct DoubleDifference {
-    arc: usize,
-    reference: usize,
-    /// Its integer, where both arcs hold one of the same datum.
-    known: Option<i64>,
-}
-
 /// How a search of all ambiguities is judged.
 #[derive(Clone, Copy, Debug)]
 struct Judgement<'a> {
@@ -94,9 +86,7 @@ struct Judgement<'a> {
 #[derive(Debug)]
 pub(crate) struct IntegerSearch {
     pub(crate) resolver: Resolver,
-    pairs: Vec<DoubleDifference>,
-    /// Index of each arc's ambiguity in the float solution.
-    indices: Vec<Option<usize>>,
+    differences: Differences,
     order: Vec<usize>,
 }
 
@@ -104,8 +94,7 @@ impl Default for IntegerSearch {
     fn default() -> Self {
         Self {
             resolver: Resolver::with_capacity(CAPACITY),
-            pairs: Vec::new(),
-            indices: Vec::new(),
+            differences: Differences::default(),
             order: Vec::new(),
         }
     }
@@ -122,17 +111,17 @@ impl IntegerSearch {
     ) -> Resolution {
         let IntegerQuestion { time, float, noise, options } = *question;
         let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
-        self.difference(arcs.list(), is_eligible, float);
-        for pair in self.pairs.iter().filter(|pair| pair.known.is_none()) {
+        self.differences.form(arcs.list(), is_eligible, float);
+        for pair in self.differences.pairs.iter().filter(|pair| pair.known.is_none()) {
             if arcs.list()[pair.reference].held.is_some() {
                 hold.forget(arcs, pair.arc);
             }
         }
-        if self.pairs.len() < options.fixed_min {
-            let (used, needed) = (self.pairs.len(), options.fixed_min);
+        if self.differences.pairs.len() < options.fixed_min {
+            let (used, needed) = (self.differences.pairs.len(), options.fixed_min);
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
-        let joint = self.joint(float);
+        let joint = self.differences.joint(float);
         let lambda = lambda_options(options, noise.scale);
         let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
@@ -169,12 +158,12 @@ impl IntegerSearch {
             let remains = arc.last == time && arc.satellite != left_out && arc.held.is_some();
             remains && may_be_integer(arc, options)
         };
-        self.difference(list, is_eligible, float);
-        self.pairs.retain(|pair| pair.known.is_some());
-        if self.pairs.len() < options.fixed_min {
+        self.differences.form(list, is_eligible, float);
+        self.differences.pairs.retain(|pair| pair.known.is_some());
+        if self.differences.pairs.len() < options.fixed_min {
             return Verdict::Silent;
         }
-        let (joint, all) = (self.joint(float), self.which(|_| true));
+        let (joint, all) = (self.differences.joint(float), self.differences.which(|_| true));
         let lambda = any_integers(&lambda_options(options, noise.scale), all.len());
         let found = self.search(list, &joint, &all, &all, &lambda);
         let Some(found) = found else { return Verdict::Silent };
@@ -186,7 +175,7 @@ impl IntegerSearch {
             return Verdict::Agrees;
         }
         let known = |pair: &DoubleDifference| pair.known.unwrap_or(0) as f64;
-        let values: Vec<f64> = self.pairs.iter().map(known).collect();
+        let values: Vec<f64> = self.differences.pairs.iter().map(known).collect();
         let own = condition(&joint, &all, &values, &[]).map(|(_, squared_norm)| squared_norm);
         let Some((own, best)) = own.zip(found.squared_norm) else { return Verdict::Silent };
         let odds = odds_at_scale([own, best.min(own)], all.len(), noise.scale);
@@ -197,7 +186,7 @@ impl IntegerSearch {
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
-        let ambiguities = self.pairs.len();
+        let ambiguities = self.differences.pairs.len();
         let (ratio, success_rate) = (None, None);
         Resolution { ambiguities, ratio, success_rate, outcome: Err(reason) }
     }
@@ -211,13 +200,13 @@ impl IntegerSearch {
         joint: &Joint,
         options: &Options,
     ) -> Option<Resolution> {
-        let known = self.which(|pair| pair.known.is_some());
-        let others = self.which(|pair| pair.known.is_none());
+        let known = self.differences.which(|pair| pair.known.is_some());
+        let others = self.differences.which(|pair| pair.known.is_none());
         if known.len() < options.fixed_min {
             return None;
         }
         let values: Vec<f64> =
-            known.iter().map(|&i| self.pairs[i].known.unwrap_or(0) as f64).collect();
+            known.iter().map(|&i| self.differences.pairs[i].known.unwrap_or(0) as f64).collect();
         let (mut rest, squared_norm) = condition(joint, &known, &values, &others)?;
         let odds = match DISAGREEMENT * (known.len() as f64) < squared_norm {
             true => {
@@ -243,7 +232,7 @@ impl IntegerSearch {
             }
         }
         Some(Resolution {
-            ambiguities: self.pairs.len(),
+            ambiguities: self.differences.pairs.len(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
             outcome: Ok(fixed_position(&rest, held, probability)),
@@ -283,7 +272,7 @@ impl IntegerSearch {
     ) -> Resolution {
         let Judgement { options, odds_divisor, were_held } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
-        for wanted in self.subsets(arcs.list(), options.fixed_min) {
+        for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
             let Some(outcome) = found else { continue };
             tried += outcome.attempts;
@@ -326,32 +315,11 @@ impl IntegerSearch {
     /// and that contradict them.
     fn compare_with_known(&self, wanted: &[usize]) -> [usize; 2] {
         let found = wanted.iter().zip(self.resolver.fix().entries());
-        let both = found.filter_map(|(&i, entry)| self.pairs[i].known.zip(*entry));
+        let both = found.filter_map(|(&i, entry)| self.differences.pairs[i].known.zip(*entry));
         both.fold([0, 0], |[agreeing, contradicting], (known, found)| match known == found {
             true => [agreeing + 1, contradicting],
             false => [agreeing, contradicting + 1],
         })
-    }
-
-    /// The sets of pairs to search, one after another until integers are found: groups with one
-    /// wavelength, where there are others; all; and all but one group.
-    ///
-    /// Receivers of different makers may not agree on the phase of one signal.
-    fn subsets(&self, arcs: &[CarrierArc], fixed_min: usize) -> Vec<Vec<usize>> {
-        let group = |pair: &DoubleDifference| arcs[pair.arc].group();
-        let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
-        groups.sort_unstable();
-        groups.dedup();
-        let mut subsets: Vec<Vec<usize>> = Vec::new();
-        let mut add = |wanted: Vec<usize>| {
-            if fixed_min <= wanted.len() && !subsets.contains(&wanted) {
-                subsets.push(wanted);
-            }
-        };
-        add(self.which(|pair| has_one_wavelength(&arcs[pair.arc])));
-        add(self.which(|_| true));
-        groups.iter().for_each(|out| add(self.which(|pair| group(pair) != *out)));
-        subsets
     }
 
     /// Position and float ambiguities, conditioned on the integers that the last search found.
@@ -364,11 +332,6 @@ impl IntegerSearch {
         let all = 0..joint.ambiguities();
         let left: Vec<usize> = all.filter(|i| held.binary_search(i).is_err()).collect();
         condition(joint, &held, &values, &left).map(|(rest, _)| rest)
-    }
-
-    /// Indices of the pairs that `is_wanted` admits.
-    fn which(&self, is_wanted: impl Fn(&DoubleDifference) -> bool) -> Vec<usize> {
-        (0..self.pairs.len()).filter(|&i| is_wanted(&self.pairs[i])).collect()
     }
 
     /// Searches for the integers of the pairs `wanted`, whose estimates and covariances are at
@@ -386,7 +349,7 @@ impl IntegerSearch {
         let between = |i: usize, j: usize| joint.covariance[(3 + indices[i], 3 + indices[j])];
         let covariance = DMatrix::from_fn(n, n, between);
         let strength = |&i: &usize| {
-            let arc = &arcs[self.pairs[wanted[i]].arc];
+            let arc = &arcs[self.differences.pairs[wanted[i]].arc];
             (arc.epochs.min(2), arc.elevation_rad)
         };
         self.order.clear();
@@ -405,59 +368,12 @@ impl IntegerSearch {
         let found = wanted.iter().zip(entries).filter_map(|(&i, entry)| Some((i, (*entry)?)));
         let mut count = 0;
         for (i, integer) in found {
-            let DoubleDifference { arc, reference, .. } = self.pairs[i];
+            let DoubleDifference { arc, reference, .. } = self.differences.pairs[i];
             hold.hold(arcs, arc, reference, integer);
             count += 1;
         }
         count
     }
-
-    /// Double differences of the eligible arcs, each against the reference satellite of its
-    /// group: the highest of those that hold an integer, or of all if none does.
-    fn difference(
-        &mut self,
-        arcs: &[CarrierArc],
-        is_eligible: impl Fn(&CarrierArc) -> bool,
-        float: &FloatSolution,
-    ) {
-        self.indices.clear();
-        self.indices
-            .extend(arcs.iter().map(|arc| float.index(arc.variable).filter(|_| is_eligible(arc))));
-        self.pairs.clear();
-        for (arc, own) in arcs.iter().enumerate() {
-            if self.indices[arc].is_none() {
-                continue;
-            }
-            let rank = |arc: &CarrierArc| (arc.held.is_some(), arc.elevation_rad);
-            let mut reference = arc;
-            for (other, candidate) in arcs.iter().enumerate() {
-                let is_better = rank(&arcs[reference]) < rank(candidate);
-                if is_better && self.indices[other].is_some() && candidate.group() == own.group() {
-                    reference = other;
-                }
-            }
-            if reference != arc {
-                let both = own.held.zip(arcs[reference].held);
-                let known = both.and_then(|(own, zero)| own.minus(zero));
-                self.pairs.push(DoubleDifference { arc, reference, known });
-            }
-        }
-    }
-
-    /// Position and double-differenced ambiguities of the float solution, with their joint
-    /// covariance.
-    fn joint(&self, float: &FloatSolution) -> Joint {
-        let index = |arc: usize| self.indices[arc].expect("arcs of double differences have one");
-        let pairs: Vec<_> =
-            self.pairs.iter().map(|pair| (index(pair.arc), index(pair.reference))).collect();
-        Joint::of_differences(float, &pairs)
-    }
-}
-
-/// Whether all arcs of the group have one wavelength, so that a common number of cycles is an
-/// offset.
-fn has_one_wavelength(arc: &CarrierArc) -> bool {
-    arc.satellite.constellation != Constellation::Glonass
 }
 
 /// Whether the ambiguity of an arc may be fixed: elevation mask, no half-cycle ambiguity.
@@ -471,7 +387,7 @@ mod tests {
 
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
-    use crate::gnss::{Band, ObservationCode, SatelliteId};
+    use crate::gnss::{Band, Constellation, ObservationCode, SatelliteId};
     use crate::positioning::rtk::observed::{HeldInteger, Receivers, Residuals};
 
     const N: usize = 7;

@@ -3,6 +3,7 @@
 mod acceptance;
 mod conditioning;
 mod confirmation;
+mod differences;
 mod fixed_position;
 mod float;
 mod hold;
