@@ -5,8 +5,6 @@ use std::process::Command;
 use std::time::Duration;
 
 use bytes::Bytes;
-use graphfix::aiding::bases::BaseChoice;
-use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::contract::{calls, v1};
 use graphfix::formats::gnss_logger::{LogReader, LogWriter};
 use graphfix::formats::receiver::TimeReference;
@@ -14,7 +12,7 @@ use graphfix::formats::rinex::{ChunkReader, ObservationReader};
 use graphfix::gnss::{Ecef, Epoch, Geodetic, GpsTime, Status};
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
-use graphfix::session::{NewSession, RawChunk, RawReceived, SessionId, SessionLimits, Sessions};
+use graphfix::session::{RawChunk, RawReceived, SessionId};
 use graphfix::store::{Store, StoredEpoch};
 use serde_json::{Value, json};
 use tonic::transport::Channel;
@@ -26,6 +24,7 @@ use crate::support::doors::{Doors, code};
 use crate::support::pair::PAIR;
 use crate::support::reading::epochs_of;
 use crate::support::server::{Server, free_port, opened};
+use crate::support::sessions::{created, desk};
 use crate::support::streams::{Random, decode, epochs, unpacked};
 use crate::support::wait::interrupted;
 
@@ -38,23 +37,6 @@ on_both_databases!(
     packed_streams_come_in_pieces,
     the_end_of_a_stream_begins_another,
 );
-
-async fn desk(store: &Store) -> Sessions {
-    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
-    Sessions::open(store.clone(), aiding, SessionLimits::service())
-}
-
-async fn created(sessions: &Sessions) -> SessionId {
-    let new = NewSession {
-        label: "rover".to_owned(),
-        mode: "spp".to_owned(),
-        profile: "general".to_owned(),
-        overrides: BTreeMap::new(),
-        base: BaseChoice::None,
-        antenna: String::new(),
-    };
-    sessions.create(new).await.unwrap().id
-}
 
 fn piece(stream: &[u8], from: usize, to: usize) -> RawChunk {
     RawChunk {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use graphfix::aiding::bases::BaseChoice;
 use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId, Status};
+use graphfix::gnss::{GpsTime, Status};
 use graphfix::refusal::Code;
 use graphfix::session::{
     Burst, EpochOutcome, EpochRefusal, NewSession, Recomputation, SequencedEpoch, SessionError,
@@ -18,6 +18,7 @@ use graphfix::store::{Revisions, SolutionQuery, Store, StoredSolution};
 use crate::support::data;
 use crate::support::database::{Database, on_both_databases, whole_session};
 use crate::support::reading;
+use crate::support::sessions::{created, desk_with, epoch, new_session};
 use crate::support::wait::until;
 
 on_both_databases!(
@@ -69,37 +70,6 @@ fn limits() -> SessionLimits {
 
 async fn desk(store: &Store) -> Sessions {
     desk_with(store, limits()).await
-}
-
-async fn desk_with(store: &Store, limits: SessionLimits) -> Sessions {
-    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
-    Sessions::open(store.clone(), aiding, limits)
-}
-
-fn new_session() -> NewSession {
-    NewSession {
-        label: "rover".to_owned(),
-        mode: "spp".to_owned(),
-        profile: "general".to_owned(),
-        overrides: BTreeMap::new(),
-        base: BaseChoice::None,
-        antenna: String::new(),
-    }
-}
-
-async fn created(sessions: &Sessions) -> SessionId {
-    sessions.create(new_session()).await.unwrap().id
-}
-
-/// An epoch at a second of week 2051 with one pseudorange and without an ephemeris: the answer has
-/// no position, and states the reason.
-fn epoch(seq: u64, second: f64) -> SequencedEpoch {
-    let satellite: SatelliteId = "G05".parse().unwrap();
-    let code = ObservationCode::parse("1C").unwrap();
-    let pseudorange_m = Some(22e6 + second);
-    let observation = Observation { pseudorange_m, ..Observation::empty(satellite, code) };
-    let time = GpsTime::from_week_seconds(2051, second);
-    SequencedEpoch { seq, epoch: Epoch { observations: vec![observation], ..Epoch::new(time) } }
 }
 
 fn batch(seqs: impl IntoIterator<Item = u64>) -> Vec<SequencedEpoch> {

@@ -137,26 +137,8 @@ async fn files_of_navigation_are_survived() {
     survives(&doors, &seeds, |file| post("/v1/navigation", OCTETS, file)).await;
 }
 
-const COMPACT: &str = "\
-3.0                 COMPACT RINEX FORMAT                    CRINEX VERS   / TYPE
-RNX2CRX             TEST                                    CRINEX PROG / DATE
-     3.05           OBSERVATION DATA    M                   RINEX VERSION / TYPE
-  4033460.7500    23538.0200  4924318.3900                  APPROX POSITION XYZ
-G    2 C1C L1C                                              SYS / # / OBS TYPES
-                                                            END OF HEADER
-> 2022 03 04 00 00  0.0000000  0  2      G01G03
-
-3&20243517560 3&106380411418   7
-3&20619020680 3&108353702797   8
-                   3
-
--1000 -2000
-500 700
-                &  1
-
--10 -20
-5 7
-";
+/// CRINEX with two satellites.
+const COMPACT: &str = include_str!("../../src/formats/rinex/sample.crx");
 
 #[tokio::test]
 async fn files_of_bases_are_survived() {

@@ -9,21 +9,29 @@ use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Se
 use graphfix::store::Store;
 
 pub(crate) async fn desk(store: &Store) -> Sessions {
-    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
-    Sessions::open(store.clone(), aiding, SessionLimits::service())
+    desk_with(store, SessionLimits::service()).await
 }
 
-/// The id of a new session for single points.
-pub(crate) async fn created(sessions: &Sessions) -> SessionId {
-    let new = NewSession {
+pub(crate) async fn desk_with(store: &Store, limits: SessionLimits) -> Sessions {
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    Sessions::open(store.clone(), aiding, limits)
+}
+
+/// A session for single points.
+pub(crate) fn new_session() -> NewSession {
+    NewSession {
         label: "rover".to_owned(),
         mode: "spp".to_owned(),
         profile: "general".to_owned(),
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
         antenna: String::new(),
-    };
-    sessions.create(new).await.unwrap().id
+    }
+}
+
+/// The id of a new session for single points.
+pub(crate) async fn created(sessions: &Sessions) -> SessionId {
+    sessions.create(new_session()).await.unwrap().id
 }
 
 /// An epoch at a second of week 2051 with one pseudorange and without an ephemeris: the answer has

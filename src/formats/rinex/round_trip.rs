@@ -363,25 +363,8 @@ const RINEX2: &str =
       1000.125
 ";
 
-const COMPACT: &str = "\
-3.0                 COMPACT RINEX FORMAT                    CRINEX VERS   / TYPE
-RNX2CRX             TEST                                    CRINEX PROG / DATE
-     3.05           OBSERVATION DATA    M                   RINEX VERSION / TYPE
-G    2 C1C L1C                                              SYS / # / OBS TYPES
-                                                            END OF HEADER
-> 2022 03 04 00 00  0.0000000  0  2      G01G03
-
-3&20243517560 3&106380411418   7
-3&20619020680 3&108353702797   8
-                   3
-
--1000 -2000
-500 700
-                &  1
-
--10 -20
-5 7
-";
+/// CRINEX with two satellites.
+const COMPACT: &str = include_str!("sample.crx");
 
 const RINEX4: &str =
     "     4.00           NAVIGATION DATA     M                   RINEX VERSION / TYPE
