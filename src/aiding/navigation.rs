@@ -169,22 +169,8 @@ impl NavigationBroker {
             return Err(AidingError::TooManyEphemerides { satellite, count: list.len(), limit });
         }
         let received = pushed.len();
-        let is_offer = !is_of_operator(source);
-        let (pushed, mut ended) = if is_offer {
-            let accepted = before.offered.accept(&before.navigation, &pushed, limit, unix_ms());
-            (accepted.navigation, accepted.dropped)
-        } else {
-            let contradicted = before.offered.contradicted(&before.navigation, &pushed);
-            (pushed, contradicted)
-        };
-        let mut new = new_ephemerides(&before.navigation, &pushed);
-        if !is_offer {
-            // Ephemerides that were offered before become the operator's.
-            let all = pushed.satellites().flat_map(|(_, list)| list);
-            let is_taken_over = |e: &&Ephemeris| before.offered.contains(e) && !new.contains(e);
-            let taken_over: Vec<&Ephemeris> = all.filter(is_taken_over).collect();
-            new.extend(taken_over);
-        }
+        let (pushed, mut ended) = before.accept(pushed, source, limit);
+        let new = before.new_ephemerides(&pushed, source);
         let coefficients = new_coefficients(&before.navigation, &pushed);
         if new.is_empty() && coefficients == Navigation::default() {
             let in_force = before.navigation.len();
@@ -196,34 +182,23 @@ impl NavigationBroker {
         let excess = excess(&navigation, &pushed, limit, &before.offered);
         navigation.retain(|ephemeris| !excess.contains(ephemeris));
         ended.extend(excess);
-
-        let now = unix_ms();
         let dropped: Vec<&Ephemeris> = ended.iter().collect();
         let change = NavigationChange {
             new: &new,
             dropped: &dropped,
             coefficients: &coefficients,
             source,
-            stored_unix_ms: now,
+            stored_unix_ms: unix_ms(),
             superseded_limit: self.limits.superseded_ephemerides,
         };
         let push = self.store.push_navigation(&change).await?;
-
-        let mut sources = (*before.sources).clone();
-        let mut offered = (*before.offered).clone();
-        ended.iter().for_each(|ephemeris| offered.forget(ephemeris));
-        for ephemeris in &new {
-            offered.note(ephemeris, source, now);
-            sources.insert(ephemeris.satellite(), (source.to_owned(), now));
-        }
         let counts = NavigationPush {
             received,
             new: new.len(),
             dropped: ended.len(),
             in_force: navigation.len(),
         };
-        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let after = Current { push, navigation, sources, offered: Arc::new(offered) };
+        let after = before.after(push, navigation, &change);
         *self.current.write().unwrap_or_else(PoisonError::into_inner) = after;
         Ok(counts)
     }
@@ -253,10 +228,49 @@ impl NavigationBroker {
     }
 }
 
-/// The ephemerides of `pushed` that are not known yet.
-fn new_ephemerides<'a>(known: &Navigation, pushed: &'a Navigation) -> Vec<&'a Ephemeris> {
-    let all = pushed.satellites().flat_map(|(_, list)| list);
-    all.filter(|ephemeris| !known.of(ephemeris.satellite()).contains(ephemeris)).collect()
+impl Current {
+    /// The part of a push that is accepted, and the ephemerides in force that end because of it.
+    fn accept(
+        &self,
+        pushed: Navigation,
+        source: &str,
+        limit: usize,
+    ) -> (Navigation, Vec<Ephemeris>) {
+        if is_of_operator(source) {
+            let contradicted = self.offered.contradicted(&self.navigation, &pushed);
+            return (pushed, contradicted);
+        }
+        let accepted = self.offered.accept(&self.navigation, &pushed, limit, unix_ms());
+        (accepted.navigation, accepted.dropped)
+    }
+
+    /// The ephemerides of `pushed` to store: those that are not known yet, and those that were
+    /// offered before and are now the operator's.
+    fn new_ephemerides<'a>(&self, pushed: &'a Navigation, source: &str) -> Vec<&'a Ephemeris> {
+        let all = || pushed.satellites().flat_map(|(_, list)| list);
+        let is_new = |e: &&Ephemeris| !self.navigation.of(e.satellite()).contains(e);
+        let mut new: Vec<&Ephemeris> = all().filter(is_new).collect();
+        if is_of_operator(source) {
+            let is_taken_over = |e: &&Ephemeris| self.offered.contains(e) && !new.contains(e);
+            let taken_over: Vec<&Ephemeris> = all().filter(is_taken_over).collect();
+            new.extend(taken_over);
+        }
+        new
+    }
+
+    /// The state after `change` is stored as push number `push`.
+    fn after(&self, push: u64, navigation: Navigation, change: &NavigationChange<'_>) -> Self {
+        let (source, now) = (change.source, change.stored_unix_ms);
+        let mut sources = (*self.sources).clone();
+        let mut offered = (*self.offered).clone();
+        change.dropped.iter().for_each(|ephemeris| offered.forget(ephemeris));
+        for ephemeris in change.new {
+            offered.note(ephemeris, source, now);
+            sources.insert(ephemeris.satellite(), (source.to_owned(), now));
+        }
+        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
+        Self { push, navigation, sources, offered: Arc::new(offered) }
+    }
 }
 
 /// The coefficients of `pushed` that differ from the known ones.

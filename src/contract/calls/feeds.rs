@@ -4,7 +4,7 @@ use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
 use crate::contract::{Refusal, Service, intake, texts, v1};
 use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, NetworkHealth, SourceStatus};
-use crate::gnss::Geodetic;
+use crate::gnss::{Ecef, Geodetic};
 use crate::refusal::Code;
 
 use super::raw::statistics;
@@ -17,9 +17,6 @@ const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e5;
 
 /// Reads and checks the stream of a request.
 pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseFeed, Refusal> {
-    let refused = |field: &str, message: String| {
-        Err(Refusal::new(Code::InvalidField, message).at(format!("ntrip.{field}")))
-    };
     let v1::NtripSource { caster, mountpoint, user, password, version, position, near, .. } =
         source;
     texts::check("ntrip.caster", &caster, texts::ADDRESS_MAX)?;
@@ -28,35 +25,12 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
         0 | 2 => 2,
         1 => 1,
         other => {
-            return refused(
-                "version",
-                format!("{other} is not a version of NTRIP; known are 1 and 2"),
-            );
+            let message = format!("{other} is not a version of NTRIP; known are 1 and 2");
+            return Err(refused("version", message));
         }
     };
-    let is_text =
-        |text: &str| text.len() <= CREDENTIAL_LIMIT && text.chars().all(|c| !c.is_control());
-    if !is_text(&user) || user.contains(':') {
-        let message = format!("a user is up to {CREDENTIAL_LIMIT} characters without a colon");
-        return refused("user", message);
-    }
-    if !is_text(&password) {
-        let message = format!("a password is up to {CREDENTIAL_LIMIT} printable characters");
-        return refused("password", message);
-    }
-    let ecef = |v1::Geodetic { latitude_deg, longitude_deg, height_m }: v1::Geodetic| {
-        let is_valid = latitude_deg.abs() <= 90.0
-            && longitude_deg.abs() <= 360.0
-            && HEIGHTS_M.contains(&height_m);
-        let (latitude_rad, longitude_rad) = (latitude_deg.to_radians(), longitude_deg.to_radians());
-        is_valid.then(|| Geodetic { latitude_rad, longitude_rad, height_m }.to_ecef())
-    };
-    let position = match position.map(ecef) {
-        Some(None) => {
-            return refused("position", "it is not a position near the Earth's surface".to_owned());
-        }
-        position => position.flatten(),
-    };
+    check_credentials(&user, &password)?;
+    let position = position.map(rover_position).transpose()?;
     let at_near = |refusal: Refusal| refusal.at("ntrip.near");
     let near = near.map(|near| intake::time(near.week, near.ns_of_week).map_err(at_near));
     let near = near.transpose()?;
@@ -73,6 +47,38 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
     };
     service.feeds().check(&feed)?;
     Ok(feed)
+}
+
+fn refused(field: &str, message: String) -> Refusal {
+    Refusal::new(Code::InvalidField, message).at(format!("ntrip.{field}"))
+}
+
+/// Checks user and password: RFC 7617 separates them by a colon.
+fn check_credentials(user: &str, password: &str) -> Result<(), Refusal> {
+    let is_text =
+        |text: &str| text.len() <= CREDENTIAL_LIMIT && text.chars().all(|c| !c.is_control());
+    if !is_text(user) || user.contains(':') {
+        let message = format!("a user is up to {CREDENTIAL_LIMIT} characters without a colon");
+        return Err(refused("user", message));
+    }
+    if !is_text(password) {
+        let message = format!("a password is up to {CREDENTIAL_LIMIT} printable characters");
+        return Err(refused("password", message));
+    }
+    Ok(())
+}
+
+/// Reads and checks the position of the rovers.
+fn rover_position(position: v1::Geodetic) -> Result<Ecef, Refusal> {
+    let v1::Geodetic { latitude_deg, longitude_deg, height_m } = position;
+    let is_valid =
+        latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 360.0 && HEIGHTS_M.contains(&height_m);
+    if !is_valid {
+        let message = "it is not a position near the Earth's surface".to_owned();
+        return Err(refused("position", message));
+    }
+    let (latitude_rad, longitude_rad) = (latitude_deg.to_radians(), longitude_deg.to_radians());
+    Ok(Geodetic { latitude_rad, longitude_rad, height_m }.to_ecef())
 }
 
 /// A stream with its health, as a message.
