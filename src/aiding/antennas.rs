@@ -23,7 +23,7 @@ impl Antennas {
     }
 
     /// Whether there is no ANTEX file, or none of receivers' antennas.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.catalogue.receivers.is_empty()
     }
 
@@ -31,7 +31,7 @@ impl Antennas {
     ///
     /// # Errors
     /// The ANTEX file does not have it, or the store fails.
-    pub async fn keep(&self, name: &str) -> Result<AntennaName, AidingError> {
+    pub(crate) async fn keep(&self, name: &str) -> Result<AntennaName, AidingError> {
         let calibration = self.find(name)?;
         self.store.keep_calibration(calibration).await?;
         Ok(AntennaName::of(calibration))
@@ -41,7 +41,10 @@ impl Antennas {
     ///
     /// # Errors
     /// The ANTEX file does not have it.
-    pub fn named(&self, name: &str) -> Result<(AntennaName, Arc<AntennaCalibration>), AidingError> {
+    pub(crate) fn named(
+        &self,
+        name: &str,
+    ) -> Result<(AntennaName, Arc<AntennaCalibration>), AidingError> {
         let calibration = self.find(name)?;
         Ok((AntennaName::of(calibration), Arc::new(calibration.clone())))
     }
@@ -50,7 +53,7 @@ impl Antennas {
     ///
     /// # Errors
     /// No stored calibration has this hash, or the store fails.
-    pub async fn kept(&self, hash: &str) -> Result<Arc<AntennaCalibration>, AidingError> {
+    pub(crate) async fn kept(&self, hash: &str) -> Result<Arc<AntennaCalibration>, AidingError> {
         Ok(Arc::new(self.store.calibration(hash).await?))
     }
 

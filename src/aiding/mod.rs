@@ -16,10 +16,11 @@ pub use antennas::Antennas;
 pub use bases::BaseBroker;
 pub use error::AidingError;
 pub use limits::AidingLimits;
-pub use navigation::{
-    NavigationBroker, NavigationPush, NavigationStatus, PushedNavigation, SatelliteCoverage,
-};
-pub use trust::{DEVICE, OF_BASE, UPLOAD};
+pub use navigation::PushedNavigation;
+pub use navigation::{NavigationBroker, NavigationPush};
+pub use navigation::{NavigationStatus, SatelliteCoverage};
+pub(crate) use trust::OF_BASE;
+pub use trust::{DEVICE, UPLOAD};
 
 use std::sync::Arc;
 

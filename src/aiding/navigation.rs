@@ -153,7 +153,7 @@ impl NavigationBroker {
     /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
     /// of [`Self::current`] contain them. The operator's data replace others; data from the sources
     /// [`UPLOAD`](super::UPLOAD), [`DEVICE`](super::DEVICE) and those that begin with
-    /// [`OF_BASE`](super::OF_BASE) are added as far as they contradict and replace nothing.
+    /// `OF_BASE` are added as far as they contradict and replace nothing.
     ///
     /// # Errors
     /// The push has more ephemerides of one satellite than are kept, or the store fails.

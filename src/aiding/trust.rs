@@ -15,7 +15,7 @@ pub const UPLOAD: &str = "upload";
 /// Source of ephemerides from devices.
 pub const DEVICE: &str = "device";
 /// Prefix of the sources that are streams of bases.
-pub const OF_BASE: &str = "base ";
+pub(crate) const OF_BASE: &str = "base ";
 /// Largest difference of the satellite's positions and clocks by two ephemerides that agree (m).
 /// Consecutive broadcasts differ by some metres at times for which both are valid.
 const AGREEMENT_M: f64 = 100.0;

@@ -31,7 +31,7 @@ pub enum AppError {
 
 impl AppError {
     /// The stable code.
-    pub fn code(&self) -> Code {
+    pub(crate) fn code(&self) -> Code {
         match self {
             Self::Store(error) => error.code(),
             Self::Aiding(error) => error.code(),

@@ -97,7 +97,7 @@ async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
 ///
 /// # Errors
 /// The database cannot be read.
-pub async fn open_stored(
+pub(crate) async fn open_stored(
     database: &str,
     limits: &Limits,
     catalogue: AntennaCatalogue,
@@ -137,7 +137,7 @@ impl App {
 }
 
 /// A name for a node: the host's name and a random suffix.
-pub fn random_node() -> String {
+pub(crate) fn random_node() -> String {
     let host = rustix::system::uname();
     let mark = Uuid::new_v4().simple().to_string();
     format!("{}-{}", host.nodename().to_string_lossy(), &mark[..6])

@@ -7,7 +7,7 @@ use crate::refusal::Code;
 
 /// Why a command failed: a stable code, what is wrong and what to do, in one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Failure {
+pub(crate) struct Failure {
     code: Code,
     message: String,
     remedy: String,

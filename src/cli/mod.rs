@@ -28,7 +28,7 @@ use clap::{Parser, Subcommand};
 
 use crate::refusal::Code;
 
-pub use failure::Failure;
+pub(crate) use failure::Failure;
 
 /// GNSS positioning: observations in, positions out.
 #[derive(Debug, Parser)]

@@ -42,7 +42,7 @@ struct Shared {
 
 /// The memory of one request. It is returned when the last clone is dropped.
 #[derive(Clone, Debug)]
-pub struct Lease(Arc<Leased>);
+pub(crate) struct Lease(Arc<Leased>);
 
 #[derive(Debug)]
 struct Leased {
@@ -56,7 +56,7 @@ struct Leased {
 
 impl Budget {
     /// A budget of `total` bytes for requests with these limits.
-    pub fn new(total: usize, limits: IntakeLimits) -> Self {
+    pub(crate) fn new(total: usize, limits: IntakeLimits) -> Self {
         Self(Arc::new(Shared { total, used: AtomicUsize::new(0), limits }))
     }
 
@@ -64,7 +64,7 @@ impl Budget {
     ///
     /// # Errors
     /// The budget is exhausted.
-    pub fn lease(&self) -> Result<Lease, Refusal> {
+    pub(crate) fn lease(&self) -> Result<Lease, Refusal> {
         let (reserved, arrived) = Default::default();
         let lease =
             Lease(Arc::new(Leased { budget: self.clone(), reserved, arrived, id: Uuid::now_v7() }));
@@ -85,22 +85,22 @@ impl Budget {
 
 impl Lease {
     /// The lease of the request that the present task serves; none outside a door.
-    pub fn current() -> Option<Self> {
+    pub(crate) fn current() -> Option<Self> {
         CURRENT.try_with(Self::clone).ok()
     }
 
     /// Runs `work` with this as [`Lease::current`].
-    pub async fn scope<F: Future>(self, work: F) -> F::Output {
+    pub(crate) async fn scope<F: Future>(self, work: F) -> F::Output {
         CURRENT.scope(self, work).await
     }
 
     /// The id of the request.
-    pub fn request_id(&self) -> Uuid {
+    pub(crate) fn request_id(&self) -> Uuid {
         self.0.id
     }
 
     /// The limits on the content of a request.
-    pub fn limits(&self) -> &IntakeLimits {
+    pub(crate) fn limits(&self) -> &IntakeLimits {
         &self.0.budget.0.limits
     }
 
@@ -108,7 +108,7 @@ impl Lease {
     ///
     /// # Errors
     /// The budget is exhausted, or the request alone exceeds it. Nothing is added.
-    pub fn reserve(&self, bytes: usize) -> Result<(), Refusal> {
+    pub(crate) fn reserve(&self, bytes: usize) -> Result<(), Refusal> {
         let Leased { budget, reserved, .. } = &*self.0;
         let whole = reserved.load(Ordering::Acquire).saturating_add(bytes);
         let of_large = budget.of_large();
@@ -128,12 +128,12 @@ impl Lease {
     }
 
     /// Counts bytes of the body that have arrived.
-    pub fn arrive(&self, bytes: usize) {
+    pub(crate) fn arrive(&self, bytes: usize) {
         self.0.arrived.fetch_add(bytes, Ordering::AcqRel);
     }
 
     /// Bytes of the body that have arrived, before any unpacking.
-    pub fn arrived(&self) -> usize {
+    pub(crate) fn arrived(&self) -> usize {
         self.0.arrived.load(Ordering::Acquire)
     }
 
@@ -141,7 +141,7 @@ impl Lease {
     ///
     /// # Errors
     /// [`Code::CompressedTooMuch`].
-    pub fn check_ratio(&self, unpacked: usize) -> Result<(), Refusal> {
+    pub(crate) fn check_ratio(&self, unpacked: usize) -> Result<(), Refusal> {
         check_ratio(self.arrived(), unpacked)
     }
 }
@@ -156,7 +156,7 @@ impl Drop for Leased {
 ///
 /// # Errors
 /// [`Code::CompressedTooMuch`].
-pub fn check_ratio(packed: usize, unpacked: usize) -> Result<(), Refusal> {
+pub(crate) fn check_ratio(packed: usize, unpacked: usize) -> Result<(), Refusal> {
     Ok(formats::check_ratio(packed as u64, unpacked as u64)?)
 }
 

@@ -177,7 +177,7 @@ pub const fn status(status: Status) -> v1::Status {
 ///
 /// # Errors
 /// The schema does not have the number.
-pub fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
+pub(crate) fn status_filter(number: i32) -> Result<Option<Status>, Refusal> {
     match v1::Status::try_from(number) {
         Ok(v1::Status::Unspecified) => Ok(None),
         Ok(v1::Status::None) => Ok(Some(Status::None)),

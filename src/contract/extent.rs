@@ -25,7 +25,7 @@ const FIELD_BYTES: usize = 128;
 
 /// What a request contains, counted before it is decoded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Extent {
+pub(crate) struct Extent {
     epochs: usize,
     observations: usize,
     /// Index of the epoch with the most observations, and their number.
@@ -36,7 +36,7 @@ pub struct Extent {
 
 impl Extent {
     /// Adds an epoch.
-    pub fn add_epoch(&mut self, observations: usize) {
+    pub(crate) fn add_epoch(&mut self, observations: usize) {
         if self.largest.1 < observations {
             self.largest = (self.epochs, observations);
         }
@@ -45,7 +45,7 @@ impl Extent {
     }
 
     /// Adds fields that are neither epochs nor observations.
-    pub fn add_fields(&mut self, count: usize) {
+    pub(crate) fn add_fields(&mut self, count: usize) {
         self.others += count;
     }
 
@@ -54,7 +54,7 @@ impl Extent {
     ///
     /// # Errors
     /// More epochs, observations or other fields than a request may have, or too little memory.
-    pub fn reserve(self, text_bytes: usize, lease: &Lease) -> Result<(), Refusal> {
+    pub(crate) fn reserve(self, text_bytes: usize, lease: &Lease) -> Result<(), Refusal> {
         let Self { epochs, observations, largest: (index, count), others } = self;
         let limits = lease.limits();
         let refused =
@@ -84,7 +84,7 @@ impl Extent {
 }
 
 /// Counts what `bytes` contain of a protobuf message `M`. Invalid bytes are left to the decoder.
-pub fn extent_of<M: 'static>(bytes: &[u8]) -> Extent {
+pub(crate) fn extent_of<M: 'static>(bytes: &[u8]) -> Extent {
     let of_epochs = epochs_field(TypeId::of::<M>());
     let mut extent = Extent::default();
     for (field, content) in Fields(bytes) {

@@ -27,7 +27,7 @@ const CN0_MAX_DB_HZ: f64 = 100.0;
 
 /// An observation as received.
 #[derive(Clone, Copy, Debug)]
-pub struct RawObservation<'a> {
+pub(crate) struct RawObservation<'a> {
     /// Satellite, such as `G05`.
     pub satellite: &'a str,
     /// Band and attribute, such as `1C`.
@@ -48,7 +48,7 @@ pub struct RawObservation<'a> {
 
 /// A displacement as received.
 #[derive(Clone, Copy, Debug)]
-pub struct RawOdometry<'a> {
+pub(crate) struct RawOdometry<'a> {
     /// Duration of the displacement (s).
     pub interval_s: f64,
     /// Name of the frame: `ecef`, `enu` or `body`.
@@ -67,7 +67,7 @@ pub struct RawOdometry<'a> {
 ///
 /// # Errors
 /// [`Code::InvalidTime`].
-pub fn time(week: i32, ns_of_week: i64) -> Result<GpsTime, Refusal> {
+pub(crate) fn time(week: i32, ns_of_week: i64) -> Result<GpsTime, Refusal> {
     GpsTime::from_week_ns(week, ns_of_week).ok_or_else(|| {
         Refusal::new(
             Code::InvalidTime,
@@ -80,7 +80,7 @@ pub fn time(week: i32, ns_of_week: i64) -> Result<GpsTime, Refusal> {
 ///
 /// # Errors
 /// [`Code::InvalidTime`].
-pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
+pub(crate) fn time_text(text: &str) -> Result<GpsTime, Refusal> {
     let parse = || {
         let (week, seconds) = text.split_once(':')?;
         let (week, seconds) = (week.parse().ok()?, seconds.parse::<f64>().ok()?);
@@ -96,7 +96,7 @@ pub fn time_text(text: &str) -> Result<GpsTime, Refusal> {
 ///
 /// # Errors
 /// [`Code::InvalidSequence`].
-pub fn sequence(seq: u64) -> Result<u64, Refusal> {
+pub(crate) fn sequence(seq: u64) -> Result<u64, Refusal> {
     if SEQUENCES.contains(&seq) {
         return Ok(seq);
     }
@@ -108,7 +108,7 @@ pub fn sequence(seq: u64) -> Result<u64, Refusal> {
 ///
 /// # Errors
 /// [`Code::NoEpochs`] and [`Code::TooManyEpochs`].
-pub fn epoch_count(count: usize, limits: &IntakeLimits) -> Result<(), Refusal> {
+pub(crate) fn epoch_count(count: usize, limits: &IntakeLimits) -> Result<(), Refusal> {
     match count {
         0 => Err(Refusal::new(Code::NoEpochs, "no epoch").at("epochs")),
         _ if limits.epochs_per_push < count => {
@@ -120,14 +120,14 @@ pub fn epoch_count(count: usize, limits: &IntakeLimits) -> Result<(), Refusal> {
 }
 
 /// The refusal of an unknown status.
-pub fn unknown_status(given: &str) -> Refusal {
+pub(crate) fn unknown_status(given: &str) -> Refusal {
     let names: Vec<_> = Status::ALL.into_iter().map(Status::name).collect();
     let message = format!("{given:?} is not a status; known are {}", names.join(", "));
     Refusal::new(Code::InvalidField, message).at("status")
 }
 
 /// The refusal of an unknown choice of revisions.
-pub fn unknown_revisions(given: &str) -> Refusal {
+pub(crate) fn unknown_revisions(given: &str) -> Refusal {
     let message = format!("{given:?} is not a choice of revisions; known are last, first, all");
     Refusal::new(Code::InvalidField, message).at("revisions")
 }
@@ -137,7 +137,7 @@ pub fn unknown_revisions(given: &str) -> Refusal {
 ///
 /// # Errors
 /// An observation is invalid; the refusal's field is a path below the epoch.
-pub fn epoch<'a>(
+pub(crate) fn epoch<'a>(
     time: GpsTime,
     power_failure: bool,
     observations: impl ExactSizeIterator<Item = RawObservation<'a>>,
@@ -163,7 +163,7 @@ pub fn epoch<'a>(
 ///
 /// # Errors
 /// [`Code::InvalidOdometry`]; the refusal's field is a path below the displacement.
-pub fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
+pub(crate) fn odometry(raw: &RawOdometry<'_>) -> Result<Odometry, Refusal> {
     let refused = |message: String, field: &str| {
         Refusal::new(Code::InvalidOdometry, message).at(field.to_owned())
     };

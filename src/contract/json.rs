@@ -1,7 +1,7 @@
 //! JSON forms that differ from protobuf's: statuses by name, and named values as an object.
 
 /// A status by its name in the API; empty if absent.
-pub mod status {
+pub(crate) mod status {
     use serde::{Deserialize, Deserializer, Serializer};
 
     use crate::contract::v1;
@@ -12,7 +12,7 @@ pub mod status {
     ///
     /// # Errors
     /// The serialiser fails.
-    pub fn serialize<S: Serializer>(number: &i32, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(number: &i32, serializer: S) -> Result<S::Ok, S::Error> {
         let status = v1::Status::try_from(*number).unwrap_or(v1::Status::Unspecified);
         serializer.serialize_str(status.as_str_name().trim_start_matches(PREFIX))
     }
@@ -21,7 +21,7 @@ pub mod status {
     ///
     /// # Errors
     /// The name is not a status.
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
         let name = String::deserialize(deserializer)?;
         v1::Status::from_str_name(&format!("{PREFIX}{name}"))
             .map(i32::from)
@@ -30,7 +30,7 @@ pub mod status {
 }
 
 /// Named values as a JSON object.
-pub mod values {
+pub(crate) mod values {
     use std::collections::BTreeMap;
 
     use prost_types::value::Kind;
@@ -42,7 +42,7 @@ pub mod values {
     ///
     /// # Errors
     /// The serialiser fails.
-    pub fn serialize<S: Serializer>(
+    pub(crate) fn serialize<S: Serializer>(
         values: &Option<Struct>,
         serializer: S,
     ) -> Result<S::Ok, S::Error> {
@@ -55,7 +55,7 @@ pub mod values {
     ///
     /// # Errors
     /// The JSON is not an object.
-    pub fn deserialize<'de, D: Deserializer<'de>>(
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Option<Struct>, D::Error> {
         let object = BTreeMap::<String, Json>::deserialize(deserializer)?;

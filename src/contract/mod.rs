@@ -8,22 +8,23 @@ mod budget;
 pub mod calls;
 pub mod convert;
 mod extent;
-pub mod intake;
-pub mod json;
+pub(crate) mod intake;
+pub(crate) mod json;
 mod origin;
 mod readiness;
-pub mod reason;
+pub(crate) mod reason;
 mod refusal;
 mod service;
 mod texts;
 mod threads;
 
-pub use budget::{Budget, Lease, check_ratio};
-pub use extent::{Extent, extent_of};
-pub use readiness::{DatabaseReadiness, Readiness};
+pub use budget::Budget;
+pub(crate) use budget::{Lease, check_ratio};
+pub(crate) use extent::{Extent, extent_of};
+pub(crate) use readiness::Readiness;
 pub use refusal::Refusal;
 pub use service::Service;
-pub use threads::{in_background, off_the_network};
+pub(crate) use threads::{in_background, off_the_network};
 
 /// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.
 #[allow(missing_docs, unreachable_pub, clippy::all)]

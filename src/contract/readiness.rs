@@ -16,7 +16,7 @@ const SILENCE_MAX: Duration = Duration::from_secs(10);
 /// Whether the service can do its work now, and if not, why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "camelCase")]
-pub struct Readiness {
+pub(crate) struct Readiness {
     /// Name of the node.
     pub node: String,
     /// Whether requests are accepted and epochs can be committed.
@@ -36,7 +36,7 @@ pub struct Readiness {
 /// The database's part of [`Readiness`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "camelCase")]
-pub struct DatabaseReadiness {
+pub(crate) struct DatabaseReadiness {
     /// Time since the database last confirmed a commit or a probe (ms).
     pub confirmed_ms_ago: u64,
     /// Commits that failed since the start.
@@ -54,7 +54,7 @@ pub struct DatabaseReadiness {
 
 impl Service {
     /// Whether the service can do its work now. It reads from the database.
-    pub async fn readiness(&self) -> Readiness {
+    pub(crate) async fn readiness(&self) -> Readiness {
         let store = self.sessions().store();
         let (health, counts) = (store.committer_health(), self.sessions().counts());
         let free_bytes = store.free_bytes();

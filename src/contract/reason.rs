@@ -8,7 +8,7 @@ use crate::gnss::{Reason, SatelliteId};
 use super::v1;
 
 /// A reason as a message.
-pub fn reason(reason: &Reason) -> v1::Reason {
+pub(crate) fn reason(reason: &Reason) -> v1::Reason {
     let fields = values(reason).into_iter().map(|(name, value)| (name.to_owned(), value));
     v1::Reason {
         code: reason.code().to_owned(),

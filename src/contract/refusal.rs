@@ -26,7 +26,7 @@ pub struct Refusal {
 
 impl Refusal {
     /// A refusal that names no field, line or byte.
-    pub fn new(code: Code, message: impl Into<String>) -> Self {
+    pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
         let (field, line, byte_offset) = (None, None, None);
         Self { code, message, field, line, byte_offset, retry_after: None, cause: None }
@@ -40,7 +40,7 @@ impl Refusal {
     }
 
     /// The message of a failure for the log.
-    pub fn logged(&self) -> String {
+    pub(crate) fn logged(&self) -> String {
         match &self.cause {
             Some(cause) => format!("{}: {cause}", self.message),
             None => self.message.clone(),
@@ -49,7 +49,7 @@ impl Refusal {
 
     /// The refusal that ended a body, found among the causes of `error`; `MALFORMED_BODY` if the
     /// body ended for another reason.
-    pub fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
+    pub(crate) fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let causes = std::iter::successors(Some(error), |error| error.source());
         let refusal = causes.filter_map(|cause| cause.downcast_ref::<Self>()).next();
         refusal.cloned().unwrap_or_else(|| Self::new(Code::MalformedBody, error.to_string()))
@@ -57,7 +57,7 @@ impl Refusal {
 
     /// The refusal with the field at fault.
     #[must_use]
-    pub fn at(mut self, field: impl Into<String>) -> Self {
+    pub(crate) fn at(mut self, field: impl Into<String>) -> Self {
         self.field = Some(field.into());
         self
     }
@@ -71,7 +71,7 @@ impl Refusal {
 
     /// The refusal with its field inside `outer`.
     #[must_use]
-    pub fn within(mut self, outer: &str) -> Self {
+    pub(crate) fn within(mut self, outer: &str) -> Self {
         self.field = Some(match self.field {
             Some(inner) => format!("{outer}.{inner}"),
             None => outer.to_owned(),
@@ -81,21 +81,21 @@ impl Refusal {
 
     /// The refusal with the line at fault.
     #[must_use]
-    pub fn on_line(mut self, line: u64) -> Self {
+    pub(crate) fn on_line(mut self, line: u64) -> Self {
         self.line = Some(line);
         self
     }
 
     /// The refusal with the byte at fault.
     #[must_use]
-    pub fn on_byte(mut self, offset: u64) -> Self {
+    pub(crate) fn on_byte(mut self, offset: u64) -> Self {
         self.byte_offset = Some(offset);
         self
     }
 
     /// The refusal with the delay before the next attempt.
     #[must_use]
-    pub fn retry_after(mut self, delay: Duration) -> Self {
+    pub(crate) fn retry_after(mut self, delay: Duration) -> Self {
         self.retry_after = Some(delay);
         self
     }

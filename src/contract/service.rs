@@ -33,7 +33,12 @@ pub struct Service {
 
 impl Service {
     /// A service with these desks.
-    pub fn new(sessions: Sessions, aiding: AidingDesk, feeds: Feeds, limits: Limits) -> Self {
+    pub(crate) fn new(
+        sessions: Sessions,
+        aiding: AidingDesk,
+        feeds: Feeds,
+        limits: Limits,
+    ) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
         Self {
             sessions,
@@ -50,13 +55,13 @@ impl Service {
 
     /// The service with the name of its node.
     #[must_use]
-    pub fn named(mut self, node: String) -> Self {
+    pub(crate) fn named(mut self, node: String) -> Self {
         self.node = node.into();
         self
     }
 
     /// Name of the node.
-    pub fn node(&self) -> &str {
+    pub(crate) fn node(&self) -> &str {
         &self.node
     }
 
@@ -68,7 +73,7 @@ impl Service {
     }
 
     /// Whether the operator lists this host name of the service.
-    pub fn is_listed_host(&self, name: &str) -> bool {
+    pub(crate) fn is_listed_host(&self, name: &str) -> bool {
         self.hosts.iter().any(|host| host.eq_ignore_ascii_case(name))
     }
 
@@ -104,7 +109,7 @@ impl Service {
     }
 
     /// The limits in force.
-    pub fn limits(&self) -> &Limits {
+    pub(crate) fn limits(&self) -> &Limits {
         &self.limits
     }
 
@@ -114,7 +119,7 @@ impl Service {
     }
 
     /// Whether the service is about to stop.
-    pub fn is_draining(&self) -> bool {
+    pub(crate) fn is_draining(&self) -> bool {
         *self.draining.borrow()
     }
 

@@ -14,7 +14,7 @@ const SHORT_BYTES: usize = 64 << 10;
 ///
 /// # Errors
 /// It panicked.
-pub async fn in_background<T: Send + 'static>(
+pub(crate) async fn in_background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Refusal> {
     let done = spawn_blocking(work).await;
@@ -23,7 +23,7 @@ pub async fn in_background<T: Send + 'static>(
 
 /// Runs `work`, which processes `bytes` bytes. If these are many, the runtime first moves the other
 /// tasks of this thread to another one.
-pub fn off_the_network<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+pub(crate) fn off_the_network<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     let is_movable =
         || Handle::try_current().is_ok_and(|at| at.runtime_flavor() == RuntimeFlavor::MultiThread);
     if SHORT_BYTES < bytes && is_movable() { block_in_place(work) } else { work() }

@@ -45,7 +45,7 @@ impl FetchPolicy {
     ///
     /// # Errors
     /// The host is not listed.
-    pub fn check(&self, host: &str, port: u16) -> Result<(), FetchError> {
+    pub(crate) fn check(&self, host: &str, port: u16) -> Result<(), FetchError> {
         let name = plain(host);
         if self.hosts.iter().any(|pattern| pattern.allows(&name, port)) {
             return Ok(());
@@ -57,7 +57,11 @@ impl FetchPolicy {
     ///
     /// # Errors
     /// The host is not listed, cannot be resolved, or all its addresses are refused.
-    pub async fn resolve(&self, host: &str, port: u16) -> Result<Vec<SocketAddr>, FetchError> {
+    pub(crate) async fn resolve(
+        &self,
+        host: &str,
+        port: u16,
+    ) -> Result<Vec<SocketAddr>, FetchError> {
         self.check(host, port)?;
         let unresolved = |why: String| FetchError::Unresolved { host: host.to_owned(), why };
         let bare = host.trim_start_matches('[').trim_end_matches(']');
@@ -128,7 +132,7 @@ fn plain(host: &str) -> String {
 
 /// Whether an address belongs to the public internet, by IANA's registries of special-purpose
 /// addresses (RFC 6890).
-pub fn is_public(address: IpAddr) -> bool {
+pub(crate) fn is_public(address: IpAddr) -> bool {
     match address {
         IpAddr::V4(address) => is_public_v4(address),
         IpAddr::V6(address) => match embedded_v4(address) {

@@ -55,7 +55,7 @@ impl ArchiveTemplate {
     ///
     /// # Errors
     /// It is not a valid URL; [`Self::new`] has excluded this.
-    pub fn at(&self, time: GpsTime) -> Result<Url, FetchError> {
+    pub(crate) fn at(&self, time: GpsTime) -> Result<Url, FetchError> {
         let civil = time.to_civil(TimeScale::Gps, &LeapSeconds::table());
         let CivilTime { year, month, day, hour, minute, .. } = civil;
         let text = self.0.replace("{yyyy}", &format!("{year:04}"));
@@ -87,7 +87,7 @@ impl ArchiveTemplate {
     }
 
     /// The start of the time that the file with `time` covers, and its end, which is not included.
-    pub fn span(&self, time: GpsTime) -> Option<(GpsTime, GpsTime)> {
+    pub(crate) fn span(&self, time: GpsTime) -> Option<(GpsTime, GpsTime)> {
         let period_ns = self.period_s()? * NS_PER_SECOND;
         let start_ns = time.as_ns().div_euclid(period_ns) * period_ns;
         Some((GpsTime::from_ns(start_ns), GpsTime::from_ns(start_ns + period_ns)))

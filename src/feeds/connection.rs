@@ -33,7 +33,7 @@ pub struct TimeLimits {
 
 impl TimeLimits {
     /// Suitable for slow public hosts.
-    pub const fn standard() -> Self {
+    pub(crate) const fn standard() -> Self {
         Self {
             connecting: Duration::from_secs(10),
             answering: Duration::from_secs(15),
@@ -82,12 +82,12 @@ impl Connector {
     }
 
     /// The hosts that may be contacted.
-    pub fn policy(&self) -> &FetchPolicy {
+    pub(crate) fn policy(&self) -> &FetchPolicy {
         &self.policy
     }
 
     /// The time limits.
-    pub const fn time_limits(&self) -> &TimeLimits {
+    pub(crate) const fn time_limits(&self) -> &TimeLimits {
         &self.time_limits
     }
 
@@ -95,7 +95,7 @@ impl Connector {
     ///
     /// # Errors
     /// The policy refuses the host, or it does not answer.
-    pub async fn connect(
+    pub(crate) async fn connect(
         &self,
         host: &str,
         port: u16,

@@ -67,7 +67,7 @@ impl Feeds {
     ///
     /// # Panics
     /// Outside a tokio runtime.
-    pub fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
+    pub(crate) fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
         let (streams, sources, archives, networks) = Default::default();
         let reading = Arc::new(Semaphore::new(UNPACKED_AT_ONCE));
         let (fed, filled) = (aiding.bases.feeds(), aiding.bases.archives());
@@ -155,7 +155,7 @@ impl Feeds {
     ///
     /// # Errors
     /// The caster's address or the mountpoint is invalid, or the operator does not list the host.
-    pub fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
+    pub(crate) fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
         let request = request_of(feed)?;
         self.desk.connector.policy().check(&request.caster.host, request.caster.port)
     }
@@ -164,7 +164,7 @@ impl Feeds {
     ///
     /// # Errors
     /// The caster's address or the mountpoint is invalid.
-    pub fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
+    pub(crate) fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
         let bits = |Ecef(p): Ecef| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
         let follows = feed.follows_rover.then(|| base.clone());
         let key = StreamKey {
@@ -210,7 +210,7 @@ impl Feeds {
     ///
     /// # Errors
     /// The address is invalid.
-    pub fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
+    pub(crate) fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
         let (stop, stopped) = watch::channel(false);
         let status = Arc::new(ArchiveStatus::new());
         let Desk { connector, aiding, options, reading, .. } = &*self.desk;
@@ -251,7 +251,7 @@ impl Feeds {
     }
 
     /// The health of the stream that fills a base.
-    pub fn health(&self, base: &BaseId) -> Option<FeedHealth> {
+    pub(crate) fn health(&self, base: &BaseId) -> Option<FeedHealth> {
         let streams = self.streams();
         let fills = |running: &&RunningStream| running.status.fills(base);
         streams.values().find(fills).map(|running| running.status.health_of(base))

@@ -13,7 +13,7 @@ use super::web::WebError;
 
 /// State of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FeedState {
+pub(crate) enum FeedState {
     /// The stream has been requested from the caster.
     Connecting,
     /// The caster sends the stream.
@@ -24,7 +24,7 @@ pub enum FeedState {
 
 impl FeedState {
     /// The name as the API writes it.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Connecting => "CONNECTING",
             Self::Streaming => "STREAMING",
@@ -62,7 +62,7 @@ impl From<&AidingError> for FeedProblem {
 
 /// Health of a stream.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FeedHealth {
+pub(crate) struct FeedHealth {
     /// Present state.
     pub state: FeedState,
     /// When this state began (ms since 1970-01-01 UTC).
@@ -136,7 +136,7 @@ pub enum SourceState {
 
 impl SourceState {
     /// The name as the API writes it.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Fetching => "FETCHING",
             Self::Current => "CURRENT",
@@ -147,7 +147,7 @@ impl SourceState {
 
 /// Health of an archive of ephemerides.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ArchiveHealth {
+pub(crate) struct ArchiveHealth {
     /// Present state.
     pub state: SourceState,
     /// When this state began (ms since 1970-01-01 UTC).

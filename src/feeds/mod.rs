@@ -3,7 +3,7 @@
 //! [`Feeds`] keeps one connection per stream, however many bases the stream fills and however many
 //! sessions use these. It decodes the stream, pushes its epochs to its bases and its ephemerides to
 //! the navigation broker, and sets the position of bases whose creator gave none. When a stream
-//! ends, it is requested again after a delay that doubles; [`FeedHealth`] reports what the stream
+//! ends, it is requested again after a delay that doubles; `FeedHealth` reports what the stream
 //! does and why it failed.
 //!
 //! An archive can fill a base instead. It has one file per day, hour or quarter of an hour. A file
@@ -32,16 +32,20 @@ mod stop;
 mod stream;
 mod web;
 
-pub use address::{FetchPolicy, is_public};
+pub use address::FetchPolicy;
+
 pub use archive::ArchiveTemplate;
 pub(crate) use backoff::Backoff;
 pub use connection::{Connection, Connector, TimeLimits};
 pub use desk::Feeds;
 pub use error::FetchError;
 pub(crate) use health::BaseArchiveHealth;
-pub use health::{ArchiveHealth, FeedHealth, FeedProblem, FeedState, SourceState};
+pub(crate) use health::FeedHealth;
+pub use health::FeedProblem;
+pub use health::SourceState;
 pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
 pub use sources::NavigationSources;
 pub(crate) use sources::SourceStatus;
-pub use web::{Fetched, Url, Validators, WebError, fetch};
+pub use web::{Fetched, Validators, fetch};
+pub use web::{Url, WebError};

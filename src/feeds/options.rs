@@ -31,7 +31,7 @@ pub struct FeedOptions {
 
 impl FeedOptions {
     /// Suitable for public casters and archives.
-    pub const fn standard() -> Self {
+    pub(crate) const fn standard() -> Self {
         Self {
             silence: Duration::from_secs(30),
             no_epochs: Duration::from_secs(120),

@@ -158,7 +158,7 @@ impl WebError {
     }
 
     /// The delay that the host asks for, if any.
-    pub const fn retry_after(&self) -> Option<Duration> {
+    pub(crate) const fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::Refused { retry_after, .. } => *retry_after,
             _ => None,

@@ -69,7 +69,7 @@ pub const fn http_status(class: Class) -> StatusCode {
 
 impl Problem {
     /// The document of a refusal.
-    pub fn of(refusal: &Refusal) -> Self {
+    pub(crate) fn of(refusal: &Refusal) -> Self {
         let code = refusal.code.name();
         let words = code.to_lowercase().replace('_', " ");
         Self {

@@ -15,7 +15,7 @@ const TAG_TOLERANCE_S: f64 = 0.5;
 
 /// Whether all epochs of a span of time, which excludes its end, are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Coverage {
+pub(crate) enum Coverage {
     /// More epochs of the span may still arrive.
     Incomplete,
     /// Epochs are stored up to the end of the span.

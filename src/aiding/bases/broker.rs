@@ -5,41 +5,15 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
-use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation};
-use crate::positioning::BasePositionVerdict;
-use crate::store::{
-    BaseChange, BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError, StoredBaseEpoch,
-};
+use crate::gnss::{BaseSite, Ecef, GpsTime};
+use crate::store::{BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError};
 
 use super::base::{Base, BaseDescription};
 use super::base_epochs::BaseEpochs;
 use super::candidates::Candidates;
 use super::check::PositionChecks;
 use super::nearest_requests::NearestBaseRequests;
-use super::{
-    BaseEpochRefusal, BaseFileLimits, BaseId, BaseInfo, BasePush, BaseView, Coverage, NewBase,
-};
-
-/// An epoch of a push, without its number, or why it is refused.
-type PushedEpoch = Result<StoredBaseEpoch, BaseEpochRefusal>;
-
-/// The site of a push.
-enum PushedSite<'a> {
-    /// Replaces the present site.
-    Stated(&'a BaseSite),
-    /// Is used only if the base has no site.
-    IfUnknown(&'a BaseSite),
-}
-
-impl<'a> PushedSite<'a> {
-    /// The site, if it applies to a base with the site `present`.
-    fn over(self, present: Option<&BaseSite>) -> Option<&'a BaseSite> {
-        match self {
-            Self::Stated(site) => Some(site),
-            Self::IfUnknown(site) => present.is_none().then_some(site),
-        }
-    }
-}
+use super::{BaseFileLimits, BaseId, BaseInfo, BaseView, Coverage, NewBase};
 
 /// Number of the newest epochs with which a position is checked on request.
 const CHECKED_EPOCHS: usize = 20;
@@ -47,10 +21,10 @@ const CHECKED_EPOCHS: usize = 20;
 /// The desk for base stations. All clones share the same bases.
 #[derive(Clone)]
 pub struct BaseBroker {
-    store: Store,
-    navigation: NavigationBroker,
-    antennas: Antennas,
-    limits: AidingLimits,
+    pub(super) store: Store,
+    pub(super) navigation: NavigationBroker,
+    pub(super) antennas: Antennas,
+    pub(super) limits: AidingLimits,
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
     /// Locked while a base is created, so that their number never exceeds the limit.
     creating: Arc<tokio::sync::Mutex<()>>,
@@ -62,7 +36,7 @@ impl BaseBroker {
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
-    pub async fn open(
+    pub(crate) async fn open(
         store: Store,
         navigation: NavigationBroker,
         antennas: Antennas,
@@ -149,17 +123,17 @@ impl BaseBroker {
     ///
     /// # Errors
     /// No base has this id.
-    pub fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
+    pub(crate) fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
         Ok(self.base(id)?.name().clone())
     }
 
     /// Every base, by id.
-    pub fn ids(&self) -> Vec<BaseId> {
+    pub(crate) fn ids(&self) -> Vec<BaseId> {
         self.read().keys().cloned().collect()
     }
 
     /// Every base that is filled by a caster's stream.
-    pub fn feeds(&self) -> Vec<(BaseId, BaseFeed)> {
+    pub(crate) fn feeds(&self) -> Vec<(BaseId, BaseFeed)> {
         let bases = self.read();
         let fed = bases
             .iter()
@@ -169,7 +143,7 @@ impl BaseBroker {
 
     /// Every base that is filled from an archive, with the template of the archive's file
     /// addresses.
-    pub fn archives(&self) -> Vec<(BaseId, String)> {
+    pub(crate) fn archives(&self) -> Vec<(BaseId, String)> {
         let bases = self.read();
         bases
             .iter()
@@ -182,7 +156,7 @@ impl BaseBroker {
     ///
     /// # Errors
     /// No base has this id.
-    pub fn requested_times(&self, id: &BaseId) -> Result<Vec<GpsTime>, AidingError> {
+    pub(crate) fn requested_times(&self, id: &BaseId) -> Result<Vec<GpsTime>, AidingError> {
         Ok(self.base(id)?.archive_requests.starts(unix_ms()))
     }
 
@@ -190,7 +164,7 @@ impl BaseBroker {
     ///
     /// # Errors
     /// No base has this id.
-    pub async fn wait_for_request(&self, id: &BaseId) -> Result<(), AidingError> {
+    pub(crate) async fn wait_for_request(&self, id: &BaseId) -> Result<(), AidingError> {
         let base = self.base(id)?;
         base.archive_requests.wait_for_new().await;
         Ok(())
@@ -200,7 +174,7 @@ impl BaseBroker {
     ///
     /// # Errors
     /// No base has this id.
-    pub fn coverage(
+    pub(crate) fn coverage(
         &self,
         id: &BaseId,
         from: GpsTime,
@@ -210,7 +184,7 @@ impl BaseBroker {
     }
 
     /// Limits of a file of a base.
-    pub const fn file_limits(&self) -> BaseFileLimits {
+    pub(crate) const fn file_limits(&self) -> BaseFileLimits {
         BaseFileLimits {
             epochs: self.limits.epochs_per_base,
             bytes: self.limits.bytes_per_base,
@@ -227,27 +201,27 @@ impl BaseBroker {
     }
 
     /// Records where a rover is, for casters that compute a stream for the rover's position.
-    pub fn record_rover(&self, base: BaseKey, position: Ecef) {
+    pub(crate) fn record_rover(&self, base: BaseKey, position: Ecef) {
         if let Some(base) = self.of(base) {
             *base.rover() = Some((position, unix_ms()));
         }
     }
 
     /// The last position of a rover that used this base since the service started.
-    pub fn rover(&self, id: &BaseId) -> Option<Ecef> {
+    pub(crate) fn rover(&self, id: &BaseId) -> Option<Ecef> {
         let rover = *self.base(id).ok()?.rover();
         rover.map(|(position, _)| position)
     }
 
     /// When a rover was last positioned against this base since the service started (ms since
     /// 1970-01-01 UTC).
-    pub fn used_unix_ms(&self, id: &BaseId) -> Option<i64> {
+    pub(crate) fn used_unix_ms(&self, id: &BaseId) -> Option<i64> {
         let rover = *self.base(id).ok()?.rover();
         rover.map(|(_, unix_ms)| unix_ms)
     }
 
     /// The rovers that ask for the nearest of all bases.
-    pub const fn nearest_base_requests(&self) -> &NearestBaseRequests {
+    pub(crate) const fn nearest_base_requests(&self) -> &NearestBaseRequests {
         &self.nearest_base_requests
     }
 
@@ -263,159 +237,6 @@ impl BaseBroker {
         }
         self.write().remove(id);
         Ok(())
-    }
-
-    /// Sets the position and antenna of a base, valid from its next epoch on. The same site again
-    /// changes nothing.
-    ///
-    /// # Errors
-    /// No base has this id, or the store fails.
-    pub async fn set_site(&self, id: &BaseId, site: &BaseSite) -> Result<(), AidingError> {
-        let site = Some(PushedSite::Stated(site));
-        self.push_with_site(id, Vec::new(), site).await.map(drop)
-    }
-
-    /// Stores epochs of a base, in order of time. When it returns, the accepted epochs are durable,
-    /// and later views contain them. Odometry is dropped, because a base does not move.
-    ///
-    /// # Errors
-    /// No base has this id, its position is unknown or contradicts its observations, the epochs
-    /// exceed what a base may have, or the store fails. Nothing of the push is then kept.
-    pub async fn push(&self, id: &BaseId, epochs: Vec<Epoch>) -> Result<BasePush, AidingError> {
-        let limit = self.limits.observations_per_epoch;
-        let encoded = |mut epoch: Epoch| {
-            let (time, observations) = (epoch.time, epoch.observations.len());
-            if limit < observations {
-                return Err(BaseEpochRefusal::TooManyObservations { time, observations, limit });
-            }
-            epoch.odometry = None;
-            Ok(StoredBaseEpoch::new(0, &epoch))
-        };
-        self.push_with_site(id, epochs.into_iter().map(encoded).collect(), None).await
-    }
-
-    /// As [`Self::push`], for the epochs of a [`BaseFile`](super::BaseFile). If the base has no
-    /// position yet, it takes the one of the file's header.
-    ///
-    /// # Errors
-    /// As [`Self::push`].
-    pub async fn upload(
-        &self,
-        id: &BaseId,
-        epochs: Vec<StoredBaseEpoch>,
-        header_site: Option<&BaseSite>,
-    ) -> Result<BasePush, AidingError> {
-        let epochs = epochs.into_iter().map(Ok).collect();
-        self.push_with_site(id, epochs, header_site.map(PushedSite::IfUnknown)).await
-    }
-
-    async fn push_with_site(
-        &self,
-        id: &BaseId,
-        epochs: Vec<PushedEpoch>,
-        site: Option<PushedSite<'_>>,
-    ) -> Result<BasePush, AidingError> {
-        let base = self.base(id)?;
-        let _turn = base.pushing.lock().await;
-        self.base(id)?; // Not deleted meanwhile.
-        self.refresh(&base).await?;
-        // Only now, because another push may have given the position meanwhile.
-        let site = site.and_then(|site| site.over(base.stored().site()));
-        let site = site.map(|site| self.antennas.calibrated(site, base.stored().site()));
-        let (new_site, in_force, mut checks, mut new) = {
-            let stored = base.stored();
-            let new_site = stored.new_site(site.as_ref());
-            let checks = if new_site.is_some() { PositionChecks::new() } else { stored.checks };
-            let in_force = new_site.map(|(_, site)| site).or(stored.site()).cloned();
-            (new_site, in_force, checks, Vec::new())
-        };
-        let outcomes = {
-            let stored = base.stored();
-            let accept = |epoch: &PushedEpoch| {
-                stored.accept(&mut new, epoch.as_ref().map_err(Clone::clone)?)
-            };
-            epochs.iter().map(accept).collect()
-        };
-        if !epochs.is_empty() {
-            let site =
-                in_force.ok_or_else(|| AidingError::BasePositionMissing { id: id.to_string() })?;
-            checks = self.checked(checks, site, epochs.into_iter().flatten().collect()).await;
-        }
-        let check = checks.present;
-        if let (BasePositionVerdict::Refused, Some(distance_m)) =
-            (check.verdict(), check.distance_m())
-        {
-            return Err(AidingError::BasePositionRefused { distance_m, epochs: check.epochs });
-        }
-        let limits = (self.limits.epochs_per_base, self.limits.bytes_per_base);
-        let first_kept = base.stored().first_kept(&new, limits.0, limits.1);
-        let first_kept = first_kept.ok_or(AidingError::BaseTooLarge {
-            epochs: new.len(),
-            epochs_max: limits.0,
-            bytes: new.iter().map(StoredBaseEpoch::size).sum(),
-            bytes_max: limits.1,
-        })?;
-        self.commit(&base, new_site, new, first_kept).await?;
-        base.stored().checks = checks;
-        Ok(BasePush { outcomes, check })
-    }
-
-    /// Commits the changes of a push, then makes them visible.
-    async fn commit(
-        &self,
-        base: &Base,
-        site: Option<(u64, &BaseSite)>,
-        epochs: Vec<StoredBaseEpoch>,
-        first_kept: u64,
-    ) -> Result<(), AidingError> {
-        if site.is_none() && epochs.is_empty() {
-            return Ok(());
-        }
-        let stored_unix_ms = unix_ms();
-        let change = BaseChange { site, epochs: &epochs, first_kept, stored_unix_ms };
-        if let Err(error) = self.store.push_base(base.name().key, &change).await {
-            // If the connection broke during the commit, its outcome is unknown.
-            base.stored().outdated = true;
-            return Err(error.into());
-        }
-        let mut stored = base.stored();
-        if let Some((since, site)) = site {
-            stored.add_site(since, site.clone());
-        }
-        stored.add(epochs, first_kept, stored_unix_ms);
-        Ok(())
-    }
-
-    /// Loads a base again from the store, if a failed commit left its stored state unknown.
-    async fn refresh(&self, base: &Base) -> Result<(), AidingError> {
-        if !base.stored().outdated {
-            return Ok(());
-        }
-        let rows = self.store.bases().await?;
-        let sites = rows.into_iter().find(|row| row.key == base.name().key).map(|row| row.sites);
-        let (epochs, stored_unix_ms) = self.store.base_epochs(base.name().key).await?;
-        *base.stored() = BaseEpochs::new(sites.unwrap_or_default(), epochs, stored_unix_ms);
-        Ok(())
-    }
-
-    /// Continues the position checks with `epochs`. Single-point positioning runs on a blocking
-    /// thread.
-    async fn checked(
-        &self,
-        checks: PositionChecks,
-        site: BaseSite,
-        epochs: Vec<StoredBaseEpoch>,
-    ) -> PositionChecks {
-        if !epochs.last().is_some_and(|epoch| checks.is_due(epoch.time)) {
-            return checks;
-        }
-        let navigation: Arc<Navigation> = self.navigation.current().navigation;
-        let work = move || {
-            let epochs = epochs.iter().filter_map(|stored| stored.epoch().ok());
-            checks.advance(&site, epochs, &navigation)
-        };
-        // Err: it panicked; the checks stay as they were.
-        tokio::task::spawn_blocking(work).await.unwrap_or(checks)
     }
 
     /// Checks the position with stored epochs if no epoch has checked it yet: navigation data may
@@ -442,7 +263,13 @@ impl BaseBroker {
 
     /// A base with the epochs that rover epochs from `from` until `until` may need, none of them
     /// older than `span_s`. An empty view if the base was deleted.
-    pub fn view(&self, name: &BaseName, from: GpsTime, until: GpsTime, span_s: f64) -> BaseView {
+    pub(crate) fn view(
+        &self,
+        name: &BaseName,
+        from: GpsTime,
+        until: GpsTime,
+        span_s: f64,
+    ) -> BaseView {
         match self.of(name.key) {
             Some(base) => base.view(from, until, span_s),
             None => BaseView::empty(name.clone()),
@@ -450,7 +277,7 @@ impl BaseBroker {
     }
 
     /// The bases of these names that still exist, in the order of the names; all bases if `None`.
-    pub fn candidates(&self, names: Option<&[BaseName]>) -> Candidates {
+    pub(crate) fn candidates(&self, names: Option<&[BaseName]>) -> Candidates {
         let bases = match names {
             None => self.read().values().cloned().collect(),
             Some(names) => names.iter().filter_map(|name| self.of(name.key)).collect(),
@@ -481,7 +308,7 @@ impl BaseBroker {
         self.read().values().find(|base| base.name().key == key).cloned()
     }
 
-    fn base(&self, id: &BaseId) -> Result<Arc<Base>, AidingError> {
+    pub(super) fn base(&self, id: &BaseId) -> Result<Arc<Base>, AidingError> {
         let base = self.read().get(id).cloned();
         base.ok_or_else(|| AidingError::BaseNotFound { id: id.to_string() })
     }

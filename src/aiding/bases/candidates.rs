@@ -17,7 +17,7 @@ use super::base::Base;
 
 /// The bases among which a session takes the nearest. All clones share them.
 #[derive(Clone)]
-pub struct Candidates {
+pub(crate) struct Candidates {
     bases: Vec<Arc<Base>>,
 }
 
@@ -43,7 +43,7 @@ impl Candidates {
     /// Without a usable base the present one stays, or else the nearest is chosen: the solution
     /// then reports what is wrong with it. `None` if no base has a known position, or if the
     /// rover's position is unknown and there is no present base.
-    pub fn choose(
+    pub(crate) fn choose(
         &self,
         present: Option<BaseKey>,
         position: Option<Ecef>,

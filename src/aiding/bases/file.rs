@@ -61,7 +61,7 @@ pub enum BaseFileError {
 
 impl BaseFileError {
     /// The stable code.
-    pub const fn code(&self) -> Code {
+    pub(crate) const fn code(&self) -> Code {
         match self {
             Self::Rinex(error) => error.code(),
             Self::TooManyEpochs { .. } | Self::TooLarge { .. } => Code::BaseTooLarge,

@@ -14,15 +14,15 @@
 //! are part of the answer; a feed only counts them.
 //!
 //! An archive's files are uploaded when sessions need them. The broker records the times for which
-//! sessions need the base ([`BaseBroker::requested_times`]), and reports whether the epochs of a
-//! file are stored already ([`BaseBroker::coverage`]).
+//! sessions need the base (`BaseBroker::requested_times`), and reports whether the epochs of a
+//! file are stored already (`BaseBroker::coverage`).
 //!
 //! # How sessions use it
 //! A session takes a [`BaseView`] for the time of the epochs that it positions. With each solution
 //! it stores the numbers of the base epochs that the estimator received, so that replay gives it
 //! the same ones. Epochs that are pushed later change no earlier solution.
 //!
-//! A session that uses the nearest of several bases asks its [`Candidates`] at each epoch. The
+//! A session that uses the nearest of several bases asks its `Candidates` at each epoch. The
 //! choice is stored with the solution, so replay does not choose again.
 //!
 //! # Memory
@@ -37,6 +37,7 @@ mod candidates;
 mod check;
 mod file;
 mod nearest_requests;
+mod pushing;
 mod view;
 
 use crate::gnss::{BaseSite, GpsTime};
@@ -45,11 +46,12 @@ use crate::refusal::Code;
 use crate::store::BaseName;
 
 pub use crate::positioning::{BasePositionCheck, BasePositionVerdict};
-pub use base_epochs::Coverage;
+pub(crate) use base_epochs::Coverage;
 pub use broker::BaseBroker;
-pub use candidates::Candidates;
-pub use file::{BaseFile, BaseFileError, BaseFileLimits};
-pub use nearest_requests::{NearestBaseRequest, NearestBaseRequests};
+pub(crate) use candidates::Candidates;
+pub use file::BaseFileError;
+pub use file::{BaseFile, BaseFileLimits};
+pub(crate) use nearest_requests::NearestBaseRequest;
 pub use view::{BaseInput, BaseView};
 
 pub use crate::store::{BaseChoice, BaseFeed};

@@ -9,7 +9,7 @@ use crate::store::SessionKey;
 
 /// A rover that asks for the nearest of all bases.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NearestBaseRequest {
+pub(crate) struct NearestBaseRequest {
     /// Last position of the rover.
     pub position: Ecef,
     /// Longest baseline that its session allows (m).
@@ -20,7 +20,7 @@ pub struct NearestBaseRequest {
 
 /// The last request of each session. All clones share them.
 #[derive(Clone, Debug, Default)]
-pub struct NearestBaseRequests {
+pub(crate) struct NearestBaseRequests {
     /// Requests are recorded only once somebody has read them.
     is_read: Arc<AtomicBool>,
     by_session: Arc<Mutex<HashMap<SessionKey, NearestBaseRequest>>>,
@@ -28,7 +28,7 @@ pub struct NearestBaseRequests {
 
 impl NearestBaseRequests {
     /// Records the position of a session's rover.
-    pub fn record(&self, session: SessionKey, request: NearestBaseRequest) {
+    pub(crate) fn record(&self, session: SessionKey, request: NearestBaseRequest) {
         if self.is_read.load(Ordering::Relaxed) {
             let mut by_session = self.by_session.lock().unwrap_or_else(PoisonError::into_inner);
             by_session.insert(session, request);
@@ -36,7 +36,7 @@ impl NearestBaseRequests {
     }
 
     /// The requests since a time (ms since 1970-01-01 UTC). Earlier ones are dropped.
-    pub fn since(&self, unix_ms: i64) -> Vec<NearestBaseRequest> {
+    pub(crate) fn since(&self, unix_ms: i64) -> Vec<NearestBaseRequest> {
         self.is_read.store(true, Ordering::Relaxed);
         let mut by_session = self.by_session.lock().unwrap_or_else(PoisonError::into_inner);
         by_session.retain(|_, request| unix_ms <= request.unix_ms);

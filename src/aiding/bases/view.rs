@@ -31,19 +31,19 @@ pub struct BaseInput {
 
 impl BaseView {
     /// A view without epochs and without a known position.
-    pub fn empty(name: BaseName) -> Self {
+    pub(crate) fn empty(name: BaseName) -> Self {
         Self { name, sites: Arc::default(), epochs: Vec::new() }
     }
 
     /// The id and key of the base.
-    pub const fn name(&self) -> &BaseName {
+    pub(crate) const fn name(&self) -> &BaseName {
         &self.name
     }
 
     /// The base epochs to give with a rover epoch at `time`: numbered above `after`, tagged up to
     /// `time`, and at most `span_s` old. The station is the site of the newest of them, because the
     /// rover's observations are differenced against that epoch.
-    pub fn input_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseInput {
+    pub(crate) fn input_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseInput {
         let is_past = |epoch: &StoredBaseEpoch| epoch.time - time <= BASE_LATER_S;
         let end = self.epochs.partition_point(is_past);
         let is_old = |epoch: &StoredBaseEpoch| {
@@ -68,7 +68,7 @@ impl BaseView {
     }
 
     /// Those of the base epochs of an earlier solution that are still stored.
-    pub fn remaining_input(&self, used: BaseUse) -> BaseInput {
+    pub(crate) fn remaining_input(&self, used: BaseUse) -> BaseInput {
         let above = |number: u64| self.epochs.partition_point(|epoch| epoch.number <= number);
         self.input(used, &self.epochs[above(used.after)..above(used.through)])
     }
@@ -119,12 +119,12 @@ impl BaseInput {
     }
 
     /// Whether the epochs given before have another calibration of the antenna.
-    pub const fn is_recalibrated(&self) -> bool {
+    pub(crate) const fn is_recalibrated(&self) -> bool {
         self.is_recalibrated
     }
 
     /// Reduces the observations to the antenna reference point, if the antenna is calibrated.
-    pub fn correct_for_antenna(&mut self, navigation: &Navigation) {
+    pub(crate) fn correct_for_antenna(&mut self, navigation: &Navigation) {
         let (Some(station), Some(calibration)) = (&self.station, &self.calibration) else { return };
         let (point, mut uncalibrated) = (station.antenna_reference_point, Vec::new());
         for epoch in &mut self.epochs {

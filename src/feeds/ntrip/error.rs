@@ -98,7 +98,7 @@ impl NtripError {
     }
 
     /// The delay that the caster asks for, if any.
-    pub const fn retry_after(&self) -> Option<Duration> {
+    pub(crate) const fn retry_after(&self) -> Option<Duration> {
         match self {
             Self::TryLater { retry_after, .. } => *retry_after,
             _ => None,

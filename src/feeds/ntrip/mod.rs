@@ -20,5 +20,6 @@ mod sourcetable;
 
 pub use client::{NtripStream, connect, sourcetable};
 pub use error::NtripError;
-pub use request::{Caster, Credentials, NtripVersion, StreamRequest, position_sentence};
+pub use request::Caster;
+pub use request::{Credentials, NtripVersion, StreamRequest, position_sentence};
 pub use sourcetable::{Mountpoint, Sourcetable};

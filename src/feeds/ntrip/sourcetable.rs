@@ -34,7 +34,7 @@ pub struct Sourcetable {
 
 impl Sourcetable {
     /// Reads a table. Unknown records are skipped.
-    pub fn parse(text: &[u8]) -> Self {
+    pub(crate) fn parse(text: &[u8]) -> Self {
         let text = String::from_utf8_lossy(text);
         let mountpoints = text.lines().filter_map(mountpoint).take(MOUNTPOINTS_LIMIT).collect();
         Self { mountpoints }
