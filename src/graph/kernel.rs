@@ -149,7 +149,7 @@ impl Kernel {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LossSum {
     sum: f64,
-    /// Factor κ = share·c²/2 of the logarithm.
+    /// Factor κ = `independent_share`·c²/2 of the logarithm.
     scale: f64,
     /// Π (1 + (s/c)²) over the residuals since the sum was updated, all with the same κ.
     product: f64,

@@ -69,8 +69,8 @@ impl<const S: usize> Front<S> {
         }
     }
 
-    /// Goes on to state `k`. Elimination of the state before has changed its block, right side and
-    /// columns.
+    /// Moves to state `k`, and subtracts what the elimination of state k − 1 contributes to its
+    /// block, right side and columns.
     pub(super) fn move_to(
         &mut self,
         system: &System<S>,

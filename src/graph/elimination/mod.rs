@@ -29,7 +29,7 @@ use columns::Step;
 use front::Front;
 
 /// The factor of a system. It gives the step δ, and [`Covariances`](crate::graph::Covariances)
-/// computes the uncertainty from it. Keeps its storage between uses.
+/// computes covariances from it. Keeps its storage between uses.
 #[derive(Clone, Debug)]
 pub struct Elimination<const S: usize> {
     pub(crate) steps: Vec<Step<S>>,

@@ -42,7 +42,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// Time of the newest epoch; `None` where the solver must restart.
     fn last_time(&self) -> Option<GpsTime>;
 
-    /// The newest state, moved on to `time` by its velocity.
+    /// The newest state, extrapolated to `time` by its velocity.
     fn predicted(&self, time: GpsTime) -> State;
 
     /// The local frame of the states.
@@ -51,10 +51,10 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// The arcs, held integers and noise scales.
     fn tracking(&mut self) -> &mut Tracking;
 
-    /// Forgets all states and arcs, and puts the frame's origin at `start`.
+    /// Drops all states and arcs, and sets the frame's origin to `start`.
     fn begin(&mut self, start: Ecef, guess: &State);
 
-    /// Forgets everything, because the base is another one.
+    /// Drops states, arcs, noise scales and biases, because the base is another one.
     fn forget(&mut self);
 
     /// Solves an epoch and resolves its integers.
@@ -93,7 +93,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     ) {
     }
 
-    /// Makes the last answer of each epoch final, because the states are gone.
+    /// Makes the last answer of each epoch final, because the states no longer exist.
     fn leave_all(_past: &mut Self::Past, _revisions: &mut Vec<Solution>) {}
 
     /// Time of the oldest epoch that may be revised.
@@ -125,7 +125,7 @@ pub(crate) struct Resolved {
 pub(crate) struct Relative<S: RelativeSolver> {
     solver: S,
     base: BaseTracking,
-    /// Doubts positions without integers.
+    /// Tests positions without integers.
     watch: PseudorangeWatch,
     /// Where the solver starts again at the next epoch, from its prediction (m, local).
     move_m: Option<Vector3<f64>>,
@@ -329,7 +329,7 @@ impl<S: RelativeSolver> Relative<S> {
         }))
     }
 
-    /// Takes in a solution; without integers, asks whether another position is clearly likelier.
+    /// Adds a solution; if it has no integers, tests whether another position is clearly likelier.
     ///
     /// The solver starts there at the next epoch: this one is part of its window already, and of
     /// the answers that may be revised.

@@ -79,8 +79,8 @@ struct Phase {
     row: SharingRow<3>,
 }
 
-/// The position that the phases of an epoch agree on, from `start` on; `None` where they do not
-/// determine one.
+/// The position on which the phases of an epoch agree, by iterations from `start`; `None` if they
+/// do not determine one.
 ///
 /// The graph counts only a fraction of a phase's weight, because errors are correlated in time and
 /// earlier epochs have determined its ambiguity. With integers no ambiguity is left: each phase has
@@ -247,7 +247,7 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// See [`PhasePosition::slope_m`]. Cycles that a group shares count as known.
+/// [`PhasePosition::slope_m`]; the cycles common to a group count as known.
 fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
     let mut information = Matrix3::zeros();
     let mut sums = vec![(0.0, Vector3::zeros()); satellites];
@@ -357,8 +357,8 @@ mod tests {
         (found.position - Vector3::from(TRUTH)).xy().norm()
     }
 
-    /// Whatever share of its weight a phase had, its σ of 1 cm is about that of the position. Among
-    /// ten satellites any one that is off by a cycle is rejected.
+    /// The position has about the phases' σ of 1 cm, for every independent share. Of ten satellites
+    /// any one whose phase is wrong by a cycle is rejected.
     #[test]
     fn phases_that_agree_place_the_rover() {
         let right = by_phases(SATELLITES, 0, 0.0);

@@ -6,7 +6,7 @@ use crate::snapshot::snapshot_fields;
 /// Upper bound of the probability of held integers: a cycle slip may be undetected.
 const CERTAIN: f64 = 1.0 - 1e-6;
 
-/// How the held integers came about.
+/// The history of the held integers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HoldState {
     /// Consecutive epochs that found the same integers.

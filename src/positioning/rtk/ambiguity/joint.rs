@@ -1,5 +1,5 @@
-//! Position and double differences jointly: conditioning on integers, and the evidence of the
-//! ambiguities left float.
+//! The joint distribution of position and double differences: conditioning on integers, and the
+//! probability of integers given the ambiguities that stay float.
 
 use nalgebra::{DMatrix, DVector};
 

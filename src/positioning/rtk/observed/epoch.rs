@@ -38,7 +38,7 @@ pub(crate) struct DifferenceFactor {
     pub(crate) range_m: f64,
     /// 1/σ (1/m).
     pub(crate) inverse_sigma: f64,
-    /// Share of its information that is kept, since errors are correlated in time.
+    /// Fraction of its information that is kept, since errors are correlated in time.
     pub(crate) independent_share: f64,
     pub(crate) ambiguity: Option<EpochAmbiguity>,
     /// Index of the code bias that z was corrected for, if its codes differ.

@@ -27,8 +27,8 @@ snapshot_fields!(LastPseudorange { satellite, codes, last });
 state_fields!(LastPseudoranges { list });
 
 impl LastPseudoranges {
-    /// Share of a pseudorange's information that is independent of the carrier's last one: the time
-    /// since then over the correlation time of errors, at most one.
+    /// Fraction of a pseudorange's information that is independent of the carrier's last one: the
+    /// time since then over the correlation time of errors, at most one.
     pub(crate) fn independent_share(
         &mut self,
         difference: &SingleDifference,

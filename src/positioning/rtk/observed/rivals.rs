@@ -1,9 +1,9 @@
-//! Whether the differenced pseudoranges are better explained by another position.
+//! Tests whether another position explains the differenced pseudoranges better.
 //!
-//! A float solution carries a wrong start along: phases tie the epochs together, and the prior of
-//! the epochs that left the window outweighs the pseudoranges that contradict it. As without a
-//! base, the residuals of the last half minute are asked whether another position explains them
-//! better ([`Watch`]); the solver then starts again from there.
+//! Phases propagate the error of a wrong start from epoch to epoch, and the prior of the
+//! marginalised epochs outweighs the pseudoranges that contradict it. As without a base, the
+//! residuals of the last half minute are tested for other positions ([`Watch`]). If one is clearly
+//! likelier, the solver starts again from there.
 
 use nalgebra::Vector3;
 
@@ -18,7 +18,7 @@ use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::epoch::{RowScratch, RtkEpoch, State};
 
-/// Epochs closer than this are not both kept (s): their errors are the same.
+/// Shortest time between two epochs that are both kept (s): errors of closer ones are the same.
 const SPACING_S: f64 = 0.9;
 
 /// The residual of a satellite at an epoch.
@@ -30,11 +30,11 @@ struct Seen {
 
 snapshot_fields!(Seen { time, pooled });
 
-/// The watch over a position by its pseudoranges.
+/// Repeated tests of a float position by its pseudoranges.
 #[derive(Debug, Default)]
 pub(crate) struct PseudorangeWatch {
     watch: Watch,
-    /// Of the last ten seconds, in order of time.
+    /// The residuals of the last ten seconds, in order of time.
     seen: Vec<Seen>,
     last: Option<GpsTime>,
     is_proven: bool,
@@ -50,7 +50,7 @@ pub(crate) struct Judged<'a> {
 }
 
 impl PseudorangeWatch {
-    /// Takes in a float solution; the move to another position (m, local) if that is clearly
+    /// Adds a float solution; returns the move (m, local) to another position, if that is clearly
     /// likelier.
     pub(crate) fn reconsider(
         &mut self,

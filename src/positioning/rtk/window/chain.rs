@@ -49,7 +49,7 @@ impl Chain {
         }
     }
 
-    /// Forgets everything.
+    /// Empties the window.
     pub(crate) fn clear(&mut self) {
         self.epochs.clear();
         self.estimate.states.clear();
@@ -58,7 +58,7 @@ impl Chain {
         self.tracking.clear();
     }
 
-    /// The newest state, moved on to `time` by its velocity.
+    /// The newest state, extrapolated to `time` by its velocity.
     pub(crate) fn expected(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.epochs.last(), self.estimate.states.last()) else {
             return State::zeros();
