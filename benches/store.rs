@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::future::Future;
+use std::sync::Arc;
 use std::time::Instant;
 
 use graphfix::aiding::{AidingDesk, AidingLimits};
@@ -69,7 +70,7 @@ async fn store_alone(store: &Store, size: u64, epochs: u64) {
             version: "0.1.0".into(),
             configuration_hash: "c0ffee".into(),
         };
-        EncodedEpoch::new(&epoch(seq), &solution, 0, None)
+        EncodedEpoch::new(Arc::new(epoch(seq)), &solution, 0, None, None)
     };
     measure("store", size, epochs, |index| {
         let (store, session) = (store.clone(), keys[index]);

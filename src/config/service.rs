@@ -190,8 +190,8 @@ pub struct Limits {
     pub bases: usize,
     /// Epochs kept in memory for one base; newer ones push out the oldest.
     pub epochs_per_base: usize,
-    /// Bytes kept in memory for one base, about 26 a signal and epoch; newer epochs push out the
-    /// oldest.
+    /// Bytes kept in memory for one base: 11 or 12 a signal and epoch from RINEX, up to 42 else.
+    /// Newer epochs push out the oldest.
     pub bytes_per_base: usize,
     /// Bytes that the disk of a SQLite database must have left; with fewer `/readyz` answers 503.
     pub disk_free_min_bytes: u64,

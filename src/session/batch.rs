@@ -1,5 +1,7 @@
 //! The computing part of a session's work, which runs on the solver pool.
 
+use std::sync::Arc;
+
 use crate::aiding::PushedNavigation;
 use crate::gnss::GpsTime;
 use crate::positioning::Scratch;
@@ -10,9 +12,9 @@ use super::panics::caught;
 use super::state::{Advanced, Configuration, State};
 use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
 
-/// Number of epochs after which the state is stored again. A state takes as much space as 20 to 40
-/// epochs with their solutions (docs/accuracy.md). After a crash at most this many epochs are
-/// computed again.
+/// Number of epochs after which the state is stored again. A state takes as much space as some 30
+/// epochs with their solutions (docs/accuracy.md, docs/operations.md). After a crash at most this
+/// many epochs are computed again.
 const EPOCHS_PER_SNAPSHOT: usize = 256;
 
 /// What the epochs of a batch must satisfy.
@@ -87,7 +89,7 @@ impl SolvedBatch {
         let seq = epoch.seq;
         let plan = match self.refusal(&epoch, rules) {
             Some(refusal) => Plan::Refused(refusal),
-            None if self.is_after_last(seq) => self.advance(&epoch, aiding, configuration, scratch),
+            None if self.is_after_last(seq) => self.advance(epoch, aiding, configuration, scratch),
             None => self.repeated(epoch),
         };
         self.plans.push((seq, plan));
@@ -126,24 +128,27 @@ impl SolvedBatch {
 
     fn advance(
         &mut self,
-        SequencedEpoch { seq, epoch }: &SequencedEpoch,
+        SequencedEpoch { seq, epoch }: SequencedEpoch,
         BatchAiding { navigation: PushedNavigation { push, navigation }, source }: &BatchAiding,
         configuration: &Configuration,
         scratch: &mut Scratch,
     ) -> Plan {
         let state = &mut self.state;
         let advanced = caught(|| {
-            let base = state.base_for(source, epoch, navigation, configuration);
+            let base = state.base_for(source, &epoch, navigation, configuration);
             let base = base.as_ref();
-            let advanced = state.advance(*seq, epoch, navigation, base, configuration, scratch);
+            let advanced = state.advance(seq, &epoch, navigation, base, configuration, scratch);
             (advanced, base.map(|input| input.used))
         });
         let (Advanced { solution, revisions }, used) = advanced.unwrap_or_else(|panic| {
             *scratch = Scratch::default();
-            self.panics.push((*seq, panic));
-            (self.state.quarantine(*seq, epoch, configuration), None)
+            self.panics.push((seq, panic));
+            (self.state.quarantine(seq, &epoch, configuration), None)
         });
-        self.rows.push(EncodedEpoch::new(epoch, &solution, *push, used));
+        let last = self.state.reference.as_ref();
+        let row = EncodedEpoch::new(Arc::new(epoch), &solution, *push, used, last);
+        self.state.reference = Some(row.reference().clone());
+        self.rows.push(row);
         self.revisions.extend(revisions.iter().map(EncodedSolution::new));
         self.solutions.push(solution);
         Plan::Positioned { index: self.rows.len() - 1, resent: false }

@@ -185,7 +185,7 @@ impl Replay {
             let (seq, base) = (row.solution.seq, bases.of(row.base, self.tolerates_missing)?);
             let is_quarantined = matches!(self.with, ReplayWith::Stored)
                 && row.solution.solution.reasons.contains(&Reason::EstimatorFailed);
-            let epoch = row.epoch()?;
+            let epoch = row.epoch;
             steps.push(Step { seq, epoch, navigation, configuration, base, is_quarantined });
         }
         Ok(steps)
@@ -198,7 +198,7 @@ impl Replay {
             return Ok(PageBases::Used(self.aiding.bases.used(&uses)));
         };
         let span = match (stored.first(), stored.last()) {
-            (Some(first), Some(last)) => Some((first.epoch()?.time, last.epoch()?.time)),
+            (Some(first), Some(last)) => Some((first.epoch.time, last.epoch.time)),
             _ => None,
         };
         let ActiveConfiguration { estimation, bases, .. } = &**active;

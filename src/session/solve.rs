@@ -115,8 +115,8 @@ impl Sessions {
         let sequenced = stored
             .iter()
             .rev()
-            .map(|stored| Ok(SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch()? }));
-        let epochs = sequenced.collect::<Result<_, SessionError>>()?;
+            .map(|stored| SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch.clone() });
+        let epochs = sequenced.collect();
         let navigation = self.aiding().navigation.current().navigation;
         let hash = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
         let estimation = Configuration {

@@ -10,7 +10,7 @@ use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Reason, Soluti
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::recording::ApproximatePosition;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
-use crate::store::{BaseKey, EncodedSnapshot, StoredSolution};
+use crate::store::{BaseKey, EncodedSnapshot, EpochReference, StoredSolution};
 
 use super::antenna;
 use super::base_selection::{BaseSelection, BaseSource};
@@ -56,6 +56,9 @@ pub(super) struct State {
     unrevised: VecDeque<(u64, GpsTime)>,
     /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
+    /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
+    /// epoch after one is stored whole.
+    pub(super) reference: Option<EpochReference>,
 }
 
 clone_fields!(State {
@@ -66,6 +69,7 @@ clone_fields!(State {
     last,
     unrevised,
     unsaved,
+    reference,
 });
 
 /// The solution of an epoch, and the revisions of earlier epochs that it led to.
@@ -85,6 +89,7 @@ impl State {
             last: None,
             unrevised: VecDeque::new(),
             unsaved: 0,
+            reference: None,
         }
     }
 
@@ -283,6 +288,7 @@ impl State {
             last,
             unrevised,
             unsaved: 0,
+            reference: None,
         })
     }
 }

@@ -14,6 +14,7 @@
 
 mod antennas;
 mod bases;
+mod chain;
 mod codec;
 mod committer;
 mod database;
@@ -41,7 +42,9 @@ use tokio::task::JoinHandle;
 pub use antennas::AntennaName;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
-pub use committer::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
+pub use committer::{
+    ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference,
+};
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use crate::gnss::{Epoch, GpsTime, Solution, Status};
 
-use super::codec::{decode_epoch, decode_solution, encode_epoch, status_number};
+use super::chain::Chain;
+use super::codec::{SolutionColumns, decode_solution, encode_epoch, status_number};
 use super::deadline::{DEADLINE, within};
 use super::page::rows_asked;
 use super::pool::{Pool, reading};
@@ -58,7 +59,8 @@ pub struct SolutionQuery {
 /// A stored epoch with its real-time answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredEpoch {
-    content: Vec<u8>,
+    /// The epoch.
+    pub epoch: Epoch,
     /// The real-time answer.
     pub solution: StoredSolution,
     /// Number of the last push of navigation data before it was solved.
@@ -68,22 +70,9 @@ pub struct StoredEpoch {
 }
 
 impl StoredEpoch {
-    /// Decodes the epoch.
-    ///
-    /// # Errors
-    /// The stored bytes are corrupt.
-    pub fn epoch(&self) -> Result<Epoch, StoreError> {
-        decode_epoch(&self.content).map_err(StoreError::corrupt("epoch"))
-    }
-
     /// Whether `epoch` is the stored one, bit by bit.
-    ///
-    /// # Errors
-    /// The stored bytes are corrupt.
-    pub fn is(&self, epoch: &Epoch) -> Result<bool, StoreError> {
-        let encoded = encode_epoch(epoch);
-        // Bytes of an older encoding are decoded for the comparison.
-        Ok(self.content == encoded || encode_epoch(&self.epoch()?) == encoded)
+    pub fn is(&self, epoch: &Epoch) -> bool {
+        encode_epoch(&self.epoch) == encode_epoch(epoch)
     }
 }
 
@@ -91,44 +80,81 @@ impl StoredEpoch {
 struct RawSolution {
     seq: i64,
     revision: i32,
+    gps_time_ns: i64,
+    x_m: Option<f64>,
+    y_m: Option<f64>,
+    z_m: Option<f64>,
+    version: Option<String>,
+    configuration_hash: Option<String>,
     content: Vec<u8>,
 }
 
 impl RawSolution {
     fn parse(self) -> Result<StoredSolution, StoreError> {
-        let decoded = decode_solution(&self.content).map_err(StoreError::corrupt("solution"))?;
+        let time = GpsTime::from_ns(self.gps_time_ns);
+        let columns = SolutionColumns { time, position_m: [self.x_m, self.y_m, self.z_m] };
+        let decoded = decode_solution(&self.content, columns);
+        let decoded = decoded.map_err(StoreError::corrupt("solution"))?;
+        let origin = decoded.origin.or(self.version.zip(self.configuration_hash));
+        let (version, configuration_hash) = origin.ok_or_else(|| StoreError::CorruptText {
+            what: "solution",
+            why: "it names no version and configuration".to_owned(),
+        })?;
         Ok(StoredSolution {
             seq: self.seq as u64,
             revision: self.revision as u32,
             solution: decoded.solution,
-            version: decoded.version.into(),
-            configuration_hash: decoded.configuration_hash.into(),
+            version: version.into(),
+            configuration_hash: configuration_hash.into(),
         })
     }
 }
 
 #[derive(sqlx::FromRow)]
 struct RawEpoch {
-    seq: i64,
     epoch: Vec<u8>,
-    content: Vec<u8>,
     navigation: i64,
     base: Option<i64>,
     base_after: Option<i64>,
     base_through: Option<i64>,
+    #[sqlx(flatten)]
+    solution: RawSolution,
 }
 
 impl RawEpoch {
-    fn parse(self) -> Result<StoredEpoch, StoreError> {
-        let raw = RawSolution { seq: self.seq, revision: 0, content: self.content };
-        let navigation = self.navigation as u64;
+    /// The row, with its epoch decoded.
+    fn parse(self, epoch: Epoch) -> Result<StoredEpoch, StoreError> {
         let base = self.base.map(|key| BaseUse {
             base: BaseKey(key),
             after: self.base_after.unwrap_or(0) as u64,
             through: self.base_through.unwrap_or(0) as u64,
         });
-        Ok(StoredEpoch { content: self.epoch, solution: raw.parse()?, navigation, base })
+        let navigation = self.navigation as u64;
+        Ok(StoredEpoch { epoch, solution: self.solution.parse()?, navigation, base })
     }
+}
+
+/// The columns of [`RawSolution`] from the solutions `s`.
+macro_rules! solution_columns {
+    () => {
+        "s.seq AS seq, s.revision AS revision, s.gps_time_ns AS gps_time_ns, s.x_m AS x_m, \
+         s.y_m AS y_m, s.z_m AS z_m, o.version AS version, \
+         o.configuration_hash AS configuration_hash, s.content AS content"
+    };
+}
+/// The rows of [`RawEpoch`] of the session `$1`, up to the other conditions.
+macro_rules! select_epochs {
+    ($conditions:literal) => {
+        concat!(
+            "SELECT e.content AS epoch, e.navigation AS navigation, e.base AS base, ",
+            "e.base_after AS base_after, e.base_through AS base_through, ",
+            solution_columns!(),
+            " FROM epochs e ",
+            "JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
+            "LEFT JOIN solution_origins o ON o.key = s.origin WHERE e.session = $1 ",
+            $conditions
+        )
+    };
 }
 
 impl Store {
@@ -142,19 +168,16 @@ impl Store {
         count: usize,
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
-                    e.navigation AS navigation, e.base AS base, e.base_after AS base_after,
-                    e.base_through AS base_through
-             FROM epochs e
-             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
-             WHERE e.session = $1 ORDER BY e.seq DESC LIMIT $2",
+            select_epochs!("ORDER BY e.seq DESC LIMIT $2"),
         )
         .bind(session.0)
         .bind(count as i64)
         .fetch_all(pool)
         .await);
         let rows = rows.map_err(StoreError::database("reading a session's last epochs"))?;
-        rows.into_iter().map(RawEpoch::parse).collect()
+        let mut epochs = self.decoded(session, rows).await?;
+        epochs.reverse();
+        Ok(epochs)
     }
 
     /// The first `count` epochs of a session after number `after`, or from its first epoch, in
@@ -170,12 +193,7 @@ impl Store {
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let after = after.map_or(-1, |seq| i64::try_from(seq).unwrap_or(i64::MAX));
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            "SELECT e.seq AS seq, e.content AS epoch, s.content AS content,
-                    e.navigation AS navigation, e.base AS base, e.base_after AS base_after,
-                    e.base_through AS base_through
-             FROM epochs e
-             JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0
-             WHERE e.session = $1 AND e.seq > $2 ORDER BY e.seq LIMIT $3",
+            select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3"),
         )
         .bind(session.0)
         .bind(after)
@@ -183,7 +201,7 @@ impl Store {
         .fetch_all(pool)
         .await);
         let rows = rows.map_err(StoreError::database("reading a session's epochs"))?;
-        rows.into_iter().map(RawEpoch::parse).collect()
+        self.decoded(session, rows).await
     }
 
     /// Number of the epoch that `count` epochs of the session follow, if there are that many.
@@ -214,35 +232,41 @@ impl Store {
         seqs: &[u64],
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let seqs: Vec<i64> = seqs.iter().filter_map(|seq| i64::try_from(*seq).ok()).collect();
-        macro_rules! select {
-            ($among:literal) => {
-                concat!(
-                    "SELECT e.seq AS seq, e.content AS epoch, s.content AS content, ",
-                    "e.navigation AS navigation, e.base AS base, e.base_after AS base_after, ",
-                    "e.base_through AS base_through FROM epochs e JOIN solutions s ",
-                    "ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
-                    "WHERE e.session = $1 AND e.seq ",
-                    $among
-                )
-            };
-        }
         let rows: Result<Vec<RawEpoch>, _> = match &self.pool {
             Pool::Sqlite { readers, .. } => {
                 let list = serde_json::to_string(&seqs).expect("a list of numbers is JSON");
-                let rows = sqlx::query_as(select!("IN (SELECT value FROM json_each($2))"))
-                    .bind(session.0)
-                    .bind(list)
-                    .fetch_all(readers);
+                let rows = sqlx::query_as(select_epochs!(
+                    "AND e.seq IN (SELECT value FROM json_each($2))"
+                ))
+                .bind(session.0)
+                .bind(list)
+                .fetch_all(readers);
                 within(DEADLINE, rows).await
             }
             Pool::Postgres(pool) => {
-                let sql = select!("= ANY($2)");
+                let sql = select_epochs!("AND e.seq = ANY($2)");
                 let rows = sqlx::query_as(sql).bind(session.0).bind(seqs).fetch_all(pool);
                 within(DEADLINE, rows).await
             }
         };
         let rows = rows.map_err(StoreError::database("reading epochs"))?;
-        rows.into_iter().map(RawEpoch::parse).collect()
+        self.decoded(session, rows).await
+    }
+
+    /// Decodes rows in order of their numbers.
+    async fn decoded(
+        &self,
+        session: SessionKey,
+        mut rows: Vec<RawEpoch>,
+    ) -> Result<Vec<StoredEpoch>, StoreError> {
+        rows.sort_unstable_by_key(|row| row.solution.seq);
+        let mut chain = Chain::of(self, session);
+        let mut epochs = Vec::with_capacity(rows.len());
+        for row in rows {
+            let epoch = chain.decode(row.solution.seq as u64, &row.epoch).await?;
+            epochs.push(row.parse(epoch)?);
+        }
+        Ok(epochs)
     }
 
     /// A page of a session's solutions in order of epoch number and revision.
@@ -283,7 +307,9 @@ impl Store {
         macro_rules! list {
             ($condition:literal) => {
                 concat!(
-                    "SELECT seq, revision, content FROM solutions s ",
+                    "SELECT ",
+                    solution_columns!(),
+                    " FROM solutions s LEFT JOIN solution_origins o ON o.key = s.origin ",
                     "WHERE session = $1 AND seq >= $2 AND seq <= $3 ",
                     "AND (seq > $4 OR revision > $5) AND ($6 = -1 OR status = $6) ",
                     "AND gps_time_ns >= $8 AND gps_time_ns <= $9 ",

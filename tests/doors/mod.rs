@@ -19,4 +19,5 @@ mod raw;
 mod session_antennas;
 mod sessions;
 mod simulation;
+mod storage;
 mod store;

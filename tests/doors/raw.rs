@@ -59,7 +59,7 @@ async fn stored(store: &Store, id: &SessionId) -> Vec<Epoch> {
     for (index, row) in rows.iter().enumerate() {
         assert_eq!(row.solution.seq, index as u64 + 1);
     }
-    rows.iter().map(|row| row.epoch().unwrap()).collect()
+    rows.into_iter().map(|row| row.epoch).collect()
 }
 
 /// The first `length` bytes of a real rover's log: RXM-RAWX, RXM-SFRBX and other messages.

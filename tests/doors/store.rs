@@ -1,6 +1,7 @@
 //! The store and the navigation broker, on both databases.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use graphfix::aiding::{AidingLimits, NavigationBroker};
 use graphfix::gnss::{
@@ -66,7 +67,7 @@ fn batch_after(
             version: "0.1.0".into(),
             configuration_hash: "c0ffee".into(),
         };
-        EncodedEpoch::new(&Epoch::new(time(seq)), &solution, 0, None)
+        EncodedEpoch::new(Arc::new(Epoch::new(time(seq))), &solution, 0, None, None)
     };
     Batch { epochs: seqs.into_iter().map(row).collect(), ..Batch::new(session, previous) }
 }
@@ -131,7 +132,7 @@ async fn solutions_are_chosen_by_status_and_revision(database: Database) {
     let key = session(&store, "one").await;
     store.commit(batch(key, 1..=4)).await.unwrap();
     let smoothed = "INSERT INTO solutions SELECT session, seq, 1, gps_time_ns, status, x_m, y_m, \
-                    z_m, content FROM solutions WHERE seq IN (2, 3)";
+                    z_m, content, origin FROM solutions WHERE seq IN (2, 3)";
     database.execute(smoothed).await;
     database.execute("UPDATE solutions SET status = 10 WHERE seq = 3").await;
     let of = async |revisions, status, token: Option<&str>| {
@@ -186,7 +187,7 @@ async fn large_batches_of_any_size_are_stored(database: Database) {
     let rows = stored(&store, key, &whole_session()).await;
     assert_eq!(rows, (0..first).map(|seq| (seq, 0)).collect::<Vec<_>>());
     let last = store.last_epochs(key, 1).await.unwrap().pop().unwrap();
-    assert_eq!(last.epoch().unwrap(), Epoch::new(time(first - 1)));
+    assert_eq!(last.epoch, Epoch::new(time(first - 1)));
 }
 
 async fn a_newer_schema_is_refused(database: Database) {
@@ -197,7 +198,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 14"
+        "the database has schema 9000, this Graphfix knows schemas up to 15"
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }

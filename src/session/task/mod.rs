@@ -456,7 +456,7 @@ fn answer_from(
     let Some(stored) = stored.get(&seq) else {
         return Ok(Err(EpochRefusal::Superseded { seq, last: last.unwrap_or(seq) }));
     };
-    if stored.is(epoch)? {
+    if stored.is(epoch) {
         Ok(Ok(Acknowledged { solution: stored.solution.clone(), resent: true }))
     } else {
         Ok(Err(EpochRefusal::Conflict { seq }))

@@ -9,6 +9,27 @@ use super::CodecError;
 
 /// Up to this number of thousandths, a value takes no more bytes than an `f64`.
 const THOUSANDTHS_MAX: u64 = 1 << 55;
+const NS_PER_MS: i64 = 1_000_000;
+/// In place of a span in whole milliseconds.
+const NOT_WHOLE: i64 = 1;
+
+/// A signed integer as an unsigned one that is small if its magnitude is.
+pub(super) const fn zigzag(value: i64) -> u64 {
+    ((value << 1) ^ (value >> 63)) as u64
+}
+
+/// The integer of [`zigzag`].
+pub(super) const fn unzigzag(value: u64) -> i64 {
+    (value >> 1) as i64 ^ -((value & 1) as i64)
+}
+
+/// A value in thousandths, if it is a whole number of them.
+pub(super) fn thousandths(value: f64) -> Option<i64> {
+    // The cast saturates and turns NaN into zero; the comparison of bits excludes both.
+    let thousandths = (value * 1e3).round() as i64;
+    let exact = (thousandths as f64 / 1e3).to_bits() == value.to_bits();
+    (exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX).then_some(thousandths)
+}
 
 /// Appends primitives to a buffer.
 pub(super) struct Encoder {
@@ -30,15 +51,6 @@ impl Encoder {
         self.bytes.push(value);
     }
 
-    /// Offset of the next byte, for [`Self::set`].
-    pub(super) fn position(&self) -> usize {
-        self.bytes.len()
-    }
-
-    pub(super) fn set(&mut self, position: usize, value: u8) {
-        self.bytes[position] = value;
-    }
-
     pub(super) fn unsigned(&mut self, mut value: u64) {
         while 0x80 <= value {
             self.bytes.push(value as u8 | 0x80);
@@ -48,7 +60,7 @@ impl Encoder {
     }
 
     pub(super) fn signed(&mut self, value: i64) {
-        self.unsigned(((value << 1) ^ (value >> 63)) as u64);
+        self.unsigned(zigzag(value));
     }
 
     pub(super) fn count(&mut self, value: usize) {
@@ -66,25 +78,19 @@ impl Encoder {
         }
     }
 
-    /// A measured value, in fewer bytes if it is a whole number of thousandths. Returns its 2-bit
-    /// tag.
-    pub(super) fn measured(&mut self, value: Option<f64>) -> u8 {
-        let Some(value) = value else { return 0 };
-        // The cast saturates and turns NaN into zero; the comparison of bits excludes both.
-        let thousandths = (value * 1e3).round() as i64;
-        let exact = (thousandths as f64 / 1e3).to_bits() == value.to_bits();
-        if exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX {
-            self.signed(thousandths);
-            1
-        } else {
-            self.f64(value);
-            2
-        }
-    }
-
     pub(super) fn text(&mut self, text: &str) {
         self.count(text.len());
         self.bytes.extend_from_slice(text.as_bytes());
+    }
+
+    /// A span of time: whole milliseconds in few bytes, others in more.
+    pub(super) fn span(&mut self, ns: i64) {
+        if ns % NS_PER_MS == 0 {
+            self.signed(2 * (ns / NS_PER_MS));
+        } else {
+            self.signed(NOT_WHOLE);
+            self.signed(ns);
+        }
     }
 
     /// A GPS time: a whole second in few bytes, other times in more.
@@ -105,11 +111,6 @@ impl Encoder {
     pub(super) fn satellite(&mut self, satellite: SatelliteId) {
         self.u8(constellation_number(satellite.constellation));
         self.u8(satellite.number);
-    }
-
-    pub(super) fn satellites(&mut self, satellites: &[SatelliteId]) {
-        self.count(satellites.len());
-        satellites.iter().for_each(|satellite| self.satellite(*satellite));
     }
 
     pub(super) fn vector(&mut self, vector: &Vector3<f64>) {
@@ -204,8 +205,7 @@ impl<'a> Decoder<'a> {
     }
 
     pub(super) fn signed(&mut self) -> Result<i64, CodecError> {
-        let value = self.unsigned()?;
-        Ok((value >> 1) as i64 ^ -((value & 1) as i64))
+        self.unsigned().map(unzigzag)
     }
 
     pub(super) fn u32(&mut self, what: &'static str) -> Result<u32, CodecError> {
@@ -224,6 +224,13 @@ impl<'a> Decoder<'a> {
         let count = self.usize(what)?;
         let left = self.bytes.len() - self.offset;
         if left < count { Err(self.invalid(what)) } else { Ok(count) }
+    }
+
+    /// The same where each item has at least one bit.
+    pub(super) fn count_of_bits(&mut self, what: &'static str) -> Result<usize, CodecError> {
+        let count = self.usize(what)?;
+        let left = self.bytes.len() - self.offset;
+        if 8 * left < count { Err(self.invalid(what)) } else { Ok(count) }
     }
 
     pub(super) fn f64(&mut self) -> Result<f64, CodecError> {
@@ -253,6 +260,16 @@ impl<'a> Decoder<'a> {
 
     pub(super) fn time(&mut self) -> Result<GpsTime, CodecError> {
         self.optional_time()?.ok_or_else(|| self.invalid("time"))
+    }
+
+    pub(super) fn span(&mut self) -> Result<i64, CodecError> {
+        match self.signed()? {
+            NOT_WHOLE => self.signed(),
+            doubled if doubled % 2 == 0 => {
+                (doubled / 2).checked_mul(NS_PER_MS).ok_or_else(|| self.invalid("span of time"))
+            }
+            _ => Err(self.invalid("span of time")),
+        }
     }
 
     pub(super) fn optional_time(&mut self) -> Result<Option<GpsTime>, CodecError> {
@@ -336,14 +353,6 @@ mod tests {
     }
 
     #[test]
-    fn a_pseudorange_with_three_decimals_takes_six_bytes() {
-        let mut encoder = Encoder::new(1, 0);
-        assert_eq!(encoder.measured(Some(23_456_789.123)), 1);
-        // 23 456 789 123, zigzag: 36 bits in groups of seven.
-        assert_eq!(encoder.finish().len(), 1 + 6);
-    }
-
-    #[test]
     fn integers_too_long_are_refused() {
         let bytes = [&[1_u8][..], &[0xff; 9], &[2]].concat();
         let error = Decoder::new(&bytes, 1).unwrap().unsigned().unwrap_err();
@@ -359,13 +368,20 @@ mod tests {
         }
 
         #[test]
-        fn measured_values_keep_their_bits(bits: u64, decimal in -1e12_f64..1e12) {
-            for value in [f64::from_bits(bits), (decimal * 1e3).round() / 1e3, -0.0, f64::NAN] {
-                let mut encoder = Encoder::new(1, 0);
-                let tag = encoder.measured(Some(value));
-                let bytes = encoder.finish();
-                let read = Decoder::new(&bytes, 1).unwrap().measured(tag).unwrap().unwrap();
-                prop_assert_eq!(read.to_bits(), value.to_bits());
+        fn thousandths_keep_the_bits(bits: u64, decimal in -1e12_f64..1e12) {
+            let whole = (decimal * 1e3).round() / 1e3;
+            prop_assert!(thousandths(whole).is_some());
+            for value in [f64::from_bits(bits), whole, -0.0, f64::NAN] {
+                if let Some(thousandths) = thousandths(value) {
+                    prop_assert_eq!((thousandths as f64 / 1e3).to_bits(), value.to_bits());
+                }
+            }
+        }
+
+        #[test]
+        fn spans(ns: i64, ms in -9_000_000_000_i64..9_000_000_000) {
+            for span in [ns, ms * NS_PER_MS] {
+                prop_assert_eq!(round_trip(|e| e.span(span), |d| d.span()), span);
             }
         }
 

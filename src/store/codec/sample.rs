@@ -48,7 +48,7 @@ fn covariance() -> impl Strategy<Value = Matrix3<f64>> {
     })
 }
 
-fn observation() -> impl Strategy<Value = Observation> {
+pub(super) fn observation() -> impl Strategy<Value = Observation> {
     let flags = (any::<bool>(), any::<bool>());
     let values = vec(option::of(number()), 4);
     (satellite(), b'1'..=b'9', b'A'..=b'Z', flags, values).prop_map(

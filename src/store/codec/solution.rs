@@ -1,27 +1,44 @@
-//! Solutions as bytes, with the version and configuration that computed them.
+//! Solutions as bytes.
+//!
+//! Layout 5 is what the columns of a row do not hold: they have the time, the position, and by
+//! reference the program's version and the configuration. A position that a column would not
+//! return bit by bit stands in the bytes. Up to layout 4 the bytes hold everything.
+
+use nalgebra::Vector3;
 
 use crate::config::IonosphereModel;
 use crate::gnss::{
-    BaseEpochIssue, Dops, Ecef, EphemerisIssue, Protection, Provenance, Reason, RelativeEstimate,
-    Solution, SolutionEstimate, Status, Velocity,
+    BaseEpochIssue, Dops, Ecef, EphemerisIssue, GpsTime, Protection, Provenance, Reason,
+    RelativeEstimate, SatelliteId, Solution, SolutionEstimate, Status, Velocity,
 };
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
+use super::lists::{decode_issues, decode_satellites, encode_issues, encode_satellites};
 
-/// The newest version. Version 1 had no relative estimate, version 2 no base epoch, version 3 no
+/// The newest layout. Layout 1 had no relative estimate, layout 2 no base epoch, layout 3 no
 /// protection levels.
-const VERSION: u8 = 4;
+const LAYOUT: u8 = 5;
+/// The first layout that needs the columns, and that writes lists in bits.
+const WITH_COLUMNS: u8 = 5;
 
-/// A solution with its version and configuration.
+/// What the columns of a row hold of its solution.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::store) struct SolutionColumns {
+    /// Time tag of the epoch.
+    pub time: GpsTime,
+    /// ECEF position (m).
+    pub position_m: [Option<f64>; 3],
+}
+
+/// A decoded solution.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::store) struct DecodedSolution {
     /// The solution.
     pub solution: Solution,
-    /// Version of the program that computed it.
-    pub version: String,
-    /// Hash of the configuration in force.
-    pub configuration_hash: String,
+    /// Version of the program that computed it, and hash of the configuration in force, up to
+    /// layout 4.
+    pub origin: Option<(String, String)>,
 }
 
 /// The stored number of a status. It never changes, and rises from none to best.
@@ -36,36 +53,39 @@ pub(in crate::store) const fn status_number(status: Status) -> i16 {
     }
 }
 
-/// Encodes a solution.
-pub(in crate::store) fn encode_solution(
-    solution: &Solution,
-    version: &str,
-    configuration_hash: &str,
-) -> Vec<u8> {
-    let mut out = Encoder::new(VERSION, 512);
-    out.time(solution.time);
+/// The columns of a solution. A position that SQLite does not return bit by bit has none.
+pub(in crate::store) fn solution_columns(solution: &Solution) -> SolutionColumns {
+    let position = solution.estimate.as_ref().map(|estimate| estimate.position.0);
+    let is_kept = |axis_m: &f64| axis_m.is_finite() && *axis_m != 0.0; // −0 would lose its sign.
+    let position = position.filter(|position| position.iter().all(is_kept));
+    let axis_m = |axis: usize| position.map(|position| position[axis]);
+    SolutionColumns { time: solution.time, position_m: [axis_m(0), axis_m(1), axis_m(2)] }
+}
+
+/// Encodes what [`solution_columns`] leaves of a solution.
+pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
+    let mut out = Encoder::new(LAYOUT, 384);
     out.u8(status_number(solution.status) as u8);
     out.u8(u8::from(solution.estimate.is_some()));
     if let Some(estimate) = &solution.estimate {
-        encode_estimate(&mut out, estimate);
+        let is_in_columns = solution_columns(solution).position_m[0].is_some();
+        out.u8(u8::from(is_in_columns));
+        if !is_in_columns {
+            out.vector(&estimate.position.0);
+        }
+        encode_estimate(&mut out, estimate, solution.time);
     }
     out.count(solution.reasons.len());
     for reason in &solution.reasons {
         encode_reason(&mut out, reason);
     }
-    out.count(solution.provenance.ephemerides.len());
-    for used in &solution.provenance.ephemerides {
-        out.satellite(used.satellite);
-        out.time(used.toe);
-        out.unsigned(used.issue.into());
-    }
+    let satellites = solution.estimate.as_ref().map_or(&[][..], |e| &e.satellites_used);
+    encode_issues(&mut out, &solution.provenance.ephemerides, satellites, solution.time);
     out.u8(u8::from(solution.provenance.base.is_some()));
     if let Some(used) = &solution.provenance.base {
         out.text(&used.base);
-        out.time(used.time);
+        out.span(used.time.as_ns().wrapping_sub(solution.time.as_ns()));
     }
-    out.text(version);
-    out.text(configuration_hash);
     out.u8(u8::from(solution.protection.is_some()));
     if let Some(protection) = &solution.protection {
         out.f64(protection.horizontal_m);
@@ -74,8 +94,7 @@ pub(in crate::store) fn encode_solution(
     out.finish()
 }
 
-fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate) {
-    out.vector(&estimate.position.0);
+fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate, time: GpsTime) {
     out.covariance(&estimate.covariance);
     out.u8(u8::from(estimate.velocity.is_some()));
     if let Some(velocity) = &estimate.velocity {
@@ -89,10 +108,10 @@ fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate) {
         out.u8(constellation_number(*constellation));
         out.f64(*bias_m);
     }
-    out.time(estimate.reception_time);
+    out.signed(estimate.reception_time.as_ns().wrapping_sub(time.as_ns()));
     let Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
     [gdop, pdop, hdop, vdop, tdop].into_iter().for_each(|dop| out.f64(dop));
-    out.satellites(&estimate.satellites_used);
+    encode_satellites(out, &estimate.satellites_used);
     out.u8(u8::from(estimate.relative.is_some()));
     if let Some(relative) = &estimate.relative {
         encode_relative(out, relative);
@@ -113,7 +132,7 @@ fn encode_reason(out: &mut Encoder, reason: &Reason) {
     match reason {
         Reason::EphemerisMissing { satellites } => {
             out.u8(0);
-            out.satellites(satellites);
+            encode_satellites(out, satellites);
         }
         Reason::TooFewSatellites { used, needed } => {
             out.u8(1);
@@ -131,7 +150,7 @@ fn encode_reason(out: &mut Encoder, reason: &Reason) {
         }
         Reason::SatellitesExcluded { satellites } => {
             out.u8(5);
-            out.satellites(satellites);
+            encode_satellites(out, satellites);
         }
         Reason::NotConverged => out.u8(6),
         Reason::IonosphereFallback { used } => {
@@ -163,11 +182,11 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
         Reason::FixRejected => numbers(15, &[]),
         Reason::HalfCycleUnresolved { satellites } => {
             out.u8(16);
-            out.satellites(satellites);
+            encode_satellites(out, satellites);
         }
         Reason::CycleSlips { satellites } => {
             out.u8(17);
-            out.satellites(satellites);
+            encode_satellites(out, satellites);
         }
         Reason::StartUnproven { age_s } => numbers(18, &[*age_s]),
         Reason::OdometryUnused { interval_s } => numbers(19, &[*interval_s]),
@@ -191,26 +210,38 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
     }
 }
 
-/// Decodes a solution.
-pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution, CodecError> {
-    let (mut input, layout) = Decoder::of_versions(bytes, VERSION)?;
-    let time = input.time()?;
+/// Decodes a solution with the columns of its row.
+pub(in crate::store) fn decode_solution(
+    bytes: &[u8],
+    columns: SolutionColumns,
+) -> Result<DecodedSolution, CodecError> {
+    let (mut input, layout) = Decoder::of_versions(bytes, LAYOUT)?;
+    let time = if layout < WITH_COLUMNS { input.time()? } else { columns.time };
     let number = i16::from(input.u8()?);
     let known = Status::ALL.into_iter().find(|status| status_number(*status) == number);
     let status = known.ok_or_else(|| input.invalid("status"))?;
     let estimate = match input.flag("estimate")? {
-        true => Some(decode_estimate(&mut input, layout)?),
+        true => Some(decode_estimate(&mut input, layout, SolutionColumns { time, ..columns })?),
         false => None,
     };
     let count = input.count("number of reasons")?;
-    let reasons = (0..count).map(|_| decode_reason(&mut input)).collect::<Result<_, _>>()?;
-    let count = input.count("number of ephemerides")?;
-    let ephemerides = (0..count).map(|_| decode_issue(&mut input)).collect::<Result<_, _>>()?;
+    let reasons =
+        (0..count).map(|_| decode_reason(&mut input, layout)).collect::<Result<_, _>>()?;
+    let ephemerides = if WITH_COLUMNS <= layout {
+        let satellites = estimate.as_ref().map_or(&[][..], |e| &e.satellites_used);
+        decode_issues(&mut input, satellites, time)?
+    } else {
+        let count = input.count("number of ephemerides")?;
+        (0..count).map(|_| decode_issue(&mut input)).collect::<Result<_, _>>()?
+    };
     let base = match 3 <= layout && input.flag("base epoch")? {
-        true => Some(BaseEpochIssue { base: input.text()?.to_owned(), time: input.time()? }),
+        true => Some(decode_base_epoch(&mut input, layout, time)?),
         false => None,
     };
-    let (version, configuration_hash) = (input.text()?.to_owned(), input.text()?.to_owned());
+    let origin = match layout < WITH_COLUMNS {
+        true => Some((input.text()?.to_owned(), input.text()?.to_owned())),
+        false => None,
+    };
     let protection = match 4 <= layout && input.flag("protection levels")? {
         true => Some(Protection { horizontal_m: input.f64()?, vertical_m: input.f64()? }),
         false => None,
@@ -218,7 +249,25 @@ pub(in crate::store) fn decode_solution(bytes: &[u8]) -> Result<DecodedSolution,
     input.finish()?;
     let provenance = Provenance { ephemerides, base };
     let solution = Solution { time, status, estimate, protection, reasons, provenance };
-    Ok(DecodedSolution { solution, version, configuration_hash })
+    Ok(DecodedSolution { solution, origin })
+}
+
+fn decode_base_epoch(
+    input: &mut Decoder<'_>,
+    layout: u8,
+    time: GpsTime,
+) -> Result<BaseEpochIssue, CodecError> {
+    let base = input.text()?.to_owned();
+    let time = match layout < WITH_COLUMNS {
+        true => input.time()?,
+        false => GpsTime::from_ns(time.as_ns().wrapping_add(input.span()?)),
+    };
+    Ok(BaseEpochIssue { base, time })
+}
+
+/// A list of satellites in either form.
+fn decode_list(input: &mut Decoder<'_>, layout: u8) -> Result<Vec<SatelliteId>, CodecError> {
+    if layout < WITH_COLUMNS { input.satellites() } else { decode_satellites(input) }
 }
 
 fn decode_issue(input: &mut Decoder<'_>) -> Result<EphemerisIssue, CodecError> {
@@ -229,8 +278,16 @@ fn decode_issue(input: &mut Decoder<'_>) -> Result<EphemerisIssue, CodecError> {
     })
 }
 
-fn decode_estimate(input: &mut Decoder<'_>, layout: u8) -> Result<SolutionEstimate, CodecError> {
-    let position = Ecef(input.vector()?);
+fn decode_estimate(
+    input: &mut Decoder<'_>,
+    layout: u8,
+    columns: SolutionColumns,
+) -> Result<SolutionEstimate, CodecError> {
+    let position = match (WITH_COLUMNS <= layout && input.flag("position")?, columns.position_m) {
+        (false, _) => Ecef(input.vector()?),
+        (true, [Some(x_m), Some(y_m), Some(z_m)]) => Ecef(Vector3::new(x_m, y_m, z_m)),
+        (true, _) => return Err(input.invalid("position")),
+    };
     let covariance = input.covariance()?;
     let velocity = match input.flag("velocity")? {
         true => Some(Velocity {
@@ -252,7 +309,10 @@ fn decode_estimate(input: &mut Decoder<'_>, layout: u8) -> Result<SolutionEstima
         velocity,
         clock_m,
         inter_system_biases_m,
-        reception_time: input.time()?,
+        reception_time: match layout < WITH_COLUMNS {
+            true => input.time()?,
+            false => GpsTime::from_ns(columns.time.as_ns().wrapping_add(input.signed()?)),
+        },
         dops: Dops {
             gdop: input.f64()?,
             pdop: input.f64()?,
@@ -260,7 +320,7 @@ fn decode_estimate(input: &mut Decoder<'_>, layout: u8) -> Result<SolutionEstima
             vdop: input.f64()?,
             tdop: input.f64()?,
         },
-        satellites_used: input.satellites()?,
+        satellites_used: decode_list(input, layout)?,
         relative: match 2 <= layout && input.flag("relative estimate")? {
             true => Some(decode_relative(input)?),
             false => None,
@@ -280,9 +340,9 @@ fn decode_relative(input: &mut Decoder<'_>) -> Result<RelativeEstimate, CodecErr
     })
 }
 
-fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
+fn decode_reason(input: &mut Decoder<'_>, layout: u8) -> Result<Reason, CodecError> {
     Ok(match input.u8()? {
-        0 => Reason::EphemerisMissing { satellites: input.satellites()? },
+        0 => Reason::EphemerisMissing { satellites: decode_list(input, layout)? },
         1 => Reason::TooFewSatellites {
             used: input.usize("satellites used")?,
             needed: input.usize("satellites needed")?,
@@ -290,7 +350,7 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         2 => Reason::GeometryTooWeak { gdop: input.f64()? },
         3 => Reason::NoRedundancy,
         4 => Reason::ResidualsTooLarge { ratio: input.f64()? },
-        5 => Reason::SatellitesExcluded { satellites: input.satellites()? },
+        5 => Reason::SatellitesExcluded { satellites: decode_list(input, layout)? },
         6 => Reason::NotConverged,
         7 => {
             let text = input.text()?;
@@ -309,8 +369,8 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         13 => Reason::RatioBelowThreshold { ratio: input.f64()?, threshold: input.f64()? },
         14 => Reason::SuccessRateTooLow { success_rate: input.f64()? },
         15 => Reason::FixRejected,
-        16 => Reason::HalfCycleUnresolved { satellites: input.satellites()? },
-        17 => Reason::CycleSlips { satellites: input.satellites()? },
+        16 => Reason::HalfCycleUnresolved { satellites: decode_list(input, layout)? },
+        17 => Reason::CycleSlips { satellites: decode_list(input, layout)? },
         18 => Reason::StartUnproven { age_s: input.f64()? },
         19 => Reason::OdometryUnused { interval_s: input.f64()? },
         20 => Reason::FixImprecise { sigma_m: input.f64()? },
@@ -324,4 +384,135 @@ fn decode_reason(input: &mut Decoder<'_>) -> Result<Reason, CodecError> {
         26 => Reason::EstimatorFailed,
         _ => return Err(input.invalid("reason")),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use crate::store::codec::sample;
+
+    use super::*;
+
+    /// What layouts before `layout` lack is removed.
+    fn of_layout(layout: u8, solution: &Solution) -> Solution {
+        let mut solution = solution.clone();
+        if layout < 4 {
+            solution.protection = None;
+        }
+        if layout < 3 {
+            solution.provenance.base = None;
+        }
+        if let Some(estimate) = solution.estimate.as_mut().filter(|_| layout < 2) {
+            estimate.relative = None;
+        }
+        solution
+    }
+
+    /// A solution in layouts 1 to 4, as Graphfix wrote it before layout 5.
+    fn encode_former(layout: u8, solution: &Solution, version: &str, hash: &str) -> Vec<u8> {
+        let mut out = Encoder::new(layout, 0);
+        out.time(solution.time);
+        out.u8(status_number(solution.status) as u8);
+        out.u8(u8::from(solution.estimate.is_some()));
+        if let Some(estimate) = &solution.estimate {
+            encode_former_estimate(&mut out, layout, estimate);
+        }
+        out.count(solution.reasons.len());
+        solution.reasons.iter().for_each(|reason| encode_former_reason(&mut out, reason));
+        out.count(solution.provenance.ephemerides.len());
+        for used in &solution.provenance.ephemerides {
+            out.satellite(used.satellite);
+            out.time(used.toe);
+            out.unsigned(used.issue.into());
+        }
+        if 3 <= layout {
+            out.u8(u8::from(solution.provenance.base.is_some()));
+            if let Some(used) = &solution.provenance.base {
+                out.text(&used.base);
+                out.time(used.time);
+            }
+        }
+        out.text(version);
+        out.text(hash);
+        if 4 <= layout {
+            out.u8(u8::from(solution.protection.is_some()));
+            if let Some(protection) = &solution.protection {
+                out.f64(protection.horizontal_m);
+                out.f64(protection.vertical_m);
+            }
+        }
+        out.finish()
+    }
+
+    fn encode_former_estimate(out: &mut Encoder, layout: u8, estimate: &SolutionEstimate) {
+        out.vector(&estimate.position.0);
+        out.covariance(&estimate.covariance);
+        out.u8(u8::from(estimate.velocity.is_some()));
+        if let Some(velocity) = &estimate.velocity {
+            out.vector(&velocity.velocity_m_s);
+            out.covariance(&velocity.covariance);
+            out.f64(velocity.clock_drift_m_s);
+        }
+        out.f64(estimate.clock_m);
+        out.count(estimate.inter_system_biases_m.len());
+        for (constellation, bias_m) in &estimate.inter_system_biases_m {
+            out.u8(constellation_number(*constellation));
+            out.f64(*bias_m);
+        }
+        out.time(estimate.reception_time);
+        let Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
+        [gdop, pdop, hdop, vdop, tdop].into_iter().for_each(|dop| out.f64(dop));
+        encode_former_satellites(out, &estimate.satellites_used);
+        if 2 <= layout {
+            out.u8(u8::from(estimate.relative.is_some()));
+            if let Some(relative) = &estimate.relative {
+                encode_relative(out, relative);
+            }
+        }
+    }
+
+    fn encode_former_reason(out: &mut Encoder, reason: &Reason) {
+        let (number, satellites) = match reason {
+            Reason::EphemerisMissing { satellites } => (0, satellites),
+            Reason::SatellitesExcluded { satellites } => (5, satellites),
+            Reason::HalfCycleUnresolved { satellites } => (16, satellites),
+            Reason::CycleSlips { satellites } => (17, satellites),
+            other => return encode_reason(out, other),
+        };
+        out.u8(number);
+        encode_former_satellites(out, satellites);
+    }
+
+    fn encode_former_satellites(out: &mut Encoder, satellites: &[SatelliteId]) {
+        out.count(satellites.len());
+        satellites.iter().for_each(|satellite| out.satellite(*satellite));
+    }
+
+    #[test]
+    fn a_position_without_columns_is_corrupt() {
+        let columns = |position_m| SolutionColumns { time: GpsTime::EPOCH, position_m };
+        let none = encode_solution(&Solution::none(GpsTime::EPOCH, vec![]));
+        assert!(decode_solution(&none, columns([None; 3])).is_ok());
+        let bytes = [5, 10, 1, 1, 1];
+        let error = decode_solution(&bytes, columns([Some(1.0), None, None])).unwrap_err();
+        assert_eq!(error, CodecError::Invalid { what: "position", offset: 4 });
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn former_layouts_are_read(solution in sample::solution(), layout in 1_u8..5) {
+            let solution = of_layout(layout, &solution);
+            let bytes = encode_former(layout, &solution, "0.1.0", "c0ffee");
+            let columns = SolutionColumns { time: GpsTime::EPOCH, position_m: [None; 3] };
+            let read = decode_solution(&bytes, columns).unwrap();
+            prop_assert_eq!(format!("{:?}", read.solution), format!("{solution:?}"));
+            let origin = read.origin.unwrap();
+            prop_assert_eq!((&*origin.0, &*origin.1), ("0.1.0", "c0ffee"));
+            let again = encode_former(layout, &read.solution, "0.1.0", "c0ffee");
+            prop_assert_eq!(again, bytes);
+        }
+    }
 }

@@ -3,7 +3,11 @@
 use std::sync::Arc;
 
 use crate::gnss::Epoch;
-use crate::store::codec::{encode_epoch, encode_solution, status_number};
+use crate::store::chain::CHAIN;
+use crate::store::codec::{
+    Distances, encode_epoch, encode_relative_epoch, encode_solution, solution_columns,
+    status_number,
+};
 use crate::store::{BaseUse, RawChange, SessionKey, StoredSolution};
 
 /// The changes of one session that are committed together.
@@ -62,34 +66,64 @@ pub struct ArcStart {
     pub unix_ms: i64,
 }
 
+/// A session's last epoch, to which the next one is encoded relative.
+#[derive(Clone, Debug)]
+pub struct EpochReference {
+    epoch: Arc<Epoch>,
+    seq: u64,
+    /// Number of the whole epoch with which its chain begins.
+    first: u64,
+    /// Epochs in its chain so far.
+    length: usize,
+}
+
 /// An encoded epoch with its real-time answer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct EncodedEpoch {
     pub(super) seq: i64,
     pub(super) gps_time_ns: i64,
     pub(super) navigation: i64,
     base: Option<BaseUse>,
+    reference: EpochReference,
     pub(super) content: Vec<u8>,
     pub(super) solution: EncodedSolution,
 }
 
 impl EncodedEpoch {
     /// Encodes an epoch and its `solution`, computed with the navigation data of push number
-    /// `navigation` and with `base`.
+    /// `navigation` and with `base`. With `last`, which must be the session's last epoch, it is
+    /// encoded relative to it, unless a new chain is due.
     pub fn new(
-        epoch: &Epoch,
+        epoch: Arc<Epoch>,
         solution: &StoredSolution,
         navigation: u64,
         base: Option<BaseUse>,
+        last: Option<&EpochReference>,
     ) -> Self {
+        let seq = solution.seq;
+        let last = last.filter(|last| last.length < CHAIN && last.seq < seq);
+        let (content, first, length) = match last {
+            None => (encode_epoch(&epoch), seq, 1),
+            Some(last) => {
+                let distances = Distances { reference: seq - last.seq, first: seq - last.first };
+                let content = encode_relative_epoch(&epoch, &last.epoch, distances);
+                (content, last.first, last.length + 1)
+            }
+        };
         Self {
-            seq: number(solution.seq),
+            seq: number(seq),
             gps_time_ns: epoch.time.as_ns(),
             navigation: number(navigation),
             base,
-            content: encode_epoch(epoch),
+            reference: EpochReference { epoch, seq, first, length },
+            content,
             solution: EncodedSolution::new(solution),
         }
+    }
+
+    /// The epoch as the last one, to which the next is encoded relative.
+    pub fn reference(&self) -> &EpochReference {
+        &self.reference
     }
 
     /// Key of the base and the numbers of [`BaseUse`], as columns.
@@ -100,9 +134,12 @@ impl EncodedEpoch {
 
     /// Whether `epoch` is the same, bit by bit.
     pub fn is(&self, epoch: &Epoch) -> bool {
-        self.content == encode_epoch(epoch)
+        encode_epoch(&self.reference.epoch) == encode_epoch(epoch)
     }
 }
+
+/// What computed a solution: version of the program, and hash of the configuration.
+pub(super) type Origin = (Arc<str>, Arc<str>);
 
 /// An encoded solution. Equal solutions have equal bytes.
 #[derive(Clone, Debug, PartialEq)]
@@ -112,6 +149,7 @@ pub struct EncodedSolution {
     pub(super) gps_time_ns: i64,
     pub(super) status: i16,
     pub(super) position_m: [Option<f64>; 3],
+    pub(super) origin: Origin,
     pub(super) content: Vec<u8>,
 }
 
@@ -124,14 +162,14 @@ impl EncodedSolution {
     /// Encodes a solution.
     pub fn new(stored: &StoredSolution) -> Self {
         let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
-        let axis_m = |axis: usize| solution.estimate.as_ref().map(|e| e.position.0[axis]);
         Self {
             seq: number(*seq),
             revision: i32::try_from(*revision).expect("revisions are few"),
             gps_time_ns: solution.time.as_ns(),
             status: status_number(solution.status),
-            position_m: [axis_m(0), axis_m(1), axis_m(2)],
-            content: encode_solution(solution, version, configuration_hash),
+            position_m: solution_columns(solution).position_m,
+            origin: (version.clone(), configuration_hash.clone()),
+            content: encode_solution(solution),
         }
     }
 }

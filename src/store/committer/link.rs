@@ -16,6 +16,7 @@ use crate::store::deadline::DEADLINE;
 use crate::store::health::DurabilitySetting;
 
 use super::heads::{Owner, accepted_postgres, accepted_sqlite};
+use super::origins::{Origins, origin_keys};
 use super::statements::{write_postgres, write_sqlite};
 use super::{Batch, Connect};
 
@@ -50,6 +51,7 @@ pub(in crate::store) struct Connector {
     owner: std::sync::Mutex<Owner>,
     /// Process of the last connection on a server; 0 before the first.
     process: AtomicI32,
+    origins: Origins,
 }
 
 /// A connection that commits.
@@ -66,7 +68,8 @@ impl Connector {
     ) -> Self {
         let name = connection_name(&database);
         let (node, process) = (node.map(Into::into), AtomicI32::new(0));
-        Self { database, turn, name, node, owner: std::sync::Mutex::default(), process }
+        let (owner, origins) = (std::sync::Mutex::default(), Origins::default());
+        Self { database, turn, name, node, owner, process, origins }
     }
 
     /// The settings of the database on which durability depends.
@@ -219,25 +222,28 @@ impl Connect for Connector {
         committing: &AtomicBool,
     ) -> Result<Vec<usize>, sqlx::Error> {
         let owner = &self.owner.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let accepted = match link {
+        let (accepted, keys) = match link {
             Link::Sqlite(connection) => {
                 let _turn = self.turn.lock().await;
                 let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
                 let accepted = accepted_sqlite(&mut transaction, batches, owner).await?;
-                write_sqlite(&mut transaction, &accepted).await?;
+                let keys = origin_keys!(self.origins, transaction, &accepted);
+                write_sqlite(&mut transaction, &accepted, &keys).await?;
                 committing.store(true, Ordering::Relaxed);
                 transaction.commit().await?;
-                accepted
+                (accepted, keys)
             }
             Link::Postgres(connection) => {
                 let mut transaction = connection.begin().await?;
                 let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
-                write_postgres(&mut transaction, &accepted).await?;
+                let keys = origin_keys!(self.origins, transaction, &accepted);
+                write_postgres(&mut transaction, &accepted, &keys).await?;
                 committing.store(true, Ordering::Relaxed);
                 transaction.commit().await?;
-                accepted
+                (accepted, keys)
             }
         };
+        self.origins.learn(keys);
         let is_left_out = |index: &usize| !accepted.iter().any(|a| ptr::eq(*a, batches[*index]));
         match accepted.len() == batches.len() {
             true => Ok(Vec::new()),

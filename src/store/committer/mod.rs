@@ -16,6 +16,7 @@
 mod batch;
 mod heads;
 mod link;
+mod origins;
 mod statements;
 
 use std::any::Any;
@@ -34,7 +35,7 @@ use super::StoreError;
 use super::deadline::{DEADLINE, within};
 use super::health::{CommitterHealth, CommitterState};
 
-pub use batch::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
+pub use batch::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference};
 pub(super) use link::Connector;
 
 /// Batches that may wait during a transaction. Further ones wait for a free slot.

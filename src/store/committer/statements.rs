@@ -8,16 +8,17 @@ use crate::gnss::{GpsTime, LeapSeconds};
 use crate::store::{RawPosition, SessionKey};
 
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
+use super::origins::OriginKeys;
 
 /// Rows per statement. Few different texts are prepared, and none has more than 32 766 parameters.
 const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
 const EPOCH_COLUMNS: usize = 8;
-const SOLUTION_COLUMNS: usize = 9;
+const SOLUTION_COLUMNS: usize = 10;
 
 const INSERT_EPOCHS: &str = "INSERT INTO epochs \
     (session, seq, gps_time_ns, navigation, base, base_after, base_through, content) ";
 const INSERT_SOLUTIONS: &str = "INSERT INTO solutions \
-    (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content) ";
+    (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, origin, content) ";
 /// The insert into `epochs` detects a repeated number; a stored revision is not replaced.
 const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
 /// The newest state wins, in whatever order the writers come.
@@ -65,7 +66,8 @@ fn gps_time_ns(unix_ms: i64) -> i64 {
 }
 
 type EpochRow<'a> = (SessionKey, &'a EncodedEpoch);
-type SolutionRow<'a> = (SessionKey, &'a EncodedSolution);
+/// A solution with the key of its origin.
+type SolutionRow<'a> = (SessionKey, &'a EncodedSolution, i64);
 
 fn epoch_rows<'a>(batches: &[&'a Batch]) -> Vec<EpochRow<'a>> {
     let rows = |batch: &&'a Batch| {
@@ -75,11 +77,12 @@ fn epoch_rows<'a>(batches: &[&'a Batch]) -> Vec<EpochRow<'a>> {
     batches.iter().flat_map(rows).collect()
 }
 
-fn solution_rows<'a>(batches: &[&'a Batch]) -> Vec<SolutionRow<'a>> {
+fn solution_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<SolutionRow<'a>> {
     let rows = |batch: &&'a Batch| {
         let batch: &'a Batch = batch;
         let first = batch.epochs.iter().map(|epoch| &epoch.solution);
-        first.chain(&batch.revisions).map(|solution| (batch.session, solution))
+        let solutions = first.chain(&batch.revisions);
+        solutions.map(|solution| (batch.session, solution, keys.key(solution)))
     };
     batches.iter().flat_map(rows).collect()
 }
@@ -157,6 +160,7 @@ macro_rules! write_raw {
 pub(super) async fn write_sqlite(
     transaction: &mut SqliteConnection,
     batches: &[&Batch],
+    keys: &OriginKeys,
 ) -> Result<(), sqlx::Error> {
     let mut rest = &epoch_rows(batches)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
@@ -165,7 +169,7 @@ pub(super) async fn write_sqlite(
             rest = after;
         }
     }
-    let mut rest = &solution_rows(batches)[..];
+    let mut rest = &solution_rows(batches, keys)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
             insert_solutions(transaction, index, chunk).await?;
@@ -203,7 +207,7 @@ async fn insert_solutions(
     rows: &[SolutionRow<'_>],
 ) -> Result<(), sqlx::Error> {
     let mut solutions = sqlx::query(SOLUTION_VALUES[index].as_str());
-    for (session, row) in rows {
+    for (session, row, origin) in rows {
         let [x_m, y_m, z_m] = row.position_m;
         solutions = solutions
             .bind(session.0)
@@ -214,6 +218,7 @@ async fn insert_solutions(
             .bind(x_m)
             .bind(y_m)
             .bind(z_m)
+            .bind(*origin)
             .bind(&row.content[..]);
     }
     solutions.execute(connection).await.map(drop)
@@ -223,8 +228,9 @@ async fn insert_solutions(
 pub(super) async fn write_postgres(
     transaction: &mut PgConnection,
     batches: &[&Batch],
+    keys: &OriginKeys,
 ) -> Result<(), sqlx::Error> {
-    insert_arrays(transaction, &epoch_rows(batches), &solution_rows(batches)).await?;
+    insert_arrays(transaction, &epoch_rows(batches), &solution_rows(batches, keys)).await?;
     write_changes!(transaction, batches);
     Ok(())
 }
@@ -253,23 +259,26 @@ async fn insert_arrays(
     .bind(epochs.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
     .execute(&mut *connection)
     .await?;
-    let axis = |axis: usize| solutions.iter().map(|(_, r)| r.position_m[axis]).collect::<Vec<_>>();
+    let axis =
+        |axis: usize| solutions.iter().map(|(_, r, _)| r.position_m[axis]).collect::<Vec<_>>();
     sqlx::query(
-        "INSERT INTO solutions (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, content)
+        "INSERT INTO solutions
+             (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, origin, content)
          SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::integer[], $4::bigint[],
                               $5::smallint[], $6::double precision[], $7::double precision[],
-                              $8::double precision[], $9::bytea[])
+                              $8::double precision[], $9::bigint[], $10::bytea[])
          ON CONFLICT (session, seq, revision) DO NOTHING",
     )
-    .bind(solutions.iter().map(|(session, _)| session.0).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row)| row.seq).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row)| row.revision).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row)| row.gps_time_ns).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row)| row.status).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(session, ..)| session.0).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row, _)| row.seq).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row, _)| row.revision).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row, _)| row.gps_time_ns).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row, _)| row.status).collect::<Vec<_>>())
     .bind(axis(0))
     .bind(axis(1))
     .bind(axis(2))
-    .bind(solutions.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(.., origin)| *origin).collect::<Vec<_>>())
+    .bind(solutions.iter().map(|(_, row, _)| &row.content[..]).collect::<Vec<_>>())
     .execute(connection)
     .await
     .map(drop)

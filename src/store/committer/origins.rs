@@ -1,0 +1,93 @@
+//! What computed solutions, by reference: each row names the program's version and the
+//! configuration by one key.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+use super::batch::{Batch, EncodedSolution, Origin};
+
+/// Keys in memory. There are as many as configurations in use.
+const KNOWN_MAX: usize = 10_000;
+
+pub(super) const FIND: &str =
+    "SELECT key FROM solution_origins WHERE version = $1 AND configuration_hash = $2";
+pub(super) const INSERT: &str =
+    "INSERT INTO solution_origins (version, configuration_hash) VALUES ($1, $2) RETURNING key";
+
+/// The keys of committed origins.
+#[derive(Default)]
+pub(super) struct Origins {
+    known: Mutex<HashMap<Origin, i64>>,
+}
+
+/// The keys of the origins that a transaction names.
+#[derive(Clone, Debug)]
+pub(super) struct OriginKeys(HashMap<Origin, i64>);
+
+impl Origins {
+    /// The known keys of the origins of these batches, and the origins whose keys are not known.
+    pub(super) fn of(&self, batches: &[&Batch]) -> (OriginKeys, Vec<Origin>) {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut keys, mut unknown) = (HashMap::new(), Vec::new());
+        let mut last: Option<&Origin> = None;
+        for origin in batches.iter().flat_map(|batch| origins(batch)) {
+            let is_done = last == Some(origin) || keys.contains_key(origin);
+            last = Some(origin);
+            if is_done || unknown.contains(origin) {
+                continue;
+            }
+            match known.get(origin) {
+                Some(key) => drop(keys.insert(origin.clone(), *key)),
+                None => unknown.push(origin.clone()),
+            }
+        }
+        (OriginKeys(keys), unknown)
+    }
+
+    /// Remembers keys that are committed.
+    pub(super) fn learn(&self, keys: OriginKeys) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if KNOWN_MAX < known.len() {
+            known.clear();
+        }
+        known.extend(keys.0);
+    }
+}
+
+impl OriginKeys {
+    /// The key of a solution's origin.
+    pub(super) fn key(&self, solution: &EncodedSolution) -> i64 {
+        self.0[&solution.origin]
+    }
+
+    pub(super) fn insert(&mut self, origin: Origin, key: i64) {
+        self.0.insert(origin, key);
+    }
+}
+
+fn origins(batch: &Batch) -> impl Iterator<Item = &Origin> {
+    let first = batch.epochs.iter().map(|epoch| &epoch.solution);
+    first.chain(&batch.revisions).map(|solution| &solution.origin)
+}
+
+/// The keys of all origins of these batches, in a transaction that stores new ones.
+macro_rules! origin_keys {
+    ($origins:expr, $transaction:expr, $batches:expr) => {{
+        let (mut keys, unknown) = $origins.of($batches);
+        for origin in unknown {
+            let (version, hash) = (&*origin.0, &*origin.1);
+            let find = sqlx::query_scalar($crate::store::committer::origins::FIND);
+            let found = find.bind(version).bind(hash).fetch_optional(&mut *$transaction).await?;
+            let key = match found {
+                Some(key) => key,
+                None => {
+                    let insert = sqlx::query_scalar($crate::store::committer::origins::INSERT);
+                    insert.bind(version).bind(hash).fetch_one(&mut *$transaction).await?
+                }
+            };
+            keys.insert(origin, key);
+        }
+        keys
+    }};
+}
+pub(super) use origin_keys;

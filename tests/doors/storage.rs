@@ -1,0 +1,142 @@
+//! What is stored for a year: bytes on the disk for each epoch.
+
+use std::sync::LazyLock;
+
+use graphfix::aiding::bases::BaseChoice;
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::gnss::{Cycles, Epoch, Navigation};
+use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
+use graphfix::simulation::{Scenario, Simulator};
+use graphfix::store::StoredEpoch;
+use sqlx::{Connection, PgConnection, SqliteConnection};
+
+use crate::support::database::{Database, on_both_databases};
+use crate::support::sessions::{self as support, desk, epoch};
+
+on_both_databases!(an_epoch_takes_little_room, a_chain_is_read_from_any_epoch);
+
+/// Epochs of the longest run.
+const EPOCHS: usize = 560;
+/// Measured is from here on: each session has its first snapshot, which later ones replace.
+const FROM: usize = 300;
+const DEVICES: usize = 2;
+
+/// A receiver under open sky with two signals of each of 25 to 30 satellites above 15°, which logs as
+/// RINEX does: whole thousandths, and C/N0 in quarters of a dB.
+struct Device {
+    epochs: Vec<SequencedEpoch>,
+    navigation: Navigation,
+}
+
+static DEVICE: LazyLock<Device> = LazyLock::new(|| {
+    let scenario = Scenario { duration_s: EPOCHS as f64 - 1.0, ..Scenario::open_sky() };
+    let elevation_mask_rad = 15_f64.to_radians();
+    let simulator = Simulator::new(Scenario { base: None, elevation_mask_rad, ..scenario }, 11);
+    let navigation = Navigation::clone(simulator.navigation());
+    let logged = |(seq, epoch): (u64, Epoch)| SequencedEpoch { seq, epoch: logged(epoch) };
+    let epochs = (1..).zip(simulator.map(|epoch| epoch.rover)).map(logged).collect();
+    Device { epochs, navigation }
+});
+
+fn logged(mut epoch: Epoch) -> Epoch {
+    let thousandths = |value: f64| (value * 1e3).round() / 1e3;
+    for observation in &mut epoch.observations {
+        observation.pseudorange_m = observation.pseudorange_m.map(thousandths);
+        let phase = observation.carrier_phase.map(|phase| Cycles(thousandths(phase.0)));
+        observation.carrier_phase = phase;
+        observation.doppler_hz = observation.doppler_hz.map(thousandths);
+        observation.cn0_db_hz = observation.cn0_db_hz.map(|cn0| (cn0 * 4.0).round() / 4.0);
+    }
+    epoch
+}
+
+/// Bytes of the pages in use, indices included; on Postgres those of epochs and solutions.
+async fn size(database: &Database) -> i64 {
+    if database.url.starts_with("sqlite") {
+        let mut connection = SqliteConnection::connect(&database.url).await.unwrap();
+        let mut number = async |sql: &'static str| -> i64 {
+            sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
+        };
+        let pages = number("PRAGMA page_count").await - number("PRAGMA freelist_count").await;
+        pages * number("PRAGMA page_size").await
+    } else {
+        let mut connection = PgConnection::connect(&database.url).await.unwrap();
+        let sql = "SELECT (pg_total_relation_size('epochs') + pg_total_relation_size('solutions'))";
+        sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
+    }
+}
+
+async fn created(sessions: &Sessions) -> SessionId {
+    let new = NewSession {
+        label: String::new(),
+        mode: "fgo".to_owned(),
+        profile: "general".to_owned(),
+        overrides: Default::default(),
+        base: BaseChoice::None,
+        antenna: String::new(),
+    };
+    sessions.create(new).await.unwrap().id
+}
+
+/// At most 1200 bytes for an epoch with its solution and revision on SQLite.
+async fn an_epoch_takes_little_room(database: Database) {
+    let limit = if database.url.starts_with("sqlite") { 1_200.0 } else { 1_500.0 };
+    let store = database.store().await;
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let sessions = Sessions::open(store.clone(), aiding.clone(), SessionLimits::service());
+    let Device { epochs, navigation } = &*DEVICE;
+    aiding.navigation.push(navigation.clone(), "simulation").await.unwrap();
+    let observations: usize = epochs.iter().map(|e| e.epoch.observations.len()).sum();
+    let observations = observations as f64 / epochs.len() as f64;
+    println!("{observations:.1} observations an epoch");
+    assert!((50.0..60.0).contains(&observations));
+
+    for per_call in [1, 20] {
+        let mut devices = Vec::new();
+        for _ in 0..DEVICES {
+            devices.push(created(&sessions).await);
+        }
+        let mut before = 0;
+        for (index, batch) in epochs.chunks(per_call).enumerate() {
+            if index * per_call == FROM {
+                before = size(&database).await;
+            }
+            for device in &devices {
+                let submitted = sessions.submit(device, batch.to_vec()).await.unwrap();
+                assert!(submitted.outcomes.iter().all(|outcome| outcome.result.is_ok()));
+            }
+        }
+        let stored = DEVICES * (EPOCHS - FROM);
+        let per_epoch = (size(&database).await - before) as f64 / stored as f64;
+        println!("{per_call} epochs a call: {per_epoch:.0} bytes an epoch");
+        assert!(per_epoch <= limit, "{per_epoch} bytes an epoch");
+    }
+    sessions.drain().await;
+    store.close().await;
+}
+
+/// Epochs are stored in chains of 16, of which any can be asked for. A chain with a gap is corrupt.
+async fn a_chain_is_read_from_any_epoch(database: Database) {
+    let store = database.store().await;
+    let sessions = desk(&store).await;
+    let id = support::created(&sessions).await;
+    let pushed: Vec<_> = (1..=40).map(|seq| epoch(seq, seq as f64)).collect();
+    sessions.submit(&id, pushed.clone()).await.unwrap();
+    let key = store.session(id.as_str()).await.unwrap().unwrap().key;
+    let read = |rows: Vec<StoredEpoch>| -> Vec<SequencedEpoch> {
+        let sequenced =
+            |row: StoredEpoch| SequencedEpoch { seq: row.solution.seq, epoch: row.epoch };
+        rows.into_iter().map(sequenced).collect()
+    };
+    let asked = read(store.epochs(key, &[30, 5, 17, 31, 99]).await.unwrap());
+    assert_eq!(asked, [5, 17, 30, 31].map(|seq: usize| pushed[seq - 1].clone()));
+    assert_eq!(read(store.epochs_after(key, Some(20), 15).await.unwrap()), pushed[20..35]);
+    let last = read(store.last_epochs(key, 2).await.unwrap());
+    assert_eq!(last, [pushed[39].clone(), pushed[38].clone()]);
+
+    database.execute("DELETE FROM epochs WHERE seq = 18").await;
+    for (seq, is_sound) in [(17, true), (19, false), (32, false), (33, true)] {
+        let read = store.epochs(key, &[seq]).await.map_err(|error| error.code().name());
+        assert_eq!(read.as_ref().err(), (!is_sound).then_some(&"STORED_DATA_CORRUPT"), "{seq}");
+    }
+}
