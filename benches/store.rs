@@ -100,6 +100,7 @@ async fn whole_desk(store: &Store, size: u64, epochs: u64) {
                 overrides: BTreeMap::new(),
                 base: BaseChoice::None,
                 antenna: String::new(),
+                retention_days: None,
             };
             let id = sessions.create(new).await.expect("the session is created").id;
             for first in (0..epochs).step_by(size as usize) {
@@ -125,6 +126,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         configuration_hash: "c0ffee".into(),
         base: BaseChoice::None,
         antenna: None,
+        retention_days: None,
     };
     store.create_session(&unique, &settings, 0).await.expect("the session is stored").key
 }

@@ -211,6 +211,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         raw_chunk_bytes: limits.raw_piece_bytes,
         observations_per_epoch: limits.observations_per_epoch,
         future_s: limits.future_s,
+        retention_days: limits.retention_days,
         solve_window_epochs: limits.solve_window_epochs,
         solve_time: Duration::from_secs(limits.solve_s),
         active_sessions: limits.active_sessions,

@@ -221,7 +221,12 @@ impl Pushed {
 
 /// Whether the session refused every epoch of a push; the device then skips them.
 fn refuses_epochs(status: &Status) -> bool {
-    let all = [Code::SequenceConflict, Code::SequenceSuperseded, Code::OutOfOrder];
+    let all = [
+        Code::SequenceConflict,
+        Code::SequenceSuperseded,
+        Code::AlreadyAcknowledged,
+        Code::OutOfOrder,
+    ];
     grpc::code_of(status).is_some_and(|name| all.iter().any(|code| code.name() == name))
 }
 

@@ -90,15 +90,26 @@ impl ReplayArguments {
 }
 
 fn verdict(id: &SessionId, check: &Check) -> Result<String, Failure> {
-    let Check { compared, different, not_stored, not_computed, first } = check;
+    let Check { compared, different, not_stored, not_computed, first, began_after } = check;
     let Some((seq, revision)) = first else {
-        return Ok(format!("{compared} solutions compared, 0 different\n"));
+        let beginning = beginning(*began_after);
+        return Ok(format!("{beginning}{compared} solutions compared, 0 different\n"));
     };
     let message = format!(
         "session {id}: {compared} solutions compared, {different} different, {not_stored} not \
          stored, {not_computed} not computed again; first: epoch {seq}, revision {revision}"
     );
     Err(Failure::of(Code::ReplayDiffers, message))
+}
+
+/// A line that states where a replay begins, if not with the session.
+fn beginning(began_after: Option<u64>) -> String {
+    began_after.map_or_else(String::new, |after| {
+        format!(
+            "the replay begins after epoch {after}: those before were removed by the session's \
+             retention\n"
+        )
+    })
 }
 
 /// Writes the computed solutions; returns the summary.
@@ -130,7 +141,8 @@ async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<
         output.finish().map_err(|error| unwritable(path, &error))?;
     }
     let epochs: usize = counts.iter().sum();
-    let mut text = format!("{epochs} epochs in {:.3} s", began.elapsed().as_secs_f64());
+    let mut text = beginning(again.began_after());
+    text += &format!("{epochs} epochs in {:.3} s", began.elapsed().as_secs_f64());
     for (status, count) in Status::ALL.iter().zip(counts).filter(|(_, count)| *count != 0) {
         text += &format!(", {count} {}", status.name());
     }
@@ -150,7 +162,9 @@ mod tests {
     #[test]
     fn other_bits_fail() {
         let id = SessionId::random();
-        let check = Check { compared: 3, ..Check::default() };
+        let check = Check { compared: 3, began_after: Some(256), ..Check::default() };
+        assert!(verdict(&id, &check).unwrap().starts_with("the replay begins after epoch 256"));
+        let check = Check { began_after: None, ..check };
         assert_eq!(verdict(&id, &check), Ok("3 solutions compared, 0 different\n".to_owned()));
         let check = Check { different: 1, first: Some((7, 0)), ..check };
         let failure = verdict(&id, &check).unwrap_err();

@@ -27,9 +27,9 @@ pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
-pub(crate) use service::ServiceConfigurationError;
 pub use service::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, FetchConfiguration,
     IntakeLimits, Limits, LogConfiguration, NavigationConfiguration, NetworkConfiguration,
     ServiceConfiguration,
 };
+pub(crate) use service::{RETENTION_MAX_DAYS, ServiceConfigurationError};

@@ -15,6 +15,9 @@ use crate::refusal::Code;
 /// everybody.
 const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 
+/// Longest retention (days): a century.
+pub(crate) const RETENTION_MAX_DAYS: u32 = 36_500;
+
 /// Options of the service.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -174,6 +177,9 @@ pub struct Limits {
     pub observations_per_epoch: usize,
     /// Time that an epoch may be ahead of the service's clock (s).
     pub future_s: u64,
+    /// For how long epochs and solutions are kept (days), unless a session names a time of its own;
+    /// 0 for ever.
+    pub retention_days: u32,
     /// Epochs in the window of `Solve` and `SolveOnce`.
     pub solve_window_epochs: usize,
     /// Time that one `Solve` or `SolveOnce` may compute (s).
@@ -309,6 +315,10 @@ impl ServiceConfiguration {
             return Err(ServiceConfigurationError::TableInterval);
         }
         let limits = &self.limits;
+        if RETENTION_MAX_DAYS < limits.retention_days {
+            let why = format!("limits.retention_days must be at most {RETENTION_MAX_DAYS}");
+            return Err(ServiceConfigurationError::Malformed(why));
+        }
         let must_be_positive = [
             ("body_bytes", limits.body_bytes),
             ("request_memory_bytes", limits.request_memory_bytes),
@@ -359,6 +369,7 @@ impl Limits {
             satellites_per_epoch: 128,
             observations_per_epoch: 512,
             future_s: 86_400,
+            retention_days: 0,
             solve_window_epochs: 300,
             solve_s: 5,
             active_sessions: 4096,
@@ -450,6 +461,15 @@ mod tests {
             let configuration =
                 ServiceConfiguration { node: node.to_owned(), ..ServiceConfiguration::standard() };
             assert_eq!(configuration.check().is_ok(), allowed, "{node:?}");
+        }
+    }
+
+    #[test]
+    fn a_retention_is_at_most_a_century() {
+        for (days, allowed) in [(0, true), (36_500, true), (36_501, false)] {
+            let mut configuration = ServiceConfiguration::standard();
+            configuration.limits.retention_days = days;
+            assert_eq!(configuration.check().is_ok(), allowed, "{days}");
         }
     }
 

@@ -172,6 +172,7 @@ impl From<SessionError> for Refusal {
             | SessionError::Closed { .. }
             | SessionError::Empty { .. } => Some("session"),
             SessionError::LabelTooLong { .. } => Some("label"),
+            SessionError::RetentionTooLong { .. } => Some("retentionDays"),
             SessionError::WindowTooLong { .. } => Some("overrides.window_epochs_max"),
             SessionError::NoEpochs
             | SessionError::TooManyEpochs { .. }
@@ -183,6 +184,7 @@ impl From<SessionError> for Refusal {
             | SessionError::TooManyActive { .. }
             | SessionError::Draining
             | SessionError::EstimatorFailed { .. }
+            | SessionError::ReplayStartMissing { .. }
             | SessionError::Interrupted => None,
         };
         let refusal = Self::new(error.code(), error.to_string()).at_some(field);

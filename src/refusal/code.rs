@@ -157,6 +157,10 @@ codes! {
     /// The sequence number is below the last one, and no epoch is stored under it.
     SequenceSuperseded = "SEQUENCE_SUPERSEDED", Precondition,
         "send epochs in rising order of their numbers; the session no longer takes this one";
+    /// The epoch is older than the session's retention: it was acknowledged, and it and its
+    /// solution are removed.
+    AlreadyAcknowledged = "ALREADY_ACKNOWLEDGED", Precondition,
+        "delete the epoch on the device; a longer retention keeps later ones longer";
     /// The epoch's time is not after the previous epoch's.
     OutOfOrder = "OUT_OF_ORDER", Precondition,
         "send epochs in order of time; open a new session for older data";
@@ -403,6 +407,9 @@ codes! {
     /// Replay needs a base, or epochs of it, that are no longer stored.
     BaseForgotten = "BASE_FORGOTTEN", NoCall,
         "compute again from the observations, with the base's file";
+    /// Epochs are removed, and no snapshot after them can be read.
+    ReplayStartMissing = "REPLAY_START_MISSING", NoCall,
+        "replay with the version that stored the session; new snapshots are stored every day";
     /// The same computation gives other bits than those stored.
     ReplayDiffers = "REPLAY_DIFFERS", NoCall,
         "replay with the version of Graphfix that the solutions name";

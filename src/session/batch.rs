@@ -100,6 +100,8 @@ impl SolvedBatch {
         if EPOCHS_PER_SNAPSHOT <= self.state.unsaved {
             self.snapshot = self.state.encoded();
             self.state.unsaved = 0;
+            // Retention may remove the epochs before it, so the next one is stored whole.
+            self.state.reference = None;
         }
     }
 

@@ -1,6 +1,7 @@
 //! Checks of a request before anything changes.
 
 use crate::aiding::bases::{BaseChoice, BaseId};
+use crate::config::RETENTION_MAX_DAYS;
 use crate::store::AntennaName;
 
 use super::desk::Sessions;
@@ -44,6 +45,15 @@ impl Sessions {
         match epochs {
             0 => Err(SessionError::NoEpochs),
             _ if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn check_retention(&self, days: Option<u32>) -> Result<(), SessionError> {
+        match days {
+            Some(days) if RETENTION_MAX_DAYS < days => {
+                Err(SessionError::RetentionTooLong { days, limit: RETENTION_MAX_DAYS })
+            }
             _ => Ok(()),
         }
     }

@@ -23,7 +23,7 @@ pub(super) fn options(
     Ok(options)
 }
 
-/// The settings of a session as they are stored.
+/// The settings of a session as they are stored, without a retention of its own.
 ///
 /// # Errors
 /// The mode, profile, option or value does not exist, or the mode needs a base and none is named.
@@ -51,6 +51,7 @@ pub(super) fn settings(
         configuration_hash,
         base,
         antenna,
+        retention_days: None,
     })
 }
 

@@ -11,14 +11,12 @@ use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
-use crate::clock::unix_ms;
-use crate::store::{
-    Page, SessionKey, SessionRow, SolutionQuery, Store, StoreError, StoredSolution,
-};
+use crate::clock::Clock;
+use crate::store::{SessionKey, SessionRow, SessionSettings, Store};
 
 use super::configuration::settings;
 use super::counters::Counters;
-use super::removal::remove_deleted;
+use super::removal::{remove_deleted, remove_expired_hourly};
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::{
@@ -48,14 +46,16 @@ struct Desk {
     limits: SessionLimits,
     solvers: Solvers,
     counters: Arc<Counters>,
+    clock: Clock,
     /// Epochs that wait in all mailboxes together.
     waiting: Arc<AtomicUsize>,
     /// Locked from reading a session's row until its task is started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
-    /// Wakes the task in `removal`.
+    /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
-    /// Ends when the desk drains or is dropped.
+    /// The tasks that remove what is deleted and what is expired. They end when the desk drains or
+    /// is dropped.
     removal: Mutex<JoinSet<()>>,
 }
 
@@ -85,20 +85,33 @@ struct Handle {
 }
 
 impl Sessions {
-    /// Opens the desk.
-    pub fn open(store: Store, aiding: AidingDesk, mut limits: SessionLimits) -> Self {
+    /// Opens the desk with the system's clock.
+    pub fn open(store: Store, aiding: AidingDesk, limits: SessionLimits) -> Self {
+        Self::open_at(store, aiding, limits, Clock::system())
+    }
+
+    /// The same with another clock.
+    pub fn open_at(
+        store: Store,
+        aiding: AidingDesk,
+        mut limits: SessionLimits,
+        clock: Clock,
+    ) -> Self {
         limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_push);
         limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_push);
         let tasks =
             Tasks { handles: HashMap::new(), running: JoinSet::new(), posted: 0, draining: false };
         let (deleted, mut removal) = (Arc::new(Notify::new()), JoinSet::new());
         removal.spawn(remove_deleted(store.clone(), deleted.clone()));
+        let expiring = remove_expired_hourly(store.clone(), clock.clone(), limits.retention_days);
+        removal.spawn(expiring);
         let desk = Desk {
             store,
             aiding,
             solvers: Solvers::new(limits.solver_threads),
             limits,
             counters: Arc::default(),
+            clock,
             waiting: Arc::default(),
             starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
             tasks: Mutex::new(tasks),
@@ -114,39 +127,15 @@ impl Sessions {
     /// A configuration, base or antenna does not exist, the label is too long, or the store fails.
     pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
         self.check_label(&new.label)?;
+        self.check_retention(new.retention_days)?;
         let base = self.base_names(new.base)?;
         let antenna = self.antenna_name(&new.antenna).await?;
-        let settings = settings(new.label, new.mode, new.profile, new.overrides, base, antenna)?;
+        let NewSession { label, mode, profile, overrides, retention_days, .. } = new;
+        let settings = settings(label, mode, profile, overrides, base, antenna)?;
+        let settings = SessionSettings { retention_days, ..settings };
         let id = SessionId::random();
-        let row = self.desk.store.create_session(id.as_str(), &settings, unix_ms()).await?;
-        SessionInfo::of(id, row)
-    }
-
-    /// A session, open or closed.
-    ///
-    /// # Errors
-    /// No session has this id, or the store fails.
-    pub async fn get(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        SessionInfo::of(id.clone(), self.row(id).await?)
-    }
-
-    /// A page of 1 to 1000 sessions, the newest first.
-    ///
-    /// # Errors
-    /// The page token or size is invalid, or the store fails.
-    pub async fn list(
-        &self,
-        page_size: usize,
-        page_token: Option<&str>,
-    ) -> Result<Page<SessionInfo>, SessionError> {
-        let page = self.desk.store.sessions(page_size, page_token).await?;
-        page.try_map(|row| {
-            let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
-                what: "session id",
-                why: format!("{:?} is not the id of a session", row.id),
-            })?;
-            SessionInfo::of(id, row)
-        })
+        let row = self.desk.store.create_session(id.as_str(), &settings, self.unix_ms()).await?;
+        self.info(id, row)
     }
 
     /// Changes the label, configuration or base of a session. Epochs sent after this call returns
@@ -163,6 +152,7 @@ impl Sessions {
         if let Some(label) = &update.label {
             self.check_label(label)?;
         }
+        self.check_retention(update.retention_days)?;
         let _starting = self.starting(id).lock().await;
         let mut row = self.open_row(id).await?;
         let mut overrides = row.settings.overrides;
@@ -176,7 +166,8 @@ impl Sessions {
             None => row.settings.antenna,
             Some(antenna) => self.antenna_name(&antenna).await?,
         };
-        row.settings = settings(
+        let retention_days = update.retention_days.or(row.settings.retention_days);
+        let settings = settings(
             update.label.unwrap_or(row.settings.label),
             update.mode.unwrap_or(row.settings.mode),
             update.profile.unwrap_or(row.settings.profile),
@@ -184,11 +175,12 @@ impl Sessions {
             base,
             antenna,
         )?;
+        row.settings = SessionSettings { retention_days, ..settings };
         self.desk.store.update_session(row.key, &row.settings).await?;
         if let Some(handle) = self.tasks().handles.get(id) {
             handle.outdated.store(true, Ordering::Release);
         }
-        SessionInfo::of(id.clone(), row)
+        self.info(id.clone(), row)
     }
 
     /// Begins a new arc of a session, after the epochs that wait: its next epoch may have any time,
@@ -198,7 +190,7 @@ impl Sessions {
     /// No session has this id, it is closed, or the store fails; nothing is then changed.
     pub async fn reset(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         let (reply, answer) = oneshot::channel();
-        self.send(id, Message::Reset { unix_ms: unix_ms(), permit: None, reply }, 1).await?;
+        self.send(id, Message::Reset { unix_ms: self.unix_ms(), permit: None, reply }, 1).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
     }
@@ -225,7 +217,7 @@ impl Sessions {
     /// No session has this id, the service is stopping, or the store fails; it may then be closed.
     pub async fn delete(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         let (info, row) = (self.close(id).await?, self.row(id).await?);
-        self.desk.store.delete_session(row.key, unix_ms()).await?;
+        self.desk.store.delete_session(row.key, self.unix_ms()).await?;
         self.desk.deleted.notify_one();
         Ok(info)
     }
@@ -242,7 +234,7 @@ impl Sessions {
         // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
         let (reply, answer) = oneshot::channel();
-        let last = Message::Close { unix_ms: unix_ms(), reply };
+        let last = Message::Close { unix_ms: self.unix_ms(), reply };
         handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
         drop(handle);
         answer.await.unwrap_or(Err(SessionError::Interrupted))
@@ -321,19 +313,6 @@ impl Sessions {
         if self.post(id, &mut message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
-    /// Stored solutions of a session, open or closed, in order of epoch number and revision.
-    ///
-    /// # Errors
-    /// No session has this id, the page token or size is invalid, or the store fails.
-    pub async fn solutions(
-        &self,
-        id: &SessionId,
-        query: &SolutionQuery,
-    ) -> Result<Page<StoredSolution>, SessionError> {
-        let row = self.row(id).await?;
-        Ok(self.desk.store.solutions(row.key, query).await?)
-    }
-
     /// Refuses new epochs, and waits until the accepted ones are positioned and stored.
     pub async fn drain(&self) {
         let mut running = {
@@ -377,6 +356,18 @@ impl Sessions {
     pub(super) async fn row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
         let row = self.desk.store.session(id.as_str()).await?;
         row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })
+    }
+
+    pub(super) fn info(&self, id: SessionId, row: SessionRow) -> Result<SessionInfo, SessionError> {
+        SessionInfo::of(id, row, self.desk.limits.retention_days)
+    }
+
+    pub(super) fn clock(&self) -> &Clock {
+        &self.desk.clock
+    }
+
+    fn unix_ms(&self) -> i64 {
+        self.desk.clock.unix_ms()
     }
 
     async fn open_row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
@@ -443,7 +434,7 @@ impl Sessions {
 
     /// Starts a session's task. If as many run as allowed, one of them is parked.
     fn start(&self, id: &SessionId, key: SessionKey, start: Start) -> Result<(), SessionError> {
-        let Desk { store, aiding, limits, solvers, counters, .. } = &*self.desk;
+        let Desk { store, aiding, limits, solvers, counters, clock, .. } = &*self.desk;
         let mut tasks = self.tasks();
         if tasks.draining {
             return Err(SessionError::Draining);
@@ -463,6 +454,8 @@ impl Sessions {
             epochs_per_push: limits.epochs_per_push,
             observations_per_epoch: limits.observations_per_epoch,
             future_s: limits.future_s,
+            retention_days: limits.retention_days,
+            clock: clock.clone(),
             outdated: outdated.clone(),
             counters: counters.clone(),
         };

@@ -62,6 +62,23 @@ pub enum SessionError {
         /// Length allowed (characters).
         limit: usize,
     },
+    /// The retention is longer than allowed.
+    #[error("epochs are to be kept for {days} days, at most {limit} are allowed")]
+    RetentionTooLong {
+        /// The retention as given (days).
+        days: u32,
+        /// The longest one allowed (days).
+        limit: u32,
+    },
+    /// Epochs are removed, and no state from which the others could be replayed can be read.
+    #[error(
+        "epochs through {removed_through} were removed by the session's retention, and no later \
+         snapshot can be read by this version"
+    )]
+    ReplayStartMissing {
+        /// Number of the last removed epoch.
+        removed_through: u64,
+    },
     /// The push has no epoch.
     #[error("the push has no epoch")]
     NoEpochs,
@@ -198,6 +215,8 @@ impl SessionError {
             Self::TooManyCandidates { .. } | Self::BaseNamedTwice { .. } => Code::InvalidField,
             Self::Aiding(error) => error.code(),
             Self::LabelTooLong { .. } => Code::LabelTooLong,
+            Self::RetentionTooLong { .. } => Code::InvalidField,
+            Self::ReplayStartMissing { .. } => Code::ReplayStartMissing,
             Self::NoEpochs => Code::NoEpochs,
             Self::TooManyEpochs { .. } => Code::TooManyEpochs,
             Self::BurstOutOfOrder { .. } => Code::OutOfOrder,

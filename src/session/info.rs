@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 use crate::id::{Id, Kind};
-use crate::store::{AntennaName, SessionRow};
+use crate::store::{AntennaName, Page, SessionRow, StoredSolution};
 
 use super::SessionError;
 use super::configuration::stored_options;
@@ -36,6 +36,8 @@ pub struct NewSession {
     pub base: BaseChoice<BaseId>,
     /// Type and radome of the rover's antenna; empty: no antenna corrections.
     pub antenna: String,
+    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    pub retention_days: Option<u32>,
 }
 
 /// The changes of a session. Fields that are `None` or empty change nothing.
@@ -55,6 +57,8 @@ pub struct SessionUpdate {
     pub base: Option<BaseChoice<BaseId>>,
     /// New type and radome of the rover's antenna; empty: no antenna corrections.
     pub antenna: Option<String>,
+    /// For how long epochs are kept from now on (days); 0 for ever.
+    pub retention_days: Option<u32>,
 }
 
 /// A stored session.
@@ -86,11 +90,20 @@ pub struct SessionInfo {
     pub base: BaseChoice<Arc<str>>,
     /// The rover's antenna, if the session corrects for antennas.
     pub antenna: Option<AntennaName>,
+    /// For how long epochs are kept (days); 0 for ever.
+    pub retention_days: u32,
+    /// Epochs below this number are removed, as they are older than the retention; `None` while all
+    /// are stored.
+    pub oldest_available: Option<u64>,
 }
 
 impl SessionInfo {
-    /// The session of a stored row.
-    pub(super) fn of(id: SessionId, row: SessionRow) -> Result<Self, SessionError> {
+    /// The session of a stored row. Without a retention of its own it has `retention_days`.
+    pub(super) fn of(
+        id: SessionId,
+        row: SessionRow,
+        retention_days: u32,
+    ) -> Result<Self, SessionError> {
         let configuration = stored_options(&row.settings)?.entries();
         Ok(Self {
             id,
@@ -106,6 +119,22 @@ impl SessionInfo {
             raw_through: row.raw_through,
             base: row.settings.base.try_map(|base| Ok::<_, SessionError>(base.id))?,
             antenna: row.settings.antenna,
+            retention_days: row.settings.retention_days.unwrap_or(retention_days),
+            oldest_available: oldest_available(row.removed_through),
         })
     }
+}
+
+/// The number below which all epochs are removed.
+pub(super) fn oldest_available(removed_through: Option<u64>) -> Option<u64> {
+    removed_through.map(|seq| seq + 1)
+}
+
+/// A page of a session's solutions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SolutionPage {
+    /// The solutions.
+    pub page: Page<StoredSolution>,
+    /// Epochs below this number are removed; `None` while all are stored.
+    pub oldest_available: Option<u64>,
 }

@@ -20,6 +20,8 @@ pub struct SessionLimits {
     /// Time that an epoch may be ahead of the service's clock (s). A receiver that counts weeks
     /// wrongly is a week ahead at least, and no clock of a server is a day behind.
     pub future_s: u64,
+    /// For how long epochs are kept of sessions that name no time of their own (days); 0 for ever.
+    pub retention_days: u32,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
     /// Bases that one session may choose from.
@@ -46,6 +48,7 @@ impl SessionLimits {
             raw_chunk_bytes: 256 << 10,
             observations_per_epoch: 512,
             future_s: 86_400,
+            retention_days: 0,
             active_sessions: 4_096,
             candidate_bases: 32,
             solve_window_epochs: 300,

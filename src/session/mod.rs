@@ -37,6 +37,12 @@
 //! removed in the background, a few hundred in a transaction, and after a restart too. Its id is
 //! never used again.
 //!
+//! # Retention
+//! A session may keep its epochs for a number of days only. It then keeps the first snapshot of
+//! each day, and epochs are removed through the newest snapshot that is older than that, every hour
+//! and in the same small steps. So all that remains can be replayed, from this snapshot on. A
+//! removed epoch that is sent again is refused as already acknowledged.
+//!
 //! # Example
 //!
 //! ```
@@ -57,6 +63,7 @@
 //! aiding.navigation.push((**receiver.navigation()).clone(), "simulation").await?;
 //! let new = NewSession {
 //!     antenna: String::new(),
+//!     retention_days: None,
 //!     label: "a receiver".into(),
 //!     mode: "fgo".into(),
 //!     profile: "general".into(),
@@ -89,6 +96,7 @@ mod limits;
 mod panics;
 
 mod raw;
+mod reading;
 mod recomputation;
 mod removal;
 mod replay;
@@ -102,7 +110,7 @@ pub use computation::Computed;
 pub use counters::SessionCounts;
 pub use desk::Sessions;
 pub use error::SessionError;
-pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate};
+pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate, SolutionPage};
 pub use limits::SessionLimits;
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};

@@ -63,6 +63,7 @@ mod tests {
             overrides: std::collections::BTreeMap::new(),
             base: BaseChoice::None,
             antenna: String::new(),
+            retention_days: None,
         };
         sessions.create(new).await.unwrap().id
     }

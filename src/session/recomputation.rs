@@ -10,7 +10,9 @@ use crate::positioning::Scratch;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
 use super::configuration::{base_of, configuration_hash};
-use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, calibration};
+use super::replay::{
+    ActiveConfiguration, Replay, ReplayWith, active_configuration, calibration, oldest_state,
+};
 use super::solvers::{Lane, Solvers};
 use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
@@ -24,6 +26,8 @@ pub struct Recomputation {
     /// `None` once everything is computed.
     state: Option<State>,
     after: Option<u64>,
+    /// Number of the epoch after which it begins, if those before are removed.
+    began_after: Option<u64>,
     /// Whether the epochs in the window at the end get their last revision.
     ends_windows: bool,
     configuration_hash: Arc<str>,
@@ -42,6 +46,8 @@ pub struct Check {
     pub not_computed: usize,
     /// Epoch number and revision of the first difference.
     pub first: Option<(u64, u32)>,
+    /// Number of the epoch after which it begins, if those before are removed.
+    pub began_after: Option<u64>,
 }
 
 impl Check {
@@ -76,11 +82,12 @@ impl Recomputation {
                 let antenna = calibration(&aiding, antenna).await?;
                 let version = VERSION.into();
                 let estimation = Configuration { version, hash, options, antenna };
-                ActiveConfiguration { estimation, bases, is_closed: false }
+                let (is_closed, retention_days) = (false, None);
+                ActiveConfiguration { estimation, bases, is_closed, retention_days }
             }
         };
         let configuration_hash = active.estimation.hash.clone();
-        let state = Some(State::new(&active.estimation));
+        let mut state = State::new(&active.estimation);
         let arcs = store.arcs(row.key).await?.into();
         let replay = Replay {
             store,
@@ -96,12 +103,25 @@ impl Recomputation {
             tolerates_missing: false,
         };
         let ends_windows = change.is_some() || row.closed_unix_ms.is_some();
-        Ok(Self { replay, state, after: None, ends_windows, configuration_hash })
+        let mut began_after = row.removed_through;
+        if let (None, Some(removed_through)) = (change, row.removed_through)
+            && let Some(oldest) = oldest_state(&replay, removed_through).await?
+        {
+            (began_after, state) = (oldest.last_seq(), oldest);
+        }
+        let (state, after) = (Some(state), began_after);
+        Ok(Self { replay, state, after, began_after, ends_windows, configuration_hash })
     }
 
     /// Hash of the configuration in force, or of the requested one.
     pub fn configuration_hash(&self) -> &str {
         &self.configuration_hash
+    }
+
+    /// Number of the epoch after which it begins; `None` if it begins with the session, as it does
+    /// while no epoch is removed.
+    pub const fn began_after(&self) -> Option<u64> {
+        self.began_after
     }
 
     /// The leap seconds known today.
@@ -134,12 +154,14 @@ impl Recomputation {
     /// # Errors
     /// Navigation data are no longer stored, or the store fails.
     pub async fn check(mut self) -> Result<Check, SessionError> {
-        let mut check = Check::default();
-        let mut stored = Stored::of(&self.replay);
+        let began_after = self.began_after;
+        let mut check = Check { began_after, ..Check::default() };
+        let is_within = |seq: u64| began_after.is_none_or(|after| after < seq);
+        let mut stored = Stored::of(&self.replay, began_after);
         while let Some(answers) = self.next().await? {
             let last = answers.iter().map(|answer| answer.seq).max();
             stored.read_through(last.unwrap_or(0)).await?;
-            for answer in answers {
+            for answer in answers.into_iter().filter(|answer| is_within(answer.seq)) {
                 let key = (answer.seq, answer.revision);
                 let Some(known) = stored.waiting.remove(&key) else {
                     check.not_stored += 1;
@@ -171,12 +193,13 @@ struct Stored {
     store: Store,
     key: SessionKey,
     query: Option<SolutionQuery>,
+    began_after: Option<u64>,
     /// Solutions that are read but not compared yet.
     waiting: BTreeMap<(u64, u32), StoredSolution>,
 }
 
 impl Stored {
-    fn of(replay: &Replay) -> Self {
+    fn of(replay: &Replay, began_after: Option<u64>) -> Self {
         let query = SolutionQuery {
             from: None,
             to: None,
@@ -186,7 +209,7 @@ impl Stored {
             page_token: None,
         };
         let (store, key) = (replay.store.clone(), replay.key);
-        Self { store, key, query: Some(query), waiting: BTreeMap::new() }
+        Self { store, key, query: Some(query), began_after, waiting: BTreeMap::new() }
     }
 
     /// Reads all solutions up to number `seq`.
@@ -194,8 +217,10 @@ impl Stored {
         while self.waiting.keys().next_back().is_none_or(|(read, _)| *read <= seq) {
             let Some(query) = &mut self.query else { break };
             let page = self.store.solutions(self.key, query).await?;
-            self.waiting
-                .extend(page.items.into_iter().map(|item| ((item.seq, item.revision), item)));
+            let is_within =
+                |item: &StoredSolution| self.began_after.is_none_or(|after| after < item.seq);
+            let items = page.items.into_iter().filter(is_within);
+            self.waiting.extend(items.map(|item| ((item.seq, item.revision), item)));
             query.page_token = page.next_page_token;
             if query.page_token.is_none() {
                 self.query = None;

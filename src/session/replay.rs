@@ -10,7 +10,10 @@ use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::config::PositioningOptions;
 use crate::gnss::{AntennaCalibration, Epoch, Reason};
 use crate::positioning::Scratch;
-use crate::store::{BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSolution};
+use crate::snapshot::SnapshotError;
+use crate::store::{
+    BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSnapshot, StoredSolution,
+};
 
 use super::SessionError;
 use super::base_selection::BaseSource;
@@ -42,6 +45,8 @@ pub(super) struct ActiveConfiguration {
     pub(super) bases: BaseChoice,
     /// The session is closed and takes no more epochs.
     pub(super) is_closed: bool,
+    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    pub(super) retention_days: Option<u32>,
 }
 
 /// Replays a session's stored epochs.
@@ -291,7 +296,8 @@ pub(super) async fn active_configuration(
     let antenna = calibration(aiding, antenna.as_deref()).await?;
     let hash = row.settings.configuration_hash;
     let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
-    Ok(ActiveConfiguration { estimation, bases, is_closed: row.closed_unix_ms.is_some() })
+    let (is_closed, retention_days) = (row.closed_unix_ms.is_some(), row.settings.retention_days);
+    Ok(ActiveConfiguration { estimation, bases, is_closed, retention_days })
 }
 
 /// The state after a session's last stored epoch: its newest snapshot, advanced by the epochs
@@ -333,13 +339,41 @@ pub(super) async fn restored(
 
 async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {
     let Some(stored) = replay.store.snapshot(replay.key).await? else { return Ok(None) };
-    let configuration =
-        configuration_of(&replay.store, &replay.aiding, &stored.configuration_hash).await?;
-    match State::decode(stored.seq, &stored.content, &configuration) {
+    match decoded(replay, &stored).await? {
         Ok(state) => Ok(Some(state)),
         Err(error) => {
             tracing::warn!(%error, "a session's state is rebuilt from its last epochs");
             Ok(None)
         }
+    }
+}
+
+async fn decoded(
+    replay: &Replay,
+    stored: &StoredSnapshot,
+) -> Result<Result<State, SnapshotError>, SessionError> {
+    let configuration =
+        configuration_of(&replay.store, &replay.aiding, &stored.configuration_hash).await?;
+    Ok(State::decode(stored.seq, &stored.content, &configuration))
+}
+
+/// The oldest state that a session keeps for replay, after epochs through `removed_through` were
+/// removed. `None` if nothing of the session is stored.
+///
+/// # Errors
+/// Epochs are stored, but no state before them can be read.
+pub(super) async fn oldest_state(
+    replay: &Replay,
+    removed_through: u64,
+) -> Result<Option<State>, SessionError> {
+    for stored in replay.store.kept_snapshots(replay.key).await? {
+        match decoded(replay, &stored).await? {
+            Ok(state) => return Ok(Some(state)),
+            Err(error) => tracing::warn!(seq = stored.seq, %error, "a kept snapshot is skipped"),
+        }
+    }
+    match replay.store.epochs_after(replay.key, None, 1).await?.is_empty() {
+        true => Ok(None),
+        false => Err(SessionError::ReplayStartMissing { removed_through }),
     }
 }

@@ -66,6 +66,17 @@ pub enum EpochRefusal {
         /// The session's last number.
         last: u64,
     },
+    /// The number is among those whose epochs are removed, as they are older than the retention.
+    #[error(
+        "epoch {seq} is older than the session's retention; epochs below {oldest_available} are \
+         removed"
+    )]
+    AlreadyAcknowledged {
+        /// Number of the epoch.
+        seq: u64,
+        /// The number below which all epochs are removed.
+        oldest_available: u64,
+    },
     /// The number is above the last one, but the time is not after the last epoch's.
     #[error("epoch {seq} at {time} is not after the session's last epoch at {last}")]
     OutOfOrder {
@@ -111,6 +122,7 @@ impl EpochRefusal {
         match self {
             Self::Conflict { .. } => Code::SequenceConflict,
             Self::Superseded { .. } => Code::SequenceSuperseded,
+            Self::AlreadyAcknowledged { .. } => Code::AlreadyAcknowledged,
             Self::OutOfOrder { .. } => Code::OutOfOrder,
             Self::TimeImplausible { .. } => Code::TimeImplausible,
             Self::TooManyObservations { .. } => Code::TooManyObservations,
@@ -121,9 +133,10 @@ impl EpochRefusal {
     /// The field of the epoch that is at fault.
     pub const fn field(&self) -> &'static str {
         match self {
-            Self::Conflict { .. } | Self::Superseded { .. } | Self::SequenceOutOfRange { .. } => {
-                "seq"
-            }
+            Self::Conflict { .. }
+            | Self::Superseded { .. }
+            | Self::AlreadyAcknowledged { .. }
+            | Self::SequenceOutOfRange { .. } => "seq",
             Self::OutOfOrder { .. } | Self::TimeImplausible { .. } => "time",
             Self::TooManyObservations { .. } => "observations",
         }

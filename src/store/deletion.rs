@@ -9,9 +9,10 @@ const LAST_OF_STEP: &str =
 const REMOVE_SOLUTIONS: &str = "DELETE FROM solutions WHERE session = $1 AND seq <= $2";
 const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
 /// The rest, once there are no epochs. Without its head a session is not found any more.
-const REMOVE_REST: [&str; 7] = [
+const REMOVE_REST: [&str; 8] = [
     "DELETE FROM solutions WHERE session = $1",
     "DELETE FROM snapshots WHERE session = $1",
+    "DELETE FROM kept_snapshots WHERE session = $1",
     "DELETE FROM raw_pieces WHERE session = $1",
     "DELETE FROM raw_streams WHERE session = $1",
     "DELETE FROM session_arcs WHERE session = $1",

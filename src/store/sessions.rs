@@ -32,6 +32,8 @@ pub struct SessionSettings {
     pub base: BaseChoice,
     /// The rover's antenna, if the session corrects for antennas.
     pub antenna: Option<AntennaName>,
+    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    pub retention_days: Option<u32>,
 }
 
 /// A configuration that has solved epochs.
@@ -64,6 +66,8 @@ pub struct SessionRow {
     pub last_seq: Option<u64>,
     /// Number of stored raw bytes.
     pub raw_through: Option<u64>,
+    /// Number through which epochs are removed, as they are older than the retention.
+    pub removed_through: Option<u64>,
 }
 
 #[derive(sqlx::FromRow)]
@@ -80,6 +84,8 @@ struct RawSession {
     closed_unix_ms: Option<i64>,
     last_seq: Option<i64>,
     raw_through: Option<i64>,
+    removed_through: Option<i64>,
+    retention_days: Option<i64>,
     base: Option<i64>,
     base_id: Option<String>,
     base_choice: i32,
@@ -124,11 +130,13 @@ impl RawSession {
                 configuration_hash: self.configuration_hash.into(),
                 base,
                 antenna,
+                retention_days: self.retention_days.map(|days| days as u32),
             },
             created_unix_ms: self.created_unix_ms,
             closed_unix_ms: self.closed_unix_ms,
             last_seq: self.last_seq.map(|seq| seq as u64),
             raw_through: self.raw_through.map(|through| through as u64),
+            removed_through: self.removed_through.map(|seq| seq as u64),
         })
     }
 }
@@ -176,7 +184,7 @@ macro_rules! select_sessions {
         concat!(
             "SELECT key, id, label, mode, profile, overrides, configuration, configuration_hash, ",
             "created_unix_ms, session_heads.closed_unix_ms AS closed_unix_ms, ",
-            "last_seq, raw_through, ",
+            "last_seq, raw_through, removed_through, retention_days, ",
             "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, ",
             "base_choice, antenna, calibration ",
             "FROM sessions JOIN session_heads ON session_heads.session = sessions.key ",
@@ -203,8 +211,9 @@ impl Store {
                 let insert = sqlx::query_as(
                     "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
                                            configuration_hash, created_unix_ms, base, base_choice,
-                                           antenna, calibration)
-                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12) RETURNING key",
+                                           antenna, calibration, retention_days)
+                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)
+                     RETURNING key",
                 )
                 .bind(id)
                 .bind(&settings.label)
@@ -217,7 +226,8 @@ impl Store {
                 .bind(base_column(&settings.base))
                 .bind(choice_column(&settings.base))
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
-                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration));
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration))
+                .bind(settings.retention_days.map(i64::from));
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 insert_candidates!(transaction, key, &settings.base);
                 let head = "INSERT INTO session_heads (session, owner, fence) VALUES ($1, '', 0)";
@@ -236,6 +246,7 @@ impl Store {
             closed_unix_ms: None,
             last_seq: None,
             raw_through: None,
+            removed_through: None,
         })
     }
 
@@ -327,7 +338,8 @@ impl Store {
                 let update = sqlx::query(
                     "UPDATE sessions SET label = $2, mode = $3, profile = $4, overrides = $5,
                             configuration = $6, configuration_hash = $7, base = $8,
-                            base_choice = $9, antenna = $10, calibration = $11
+                            base_choice = $9, antenna = $10, calibration = $11,
+                            retention_days = $12
                      WHERE key = $1",
                 )
                 .bind(key.0)
@@ -340,7 +352,8 @@ impl Store {
                 .bind(base_column(&settings.base))
                 .bind(choice_column(&settings.base))
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
-                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration));
+                .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration))
+                .bind(settings.retention_days.map(i64::from));
                 update.execute(&mut *transaction).await?;
                 let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
                 clear.execute(&mut *transaction).await?;

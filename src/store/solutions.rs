@@ -149,9 +149,10 @@ macro_rules! select_epochs {
             "SELECT e.content AS epoch, e.navigation AS navigation, e.base AS base, ",
             "e.base_after AS base_after, e.base_through AS base_through, ",
             solution_columns!(),
-            " FROM epochs e ",
+            " FROM epochs e JOIN session_heads h ON h.session = e.session ",
             "JOIN solutions s ON s.session = e.session AND s.seq = e.seq AND s.revision = 0 ",
             "LEFT JOIN solution_origins o ON o.key = s.origin WHERE e.session = $1 ",
+            "AND e.seq > COALESCE(h.removed_through, -1) ",
             $conditions
         )
     };
@@ -313,6 +314,8 @@ impl Store {
                     "WHERE session = $1 AND seq >= $2 AND seq <= $3 ",
                     "AND (seq > $4 OR revision > $5) AND ($6 = -1 OR status = $6) ",
                     "AND gps_time_ns >= $8 AND gps_time_ns <= $9 ",
+                    "AND seq > COALESCE((SELECT removed_through FROM session_heads h ",
+                    "WHERE h.session = $1), -1) ",
                     $condition,
                     " ORDER BY seq, revision LIMIT $7"
                 )

@@ -76,7 +76,7 @@ impl Desk {
     }
 
     async fn listed(&self, id: &SessionId) -> Vec<StoredSolution> {
-        self.sessions.solutions(id, &whole_session()).await.unwrap().items
+        self.sessions.solutions(id, &whole_session()).await.unwrap().page.items
     }
 }
 
@@ -88,6 +88,7 @@ fn new_session(mode: &str, base: Option<&BaseId>) -> NewSession {
         overrides: BTreeMap::new(),
         base: base.cloned().into(),
         antenna: String::new(),
+        retention_days: None,
     }
 }
 

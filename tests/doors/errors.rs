@@ -33,6 +33,8 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::DatabaseSchemaOlder, "tests/faults/database.rs"),
     (Code::DatabaseMigrationFailed, "tests/doors/store.rs"),
     (Code::TimeImplausible, "tests/doors/sessions.rs"),
+    (Code::AlreadyAcknowledged, "tests/doors/retention.rs"),
+    (Code::ReplayStartMissing, "tests/doors/retention.rs"),
     (Code::WrittenElsewhere, "tests/doors/sessions.rs"),
     (Code::StoredDataCorrupt, "tests/doors/sessions.rs"),
     (Code::MailboxFull, "tests/doors/sessions.rs"),

@@ -16,6 +16,7 @@ mod network_casters;
 mod networks;
 mod odometry;
 mod raw;
+mod retention;
 mod session_antennas;
 mod sessions;
 mod simulation;

@@ -122,7 +122,7 @@ impl Desk {
     }
 
     async fn listed(&self, id: &SessionId) -> Vec<StoredSolution> {
-        self.sessions.solutions(id, &whole_session()).await.unwrap().items
+        self.sessions.solutions(id, &whole_session()).await.unwrap().page.items
     }
 }
 
@@ -134,6 +134,7 @@ fn new_session(base: BaseChoice<BaseId>) -> NewSession {
         overrides: BTreeMap::new(),
         base,
         antenna: String::new(),
+        retention_days: None,
     }
 }
 

@@ -120,6 +120,7 @@ impl Desk {
             overrides: BTreeMap::new(),
             base: Some(base.clone()).into(),
             antenna: antenna.to_owned(),
+            retention_days: None,
         };
         self.sessions.create(new).await.unwrap().id
     }

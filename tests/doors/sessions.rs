@@ -58,6 +58,7 @@ fn limits() -> SessionLimits {
         raw_chunk_bytes: 256 << 10,
         observations_per_epoch: 8,
         future_s: 86_400,
+        retention_days: 0,
         active_sessions: 64,
         candidate_bases: 2,
         label_characters: 20,
@@ -77,7 +78,7 @@ fn batch(seqs: impl IntoIterator<Item = u64>) -> Vec<SequencedEpoch> {
 }
 
 async fn stored(sessions: &Sessions, id: &SessionId) -> Vec<StoredSolution> {
-    let page = sessions.solutions(id, &whole_session()).await.unwrap();
+    let page = sessions.solutions(id, &whole_session()).await.unwrap().page;
     assert_eq!(page.next_page_token, None);
     page.items
 }
@@ -236,7 +237,7 @@ async fn a_reset_session_takes_epochs_of_any_time(database: Database) {
     let time = |second: f64| Some(GpsTime::from_week_seconds(2051, second));
     let span = async |from, to| {
         let query = SolutionQuery { revisions: Revisions::First, from, to, ..whole_session() };
-        let page = restarted.solutions(&id, &query).await.unwrap();
+        let page = restarted.solutions(&id, &query).await.unwrap().page;
         page.items.iter().map(|solution| solution.seq).collect::<Vec<_>>()
     };
     assert_eq!(span(time(500.0), None).await, [1, 2]);

@@ -8,7 +8,6 @@ use graphfix::gnss::{Cycles, Epoch, Navigation};
 use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::StoredEpoch;
-use sqlx::{Connection, PgConnection, SqliteConnection};
 
 use crate::support::database::{Database, on_both_databases};
 use crate::support::sessions::{self as support, desk, epoch};
@@ -50,22 +49,6 @@ fn logged(mut epoch: Epoch) -> Epoch {
     epoch
 }
 
-/// Bytes of the pages in use, indices included; on Postgres those of epochs and solutions.
-async fn size(database: &Database) -> i64 {
-    if database.url.starts_with("sqlite") {
-        let mut connection = SqliteConnection::connect(&database.url).await.unwrap();
-        let mut number = async |sql: &'static str| -> i64 {
-            sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
-        };
-        let pages = number("PRAGMA page_count").await - number("PRAGMA freelist_count").await;
-        pages * number("PRAGMA page_size").await
-    } else {
-        let mut connection = PgConnection::connect(&database.url).await.unwrap();
-        let sql = "SELECT (pg_total_relation_size('epochs') + pg_total_relation_size('solutions'))";
-        sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
-    }
-}
-
 async fn created(sessions: &Sessions) -> SessionId {
     let new = NewSession {
         label: String::new(),
@@ -74,6 +57,7 @@ async fn created(sessions: &Sessions) -> SessionId {
         overrides: Default::default(),
         base: BaseChoice::None,
         antenna: String::new(),
+        retention_days: None,
     };
     sessions.create(new).await.unwrap().id
 }
@@ -99,7 +83,7 @@ async fn an_epoch_takes_little_room(database: Database) {
         let mut before = 0;
         for (index, batch) in epochs.chunks(per_call).enumerate() {
             if index * per_call == FROM {
-                before = size(&database).await;
+                before = database.bytes().await.0;
             }
             for device in &devices {
                 let submitted = sessions.submit(device, batch.to_vec()).await.unwrap();
@@ -107,7 +91,7 @@ async fn an_epoch_takes_little_room(database: Database) {
             }
         }
         let stored = DEVICES * (EPOCHS - FROM);
-        let per_epoch = (size(&database).await - before) as f64 / stored as f64;
+        let per_epoch = (database.bytes().await.0 - before) as f64 / stored as f64;
         println!("{per_call} epochs a call: {per_epoch:.0} bytes an epoch");
         assert!(per_epoch <= limit, "{per_epoch} bytes an epoch");
     }

@@ -39,6 +39,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         configuration_hash: "c0ffee".into(),
         base: BaseChoice::None,
         antenna: None,
+        retention_days: None,
     };
     store.create_session(id, &settings, 0).await.unwrap().key
 }
@@ -198,7 +199,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 15"
+        "the database has schema 9000, this Graphfix knows schemas up to 16"
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }

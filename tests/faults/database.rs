@@ -21,7 +21,7 @@ on_both_databases!(
 const REFUSED_WITHIN: Duration = Duration::from_secs(7);
 
 async fn numbers(sessions: &Sessions, id: &SessionId) -> Vec<u64> {
-    let page = sessions.solutions(id, &whole_session()).await.unwrap();
+    let page = sessions.solutions(id, &whole_session()).await.unwrap().page;
     page.items.iter().map(|solution| solution.seq).collect()
 }
 

@@ -50,7 +50,7 @@ impl Service {
     }
 
     async fn numbers(&self) -> Vec<u64> {
-        let page = self.sessions.solutions(&self.id, &whole_session()).await.unwrap();
+        let page = self.sessions.solutions(&self.id, &whole_session()).await.unwrap().page;
         page.items.iter().map(|solution| solution.seq).collect()
     }
 }

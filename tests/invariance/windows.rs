@@ -46,6 +46,7 @@ async fn created(sessions: &Sessions, mode: &str) -> SessionId {
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
         antenna: String::new(),
+        retention_days: None,
     };
     sessions.create(new).await.unwrap().id
 }
@@ -59,7 +60,7 @@ async fn listed(sessions: &Sessions, id: &SessionId, which: Revisions) -> Vec<St
         page_size: 10_000,
         page_token: None,
     };
-    sessions.solutions(id, &query).await.unwrap().items
+    sessions.solutions(id, &query).await.unwrap().page.items
 }
 
 async fn checked(database: &Database, id: &SessionId) -> Check {

@@ -61,6 +61,27 @@ impl Database {
         }
     }
 
+    /// Bytes of the pages in use and of all pages, indices included; on Postgres both are those of
+    /// epochs and solutions.
+    pub(crate) async fn bytes(&self) -> (i64, i64) {
+        if self.url.starts_with("sqlite") {
+            let mut connection = SqliteConnection::connect(&self.url).await.unwrap();
+            let mut number = async |sql: &'static str| -> i64 {
+                sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
+            };
+            let (pages, free) =
+                (number("PRAGMA page_count").await, number("PRAGMA freelist_count").await);
+            let page = number("PRAGMA page_size").await;
+            ((pages - free) * page, pages * page)
+        } else {
+            let mut connection = PgConnection::connect(&self.url).await.unwrap();
+            let sql = "SELECT pg_total_relation_size('epochs') \
+                       + pg_total_relation_size('solutions')";
+            let bytes = sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap();
+            (bytes, bytes)
+        }
+    }
+
     /// Number of rows of a table.
     pub(crate) async fn count(&self, table: &str) -> i64 {
         let sql = AssertSqlSafe(format!("SELECT COUNT(*) FROM {table}"));

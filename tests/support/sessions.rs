@@ -26,6 +26,7 @@ pub(crate) fn new_session() -> NewSession {
         overrides: BTreeMap::new(),
         base: BaseChoice::None,
         antenna: String::new(),
+        retention_days: None,
     }
 }
 

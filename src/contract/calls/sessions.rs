@@ -30,6 +30,7 @@ pub async fn create(
         overrides: request.overrides,
         base: base_choice(service, &request.base, &request.bases)?,
         antenna: request.antenna,
+        retention_days: request.retention_days,
     };
     Ok(message(service.sessions().create(new).await?))
 }
@@ -92,6 +93,7 @@ pub async fn update(
         clear_overrides: request.clear_overrides,
         base,
         antenna: request.antenna,
+        retention_days: request.retention_days,
     };
     Ok(message(service.sessions().update(&id, update).await?))
 }
@@ -167,5 +169,7 @@ fn message(info: SessionInfo) -> v1::Session {
         bases,
         antenna,
         antenna_calibration: antenna_calibration.to_string(),
+        retention_days: info.retention_days,
+        oldest_available_seq: info.oldest_available,
     }
 }

@@ -1,6 +1,7 @@
 //! Stored solutions.
 
 use crate::contract::{Refusal, Service, convert, texts, v1};
+use crate::session::SolutionPage;
 use crate::store::SolutionQuery;
 
 use super::{page_size, page_token, session_id};
@@ -26,9 +27,10 @@ pub async fn list(
         page_size: page_size(request.page_size, PAGE),
         page_token: page_token(&request.page_token).map(ToOwned::to_owned),
     };
-    let page = service.sessions().solutions(&id, &query).await?;
+    let SolutionPage { page, oldest_available } = service.sessions().solutions(&id, &query).await?;
     Ok(v1::ListSolutionsResponse {
         solutions: page.items.iter().map(convert::stored).collect(),
         next_page_token: page.next_page_token.unwrap_or_default(),
+        oldest_available_seq: oldest_available,
     })
 }

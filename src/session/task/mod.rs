@@ -12,7 +12,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
-use crate::clock::unix_ms;
+use crate::clock::Clock;
 use crate::positioning::Scratch;
 use crate::store::{
     ArcStart, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch,
@@ -21,6 +21,7 @@ use crate::store::{
 
 use super::batch::{Plan, SolvedBatch};
 use super::counters::Counters;
+use super::info::oldest_available;
 use super::raw::Reception;
 use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, restored};
 use super::solvers::{Lane, Solvers};
@@ -128,6 +129,9 @@ pub(super) struct Task {
     pub(super) observations_per_epoch: usize,
     /// See [`super::SessionLimits::future_s`].
     pub(super) future_s: u64,
+    /// See [`super::SessionLimits::retention_days`].
+    pub(super) retention_days: u32,
+    pub(super) clock: Clock,
     /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) counters: Arc<Counters>,
@@ -203,6 +207,7 @@ impl Task {
     async fn reset(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let current = self.activate(active).await?;
         let Some(after_seq) = current.last_seq() else { return Ok(()) };
+        let snapshot_day = self.snapshot_day(&current.configuration);
         let mut state = (*current.committed).clone();
         let estimation = current.configuration.estimation.clone();
         let work = move |scratch: &mut Scratch| {
@@ -213,7 +218,8 @@ impl Task {
         };
         let (state, revisions, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
         let arc = Some(ArcStart { after_seq, unix_ms });
-        let batch = Batch { revisions, snapshot, arc, ..Batch::new(self.key, Some(after_seq)) };
+        let batch = Batch::new(self.key, Some(after_seq));
+        let batch = Batch { revisions, snapshot, snapshot_day, arc, ..batch };
         let stored = self.store.commit(batch).await;
         // An arc is not seen in the last number, so an unconfirmed one is read from the store.
         stored.inspect_err(|_| *active = None)?;
@@ -239,11 +245,12 @@ impl Task {
 
     /// Stores the state, so that the next task replays only a few epochs.
     async fn park(&self, active: Option<Active>) {
-        let Some(Active { committed, .. }) = active else { return };
+        let Some(Active { committed, configuration, .. }) = active else { return };
         if committed.unsaved < EPOCHS_WORTH_STORING {
             return;
         }
-        let batch = Batch::new(self.key, committed.last_seq());
+        let snapshot_day = self.snapshot_day(&configuration);
+        let batch = Batch { snapshot_day, ..Batch::new(self.key, committed.last_seq()) };
         let Ok(snapshot) = self.solvers.run(Lane::Restore, move || committed.encoded()).await
         else {
             return;
@@ -312,6 +319,7 @@ impl Task {
             epochs: rows,
             revisions,
             snapshot,
+            snapshot_day: self.snapshot_day(&configuration),
             raw,
             ..Batch::new(self.key, active.as_ref().and_then(Active::last_seq))
         };
@@ -355,7 +363,7 @@ impl Task {
             let request = NearestBaseRequest {
                 position: estimate.position,
                 baseline_max_m: configuration.estimation.options.rtk.baseline_max_m,
-                unix_ms: unix_ms(),
+                unix_ms: self.clock.unix_ms(),
             };
             self.aiding.bases.nearest_base_requests().record(self.key, request);
         }
@@ -404,14 +412,26 @@ impl Task {
         Ok(())
     }
 
-    async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<HashMap<u64, StoredEpoch>, StoreError> {
+    async fn lookup(&self, plans: &[(u64, Plan)]) -> Result<Earlier, StoreError> {
         let asked = plans.iter().filter(|(_, plan)| matches!(plan, Plan::Lookup(_)));
         let asked: Vec<u64> = asked.map(|(seq, _)| *seq).collect();
         if asked.is_empty() {
-            return Ok(HashMap::new());
+            return Ok(Earlier::default());
         }
         let found = self.store.epochs(self.key, &asked).await?;
-        Ok(found.into_iter().map(|stored| (stored.solution.seq, stored)).collect())
+        let stored: HashMap<_, _> =
+            found.into_iter().map(|stored| (stored.solution.seq, stored)).collect();
+        let removed_through = match asked.iter().all(|seq| stored.contains_key(seq)) {
+            true => None,
+            false => self.store.removed_through(self.key).await?,
+        };
+        Ok(Earlier { stored, removed_through })
+    }
+
+    /// The day as whose first snapshot a state is kept for replay; `None` without retention.
+    fn snapshot_day(&self, configuration: &ActiveConfiguration) -> Option<i64> {
+        let days = configuration.retention_days.unwrap_or(self.retention_days);
+        (days != 0).then(|| self.clock.day())
     }
 
     async fn active_configuration(&self) -> Result<ActiveConfiguration, SessionError> {
@@ -433,6 +453,14 @@ impl Task {
     }
 }
 
+/// What the store has of epochs that are sent again.
+#[derive(Default)]
+struct Earlier {
+    stored: HashMap<u64, StoredEpoch>,
+    /// Number through which epochs are removed, if one of them is not stored.
+    removed_through: Option<u64>,
+}
+
 /// Keeps what is known of a session after a commit failed: the state before it, and that after it
 /// if the store may have it.
 fn failed(active: &mut Option<Active>, later: Arc<State>, error: StoreError) -> StoreError {
@@ -448,12 +476,17 @@ fn failed(active: &mut Option<Active>, later: Arc<State>, error: StoreError) -> 
 
 /// The stored answer to an earlier epoch, if it has the same content.
 fn answer_from(
-    stored: &HashMap<u64, StoredEpoch>,
+    earlier: &Earlier,
     SequencedEpoch { seq, epoch }: &SequencedEpoch,
     last: Option<u64>,
 ) -> Result<Result<Acknowledged, EpochRefusal>, StoreError> {
     let seq = *seq;
-    let Some(stored) = stored.get(&seq) else {
+    if let Some(oldest_available) = oldest_available(earlier.removed_through)
+        && seq < oldest_available
+    {
+        return Ok(Err(EpochRefusal::AlreadyAcknowledged { seq, oldest_available }));
+    }
+    let Some(stored) = earlier.stored.get(&seq) else {
         return Ok(Err(EpochRefusal::Superseded { seq, last: last.unwrap_or(seq) }));
     };
     if stored.is(epoch) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::vec::IntoIter;
 
-use crate::clock::{gps_time, unix_ms};
+use crate::clock::gps_time;
 use crate::positioning::Scratch;
 use crate::session::base_selection::BaseSource;
 use crate::session::batch::{BatchAiding, EpochRules, SolvedBatch};
@@ -25,7 +25,7 @@ impl Task {
         let aiding = self.aiding_for(configuration, &epochs);
         let rules = EpochRules {
             observations_max: self.observations_per_epoch,
-            now: gps_time(unix_ms()),
+            now: gps_time(self.clock.unix_ms()),
             future_s: self.future_s,
         };
         let memory = self.solvers.memory().clone();

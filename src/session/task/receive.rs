@@ -1,7 +1,6 @@
 //! The task's handling of raw bytes: decodes, positions and commits them in one step.
 
 use crate::aiding::DEVICE;
-use crate::clock::unix_ms;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
 use crate::session::raw::{Order, RawChunk, RawReceived, Reception};
@@ -64,7 +63,7 @@ impl Task {
         arrived: Arrived<'_>,
     ) -> Result<RawReceived, SessionError> {
         let Arrived { mut reception, chunk, known, permit } = arrived;
-        let now = unix_ms();
+        let now = self.clock.unix_ms();
         reception.date(&chunk, now);
         let content = chunk.content.slice(known..);
         let channels = self.aiding.navigation.current().navigation;
@@ -149,7 +148,7 @@ impl Task {
     /// Restores the stream from the store.
     async fn reception(&self) -> Result<Reception, SessionError> {
         let Some(position) = self.store.raw_position(self.key).await? else {
-            return Ok(Reception::fresh(unix_ms()));
+            return Ok(Reception::fresh(self.clock.unix_ms()));
         };
         let RawPosition { stream, header_end, tail, through, time, .. } = position;
         let whole = |parts: Vec<(u64, Vec<u8>)>| {

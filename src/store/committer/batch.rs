@@ -23,6 +23,9 @@ pub struct Batch {
     pub revisions: Vec<EncodedSolution>,
     /// The session's state after the last of the epochs.
     pub snapshot: Option<EncodedSnapshot>,
+    /// The day since 1970-01-01 as whose first snapshot it is kept for replay; `None` for a session
+    /// without retention.
+    pub snapshot_day: Option<i64>,
     /// The chunk of raw bytes from which the epochs were decoded.
     pub raw: Option<Box<RawChange>>,
     /// Begins a new arc of the session.
@@ -40,6 +43,7 @@ impl Batch {
             epochs: Vec::new(),
             revisions: Vec::new(),
             snapshot: None,
+            snapshot_day: None,
             raw: None,
             arc: None,
             closed_unix_ms: None,

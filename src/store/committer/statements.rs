@@ -26,6 +26,10 @@ const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuratio
     VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
     configuration_hash = excluded.configuration_hash, content = excluded.content \
     WHERE snapshots.seq <= excluded.seq";
+/// The first state of a day stays.
+const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
+    (session, day, seq, configuration_hash, content) VALUES ($1, $2, $3, $4, $5) \
+    ON CONFLICT (session, day) DO NOTHING";
 const INSERT_ARC: &str = "INSERT INTO session_arcs (session, after_seq, created_unix_ms) \
     VALUES ($1, $2, $3) ON CONFLICT (session, after_seq) DO NOTHING";
 /// The stream's newest known time may be what made the new arc necessary.
@@ -95,6 +99,16 @@ macro_rules! write_changes {
             if let Some(snapshot) = &batch.snapshot {
                 sqlx::query(UPSERT_SNAPSHOT)
                     .bind(session)
+                    .bind(snapshot.seq)
+                    .bind(&*snapshot.configuration_hash)
+                    .bind(&snapshot.content[..])
+                    .execute(&mut *$transaction)
+                    .await?;
+            }
+            if let (Some(snapshot), Some(day)) = (&batch.snapshot, batch.snapshot_day) {
+                sqlx::query(KEEP_SNAPSHOT)
+                    .bind(session)
+                    .bind(day)
                     .bind(snapshot.seq)
                     .bind(&*snapshot.configuration_hash)
                     .bind(&snapshot.content[..])

@@ -1,0 +1,179 @@
+//! Removes epochs that are older than their session's retention, in steps.
+//!
+//! A session with a retention keeps the first snapshot of each day. Its epochs are removed up to
+//! the newest of these that is older than the retention, so that what remains can be replayed. From
+//! the first step on, nothing that is to be removed is found any more.
+
+use super::pool::{Pool, reading, writing};
+use super::{SessionKey, Store, StoreError, StoredSnapshot};
+
+/// Sessions whose snapshots are older than their retention, with the newest of these.
+/// `$1` is the day, `$2` the retention of sessions that have none of their own.
+const EXPIRED: &str = "SELECT k.session AS session, MAX(k.seq) AS through FROM kept_snapshots k \
+    JOIN sessions s ON s.key = k.session WHERE s.deleted_unix_ms IS NULL \
+    AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 \
+    AND k.day < CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT)) \
+    AND EXISTS (SELECT 1 FROM epochs e WHERE e.session = k.session AND e.seq <= k.seq) \
+    GROUP BY k.session LIMIT $3";
+/// Sessions that were closed before their retention, with the number of their last epoch.
+const EXPIRED_CLOSED: &str = "SELECT h.session AS session, h.last_seq AS through \
+    FROM session_heads h JOIN sessions s ON s.key = h.session WHERE s.deleted_unix_ms IS NULL \
+    AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 AND h.last_seq IS NOT NULL \
+    AND h.closed_unix_ms < 86400000 \
+        * (CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT))) \
+    AND EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session) LIMIT $3";
+const MARK: &str = "UPDATE session_heads SET removed_through = $2 \
+    WHERE session = $1 AND (removed_through IS NULL OR removed_through < $2)";
+/// Number of the epoch up to which a step removes.
+const LAST_OF_STEP: &str = "SELECT seq FROM epochs WHERE session = $1 AND seq <= $2 \
+    ORDER BY seq LIMIT 1 OFFSET $3";
+const REMOVE: [&str; 2] = [
+    "DELETE FROM solutions WHERE session = $1 AND seq <= $2",
+    "DELETE FROM epochs WHERE session = $1 AND seq <= $2",
+];
+const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND seq < $2";
+/// A closed session continues from no state.
+const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
+    (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
+
+/// Sessions per query.
+const SESSIONS: i64 = 100;
+/// A file gives pages back to the disk while more than a quarter of them is free; the others are
+/// used again. Each step gives this many back (2 MiB).
+const PAGES_PER_STEP: &str = "PRAGMA incremental_vacuum(512)";
+const FREE_FRACTION: i64 = 4;
+
+/// A session with epochs that are older than its retention.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Expired {
+    /// Primary key of the session.
+    pub session: SessionKey,
+    /// Number of the last epoch to remove.
+    pub through: u64,
+}
+
+impl Store {
+    /// Some of the sessions with epochs that are older than their retention on this day since
+    /// 1970-01-01. Sessions without a retention of their own have `days`; 0 keeps everything.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
+        let mut found = Vec::new();
+        for sql in [EXPIRED, EXPIRED_CLOSED] {
+            let rows: Result<Vec<(i64, i64)>, _> = reading!(bulk &self.pool, pool => {
+                sqlx::query_as(sql)
+                    .bind(today)
+                    .bind(i64::from(days))
+                    .bind(SESSIONS)
+                    .fetch_all(pool)
+                    .await
+            });
+            let rows = rows.map_err(StoreError::database("finding expired epochs"))?;
+            let expired = |(session, through): (i64, i64)| Expired {
+                session: SessionKey(session),
+                through: through as u64,
+            };
+            found.extend(rows.into_iter().map(expired));
+        }
+        Ok(found)
+    }
+
+    /// Removes up to `epochs` of the expired epochs of a session. Returns whether some remain.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn remove_expired(
+        &self,
+        expired: &Expired,
+        epochs: usize,
+    ) -> Result<bool, StoreError> {
+        let (key, through) = (expired.session.0, expired.through as i64);
+        let remaining = writing!(&self.pool, pool => {
+            let step = async {
+                let mut transaction = pool.begin().await?;
+                sqlx::query(MARK).bind(key).bind(through).execute(&mut *transaction).await?;
+                let last = sqlx::query_scalar(LAST_OF_STEP).bind(key).bind(through);
+                let last: Option<i64> =
+                    last.bind(epochs as i64 - 1).fetch_optional(&mut *transaction).await?;
+                for sql in REMOVE {
+                    let remove = sqlx::query(sql).bind(key).bind(last.unwrap_or(through));
+                    remove.execute(&mut *transaction).await?;
+                }
+                if last.is_none() {
+                    let remove = sqlx::query(REMOVE_SNAPSHOTS).bind(key).bind(through);
+                    remove.execute(&mut *transaction).await?;
+                    sqlx::query(REMOVE_STATE).bind(key).execute(&mut *transaction).await?;
+                }
+                transaction.commit().await?;
+                Ok(last.is_some())
+            };
+            step.await
+        });
+        remaining.map_err(StoreError::database("removing expired epochs"))
+    }
+
+    /// Gives some pages of a file back to the disk if many are free. Returns whether there may be
+    /// more. A server does this itself.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn release_pages(&self) -> Result<bool, StoreError> {
+        let Pool::Sqlite { .. } = &self.pool else { return Ok(false) };
+        let failed = StoreError::database("giving pages back to the disk");
+        let counts: Result<(i64, i64), _> = reading!(&self.pool, pool => {
+            let sql = "SELECT (SELECT freelist_count FROM pragma_freelist_count()),
+                              (SELECT page_count FROM pragma_page_count())";
+            sqlx::query_as(sql).fetch_one(pool).await
+        });
+        let (free, pages) = counts.map_err(StoreError::database("counting free pages"))?;
+        if FREE_FRACTION * free <= pages {
+            return Ok(false);
+        }
+        let released = writing!(&self.pool, pool => {
+            sqlx::query(PAGES_PER_STEP).fetch_all(pool).await.map(drop)
+        });
+        released.map_err(failed)?;
+        let left: Result<i64, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT freelist_count FROM pragma_freelist_count()";
+            sqlx::query_scalar(sql).fetch_one(pool).await
+        });
+        // A file of an earlier version keeps its pages.
+        Ok(left.map_err(StoreError::database("counting free pages"))? < free)
+    }
+
+    /// Number through which a session's epochs are removed.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn removed_through(&self, session: SessionKey) -> Result<Option<u64>, StoreError> {
+        let seq: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT removed_through FROM session_heads WHERE session = $1";
+            sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await
+        });
+        let seq = seq.map_err(StoreError::database("reading what is removed of a session"))?;
+        Ok(seq.map(|seq| seq as u64))
+    }
+
+    /// The snapshots that a session keeps for replay, the oldest first.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn kept_snapshots(
+        &self,
+        session: SessionKey,
+    ) -> Result<Vec<StoredSnapshot>, StoreError> {
+        let rows: Result<Vec<(i64, String, Vec<u8>)>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT seq, configuration_hash, content FROM kept_snapshots
+                       WHERE session = $1 ORDER BY seq";
+            sqlx::query_as(sql).bind(session.0).fetch_all(pool).await
+        });
+        let rows = rows.map_err(StoreError::database("reading kept snapshots"))?;
+        let snapshot = |(seq, hash, content): (i64, String, Vec<u8>)| StoredSnapshot {
+            seq: seq as u64,
+            configuration_hash: hash.into(),
+            content,
+        };
+        Ok(rows.into_iter().map(snapshot).collect())
+    }
+}

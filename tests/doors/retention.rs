@@ -1,0 +1,223 @@
+//! Epochs older than their session's retention are removed, and what remains keeps its promises.
+
+use axum::http::StatusCode;
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::clock::Clock;
+use graphfix::session::{
+    EpochOutcome, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
+};
+use graphfix::store::Store;
+use serde_json::json;
+
+use crate::support::database::{Database, on_both_databases, whole_session};
+use crate::support::doors::{Doors, code};
+use crate::support::sessions::{epoch, new_session};
+
+on_both_databases!(
+    a_store_with_retention_stays_flat,
+    a_session_has_its_own_retention,
+    a_closed_session_expires,
+    a_replay_needs_a_readable_snapshot,
+);
+
+const MS_PER_DAY: i64 = 86_400_000;
+/// 2026-01-01 12:00 UTC.
+const START: i64 = (20_454 * 2 + 1) * MS_PER_DAY / 2;
+/// Epochs of a device on a day: one every two minutes.
+const PER_DAY: u64 = 720;
+const DAYS: u64 = 6;
+const RETENTION: u32 = 2;
+
+async fn desk(store: &Store, clock: &Clock) -> Sessions {
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let limits = SessionLimits { retention_days: RETENTION, ..SessionLimits::service() };
+    Sessions::open_at(store.clone(), aiding, limits, clock.clone())
+}
+
+/// Pushes the epochs of a day, in four pushes, and sets the clock to the noon of this day.
+async fn live_a_day(sessions: &Sessions, clock: &Clock, id: &SessionId, day: u64) {
+    clock.set(START + day as i64 * MS_PER_DAY);
+    let seqs: Vec<u64> = (day * PER_DAY + 1..=(day + 1) * PER_DAY).collect();
+    for seqs in seqs.chunks(PER_DAY as usize / 4) {
+        let epochs = seqs.iter().map(|seq| epoch(*seq, *seq as f64)).collect();
+        let submitted = sessions.submit(id, epochs).await.unwrap();
+        assert!(submitted.outcomes.iter().all(|outcome| outcome.result.is_ok()));
+    }
+}
+
+async fn outcome(sessions: &Sessions, id: &SessionId, epoch: SequencedEpoch) -> EpochOutcome {
+    sessions.submit(id, vec![epoch]).await.unwrap().outcomes.remove(0)
+}
+
+fn refusal(outcome: &EpochOutcome) -> &'static str {
+    outcome.result.as_ref().unwrap_err().code().name()
+}
+
+/// Three devices for six days, with a retention of two days: after the third day as much is removed
+/// as comes, and the promises hold for what is left, also after a restart.
+async fn a_store_with_retention_stays_flat(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let mut devices = Vec::new();
+    for _ in 0..3 {
+        devices.push(sessions.create(new_session()).await.unwrap().id);
+    }
+    let (mut rows, mut sizes) = (Vec::new(), Vec::new());
+    for day in 0..DAYS {
+        for id in &devices {
+            live_a_day(&sessions, &clock, id, day).await;
+        }
+        sessions.remove_expired().await.unwrap();
+        rows.push(database.count("epochs").await + database.count("solutions").await);
+        sizes.push(database.bytes().await);
+    }
+    println!("rows {rows:?}, bytes {sizes:?}");
+    let per_day = 2 * 3 * PER_DAY as i64;
+    // Up to a snapshot of the day before, so that the oldest day can be replayed.
+    let kept = (i64::from(RETENTION) + 2) * per_day;
+    assert!(per_day * i64::from(RETENTION) < rows[5] && rows[5] < kept, "{rows:?}");
+    assert_eq!(rows[4], rows[5], "{rows:?}");
+    // A server frees the space of rows when it vacuums.
+    if database.url.starts_with("sqlite") {
+        let ((used, _), (used_after, file_after)) = (sizes[3], sizes[5]);
+        assert!(used_after < used * 11 / 10, "{sizes:?}");
+        assert!(file_after * 3 <= used_after * 4, "at most a quarter is free: {sizes:?}");
+    }
+
+    let id = &devices[0];
+    let oldest = sessions.get(id).await.unwrap().oldest_available.unwrap();
+    assert!(1 < oldest && oldest <= (DAYS - u64::from(RETENTION)) * PER_DAY, "{oldest}");
+    let restarted = desk(&store, &clock).await;
+    for sessions in [&sessions, &restarted] {
+        let listed = sessions.solutions(id, &whole_session()).await.unwrap();
+        assert_eq!(listed.oldest_available, Some(oldest));
+        assert_eq!(listed.page.items[0].seq, oldest);
+        let solution = listed.page.items[0].clone();
+
+        let removed = outcome(sessions, id, epoch(oldest - 1, (oldest - 1) as f64)).await;
+        assert_eq!(refusal(&removed), "ALREADY_ACKNOWLEDGED");
+        let other = outcome(sessions, id, epoch(1, 7e5)).await;
+        assert_eq!(refusal(&other), "ALREADY_ACKNOWLEDGED", "a number is never used again");
+        for seq in [oldest, oldest + 1, DAYS * PER_DAY] {
+            let resent = outcome(sessions, id, epoch(seq, seq as f64)).await.result.unwrap();
+            assert!(resent.resent && resent.solution.seq == seq);
+            assert!(seq != oldest || resent.solution == solution);
+        }
+        let conflict = outcome(sessions, id, epoch(oldest + 1, 7e5)).await;
+        assert_eq!(refusal(&conflict), "SEQUENCE_CONFLICT");
+    }
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let again = Recomputation::open(store, aiding, id, None).await.unwrap();
+    assert_eq!(again.began_after(), Some(oldest - 1));
+    let check = again.check().await.unwrap();
+    assert!(check.is_same(), "{check:?}");
+    assert_eq!(check.compared as u64, DAYS * PER_DAY + 1 - oldest);
+    assert_eq!(check.began_after, Some(oldest - 1));
+    let next = DAYS * PER_DAY + 1;
+    assert!(outcome(&restarted, id, epoch(next, next as f64)).await.result.is_ok());
+
+    for id in &devices {
+        restarted.close(id).await.unwrap();
+    }
+    clock.set(START + 30 * MS_PER_DAY);
+    restarted.remove_expired().await.unwrap();
+    assert_eq!(database.count("epochs").await, 0);
+    if database.url.starts_with("sqlite") {
+        let (used, file) = database.bytes().await;
+        assert!(file * 3 <= used * 4, "{file} bytes, of which {used} are used");
+    }
+}
+
+/// A session's own retention takes the place of the service's, also after a change.
+async fn a_session_has_its_own_retention(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let mut devices = Vec::new();
+    for retention_days in [Some(0), Some(1), Some(4)] {
+        let new = NewSession { retention_days, ..new_session() };
+        devices.push(sessions.create(new).await.unwrap().id);
+    }
+    let oldest = async |id: &SessionId| sessions.get(id).await.unwrap().oldest_available;
+    for day in 0..4 {
+        for id in &devices {
+            live_a_day(&sessions, &clock, id, day).await;
+        }
+    }
+    sessions.remove_expired().await.unwrap();
+    assert_eq!(oldest(&devices[0]).await, None);
+    assert!(PER_DAY < oldest(&devices[1]).await.unwrap());
+    assert_eq!(oldest(&devices[2]).await, None);
+    let update = |days| graphfix::session::SessionUpdate {
+        retention_days: Some(days),
+        ..Default::default()
+    };
+    assert_eq!(sessions.update(&devices[2], update(1)).await.unwrap().retention_days, 1);
+    sessions.remove_expired().await.unwrap();
+    assert_eq!(oldest(&devices[2]).await, oldest(&devices[1]).await);
+    let refused = sessions.update(&devices[2], update(36_501)).await.unwrap_err();
+    assert_eq!(refused.code().name(), "INVALID_FIELD");
+}
+
+/// Nothing of a closed session has to be replayed, so all of it expires.
+async fn a_closed_session_expires(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let id = sessions.create(new_session()).await.unwrap().id;
+    let epochs = (1..=40).map(|seq| epoch(seq, seq as f64)).collect();
+    sessions.submit(&id, epochs).await.unwrap();
+    sessions.close(&id).await.unwrap();
+    for (days, left) in [(2, 40), (3, 0)] {
+        clock.set(START + days * MS_PER_DAY);
+        sessions.remove_expired().await.unwrap();
+        assert_eq!(database.count("epochs").await, left, "after {days} days");
+    }
+    let listed = sessions.solutions(&id, &whole_session()).await.unwrap();
+    assert_eq!((listed.page.items.len(), listed.oldest_available), (0, Some(41)));
+    for table in ["solutions", "snapshots"] {
+        assert_eq!(database.count(table).await, 0, "{table}");
+    }
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
+    assert!(check.is_same() && check.compared == 0, "{check:?}");
+}
+
+/// A snapshot of another version cannot be read: then the next day's is the beginning, and without
+/// any a replay is refused by name.
+async fn a_replay_needs_a_readable_snapshot(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let id = sessions.create(new_session()).await.unwrap().id;
+    for day in 0..5 {
+        live_a_day(&sessions, &clock, &id, day).await;
+    }
+    sessions.remove_expired().await.unwrap();
+    let oldest = sessions.get(&id).await.unwrap().oldest_available.unwrap();
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let open = async || Recomputation::open(store.clone(), aiding.clone(), &id, None).await;
+    assert_eq!(open().await.unwrap().began_after(), Some(oldest - 1));
+    let byte = if database.url.starts_with("sqlite") { "x'ff'" } else { "'\\xff'" };
+    let damage = format!("UPDATE kept_snapshots SET content = {byte}");
+    database.execute(&format!("{damage} WHERE seq < {oldest}")).await;
+    let later = open().await.unwrap();
+    assert!(Some(oldest) < later.began_after());
+    let check = later.check().await.unwrap();
+    assert!(check.is_same() && 0 < check.compared, "{check:?}");
+    database.execute(&damage).await;
+    let refused = open().await.map(|_| ()).unwrap_err();
+    assert_eq!(refused.code().name(), "REPLAY_START_MISSING");
+}
+
+/// The REST door takes the option, checks it, and shows what is in force.
+#[tokio::test]
+async fn retention_is_an_option_of_a_session() {
+    let doors = Doors::open().await;
+    let (status, session) = doors.post("/v1/sessions", json!({"retentionDays": 3})).await;
+    assert_eq!((status, &session["retentionDays"]), (StatusCode::CREATED, &json!(3)));
+    assert_eq!(session["oldestAvailableSeq"], json!(null));
+    let path = format!("/v1/sessions/{}", session["session"].as_str().unwrap());
+    let (status, session) = doors.send("PATCH", &path, json!({"retentionDays": 0})).await;
+    assert_eq!((status, &session["retentionDays"]), (StatusCode::OK, &json!(0)));
+    let (status, refused) = doors.post("/v1/sessions", json!({"retentionDays": 36_501})).await;
+    assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
+    assert_eq!(refused["field"], json!("retentionDays"));
+}
