@@ -22,3 +22,4 @@ mod sessions;
 mod simulation;
 mod storage;
 mod store;
+mod upgrade;

@@ -1,0 +1,218 @@
+//! A database of the first schema with raw streams, feeds and archives (migrations 1 to 8, layouts 1
+//! of epochs and 3 of solutions and snapshots) is opened, listed, continued and replayed.
+
+use std::path::Path;
+
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::gnss::{Reason, SatelliteId, Solution};
+use graphfix::session::{Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions};
+use graphfix::store::{Store, StoredSolution};
+use sqlx::migrate::Migrator;
+use sqlx::{Connection, PgConnection, SqliteConnection};
+
+use crate::support::database::{Database, on_both_databases, whole_session};
+use crate::support::sessions::{created, desk, epoch};
+
+on_both_databases!(a_populated_database_of_the_eighth_schema_is_upgraded);
+
+const SCHEMA: i64 = 8;
+const HASH: &str = "87fd338087fd338087fd338087fd338087fd338087fd338087fd338087fd3380";
+const VERSION: &str = "0.0.9";
+const EPOCHS: u64 = 5;
+
+/// Applies the migrations up to [`SCHEMA`].
+async fn make_schema(database: &Database) {
+    let is_sqlite = database.url.starts_with("sqlite");
+    let folder = if is_sqlite { "migrations/sqlite" } else { "migrations/postgres" };
+    let all = Migrator::new(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).await.unwrap();
+    let known = all.iter().filter(|migration| migration.version <= SCHEMA).cloned().collect();
+    let known = Migrator::with_migrations(known);
+    if is_sqlite {
+        let url = format!("{}?mode=rwc", database.url);
+        let mut connection = SqliteConnection::connect(&url).await.unwrap();
+        known.run_direct(None, &mut connection, false).await.unwrap();
+    } else {
+        let mut connection = PgConnection::connect(&database.url).await.unwrap();
+        known.run_direct(None, &mut connection, false).await.unwrap();
+    }
+}
+
+fn varint(mut value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while 0x80 <= value {
+        bytes.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    bytes.push(value as u8);
+    bytes
+}
+
+fn zigzag(value: i64) -> Vec<u8> {
+    varint(((value << 1) ^ (value >> 63)) as u64)
+}
+
+/// A time of whole seconds.
+fn time(ns: i64) -> Vec<u8> {
+    assert_eq!(ns % 1_000_000_000, 0);
+    [vec![1], zigzag(ns / 1_000_000_000)].concat()
+}
+
+/// Number of the constellation, and that of the satellite; GPS only.
+fn satellite(satellite: SatelliteId) -> Vec<u8> {
+    assert_eq!(satellite.to_string().as_bytes()[0], b'G');
+    vec![0, satellite.number]
+}
+
+fn text(text: &str) -> Vec<u8> {
+    [varint(text.len() as u64), text.as_bytes().to_vec()].concat()
+}
+
+/// Layout 1 of an epoch with one pseudorange.
+fn former_epoch(SequencedEpoch { epoch, .. }: &SequencedEpoch) -> Vec<u8> {
+    let [observation] = &epoch.observations[..] else { panic!("one observation") };
+    let millimetres = (observation.pseudorange_m.unwrap() * 1e3).round() as i64;
+    let (power_failure, count, flags, tags) = (0, 1, 0, 1);
+    [
+        vec![1],
+        time(epoch.time.as_ns()),
+        vec![power_failure, count],
+        satellite(observation.satellite),
+        vec![b'1', b'C', flags, tags],
+        zigzag(millimetres),
+    ]
+    .concat()
+}
+
+/// Layout 3 of a solution without position.
+fn former_solution(solution: &Solution) -> Vec<u8> {
+    assert!(solution.estimate.is_none() && solution.provenance.ephemerides.is_empty());
+    let (status, estimate, ephemerides, base) = (0, 0, 0, 0);
+    let reason = |reason: &Reason| match reason {
+        Reason::EphemerisMissing { satellites } => {
+            let list = satellites.iter().flat_map(|id| satellite(*id)).collect();
+            [vec![0], varint(satellites.len() as u64), list].concat()
+        }
+        Reason::TooFewSatellites { used, needed } => {
+            [vec![1], varint(*used as u64), varint(*needed as u64)].concat()
+        }
+        other => panic!("{other:?} is not expected of an epoch without ephemeris"),
+    };
+    [
+        vec![3],
+        time(solution.time.as_ns()),
+        vec![status, estimate],
+        varint(solution.reasons.len() as u64),
+        solution.reasons.iter().flat_map(reason).collect(),
+        vec![ephemerides, base],
+        text(VERSION),
+        text(HASH),
+    ]
+    .concat()
+}
+
+/// The answers of today to the epochs, and the options in force but those that are newer.
+async fn answers() -> (Vec<StoredSolution>, String) {
+    let database = Database::sqlite();
+    let sessions = desk(&database.store().await).await;
+    let id = created(&sessions).await;
+    sessions.submit(&id, epochs(1..=EPOCHS)).await.unwrap();
+    let options = sessions.get(&id).await.unwrap().configuration.into_iter();
+    let former = options.filter(|option| !option.name.starts_with("integrity."));
+    let options: serde_json::Map<_, _> =
+        former.map(|option| (option.name.to_owned(), option.value.into())).collect();
+    let page = sessions.solutions(&id, &whole_session()).await.unwrap().page;
+    (page.items, serde_json::Value::Object(options).to_string())
+}
+
+fn epochs(seqs: impl Iterator<Item = u64>) -> Vec<SequencedEpoch> {
+    seqs.map(|seq| epoch(seq, seq as f64)).collect()
+}
+
+/// Stores a session, its epochs and solutions, and a snapshot, as that schema and its layouts did.
+async fn populate(database: &Database, id: &str, closed: bool) -> Vec<StoredSolution> {
+    let is_sqlite = database.url.starts_with("sqlite");
+    let blob = |bytes: &[u8]| {
+        let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        if is_sqlite { format!("x'{hex}'") } else { format!("'\\x{hex}'") }
+    };
+    let (answers, options) = answers().await;
+    let closed = if closed { "1700000009000" } else { "NULL" };
+    let mut sql = vec![format!(
+        "INSERT INTO sessions (id, label, mode, profile, overrides, configuration, \
+         configuration_hash, created_unix_ms, closed_unix_ms) VALUES ('{id}', 'old', 'spp', \
+         'general', '{{}}', '{options}', '{HASH}', 1700000000000, {closed})"
+    )];
+    let key = format!("(SELECT key FROM sessions WHERE id = '{id}')");
+    for (answer, epoch) in answers.iter().zip(epochs(1..=EPOCHS)) {
+        let (seq, ns) = (epoch.seq, epoch.epoch.time.as_ns());
+        let content = blob(&former_epoch(&epoch));
+        sql.push(format!(
+            "INSERT INTO epochs (session, seq, gps_time_ns, content, navigation) \
+             VALUES ({key}, {seq}, {ns}, {content}, 0)"
+        ));
+        let content = blob(&former_solution(&answer.solution));
+        sql.push(format!(
+            "INSERT INTO solutions (session, seq, revision, gps_time_ns, status, content) \
+             VALUES ({key}, {seq}, 0, {ns}, 0, {content})"
+        ));
+    }
+    let layout_3_of_an_estimator = blob(&[3, 0, 1, 2, 3]);
+    sql.push(format!(
+        "INSERT INTO snapshots (session, seq, configuration_hash, content) \
+         VALUES ({key}, 3, '{HASH}', {layout_3_of_an_estimator})"
+    ));
+    sql.push(format!(
+        "INSERT INTO configurations (hash, mode, profile, configuration) \
+         VALUES ('{HASH}', 'spp', 'general', '{options}') ON CONFLICT (hash) DO NOTHING"
+    ));
+    for sql in sql {
+        database.execute(&sql).await;
+    }
+    answers
+}
+
+async fn check(store: &Store, id: &SessionId, least: usize) {
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let again = Recomputation::open(store.clone(), aiding, id, None).await.unwrap();
+    assert_eq!(again.began_after(), None, "a replay begins with the session");
+    let check = again.check().await.unwrap();
+    assert!(check.is_same() && least <= check.compared, "{check:?}");
+}
+
+async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Database) {
+    make_schema(&database).await;
+    let (open, closed) = (SessionId::random(), SessionId::random());
+    let answers = populate(&database, open.as_str(), false).await;
+    populate(&database, closed.as_str(), true).await;
+    let refused = Store::open_read_only(&database.url).await.unwrap_err();
+    assert_eq!(refused.code().name(), "DATABASE_SCHEMA_OLDER");
+
+    let store = database.store().await;
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let sessions = Sessions::open(store.clone(), aiding, SessionLimits::service());
+    let listed = sessions.list(10, None).await.unwrap().items;
+    assert_eq!(listed.iter().map(|info| &info.id).collect::<Vec<_>>(), [&closed, &open]);
+    assert_eq!(listed[0].closed_unix_ms, Some(1_700_000_009_000));
+    for info in &listed {
+        assert_eq!(info.durable_through, Some(EPOCHS));
+        assert_eq!((info.retention_days, info.oldest_available), (0, None));
+        let page = sessions.solutions(&info.id, &whole_session()).await.unwrap().page;
+        assert_eq!(page.items.len() as u64, EPOCHS);
+        for (stored, answer) in page.items.iter().zip(&answers) {
+            assert_eq!((stored.seq, &stored.solution), (answer.seq, &answer.solution));
+            assert_eq!((&*stored.version, &*stored.configuration_hash), (VERSION, HASH));
+        }
+        check(&store, &info.id, EPOCHS as usize).await;
+    }
+
+    let resent = sessions.submit(&open, epochs(2..=3)).await.unwrap().outcomes;
+    assert!(resent.iter().all(|outcome| outcome.result.as_ref().unwrap().resent));
+    let other = sessions.submit(&open, vec![epoch(3, 3.5)]).await.unwrap().outcomes.remove(0);
+    assert_eq!(other.result.unwrap_err().code().name(), "SEQUENCE_CONFLICT");
+    // The snapshot of that time cannot be read: the state is rebuilt from the stored epochs.
+    let next = sessions.submit(&open, epochs(EPOCHS + 1..=2 * EPOCHS)).await.unwrap();
+    assert_eq!(next.durable_through, Some(2 * EPOCHS));
+    check(&store, &open, 2 * EPOCHS as usize).await;
+    sessions.drain().await;
+    store.close().await;
+}
