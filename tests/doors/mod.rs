@@ -11,6 +11,7 @@ mod errors;
 mod feeds;
 mod grpc;
 mod http;
+mod lifecycle;
 mod nearest;
 mod network_casters;
 mod networks;
