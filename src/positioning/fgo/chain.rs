@@ -327,7 +327,7 @@ impl Chain {
             let mut range = Ranging::new(sight, measurement, bias);
             if setup.judges_by_mixture() {
                 let signal = Signal::of(measurement, common_m);
-                range.follow(self.receiver.code_error(&signal));
+                range.follow(self.receiver.code_error(constellation, &signal));
                 scratch.signals.push(signal);
             }
             factors.ranges.push(range);

@@ -1,12 +1,14 @@
 //! Noise of pseudoranges and probability of reflection by C/N0, relative to an estimated level.
 //!
 //! Receivers report C/N0 differently, and streets weaken direct signals differently. One parameter
-//! describes both: S₀, the C/N0 at which half of the signals are reflections. With a = S − S₀ (dB):
+//! for each constellation describes both: S₀, the C/N0 at which half of the signals are
+//! reflections. With a = S − S₀ (dB):
 //!
 //! π = 1/(1 + e^(a/3 dB)), within 0.02 … 0.98
 //! σ² = (1 m)² + ½·(0.5 m/sin E)² + (4 m·10^(−a/20))² + i²
 //!
-//! S₀ has a normal prior of 32 ± 6 dB-Hz on a grid of 2 dB. Its likelihood is that of the
+//! The S₀ are normal about a common level, with a standard deviation of 3 dB; that level has a
+//! normal prior of 32 ± 6 dB-Hz. All are on one grid of 2 dB. The likelihood is that of the
 //! residuals, each weighted by its independent share. The floor of 1 m is multipath of a strong
 //! signal with orbit and clock errors; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
 //! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
@@ -15,7 +17,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, LN_10};
 
-use crate::gnss::SatelliteId;
+use crate::gnss::{Constellation, SatelliteId};
 use crate::positioning::Measurement;
 use crate::snapshot::snapshot_fields;
 
@@ -30,6 +32,10 @@ const STEP_DB: f64 = 2.0;
 const VALUES: usize = 15;
 /// Mean and standard deviation of the prior (dB-Hz).
 const PRIOR_DB_HZ: (f64, f64) = (32.0, 6.0);
+/// Standard deviation of the constellations' levels about the common one (dB): the interface
+/// specifications of GPS, GLONASS, Galileo and BeiDou guarantee powers on L1 that differ by some
+/// decibels, and receivers track different modulations differently.
+const SPREAD_DB: f64 = 3.0;
 /// Width of the logistic function of the probability of reflection (dB).
 const LOGISTIC_DB: f64 = 3.0;
 /// The same where S₀ is unknown (dB).
@@ -83,44 +89,90 @@ pub(in crate::positioning) struct CodeResidual {
     pub(in crate::positioning) residual_m: f64,
 }
 
-/// Posterior of S₀.
+/// The levels S₀ of one receiver, one for each constellation.
 #[derive(Clone, Debug)]
 pub(super) struct CodeNoise {
-    level: Grid<VALUES>,
+    /// Likelihood of each constellation's level by its own residuals.
+    evidence: [Grid<VALUES>; Constellation::COUNT],
+    /// Posterior means (dB-Hz).
+    levels_db_hz: [f64; Constellation::COUNT],
 }
 
-snapshot_fields!(CodeNoise { level });
+snapshot_fields!(CodeNoise { evidence, levels_db_hz });
 
 impl Default for CodeNoise {
     fn default() -> Self {
-        Self { level: Grid::new(prior) }
+        Self {
+            evidence: [Grid::new(no_evidence); Constellation::COUNT],
+            levels_db_hz: [PRIOR_DB_HZ.0; Constellation::COUNT],
+        }
     }
+}
+
+fn no_evidence(_index: f64) -> f64 {
+    0.0
 }
 
 fn level_db_hz(index: f64) -> f64 {
     FIRST_DB_HZ + STEP_DB * index
 }
 
-fn prior(index: f64) -> f64 {
-    let (mean, deviation) = PRIOR_DB_HZ;
-    -0.5 * ((level_db_hz(index) - mean) / deviation).powi(2)
+/// A normal density, one at its mean.
+fn normal(distance_db: f64, deviation_db: f64) -> f64 {
+    (-0.5 * (distance_db / deviation_db).powi(2)).exp()
 }
 
 impl CodeNoise {
-    /// Error model of a pseudorange for the mean of S₀.
-    pub(super) fn error(&self, signal: &Signal) -> CodeError {
-        error_at(level_db_hz(self.level.moments().0), signal)
+    /// Error model of a pseudorange for the mean of its constellation's level.
+    pub(super) fn error(&self, constellation: Constellation, signal: &Signal) -> CodeError {
+        error_at(self.levels_db_hz[constellation.index()], signal)
     }
 
     /// Updates with the residuals of an epoch, each with the weight `share` of an independent one.
     pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[CodeResidual]) {
-        self.level.fade(kept(interval_s), prior);
-        self.level.update(|index| {
-            let level = level_db_hz(index);
-            let density = |r: &CodeResidual| error_at(level, &r.signal).density(r.residual_m);
-            share * log_product(residuals.iter().map(density))
-        });
+        for (constellation, evidence) in Constellation::ALL.into_iter().zip(&mut self.evidence) {
+            evidence.fade(kept(interval_s), no_evidence);
+            let own = || residuals.iter().filter(|r| r.satellite.constellation == constellation);
+            if own().next().is_some() {
+                evidence.update(|index| {
+                    let level = level_db_hz(index);
+                    let density =
+                        |r: &CodeResidual| error_at(level, &r.signal).density(r.residual_m);
+                    share * log_product(own().map(density))
+                });
+            }
+        }
+        self.levels_db_hz = means(&self.evidence.each_ref().map(Grid::relative));
     }
+}
+
+/// Posterior means of the levels (dB-Hz), given the likelihoods of each on the grid.
+///
+/// With L the common level, p(S₀ of c) ∝ l_c(S₀)·Σ_L N(S₀; L, 3 dB)·p(L | all but c), and p(L | all
+/// but c) ∝ prior(L)·Π_{d≠c} Σ_{S₀} N(S₀; L, 3 dB)·l_d(S₀).
+fn means(likelihoods: &[[f64; VALUES]; Constellation::COUNT]) -> [f64; Constellation::COUNT] {
+    let kernel: [f64; VALUES] = std::array::from_fn(|n| normal(STEP_DB * n as f64, SPREAD_DB));
+    let spread = |values: &[f64; VALUES]| -> [f64; VALUES] {
+        std::array::from_fn(|i| {
+            values.iter().enumerate().map(|(k, value)| kernel[i.abs_diff(k)] * value).sum()
+        })
+    };
+    let messages = likelihoods.each_ref().map(spread);
+    let (mean, deviation) = PRIOR_DB_HZ;
+    std::array::from_fn(|own| {
+        let mut common: [f64; VALUES] =
+            std::array::from_fn(|i| normal(level_db_hz(i as f64) - mean, deviation));
+        for (_, message) in messages.iter().enumerate().filter(|(other, _)| *other != own) {
+            common.iter_mut().zip(message).for_each(|(product, factor)| *product *= factor);
+        }
+        let (mut sum, mut first) = (0.0, 0.0);
+        for (i, (expected, likelihood)) in spread(&common).iter().zip(&likelihoods[own]).enumerate()
+        {
+            sum += expected * likelihood;
+            first += expected * likelihood * level_db_hz(i as f64);
+        }
+        first / sum
+    })
 }
 
 /// Chance of reflection by the prior of S₀ alone.
@@ -169,20 +221,44 @@ mod tests {
         assert_eq!(strong.reflected, 0.02);
     }
 
+    fn learnt(satellite: &str, residual_m: f64) -> [f64; Constellation::COUNT] {
+        let mut noise = CodeNoise::default();
+        let residual = CodeResidual {
+            satellite: satellite.parse().unwrap(),
+            signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, ionosphere_m: 0.0 },
+            sigma_m: 4.0,
+            residual_m,
+        };
+        (0..60).for_each(|_| noise.learn(1.0, 0.1, &[residual; 8]));
+        noise.levels_db_hz
+    }
+
     /// Residuals of half a metre at 30 dB-Hz lower the level; residuals 30 m late raise it.
     #[test]
     fn the_level_follows_the_residuals() {
-        let learnt = |residual_m: f64| {
-            let mut noise = CodeNoise::default();
-            let residual = CodeResidual {
-                satellite: "G01".parse().unwrap(),
-                signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, ionosphere_m: 0.0 },
-                sigma_m: 4.0,
-                residual_m,
-            };
-            (0..60).for_each(|_| noise.learn(1.0, 0.1, &[residual; 8]));
-            level_db_hz(noise.level.moments().0)
-        };
-        assert!(learnt(0.5) < 26.0 && 36.0 < learnt(30.0), "{} {}", learnt(0.5), learnt(30.0));
+        let level = |residual_m| learnt("E01", residual_m)[Constellation::Galileo.index()];
+        assert!(level(0.5) < 26.0 && 36.0 < level(30.0), "{} {}", level(0.5), level(30.0));
+    }
+
+    /// Galileo's residuals say 36 ± 3 dB-Hz. The prior of each level is 32 ± √(6² + 3²) dB-Hz, with a
+    /// correlation of 6²/(6² + 3²) = 0.8: Galileo moves by 4·45/(45 + 9) = 3.33 dB, the others by 0.8
+    /// of that.
+    #[test]
+    fn a_constellation_without_residuals_follows_the_others() {
+        let mut likelihoods = [[1.0; VALUES]; Constellation::COUNT];
+        likelihoods[Constellation::Galileo.index()] =
+            std::array::from_fn(|i| normal(level_db_hz(i as f64) - 36.0, 3.0));
+        for (constellation, level) in Constellation::ALL.into_iter().zip(means(&likelihoods)) {
+            let moved_db = if constellation == Constellation::Galileo { 3.33 } else { 2.67 };
+            assert!((level - PRIOR_DB_HZ.0 - moved_db).abs() < 0.2, "{constellation:?} {level}");
+        }
+    }
+
+    /// Without residuals all levels are near the prior's mean; the grid's lower end, which is nearer
+    /// than the upper one, cuts off more.
+    #[test]
+    fn no_evidence_leaves_the_prior() {
+        let uniform = [[1.0; VALUES]; Constellation::COUNT];
+        assert!(means(&uniform).iter().all(|level| (level - PRIOR_DB_HZ.0).abs() < 1.0));
     }
 }

@@ -30,6 +30,12 @@ impl<const N: usize> Grid<N> {
         }
     }
 
+    /// The likelihoods, the largest of which is one.
+    pub(super) fn relative(&self) -> [f64; N] {
+        let top = self.log.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.log.map(|log| (log - top).exp())
+    }
+
     /// Mean and standard deviation of the index.
     pub(super) fn moments(&self) -> (f64, f64) {
         let top = self.log.iter().copied().fold(f64::NEG_INFINITY, f64::max);

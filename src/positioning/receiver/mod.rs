@@ -25,6 +25,7 @@ mod vertical_speed;
 
 use nalgebra::SMatrix;
 
+use crate::gnss::Constellation;
 use crate::snapshot::state_fields;
 
 use super::Measurement;
@@ -108,8 +109,8 @@ impl ReceiverModel {
     }
 
     /// Error model of a pseudorange.
-    pub(super) fn code_error(&self, signal: &Signal) -> CodeError {
-        self.code.error(signal)
+    pub(super) fn code_error(&self, constellation: Constellation, signal: &Signal) -> CodeError {
+        self.code.error(constellation, signal)
     }
 
     /// Independent share of a pseudorange's information, `spacing_s` after the last pseudorange of
