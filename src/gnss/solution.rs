@@ -199,7 +199,8 @@ pub enum Reason {
     FixRejected,
     /// Integers are fixed, but too few for a position within centimetres.
     FixImprecise {
-        /// Largest horizontal standard deviation of the position with these integers (m).
+        /// Standard deviation of the position with these integers that is too large (m): the
+        /// greatest horizontal one, or the vertical one.
         sigma_m: f64,
     },
     /// Phases with a possible half-cycle error keep real-valued ambiguities.

@@ -18,6 +18,9 @@ const MISFIT_SIGMAS: f64 = 4.0;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
 const UNDETECTED_SHIFT_MAX_M: f64 = 0.1;
 
+/// Consecutive epochs that must find the same integers, unless they are as probable as
+/// [`CONFIRMED`]: multipath of phases changes within seconds and integers do not.
+const FOUND_EPOCHS: u32 = 2;
 /// Prior probability of confirmed integers in the test without one satellite.
 const CONFIRMED: f64 = 0.9999;
 /// The same for integers that are not confirmed yet.
@@ -95,7 +98,8 @@ impl Tracking {
             self.confirmation.is_confirmed() && self.confirmed_period == Some(self.hold.period);
         let mut resolution =
             search.resolve(&mut self.arcs, &mut self.hold, &question, is_confirmed);
-        if resolution.outcome.is_ok() && !self.is_confirmed(&question, search) {
+        let probability = resolution.outcome.as_ref().map(|fixed| fixed.probability);
+        if probability.is_ok_and(|found| !self.is_confirmed(found, &question, search)) {
             return resolution.refused(Reason::FixRejected);
         }
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
@@ -121,9 +125,15 @@ impl Tracking {
         resolution
     }
 
-    /// Whether the searches without each satellite confirm the held integers. Confirmed integers
-    /// are dropped if such a search finds others that are likelier.
-    fn is_confirmed(&mut self, question: &IntegerQuestion<'_>, search: &mut IntegerSearch) -> bool {
+    /// Whether the searches without each satellite confirm the held integers of this probability,
+    /// and the epoch before found them too if they are not nearly certain. Confirmed integers are
+    /// dropped if such a search finds others that are likelier.
+    fn is_confirmed(
+        &mut self,
+        probability: f64,
+        question: &IntegerQuestion<'_>,
+        search: &mut IntegerSearch,
+    ) -> bool {
         if question.options.single_epoch {
             return true;
         }
@@ -144,7 +154,8 @@ impl Tracking {
             hold.drop_all(arcs, verdict == Separated::Contradicts);
         }
         hold.was_held |= confirmation.is_confirmed();
-        confirmation.is_confirmed()
+        let is_repeated = FOUND_EPOCHS <= hold.consecutive_epochs;
+        confirmation.is_confirmed() && (is_repeated || CONFIRMED <= probability)
     }
 
     /// Writes the residuals of the phases with integers at a position to the scratch; returns the

@@ -6,7 +6,7 @@ use crate::positioning::differencing::DifferenceGroup;
 use crate::positioning::rtk::observed::{ArcReference, FREEDOM_LEAST, HeldInteger};
 
 use super::acceptance::lambda_options;
-use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
+use super::fixed_position::{FixedPosition, fixed_position};
 use super::float::FloatSolution;
 use super::integers::DISAGREEMENT;
 use super::joint::{Joint, condition, given_unfixed_ambiguities};
@@ -62,7 +62,7 @@ pub(crate) fn condition_on_known_integers(
         && (squared_norm <= DISAGREEMENT * held as f64
             || are_found(&joint.of(&known), &integers, resolver, options));
     let fixed = fixed_position(&rest, held, probability);
-    (agree && fixed.horizontal_sigma_m() <= FIXED_SIGMA_M).then_some(fixed)
+    (agree && fixed.excessive_sigma_m().is_none()).then_some(fixed)
 }
 
 /// The first ambiguity of a group with the newest datum.

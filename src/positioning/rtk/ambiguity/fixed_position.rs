@@ -21,7 +21,10 @@ const REDUNDANCY_MIN: f64 = 1e-9;
 /// Prior information on the cycles that all phases of a group share (1/cycles²): σ = 1000 cycles.
 const COMMON_INFORMATION: f64 = 1e-6;
 /// Largest horizontal standard deviation of a fix (m): 95 % of its errors are within 12 cm.
-pub(crate) const FIXED_SIGMA_M: f64 = 0.05;
+const FIXED_SIGMA_M: f64 = 0.05;
+/// Largest vertical standard deviation of a fix (m). All satellites are above the receiver, so the
+/// height is two to three times less certain than the horizontal position.
+const FIXED_SIGMA_UP_M: f64 = 3.0 * FIXED_SIGMA_M;
 
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
@@ -37,10 +40,15 @@ pub(crate) struct FixedPosition {
 }
 
 impl FixedPosition {
-    /// Greatest horizontal standard deviation (m).
-    pub(crate) fn horizontal_sigma_m(&self) -> f64 {
+    /// The standard deviation that is too large for a fix, if one is: the greatest horizontal one,
+    /// else the vertical one (m).
+    pub(crate) fn excessive_sigma_m(&self) -> Option<f64> {
         let horizontal = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        horizontal.symmetric_eigenvalues().max().sqrt()
+        let horizontal_m = horizontal.symmetric_eigenvalues().max().sqrt();
+        let vertical_m = self.covariance[(2, 2)].sqrt();
+        let is_excessive = |(sigma_m, limit_m): &(f64, f64)| limit_m < sigma_m;
+        let both = [(horizontal_m, FIXED_SIGMA_M), (vertical_m, FIXED_SIGMA_UP_M)];
+        both.into_iter().find(is_excessive).map(|(sigma_m, _)| sigma_m)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 use super::acceptance::{any_integers, lambda_options, refusal};
 use super::confirmation::Verdict;
 use super::differences::{Differences, DoubleDifference};
-use super::fixed_position::{FIXED_SIGMA_M, FixedPosition, fixed_position};
+use super::fixed_position::{FixedPosition, fixed_position};
 use super::float::FloatSolution;
 use super::hold::{Found, HoldState};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
@@ -52,11 +52,11 @@ impl Resolution {
         Self { outcome: Err(reason), ..self }
     }
 
-    /// Rejects a fix with σ_h > 5 cm.
+    /// Rejects a fix with a horizontal standard deviation above 5 cm or a vertical one above 15 cm.
     pub(crate) fn require_precise(self) -> Self {
-        let precise = |fixed: FixedPosition| {
-            let sigma_m = fixed.horizontal_sigma_m();
-            if FIXED_SIGMA_M < sigma_m { Err(Reason::FixImprecise { sigma_m }) } else { Ok(fixed) }
+        let precise = |fixed: FixedPosition| match fixed.excessive_sigma_m() {
+            Some(sigma_m) => Err(Reason::FixImprecise { sigma_m }),
+            None => Ok(fixed),
         };
         Self { outcome: self.outcome.and_then(precise), ..self }
     }
@@ -521,18 +521,25 @@ mod tests {
         assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
     }
 
-    /// Integers that leave the position uncertain by more than 5 cm are no fix.
+    /// Integers that leave the position uncertain by more than 5 cm, or the height by more than
+    /// 15 cm, are no fix.
     #[test]
     fn an_uncertain_position_is_refused() {
-        let outcome = |sigma_m: f64| {
-            let covariance = Matrix3::identity() * sigma_m.powi(2);
+        let outcome = |horizontal_m: f64, vertical_m: f64| {
+            let sigmas = Vector3::new(horizontal_m, 0.01, vertical_m);
+            let covariance = Matrix3::from_diagonal(&sigmas.map(|sigma_m| sigma_m.powi(2)));
             let position = Vector3::zeros();
             let fixed = FixedPosition { position, covariance, held: 8, probability: 0.999 };
             let (ratio, success_rate) = (None, None);
             let outcome = Ok(fixed);
             Resolution { ambiguities: 9, ratio, success_rate, outcome }.require_precise().outcome
         };
-        assert!(outcome(0.04).is_ok());
-        assert!(matches!(outcome(0.06), Err(Reason::FixImprecise { .. })));
+        assert!(outcome(0.04, 0.14).is_ok());
+        let refused = |outcome, stated_m: f64| match outcome {
+            Err(Reason::FixImprecise { sigma_m }) => (sigma_m - stated_m).abs() < 1e-12,
+            _ => false,
+        };
+        assert!(refused(outcome(0.06, 0.14), 0.06));
+        assert!(refused(outcome(0.04, 0.16), 0.16));
     }
 }

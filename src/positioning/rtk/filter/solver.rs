@@ -192,8 +192,8 @@ impl FilterState {
     }
 }
 
-/// Updates with all rows of an epoch, group by group. Returns two numbers of pseudoranges: those
-/// that passed the innovation test, and all.
+/// Updates with all rows of an epoch: each group of pseudoranges, then the carriers. Returns two
+/// numbers of pseudoranges: those that passed the innovation test, and all.
 fn enter(
     gaussian: &mut Gaussian,
     epoch: &RtkEpoch,
@@ -205,16 +205,14 @@ fn enter(
     epoch.linearize_rates(&gaussian.state(), scratch);
     gaussian.enter(&scratch.rows, limit, gains);
     let mut pseudoranges = (0, 0);
-    for is_carrier in [false, true] {
-        for group in epoch.groups.iter().filter(|group| group.is_carrier == is_carrier) {
-            epoch.see(&gaussian.state(), scratch);
-            epoch.linearize_group(group, gaussian.border(), scratch);
-            let passed = gaussian.enter(&scratch.rows, limit, gains);
-            if !is_carrier {
-                pseudoranges.0 += passed;
-                pseudoranges.1 += scratch.rows.len();
-            }
-        }
+    for group in epoch.groups.iter().filter(|group| !group.is_carrier) {
+        epoch.see(&gaussian.state(), scratch);
+        epoch.linearize_group(group, gaussian.border(), scratch);
+        pseudoranges.0 += gaussian.enter(&scratch.rows, limit, gains);
+        pseudoranges.1 += scratch.rows.len();
     }
+    epoch.see(&gaussian.state(), scratch);
+    epoch.linearize_carriers(gaussian.border(), scratch);
+    gaussian.enter(&scratch.rows, limit, gains);
     pseudoranges
 }

@@ -26,7 +26,8 @@ pub(crate) struct EpochAmbiguity {
     pub(crate) wavelength_m: f64,
 }
 
-/// A single difference as a row: r = (ρ(s, p) + λN + o − z) / σ, o shared by its group.
+/// A single difference as a row: r = (ρ(s, p) + λN + o − z) / σ. The offset o is the difference of
+/// the receivers' clocks: one for each group of pseudoranges, one for all carriers.
 ///
 /// Wen & Hsu (2021), (15) and (16), before the difference between satellites; N is there for
 /// carrier phases.
@@ -63,7 +64,8 @@ impl DifferenceFactor {
     }
 }
 
-/// Rows that share an offset.
+/// Rows of one signal: pseudoranges that share an offset, or carriers whose ambiguities differ by
+/// integers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Group {
     pub(crate) begin: usize,
@@ -181,6 +183,24 @@ impl RtkEpoch {
         rows.extend(factors.iter().map(|factor| factor.linearize(&ranges[factor.sight], border)));
     }
 
+    /// The rows of all carriers at offset zero, into the scratch, after [`Self::see`], in the order
+    /// of [`Self::carriers`].
+    ///
+    /// They share one offset: all carriers of a receiver are measured against one oscillator. What
+    /// differs between constellations and bands is constant, and part of their ambiguities.
+    pub(crate) fn linearize_carriers(&self, border: &[f64], scratch: &mut RowScratch) {
+        let (ranges, rows) = (&scratch.ranges, &mut scratch.rows);
+        let factors = self.carriers().map(|index| &self.rows[index]);
+        rows.clear();
+        rows.extend(factors.map(|factor| factor.linearize(&ranges[factor.sight], border)));
+    }
+
+    /// Indices of the rows of carriers.
+    pub(crate) fn carriers(&self) -> impl Iterator<Item = usize> + '_ {
+        let groups = self.groups.iter().filter(|group| group.is_carrier);
+        groups.flat_map(|group| group.begin..group.end)
+    }
+
     /// The rows of the Doppler shifts at drift zero, into the scratch.
     pub(crate) fn linearize_rates(&self, state: &State, scratch: &mut RowScratch) {
         let velocity = state.fixed_rows::<3>(3).into_owned();
@@ -199,11 +219,12 @@ impl RtkEpoch {
     ) {
         let state = &estimate.states[k];
         self.see(state, scratch);
-        for group in &self.groups {
+        for group in self.groups.iter().filter(|group| !group.is_carrier) {
             self.linearize_group(group, &estimate.border, scratch);
-            let kernel = if group.is_carrier { &kernels.phase } else { &kernels.pseudorange };
-            system.add_sharing_offset(k, &scratch.rows, kernel);
+            system.add_sharing_offset(k, &scratch.rows, &kernels.pseudorange);
         }
+        self.linearize_carriers(&estimate.border, scratch);
+        system.add_sharing_offset(k, &scratch.rows, &kernels.phase);
         self.linearize_rates(state, scratch);
         system.add_sharing_offset(k, &scratch.rows, &kernels.doppler);
         self.components.iter().for_each(|component| component.add_to(k, estimate, system));
@@ -263,5 +284,63 @@ impl Problem<STATE> for Rows<'_> {
             }
             epoch.add_to(k, estimate, &kernels, self.scratch, system);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::config::{Mode, PositioningOptions, Profile};
+    use crate::gnss::{Ecef, Enu, LocalFrame};
+    use crate::graph::{BorderLife, Covariances, Elimination};
+    use crate::positioning::setup::Setup;
+
+    /// Variances of the position with a prior of 1 m, from one row in each of two groups: a
+    /// satellite at the zenith and one in the east at 45°.
+    fn variances(is_carrier: bool) -> Vector3<f64> {
+        let frame = LocalFrame::at(Ecef::new(6_378_137.0, 0.0, 0.0));
+        let mut epoch = RtkEpoch::default();
+        for (index, direction) in [Vector3::z(), Vector3::new(1.0, 0.0, 1.0)].iter().enumerate() {
+            let satellite = frame.to_ecef(Enu(direction.normalize() * 2e7));
+            let sight = Sight::new(&frame, satellite);
+            let (range_m, _) = sight.range(&Vector3::zeros());
+            epoch.sights.push(sight);
+            epoch.rows.push(DifferenceFactor {
+                sight: index,
+                range_m,
+                inverse_sigma: 1e3,
+                independent_share: 1.0,
+                ambiguity: None,
+                bias: None,
+            });
+            epoch.groups.push(Group { begin: index, end: index + 1, is_carrier });
+        }
+        let prior = |column| ComponentFactor { column, mean: 0.0, inverse_sigma: 1.0 };
+        epoch.components.extend((0..STATE).map(prior));
+        let setup = Setup::new(PositioningOptions::new(Mode::RtkFgo, Profile::General));
+        let mut estimate = Estimate::new();
+        estimate.states.push(State::zeros());
+        let mut system = System::new(BorderLife::WholeChain);
+        system.reset(1, 0);
+        let kernels = setup.relative.kernels.last();
+        epoch.add_to(0, &estimate, &kernels, &mut RowScratch::default(), &mut system);
+        let mut elimination = Elimination::new();
+        elimination.factor(&system, 0.0).unwrap();
+        let mut covariances = Covariances::new();
+        covariances.newest(&elimination);
+        covariances.state().fixed_view::<3, 3>(0, 0).diagonal()
+    }
+
+    /// One clock for all carriers: two satellites of different groups give their difference, of
+    /// slope (−sin 45°, 0, 1 − cos 45°) with a variance of 2 mm². The pseudoranges of groups with
+    /// one satellite each give nothing.
+    #[test]
+    fn carriers_share_one_clock_and_pseudoranges_do_not() {
+        let slope = Vector3::new(-0.5_f64.sqrt(), 0.0, 1.0 - 0.5_f64.sqrt());
+        let gain = slope.component_mul(&slope) / (slope.norm_squared() + 2e-6);
+        assert!((variances(true) - (Vector3::repeat(1.0) - gain)).norm() < 1e-4);
+        assert!((variances(false) - Vector3::repeat(1.0)).norm() < 1e-9);
     }
 }

@@ -18,7 +18,7 @@ pub(crate) struct Slips<'a> {
     pub(crate) arcs: &'a mut Arcs,
     /// Ambiguities by variable (cycles).
     pub(crate) border: &'a mut Vec<f64>,
-    /// Kernel of the offset of a group's phases.
+    /// Kernel of the offset of the phases.
     pub(crate) kernel: Kernel,
     /// Satellites whose arcs ended.
     pub(crate) slipped: &'a mut Vec<SatelliteId>,
@@ -34,14 +34,12 @@ pub(crate) fn cut_slips(
     let Slips { arcs, border, kernel, slipped } = slips;
     let mut found = Vec::new();
     epoch.see(state, scratch);
-    for group in epoch.groups.iter().filter(|group| group.is_carrier) {
-        epoch.linearize_group(group, border, scratch);
-        let RowScratch { rows, numbers, .. } = &mut *scratch;
-        let both = rows.iter().zip(whitened(rows, &kernel, numbers));
-        for (index, (row, residual)) in (group.begin..group.end).zip(both) {
-            if SLIP_SIGMAS < residual.abs() {
-                found.push((index, residual / row.by_offset));
-            }
+    epoch.linearize_carriers(border, scratch);
+    let RowScratch { rows, numbers, .. } = &mut *scratch;
+    let both = rows.iter().zip(whitened(rows, &kernel, numbers));
+    for (index, (row, residual)) in epoch.carriers().zip(both) {
+        if SLIP_SIGMAS < residual.abs() {
+            found.push((index, residual / row.by_offset));
         }
     }
     let mut any = false;
