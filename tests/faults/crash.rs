@@ -24,14 +24,14 @@ const EPOCHS: u64 = 600;
 const BATCH: usize = 20;
 
 /// Delays of the kills after the first push (ms), spread over commit, answer and reading. With a
-/// seed in `GRAPHFIX_CRASH_SEED` they are random up to twice the last of these.
+/// seed in `GRAPHFIX_CRASH_SEED` each is random, up to twice its value here: the first ones are
+/// short, so that a fast machine is not done before the kill.
 fn delays(standard_ms: [u64; 4]) -> [Duration; 4] {
     let Ok(seed) = std::env::var("GRAPHFIX_CRASH_SEED") else {
         return standard_ms.map(Duration::from_millis);
     };
     let mut random = Random::new(1 + seed.parse::<u64>().unwrap());
-    let limit_us = 2_000 * standard_ms[3] as usize;
-    standard_ms.map(|_| Duration::from_micros(random.below(limit_us) as u64))
+    standard_ms.map(|ms| Duration::from_micros(random.below(2_000 * ms as usize) as u64))
 }
 
 /// Pushes from `next` on until the service is killed or all is sent; records the acknowledged
