@@ -336,7 +336,7 @@ impl Sessions {
     }
 
     /// The store.
-    pub fn store(&self) -> &Store {
+    pub(crate) fn store(&self) -> &Store {
         &self.desk.store
     }
 
@@ -349,7 +349,7 @@ impl Sessions {
     }
 
     /// The limits in force.
-    pub fn limits(&self) -> &SessionLimits {
+    pub(crate) fn limits(&self) -> &SessionLimits {
         &self.desk.limits
     }
 

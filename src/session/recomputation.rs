@@ -114,7 +114,7 @@ impl Recomputation {
     }
 
     /// Hash of the configuration in force, or of the requested one.
-    pub fn configuration_hash(&self) -> &str {
+    pub(crate) fn configuration_hash(&self) -> &str {
         &self.configuration_hash
     }
 
@@ -125,7 +125,7 @@ impl Recomputation {
     }
 
     /// The leap seconds known today.
-    pub fn leap_seconds(&self) -> LeapSeconds {
+    pub(crate) fn leap_seconds(&self) -> LeapSeconds {
         self.replay.aiding.navigation.current().navigation.leap_seconds
     }
 

@@ -23,7 +23,7 @@ pub struct AntennaName {
 
 impl AntennaName {
     /// The name of a calibrated antenna.
-    pub fn of(calibration: &AntennaCalibration) -> Self {
+    pub(crate) fn of(calibration: &AntennaCalibration) -> Self {
         let AntennaCalibration { antenna, radome, .. } = calibration;
         let name = format!("{antenna} {radome}");
         Self { name, calibration: calibration_hash(calibration).into() }
@@ -40,7 +40,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn keep_calibration(
+    pub(crate) async fn keep_calibration(
         &self,
         calibration: &AntennaCalibration,
     ) -> Result<(), StoreError> {
@@ -61,7 +61,7 @@ impl Store {
     ///
     /// # Errors
     /// No calibration has this hash, its content is corrupt, or the database fails.
-    pub async fn calibration(&self, hash: &str) -> Result<AntennaCalibration, StoreError> {
+    pub(crate) async fn calibration(&self, hash: &str) -> Result<AntennaCalibration, StoreError> {
         let row: Result<Option<(Vec<u8>,)>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT content FROM antenna_calibrations WHERE hash = $1";
             sqlx::query_as(sql).bind(hash).fetch_optional(pool).await

@@ -17,12 +17,12 @@ pub struct BaseKey(pub(super) i64);
 
 impl BaseKey {
     /// The key as a number, for snapshots.
-    pub const fn number(self) -> i64 {
+    pub(crate) const fn number(self) -> i64 {
         self.0
     }
 
     /// The key with this number.
-    pub const fn of_number(number: i64) -> Self {
+    pub(crate) const fn of_number(number: i64) -> Self {
         Self(number)
     }
 }
@@ -52,7 +52,7 @@ pub enum BaseChoice<B = BaseName> {
 
 impl<B> BaseChoice<B> {
     /// Whether it is no base.
-    pub const fn is_none(&self) -> bool {
+    pub(crate) const fn is_none(&self) -> bool {
         matches!(self, Self::None)
     }
 
@@ -132,12 +132,12 @@ impl StoredBaseEpoch {
     ///
     /// # Errors
     /// The stored bytes are corrupt.
-    pub fn epoch(&self) -> Result<Epoch, StoreError> {
+    pub(crate) fn epoch(&self) -> Result<Epoch, StoreError> {
         decode_epoch(&self.content).map_err(StoreError::corrupt("base epoch"))
     }
 
     /// Whether `other` has the same time tag and observations, bit by bit.
-    pub fn is(&self, other: &Self) -> bool {
+    pub(crate) fn is(&self, other: &Self) -> bool {
         // Bytes of another layout are decoded for the comparison.
         let whole = |stored: &Self| stored.epoch().map(|epoch| encode_epoch(&epoch));
         self.content == other.content
@@ -147,12 +147,12 @@ impl StoredBaseEpoch {
 
     /// The same epoch under another number.
     #[must_use]
-    pub fn numbered(&self, number: u64) -> Self {
+    pub(crate) fn numbered(&self, number: u64) -> Self {
         Self { number, ..self.clone() }
     }
 
     /// Size of the encoded epoch (bytes).
-    pub fn size(&self) -> usize {
+    pub(crate) fn size(&self) -> usize {
         self.content.len()
     }
 }
@@ -261,7 +261,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
-    pub async fn create_base(
+    pub(crate) async fn create_base(
         &self,
         id: &str,
         label: &str,
@@ -298,7 +298,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
-    pub async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
+    pub(crate) async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
         let failed = "reading bases";
         let rows: Result<Vec<NamedRow>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT key, id, label, created_unix_ms, archive FROM bases
@@ -337,7 +337,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
-    pub async fn base_epochs(
+    pub(crate) async fn base_epochs(
         &self,
         base: BaseKey,
     ) -> Result<(Vec<StoredBaseEpoch>, Option<i64>), StoreError> {
@@ -360,7 +360,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
-    pub async fn push_base(
+    pub(crate) async fn push_base(
         &self,
         base: BaseKey,
         change: &BaseChange<'_>,
@@ -403,7 +403,11 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn delete_base(&self, base: BaseKey, unix_ms: i64) -> Result<bool, StoreError> {
+    pub(crate) async fn delete_base(
+        &self,
+        base: BaseKey,
+        unix_ms: i64,
+    ) -> Result<bool, StoreError> {
         let deleted = writing!(&self.pool, pool => {
             let deleted = async {
                 let mut transaction = pool.begin().await?;

@@ -29,7 +29,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn delete_session(
+    pub(crate) async fn delete_session(
         &self,
         session: SessionKey,
         unix_ms: i64,
@@ -46,7 +46,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn remove_deleted(&self, epochs: usize) -> Result<bool, StoreError> {
+    pub(crate) async fn remove_deleted(&self, epochs: usize) -> Result<bool, StoreError> {
         let failed = StoreError::database("removing deleted sessions");
         let found: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT key FROM sessions JOIN session_heads ON session = key

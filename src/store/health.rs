@@ -38,7 +38,7 @@ impl CommitterHealth {
     }
 
     /// Time since the last confirmation.
-    pub fn silence(&self) -> Duration {
+    pub(crate) fn silence(&self) -> Duration {
         self.confirmed.elapsed()
     }
 }

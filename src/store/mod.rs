@@ -136,7 +136,7 @@ impl Store {
     ///
     /// # Errors
     /// It does not within the deadline of a statement.
-    pub async fn check_reads(&self) -> Result<(), StoreError> {
+    pub(crate) async fn check_reads(&self) -> Result<(), StoreError> {
         let read: Result<i32, _> = reading!(&self.pool, pool => {
             sqlx::query_scalar("SELECT 1").fetch_one(pool).await
         });
@@ -144,7 +144,7 @@ impl Store {
     }
 
     /// Bytes that the disk of the database file has left; `None` for a server, or if unknown.
-    pub fn free_bytes(&self) -> Option<u64> {
+    pub(crate) fn free_bytes(&self) -> Option<u64> {
         let disk = rustix::fs::statvfs(&**self.folder.as_ref()?).ok()?;
         Some(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
@@ -153,7 +153,7 @@ impl Store {
     ///
     /// # Errors
     /// Nothing of the batch is stored, unless the error is [`StoreError::Unconfirmed`]. Then the
-    /// connection failed during the commit: ask [`Self::confirmed_last_number`].
+    /// connection failed during the commit: ask `confirmed_last_number`.
     pub async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         self.committer.commit(batch).await
     }
@@ -162,7 +162,7 @@ impl Store {
     ///
     /// # Errors
     /// Commits do not work within the deadline, or the database fails.
-    pub async fn confirmed_last_number(
+    pub(crate) async fn confirmed_last_number(
         &self,
         session: SessionKey,
     ) -> Result<Option<u64>, StoreError> {

@@ -90,7 +90,10 @@ impl Store {
     ///
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
-    pub async fn push_navigation(&self, change: &NavigationChange<'_>) -> Result<u64, StoreError> {
+    pub(crate) async fn push_navigation(
+        &self,
+        change: &NavigationChange<'_>,
+    ) -> Result<u64, StoreError> {
         let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
@@ -139,7 +142,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
-    pub async fn navigation(&self) -> Result<StoredNavigation, StoreError> {
+    pub(crate) async fn navigation(&self) -> Result<StoredNavigation, StoreError> {
         let (push, _) = self.navigation_pushes().await?;
         self.navigation_in_force(push).await
     }
@@ -148,7 +151,7 @@ impl Store {
     ///
     /// # Errors
     /// Some of them are no longer stored, the database fails, or a row is corrupt.
-    pub async fn navigation_after(&self, push: u64) -> Result<Navigation, StoreError> {
+    pub(crate) async fn navigation_after(&self, push: u64) -> Result<Navigation, StoreError> {
         let (_, complete_since) = self.navigation_pushes().await?;
         if push < complete_since {
             return Err(StoreError::NavigationForgotten { push, complete_since });

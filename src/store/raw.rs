@@ -74,7 +74,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn raw_position(
+    pub(crate) async fn raw_position(
         &self,
         session: SessionKey,
     ) -> Result<Option<RawPosition>, StoreError> {
@@ -104,7 +104,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn raw_bytes(
+    pub(crate) async fn raw_bytes(
         &self,
         session: SessionKey,
         start: u64,

@@ -58,7 +58,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
+    pub(crate) async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
         let mut found = Vec::new();
         for sql in [EXPIRED, EXPIRED_CLOSED] {
             let rows: Result<Vec<(i64, i64)>, _> = reading!(bulk &self.pool, pool => {
@@ -118,7 +118,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn release_pages(&self) -> Result<bool, StoreError> {
+    pub(crate) async fn release_pages(&self) -> Result<bool, StoreError> {
         let Pool::Sqlite { .. } = &self.pool else { return Ok(false) };
         let failed = StoreError::database("giving pages back to the disk");
         let counts: Result<(i64, i64), _> = reading!(&self.pool, pool => {
@@ -146,7 +146,10 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn removed_through(&self, session: SessionKey) -> Result<Option<u64>, StoreError> {
+    pub(crate) async fn removed_through(
+        &self,
+        session: SessionKey,
+    ) -> Result<Option<u64>, StoreError> {
         let seq: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT removed_through FROM session_heads WHERE session = $1";
             sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await
@@ -159,7 +162,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn kept_snapshots(
+    pub(crate) async fn kept_snapshots(
         &self,
         session: SessionKey,
     ) -> Result<Vec<StoredSnapshot>, StoreError> {

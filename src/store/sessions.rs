@@ -290,7 +290,7 @@ impl Store {
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
-    pub async fn sessions(
+    pub(crate) async fn sessions(
         &self,
         page_size: usize,
         page_token: Option<&str>,
@@ -326,7 +326,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn update_session(
+    pub(crate) async fn update_session(
         &self,
         key: SessionKey,
         settings: &SessionSettings,
@@ -369,7 +369,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn arcs(&self, session: SessionKey) -> Result<Vec<u64>, StoreError> {
+    pub(crate) async fn arcs(&self, session: SessionKey) -> Result<Vec<u64>, StoreError> {
         let rows: Result<Vec<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT after_seq FROM session_arcs WHERE session = $1 ORDER BY after_seq";
             sqlx::query_scalar(sql).bind(session.0).fetch_all(pool).await
@@ -399,7 +399,10 @@ impl Store {
     ///
     /// # Errors
     /// No configuration has this hash, or the database fails.
-    pub async fn configuration(&self, hash: &str) -> Result<StoredConfiguration, StoreError> {
+    pub(crate) async fn configuration(
+        &self,
+        hash: &str,
+    ) -> Result<StoredConfiguration, StoreError> {
         let row: Result<Option<ConfigurationRow>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT mode, profile, configuration, calibration
                        FROM configurations WHERE hash = $1";

@@ -71,7 +71,7 @@ pub struct StoredEpoch {
 
 impl StoredEpoch {
     /// Whether `epoch` is the stored one, bit by bit.
-    pub fn is(&self, epoch: &Epoch) -> bool {
+    pub(crate) fn is(&self, epoch: &Epoch) -> bool {
         encode_epoch(&self.epoch) == encode_epoch(epoch)
     }
 }
@@ -209,7 +209,7 @@ impl Store {
     ///
     /// # Errors
     /// The database fails.
-    pub async fn number_before_last(
+    pub(crate) async fn number_before_last(
         &self,
         session: SessionKey,
         count: usize,

@@ -51,7 +51,7 @@ impl Batch {
     }
 
     /// Whether there is nothing to commit.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.epochs.is_empty()
             && self.revisions.is_empty()
             && self.snapshot.is_none()
@@ -126,7 +126,7 @@ impl EncodedEpoch {
     }
 
     /// The epoch as the last one, to which the next is encoded relative.
-    pub fn reference(&self) -> &EpochReference {
+    pub(crate) fn reference(&self) -> &EpochReference {
         &self.reference
     }
 
@@ -137,7 +137,7 @@ impl EncodedEpoch {
     }
 
     /// Whether `epoch` is the same, bit by bit.
-    pub fn is(&self, epoch: &Epoch) -> bool {
+    pub(crate) fn is(&self, epoch: &Epoch) -> bool {
         encode_epoch(&self.reference.epoch) == encode_epoch(epoch)
     }
 }
@@ -158,11 +158,6 @@ pub struct EncodedSolution {
 }
 
 impl EncodedSolution {
-    /// Number of the epoch.
-    pub fn seq(&self) -> u64 {
-        self.seq as u64
-    }
-
     /// Encodes a solution.
     pub fn new(stored: &StoredSolution) -> Self {
         let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
