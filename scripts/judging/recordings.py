@@ -57,7 +57,7 @@ class Recording:
         return os.path.exists(self.path(self.rover))
 
 
-def _real(name, rover, navigation, kind, *, folder=None, is_compared=False, **rest):
+def _real(name, rover, navigation, kind, *, folder=None, is_compared=True, **rest):
     place = os.path.join(DATA, folder or name)
     return Recording(name, place, rover, tuple(navigation), kind, is_compared, **rest)
 
@@ -80,7 +80,7 @@ def _hong_kong(receiver, kind):
 def _spirent(name, rover, **truth):
     return _real(
         name, rover, ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"], OPEN, folder="spirent-rtk",
-        is_compared=True, base="Base-static_MO_Spirent.obs", base_position=SPIRENT_BASE,
+        base="Base-static_MO_Spirent.obs", base_position=SPIRENT_BASE,
         truth_sigma_m=0.001, modes=ALONE + RELATIVE, **truth,
     )
 
@@ -96,7 +96,7 @@ def _shanghai(name, rover, base, navigation):
 
 ALL = [
     _real(
-        "tst-2019", "COM3_190428_124409.obs", ["hksc1180.19n", "hksc1180.19b"], CITY, is_compared=True,
+        "tst-2019", "COM3_190428_124409.obs", ["hksc1180.19n", "hksc1180.19b"], CITY,
         truth_file="truth.csv", truth_sigma_m=0.3, span=(46701.0, 47185.5),
     ),
     _real(
@@ -119,38 +119,38 @@ ALL = [
     ),
     _real("gsdc-pixel4", "rover.obs.gz", ["hour1350.20n"], PHONE, truth_file="truth.csv", truth_sigma_m=0.7),
     _real(
-        "klt-2021", "20210610.klt1.ublox.f9p.obs", ["hksc1610.nav"], CITY, is_compared=True,
+        "klt-2021", "20210610.klt1.ublox.f9p.obs", ["hksc1610.nav"], CITY,
         base="hksc1610.obs", base_position=(-2414266.9197, 5386768.9868, 2407460.0314), modes=ALONE + RELATIVE,
     ),
     # The truth is the receiver's own fix on a grid of 2 cm: 2 cm/√12, and 1 cm of its own.
     _real(
         "galway-static", "rover-20181004-1237.obs.gz", ["rover-20181004-1237.ubx.nav"], OPEN,
-        is_compared=True, base="base-20181004-1236.obs.gz",
+        base="base-20181004-1236.obs.gz",
         base_position=(3774089.212, -601661.6157, 5089321.2474), truth_file="truth.csv", truth_sigma_m=0.012,
         modes=ALONE + RELATIVE,
     ),
     _real(
         "galway-walk", "rover-20181004-1532.obs.gz", ["rover-20181004-1532.ubx.nav"], WALK,
-        is_compared=True, base="base-20181004-1452.obs.gz",
+        base="base-20181004-1452.obs.gz",
         base_position=(3774085.6456, -601662.5769, 5089316.397), truth_file="truth.csv", truth_sigma_m=0.012,
         modes=ALONE + RELATIVE,
     ),
     _real(
-        "hers-hert", "hers0010.18O", ["brdc0010.18n"], OPEN, is_compared=True, base="hert0010.18O",
+        "hers-hert", "hers0010.18O", ["brdc0010.18n"], OPEN, base="hert0010.18O",
         base_position=(4033460.7531, 23538.0162, 4924318.3881),
         truth_place=(4033469.9337, 23673.1031, 4924301.4433), truth_sigma_m=0.003, modes=ALONE + RELATIVE,
     ),
     _real(
-        "geonet", "07590920.05o", ["30400920.05n"], OPEN, is_compared=True, base="30400920.05o",
+        "geonet", "07590920.05o", ["30400920.05n"], OPEN, base="30400920.05o",
         base_position=(-3978241.958, 3382840.234, 3649900.853), modes=ALONE + RELATIVE,
     ),
     _real(
-        "meijo-static", "rover.obs", ["base.nav"], OPEN, is_compared=True, base="base.obs",
+        "meijo-static", "rover.obs", ["base.nav"], OPEN, base="base.obs",
         base_position=to_ecef(35.134707705, 136.977577939, 104.853),
         truth_place=to_ecef(35.13469901, 136.97757549, 104.8626), truth_sigma_m=0.002, modes=ALONE + RELATIVE,
     ),
     _real(
-        "fujisawa-kinematic", "SEPT265G.21O", ["SEPT2650.21P"], OPEN, is_compared=True, base="3034265G.21O",
+        "fujisawa-kinematic", "SEPT265G.21O", ["SEPT2650.21P"], OPEN, base="3034265G.21O",
         base_position=(-3959400.631, 3385704.533, 3667523.111), modes=ALONE + RELATIVE,
     ),
     _spirent("spirent-dynamic", "Rover-dynamic_MO_Spirent.obs", truth_file="truth-dynamic.csv"),
