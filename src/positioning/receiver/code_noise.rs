@@ -159,9 +159,10 @@ fn means(likelihoods: &[[f64; VALUES]; Constellation::COUNT]) -> [f64; Constella
     };
     let messages = likelihoods.each_ref().map(spread);
     let (mean, deviation) = PRIOR_DB_HZ;
+    let prior: [f64; VALUES] =
+        std::array::from_fn(|i| normal(level_db_hz(i as f64) - mean, deviation));
     std::array::from_fn(|own| {
-        let mut common: [f64; VALUES] =
-            std::array::from_fn(|i| normal(level_db_hz(i as f64) - mean, deviation));
+        let mut common = prior;
         for (_, message) in messages.iter().enumerate().filter(|(other, _)| *other != own) {
             common.iter_mut().zip(message).for_each(|(product, factor)| *product *= factor);
         }
