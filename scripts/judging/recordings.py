@@ -57,9 +57,10 @@ class Recording:
         return os.path.exists(self.path(self.rover))
 
 
-def _real(name, rover, navigation, kind, *, folder=None, is_compared=True, **rest):
+def _real(name, rover, navigation, kind, *, folder=None, **rest):
     place = os.path.join(DATA, folder or name)
-    return Recording(name, place, rover, tuple(navigation), kind, is_compared, **rest)
+    # Settings have been compared on every recording.
+    return Recording(name, place, rover, tuple(navigation), kind, True, **rest)
 
 
 HONG_KONG = [f"hkqt137c.21{kind}" for kind in "cglnq"]
