@@ -59,6 +59,8 @@ impl Database {
                     .synchronous(SqliteSynchronous::Full)
                     .busy_timeout(BUSY_TIMEOUT)
                     .foreign_keys(true)
+                    // Journals of single statements stay in memory.
+                    .pragma("temp_store", "MEMORY")
                     // Applies to new files only.
                     .auto_vacuum(SqliteAutoVacuum::Incremental)
                     .pragma("wal_autocheckpoint", CHECKPOINT_PAGES);

@@ -5,10 +5,12 @@
 //! compared in one statement (up to 128 of them on SQLite).
 
 use std::collections::BTreeSet;
+use std::sync::LazyLock;
 
 use sqlx::{PgConnection, SqliteConnection};
 
 use super::batch::Batch;
+use super::rows::ROWS_PER_STATEMENT;
 
 /// Who commits.
 #[derive(Clone, Debug, Default)]
@@ -31,8 +33,6 @@ struct Head {
     closed_unix_ms: Option<i64>,
 }
 
-/// Heads per statement on SQLite.
-const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
 const COLUMNS: usize = 10;
 
 macro_rules! compare_and_set {
@@ -76,6 +76,11 @@ const SQLITE: &str = compare_and_set!(
      column8 AS y_m, column9 AS z_m, column10 AS closed_unix_ms FROM (VALUES {rows})"
 );
 
+static SQLITE_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
+    let row = format!("({})", ["?"; COLUMNS].join(","));
+    ROWS_PER_STATEMENT.map(|rows| SQLITE.replace("{rows}", &vec![row.clone(); rows].join(",")))
+});
+
 impl Head {
     fn of(batch: &Batch) -> Self {
         let last = batch.epochs.last();
@@ -103,11 +108,9 @@ pub(super) async fn accepted_sqlite<'a>(
     let mut accepted = Vec::with_capacity(batches.len());
     for round in rounds(batches) {
         let mut rest = &round[..];
-        for size in ROWS_PER_STATEMENT {
+        for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
             while let Some((chunk, after)) = rest.split_at_checked(size) {
-                let row = format!("({})", ["?"; COLUMNS].join(","));
-                let sql = SQLITE.replace("{rows}", &vec![row; size].join(","));
-                let sql = sqlx::AssertSqlSafe(sql);
+                let sql = SQLITE_VALUES[index].as_str();
                 let mut update = sqlx::query_scalar(sql).bind(&owner.node).bind(owner.fence);
                 for head in chunk.iter().map(|batch| Head::of(batch)) {
                     let [x_m, y_m, z_m] = head.position_m;

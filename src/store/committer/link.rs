@@ -88,7 +88,10 @@ impl Connector {
     async fn connected(&self) -> Result<Link, sqlx::Error> {
         match &self.database {
             // The probe waits for the lock of an earlier connection.
-            Database::Sqlite(options) => options.clone().connect().await.map(Link::Sqlite),
+            Database::Sqlite(options) => {
+                // The head that a batch sets proves that its session is there.
+                options.clone().foreign_keys(false).connect().await.map(Link::Sqlite)
+            }
             Database::Postgres(options) => {
                 let options = options.clone().application_name(&self.name);
                 let limit = [("statement_timeout", DEADLINE.as_millis())];

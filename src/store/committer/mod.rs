@@ -17,6 +17,8 @@ mod batch;
 mod heads;
 mod link;
 mod origins;
+mod raw;
+mod rows;
 mod statements;
 
 use std::any::Any;

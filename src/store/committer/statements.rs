@@ -5,13 +5,13 @@ use std::sync::LazyLock;
 use sqlx::{PgConnection, SqliteConnection};
 
 use crate::gnss::{GpsTime, LeapSeconds};
-use crate::store::{RawPosition, SessionKey};
+use crate::store::SessionKey;
 
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 use super::origins::OriginKeys;
+use super::raw::{write_raw_postgres, write_raw_sqlite};
+use super::rows::{ROWS_PER_STATEMENT, with_values};
 
-/// Rows per statement. Few different texts are prepared, and none has more than 32 766 parameters.
-const ROWS_PER_STATEMENT: [usize; 4] = [128, 32, 8, 1];
 const EPOCH_COLUMNS: usize = 8;
 const SOLUTION_COLUMNS: usize = 10;
 
@@ -37,32 +37,14 @@ const DATE_RAW: &str =
     "UPDATE raw_streams SET gps_time_ns = $2, received_unix_ms = $3 WHERE session = $1";
 const CLOSE: &str =
     "UPDATE sessions SET closed_unix_ms = $2 WHERE key = $1 AND closed_unix_ms IS NULL";
-const INSERT_RAW: &str =
-    "INSERT INTO raw_pieces (session, start, through, content) VALUES ($1, $2, $3, $4)";
-const UPSERT_RAW: &str = "INSERT INTO raw_streams \
-    (session, stream, header_end, tail, through, gps_time_ns, received_unix_ms, piece, piece_ends, \
-     first_seq, last_seq) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11) \
-    ON CONFLICT (session) DO UPDATE SET stream = excluded.stream, \
-    header_end = excluded.header_end, tail = excluded.tail, through = excluded.through, \
-    gps_time_ns = excluded.gps_time_ns, received_unix_ms = excluded.received_unix_ms, \
-    piece = excluded.piece, piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
-    last_seq = excluded.last_seq";
-/// Bytes that neither restore the stream nor belong to the last chunk.
-const FORGET_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
-    AND (through <= $3 OR $4 <= start)";
 const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
 
-static EPOCH_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
+static EPOCH_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
     ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows, ""))
 });
-static SOLUTION_VALUES: LazyLock<[String; 4]> = LazyLock::new(|| {
+static SOLUTION_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
     ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_SOLUTIONS, SOLUTION_COLUMNS, rows, ONCE))
 });
-
-fn with_values(insert: &str, columns: usize, rows: usize, conflict: &str) -> String {
-    let row = format!("({})", vec!["?"; columns].join(","));
-    format!("{insert} VALUES {}{conflict}", vec![row; rows].join(","))
-}
 
 /// GPS time of the system clock's time (ms since 1970-01-01 UTC), in nanoseconds.
 fn gps_time_ns(unix_ms: i64) -> i64 {
@@ -115,9 +97,6 @@ macro_rules! write_changes {
                     .execute(&mut *$transaction)
                     .await?;
             }
-            if let Some(raw) = &batch.raw {
-                write_raw!($transaction, session, raw);
-            }
             if let Some(arc) = &batch.arc {
                 let insert = sqlx::query(INSERT_ARC).bind(session).bind(arc.after_seq as i64);
                 insert.bind(arc.unix_ms).execute(&mut *$transaction).await?;
@@ -132,44 +111,6 @@ macro_rules! write_changes {
         }
     };
 }
-/// Writes a chunk of raw bytes and the stream's position, and deletes bytes no longer needed.
-macro_rules! write_raw {
-    ($transaction:ident, $session:expr, $raw:expr) => {{
-        let RawPosition { stream, header_end, tail, through, time, received_unix_ms, last_chunk } =
-            &$raw.position;
-        if !$raw.content.is_empty() {
-            sqlx::query(INSERT_RAW)
-                .bind($session)
-                .bind($raw.start() as i64)
-                .bind(*through as i64)
-                .bind(&$raw.content[..])
-                .execute(&mut *$transaction)
-                .await?;
-        }
-        sqlx::query(UPSERT_RAW)
-            .bind($session)
-            .bind(*stream as i64)
-            .bind(*header_end as i64)
-            .bind(*tail as i64)
-            .bind(*through as i64)
-            .bind(time.as_ns())
-            .bind(*received_unix_ms)
-            .bind(last_chunk.start as i64)
-            .bind(i64::from(last_chunk.is_end))
-            .bind(last_chunk.first_seq as i64)
-            .bind(last_chunk.last_seq as i64)
-            .execute(&mut *$transaction)
-            .await?;
-        sqlx::query(FORGET_RAW)
-            .bind($session)
-            .bind((*tail).min(last_chunk.start) as i64)
-            .bind(*stream as i64)
-            .bind(*header_end as i64)
-            .execute(&mut *$transaction)
-            .await?;
-    }};
-}
-
 /// Writes batches within a transaction.
 pub(super) async fn write_sqlite(
     transaction: &mut SqliteConnection,
@@ -190,6 +131,7 @@ pub(super) async fn write_sqlite(
             rest = after;
         }
     }
+    write_raw_sqlite(transaction, batches).await?;
     write_changes!(transaction, batches);
     Ok(())
 }
@@ -245,6 +187,7 @@ pub(super) async fn write_postgres(
     keys: &OriginKeys,
 ) -> Result<(), sqlx::Error> {
     insert_arrays(transaction, &epoch_rows(batches), &solution_rows(batches, keys)).await?;
+    write_raw_postgres(transaction, batches).await?;
     write_changes!(transaction, batches);
     Ok(())
 }
