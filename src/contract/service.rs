@@ -15,9 +15,13 @@ use super::Budget;
 /// estimators.
 const FILE_READERS: usize = 1;
 
-/// The desks behind the doors. All clones share them.
+/// The desks behind the doors. All clones share them. The doors clone it several times a request,
+/// so it is one pointer.
 #[derive(Clone)]
-pub struct Service {
+pub struct Service(Arc<Desks>);
+
+#[derive(Clone)]
+struct Desks {
     sessions: Sessions,
     aiding: AidingDesk,
     feeds: Feeds,
@@ -40,7 +44,7 @@ impl Service {
         limits: Limits,
     ) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
-        Self {
+        Self(Arc::new(Desks {
             sessions,
             aiding,
             feeds,
@@ -50,82 +54,82 @@ impl Service {
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
-        }
+        }))
     }
 
     /// The service with the name of its node.
     #[must_use]
     pub(crate) fn named(mut self, node: String) -> Self {
-        self.node = node.into();
+        Arc::make_mut(&mut self.0).node = node.into();
         self
     }
 
     /// Name of the node.
     pub(crate) fn node(&self) -> &str {
-        &self.node
+        &self.0.node
     }
 
     /// The service with further host names that requests may use.
     #[must_use]
     pub fn with_hosts(mut self, hosts: &[String]) -> Self {
-        self.hosts = hosts.into();
+        Arc::make_mut(&mut self.0).hosts = hosts.into();
         self
     }
 
     /// Whether the operator lists this host name of the service.
     pub(crate) fn is_listed_host(&self, name: &str) -> bool {
-        self.hosts.iter().any(|host| host.eq_ignore_ascii_case(name))
+        self.0.hosts.iter().any(|host| host.eq_ignore_ascii_case(name))
     }
 
     /// The memory of all requests.
-    pub const fn budget(&self) -> &Budget {
-        &self.budget
+    pub fn budget(&self) -> &Budget {
+        &self.0.budget
     }
 
     /// Waits until another uploaded file may be read. The caller keeps the permit while it reads.
     pub(super) async fn file_reader(&self) -> OwnedSemaphorePermit {
-        let permit = self.file_readers.clone().acquire_owned().await;
+        let permit = self.0.file_readers.clone().acquire_owned().await;
         permit.expect("the semaphore is never closed")
     }
 
     /// The desk for sessions.
-    pub const fn sessions(&self) -> &Sessions {
-        &self.sessions
+    pub fn sessions(&self) -> &Sessions {
+        &self.0.sessions
     }
 
     /// The desk for ephemerides.
-    pub const fn navigation(&self) -> &NavigationBroker {
-        &self.aiding.navigation
+    pub fn navigation(&self) -> &NavigationBroker {
+        &self.0.aiding.navigation
     }
 
     /// The desk for base stations.
-    pub const fn bases(&self) -> &BaseBroker {
-        &self.aiding.bases
+    pub fn bases(&self) -> &BaseBroker {
+        &self.0.aiding.bases
     }
 
     /// The desk for streams and archives.
-    pub const fn feeds(&self) -> &Feeds {
-        &self.feeds
+    pub fn feeds(&self) -> &Feeds {
+        &self.0.feeds
     }
 
     /// The limits in force.
     pub(crate) fn limits(&self) -> &Limits {
-        &self.limits
+        &self.0.limits
     }
 
     /// Makes the service not ready, because it is about to stop.
     pub fn drain(&self) {
-        self.draining.send_replace(true);
+        self.0.draining.send_replace(true);
     }
 
     /// Whether the service is about to stop.
     pub(crate) fn is_draining(&self) -> bool {
-        *self.draining.borrow()
+        *self.0.draining.borrow()
     }
 
     /// Waits until the service is about to stop, or no longer exists.
     pub(crate) fn drained(&self) -> impl Future<Output = ()> + use<> {
-        let mut draining = self.draining.subscribe();
+        let mut draining = self.0.draining.subscribe();
         async move {
             // Err: the service no longer exists.
             draining.wait_for(|draining| *draining).await.ok();

@@ -7,7 +7,7 @@ use std::io::{BufRead, Read};
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::Response;
@@ -31,7 +31,7 @@ const BLOCK_BYTES: usize = 64 << 10;
 const WINDOW_LOG_MAX: u32 = 23;
 
 /// Serves a request unless it is refused. `limit` is the largest message (bytes).
-pub(super) async fn admit(State(limit): State<usize>, request: Request, next: Next) -> Response {
+pub(super) async fn admit(limit: usize, request: Request, next: Next) -> Response {
     let kind = request.headers().get(header::CONTENT_TYPE);
     if !kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc")) {
         let message = "a call of this service takes application/grpc";

@@ -15,7 +15,7 @@ const STATUS: &str = "grpc-status";
 const DETAILS: &str = "grpc-status-details-bin";
 
 /// Adds a code and remedy to a status that tonic made itself.
-pub(super) async fn explain(response: Response) -> Response {
+pub(super) fn explain(response: Response) -> Response {
     if !response.headers().contains_key(STATUS) || response.headers().contains_key(DETAILS) {
         return response;
     }

@@ -1,14 +1,17 @@
 //! The services of this door as routes of the shared port.
 
+use std::panic::AssertUnwindSafe;
 use std::time::Duration;
 
 use axum::Router;
-use axum::middleware;
+use axum::extract::{Request, State};
+use axum::middleware::{self, Next};
+use axum::response::Response;
+use futures::FutureExt;
 use tokio::time::timeout;
 use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
-use tower_http::catch_panic::CatchPanicLayer;
 
 use crate::contract::Service;
 
@@ -51,9 +54,14 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(BasesServer))
         .into_axum_router()
         .reset_fallback()
-        .layer(middleware::from_fn_with_state(limit, admission::admit))
-        .layer(middleware::map_response(frame::explain))
-        .layer(CatchPanicLayer::custom(frame::panicked))
+        .layer(middleware::from_fn_with_state(limit, serve))
+}
+
+/// Serves a request; refusals of tonic itself and panics become refusals with a code. One layer,
+/// because each costs an allocation or two a request.
+async fn serve(State(limit): State<usize>, request: Request, next: Next) -> Response {
+    let served = AssertUnwindSafe(admission::admit(limit, request, next)).catch_unwind().await;
+    frame::explain(served.unwrap_or_else(frame::panicked))
 }
 
 /// The reflection service. It must stay a separate function that is never inlined: with

@@ -9,6 +9,7 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use uuid::fmt::Hyphenated;
 
 use crate::contract::{Lease, Refusal, Service};
 use crate::grpc;
@@ -17,6 +18,8 @@ use crate::refusal::Code;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
 
+/// Header with the name of the node that answers, on both doors.
+const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
 /// Header of an answer with the request's id. The log has the same id.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// `Content-Security-Policy` of answers that are not pages: nothing may be loaded or framed.
@@ -35,17 +38,22 @@ pub(super) async fn admit(
     let admitted = check_host(&service, request.uri(), request.headers())
         .and_then(|()| service.budget().lease())
         .and_then(|lease| metered(&service, request, lease, is_grpc));
-    let response = match admitted {
+    let mut response = match admitted {
         Ok((request, lease)) => {
             let mut response = lease.clone().scope(next.run(request)).await;
-            let id = lease.request_id().to_string();
-            if let Ok(id) = HeaderValue::from_str(&id) {
+            let id = lease.request_id();
+            tracing::debug!(request = %id, status = %response.status(), "answered");
+            let mut text = [0; Hyphenated::LENGTH];
+            if let Ok(id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
                 response.headers_mut().insert(REQUEST_ID, id);
             }
             response.map(|body| Keeping::body(body, lease))
         }
         Err(refusal) => answer(refusal, is_grpc),
     };
+    if let Ok(node) = HeaderValue::from_str(service.node()) {
+        response.headers_mut().insert(NODE, node);
+    }
     if is_grpc { response } else { with_security_headers(response) }
 }
 

@@ -2,13 +2,13 @@
 //! until they are sent.
 
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::BoxError;
 use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
-use tokio::time::{Instant, Sleep, sleep};
+use tokio::time::{Instant, Sleep, sleep_until};
 
 use crate::contract::{Lease, Refusal};
 use crate::refusal::Code;
@@ -33,7 +33,11 @@ pub(super) struct Metered {
     arrived: usize,
     patience: Patience,
     begun: Instant,
-    silence: Pin<Box<Sleep>>,
+    /// When the last bytes arrived.
+    last: Instant,
+    /// Wakes the reader once the peer has been silent for too long. Most bodies arrive at once, and
+    /// need none.
+    silence: Option<Pin<Box<Sleep>>>,
     /// Converts a refusal into the error that the door expects from a body.
     fault: fn(Refusal) -> BoxError,
 }
@@ -51,9 +55,18 @@ impl Metered {
         fault: fn(Refusal) -> BoxError,
     ) -> Result<Self, Refusal> {
         lease.reserve(length)?;
-        let silence = Box::pin(sleep(patience.silence));
         let begun = Instant::now();
-        Ok(Self { body, lease, reserved: length, arrived: 0, patience, begun, silence, fault })
+        Ok(Self {
+            body,
+            lease,
+            reserved: length,
+            arrived: 0,
+            patience,
+            begun,
+            last: begun,
+            silence: None,
+            fault,
+        })
     }
 
     /// Reserves memory for the next bytes.
@@ -81,8 +94,18 @@ impl Metered {
             let message = format!("{} bytes in {:?}", self.arrived, self.begun.elapsed());
             return Err(Refusal::new(Code::BodyTooSlow, message));
         }
-        self.silence.as_mut().reset(Instant::now() + self.patience.silence);
+        self.last = Instant::now();
         Ok(())
+    }
+
+    /// Ready once the peer has sent nothing for too long.
+    fn poll_silence(&mut self, context: &mut Context<'_>) -> Poll<()> {
+        let end = self.last + self.patience.silence;
+        let silence = self.silence.get_or_insert_with(|| Box::pin(sleep_until(end)));
+        if silence.deadline() < end {
+            silence.as_mut().reset(end);
+        }
+        silence.as_mut().poll(context)
     }
 }
 
@@ -109,7 +132,9 @@ impl HttpBody for Metered {
             }
             Poll::Ready(None) => Poll::Ready(None),
             Poll::Pending => {
-                ready!(this.silence.as_mut().poll(context));
+                if this.poll_silence(context).is_pending() {
+                    return Poll::Pending;
+                }
                 let message = format!("no byte of the body for {:?}", this.patience.silence);
                 let refusal = Refusal::new(Code::BodyTooSlow, message);
                 Poll::Ready(Some(Err((this.fault)(refusal))))

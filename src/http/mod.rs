@@ -17,15 +17,10 @@ mod server;
 mod sessions;
 mod solutions;
 
-use axum::extract::State;
-use axum::http::{HeaderName, HeaderValue};
-use axum::middleware::map_response_with_state;
-use axum::response::Response;
 use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::decompression::RequestDecompressionLayer;
-use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::{Config, SwaggerUi};
 
 use crate::contract::Service;
@@ -39,16 +34,6 @@ pub use server::serve;
 
 /// Largest body of a call that brings neither epochs nor a file (bytes).
 const CONTROL_BYTES: usize = 256 << 10;
-
-/// Header with the name of the node that answers, on both doors.
-const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
-
-async fn name_node(State(service): State<Service>, mut response: Response) -> Response {
-    if let Ok(node) = HeaderValue::from_str(service.node()) {
-        response.headers_mut().insert(NODE, node);
-    }
-    response
-}
 
 /// Both doors on one router: REST, pages and gRPC.
 pub fn router(service: &Service) -> Router {
@@ -66,8 +51,6 @@ pub fn router(service: &Service) -> Router {
         .merge(grpc::routes(service))
         .fallback(pages::no_route)
         .layer(middleware::from_fn_with_state(service.clone(), admission::admit))
-        .layer(map_response_with_state(service.clone(), name_node))
-        .layer(TraceLayer::new_for_http())
 }
 
 /// Calls with short bodies, and the pages.
