@@ -7,9 +7,12 @@
 
 mod antennas;
 pub mod bases;
+mod devices;
 mod error;
 mod limits;
 mod navigation;
+mod shared;
+mod state;
 mod trust;
 
 pub use antennas::Antennas;
@@ -20,7 +23,7 @@ pub use navigation::PushedNavigation;
 pub use navigation::{NavigationBroker, NavigationPush};
 pub use navigation::{NavigationStatus, SatelliteCoverage};
 pub(crate) use trust::OF_BASE;
-pub use trust::{DEVICE, UPLOAD};
+pub use trust::{AGREED, UPLOAD, device};
 
 use std::sync::Arc;
 

@@ -1,16 +1,17 @@
 //! The desk for broadcast ephemerides, ionosphere coefficients and leap seconds.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use tokio::sync::Mutex;
 
 use crate::clock::unix_ms;
 use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
-use crate::store::{NavigationChange, Store, StoreError};
+use crate::store::{NavigationChange, Store, StoreError, owner_of};
 
-use super::trust::{Offered, is_of_operator};
+use super::state::{Part, State};
+use super::trust::{Trust, trust};
 use super::{AidingError, AidingLimits};
 
 /// The effect of a push.
@@ -61,7 +62,7 @@ pub struct NavigationStatus {
 }
 
 /// Source of each satellite's newest ephemeris, and when it was stored (ms since 1970-01-01 UTC).
-type Sources = BTreeMap<SatelliteId, (String, i64)>;
+type Sources = BTreeMap<SatelliteId, (Arc<str>, i64)>;
 
 /// Past states of the navigation data that are cached for replay.
 const PAST_CACHED: usize = 4;
@@ -75,25 +76,17 @@ pub struct PushedNavigation {
     pub navigation: Arc<Navigation>,
 }
 
-#[derive(Clone, Default)]
-struct Current {
-    push: u64,
-    navigation: Arc<Navigation>,
-    sources: Arc<Sources>,
-    /// The ephemerides in force that are not the operator's.
-    offered: Arc<Offered>,
-}
-
 /// The desk for broadcast navigation data. All clones share the same data.
 #[derive(Clone)]
 pub struct NavigationBroker {
     store: Store,
     limits: AidingLimits,
-    current: Arc<RwLock<Current>>,
+    state: Arc<RwLock<State>>,
+    sources: Arc<RwLock<Sources>>,
     /// Locked while a push is compared and committed, so that pushes follow one another.
     pushing: Arc<Mutex<()>>,
     /// Past states that replay requested recently, the newest last.
-    past: Arc<Mutex<VecDeque<PushedNavigation>>>,
+    past: Arc<Mutex<VecDeque<Arc<RwLock<State>>>>>,
 }
 
 impl NavigationBroker {
@@ -103,57 +96,58 @@ impl NavigationBroker {
     /// The store fails.
     pub async fn open(store: Store, limits: AidingLimits) -> Result<Self, AidingError> {
         let stored = store.navigation().await?;
-        let mut navigation = stored.coefficients;
-        let (mut sources, mut offered) = (Sources::new(), Offered::default());
-        for row in stored.ephemerides {
-            offered.note(&row.ephemeris, &row.source, row.stored_unix_ms);
-            let entry = sources.entry(row.ephemeris.satellite());
-            let newest = entry.or_insert_with(|| (String::new(), i64::MIN));
-            if newest.1 < row.stored_unix_ms {
-                *newest = (row.source, row.stored_unix_ms);
+        let mut sources = Sources::new();
+        for row in &stored.ephemerides {
+            let newest = sources.entry(row.ephemeris.satellite()).or_default();
+            if newest.1 < row.stored_unix_ms && trust(&row.source) != Trust::Device {
+                *newest = (row.source.as_str().into(), row.stored_unix_ms);
             }
-            navigation.insert(row.ephemeris);
         }
-        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        let offered = Arc::new(offered);
-        let current = Current { push: stored.push, navigation, sources, offered };
-        let current = Arc::new(RwLock::new(current));
-        Ok(Self { store, limits, current, pushing: Arc::default(), past: Arc::default() })
+        let state = Arc::new(RwLock::new(State::of(stored)));
+        let sources = Arc::new(RwLock::new(sources));
+        Ok(Self { store, limits, state, sources, pushing: Arc::default(), past: Arc::default() })
     }
 
-    /// The navigation data in force now.
+    /// The navigation data in force now that serve all sessions.
     pub fn current(&self) -> PushedNavigation {
-        let Current { push, navigation, .. } = self.read();
-        PushedNavigation { push, navigation }
+        let state = self.read();
+        PushedNavigation { push: state.push, navigation: state.shared.navigation.clone() }
     }
 
-    /// The navigation data that were in force after push number `push`.
+    /// The navigation data in force now for the session of a device, which is a source of its own.
+    pub fn current_for(&self, device: &str) -> PushedNavigation {
+        pushed_for(&self.state, device)
+    }
+
+    /// The navigation data that were in force for the session of a device after push number `push`.
     ///
     /// # Errors
     /// Some of them are no longer stored, or the store fails.
-    pub async fn after(&self, push: u64) -> Result<PushedNavigation, StoreError> {
-        let current = self.current();
+    pub async fn after(&self, push: u64, device: &str) -> Result<PushedNavigation, StoreError> {
+        let current = self.current_for(device);
         if current.push == push {
             return Ok(current);
         }
         // Locked while the store is read: many sessions restored at once ask for the same push.
         let mut past = self.past.lock().await;
-        if let Some(known) = past.iter().find(|known| known.push == push) {
-            return Ok(known.clone());
+        let is_known = |state: &&Arc<RwLock<State>>| read(state).push == push;
+        if let Some(known) = past.iter().find(is_known) {
+            return Ok(pushed_for(known, device));
         }
-        let navigation = Arc::new(self.store.navigation_after(push).await?);
-        let found = PushedNavigation { push, navigation };
+        let found = self.store.navigation_after(push).await?;
+        let found = Arc::new(RwLock::new(State::of(found)));
         if past.len() == PAST_CACHED {
             past.pop_front();
         }
         past.push_back(found.clone());
-        Ok(found)
+        Ok(pushed_for(&found, device))
     }
 
     /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
-    /// of [`Self::current`] contain them. The operator's data replace others; data from the sources
-    /// [`UPLOAD`](super::UPLOAD), [`DEVICE`](super::DEVICE) and those that begin with
-    /// `OF_BASE` are added as far as they contradict and replace nothing.
+    /// of [`Self::current`] contain them as far as the source is trusted: the operator's replace
+    /// others; those of an [`UPLOAD`](super::UPLOAD) and of sources that begin with `OF_BASE` are
+    /// added where they contradict and replace nothing of higher trust; those of a
+    /// [`device`](super::device) serve its own session, until another source agrees.
     ///
     /// # Errors
     /// The push has more ephemerides of one satellite than are kept, or the store fails.
@@ -162,53 +156,65 @@ impl NavigationBroker {
         pushed: Navigation,
         source: &str,
     ) -> Result<NavigationPush, AidingError> {
-        let _turn = self.pushing.lock().await;
-        let before = self.read();
         let limit = self.limits.ephemerides_per_satellite;
         if let Some((satellite, list)) = pushed.satellites().find(|(_, l)| limit < l.len()) {
             return Err(AidingError::TooManyEphemerides { satellite, count: list.len(), limit });
         }
         let received = pushed.len();
-        let (pushed, mut ended) = before.accept(pushed, source, limit);
-        let new = before.new_ephemerides(&pushed, source);
-        let coefficients = new_coefficients(&before.navigation, &pushed);
-        if new.is_empty() && coefficients == Navigation::default() {
-            let in_force = before.navigation.len();
-            return Ok(NavigationPush { received, new: 0, dropped: 0, in_force });
+        let is_known = self.read().knows(&pushed, source);
+        let mut counts =
+            NavigationPush { received, new: 0, dropped: 0, in_force: self.current_len() };
+        if is_known {
+            return Ok(counts);
         }
-        let mut navigation = (*before.navigation).clone();
-        navigation.merge(pushed.clone());
-        navigation.retain(|ephemeris| !ended.contains(ephemeris));
-        let excess = excess(&navigation, &pushed, limit, &before.offered);
-        navigation.retain(|ephemeris| !excess.contains(ephemeris));
-        ended.extend(excess);
-        let dropped: Vec<&Ephemeris> = ended.iter().collect();
+        let _turn = self.pushing.lock().await;
+        let parts = self.read().parts(&pushed, &source.into(), limit, unix_ms());
+        for part in parts {
+            counts.new += part.new.len();
+            counts.dropped += part.ended.len() + part.ended_owned.len();
+            self.commit(part).await?;
+        }
+        counts.in_force = self.current_len();
+        Ok(counts)
+    }
+
+    /// Stores a part of a push, and then takes it over.
+    async fn commit(&self, part: Part) -> Result<(), AidingError> {
+        let stored_unix_ms = unix_ms();
+        let new: Vec<Ephemeris> =
+            part.new.satellites().flat_map(|(_, list)| list.iter().cloned()).collect();
+        let shared = part.ended.iter().map(|ephemeris| ("", ephemeris));
+        let owned = part.ended_owned.iter().map(|(owner, ephemeris)| (owner_of(owner), ephemeris));
+        let ended: Vec<(&str, &Ephemeris)> = shared.chain(owned).collect();
+        let ended_coefficients: Vec<(&str, &Navigation)> =
+            part.ended_coefficients.iter().map(|(owner, ended)| (owner_of(owner), ended)).collect();
         let change = NavigationChange {
             new: &new,
-            dropped: &dropped,
-            coefficients: &coefficients,
-            source,
-            stored_unix_ms: unix_ms(),
+            ended: &ended,
+            coefficients: &part.new,
+            ended_coefficients: &ended_coefficients,
+            source: &part.source,
+            stored_unix_ms,
             superseded_limit: self.limits.superseded_ephemerides,
         };
         let push = self.store.push_navigation(&change).await?;
-        let counts = NavigationPush {
-            received,
-            new: new.len(),
-            dropped: ended.len(),
-            in_force: navigation.len(),
-        };
-        let after = before.after(push, navigation, &change);
-        *self.current.write().unwrap_or_else(PoisonError::into_inner) = after;
-        Ok(counts)
+        if trust(&part.source) != Trust::Device {
+            let mut sources = self.sources.write().unwrap_or_else(PoisonError::into_inner);
+            for ephemeris in &new {
+                sources.insert(ephemeris.satellite(), (part.source.clone(), stored_unix_ms));
+            }
+        }
+        write(&self.state).take_over(push, part, new, stored_unix_ms);
+        Ok(())
     }
 
     /// The satellites with usable ephemerides, and the time that these cover.
     pub fn status(&self) -> NavigationStatus {
-        let Current { navigation, sources, .. } = self.read();
+        let navigation = self.current().navigation;
+        let sources = self.sources.read().unwrap_or_else(PoisonError::into_inner);
         let coverage = |(satellite, list): (SatelliteId, &[Ephemeris])| {
             let (source, stored_unix_ms) = sources.get(&satellite).cloned().unwrap_or_default();
-            let ephemerides = list.len();
+            let (source, ephemerides) = (source.to_string(), list.len());
             let usable = usable_span(list);
             SatelliteCoverage { satellite, ephemerides, usable, source, stored_unix_ms }
         };
@@ -223,90 +229,43 @@ impl NavigationBroker {
         }
     }
 
-    fn read(&self) -> Current {
-        self.current.read().unwrap_or_else(PoisonError::into_inner).clone()
+    fn current_len(&self) -> usize {
+        self.read().shared.navigation.len()
+    }
+
+    fn read(&self) -> RwLockReadGuard<'_, State> {
+        read(&self.state)
     }
 }
 
-impl Current {
-    /// The part of a push that is accepted, and the ephemerides in force that end because of it.
-    fn accept(
-        &self,
-        pushed: Navigation,
-        source: &str,
-        limit: usize,
-    ) -> (Navigation, Vec<Ephemeris>) {
-        if is_of_operator(source) {
-            let contradicted = self.offered.contradicted(&self.navigation, &pushed);
-            return (pushed, contradicted);
-        }
-        let accepted = self.offered.accept(&self.navigation, &pushed, limit, unix_ms());
-        (accepted.navigation, accepted.dropped)
-    }
-
-    /// The ephemerides of `pushed` to store: those that are not known yet, and those that were
-    /// offered before and are now the operator's.
-    fn new_ephemerides<'a>(&self, pushed: &'a Navigation, source: &str) -> Vec<&'a Ephemeris> {
-        let all = || pushed.satellites().flat_map(|(_, list)| list);
-        let is_new = |e: &&Ephemeris| !self.navigation.of(e.satellite()).contains(e);
-        let mut new: Vec<&Ephemeris> = all().filter(is_new).collect();
-        if is_of_operator(source) {
-            let is_taken_over = |e: &&Ephemeris| self.offered.contains(e) && !new.contains(e);
-            let taken_over: Vec<&Ephemeris> = all().filter(is_taken_over).collect();
-            new.extend(taken_over);
-        }
-        new
-    }
-
-    /// The state after `change` is stored as push number `push`.
-    fn after(&self, push: u64, navigation: Navigation, change: &NavigationChange<'_>) -> Self {
-        let (source, now) = (change.source, change.stored_unix_ms);
-        let mut sources = (*self.sources).clone();
-        let mut offered = (*self.offered).clone();
-        change.dropped.iter().for_each(|ephemeris| offered.forget(ephemeris));
-        for ephemeris in change.new {
-            offered.note(ephemeris, source, now);
-            sources.insert(ephemeris.satellite(), (source.to_owned(), now));
-        }
-        let (navigation, sources) = (Arc::new(navigation), Arc::new(sources));
-        Self { push, navigation, sources, offered: Arc::new(offered) }
-    }
+fn read(state: &RwLock<State>) -> RwLockReadGuard<'_, State> {
+    state.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The coefficients of `pushed` that differ from the known ones.
-fn new_coefficients(known: &Navigation, pushed: &Navigation) -> Navigation {
-    fn changed<T: PartialEq>(known: Option<T>, pushed: Option<T>) -> Option<T> {
-        pushed.filter(|value| known.as_ref() != Some(value))
-    }
-    let mut new = Navigation::default();
-    new.klobuchar_gps = changed(known.klobuchar_gps, pushed.klobuchar_gps);
-    new.klobuchar_beidou = changed(known.klobuchar_beidou, pushed.klobuchar_beidou);
-    new.klobuchar_qzss = changed(known.klobuchar_qzss, pushed.klobuchar_qzss);
-    new.nequick = changed(known.nequick, pushed.nequick);
-    if known.leap_seconds != pushed.leap_seconds {
-        new.leap_seconds = pushed.leap_seconds;
-    }
-    new
+fn write(state: &RwLock<State>) -> RwLockWriteGuard<'_, State> {
+    state.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The ephemerides of each satellite beyond `limit`, except those that came with `pushed`: offered
-/// ones first, and of these the oldest.
-fn excess(
-    merged: &Navigation,
-    pushed: &Navigation,
-    limit: usize,
-    offered: &Offered,
-) -> Vec<Ephemeris> {
-    let mut excess = Vec::new();
-    for (satellite, brought) in pushed.satellites() {
-        let list = merged.of(satellite);
-        let older = list.iter().filter(|ephemeris| !brought.contains(ephemeris));
-        let mut older: Vec<&Ephemeris> = older.collect();
-        older.sort_by_key(|ephemeris| !offered.contains(ephemeris));
-        let surplus = list.len().saturating_sub(limit);
-        excess.extend(older.into_iter().take(surplus).cloned());
+/// What serves the session of a device.
+fn pushed_for(state: &RwLock<State>, device: &str) -> PushedNavigation {
+    {
+        let state = read(state);
+        let push = state.push;
+        if state.devices.of(device).is_none() {
+            return PushedNavigation { push, navigation: state.shared.navigation.clone() };
+        }
+        if let Some(view) = state.views.get(device) {
+            return PushedNavigation { push, navigation: view.clone() };
+        }
     }
-    excess
+    let mut state = write(state);
+    let push = state.push;
+    let view = match state.devices.of(device) {
+        None => return PushedNavigation { push, navigation: state.shared.navigation.clone() },
+        Some(own) => Arc::new(state.shared.view(own)),
+    };
+    state.views.insert(device.into(), view.clone());
+    PushedNavigation { push, navigation: view }
 }
 
 fn usable_span(list: &[Ephemeris]) -> Option<(GpsTime, GpsTime)> {

@@ -1,142 +1,152 @@
-//! Which source of navigation data has precedence when sources contradict each other.
+//! How far a source of navigation data is trusted, and whether two sources agree.
 //!
-//! The operator's archives and streams have precedence. Uploads, devices and the streams of bases
-//! only offer data. An offer that contradicts the operator's ephemerides is refused, or dropped
-//! when these arrive later. An offer replaces no data of the operator. If a satellite has as many
-//! ephemerides as allowed, a new offer takes the place of an offer of more than a day ago.
+//! The operator's archives and streams come first, then what two independent sources agree on, then
+//! uploads and the streams of bases, and last what one device has decoded. Data of the first three
+//! serve all sessions; those of a device serve its own session only, until another source agrees.
+//! Nothing is replaced or contradicted by a source of lower trust.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use crate::gnss::{Ephemeris, GpsTime, Navigation, NavigationMessage, SatelliteId};
+use crate::gnss::{Ephemeris, GpsTime, GroupDelays, NavigationMessage, SatelliteId};
 use crate::models::{satellite_state, validity_s};
+use crate::store::OWNER_PREFIX;
 
 /// Source of uploaded files, as the navigation status names it.
 pub const UPLOAD: &str = "upload";
-/// Source of ephemerides from devices.
-pub const DEVICE: &str = "device";
+/// Source of what two independent sources have brought.
+pub const AGREED: &str = "agreed";
 /// Prefix of the sources that are streams of bases.
 pub(crate) const OF_BASE: &str = "base ";
-/// Largest difference of the satellite's positions and clocks by two ephemerides that agree (m).
-/// Consecutive broadcasts differ by some metres at times for which both are valid.
-const AGREEMENT_M: f64 = 100.0;
-/// Age below which an offered ephemeris is not dropped for another offer (ms).
-const LASTING_MS: i64 = 86_400_000;
+/// Source of what devices brought to earlier versions, which shared it at once.
+const FORMER_DEVICE: &str = "device";
+/// Difference of the satellite's positions and clocks by two ephemerides that contradict each other
+/// (m). Consecutive broadcasts differ by some metres at times for which both are valid.
+const CONTRADICTION_M: f64 = 100.0;
+/// The same by two copies of one broadcast that agree (m). Files round the broadcast values.
+const AGREEMENT_M: f64 = 0.1;
+/// Difference of two group delays that are copies of one broadcast (s).
+const DELAY_S: f64 = 1e-10;
+/// Ratio of two stated accuracies that are copies of one broadcast.
+const ACCURACY_RATIO: f64 = 1.5;
 
-/// Whether a source is the operator's.
-pub(super) fn is_of_operator(source: &str) -> bool {
-    source != UPLOAD && source != DEVICE && !source.starts_with(OF_BASE)
+/// How far a source is trusted, the least first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Trust {
+    /// A device: trusted by its own session only.
+    Device,
+    /// An upload, or the stream of a base.
+    Offer,
+    /// Two independent sources.
+    Agreed,
+    /// The operator's archives and streams.
+    Operator,
+}
+
+/// The trust in a source.
+pub(super) fn trust(source: &str) -> Trust {
+    match source {
+        UPLOAD | FORMER_DEVICE => Trust::Offer,
+        AGREED => Trust::Agreed,
+        _ if source.starts_with(OWNER_PREFIX) => Trust::Device,
+        _ if source.starts_with(OF_BASE) => Trust::Offer,
+        _ => Trust::Operator,
+    }
+}
+
+/// The source that is the device of a session.
+pub fn device(session: &str) -> Arc<str> {
+    format!("{OWNER_PREFIX}{session}").into()
 }
 
 /// Whether two ephemerides of one satellite give different orbits or clocks at a time for which
 /// both are valid. False if there is no such time, or if they are of different messages.
-fn contradict(one: &Ephemeris, other: &Ephemeris) -> bool {
+pub(super) fn contradict(one: &Ephemeris, other: &Ephemeris) -> bool {
     let apart_s = (one.toe() - other.toe()).abs();
     if message(one) != message(other) || validity_s(one).min(validity_s(other)) < apart_s {
         return false;
     }
     let time = one.toe() + (other.toe() - one.toe()) / 2.0;
-    let (a, b) = (satellite_state(one, time), satellite_state(other, time));
-    let apart_m = a.position.distance_m(b.position).max((a.clock_m - b.clock_m).abs());
-    !apart_m.is_finite() || AGREEMENT_M < apart_m
+    let apart_m = apart_m(one, other, time);
+    apart_m.is_nan() || CONTRADICTION_M < apart_m
 }
 
-/// The offered ephemerides in force, by issue, each with the time at which it was stored (ms since
-/// 1970-01-01 UTC).
-#[derive(Clone, Debug, Default)]
-pub(super) struct Offered(BTreeMap<Issue, i64>);
+/// Whether two ephemerides are copies of one broadcast: the same orbit, clock, group delays,
+/// accuracy and health.
+pub(super) fn agree(one: &Ephemeris, other: &Ephemeris) -> bool {
+    let validity_s = validity_s(one);
+    let times = [-validity_s, 0.0, validity_s].map(|after_s| one.toe() + after_s);
+    issue(one) == issue(other)
+        && times.iter().all(|time| apart_m(one, other, *time) <= AGREEMENT_M)
+        && have_same_properties(one, other)
+}
+
+fn have_same_properties(one: &Ephemeris, other: &Ephemeris) -> bool {
+    match (one, other) {
+        (Ephemeris::Keplerian(one), Ephemeris::Keplerian(other)) => {
+            let (a, b) = (delays_s(&one.group_delays), delays_s(&other.group_delays));
+            one.health == other.health
+                && is_same_accuracy(one.accuracy_m, other.accuracy_m)
+                && a.iter().zip(&b).all(|(a, b)| is_same_delay(*a, *b))
+        }
+        (Ephemeris::Glonass(one), Ephemeris::Glonass(other)) => {
+            (one.health, one.channel) == (other.health, other.channel)
+                && is_same_accuracy(one.accuracy_m, other.accuracy_m)
+                && is_same_delay(one.delta_tau_s, other.delta_tau_s)
+        }
+        _ => false,
+    }
+}
+
+fn is_same_delay(one_s: Option<f64>, other_s: Option<f64>) -> bool {
+    match (one_s, other_s) {
+        (Some(one), Some(other)) => (one - other).abs() <= DELAY_S,
+        (one, other) => one == other,
+    }
+}
+
+/// Files have the accuracy itself, messages an index of it.
+fn is_same_accuracy(one_m: Option<f64>, other_m: Option<f64>) -> bool {
+    match (one_m, other_m) {
+        (Some(one), Some(other)) => one.max(other) <= ACCURACY_RATIO * one.min(other),
+        (one, other) => one == other,
+    }
+}
+
+/// All delays of one kind of message, in a fixed order.
+fn delays_s(delays: &GroupDelays) -> [Option<f64>; 7] {
+    match *delays {
+        GroupDelays::Gps {
+            tgd_s,
+            isc_l1ca_s,
+            isc_l2c_s,
+            isc_l5i_s,
+            isc_l5q_s,
+            isc_l1cd_s,
+            isc_l1cp_s,
+        } => [Some(tgd_s), isc_l1ca_s, isc_l2c_s, isc_l5i_s, isc_l5q_s, isc_l1cd_s, isc_l1cp_s],
+        GroupDelays::Galileo { bgd_e5a_s, bgd_e5b_s } => {
+            [Some(bgd_e5a_s), bgd_e5b_s, None, None, None, None, None]
+        }
+        GroupDelays::BeiDou { tgd1_s, tgd2_s } => {
+            [Some(tgd1_s), Some(tgd2_s), None, None, None, None, None]
+        }
+        GroupDelays::BeiDouCnav { tgd_b1cp_s, tgd_b2ap_s, tgd_b2bi_s, isc_b1cd_s, isc_b2ad_s } => {
+            [tgd_b1cp_s, tgd_b2ap_s, tgd_b2bi_s, isc_b1cd_s, isc_b2ad_s, None, None]
+        }
+    }
+}
+
+/// Difference of the satellite's positions, or of its clocks if that is larger (m).
+fn apart_m(one: &Ephemeris, other: &Ephemeris, time: GpsTime) -> f64 {
+    let (a, b) = (satellite_state(one, time), satellite_state(other, time));
+    let (orbits_m, clocks_m) = (a.position.distance_m(b.position), (a.clock_m - b.clock_m).abs());
+    if orbits_m.is_nan() || clocks_m.is_nan() { f64::NAN } else { orbits_m.max(clocks_m) }
+}
 
 /// Identifies one issue of an ephemeris: satellite, message, toe, toc, issue of data.
-type Issue = (SatelliteId, NavigationMessage, GpsTime, GpsTime, u32);
+pub(super) type Issue = (SatelliteId, NavigationMessage, GpsTime, GpsTime, u32);
 
-/// The accepted part of an offer, and the older offers that are dropped for it.
-pub(super) struct Accepted {
-    pub(super) navigation: Navigation,
-    pub(super) dropped: Vec<Ephemeris>,
-}
-
-impl Offered {
-    /// Records that `ephemeris` of `source` is in force since `stored_unix_ms`.
-    pub(super) fn note(&mut self, ephemeris: &Ephemeris, source: &str, stored_unix_ms: i64) {
-        if is_of_operator(source) {
-            self.0.remove(&issue(ephemeris));
-        } else {
-            self.0.insert(issue(ephemeris), stored_unix_ms);
-        }
-    }
-
-    /// Records that `ephemeris` is no longer in force.
-    pub(super) fn forget(&mut self, ephemeris: &Ephemeris) {
-        self.0.remove(&issue(ephemeris));
-    }
-
-    /// Whether this ephemeris was offered, and not brought by the operator.
-    pub(super) fn contains(&self, ephemeris: &Ephemeris) -> bool {
-        self.0.contains_key(&issue(ephemeris))
-    }
-
-    fn stored_unix_ms(&self, ephemeris: &Ephemeris) -> Option<i64> {
-        self.0.get(&issue(ephemeris)).copied()
-    }
-
-    /// The offered ephemerides of `known` that contradict `pushed`, which the operator brings.
-    pub(super) fn contradicted(&self, known: &Navigation, pushed: &Navigation) -> Vec<Ephemeris> {
-        let mut found = Vec::new();
-        for (satellite, list) in pushed.satellites() {
-            let offered = known.of(satellite).iter().filter(|e| self.contains(e));
-            let contradicted = |e: &&Ephemeris| list.iter().any(|other| contradict(e, other));
-            found.extend(offered.filter(contradicted).cloned());
-        }
-        found
-    }
-
-    /// The part of an offer that is new and does not contradict the operator's data in `known`. If
-    /// a satellite has `limit` ephemerides, only offers of more than a day ago are dropped for it.
-    pub(super) fn accept(
-        &self,
-        known: &Navigation,
-        offer: &Navigation,
-        limit: usize,
-        now_unix_ms: i64,
-    ) -> Accepted {
-        let mut accepted = Navigation::default();
-        let mut dropped = Vec::new();
-        for (satellite, list) in offer.satellites() {
-            let present = known.of(satellite);
-            let mut free = limit.saturating_sub(present.len());
-            let is_old = |e: &&Ephemeris| {
-                self.stored_unix_ms(e).is_some_and(|stored| stored + LASTING_MS < now_unix_ms)
-            };
-            let mut old = present.iter().filter(is_old);
-            for ephemeris in list {
-                let is_known = present.iter().any(|other| issue(other) == issue(ephemeris));
-                let is_refused = present.iter().any(|other| {
-                    self.stored_unix_ms(other).is_none() && contradict(other, ephemeris)
-                });
-                if is_known || is_refused {
-                    continue;
-                }
-                if free == 0 {
-                    let Some(oldest) = old.next() else { break };
-                    dropped.push(oldest.clone());
-                    free = 1;
-                }
-                accepted.insert(ephemeris.clone());
-                free -= 1;
-            }
-        }
-        accepted.klobuchar_gps = offer.klobuchar_gps.filter(|_| known.klobuchar_gps.is_none());
-        accepted.klobuchar_beidou =
-            offer.klobuchar_beidou.filter(|_| known.klobuchar_beidou.is_none());
-        accepted.klobuchar_qzss = offer.klobuchar_qzss.filter(|_| known.klobuchar_qzss.is_none());
-        accepted.nequick = offer.nequick.filter(|_| known.nequick.is_none());
-        if known.leap_seconds == Navigation::default().leap_seconds {
-            accepted.leap_seconds = offer.leap_seconds;
-        }
-        Accepted { navigation: accepted, dropped }
-    }
-}
-
-fn issue(ephemeris: &Ephemeris) -> Issue {
+pub(super) fn issue(ephemeris: &Ephemeris) -> Issue {
     let (toe, toc) = (ephemeris.toe(), ephemeris.toc());
     (ephemeris.satellite(), message(ephemeris), toe, toc, ephemeris.issue())
 }
@@ -145,5 +155,17 @@ const fn message(ephemeris: &Ephemeris) -> NavigationMessage {
     match ephemeris {
         Ephemeris::Keplerian(keplerian) => keplerian.message,
         Ephemeris::Glonass(_) => NavigationMessage::Fdma,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sources_have_an_order() {
+        let sources = [&*device("a"), "base ntrip://caster/B", AGREED, "https://archive/brdc.rnx"];
+        assert!(sources.windows(2).all(|pair| trust(pair[0]) < trust(pair[1])));
+        assert_eq!(trust(UPLOAD), trust(FORMER_DEVICE));
     }
 }

@@ -1,6 +1,7 @@
 //! Broadcast data of all satellites: ephemerides, ionosphere coefficients, leap seconds.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::{Ephemeris, LeapSeconds, SatelliteId};
 
@@ -23,8 +24,8 @@ pub struct NeQuickCoefficients {
 /// Broadcast data that positioning needs, for all satellites.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Navigation {
-    /// Ephemerides of each satellite, in order of `toe`.
-    ephemerides: BTreeMap<SatelliteId, Vec<Ephemeris>>,
+    /// Ephemerides of each satellite, in order of `toe`. Clones share the lists until one changes.
+    ephemerides: BTreeMap<SatelliteId, Arc<Vec<Ephemeris>>>,
     /// Klobuchar coefficients that GPS broadcast.
     pub klobuchar_gps: Option<KlobucharCoefficients>,
     /// Klobuchar coefficients that BeiDou broadcast, for BeiDou's own model.
@@ -52,19 +53,26 @@ impl Navigation {
         match list.binary_search_by_key(&key(&ephemeris), key) {
             Ok(index) if list[index] == ephemeris => false,
             Ok(index) => {
-                list[index] = ephemeris;
+                Arc::make_mut(list)[index] = ephemeris;
                 true
             }
             Err(index) => {
-                list.insert(index, ephemeris);
+                Arc::make_mut(list).insert(index, ephemeris);
                 true
             }
         }
     }
 
+    /// Adds ephemerides.
+    pub(crate) fn insert_all(&mut self, ephemerides: impl IntoIterator<Item = Ephemeris>) {
+        for ephemeris in ephemerides {
+            self.insert(ephemeris);
+        }
+    }
+
     /// Ephemerides of one satellite, in order of `toe`.
     pub fn of(&self, satellite: SatelliteId) -> &[Ephemeris] {
-        self.ephemerides.get(&satellite).map_or(&[], Vec::as_slice)
+        self.ephemerides.get(&satellite).map_or(&[], |list| list.as_slice())
     }
 
     /// All satellites with an ephemeris, and their ephemerides.
@@ -74,7 +82,7 @@ impl Navigation {
 
     /// Number of ephemerides.
     pub fn len(&self) -> usize {
-        self.ephemerides.values().map(Vec::len).sum()
+        self.ephemerides.values().map(|list| list.len()).sum()
     }
 
     /// Whether there is no ephemeris.
@@ -85,7 +93,10 @@ impl Navigation {
     /// Removes the ephemerides for which `keep` is false.
     pub fn retain(&mut self, mut keep: impl FnMut(&Ephemeris) -> bool) {
         self.ephemerides.retain(|_, list| {
-            list.retain(&mut keep);
+            let mut kept = list.iter().map(&mut keep).collect::<Vec<bool>>().into_iter();
+            if kept.as_slice().contains(&false) {
+                Arc::make_mut(list).retain(|_| kept.next().unwrap_or(true));
+            }
             !list.is_empty()
         });
     }
@@ -100,6 +111,7 @@ impl Navigation {
         if other.leap_seconds != LeapSeconds::table() {
             self.leap_seconds = other.leap_seconds;
         }
-        other.ephemerides.into_values().flatten().filter(|e| self.insert(e.clone())).count()
+        let lists = other.ephemerides.values();
+        lists.flat_map(|list| list.iter()).filter(|e| self.insert((*e).clone())).count()
     }
 }

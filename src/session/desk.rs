@@ -10,7 +10,7 @@ use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::task::JoinSet;
 
-use crate::aiding::AidingDesk;
+use crate::aiding::{AidingDesk, device};
 use crate::clock::Clock;
 use crate::store::{SessionKey, SessionRow, SessionSettings, Store};
 
@@ -448,6 +448,7 @@ impl Sessions {
         let task = Task {
             id: id.clone(),
             key,
+            device: device(id.as_str()),
             store: store.clone(),
             aiding: aiding.clone(),
             solvers: solvers.clone(),

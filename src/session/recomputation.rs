@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::AidingDesk;
+use crate::aiding::{AidingDesk, device};
 use crate::gnss::LeapSeconds;
 use crate::positioning::Scratch;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
@@ -94,6 +94,7 @@ impl Recomputation {
             aiding,
             solvers: Solvers::new(SessionLimits::service().solver_threads),
             key: row.key,
+            device: device(id.as_str()),
             with: if change.is_some() {
                 ReplayWith::Options(Arc::new(active))
             } else {

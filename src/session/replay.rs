@@ -55,6 +55,8 @@ pub(super) struct Replay {
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
+    /// The session's device as a source of navigation data.
+    pub(super) device: Arc<str>,
     pub(super) with: ReplayWith,
     /// Numbers of the epochs after which a new arc began, in order.
     pub(super) arcs: Arc<[u64]>,
@@ -221,10 +223,10 @@ impl Replay {
     }
 
     async fn navigation(&self, push: u64) -> Result<PushedNavigation, SessionError> {
-        match self.aiding.navigation.after(push).await {
+        match self.aiding.navigation.after(push, &self.device).await {
             Err(error @ StoreError::NavigationForgotten { .. }) if self.tolerates_missing => {
                 tracing::warn!(%error, "a session is restored with present navigation data");
-                Ok(self.aiding.navigation.current())
+                Ok(self.aiding.navigation.current_for(&self.device))
             }
             found => Ok(found?),
         }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
+use crate::aiding::device;
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::Navigation;
 use crate::store::SessionSettings;
@@ -117,7 +118,8 @@ impl Sessions {
             .rev()
             .map(|stored| SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch.clone() });
         let epochs = sequenced.collect();
-        let navigation = self.aiding().navigation.current().navigation;
+        let device = device(id.as_str());
+        let navigation = self.aiding().navigation.current_for(&device).navigation;
         let hash = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
         let estimation = Configuration {
             version: VERSION.into(),

@@ -49,7 +49,8 @@ pub use committer::{
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
-pub use navigation::{NavigationChange, StoredEphemeris, StoredNavigation};
+pub use navigation::{NavigationChange, StoredCoefficients, StoredEphemeris, StoredNavigation};
+pub(crate) use navigation::{OWNER_PREFIX, owner_of};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;

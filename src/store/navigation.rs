@@ -21,6 +21,15 @@ pub struct StoredEphemeris {
     pub stored_unix_ms: i64,
 }
 
+/// Coefficients or leap seconds with their source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StoredCoefficients {
+    /// Ionosphere coefficients of one kind, or leap seconds; nothing else.
+    pub coefficients: Navigation,
+    /// Source, such as `upload` or a caster's address.
+    pub source: String,
+}
+
 /// All navigation data in force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredNavigation {
@@ -28,19 +37,25 @@ pub struct StoredNavigation {
     pub push: u64,
     /// Ephemerides in force.
     pub ephemerides: Vec<StoredEphemeris>,
-    /// Ionosphere coefficients and leap seconds, without ephemerides.
-    pub coefficients: Navigation,
+    /// Ionosphere coefficients and leap seconds, by kind.
+    pub coefficients: Vec<StoredCoefficients>,
 }
 
-/// The changes of one push.
+/// The beginning of the sources that own their data: these serve nobody else.
+pub(crate) const OWNER_PREFIX: &str = "device ";
+
+/// The changes of one push. Data belong to an owner: a source that begins with `device `, or
+/// for all other sources the service, whose name is empty.
 #[derive(Clone, Debug)]
 pub struct NavigationChange<'a> {
-    /// New ephemerides. They replace those of the same satellite, time and issue.
-    pub new: &'a [&'a Ephemeris],
-    /// Ephemerides that are no longer in force.
-    pub dropped: &'a [&'a Ephemeris],
-    /// New coefficients and leap seconds.
+    /// New ephemerides. They replace those of the same owner, satellite, time and issue.
+    pub new: &'a [Ephemeris],
+    /// Ephemerides that are no longer in force, with their owners.
+    pub ended: &'a [(&'a str, &'a Ephemeris)],
+    /// New coefficients and leap seconds. They replace those of the same owner and kind.
     pub coefficients: &'a Navigation,
+    /// Coefficients and leap seconds that are no longer in force, with their owners.
+    pub ended_coefficients: &'a [(&'a str, &'a Navigation)],
     /// Source of the push.
     pub source: &'a str,
     /// Time of the push (ms since 1970-01-01 UTC).
@@ -52,12 +67,12 @@ pub struct NavigationChange<'a> {
 const NEXT_PUSH: &str = "UPDATE navigation_pushes SET newest = newest + 1 RETURNING newest";
 const END_EPHEMERIS: &str = "UPDATE ephemerides SET until = $1
     WHERE satellite = $2 AND toe_ns = $3 AND message = $4 AND toc_ns = $5 AND issue = $6
-    AND until IS NULL";
+    AND (source = $7 OR ($7 = '' AND source NOT LIKE 'device %')) AND until IS NULL";
 const INSERT_EPHEMERIS: &str = "INSERT INTO ephemerides
     (since, satellite, toe_ns, message, toc_ns, issue, source, stored_unix_ms, content)
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)";
-const END_RECORD: &str =
-    "UPDATE navigation_records SET until = $1 WHERE kind = $2 AND until IS NULL";
+const END_RECORD: &str = "UPDATE navigation_records SET until = $1 WHERE kind = $2
+    AND (source = $3 OR ($3 = '' AND source NOT LIKE 'device %')) AND until IS NULL";
 const INSERT_RECORD: &str = "INSERT INTO navigation_records
     (since, kind, source, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 /// Selects the push that ended the newest ephemeris beyond the limit.
@@ -94,14 +109,16 @@ impl Store {
         &self,
         change: &NavigationChange<'_>,
     ) -> Result<u64, StoreError> {
+        let owner = owner_of(change.source);
         let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
                 let (push,): (i64,) =
                     sqlx::query_as(NEXT_PUSH).fetch_one(&mut *transaction).await?;
-                for ephemeris in change.new.iter().chain(change.dropped) {
+                let replaced = change.new.iter().map(|ephemeris| (owner, ephemeris));
+                for (owner, ephemeris) in replaced.chain(change.ended.iter().copied()) {
                     let end = named!(sqlx::query(END_EPHEMERIS), push, ephemeris);
-                    end.execute(&mut *transaction).await?;
+                    end.bind(owner).execute(&mut *transaction).await?;
                 }
                 for ephemeris in change.new {
                     named!(sqlx::query(INSERT_EPHEMERIS), push, ephemeris)
@@ -111,9 +128,15 @@ impl Store {
                         .execute(&mut *transaction)
                         .await?;
                 }
+                for (owner, coefficients) in change.ended_coefficients {
+                    for (kind, _) in records(coefficients) {
+                        let end = sqlx::query(END_RECORD).bind(push).bind(kind);
+                        end.bind(*owner).execute(&mut *transaction).await?;
+                    }
+                }
                 for (kind, record) in records(change.coefficients) {
                     let end = sqlx::query(END_RECORD).bind(push).bind(kind);
-                    end.execute(&mut *transaction).await?;
+                    end.bind(owner).execute(&mut *transaction).await?;
                     sqlx::query(INSERT_RECORD)
                         .bind(push)
                         .bind(kind)
@@ -151,17 +174,12 @@ impl Store {
     ///
     /// # Errors
     /// Some of them are no longer stored, the database fails, or a row is corrupt.
-    pub(crate) async fn navigation_after(&self, push: u64) -> Result<Navigation, StoreError> {
+    pub(crate) async fn navigation_after(&self, push: u64) -> Result<StoredNavigation, StoreError> {
         let (_, complete_since) = self.navigation_pushes().await?;
         if push < complete_since {
             return Err(StoreError::NavigationForgotten { push, complete_since });
         }
-        let StoredNavigation { ephemerides, mut coefficients, .. } =
-            self.navigation_in_force(push).await?;
-        for stored in ephemerides {
-            coefficients.insert(stored.ephemeris);
-        }
-        Ok(coefficients)
+        self.navigation_in_force(push).await
     }
 
     /// Numbers of the last push and of the first push whose navigation data are complete.
@@ -183,8 +201,8 @@ impl Store {
                        WHERE since <= $1 AND (until IS NULL OR $1 < until)";
             sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
-        let records: Result<Vec<(String, Vec<u8>)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT kind, content FROM navigation_records
+        let records: Result<Vec<(String, String, Vec<u8>)>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT source, kind, content FROM navigation_records
                        WHERE since <= $1 AND (until IS NULL OR $1 < until)";
             sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
@@ -194,14 +212,22 @@ impl Store {
         };
         let ephemerides = ephemerides.map_err(StoreError::database(failed))?;
         let ephemerides = ephemerides.into_iter().map(parse).collect::<Result<_, StoreError>>()?;
-        let mut coefficients = Navigation::default();
-        for (kind, content) in records.map_err(StoreError::database(failed))? {
+        let parse = |(source, kind, content): (String, String, Vec<u8>)| {
             let record =
                 decode_record(&content).map_err(StoreError::corrupt("navigation record"))?;
+            let mut coefficients = Navigation::default();
             take_over(&mut coefficients, &kind, record);
-        }
+            Ok(StoredCoefficients { coefficients, source })
+        };
+        let records = records.map_err(StoreError::database(failed))?;
+        let coefficients = records.into_iter().map(parse).collect::<Result<_, StoreError>>()?;
         Ok(StoredNavigation { push, ephemerides, coefficients })
     }
+}
+
+/// The owner of what a source brings: the source itself, or the service.
+pub(crate) fn owner_of(source: &str) -> &str {
+    if source.starts_with(OWNER_PREFIX) { source } else { "" }
 }
 
 fn numbers(ephemeris: &Ephemeris) -> [i64; 3] {

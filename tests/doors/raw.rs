@@ -384,8 +384,13 @@ async fn both_doors_answer_alike() {
         }
         let (_, held) = doors.get(&format!("/v1/sessions/{session}")).await;
         assert_eq!(held["rawThrough"], json!(stream.len()));
+        // Its ephemerides serve this session alone, until another device brings them too.
         let (_, navigation) = doors.get("/v1/navigation").await;
-        assert_eq!(navigation["satellites"][0]["source"], "device");
+        assert_eq!(navigation["satellites"], json!([]));
+        let other = doors.session().await;
+        push(&doors, &other, "offset=0&end=true", &stream[..80_000]).await;
+        let (_, navigation) = doors.get("/v1/navigation").await;
+        assert_eq!(navigation["satellites"][0]["source"], "agreed");
         answers.push(of_door);
     }
     assert_eq!(answers[0], answers[1]);

@@ -1,18 +1,41 @@
-//! Forged ephemerides: they replace, contradict and evict nothing that the operator's sources bring.
+//! Forged ephemerides: they replace, contradict and evict nothing of higher trust, and those of a
+//! device move its own session only.
 
-use graphfix::aiding::{AidingDesk, AidingLimits, DEVICE, NavigationPush, UPLOAD};
-use graphfix::gnss::{Constellation, Ephemeris, Navigation};
+use axum::body::Body;
+use axum::http::Request;
+use bytes::Bytes;
+use graphfix::aiding::{AGREED, AidingDesk, AidingLimits, NavigationPush, UPLOAD, device};
+use graphfix::contract::v1;
+use graphfix::gnss::{
+    Constellation, Ephemeris, KlobucharCoefficients, Navigation, Solution, Status,
+};
+use graphfix::session::{
+    RawChunk, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
+};
+use graphfix::simulation::{Scenario, Simulator};
+use prost::Message;
+use serde_json::{Value, json};
+use tower::ServiceExt;
 
 use crate::support::database::{Database, on_both_databases};
+use crate::support::doors::Doors;
 use crate::support::drive::DRIVE;
+use crate::support::sessions::created;
+use crate::support::streams::ephemeris_frame;
 
 on_both_databases!(
     forged_ephemerides_move_nobody,
     forged_ephemerides_evict_nothing,
     the_operators_data_end_forged_ones,
+    what_one_device_decodes_serves_it_alone,
+    what_two_devices_decode_serves_all,
+    what_two_devices_decode_ends_forged_uploads,
+    coefficients_of_one_device_serve_it_alone,
+    nothing_of_a_device_ends_for_another,
 );
 
 const OPERATOR: &str = "https://archive.example/brdc.rnx";
+const BASE: &str = "base ntrip://caster.example/BASE";
 
 /// GPS ephemerides of the drive, one for each satellite.
 fn real() -> Navigation {
@@ -49,7 +72,8 @@ async fn forged_ephemerides_move_nobody(database: Database) {
     let aiding = desk(&database).await;
     let first = pushed(&aiding, real(), OPERATOR).await;
     assert!(8 < first.new, "{first:?}");
-    for source in [UPLOAD, DEVICE, "base ntrip://caster.example/BASE"] {
+    let device = device("A");
+    for source in [UPLOAD, &device, "base ntrip://caster.example/BASE"] {
         // The same issue, and one beside it that would be nearer to some epochs.
         for shift_s in [0.0, 16.0, 1800.0] {
             let refused = pushed(&aiding, forged(shift_s), source).await;
@@ -70,9 +94,13 @@ async fn forged_ephemerides_evict_nothing(database: Database) {
     for index in 1..480 {
         many.merge(forged(f64::from(index) * 20_000.0));
     }
-    pushed(&aiding, many, DEVICE).await;
-    let more = pushed(&aiding, forged(480.0 * 20_000.0), DEVICE).await;
+    // A base's stream fills what room there is, and a device takes none of it.
+    pushed(&aiding, many.clone(), BASE).await;
+    let more = pushed(&aiding, forged(480.0 * 20_000.0), BASE).await;
     assert_eq!((more.new, more.dropped), (0, 0));
+    let in_force = aiding.navigation.current().navigation;
+    pushed(&aiding, many, &device("A")).await;
+    assert_eq!(aiding.navigation.current().navigation, in_force);
     let current = aiding.navigation.current().navigation;
     let is_there = |ephemeris: &Ephemeris| current.of(ephemeris.satellite()).contains(ephemeris);
     assert!(real().satellites().flat_map(|(_, list)| list).all(is_there));
@@ -98,6 +126,244 @@ async fn the_operators_data_end_forged_ones(database: Database) {
     assert_eq!((taken.new, taken.dropped), (offered.new, offered.new));
     assert_eq!(*aiding.navigation.current().navigation, real());
     // What earlier solutions were computed with is known.
-    assert_eq!(*aiding.navigation.after(1).await.unwrap().navigation, forged(16.0));
+    let before = aiding.navigation.after(1, &device("A")).await.unwrap();
+    assert_eq!(*before.navigation, forged(16.0));
     assert_eq!(*desk(&database).await.navigation.current().navigation, real());
+}
+
+/// What serves the session of a device.
+fn of_device(aiding: &AidingDesk, name: &str) -> Navigation {
+    Navigation::clone(&aiding.navigation.current_for(&device(name)).navigation)
+}
+
+async fn what_one_device_decodes_serves_it_alone(database: Database) {
+    let aiding = desk(&database).await;
+    let count = pushed(&aiding, real(), &device("A")).await.new;
+    assert!(8 < count);
+    let again = pushed(&aiding, real(), &device("A")).await;
+    assert_eq!((again.new, again.dropped), (0, 0));
+    assert_eq!(pushed(&aiding, forged(0.0), &device("B")).await.new, count);
+    for aiding in [&aiding, &desk(&database).await] {
+        assert!(aiding.navigation.current().navigation.is_empty());
+        assert_eq!(of_device(aiding, "A"), real());
+        assert_eq!(of_device(aiding, "B"), forged(0.0));
+        assert!(of_device(aiding, "C").is_empty());
+        // What was in force for each of them at each push.
+        let after = async |push, name: &str| {
+            let known = aiding.navigation.after(push, &device(name)).await.unwrap();
+            (*known.navigation).clone()
+        };
+        assert_eq!((after(1, "A").await, after(1, "B").await), (real(), Navigation::default()));
+        assert_eq!((after(2, "A").await, after(2, "B").await), (real(), forged(0.0)));
+    }
+    // Its own ephemerides come before those that anybody has uploaded, but not before the operator's.
+    pushed(&aiding, forged(16.0), UPLOAD).await;
+    assert_eq!((of_device(&aiding, "A"), of_device(&aiding, "C")), (real(), forged(16.0)));
+    pushed(&aiding, real(), OPERATOR).await;
+    for name in ["A", "B", "C"] {
+        assert_eq!(of_device(&aiding, name), real());
+    }
+    assert_eq!(of_device(&desk(&database).await, "B"), real());
+}
+
+async fn what_two_devices_decode_serves_all(database: Database) {
+    let aiding = desk(&database).await;
+    let count = pushed(&aiding, real(), &device("A")).await.new;
+    pushed(&aiding, forged(16.0), &device("B")).await;
+    assert_eq!(pushed(&aiding, real(), &device("C")).await.new, count);
+    for aiding in [&aiding, &desk(&database).await] {
+        for name in ["A", "B", "C", "D"] {
+            assert_eq!(of_device(aiding, name), real(), "{name}");
+        }
+        let status = aiding.navigation.status();
+        assert!(status.satellites.iter().all(|satellite| satellite.source == AGREED));
+        // Forged ones come too late, whoever brings them.
+        for source in [&*device("B"), &*device("E"), UPLOAD] {
+            assert_eq!(pushed(aiding, forged(16.0), source).await.new, 0, "{source}");
+        }
+    }
+    assert_eq!(of_device(&aiding, "B"), real());
+    let before = aiding.navigation.after(2, &device("B")).await.unwrap();
+    assert_eq!(*before.navigation, forged(16.0));
+}
+
+async fn what_two_devices_decode_ends_forged_uploads(database: Database) {
+    let aiding = desk(&database).await;
+    let count = pushed(&aiding, forged(0.0), UPLOAD).await.new;
+    pushed(&aiding, real(), &device("A")).await;
+    assert_eq!((of_device(&aiding, "A"), of_device(&aiding, "B")), (real(), forged(0.0)));
+    let agreed = pushed(&aiding, real(), &device("B")).await;
+    assert_eq!(agreed.new, count);
+    for aiding in [&aiding, &desk(&database).await] {
+        assert_eq!((of_device(aiding, "A"), of_device(aiding, "C")), (real(), real()));
+    }
+    // An upload confirms a device as another device does.
+    let later = |shift_s| {
+        let mut later = forged(shift_s);
+        later.retain(|ephemeris| ephemeris.satellite().number < 16);
+        later
+    };
+    pushed(&aiding, later(20_000.0), &device("A")).await;
+    pushed(&aiding, later(20_000.0), UPLOAD).await;
+    assert_eq!(pushed(&aiding, later(20_016.0), &device("B")).await.new, 0);
+}
+
+async fn coefficients_of_one_device_serve_it_alone(database: Database) {
+    let aiding = desk(&database).await;
+    let with = |first: f64| {
+        let mut navigation = Navigation::default();
+        let (alpha, beta) = ([first, 0.0, 0.0, 0.0], [9e4, 0.0, 0.0, 0.0]);
+        navigation.klobuchar_gps = Some(KlobucharCoefficients { alpha, beta });
+        navigation
+    };
+    pushed(&aiding, with(1e-8), &device("A")).await;
+    pushed(&aiding, with(1e-6), &device("B")).await;
+    for aiding in [&aiding, &desk(&database).await] {
+        let known = ["A", "B", "C"].map(|name| of_device(aiding, name));
+        assert_eq!(known, [with(1e-8), with(1e-6), Navigation::default()]);
+    }
+    pushed(&aiding, with(1e-8), &device("C")).await;
+    // Those of the next day, once two devices have them.
+    pushed(&aiding, with(2e-8), &device("A")).await;
+    assert_eq!(of_device(&aiding, "D"), with(1e-8));
+    pushed(&aiding, with(2e-8), &device("C")).await;
+    for aiding in [&aiding, &desk(&database).await] {
+        for name in ["A", "B", "D"] {
+            assert_eq!(of_device(aiding, name), with(2e-8), "{name}");
+        }
+    }
+    let before = aiding.navigation.after(1, &device("A")).await.unwrap();
+    assert_eq!(*before.navigation, with(1e-8));
+}
+
+async fn nothing_of_a_device_ends_for_another(database: Database) {
+    let aiding = desk(&database).await;
+    pushed(&aiding, real(), &device("A")).await;
+    for index in 0..40 {
+        pushed(&aiding, forged(f64::from(index) * 20_000.0), &device("B")).await;
+    }
+    for aiding in [&aiding, &desk(&database).await] {
+        assert_eq!(of_device(aiding, "A"), real());
+        assert!(of_device(aiding, "B").len() <= 256, "{}", of_device(aiding, "B").len());
+    }
+}
+
+/// Minutes under an open sky of GPS alone, with its ephemerides as a receiver sends them.
+fn open_sky() -> (Vec<SequencedEpoch>, Vec<u8>, Vec<u8>) {
+    let constellations = vec![Constellation::Gps];
+    let sky = Scenario { duration_s: 20.0, constellations, ..Scenario::open_sky() };
+    let simulator = Simulator::new(sky, 5);
+    let (mut frames, mut forged) = (Vec::new(), Vec::new());
+    for ephemeris in simulator.navigation().satellites().flat_map(|(_, list)| list) {
+        let Ephemeris::Keplerian(mut orbit) = ephemeris.clone() else { continue };
+        frames.extend(ephemeris_frame(&orbit));
+        orbit.m0_rad += 1e-4;
+        forged.extend(ephemeris_frame(&orbit));
+    }
+    let number = |(seq, epoch)| SequencedEpoch { seq, epoch };
+    ((1..).zip(simulator.map(|epoch| epoch.rover)).map(number).collect(), frames, forged)
+}
+
+/// The frames of a device.
+async fn sent(sessions: &Sessions, id: &SessionId, frames: &[u8], near: &SequencedEpoch) {
+    let content = Bytes::copy_from_slice(frames);
+    let chunk = RawChunk { offset: 0, content, is_end: true, near: Some(near.epoch.time) };
+    let received = sessions.receive(id, chunk).await.unwrap().received;
+    assert!(8 < received.navigation.len(), "{received:?}");
+}
+
+async fn positions(
+    sessions: &Sessions,
+    id: &SessionId,
+    epochs: &[SequencedEpoch],
+) -> Vec<Solution> {
+    let outcomes = sessions.submit(id, epochs.to_vec()).await.unwrap().outcomes;
+    outcomes.into_iter().map(|outcome| outcome.result.unwrap().solution.solution).collect()
+}
+
+/// Through sessions: positions before and after forged ephemerides, restarts and replays.
+#[tokio::test]
+async fn a_device_moves_its_own_session_only() {
+    let database = Database::sqlite();
+    let store = database.store().await;
+    let open = async || {
+        let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+        Sessions::open(store.clone(), aiding, SessionLimits::service())
+    };
+    let sessions = open().await;
+    let (epochs, frames, forged) = open_sky();
+    let (honest, liar, none) =
+        (created(&sessions).await, created(&sessions).await, created(&sessions).await);
+    sent(&sessions, &honest, &frames, &epochs[0]).await;
+    let first = positions(&sessions, &honest, &epochs[..5]).await;
+    assert!(first.iter().all(|solution| solution.status == Status::Single));
+    sent(&sessions, &liar, &forged, &epochs[0]).await;
+    let lied = positions(&sessions, &liar, &epochs[..5]).await;
+    let far_m = |a: &Solution, b: &Solution| {
+        let position = |s: &Solution| s.estimate.as_ref().map(|estimate| estimate.position);
+        position(a).zip(position(b)).map(|(a, b)| a.distance_m(b))
+    };
+    assert!(far_m(&lied[0], &first[0]).is_none_or(|far| 20.0 < far), "the forgery must matter");
+    let without = positions(&sessions, &none, &epochs[..5]).await;
+    assert!(without.iter().all(|solution| solution.status == Status::None));
+    drop(sessions);
+
+    // After a restart each session has the same data; then another device confirms.
+    let sessions = open().await;
+    let (alone, second) = (created(&sessions).await, created(&sessions).await);
+    sent(&sessions, &alone, &frames, &epochs[0]).await;
+    let confirmed = positions(&sessions, &second, &epochs[..10]).await;
+    let honest_then = positions(&sessions, &honest, &epochs[5..10]).await;
+    assert_eq!(confirmed[5..], honest_then);
+    let liar_then = positions(&sessions, &liar, &epochs[5..10]).await;
+    assert_eq!(liar_then, honest_then);
+    assert_eq!(positions(&sessions, &none, &epochs[5..10]).await, honest_then);
+    drop(sessions);
+
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    for id in [&honest, &liar, &none, &second] {
+        let again = Recomputation::open(store.clone(), aiding.clone(), id, None).await.unwrap();
+        let check = again.check().await.unwrap();
+        assert!(check.is_same() && check.compared == 10, "{check:?}");
+    }
+}
+
+fn is_single(answer: &Value) -> bool {
+    answer["results"][0]["solution"]["status"] == "SINGLE"
+}
+
+/// Through both doors: who gets a position with the ephemerides of a device.
+#[tokio::test]
+async fn through_the_doors_a_device_serves_itself_alone() {
+    let doors = Doors::open().await;
+    let (epochs, frames, _) = open_sky();
+    let message = graphfix::contract::convert::epoch_message(1, &epochs[0].epoch);
+    let time = message.time.unwrap();
+    let push = json!({"epochs": [serde_json::to_value(&message).unwrap()]});
+    let near = format!("{}:{}", time.week, time.ns_of_week as f64 / 1e9);
+    let raw = |session: &str| format!("/v1/sessions/{session}/raw?end=true&near={near}");
+    let (one, other, third) = (doors.session().await, doors.session().await, doors.session().await);
+    let positioned = async |session: &str| {
+        let path = format!("/v1/sessions/{session}/epochs");
+        is_single(&doors.post(&path, push.clone()).await.1)
+    };
+    let (status, sent) = doors.upload(&raw(&one), frames.clone()).await;
+    assert!(status.is_success() && sent["ephemerides"].as_u64().unwrap() > 8, "{sent}");
+    assert!(positioned(&one).await && !positioned(&other).await);
+    // The second device sends the same through gRPC.
+    let request = v1::PushRawRequest {
+        session: third.clone(),
+        offset: 0,
+        content: frames.into(),
+        end: true,
+        near: Some(time),
+    };
+    let content = request.encode_to_vec();
+    let framed = [&[0][..], &(content.len() as u32).to_be_bytes(), &content].concat();
+    let request = Request::post("/graphfix.v1.Positioning/PushRaw");
+    let request = request.header("content-type", "application/grpc").body(Body::from(framed));
+    let response = doors.router.clone().oneshot(request.unwrap()).await.unwrap();
+    assert!(response.status().is_success(), "{response:?}");
+    axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
+    assert!(positioned(&doors.session().await).await);
 }

@@ -6,7 +6,8 @@ use std::process::{Command, Stdio};
 use graphfix::formats::receiver::{Decoder, Event, MessageKind, Statistics, TimeReference};
 use graphfix::formats::rinex::read_navigation;
 use graphfix::gnss::{
-    Ephemeris, Epoch, GpsTime, GroupDelays, Navigation, Observation, SatelliteId,
+    Ephemeris, Epoch, GpsTime, GroupDelays, KeplerianEphemeris, Navigation, Observation,
+    SatelliteId,
 };
 
 /// Writes fields, most significant bit first.
@@ -51,6 +52,32 @@ pub(crate) fn rtcm_frame(payload: &[u8]) -> Vec<u8> {
     frame.extend_from_slice(payload);
     frame.extend_from_slice(&crc24q(&frame).to_be_bytes()[1..]);
     frame
+}
+
+/// The frame of RTCM 3 message 1019 for a GPS ephemeris; RTCM 10403.3, table 3.5-21.
+pub(crate) fn ephemeris_frame(e: &KeplerianEphemeris) -> Vec<u8> {
+    let semicircles = |rad: f64| rad / std::f64::consts::PI;
+    let scaled = |value: f64, power: i32| (value * 2f64.powi(power)).round() as i64;
+    let angle = |rad: f64, power: i32| scaled(semicircles(rad), power);
+    let in_week = |time: GpsTime| (time.as_ns() / 1_000_000_000 % 604_800 / 16) as u64;
+    let GroupDelays::Gps { tgd_s, .. } = e.group_delays else { panic!("a GPS ephemeris") };
+    let week = (e.toe.as_ns() / 1_000_000_000 / 604_800 % 1024) as u64;
+    let mut bits = BitWriter::default();
+    bits.unsigned(12, 1019).unsigned(6, e.satellite.number.into()).unsigned(10, week);
+    bits.unsigned(4, 0).unsigned(2, 0);
+    bits.signed(14, angle(e.idot_rad_s, 43)).unsigned(8, u64::from(e.iode) & 0xff);
+    bits.unsigned(16, in_week(e.toc)).signed(8, scaled(e.af2_per_s, 55));
+    bits.signed(16, scaled(e.af1, 43)).signed(22, scaled(e.af0_s, 31));
+    bits.unsigned(10, u64::from(e.iodc) & 0x3ff).signed(16, scaled(e.crs_m, 5));
+    bits.signed(16, angle(e.delta_n_rad_s, 43)).signed(32, angle(e.m0_rad, 31));
+    bits.signed(16, scaled(e.cuc_rad, 29)).unsigned(32, scaled(e.eccentricity, 33) as u64);
+    bits.signed(16, scaled(e.cus_rad, 29)).unsigned(32, scaled(e.sqrt_a, 19) as u64);
+    bits.unsigned(16, in_week(e.toe)).signed(16, scaled(e.cic_rad, 29));
+    bits.signed(32, angle(e.omega0_rad, 31)).signed(16, scaled(e.cis_rad, 29));
+    bits.signed(32, angle(e.i0_rad, 31)).signed(16, scaled(e.crc_m, 5));
+    bits.signed(32, angle(e.omega_rad, 31)).signed(24, angle(e.omega_dot_rad_s, 43));
+    bits.signed(8, scaled(tgd_s, 31)).unsigned(6, e.health.into()).unsigned(2, 0);
+    rtcm_frame(&bits.bytes())
 }
 
 pub(crate) fn ubx_frame(class: u8, id: u8, payload: &[u8]) -> Vec<u8> {

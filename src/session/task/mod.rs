@@ -122,6 +122,8 @@ impl Drop for MailboxPermit {
 pub(super) struct Task {
     pub(super) id: SessionId,
     pub(super) key: SessionKey,
+    /// The session's device as a source of navigation data.
+    pub(super) device: Arc<str>,
     pub(super) store: Store,
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
@@ -445,6 +447,7 @@ impl Task {
             aiding: self.aiding.clone(),
             solvers: self.solvers.clone(),
             key: self.key,
+            device: self.device.clone(),
             with: ReplayWith::Stored,
             arcs: self.store.arcs(self.key).await?.into(),
             tolerates_missing: true,

@@ -47,7 +47,7 @@ impl Task {
         let span = times().min().zip(times().max());
         let options = &configuration.estimation.options;
         let source = BaseSource::new(&self.aiding.bases, &configuration.bases, span, options);
-        BatchAiding { navigation: self.aiding.navigation.current(), source }
+        BatchAiding { navigation: self.aiding.navigation.current_for(&self.device), source }
     }
 }
 

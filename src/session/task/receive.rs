@@ -1,6 +1,5 @@
 //! The task's handling of raw bytes: decodes, positions and commits them in one step.
 
-use crate::aiding::DEVICE;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
 use crate::session::raw::{Order, RawChunk, RawReceived, Reception};
@@ -66,7 +65,7 @@ impl Task {
         let now = self.clock.unix_ms();
         reception.date(&chunk, now);
         let content = chunk.content.slice(known..);
-        let channels = self.aiding.navigation.current().navigation;
+        let channels = self.aiding.navigation.current_for(&self.device).navigation;
         let work = move || {
             let received = reception.take(&chunk, known, &channels);
             (received, reception, chunk)
@@ -98,7 +97,7 @@ impl Task {
             return Err(SessionError::TooManyEpochs { epochs, limit });
         }
         if received.navigation != Navigation::default() {
-            self.aiding.navigation.push(received.navigation.clone(), DEVICE).await?;
+            self.aiding.navigation.push(received.navigation.clone(), &self.device).await?;
         }
         Ok(received)
     }

@@ -1,0 +1,212 @@
+//! The navigation data of single devices, which serve their own sessions only.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::gnss::{Ephemeris, Navigation};
+
+use super::trust::{Issue, agree, contradict, issue};
+
+/// Ephemerides of one device. A receiver of all constellations decodes some 40 an hour.
+const OF_DEVICE_MAX: usize = 256;
+/// Ephemerides of all devices together.
+const OF_ALL_MAX: usize = 100_000;
+/// Age from which the data of a device make room for those of others (ms).
+const LASTING_MS: i64 = 86_400_000;
+
+/// The data of all devices that no other source confirms, by source.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Devices {
+    devices: BTreeMap<Arc<str>, OwnData>,
+    /// The devices that have an issue, and when it was stored (ms since 1970-01-01 UTC).
+    owners: BTreeMap<Issue, Vec<(Arc<str>, i64)>>,
+    count: usize,
+}
+
+/// The data of one device.
+#[derive(Clone, Debug, Default)]
+struct OwnData {
+    navigation: Navigation,
+    /// The issues in the order in which they were stored.
+    order: Vec<Issue>,
+}
+
+/// An ephemeris of a device.
+pub(super) type Owned = (Arc<str>, Ephemeris);
+
+impl Devices {
+    /// What only this device has brought; nothing for most devices.
+    pub(super) fn of(&self, source: &str) -> Option<&Navigation> {
+        self.devices.get(source).map(|own| &own.navigation)
+    }
+
+    /// All devices with data of their own.
+    pub(super) fn all(&self) -> impl Iterator<Item = (&Arc<str>, &Navigation)> {
+        self.devices.iter().map(|(source, own)| (source, &own.navigation))
+    }
+
+    /// Whether another device than `source` has the same ephemeris.
+    pub(super) fn is_confirmed(&self, ephemeris: &Ephemeris, source: &str) -> bool {
+        let owners = self.owners.get(&issue(ephemeris)).into_iter().flatten();
+        let others = owners.filter(|(owner, _)| &**owner != source);
+        let mut theirs = others.filter_map(|(owner, _)| self.find(owner, ephemeris));
+        theirs.any(|other| agree(other, ephemeris))
+    }
+
+    /// Whether another device than `source` has the same coefficients.
+    pub(super) fn has_coefficients(&self, coefficients: &Navigation, source: &str) -> bool {
+        let mut others = self.all().filter(|(owner, _)| &***owner != source);
+        others.any(|(_, own)| contains_coefficients(own, coefficients))
+    }
+
+    /// The ephemerides that end when `shared` begin to serve all sessions: the same issues, and
+    /// those that contradict.
+    pub(super) fn displaced(&self, shared: &[Ephemeris]) -> Vec<Owned> {
+        let mut displaced = Vec::new();
+        for (source, own) in &self.devices {
+            for ephemeris in shared {
+                let list = own.navigation.of(ephemeris.satellite()).iter();
+                let ends =
+                    |e: &&Ephemeris| issue(e) == issue(ephemeris) || contradict(e, ephemeris);
+                let ended = list.filter(ends).map(|e| (source.clone(), e.clone()));
+                displaced
+                    .extend(ended.filter(|owned| !displaced.contains(owned)).collect::<Vec<_>>());
+            }
+        }
+        displaced
+    }
+
+    /// The part of what a device brings that is stored for it, and the ephemerides that make room:
+    /// its own oldest ones, and those of others that are older than a day.
+    pub(super) fn accept(
+        &self,
+        source: &Arc<str>,
+        brought: Vec<Ephemeris>,
+        now_unix_ms: i64,
+    ) -> (Vec<Ephemeris>, Vec<Owned>) {
+        let is_new = |e: &Ephemeris| self.find(source, e) != Some(e);
+        let mut new: Vec<Ephemeris> = brought.into_iter().filter(is_new).collect();
+        new.truncate(OF_DEVICE_MAX);
+        let replaced = |e: &&Ephemeris| self.find(source, e).is_some();
+        let added = new.len() - new.iter().filter(replaced).count();
+        let mut ended = Vec::new();
+        let present = self.devices.get(source).map_or(&[][..], |own| &own.order[..]);
+        let surplus = (present.len() + added).saturating_sub(OF_DEVICE_MAX);
+        let stays = |issued: &&Issue| !new.iter().any(|e| issue(e) == **issued);
+        for oldest in present.iter().filter(stays).take(surplus) {
+            ended.extend(self.get(source, oldest).map(|e| (source.clone(), e.clone())));
+        }
+        let surplus = (self.count + added).saturating_sub(OF_ALL_MAX + ended.len());
+        if 0 < surplus {
+            let old = self.older_than(now_unix_ms - LASTING_MS, source, surplus);
+            new.truncate(new.len() - (surplus - old.len()).min(new.len()));
+            ended.extend(old);
+        }
+        (new, ended)
+    }
+
+    /// Up to `count` ephemerides of other devices that were stored before this time.
+    fn older_than(&self, unix_ms: i64, source: &str, count: usize) -> Vec<Owned> {
+        let all = self.owners.iter().flat_map(|(issued, owners)| {
+            owners.iter().map(move |(owner, stored)| (issued, owner, *stored))
+        });
+        let old = all.filter(|(_, owner, stored)| *stored < unix_ms && &***owner != source);
+        let owned = |(issued, owner, _): (&Issue, &Arc<str>, i64)| {
+            Some((owner.clone(), self.get(owner, issued)?.clone()))
+        };
+        old.filter_map(owned).take(count).collect()
+    }
+
+    /// Adds what is stored of a device.
+    pub(super) fn insert(&mut self, source: &Arc<str>, ephemeris: Ephemeris, stored_unix_ms: i64) {
+        self.remove(source, &ephemeris);
+        let issued = issue(&ephemeris);
+        let own = self.devices.entry(source.clone()).or_default();
+        own.navigation.insert(ephemeris);
+        own.order.push(issued);
+        self.owners.entry(issued).or_default().push((source.clone(), stored_unix_ms));
+        self.count += 1;
+    }
+
+    /// Adds coefficients of a device.
+    pub(super) fn insert_coefficients(&mut self, source: &Arc<str>, coefficients: Navigation) {
+        for kind in self::coefficients(&coefficients).into_iter().flatten() {
+            self.devices.entry(source.clone()).or_default().navigation.merge(kind);
+        }
+    }
+
+    /// Removes an ephemeris that is no longer in force.
+    pub(super) fn remove(&mut self, source: &str, ephemeris: &Ephemeris) {
+        let issued = issue(ephemeris);
+        let Some(own) = self.devices.get_mut(source) else { return };
+        let before = own.order.len();
+        own.order.retain(|other| *other != issued);
+        if own.order.len() == before {
+            return;
+        }
+        own.navigation.retain(|other| issue(other) != issued);
+        if own.navigation == Navigation::default() {
+            self.devices.remove(source);
+        }
+        self.count -= 1;
+        if let Some(owners) = self.owners.get_mut(&issued) {
+            owners.retain(|(owner, _)| &**owner != source);
+            if owners.is_empty() {
+                self.owners.remove(&issued);
+            }
+        }
+    }
+
+    /// The coefficients of devices that are equal to `shared` ones.
+    pub(super) fn same_coefficients(&self, shared: &Navigation) -> Vec<(Arc<str>, Navigation)> {
+        let kinds: Vec<Navigation> = coefficients(shared).into_iter().flatten().collect();
+        let mut same = Vec::new();
+        for (source, own) in self.all() {
+            let known = kinds.iter().filter(|kind| contains_coefficients(own, kind));
+            same.extend(known.map(|kind| (source.clone(), kind.clone())));
+        }
+        same
+    }
+
+    /// Removes coefficients that are no longer in force.
+    pub(super) fn remove_coefficients(&mut self, source: &str, ended: &Navigation) {
+        let Some(own) = self.devices.get_mut(source) else { return };
+        let before = std::mem::take(&mut own.navigation);
+        let stays = |kept: &Navigation| !contains_coefficients(ended, kept);
+        for kept in coefficients(&before).into_iter().flatten().filter(stays) {
+            own.navigation.merge(kept);
+        }
+        for (_, list) in before.satellites() {
+            own.navigation.insert_all(list.iter().cloned());
+        }
+        if own.navigation == Navigation::default() {
+            self.devices.remove(source);
+        }
+    }
+
+    fn find(&self, source: &str, ephemeris: &Ephemeris) -> Option<&Ephemeris> {
+        self.get(source, &issue(ephemeris))
+    }
+
+    fn get(&self, source: &str, issued: &Issue) -> Option<&Ephemeris> {
+        let own = self.devices.get(source)?;
+        own.navigation.of(issued.0).iter().find(|e| issue(e) == *issued)
+    }
+}
+
+/// The coefficients of each kind, and the leap seconds; `None` where there are none.
+pub(super) fn coefficients(navigation: &Navigation) -> [Option<Navigation>; 5] {
+    let mut kinds: [Navigation; 5] = Default::default();
+    kinds[0].klobuchar_gps = navigation.klobuchar_gps;
+    kinds[1].klobuchar_beidou = navigation.klobuchar_beidou;
+    kinds[2].klobuchar_qzss = navigation.klobuchar_qzss;
+    kinds[3].nequick = navigation.nequick;
+    kinds[4].leap_seconds = navigation.leap_seconds;
+    kinds.map(|kind| (kind != Navigation::default()).then_some(kind))
+}
+
+/// Whether all coefficients of `part` are those of `whole`.
+pub(super) fn contains_coefficients(whole: &Navigation, part: &Navigation) -> bool {
+    let (whole, part) = (coefficients(whole), coefficients(part));
+    whole.iter().zip(&part).all(|(whole, part)| part.is_none() || whole == part)
+}
