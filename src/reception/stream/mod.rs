@@ -135,6 +135,12 @@ impl Stream {
         self.time
     }
 
+    /// Whether it is known to consist of frames. They are not packed, so the time to decode a chunk
+    /// depends on its length only.
+    pub(crate) const fn is_of_frames(&self) -> bool {
+        matches!(self.form, Form::Receiver { is_recognised: true, .. })
+    }
+
     /// The format, once recognised.
     const fn format(&self) -> Option<StreamFormat> {
         match &self.form {

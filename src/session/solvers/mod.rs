@@ -11,7 +11,7 @@ use tokio::task::{JoinError, spawn_blocking};
 use crate::positioning::Scratch;
 
 use super::SessionError;
-use super::panics::message;
+use super::panics::{caught, message};
 use super::state::State;
 
 pub(super) use lanes::Lane;
@@ -86,14 +86,28 @@ impl Solvers {
         work: impl FnOnce(&mut Scratch) -> T + Send + 'static,
     ) -> Result<T, SessionError> {
         let memory = self.memory.clone();
-        let with_scratch = move || {
-            let scratch = memory.shared().scratches.pop();
-            let mut scratch = scratch.unwrap_or_default();
-            let done = work(&mut scratch);
-            memory.shared().scratches.push(scratch);
-            done
+        self.run(lane, move || memory.with_scratch(work)).await
+    }
+
+    /// Runs all steps of `work` on the calling thread. For work that is shorter than passing it to
+    /// a thread of the pool.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(super) fn run_here<T>(
+        &self,
+        mut work: T,
+        step: impl Fn(&mut T, &mut Scratch) -> Progress,
+    ) -> Result<T, SessionError> {
+        let steps = || {
+            self.memory.with_scratch(
+                |scratch| {
+                    while step(&mut work, scratch) == Progress::Remaining {}
+                },
+            );
         };
-        self.run(lane, with_scratch).await
+        caught(steps).map_err(|message| SessionError::EstimatorFailed { message })?;
+        Ok(work)
     }
 
     /// Runs the steps of `work` until `step` returns whether none is left. Others of the lane have
@@ -145,6 +159,15 @@ impl MemoryPool {
         }
     }
 
+    /// Runs `work` with a scratch that is used by nobody else meanwhile. A panic loses the scratch.
+    fn with_scratch<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
+        let scratch = self.shared().scratches.pop();
+        let mut scratch = scratch.unwrap_or_default();
+        let done = work(&mut scratch);
+        self.shared().scratches.push(scratch);
+        done
+    }
+
     /// Keeps the storage of a state that is no longer needed.
     pub(super) fn recycle(&self, state: State) {
         let mut shared = self.shared();
@@ -168,6 +191,18 @@ mod tests {
 
     use super::*;
     use crate::refusal::Code;
+
+    #[test]
+    fn a_panic_on_the_calling_thread_is_an_error() {
+        let solvers = Solvers::new(NonZeroUsize::MIN);
+        let step = |left: &mut u32, _: &mut Scratch| {
+            *left = left.checked_sub(1).expect("too few steps");
+            if *left == 3 { Progress::Done } else { Progress::Remaining }
+        };
+        assert_eq!(solvers.run_here(7, step).unwrap(), 3);
+        let failed = solvers.run_here(2, step).unwrap_err();
+        assert!(failed.to_string().ends_with("too few steps"), "{failed}");
+    }
 
     #[tokio::test]
     async fn a_panic_is_an_error_and_frees_its_thread() {

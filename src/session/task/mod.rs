@@ -1,14 +1,16 @@
 //! One session's task: the sole owner of its estimator. It handles messages in order of arrival.
 
+mod message;
 mod positioning;
 mod receive;
 
 use std::collections::HashMap;
 use std::mem;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
@@ -27,96 +29,15 @@ use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuratio
 use super::solvers::{Lane, Solvers};
 use super::state::State;
 use super::{
-    Acknowledged, EpochOutcome, EpochRefusal, RawChunk, RawReceived, SequencedEpoch, SessionError,
-    SessionId, Submitted,
+    Acknowledged, EpochOutcome, EpochRefusal, SequencedEpoch, SessionError, SessionId, Submitted,
 };
+
+pub(super) use message::{MailboxPermit, Message, RawSubmission, Submission};
 
 /// A batch takes no further push once it has this many epochs.
 const EPOCHS_PER_BATCH: usize = 1_024;
 /// With fewer new epochs the state is not stored when the task ends: replaying them is as fast.
 const EPOCHS_WORTH_STORING: usize = 32;
-
-/// A message in the mailbox.
-pub(super) enum Message {
-    /// A push of epochs.
-    Submission(Submission),
-    /// A chunk of raw bytes.
-    Raw(Box<RawSubmission>),
-    /// Begins a new arc at this time (ms since 1970-01-01 UTC).
-    Reset {
-        unix_ms: i64,
-        /// Set when the message is sent.
-        permit: Option<MailboxPermit>,
-        reply: oneshot::Sender<Result<(), SessionError>>,
-    },
-    /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
-    Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
-}
-
-/// A push in the mailbox.
-pub(super) struct Submission {
-    pub(super) epochs: Vec<SequencedEpoch>,
-    /// Set when the message is sent.
-    pub(super) permit: Option<MailboxPermit>,
-    pub(super) reply: oneshot::Sender<Result<Submitted, SessionError>>,
-}
-
-/// A chunk in the mailbox.
-pub(super) struct RawSubmission {
-    pub(super) chunk: RawChunk,
-    /// Set when the message is sent.
-    pub(super) permit: Option<MailboxPermit>,
-    pub(super) reply: oneshot::Sender<Result<RawReceived, SessionError>>,
-}
-
-impl Message {
-    /// Attaches the permit that the message occupies while it waits.
-    pub(super) fn set_permit(&mut self, permit: MailboxPermit) {
-        match self {
-            Self::Submission(submission) => submission.permit = Some(permit),
-            Self::Raw(submission) => submission.permit = Some(permit),
-            Self::Reset { permit: own, .. } => *own = Some(permit),
-            Self::Close { .. } => {}
-        }
-    }
-}
-
-/// The capacity that a message's epochs take while they wait. Dropping it frees the capacity.
-pub(super) struct MailboxPermit {
-    epochs: usize,
-    of_session: Arc<AtomicUsize>,
-    of_all: Arc<AtomicUsize>,
-}
-
-impl MailboxPermit {
-    pub(super) fn take(
-        epochs: usize,
-        of_session: &Arc<AtomicUsize>,
-        of_all: &Arc<AtomicUsize>,
-    ) -> Self {
-        of_session.fetch_add(epochs, Ordering::AcqRel);
-        of_all.fetch_add(epochs, Ordering::AcqRel);
-        Self { epochs, of_session: of_session.clone(), of_all: of_all.clone() }
-    }
-}
-
-impl MailboxPermit {
-    /// Takes the capacity of `epochs` epochs, if the message turns out to have more than it took.
-    pub(super) fn raise_to(&mut self, epochs: usize) {
-        if let Some(more) = epochs.checked_sub(self.epochs) {
-            self.of_session.fetch_add(more, Ordering::AcqRel);
-            self.of_all.fetch_add(more, Ordering::AcqRel);
-            self.epochs = epochs;
-        }
-    }
-}
-
-impl Drop for MailboxPermit {
-    fn drop(&mut self) {
-        self.of_session.fetch_sub(self.epochs, Ordering::AcqRel);
-        self.of_all.fetch_sub(self.epochs, Ordering::AcqRel);
-    }
-}
 
 /// The data of a session's task.
 pub(super) struct Task {
@@ -148,6 +69,8 @@ struct Active {
     unconfirmed: Option<Arc<State>>,
     /// The configuration for the next epochs.
     configuration: Arc<ActiveConfiguration>,
+    /// Expected time of an epoch on the solver; unknown before the first one.
+    epoch_time: Option<Duration>,
     /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
 }
@@ -310,7 +233,7 @@ impl Task {
             return Ok((Vec::new(), durable_through));
         }
         let configuration = current.configuration.clone();
-        let batch = self.position(current.committed.clone(), &configuration, epochs).await?;
+        let batch = self.position(current, epochs).await?;
         let SolvedBatch { state, plans, rows, revisions, snapshot, solutions, panics } = batch;
         for (seq, panic) in panics {
             tracing::error!(session = %self.id, seq, panic, "the estimator failed on an epoch");
@@ -389,10 +312,17 @@ impl Task {
             }
             if let Some(current) = active {
                 current.configuration = configuration;
+                current.epoch_time = None;
             } else {
                 let committed = Arc::new(self.restored(&configuration).await?);
                 self.counters.restores.fetch_add(1, Ordering::Relaxed);
-                *active = Some(Active { committed, unconfirmed: None, configuration, raw: None });
+                *active = Some(Active {
+                    committed,
+                    unconfirmed: None,
+                    configuration,
+                    epoch_time: None,
+                    raw: None,
+                });
             }
         }
         Ok(active.as_mut().expect("it was just loaded"))

@@ -1,6 +1,7 @@
 //! Epochs that are being positioned, one after another, on the solver pool.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use std::vec::IntoIter;
 
 use crate::clock::gps_time;
@@ -12,16 +13,22 @@ use crate::session::solvers::{Lane, MemoryPool, Progress};
 use crate::session::state::State;
 use crate::session::{SequencedEpoch, SessionError};
 
-use super::Task;
+use super::{Active, Task};
+
+/// Batches up to this expected time are positioned by the session's task. A thread of the pool
+/// costs two changes between threads, some 20 µs of processor time.
+const HERE_MAX: Duration = Duration::from_micros(500);
 
 impl Task {
-    /// Positions a batch on the solver pool, starting from a copy of `committed`.
+    /// Positions a batch, starting from a copy of the committed state: where it stands if that is
+    /// expected to be short, otherwise on the solver pool.
     pub(super) async fn position(
         &self,
-        committed: Arc<State>,
-        configuration: &Arc<ActiveConfiguration>,
+        current: &mut Active,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<SolvedBatch, SessionError> {
+        let Active { committed, configuration, epoch_time, .. } = current;
+        let committed = committed.clone();
         let aiding = self.aiding_for(configuration, &epochs);
         let rules = EpochRules {
             observations_max: self.observations_per_epoch,
@@ -31,9 +38,18 @@ impl Task {
         let memory = self.solvers.memory().clone();
         let configuration = configuration.clone();
         let progress = Positioned::Nothing { committed, memory };
+        let count = u32::try_from(epochs.len()).unwrap_or(u32::MAX);
         let waiting = epochs.into_iter();
-        let work = Positioning { progress, waiting, aiding, configuration, rules };
-        let done = self.solvers.in_quanta(Lane::RealTime, work, Positioning::step).await?;
+        let used = Duration::ZERO;
+        let work = Positioning { progress, waiting, aiding, configuration, rules, used };
+        let is_short = epoch_time.is_some_and(|each| each.saturating_mul(count) <= HERE_MAX);
+        let done = match is_short {
+            true => self.solvers.run_here(work, Positioning::step)?,
+            false => self.solvers.in_quanta(Lane::RealTime, work, Positioning::step).await?,
+        };
+        let each = done.used / count.max(1);
+        // Follows a rise at once, and a fall slowly.
+        *epoch_time = Some(epoch_time.map_or(each, |before| each.max(before * 7 / 8)));
         Ok(done.batch().expect("work that is done has a batch"))
     }
 
@@ -58,6 +74,8 @@ struct Positioning {
     aiding: BatchAiding,
     configuration: Arc<ActiveConfiguration>,
     rules: EpochRules,
+    /// Time of the steps so far.
+    used: Duration,
 }
 
 /// What is positioned so far.
@@ -71,6 +89,13 @@ enum Positioned {
 impl Positioning {
     /// Positions the next epoch.
     fn step(&mut self, scratch: &mut Scratch) -> Progress {
+        let begun = Instant::now();
+        let progress = self.advance(scratch);
+        self.used += begun.elapsed();
+        progress
+    }
+
+    fn advance(&mut self, scratch: &mut Scratch) -> Progress {
         if let Positioned::Nothing { committed, memory } = &self.progress {
             let batch = SolvedBatch::new(memory.copy_of(committed));
             self.progress = Positioned::Epochs(Box::new(batch));

@@ -1,0 +1,90 @@
+//! The messages in a session's mailbox, and the capacity that they take there.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tokio::sync::oneshot;
+
+use crate::session::{RawChunk, RawReceived, SequencedEpoch, SessionError, Submitted};
+
+/// A message in the mailbox.
+pub(in crate::session) enum Message {
+    /// A push of epochs.
+    Submission(Submission),
+    /// A chunk of raw bytes.
+    Raw(Box<RawSubmission>),
+    /// Begins a new arc at this time (ms since 1970-01-01 UTC).
+    Reset {
+        unix_ms: i64,
+        /// Set when the message is sent.
+        permit: Option<MailboxPermit>,
+        reply: oneshot::Sender<Result<(), SessionError>>,
+    },
+    /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
+    Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
+}
+
+/// A push in the mailbox.
+pub(in crate::session) struct Submission {
+    pub(in crate::session) epochs: Vec<SequencedEpoch>,
+    /// Set when the message is sent.
+    pub(in crate::session) permit: Option<MailboxPermit>,
+    pub(in crate::session) reply: oneshot::Sender<Result<Submitted, SessionError>>,
+}
+
+/// A chunk in the mailbox.
+pub(in crate::session) struct RawSubmission {
+    pub(in crate::session) chunk: RawChunk,
+    /// Set when the message is sent.
+    pub(in crate::session) permit: Option<MailboxPermit>,
+    pub(in crate::session) reply: oneshot::Sender<Result<RawReceived, SessionError>>,
+}
+
+impl Message {
+    /// Attaches the permit that the message occupies while it waits.
+    pub(in crate::session) fn set_permit(&mut self, permit: MailboxPermit) {
+        match self {
+            Self::Submission(submission) => submission.permit = Some(permit),
+            Self::Raw(submission) => submission.permit = Some(permit),
+            Self::Reset { permit: own, .. } => *own = Some(permit),
+            Self::Close { .. } => {}
+        }
+    }
+}
+
+/// The capacity that a message's epochs take while they wait. Dropping it frees the capacity.
+pub(in crate::session) struct MailboxPermit {
+    epochs: usize,
+    of_session: Arc<AtomicUsize>,
+    of_all: Arc<AtomicUsize>,
+}
+
+impl MailboxPermit {
+    pub(in crate::session) fn take(
+        epochs: usize,
+        of_session: &Arc<AtomicUsize>,
+        of_all: &Arc<AtomicUsize>,
+    ) -> Self {
+        of_session.fetch_add(epochs, Ordering::AcqRel);
+        of_all.fetch_add(epochs, Ordering::AcqRel);
+        Self { epochs, of_session: of_session.clone(), of_all: of_all.clone() }
+    }
+}
+
+impl MailboxPermit {
+    /// Takes the capacity of `epochs` epochs, if the message turns out to have more than it took.
+    pub(in crate::session) fn raise_to(&mut self, epochs: usize) {
+        if let Some(more) = epochs.checked_sub(self.epochs) {
+            self.of_session.fetch_add(more, Ordering::AcqRel);
+            self.of_all.fetch_add(more, Ordering::AcqRel);
+            self.epochs = epochs;
+        }
+    }
+}
+
+impl Drop for MailboxPermit {
+    fn drop(&mut self) {
+        self.of_session.fetch_sub(self.epochs, Ordering::AcqRel);
+        self.of_all.fetch_sub(self.epochs, Ordering::AcqRel);
+    }
+}
