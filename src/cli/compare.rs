@@ -31,7 +31,8 @@ const METHODS_MAX: usize = 7;
 pub(crate) struct CompareArguments {
     #[command(flatten)]
     recording: RecordingArguments,
-    /// Methods to compare, as MODE[:causal|smoothed|batch][@PROFILE], separated by commas.
+    /// Methods to compare, separated by commas: MODE, MODE:WAY, MODE@PROFILE or MODE:WAY@PROFILE,
+    /// where WAY is causal, smoothed or batch.
     #[arg(long, value_name = "METHOD,METHOD…", value_delimiter = ',', required = true)]
     modes: Vec<MethodName>,
     /// Profile of the methods that name none.

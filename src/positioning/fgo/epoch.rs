@@ -230,7 +230,7 @@ impl Factors {
         }))
     }
 
-    /// Computes lines of sight and phase weights like [`Self::add_to`], without adding factors.
+    /// Computes lines of sight and phase weights as the factors do, without adding factors.
     fn look(&self, state: &State, biases_m: &[f64], pseudorange: &Kernel, seen: &mut Seen) {
         self.see(state, &mut seen.lines);
         seen.phase_weights.clear();
