@@ -114,6 +114,8 @@ named_choice! {
         None = "none",
         /// The broadcast Klobuchar model, IS-GPS-200.
         Klobuchar = "klobuchar",
+        /// Klobuchar's model with the coefficients of a day of medium solar activity.
+        TypicalKlobuchar = "klobuchar-typical",
         /// The broadcast NeQuick-G model.
         #[cfg(feature = "nequick")]
         NequickG = "nequick-g",

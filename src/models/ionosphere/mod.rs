@@ -14,13 +14,19 @@ pub use klobuchar::klobuchar_delay_m;
 pub(crate) use nequick::{nequick_delay_m, nequick_variance_m2};
 
 use super::LookAngles;
-use crate::gnss::constants::GPS_L1_HZ;
-use crate::gnss::{Constellation, Geodetic, GpsTime, Navigation};
+use crate::gnss::{Constellation, Geodetic, GpsTime, KlobucharCoefficients, Navigation};
+
+/// Coefficients that GPS broadcast on 1 January 2004, halfway between solar maximum and minimum;
+/// `ionmodel` of RTKLIB 2.4 has the same, for the same purpose.
+const TYPICAL: KlobucharCoefficients = KlobucharCoefficients {
+    alpha: [0.1118e-7, -0.7451e-8, -0.5961e-7, 0.1192e-6],
+    beta: [0.1167e6, -0.2294e6, -0.1311e6, 0.1049e7],
+};
 
 /// Broadcast Klobuchar delay of a signal (m), or `None` without broadcast coefficients.
 ///
 /// BeiDou satellites take the model of BeiDou if its coefficients are known; all others take that
-/// of GPS.
+/// of GPS, or of QZSS or BeiDou if only these are known.
 pub(crate) fn broadcast_delay_m(
     navigation: &Navigation,
     constellation: Constellation,
@@ -29,13 +35,30 @@ pub(crate) fn broadcast_delay_m(
     look: &LookAngles,
     time: GpsTime,
 ) -> Option<f64> {
-    match (constellation, &navigation.klobuchar_beidou, &navigation.klobuchar_gps) {
-        (Constellation::BeiDou, Some(own), _) => {
+    let of_gps = navigation.klobuchar_gps.as_ref().or(navigation.klobuchar_qzss.as_ref());
+    let of_beidou = navigation.klobuchar_beidou.as_ref();
+    match (of_beidou, of_gps) {
+        (Some(own), of_gps) if constellation == Constellation::BeiDou || of_gps.is_none() => {
             Some(beidou_klobuchar_delay_m(own, frequency_hz, receiver, look, time))
         }
-        (_, _, Some(gps)) => Some(klobuchar_delay_m(gps, frequency_hz, receiver, look, time)),
-        _ => None,
+        (_, of_gps) => of_gps.map(|gps| klobuchar_delay_m(gps, frequency_hz, receiver, look, time)),
     }
+}
+
+/// Klobuchar delay of a day of medium solar activity (m).
+pub(crate) fn typical_delay_m(
+    frequency_hz: f64,
+    receiver: &Geodetic,
+    look: &LookAngles,
+    time: GpsTime,
+) -> f64 {
+    klobuchar_delay_m(&TYPICAL, frequency_hz, receiver, look, time)
+}
+
+/// Variance of the typical delay (m²): the whole delay as its standard deviation, twice that of
+/// coefficients of the day. The delay varies by a factor of three or more over a solar cycle.
+pub(crate) fn typical_variance_m2(delay_m: f64) -> f64 {
+    delay_m * delay_m
 }
 
 /// Variance of a Klobuchar delay (m²): half the delay as its standard deviation.
@@ -46,18 +69,10 @@ pub(crate) fn klobuchar_variance_m2(delay_m: f64) -> f64 {
     0.25 * delay_m * delay_m
 }
 
-/// Variance of the delay without an ionosphere model (m²): 5 m on L1, scaled by frequency.
-///
-/// RTKLIB manual 2.4.2, constant `ERR_ION`.
-pub(crate) fn unmodelled_variance_m2(frequency_hz: f64) -> f64 {
-    let scale = (GPS_L1_HZ / frequency_hz).powi(2);
-    25.0 * scale * scale
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gnss::KlobucharCoefficients;
+    use crate::gnss::constants::GPS_L1_HZ;
 
     #[test]
     fn each_system_has_its_coefficients() {
@@ -72,13 +87,17 @@ mod tests {
         };
         let mut navigation = Navigation::default();
         assert_eq!(delay(&navigation, Constellation::Gps), None);
-        navigation.klobuchar_gps = Some(gps);
+        navigation.klobuchar_beidou = Some(beidou);
+        let own = beidou_klobuchar_delay_m(&beidou, GPS_L1_HZ, &receiver, &look, time);
+        assert_eq!(delay(&navigation, Constellation::Gps), Some(own));
+        navigation.klobuchar_beidou = None;
+        navigation.klobuchar_qzss = Some(gps);
         let of_gps = klobuchar_delay_m(&gps, GPS_L1_HZ, &receiver, &look, time);
         for constellation in Constellation::ALL {
             assert_eq!(delay(&navigation, constellation), Some(of_gps));
         }
+        navigation.klobuchar_gps = Some(gps);
         navigation.klobuchar_beidou = Some(beidou);
-        let own = beidou_klobuchar_delay_m(&beidou, GPS_L1_HZ, &receiver, &look, time);
         assert_eq!(delay(&navigation, Constellation::BeiDou), Some(own));
         assert_eq!(delay(&navigation, Constellation::Galileo), Some(of_gps));
         assert!(1.5 < own / of_gps);
@@ -87,6 +106,6 @@ mod tests {
     #[test]
     fn variances_worked_by_hand() {
         assert_eq!(klobuchar_variance_m2(6.0), 9.0);
-        assert!((unmodelled_variance_m2(GPS_L1_HZ / 2.0) - 400.0).abs() < 1e-9);
+        assert_eq!(typical_variance_m2(6.0), 36.0);
     }
 }

@@ -7,7 +7,8 @@ use crate::gnss::{
     Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
 };
 use crate::models::ionosphere::{
-    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, unmodelled_variance_m2,
+    broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, typical_delay_m,
+    typical_variance_m2,
 };
 #[cfg(feature = "nequick")]
 use crate::models::ionosphere::{nequick_delay_m, nequick_variance_m2};
@@ -148,6 +149,7 @@ impl<'a> Atmosphere<'a> {
                 Delay { delay_m: 0.0, variance_m2: f64::INFINITY, fallback: None }
             }
             IonosphereModel::Klobuchar => self.klobuchar(measurement, options),
+            IonosphereModel::TypicalKlobuchar => self.typical(measurement),
             #[cfg(feature = "nequick")]
             IonosphereModel::NequickG => self.nequick(measurement).unwrap_or_else(|| {
                 let stand_in = self.klobuchar(measurement, options);
@@ -168,6 +170,12 @@ impl<'a> Atmosphere<'a> {
             &self.navigation.leap_seconds,
         )?;
         Some(Delay { delay_m, variance_m2: nequick_variance_m2(delay_m), fallback: None })
+    }
+
+    fn typical(&self, measurement: &Measurement) -> Delay {
+        let (place, look) = (&self.geodetic, &measurement.look);
+        let delay_m = typical_delay_m(measurement.frequency_hz, place, look, self.time);
+        Delay { delay_m, variance_m2: typical_variance_m2(delay_m), fallback: None }
     }
 
     fn klobuchar(&self, measurement: &Measurement, options: &PositioningOptions) -> Delay {
@@ -193,9 +201,8 @@ impl<'a> Atmosphere<'a> {
                 Delay { delay_m, variance_m2: klobuchar_variance_m2(delay_m), fallback: None }
             }
             None => Delay {
-                delay_m: 0.0,
-                variance_m2: unmodelled_variance_m2(frequency_hz),
-                fallback: Some("none"),
+                fallback: Some(IonosphereModel::TypicalKlobuchar.name()),
+                ..self.typical(measurement)
             },
         }
     }
