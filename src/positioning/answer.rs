@@ -10,12 +10,9 @@ use crate::gnss::{
 
 use super::factors::{CLOCK, DRIFT, Line, STATE, State, VELOCITY, position, velocity};
 use super::geometry::{Geometry, UNDETERMINED};
-use super::ranging::Ranging;
+use super::ranging::{Ranging, USED_WEIGHT};
 use super::uncertainty::ErrorModel;
 
-/// Smallest weight of a pseudorange that counts as used: that of a Geman–McClure kernel at its
-/// width.
-const USED_WEIGHT: f64 = 0.25;
 /// Standard deviation above which no position is reported (m).
 pub(super) const LOST_M: f64 = 1e3;
 

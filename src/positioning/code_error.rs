@@ -55,12 +55,18 @@ pub(super) struct Evaluated {
     pub(super) slope: f64,
     /// Curvature of the expectation's bound (1/m²).
     pub(super) curvature: f64,
+    /// d²J/ds² (1/m²), negative where the identification changes.
+    pub(super) information: f64,
     /// γ_D: probability that the signal is direct, given its residual.
     pub(super) direct: f64,
 }
 
 impl CodeError {
-    /// The likelihood at s = measured − modelled (m), with slope and curvature of J.
+    /// The likelihood at s = measured − modelled (m), with slope and curvatures of J.
+    ///
+    /// The curvature of the expectation's bound is that of a known identification. The one of J is
+    /// smaller by the missing information: Louis (1982), *Finding the observed information matrix
+    /// when using the EM algorithm*, (3.2).
     pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
         let (per_m, ratio) = (self.sigma_m.recip(), self.sigma_m / EXTRA_PATH_M);
         let z = s_m * per_m;
@@ -69,12 +75,12 @@ impl CodeError {
         let per_density = density.recip();
         let (direct, late) = (direct * per_density, late * per_density);
         let u = z - ratio;
-        Evaluated {
-            density,
-            slope: direct * z * per_m + late * (EXTRA_PATH_M.recip() - hazard * per_m),
-            curvature: (direct + late * hazard * (u + hazard)) * per_m * per_m,
-            direct,
-        }
+        let (on_direct, on_late) = (z * per_m, EXTRA_PATH_M.recip() - hazard * per_m);
+        let slope = direct * on_direct + late * on_late;
+        let curvature = (direct + late * hazard * (u + hazard)) * per_m * per_m;
+        // The missing information is the variance of the slope over the unknown identification.
+        let missing = direct * on_direct.powi(2) + late * on_late.powi(2) - slope * slope;
+        Evaluated { density, slope, curvature, information: curvature - missing, direct }
     }
 
     /// p(s) alone (1/m), at s = measured − modelled (m).
@@ -201,6 +207,16 @@ mod tests {
             let central = (loss(s_m + h) - loss(s_m - h)) / (2.0 * h);
             let slope = error.evaluate(s_m).slope;
             prop_assert!((slope - central).abs() < 1e-4 + 2e-3 * slope.abs(), "{slope} {central}");
+        }
+
+        #[test]
+        fn the_information_is_the_second_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
+            let (error, h) = (CodeError { sigma_m, reflected: 0.4 }, 1e-3);
+            let slope = |s_m: f64| error.evaluate(s_m).slope;
+            let central = (slope(s_m + h) - slope(s_m - h)) / (2.0 * h);
+            let at = error.evaluate(s_m);
+            prop_assert!((at.information - central).abs() < 1e-3 + 5e-3 * central.abs());
+            prop_assert!(at.information <= at.curvature + 1e-12);
         }
 
         #[test]

@@ -38,6 +38,10 @@ pub(super) fn rates<'a>(
     })
 }
 
+/// Smallest weight, or probability to be direct, of a pseudorange that counts as used: the weight of
+/// a Geman–McClure kernel at its width.
+pub(super) const USED_WEIGHT: f64 = 0.25;
+
 /// A pseudorange factor with its satellite and ephemeris.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ranging {
@@ -68,6 +72,19 @@ pub(super) struct Judged {
     pub(super) weight: f64,
     /// Probability that it is the direct signal.
     pub(super) direct: f64,
+}
+
+/// What a pseudorange says of the noise, at its residual.
+pub(super) struct Influence {
+    pub(super) constellation: Constellation,
+    /// ψ of the whitened residual.
+    pub(super) pull: f64,
+    /// w, with which it enters the normal equations.
+    pub(super) weight: f64,
+    /// ψ′.
+    pub(super) slope: f64,
+    /// Whether it is not rejected.
+    pub(super) is_accepted: bool,
 }
 
 impl Ranging {
@@ -128,6 +145,28 @@ impl Ranging {
                 let (loss, weight) = kernel.loss_and_weight(residual);
                 Judged { loss, residual, weight, direct: weight }
             }
+        }
+    }
+
+    /// Its part in the residuals of its epoch, with the error model that [`Self::judge`] uses.
+    pub(super) fn influence(&self, residual: f64, kernel: &Kernel) -> Influence {
+        let judged = self.judge(residual, kernel);
+        let (slope, is_accepted) = match self.error().filter(|_| kernel.law != Law::Huber) {
+            Some(error) => {
+                let evaluated = error.evaluate(-residual * error.sigma_m);
+                (evaluated.information * error.sigma_m.powi(2), USED_WEIGHT <= judged.direct)
+            }
+            None => {
+                let slope = kernel.pull_slope(residual);
+                (slope, 0.0 < slope)
+            }
+        };
+        Influence {
+            constellation: self.satellite.constellation,
+            pull: judged.weight * judged.residual,
+            weight: judged.weight,
+            slope,
+            is_accepted,
         }
     }
 
@@ -210,7 +249,7 @@ impl Judged {
     const NEGLIGIBLE: f64 = 1e-9;
 
     fn of_mixture(residual: f64, error: &CodeError) -> Self {
-        let Evaluated { density, slope, curvature, direct } =
+        let Evaluated { density, slope, curvature, direct, .. } =
             error.evaluate(-residual * error.sigma_m);
         let loss = -density.ln();
         let weight = curvature * error.sigma_m * error.sigma_m;

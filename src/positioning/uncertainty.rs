@@ -9,14 +9,18 @@
 //! Σ = s²·(Λ + C⁻¹/n)⁻¹ + K·Kᵀ·σ² + (K·i)(K·i)ᵀ + (K·t)(K·t)ᵀ,
 //! K = (Λ + C⁻¹/1000)⁻¹·[(g − ḡ)·w/σ²]
 //!
-//! - n = (1 + ρ)/(1 − ρ), ρ = e^(−Δt/τ): an average of a first-order Gauss–Markov process, sampled
-//!   every Δt and of correlation time τ, has n times the variance of one of white noise (Bartlett
-//!   1946). The epoch itself has its full weight, all others 1/n. This is right for an estimator
-//!   with a long memory and for one without memory.
-//! - s² is the a-posteriori variance factor of an M-estimator with influence function ψ:
-//!   Σψ²/(m − p) over (Σψ′/m)², Huber (1981), *Robust Statistics*, section 7.6. Residuals are as
-//!   correlated as errors, so many epochs give no more information than one. One redundant
-//!   pseudorange of the modelled variance is added as a prior.
+//! - n = κ·(1 + ρ)/(1 − ρ), at least one, ρ = e^(−Δt/τ): an average of a first-order Gauss–Markov
+//!   process, sampled every Δt and of correlation time τ, has (1 + ρ)/(1 − ρ) times the variance of
+//!   one of white noise (Bartlett 1946). The estimator has already multiplied the weights by κ. The
+//!   epoch itself has its full weight, all others 1/n. This is right for an estimator with a long
+//!   memory and for one without memory.
+//! - s² = (Σw/Σψ′)·max(1, Σψ²/Σψ′) over the pseudoranges near the epoch, with the influence
+//!   function ψ and the weights w of C. An M-estimator has the covariance Σψ²/(Σψ′)²·(GᵀG)⁻¹ (Huber
+//!   1981, *Robust Statistics*, section 7.6), and C is (GᵀG)⁻¹/Σw. Σw exceeds Σψ′ because weights
+//!   treat the identification of reflections as known (Louis 1982). If the errors have the modelled
+//!   variance, Σψ² = Σψ′. Larger residuals widen Σ; smaller ones do not narrow it, because they
+//!   do not contain the errors that satellites have in common. One pseudorange of the modelled
+//!   variance is added as a prior.
 //! - σ is the standard deviation of broadcast orbit and clock, independent between satellites. i
 //!   and t are those of the ionosphere's and the troposphere's models, with one error for all
 //!   satellites: such a model errs in its zenith delay, and the common part goes into clocks and
@@ -29,10 +33,10 @@ use crate::gnss::Constellation;
 use crate::snapshot::snapshot_fields;
 
 use super::factors::Line;
-use super::ranging::Ranging;
+use super::ranging::{Influence, Ranging};
 
-/// Weight of the prior of s², as a number of redundant pseudoranges of the modelled variance.
-const PRIOR_REDUNDANCY: f64 = 1.0;
+/// Weight of the prior of s², as a number of pseudoranges of the modelled variance in each epoch.
+const PRIOR_RANGES: f64 = 1.0;
 /// Minimum redundancy without rejected pseudoranges: agreement on a wrong position by chance is
 /// then very rare.
 const AGREEING: f64 = 4.0;
@@ -40,7 +44,7 @@ const AGREEING: f64 = 4.0;
 const DISSENTING: f64 = 0.2;
 /// Fraction of the estimator's information in the gain of correlated errors.
 const MEMORY_SHARE: f64 = 1e-3;
-/// Lower bound of the mean of ψ′, which is small if most pseudoranges are rejected.
+/// Lower bound of Σψ′/Σw, which is small if most pseudoranges are rejected.
 const SLOPE_MIN: f64 = 0.2;
 
 /// Number n of epochs, one every `spacing_s`, that have the same error.
@@ -54,6 +58,8 @@ pub(super) fn repetition(spacing_s: f64, correlation_s: f64) -> f64 {
 pub(super) struct Residuals {
     /// Σψ².
     squares: f64,
+    /// Σw.
+    weights: f64,
     /// Σψ′.
     slopes: f64,
     /// m.
@@ -65,19 +71,20 @@ pub(super) struct Residuals {
     epochs: f64,
 }
 
-snapshot_fields!(Residuals { squares, slopes, count, redundancy, accepted, epochs });
+snapshot_fields!(Residuals { squares, weights, slopes, count, redundancy, accepted, epochs });
 
 impl Residuals {
-    /// Sums over one epoch's pseudoranges, given by constellation, ψ and ψ′.
-    pub(super) fn of(rows: impl Iterator<Item = (Constellation, f64, f64)>) -> Self {
+    /// Sums over one epoch's pseudoranges.
+    pub(super) fn of(rows: impl Iterator<Item = Influence>) -> Self {
         let mut sum = Self { epochs: 1.0, ..Self::default() };
         let mut present = [false; Constellation::COUNT];
-        for (constellation, pull, slope) in rows {
-            sum.squares += pull * pull;
-            sum.slopes += slope;
+        for row in rows {
+            sum.squares += row.pull * row.pull;
+            sum.weights += row.weight;
+            sum.slopes += row.slope;
             sum.count += 1.0;
-            sum.accepted += f64::from(u8::from(0.0 < slope));
-            present[constellation.index()] = true;
+            sum.accepted += f64::from(u8::from(row.is_accepted));
+            present[row.constellation.index()] = true;
         }
         let clocks = present.iter().filter(|present| **present).count();
         sum.redundancy = (sum.count - (3 + clocks) as f64).max(0.0);
@@ -87,6 +94,7 @@ impl Residuals {
     /// Adds the sums of other epochs.
     pub(super) fn add(&mut self, other: &Self) {
         self.squares += other.squares;
+        self.weights += other.weights;
         self.slopes += other.slopes;
         self.count += other.count;
         self.redundancy += other.redundancy;
@@ -107,14 +115,22 @@ impl Residuals {
         1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
     }
 
+    /// The sums of an epoch whose own pseudoranges determine its position: its residuals are smaller
+    /// than its errors, Σψ² by (m − p)/m.
+    pub(super) fn of_own_position(mut self) -> Self {
+        self.squares *= (self.count + 1.0) / (self.redundancy + 1.0);
+        self
+    }
+
     /// s².
     pub(super) fn variance_factor(&self) -> f64 {
-        let prior = PRIOR_REDUNDANCY * self.epochs;
-        if self.count == 0.0 {
+        let prior = PRIOR_RANGES * self.epochs;
+        let weights = self.weights + prior;
+        if weights == 0.0 {
             return 1.0;
         }
-        let slope = (self.slopes / self.count).max(SLOPE_MIN);
-        (self.squares + prior) / (self.redundancy + prior) / (slope * slope)
+        let slopes = (self.slopes + prior).max(SLOPE_MIN * weights);
+        weights / slopes * ((self.squares + prior) / slopes).max(1.0)
     }
 }
 
@@ -185,6 +201,10 @@ mod tests {
     use crate::positioning::factors::{PseudorangeFactor, Sight};
 
     const RADIUS_M: f64 = 6_378_137.0;
+
+    fn influence(pull: f64, slope: f64, is_accepted: bool) -> Influence {
+        Influence { constellation: Constellation::Gps, pull, weight: 1.0, slope, is_accepted }
+    }
 
     /// Satellites in four directions at 45° and one overhead, one clock, σ = 2 m.
     fn ranges() -> (Vec<Line>, Vec<Ranging>) {
@@ -258,10 +278,8 @@ mod tests {
     /// agree, which is enough; with two rejected it is not.
     #[test]
     fn agreement_needs_redundancy_and_few_rejected() {
-        let of = |rejected: usize| {
-            let slope = |i| if i < rejected { -0.1 } else { 1.0 };
-            Residuals::of((0..9).map(|i| (Constellation::Gps, 0.5, slope(i))))
-        };
+        let of =
+            |rejected: usize| Residuals::of((0..9).map(|i| influence(0.5, 1.0, rejected <= i)));
         assert!(of(0).agree() && of(1).agree() && !of(2).agree());
     }
 
@@ -270,27 +288,29 @@ mod tests {
     #[test]
     fn an_epoch_is_lost_with_as_many_left_as_unknowns() {
         let of = |count: usize, rejected: usize| {
-            let slope = |i| if i < rejected { 0.0 } else { 1.0 };
-            Residuals::of((0..count).map(|i| (Constellation::Gps, 0.5, slope(i))))
+            Residuals::of((0..count).map(|i| influence(0.5, 1.0, rejected <= i)))
         };
         assert!(of(9, 5).is_lost() && !of(9, 4).is_lost() && !of(4, 4).is_lost());
     }
 
-    /// Seven pseudoranges of one constellation, redundancy three, ψ = ±2: (28 + 1)/(3 + 1). If half
-    /// of them have ψ′ = 0, it is four times that.
+    /// Seven pseudoranges of weight one, ψ = ±2: (28 + 1)/(7 + 1). With ψ′ = ½, Σψ′ = 3.5:
+    /// 8/4.5·29/4.5. With ψ = ½ the residuals are smaller than modelled, and only 8/4.5 remains.
     #[test]
-    fn the_variance_factor_is_hubers() {
-        let of = |slope: f64| {
-            let rows =
-                (0..7).map(|i| (Constellation::Gps, if i % 2 == 0 { 2.0 } else { -2.0 }, slope));
-            Residuals::of(rows)
+    fn the_variance_factor_worked_by_hand() {
+        let of = |pull: f64, slope: f64| {
+            let sign = |i| if i % 2 == 0 { pull } else { -pull };
+            Residuals::of((0..7).map(|i| influence(sign(i), slope, true)))
         };
-        assert!((of(1.0).variance_factor() - 29.0 / 4.0).abs() < 1e-12);
-        assert!((of(0.5).variance_factor() - 29.0).abs() < 1e-12);
+        let is = |residuals: &Residuals, factor: f64| {
+            assert!((residuals.variance_factor() - factor).abs() < 1e-12, "{residuals:?}");
+        };
+        is(&of(2.0, 1.0), 29.0 / 8.0);
+        is(&of(2.0, 0.5), 8.0 / 4.5 * 29.0 / 4.5);
+        is(&of(0.5, 0.5), 8.0 / 4.5);
         // The same residuals again do not change it.
-        let mut twice = of(1.0);
-        twice.add(&of(1.0));
-        assert!((twice.variance_factor() - 29.0 / 4.0).abs() < 1e-12);
-        assert_eq!(Residuals::default().variance_factor(), 1.0);
+        let mut twice = of(2.0, 1.0);
+        twice.add(&of(2.0, 1.0));
+        is(&twice, 29.0 / 8.0);
+        is(&Residuals::default(), 1.0);
     }
 }

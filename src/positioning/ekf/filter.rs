@@ -15,7 +15,7 @@ use crate::positioning::factors::{
     CLOCK, DRIFT, OdometryFactor, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
+use crate::positioning::ranging::{Influence, Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::standstill::Standstill;
@@ -329,11 +329,14 @@ impl FilterScratch {
         let is_used = |range: &Ranging| used.binary_search(&range.satellite).is_ok();
         weights.clear();
         weights.extend(ranges.iter().map(|range| f64::from(u8::from(is_used(range)))));
-        let kernelled = ranges.iter().zip(&*weights).map(|(range, weight)| {
-            let residual = range.linearize(lines, &state, biases_m).residual;
-            (range.satellite.constellation, weight * residual, *weight)
+        let influences = ranges.iter().zip(&*weights).map(|(range, weight)| Influence {
+            constellation: range.satellite.constellation,
+            pull: weight * range.linearize(lines, &state, biases_m).residual,
+            weight: *weight,
+            slope: *weight,
+            is_accepted: 0.0 < *weight,
         });
-        let residuals = Residuals::of(kernelled);
+        let residuals = Residuals::of(influences);
         let spacing_s = interval_s.max(options.graph.independence_s);
         let answer = Answer {
             status: Status::Ekf,
@@ -348,7 +351,7 @@ impl FilterScratch {
             has_velocity,
             errors: ErrorModel {
                 repetition: repetition(spacing_s, options.graph.correlation_s),
-                variance_factor: residuals.variance_factor(),
+                variance_factor: residuals.of_own_position().variance_factor(),
                 orbit_clock_m2: options.graph.orbit_clock_sigma_m.powi(2),
             },
             reasons,

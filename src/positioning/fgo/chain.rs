@@ -228,7 +228,7 @@ impl Chain {
         self.epochs.push(GraphEpoch {
             time,
             share,
-            repetition: repetition(spacing_s.max(options.independence_s), options.correlation_s),
+            repetition: (share * repetition(spacing_s, options.correlation_s)).max(1.0),
             residuals: Residuals::default(),
             factors: Arc::new(factors.clone()),
         });

@@ -26,8 +26,6 @@ const PHASE_WEIGHT_MIN: f64 = 0.1;
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
 const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
-/// Smallest weight of a pseudorange that counts as used.
-const USED_WEIGHT: f64 = 0.25;
 /// Index of the clock in [`POSITION_AND_CLOCK`].
 const CLOCK_INDEX: usize = 3;
 /// Iterations of reweighted least squares for the step of the phase clock.
@@ -62,7 +60,7 @@ pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
     /// Fraction of their information that pseudoranges keep, because errors are correlated in time.
     pub(super) share: f64,
-    /// Number of epochs that have the same error.
+    /// Number of epochs that have the same error, beyond what `share` states.
     pub(super) repetition: f64,
     /// Residuals of its pseudoranges in the last solve.
     pub(super) residuals: Residuals,
@@ -219,15 +217,11 @@ impl Factors {
         biases_m: &[f64],
         kernel: &Kernel,
     ) -> Residuals {
-        Residuals::of(self.ranges.iter().map(|range| {
-            let residual = range.linearize(lines, state, biases_m).residual;
-            let judged = range.judge(residual, kernel);
-            let slope = match range.reflected {
-                None => kernel.pull_slope(residual),
-                Some(_) => f64::from(u8::from(USED_WEIGHT <= judged.direct)),
-            };
-            (range.satellite.constellation, judged.weight * judged.residual, slope)
-        }))
+        Residuals::of(
+            self.ranges.iter().map(|range| {
+                range.influence(range.linearize(lines, state, biases_m).residual, kernel)
+            }),
+        )
     }
 
     /// Computes lines of sight and phase weights as the factors do, without adding factors.
