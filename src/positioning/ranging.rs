@@ -58,10 +58,20 @@ pub(super) struct Ranging {
     pub(super) ionosphere_m: f64,
     /// Standard deviation of the troposphere's model in it (m).
     pub(super) troposphere_m: f64,
-    /// Probability that it is a reflection, before its residual is known; `None` if a robust kernel
-    /// is used instead.
-    pub(super) reflected: Option<f64>,
+    /// What is known about reflections; `None` if a robust kernel is used instead.
+    pub(super) reflection: Option<Reflection>,
 }
+
+/// What is known about the reflection of a signal, before its residual is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reflection {
+    /// Probability that it is a reflection.
+    pub(super) chance: f64,
+    /// Its error model before anything was learnt about the receiver.
+    pub(super) before_learning: CodeError,
+}
+
+snapshot_fields!(Reflection { chance, before_learning });
 
 /// A pseudorange as a row of the normal equations: the weight and the residual of a quadratic loss
 /// with the same slope.
@@ -103,7 +113,7 @@ impl Ranging {
             bias,
             ionosphere_m: measurement.ionosphere_share_m,
             troposphere_m: measurement.troposphere_share_m,
-            reflected: None,
+            reflection: None,
         }
     }
 
@@ -123,16 +133,16 @@ impl Ranging {
         self.factor.linearize(&lines[usize::from(self.sight)], state, self.bias_m(biases_m))
     }
 
-    /// Sets the error model.
-    pub(super) fn follow(&mut self, error: CodeError) {
+    /// Sets the error model, and the one before anything was learnt.
+    pub(super) fn follow(&mut self, error: CodeError, before_learning: CodeError) {
         self.factor.inverse_sigma = error.sigma_m.recip();
-        self.reflected = Some(error.reflected);
+        self.reflection = Some(Reflection { chance: error.reflected, before_learning });
     }
 
     /// The error model, if one is set.
     pub(super) fn error(&self) -> Option<CodeError> {
         let sigma_m = self.factor.inverse_sigma.recip();
-        self.reflected.map(|reflected| CodeError { sigma_m, reflected })
+        self.reflection.map(|reflection| CodeError { sigma_m, reflected: reflection.chance })
     }
 
     /// Loss, weight and equivalent residual of a whitened residual (model − measured). They follow
@@ -241,7 +251,7 @@ snapshot_fields!(Ranging {
     bias,
     ionosphere_m,
     troposphere_m,
-    reflected,
+    reflection,
 });
 
 impl Judged {

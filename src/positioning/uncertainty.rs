@@ -226,7 +226,7 @@ mod tests {
                 bias: None,
                 ionosphere_m: 3.0,
                 troposphere_m: 0.0,
-                reflected: None,
+                reflection: None,
             }
         };
         (directions.map(line).to_vec(), (0..5).map(range).collect())

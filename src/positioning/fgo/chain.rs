@@ -17,7 +17,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
-use crate::positioning::receiver::{ReceiverModel, Signal, common_ionosphere_m};
+use crate::positioning::receiver::{self, ReceiverModel, Signal, common_ionosphere_m};
 use crate::positioning::rivals::Watch;
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
@@ -327,7 +327,8 @@ impl Chain {
             let mut range = Ranging::new(sight, measurement, bias);
             if setup.judges_by_mixture() {
                 let signal = Signal::of(measurement, common_m);
-                range.follow(self.receiver.code_error(constellation, &signal));
+                let error = self.receiver.code_error(constellation, &signal);
+                range.follow(error, receiver::error_before_learning(&signal));
                 scratch.signals.push(signal);
             }
             factors.ranges.push(range);
@@ -390,8 +391,8 @@ impl Chain {
 
     /// Age of the chain at `time` (s), if its start is not proven yet.
     ///
-    /// If the first epochs have few satellites or mostly reflections, a redescending kernel may
-    /// settle on the wrong ones, and later epochs agree with the prior that these leave.
+    /// With few satellites or mostly reflections a redescending kernel may settle on the wrong ones,
+    /// and later epochs agree with the prior that these leave.
     pub(super) fn unproven_s(&self, time: GpsTime) -> Option<f64> {
         (!self.is_proven).then(|| time - self.started)
     }

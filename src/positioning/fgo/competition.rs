@@ -102,6 +102,7 @@ impl Chain {
                     slope: lines[usize::from(range.sight)].1,
                     residual_m: range.miss_m(lines, state, border),
                     error: range.error()?,
+                    before_learning: range.reflection?.before_learning,
                     independent: 1.0,
                 })
             }));
@@ -127,6 +128,9 @@ impl Chain {
             border[constellation.index()] += offset.clock_m(constellation) - reference_m;
         }
         self.watch.follow(offset);
+        if offset.is_before_learning() {
+            self.receiver.forget_code();
+        }
         self.prior = Prior::none();
         let Some((first, later)) = self.epochs.split_first_mut() else { return };
         let factors = Arc::make_mut(&mut first.factors);

@@ -186,6 +186,12 @@ pub(in crate::positioning) fn reflected_before_learning(cn0_db_hz: Option<f64>) 
     (1.0 + (above_db / UNLEARNT_LOGISTIC_DB).exp()).recip()
 }
 
+/// Error model of a pseudorange by the prior of S₀ alone.
+pub(in crate::positioning) fn error_before_learning(signal: &Signal) -> CodeError {
+    let reflected = reflected_before_learning(signal.cn0_db_hz);
+    CodeError { reflected, ..error_at(PRIOR_DB_HZ.0, signal) }
+}
+
 /// Error model for S₀ = `level_db_hz`.
 fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
     let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;

@@ -39,7 +39,9 @@ use noise_scale::NoiseScale;
 use repeated_rates::RepeatedRates;
 use vertical_speed::VerticalSpeed;
 
-pub(super) use code_noise::{CodeResidual, Signal, common_ionosphere_m, reflected_before_learning};
+pub(super) use code_noise::{
+    CodeResidual, Signal, common_ionosphere_m, error_before_learning, reflected_before_learning,
+};
 
 /// Time constant with which the evidence fades (s): streets change within some minutes.
 const FADING_S: f64 = 300.0;
@@ -111,6 +113,11 @@ impl ReceiverModel {
     /// Error model of a pseudorange.
     pub(super) fn code_error(&self, constellation: Constellation, signal: &Signal) -> CodeError {
         self.code.error(constellation, signal)
+    }
+
+    /// Forgets the noise of pseudoranges, which was learnt at a wrong position.
+    pub(super) fn forget_code(&mut self) {
+        self.code = CodeNoise::default();
     }
 
     /// Independent share of a pseudorange's information, `spacing_s` after the last pseudorange of

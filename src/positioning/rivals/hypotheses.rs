@@ -6,7 +6,9 @@
 //!
 //! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
 //!
-//! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds.
+//! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds. The
+//!   noise is either what was learnt about the receiver, or its prior, which costs 3 more: from a
+//!   wrong position, direct signals look like reflections, and what is learnt there confirms it.
 //! - κ: independent fraction of these terms' information; smaller at rest, where multipath repeats.
 //! - β: standard deviation of the graph's inter-system biases; infinite while they are unknown.
 //! - T: −ln of Student's t density with three degrees of freedom and a scale of 10 m. It penalises
@@ -44,10 +46,13 @@ const ITERATIONS_MAX: usize = 12;
 const LAST_STEP_M: f64 = 0.3;
 /// Longest step (m): farther away the quadratic approximation of the cost is invalid.
 const STEP_MAX_M: f64 = 30.0;
-/// Horizontal distance up to which two positions count as the same (m).
-const DISTINCT_M: f64 = 8.0;
-/// Largest offset of a candidate: horizontal, vertical (m).
-const REACH_M: (f64, f64) = (1e3, 300.0);
+/// Distances up to which two positions count as the same: horizontal, and vertical, where positions
+/// are half as precise (m).
+const DISTINCT_M: (f64, f64) = (8.0, 16.0);
+/// Largest horizontal and largest vertical offset of a candidate (m).
+const REACH_M: f64 = 1e3;
+/// Cost of the prior's noise: odds of 20 : 1 that what was learnt about the receiver holds (nats).
+const UNLEARNT_COST: f64 = 3.0;
 /// Scale of T (m).
 const SETTLED_M: f64 = 10.0;
 
@@ -60,11 +65,13 @@ pub(crate) struct Pooled {
     /// s: median of measured − modelled (m).
     pub(crate) residual_m: f64,
     pub(crate) error: CodeError,
+    /// Its error model before anything was learnt about the receiver.
+    pub(crate) before_learning: CodeError,
     /// κ: independent fraction of the information, the same for all residuals of a pool.
     pub(crate) independent: f64,
 }
 
-snapshot_fields!(Pooled { satellite, slope, residual_m, error, independent });
+snapshot_fields!(Pooled { satellite, slope, residual_m, error, before_learning, independent });
 
 /// Prior knowledge of the clocks and the trajectory.
 #[derive(Clone, Copy, Debug)]
@@ -80,6 +87,14 @@ pub(crate) struct Knowledge {
 pub(crate) struct Offset {
     x: Unknowns,
     cost: f64,
+    noise: Noise,
+}
+
+/// The noise of pseudoranges in a hypothesis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Noise {
+    Learnt,
+    BeforeLearning,
 }
 
 impl Offset {
@@ -93,9 +108,15 @@ impl Offset {
         self.x[3 + constellation.index()]
     }
 
-    fn horizontal_m(&self) -> f64 {
-        self.x[0].hypot(self.x[1])
+    /// Whether it holds with the noise before anything was learnt about the receiver.
+    pub(crate) fn is_before_learning(&self) -> bool {
+        self.noise == Noise::BeforeLearning
     }
+}
+
+/// Whether two positions this far apart count as different.
+fn are_distinct(by_m: &Vector3<f64>) -> bool {
+    DISTINCT_M.0 < by_m.xy().norm() || DISTINCT_M.1 < by_m.z.abs()
 }
 
 /// The result of a search.
@@ -117,34 +138,58 @@ pub(crate) enum Rivalry {
 /// Residuals and prior knowledge.
 struct Evidence<'a> {
     pool: &'a [Pooled],
+    noise: Noise,
     knowledge: Knowledge,
     /// Constellations that have residuals.
     present: [bool; Constellation::COUNT],
 }
 
-/// Searches for the likeliest position more than [`DISTINCT_M`] from the trajectory. The search is
-/// skipped if no position can have log odds of `least`. `seed` determines the draws.
+/// Searches for the likeliest position that is distinct from the trajectory. The search is skipped
+/// if no position can have log odds of `least`. `seed` determines the draws.
 pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
     let mut present = [false; Constellation::COUNT];
     pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
-    let evidence = Evidence { pool, knowledge, present };
-    if evidence.satellites() < 3 + evidence.clocks() + 1 {
+    let of_noise = |noise| Evidence { pool, noise, knowledge, present };
+    let learnt = of_noise(Noise::Learnt);
+    if learnt.satellites() < 3 + learnt.clocks() + 1 {
         return Rivalry::Undetermined;
     }
-    let stands = evidence.refine(Unknowns::zeros(), false);
-    if stands.cost - evidence.least_cost() < least {
+    let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
+    let other = has_learnt.then(|| of_noise(Noise::BeforeLearning));
+    let evidences = || std::iter::once(&learnt).chain(&other);
+    let least_of = |costs: &mut dyn Iterator<Item = f64>| costs.fold(f64::INFINITY, f64::min);
+    let stands_cost = least_of(&mut evidences().map(|e| e.stands().cost));
+    if stands_cost - least_of(&mut evidences().map(Evidence::least_cost)) < least {
         return Rivalry::Unrivalled;
     }
-    let refined = evidence.candidates(seed).into_iter().map(|x| evidence.refine(x, true));
-    let moved = evidence.refine(stands.x, true);
-    let elsewhere = refined.chain([moved]).filter(|c| DISTINCT_M < c.horizontal_m());
-    match elsewhere.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
-        Some(offset) => Rivalry::Rival { offset, log_odds: stands.cost - offset.cost },
+    let rivals = evidences().filter_map(|evidence| evidence.best_elsewhere(seed));
+    match rivals.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
+        Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost },
         None => Rivalry::Unrivalled,
     }
 }
 
 impl Evidence<'_> {
+    /// The trajectory itself, with the clocks that fit it best.
+    fn stands(&self) -> Offset {
+        self.refine(Unknowns::zeros(), false)
+    }
+
+    /// The likeliest distinct position.
+    fn best_elsewhere(&self, seed: u64) -> Option<Offset> {
+        let starts = self.candidates(seed).into_iter().chain([self.stands().x]);
+        let refined = starts.map(|x| self.refine(x, true));
+        let elsewhere = refined.filter(|offset| are_distinct(&offset.position_m()));
+        elsewhere.min_by(|a, b| a.cost.total_cmp(&b.cost))
+    }
+
+    fn error(&self, pooled: &Pooled) -> CodeError {
+        match self.noise {
+            Noise::Learnt => pooled.error,
+            Noise::BeforeLearning => pooled.before_learning,
+        }
+    }
+
     fn satellites(&self) -> usize {
         let mut satellites: Vec<_> = self.pool.iter().map(|pooled| pooled.satellite).collect();
         satellites.sort_unstable();
@@ -190,11 +235,17 @@ impl Evidence<'_> {
         self.loss(|_| 0.0)
     }
 
-    /// Σ κ·J of these residuals (m).
+    /// Σ κ·J of these residuals (m), and the cost of the noise.
     fn loss(&self, residual_m: impl Fn(&Pooled) -> f64) -> f64 {
         let pools = self.pool.chunk_by(|a, b| a.independent == b.independent);
-        let density = |p: &Pooled| p.error.density(residual_m(p));
-        pools.map(|pool| -pool[0].independent * log_product(pool.iter().map(density))).sum()
+        let density = |p: &Pooled| self.error(p).density(residual_m(p));
+        let losses = pools.map(|pool| -pool[0].independent * log_product(pool.iter().map(density)));
+        let of_noise = if self.noise == Noise::Learnt { 0.0 } else { UNLEARNT_COST };
+        losses.sum::<f64>() + of_noise
+    }
+
+    fn offset(&self, x: Unknowns) -> Offset {
+        Offset { x, cost: self.cost(&x), noise: self.noise }
     }
 
     /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
@@ -210,7 +261,7 @@ impl Evidence<'_> {
                 break;
             }
         }
-        Offset { x, cost: self.cost(&x) }
+        self.offset(x)
     }
 
     /// Lower triangle of the normal equations of a step from `x`, and their right side.
@@ -229,7 +280,7 @@ impl Evidence<'_> {
             right[c] = if self.present[i] { -tie * (x[c] - mean_m) } else { 0.0 };
         }
         for pooled in self.pool {
-            let at = pooled.error.evaluate(Self::residual_m(pooled, x));
+            let at = self.error(pooled).evaluate(Self::residual_m(pooled, x));
             let (slope, curvature) =
                 (pooled.independent * at.slope, pooled.independent * at.curvature);
             let c = 3 + pooled.satellite.constellation.index();
@@ -251,14 +302,12 @@ impl Evidence<'_> {
         let mut draws = Draws::new(seed);
         let mut found: Vec<Offset> = (0..SUBSETS)
             .filter_map(|_| self.solve_subset(&self.draw_subset(&mut draws)))
-            .map(|x| Offset { x, cost: self.cost(&x) })
+            .map(|x| self.offset(x))
             .collect();
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let mut distinct: Vec<Offset> = Vec::with_capacity(REFINED);
         for offset in found {
-            let apart = |other: &Offset| {
-                DISTINCT_M < (other.position_m() - offset.position_m()).xy().norm()
-            };
+            let apart = |other: &Offset| are_distinct(&(other.position_m() - offset.position_m()));
             if distinct.len() < REFINED && distinct.iter().all(apart) {
                 distinct.push(offset);
             }
@@ -268,7 +317,7 @@ impl Evidence<'_> {
 
     /// Draws residuals of different satellites until they determine a position and their clocks.
     fn draw_subset(&self, draws: &mut Draws) -> Vec<usize> {
-        let total: f64 = self.pool.iter().map(|pooled| 1.0 - pooled.error.reflected).sum();
+        let total: f64 = self.pool.iter().map(|pooled| 1.0 - self.error(pooled).reflected).sum();
         let (mut subset, mut drawn) = (Vec::with_capacity(UNKNOWNS), [false; Constellation::COUNT]);
         for _ in 0..DRAWS_MAX {
             let clocks = if self.shares_clock() { 1 } else { drawn.iter().filter(|d| **d).count() };
@@ -277,7 +326,7 @@ impl Evidence<'_> {
             }
             let mut left = draws.unit() * total;
             let reached = |pooled: &Pooled| {
-                left -= 1.0 - pooled.error.reflected;
+                left -= 1.0 - self.error(pooled).reflected;
                 left < 0.0
             };
             let index = self.pool.iter().position(reached).unwrap_or(self.pool.len() - 1);
@@ -306,8 +355,7 @@ impl Evidence<'_> {
             right += row * *residual_m;
         }
         let mut x = normal.cholesky()?.solve(&right);
-        let (horizontal_m, vertical_m) = REACH_M;
-        if !(x[0].hypot(x[1]) < horizontal_m && x[2].abs() < vertical_m) {
+        if !(x[0].hypot(x[1]) < REACH_M && x[2].abs() < REACH_M) {
             return None;
         }
         if self.shares_clock() {
@@ -333,6 +381,7 @@ impl Evidence<'_> {
 mod tests {
     use super::*;
 
+    const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3 };
     const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };
 
     /// Residuals of twelve satellites on a trajectory that is wrong by `off`. The pseudoranges of
@@ -353,7 +402,8 @@ mod tests {
                 satellite: satellite.parse().unwrap(),
                 slope,
                 residual_m: -slope.dot(&off) + reflection_m + 0.3 * (index as f64).sin(),
-                error: CodeError { sigma_m: 2.0, reflected: 0.3 },
+                error: KNOWN_NOISE,
+                before_learning: KNOWN_NOISE,
                 independent: 1.0,
             }
         };
@@ -396,6 +446,22 @@ mod tests {
         let pool = pool(Vector3::new(60.0, 0.0, 0.0), &[]);
         let odds = |settled| found(&pool, Knowledge { settled, ..KNOWN }).1;
         assert!((odds(0.0) - odds(1.0) - 5.13).abs() < 0.3, "{} {}", odds(0.0), odds(1.0));
+    }
+
+    /// From a height that is 40 m wrong all signals seem reflected. Noise that was learnt there makes
+    /// the truth no likelier; by the prior's noise the truth has odds, less the cost of the prior.
+    #[test]
+    fn noise_learnt_at_a_wrong_position_is_doubted() {
+        let off = Vector3::new(3.0, -4.0, -40.0);
+        let learnt = CodeError { sigma_m: 12.0, reflected: 0.98 };
+        let believed = |before_learning| {
+            let taught = |pooled| Pooled { error: learnt, before_learning, ..pooled };
+            pool(off, &[]).into_iter().map(taught).collect::<Vec<_>>()
+        };
+        let (_, by_learnt) = found(&believed(learnt), KNOWN);
+        let (offset, log_odds) = found(&believed(KNOWN_NOISE), KNOWN);
+        assert!(by_learnt < 5.0 && 10.0 < log_odds, "{by_learnt} {log_odds}");
+        assert!(offset.is_before_learning() && (offset.position_m() + off).norm() < 3.0);
     }
 
     #[test]

@@ -95,14 +95,16 @@ impl PseudorangeWatch {
             for (row, factor) in rows.iter().zip(&epoch.rows[group.begin..group.end]) {
                 let satellite = &differences.satellites[factor.sight];
                 let residual_m = -(row.row.residual / row.by_offset + offset_m);
+                let error = CodeError {
+                    sigma_m: row.by_offset.recip(),
+                    reflected: reflected_before_learning(satellite.cn0_db_hz),
+                };
                 let pooled = Pooled {
                     satellite: satellite.satellite,
                     slope: Vector3::from(row.row.jacobian) / row.by_offset,
                     residual_m,
-                    error: CodeError {
-                        sigma_m: row.by_offset.recip(),
-                        reflected: reflected_before_learning(satellite.cn0_db_hz),
-                    },
+                    error,
+                    before_learning: error,
                     independent: row.independent_share,
                 };
                 let of_satellite = |seen: &&mut Seen| seen.pooled.satellite == pooled.satellite;
