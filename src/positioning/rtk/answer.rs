@@ -26,6 +26,8 @@ pub(crate) struct AnswerParts<'a> {
     /// Of the state.
     pub(crate) covariance: &'a SMatrix<f64, STATE, STATE>,
     pub(crate) differences: &'a SingleDifferences,
+    /// Factor on the position's variance without integers.
+    pub(crate) float_factor: f64,
     pub(crate) resolution: Resolution,
     pub(crate) base: UsableBase<'a>,
     pub(crate) reasons: Vec<Reason>,
@@ -55,7 +57,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
         Err(reason) => {
             reasons.extend(Some(reason).filter(|_| parts.options.resolve));
             let local = state.fixed_rows::<3>(0).into_owned();
-            let uncertainty = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            let uncertainty = covariance.fixed_view::<3, 3>(0, 0) * parts.float_factor;
             (Status::Float, local, uncertainty, 0, None)
         }
     };

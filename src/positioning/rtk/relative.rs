@@ -316,7 +316,9 @@ impl<S: RelativeSolver> Relative<S> {
         self.reconsider(&resolved, setup.options.rtk.single_epoch, scratch);
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         reasons.extend(slip_reasons(slipped, &self.solver.tracking().arcs, time));
+        let float_factor = self.solver.tracking().receivers.pseudorange_noise.variance_factor();
         Ok(solution(AnswerParts {
+            float_factor,
             frame: self.solver.frame(),
             epoch: self.solver.epoch(&scratch.solver),
             state: &resolved.state,

@@ -100,6 +100,13 @@ impl NoiseScale {
         }
     }
 
+    /// Factor on the covariance of a position by pseudoranges of this noise: residuals above the
+    /// a-priori noise, and ν/(ν − 2), the variance of a Student's t, since the scale is uncertain.
+    pub(crate) fn variance_factor(&self) -> f64 {
+        let freedom = self.freedom();
+        self.mean.max(1.0) * freedom / (freedom - 2.0)
+    }
+
     /// Learns from the residuals of one epoch, which have determined `determined` parameters.
     pub(crate) fn learn(&mut self, residuals: &mut [f64], determined: f64) {
         let n = residuals.len();
@@ -166,13 +173,16 @@ mod tests {
         }
         assert_eq!(NoiseScale::stated().freedom(), 5.0);
         assert_eq!(NoiseScale::stated().odds_divisor(), 1.0);
+        // ν = 5.
+        assert!((NoiseScale::stated().variance_factor() - 5.0 / 3.0).abs() < 1e-12);
         let doubled = learnt(std::iter::repeat_n(2.0, 200));
         assert!((doubled.value / 2.0 - 1.0).abs() < 0.15, "{doubled:?}");
         assert_eq!(doubled.odds_divisor(), doubled.value.powi(5));
         let silent = learnt(std::iter::repeat_n(0.0, 20_000));
         assert!(silent.freedom().is_finite() && silent.excess.is_finite(), "{silent:?}");
+        assert!((doubled.variance_factor() - 1.0).abs() < 0.3, "{doubled:?}");
         let uneasy = learnt((0..200).map(|k| if k % 2 == 0 { 4.0 } else { 1.0 }));
-        assert!(uneasy.freedom() < 9.0, "{uneasy:?}");
+        assert!(uneasy.freedom() < 9.0 && 1.3 < uneasy.variance_factor(), "{uneasy:?}");
         let mut tailed = NoiseScale::stated();
         for _ in 0..200 {
             let mut with_one = residuals(1.0 / tailed.value);
