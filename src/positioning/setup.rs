@@ -32,7 +32,8 @@ pub(super) struct Setup {
     pub(super) standstill: Option<StandstillTest>,
     /// The graph of a receiver without a base.
     pub(super) alone: GraphSettings,
-    /// Whether the noise and the clocks of the receiver are estimated.
+    /// Whether the noise and the clocks of the receiver are estimated. Pseudoranges then have the
+    /// mixture as error model.
     pub(super) learns: bool,
     /// The graph of differences against a base.
     pub(super) relative: GraphSettings,
@@ -65,16 +66,9 @@ impl Setup {
         }
     }
 
-    /// Whether pseudoranges have the mixture as error model, with the estimated receiver model.
-    pub(super) fn judges_by_mixture(&self) -> bool {
-        self.learns && !self.is_batch
-    }
-
     /// For a recording that is smoothed as a whole.
     pub(super) fn batch(options: PositioningOptions) -> Self {
-        // A whole recording is annealed from single points, which is not possible with the mixture.
-        let alone = GraphSettings::alone(&options.graph);
-        Self { is_batch: true, alone, ..Self::new(options) }
+        Self { is_batch: true, ..Self::new(options) }
     }
 }
 

@@ -1,14 +1,24 @@
 //! The whole chain at once: all epochs first, then all answers.
+//!
+//! The mixture has many minima, and noise and clocks of the receiver must be known before its
+//! epochs can be weighted. Both come from a sliding window that is run over the epochs first: each
+//! epoch has the receiver model that the window had learnt before it, and the chain is solved from
+//! the states with which epochs left the window. Other kernels are annealed from single points.
 
-use crate::gnss::{Enu, Reason, Solution};
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+
+use crate::gnss::{Ecef, Enu, GpsTime, Reason, Solution};
 use crate::graph::{BorderLife, Covariances, Workspace};
-use crate::positioning::engine::EpochInputs;
-use crate::positioning::factors::{DRIFT, STATE, VELOCITY, position};
+use crate::positioning::engine::{Engine, EpochInputs};
+use crate::positioning::factors::{CLOCK, DRIFT, STATE, VELOCITY, position};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 
 use super::answer::{AnswerScratch, solution};
 use super::chain::{Chain, ChainScratch};
+use super::window::{SlidingWindow, WindowScratch};
 
 /// A smoother over a whole recording.
 #[derive(Debug)]
@@ -20,6 +30,63 @@ pub(crate) struct WholeChain {
     single_point: SinglePoint,
     scratch: ChainScratch,
     workspace: Workspace<STATE>,
+    /// `None` with other kernels than the mixture.
+    lead: Option<Box<Lead>>,
+}
+
+/// The sliding window that is run first.
+#[derive(Debug)]
+struct Lead {
+    window: SlidingWindow,
+    scratch: WindowScratch,
+    /// The last state of each epoch in the window.
+    states: BTreeMap<GpsTime, LeadState>,
+}
+
+/// A state of the window; frames of window and chain may differ.
+#[derive(Clone, Copy, Debug)]
+struct LeadState {
+    position: Ecef,
+    /// ECEF (m/s).
+    velocity_m_s: Vector3<f64>,
+    clock_m: f64,
+    drift_m_s: f64,
+}
+
+impl Lead {
+    fn new(setup: &Setup) -> Self {
+        let window = SlidingWindow::new(setup, false);
+        Self { window, scratch: WindowScratch::default(), states: BTreeMap::new() }
+    }
+
+    fn advance(&mut self, inputs: &EpochInputs<'_>) {
+        let Self { window, scratch, states } = self;
+        window.advance(inputs, scratch, &mut Vec::new());
+        let Chain { frame, epochs, estimate, .. } = &window.chain;
+        states.extend(epochs.iter().zip(&estimate.states).map(|(epoch, state)| {
+            let velocity_m_s = state.fixed_rows::<3>(VELOCITY).into_owned();
+            let state = LeadState {
+                position: frame.to_ecef(Enu(position(state))),
+                velocity_m_s: frame.rotation.transpose() * velocity_m_s,
+                clock_m: state[CLOCK],
+                drift_m_s: state[DRIFT],
+            };
+            (epoch.time, state)
+        }));
+    }
+
+    /// Sets the chain's states and biases to those of the window.
+    fn place(&self, chain: &mut Chain) {
+        let Chain { frame, epochs, estimate, .. } = chain;
+        for (epoch, state) in epochs.iter().zip(&mut estimate.states) {
+            let Some(lead) = self.states.get(&epoch.time) else { continue };
+            state.fixed_rows_mut::<3>(0).copy_from(&frame.to_enu(lead.position).0);
+            state.fixed_rows_mut::<3>(VELOCITY).copy_from(&(frame.rotation * lead.velocity_m_s));
+            (state[CLOCK], state[DRIFT]) = (lead.clock_m, lead.drift_m_s);
+        }
+        let biases_m = &self.window.chain.estimate.border;
+        estimate.border.iter_mut().zip(biases_m).for_each(|(own, known)| *own = *known);
+    }
 }
 
 impl WholeChain {
@@ -32,6 +99,7 @@ impl WholeChain {
             single_point: SinglePoint::default(),
             scratch: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WhileTouched),
+            lead: setup.learns.then(|| Box::new(Lead::new(setup))),
         }
     }
 
@@ -74,6 +142,10 @@ impl WholeChain {
             self.solutions.push(alone);
             return;
         }
+        if let Some(lead) = &mut self.lead {
+            self.chain.receiver = lead.window.chain.receiver.clone();
+            lead.advance(inputs);
+        }
         self.chain.append(epoch.time, guess, measurements, inputs.setup, &mut self.scratch);
         self.alone.push(alone);
     }
@@ -90,6 +162,9 @@ impl WholeChain {
         let Self { chain, scratch, workspace, .. } = self;
         if chain.epochs.is_empty() {
             return;
+        }
+        if let Some(lead) = &self.lead {
+            lead.place(chain);
         }
         match chain.solve(&setup.alone, &setup.alone.whole, scratch, workspace) {
             Ok(_) => {

@@ -205,8 +205,7 @@ impl Chain {
                 self.phases.differences(list, sigma_m, interval_s, phases);
                 let (sights, states) = (&factors.sights, [before, &guess]);
                 self.phases.follow_clock(sights, states, phases, &mut scratch.clock);
-                let scale =
-                    if setup.judges_by_mixture() { self.receiver.phase_scale() } else { 1.0 };
+                let scale = if setup.learns { self.receiver.phase_scale() } else { 1.0 };
                 phases.iter_mut().for_each(|phase| phase.inverse_sigma /= scale);
             }
         }
@@ -262,7 +261,7 @@ impl Chain {
     ) -> f64 {
         let (options, factors) = (&setup.options.graph, &mut scratch.factors);
         let spacing_s = interval_s.unwrap_or(options.independence_s);
-        let share = match setup.judges_by_mixture() {
+        let share = match setup.learns {
             true => self.receiver.independent_share(spacing_s),
             false => (spacing_s / options.independence_s).min(1.0),
         };
@@ -300,7 +299,7 @@ impl Chain {
             return;
         }
         let is_new = |m: &Measurement| !setup.learns || !self.receiver.repeats_rate(m);
-        let scale = if setup.judges_by_mixture() { self.receiver.doppler_scale() } else { 1.0 };
+        let scale = if setup.learns { self.receiver.doppler_scale() } else { 1.0 };
         let list = sighted(list).filter(|(_, m)| is_new(m));
         let rates = rates(list, &self.frame, receiver, setup.options.doppler_sigma_m_s);
         scratch.factors.rates.extend(rates.map(|rate| rate.scaled(scale)));
@@ -325,7 +324,7 @@ impl Chain {
             let further = Some(constellation) != reference;
             let bias = further.then_some((first + constellation.index()) as u32);
             let mut range = Ranging::new(sight, measurement, bias);
-            if setup.judges_by_mixture() {
+            if setup.learns {
                 let signal = Signal::of(measurement, common_m);
                 let error = self.receiver.code_error(constellation, &signal);
                 range.follow(error, receiver::error_before_learning(&signal));

@@ -21,7 +21,7 @@ use super::chain::{Chain, ChainScratch};
 pub(crate) struct SlidingWindow {
     /// Whether epochs are revised when they leave.
     revises: bool,
-    chain: Chain,
+    pub(super) chain: Chain,
 }
 
 state_fields!(SlidingWindow { revises, chain });
