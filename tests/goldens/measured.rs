@@ -52,6 +52,10 @@ pub(super) const GALWAY_WALK: usize = 454;
 /// these fixes that are more than 10 cm off.
 pub(super) const CANYON_FIXED_PERCENT: f64 = 49.8;
 pub(super) const CANYON_WRONG_PERCENT: f64 = 0.36;
+/// By `fix_probability`; and per cent of the epochs without integers whose position is inside the
+/// stated 95 % ellipse.
+pub(super) const CANYON_STATED_WRONG_PERCENT: f64 = 0.3;
+pub(super) const CANYON_FLOAT_INSIDE_PERCENT: f64 = 90.0;
 
 const fn measured(mean_m: f64, deviation_m: f64, greatest_m: f64, inside: f64) -> Measured {
     Measured { mean_m, deviation_m, greatest_m, inside }

@@ -86,6 +86,8 @@ fn hers_hert() -> Option<Pair> {
     Some(Pair::read(&folder, "hers0010.18O", "hert0010.18O", &["brdc0010.18n"], at))
 }
 
+/// Chi-square limit of two degrees of freedom at 95 %.
+const ELLIPSE_95: f64 = 5.991;
 const HERS: Ecef = Ecef::new(4_033_469.933_7, 23_673.103_1, 4_924_301.443_3);
 
 /// East, north and up of a solution less the truth (m).
@@ -285,7 +287,8 @@ fn revisions_pass_over_a_missing_base() {
 /// drives.
 #[test]
 fn the_canyon_is_seldom_fixed_wrongly() {
-    let (mut all, mut fixed, mut wrong) = (0, [0; 3], [0; 3]);
+    let (mut all, mut fixed, mut wrong, mut stated_wrong) = (0, [0; 3], [0; 3], [0.0; 3]);
+    let (mut float, mut inside) = (0, 0);
     for seed in 1..=6 {
         let simulator = Simulator::new(Scenario::rtk_canyon(), seed);
         let navigation = simulator.navigation().clone();
@@ -306,21 +309,33 @@ fn the_canyon_is_seldom_fixed_wrongly() {
         for (kind, solutions) in [causal, smoothed, batch.finish()].iter().enumerate() {
             assert_eq!(solutions.len(), truth.len());
             for (solution, truth) in solutions.iter().zip(&truth) {
+                let estimate = solution.estimate.as_ref().unwrap();
+                let frame = LocalFrame::at(*truth);
+                let error_m = frame.to_enu(estimate.position).0.xy();
                 if solution.status == Status::Fixed {
-                    let position = solution.estimate.as_ref().unwrap().position;
-                    let error_m = LocalFrame::at(*truth).to_enu(position).0.xy().norm();
+                    let probability = estimate.relative.as_ref().unwrap().fix_probability;
                     fixed[kind] += 1;
-                    wrong[kind] += usize::from(0.1 < error_m);
+                    wrong[kind] += usize::from(0.1 < error_m.norm());
+                    stated_wrong[kind] += 1.0 - probability.unwrap();
+                } else if kind == 0 {
+                    let stated = frame.covariance_to_enu(&estimate.covariance);
+                    let inverse = stated.fixed_view::<2, 2>(0, 0).try_inverse().unwrap();
+                    float += 1;
+                    inside += usize::from(error_m.dot(&(inverse * error_m)) < ELLIPSE_95);
                 }
             }
         }
     }
     let fixed_percent = 100.0 * fixed[0] as f64 / all as f64;
     let wrong_percent = 100.0 * wrong[0] as f64 / fixed[0] as f64;
+    let stated_percent = 100.0 * stated_wrong[0] / fixed[0] as f64;
+    let inside_percent = 100.0 * inside as f64 / float as f64;
     near(&[
         ("fixed (%)", fixed_percent, measured::CANYON_FIXED_PERCENT, 2.0),
         // Of about 2800 fixes a tolerance of six.
         ("wrong (%)", wrong_percent, measured::CANYON_WRONG_PERCENT, 0.2),
+        ("stated wrong (%)", stated_percent, measured::CANYON_STATED_WRONG_PERCENT, 0.1),
+        ("float inside (%)", inside_percent, measured::CANYON_FLOAT_INSIDE_PERCENT, 2.0),
     ]);
     assert!(fixed[0] < fixed[1] && fixed[1] < fixed[2], "{fixed:?} of {all} fixed");
     let is_rare = |(wrong, fixed): (&usize, &usize)| 100 * wrong <= *fixed;
@@ -424,8 +439,7 @@ fn fixes_state_what_the_ionosphere_leaves() {
         let inverse = covariance.fixed_view::<2, 2>(0, 0).try_inverse().unwrap();
         let square = error.dot(&(inverse * error));
         fixed += 1;
-        // 95 % of chi-square with two degrees.
-        inside += usize::from(square < 5.991);
+        inside += usize::from(square < ELLIPSE_95);
         squares += 0.5 * square;
     }
     let normalised = (squares / fixed as f64).sqrt();
