@@ -299,11 +299,12 @@ impl Evidence<'_> {
 
     /// The best distinct positions of the drawn subsets, best first.
     fn candidates(&self, seed: u64) -> Vec<Unknowns> {
-        let mut draws = Draws::new(seed);
-        let mut found: Vec<Offset> = (0..SUBSETS)
-            .filter_map(|_| self.solve_subset(&self.draw_subset(&mut draws)))
-            .map(|x| self.offset(x))
-            .collect();
+        let (mut draws, mut subset) = (Draws::new(seed), Vec::with_capacity(UNKNOWNS));
+        let mut found = Vec::with_capacity(SUBSETS);
+        for _ in 0..SUBSETS {
+            self.draw_subset(&mut draws, &mut subset);
+            found.extend(self.solve_subset(&subset).map(|x| self.offset(x)));
+        }
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let mut distinct: Vec<Offset> = Vec::with_capacity(REFINED);
         for offset in found {
@@ -316,9 +317,10 @@ impl Evidence<'_> {
     }
 
     /// Draws residuals of different satellites until they determine a position and their clocks.
-    fn draw_subset(&self, draws: &mut Draws) -> Vec<usize> {
+    fn draw_subset(&self, draws: &mut Draws, subset: &mut Vec<usize>) {
         let total: f64 = self.pool.iter().map(|pooled| 1.0 - self.error(pooled).reflected).sum();
-        let (mut subset, mut drawn) = (Vec::with_capacity(UNKNOWNS), [false; Constellation::COUNT]);
+        let mut drawn = [false; Constellation::COUNT];
+        subset.clear();
         for _ in 0..DRAWS_MAX {
             let clocks = if self.shares_clock() { 1 } else { drawn.iter().filter(|d| **d).count() };
             if !subset.is_empty() && 3 + clocks <= subset.len() {
@@ -336,7 +338,6 @@ impl Evidence<'_> {
                 drawn[satellite.constellation.index()] = true;
             }
         }
-        subset
     }
 
     /// The offset that leaves no residual in a subset. A clock that the subset does not determine
