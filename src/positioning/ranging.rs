@@ -38,8 +38,8 @@ pub(super) fn rates<'a>(
     })
 }
 
-/// Smallest weight, or probability to be direct, of a pseudorange that counts as used: the weight of
-/// a Geman–McClure kernel at its width.
+/// Smallest weight, or probability to be direct, of a pseudorange that counts as used: the weight
+/// of a Geman–McClure kernel at its width.
 pub(super) const USED_WEIGHT: f64 = 0.25;
 
 /// A pseudorange factor with its satellite and ephemeris.

@@ -115,8 +115,8 @@ impl Residuals {
         1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
     }
 
-    /// The sums of an epoch whose own pseudoranges determine its position: its residuals are smaller
-    /// than its errors, Σψ² by (m − p)/m.
+    /// The sums of an epoch whose own pseudoranges determine its position: its residuals are
+    /// smaller than its errors, Σψ² by (m − p)/m.
     pub(super) fn of_own_position(mut self) -> Self {
         self.squares *= (self.count + 1.0) / (self.redundancy + 1.0);
         self

@@ -390,8 +390,8 @@ impl Chain {
 
     /// Age of the chain at `time` (s), if its start is not proven yet.
     ///
-    /// With few satellites or mostly reflections a redescending kernel may settle on the wrong ones,
-    /// and later epochs agree with the prior that these leave.
+    /// With few satellites or mostly reflections a redescending kernel may settle on the wrong
+    /// ones, and later epochs agree with the prior that these leave.
     pub(super) fn unproven_s(&self, time: GpsTime) -> Option<f64> {
         (!self.is_proven).then(|| time - self.started)
     }
