@@ -215,6 +215,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         solve_window_epochs: limits.solve_window_epochs,
         solve_time: Duration::from_secs(limits.solve_s),
         active_sessions: limits.active_sessions,
+        parked_bytes: limits.parked_bytes,
         solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
         ..SessionLimits::service()
     }

@@ -186,6 +186,9 @@ pub struct Limits {
     pub solve_s: u64,
     /// Sessions with an estimator in memory; idle ones are parked.
     pub active_sessions: usize,
+    /// Bytes of the encoded states of parked sessions in memory; others are restored from the
+    /// database.
+    pub parked_bytes: usize,
     /// Epochs that wait in the mailbox of one session.
     pub mailbox_epochs: usize,
     /// Epochs that wait in all mailboxes together.
@@ -369,10 +372,11 @@ impl Limits {
             satellites_per_epoch: 128,
             observations_per_epoch: 512,
             future_s: 86_400,
-            retention_days: 0,
+            retention_days: 90,
             solve_window_epochs: 300,
             solve_s: 5,
             active_sessions: 4096,
+            parked_bytes: 512 << 20,
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,
             ephemerides_per_satellite: 480,

@@ -1,6 +1,7 @@
 //! The computing part of a session's work, which runs on the solver pool.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use crate::aiding::PushedNavigation;
 use crate::gnss::GpsTime;
@@ -12,9 +13,9 @@ use super::panics::caught;
 use super::state::{Advanced, Configuration, State};
 use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
 
-/// Number of epochs after which the state is stored again. A state takes as much space as some 30
-/// epochs with their solutions (docs/accuracy.md, docs/operations.md). After a crash at most this
-/// many epochs are computed again.
+/// Number of epochs after which the state is stored again, if computing them again would not take
+/// too long before. A state takes as much space as some 30 epochs with their solutions
+/// (docs/accuracy.md, docs/operations.md).
 const EPOCHS_PER_SNAPSHOT: usize = 256;
 
 /// What the epochs of a batch must satisfy.
@@ -26,6 +27,12 @@ pub(super) struct EpochRules {
     pub(super) now: GpsTime,
     /// Time that an epoch may be ahead of it (s).
     pub(super) future_s: u64,
+    /// Computing that a replay may repeat: after more, the state is stored.
+    pub(super) replay_max: Duration,
+    /// Whether a snapshot is the first of its day and kept for replay.
+    pub(super) keeps_snapshot: bool,
+    /// Whether the last snapshot was kept on another day: the state is stored.
+    pub(super) is_new_day: bool,
 }
 
 /// What to do with an epoch.
@@ -86,22 +93,26 @@ impl SolvedBatch {
         rules: &EpochRules,
         scratch: &mut Scratch,
     ) {
-        let seq = epoch.seq;
+        let (seq, begun) = (epoch.seq, Instant::now());
         let plan = match self.refusal(&epoch, rules) {
             Some(refusal) => Plan::Refused(refusal),
-            None if self.is_after_last(seq) => self.advance(epoch, aiding, configuration, scratch),
+            None if self.is_after_last(seq) => {
+                let plan = self.advance(epoch, aiding, configuration, scratch);
+                self.state.unsaved_time += begun.elapsed();
+                plan
+            }
             None => self.repeated(epoch),
         };
         self.plans.push((seq, plan));
     }
 
     /// Encodes the state if it is due, after the last epoch.
-    pub(super) fn finish(&mut self) {
-        if EPOCHS_PER_SNAPSHOT <= self.state.unsaved {
-            self.snapshot = self.state.encoded();
-            self.state.unsaved = 0;
-            // Retention may remove the epochs before it, so the next one is stored whole.
-            self.state.reference = None;
+    pub(super) fn finish(&mut self, rules: &EpochRules) {
+        let state = &mut self.state;
+        let is_long = EPOCHS_PER_SNAPSHOT <= state.unsaved || rules.replay_max < state.unsaved_time;
+        if is_long || (rules.is_new_day && !self.rows.is_empty()) {
+            self.snapshot = state.encoded();
+            state.note_stored(rules.keeps_snapshot);
         }
     }
 
@@ -149,9 +160,9 @@ impl SolvedBatch {
         });
         let last = self.state.reference.as_ref();
         let row = EncodedEpoch::new(Arc::new(epoch), &solution, *push, used, last);
-        self.state.reference = Some(row.reference().clone());
+        self.state.remember(&row);
         self.rows.push(row);
-        self.revisions.extend(revisions.iter().map(EncodedSolution::new));
+        self.revisions.extend(self.state.encoded_revisions(&revisions));
         self.solutions.push(solution);
         Plan::Positioned { index: self.rows.len() - 1, resent: false }
     }

@@ -1,12 +1,14 @@
 //! Numbers of events of all sessions since the start.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 /// The counters, which all tasks share.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub(super) restores: AtomicU64,
     pub(super) quarantined: AtomicU64,
+    /// Sessions with a state in memory.
+    pub(super) in_memory: AtomicUsize,
 }
 
 /// Numbers of events of all sessions since the start.

@@ -1,6 +1,5 @@
 //! The desk itself: the methods that the doors call.
 
-use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,13 +11,15 @@ use tokio::task::JoinSet;
 
 use crate::aiding::{AidingDesk, device};
 use crate::clock::Clock;
-use crate::store::{SessionKey, SessionRow, SessionSettings, Store};
+use crate::store::{SessionRow, SessionSettings, Store};
 
 use super::configuration::settings;
 use super::counters::Counters;
+use super::parked::{KeepsParked, ParkedState};
 use super::removal::{remove_deleted, remove_expired_hourly};
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
+use super::tasks::{Handle, Start, Tasks};
 use super::{
     NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionCounts, SessionError,
     SessionId, SessionInfo, SessionLimits, SessionUpdate, Submitted,
@@ -59,31 +60,6 @@ struct Desk {
     removal: Mutex<JoinSet<()>>,
 }
 
-/// The running tasks. Messages are sent while this is locked, so a task that was removed from
-/// `handles` with an empty mailbox receives no further message.
-struct Tasks {
-    handles: HashMap<SessionId, Handle>,
-    running: JoinSet<()>,
-    /// Counts messages, to find the least recently used session.
-    posted: u64,
-    draining: bool,
-}
-
-/// What a task is started for.
-#[derive(Clone, Copy, PartialEq)]
-enum Start {
-    Epochs,
-    /// Allowed beyond the limit of active sessions, because the task ends at once.
-    Closing,
-}
-
-struct Handle {
-    mailbox: mpsc::Sender<Message>,
-    waiting: Arc<AtomicUsize>,
-    outdated: Arc<AtomicBool>,
-    last_used: u64,
-}
-
 impl Sessions {
     /// Opens the desk with the system's clock.
     pub fn open(store: Store, aiding: AidingDesk, limits: SessionLimits) -> Self {
@@ -99,8 +75,7 @@ impl Sessions {
     ) -> Self {
         limits.mailbox_epochs = limits.mailbox_epochs.max(limits.epochs_per_push);
         limits.waiting_epochs = limits.waiting_epochs.max(limits.epochs_per_push);
-        let tasks =
-            Tasks { handles: HashMap::new(), running: JoinSet::new(), posted: 0, draining: false };
+        let tasks = Tasks::new(limits.parked_bytes);
         let (deleted, mut removal) = (Arc::new(Notify::new()), JoinSet::new());
         removal.spawn(remove_deleted(store.clone(), deleted.clone()));
         let expiring = remove_expired_hourly(store.clone(), clock.clone(), limits.retention_days);
@@ -229,7 +204,7 @@ impl Sessions {
             return Ok(());
         }
         if !self.tasks().handles.contains_key(id) {
-            self.start(id, row.key, Start::Closing)?;
+            self.start(id, &row, Start::Closing)?;
         }
         // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
@@ -309,7 +284,7 @@ impl Sessions {
             return Ok(()); // Another call has started it meanwhile.
         }
         let row = self.open_row(id).await?;
-        self.start(id, row.key, Start::Epochs)?;
+        self.start(id, &row, Start::Epochs)?;
         if self.post(id, &mut message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
@@ -319,6 +294,7 @@ impl Sessions {
             let mut tasks = self.tasks();
             tasks.draining = true;
             tasks.handles.clear();
+            tasks.parked.clear();
             mem::take(&mut tasks.running)
         };
         while running.join_next().await.is_some() {}
@@ -379,7 +355,7 @@ impl Sessions {
     }
 
     fn tasks(&self) -> MutexGuard<'_, Tasks> {
-        self.desk.tasks.lock().unwrap_or_else(PoisonError::into_inner)
+        self.desk.tasks()
     }
 
     fn starting(&self, id: &SessionId) -> &tokio::sync::Mutex<()> {
@@ -432,22 +408,23 @@ impl Sessions {
         }
     }
 
-    /// Starts a session's task. If as many run as allowed, one of them is parked.
-    fn start(&self, id: &SessionId, key: SessionKey, start: Start) -> Result<(), SessionError> {
+    /// Starts a session's task. If as many run as allowed, some of them are parked.
+    fn start(&self, id: &SessionId, row: &SessionRow, start: Start) -> Result<(), SessionError> {
         let Desk { store, aiding, limits, solvers, counters, clock, .. } = &*self.desk;
         let mut tasks = self.tasks();
         if tasks.draining {
             return Err(SessionError::Draining);
         }
         let limit = limits.active_sessions;
-        if limit <= tasks.handles.len() && !tasks.park_one() && start == Start::Epochs {
+        if limit <= tasks.handles.len() && !tasks.park_some(limit) && start == Start::Epochs {
             return Err(SessionError::TooManyActive { limit, retry_after: limits.retry_after });
         }
         let (mailbox, inbox) = mpsc::channel(limits.mailbox_epochs);
         let outdated = Arc::new(AtomicBool::new(false));
+        let desk: Arc<dyn KeepsParked> = self.desk.clone();
         let task = Task {
             id: id.clone(),
-            key,
+            key: row.key,
             device: device(id.as_str()),
             store: store.clone(),
             aiding: aiding.clone(),
@@ -459,22 +436,35 @@ impl Sessions {
             clock: clock.clone(),
             outdated: outdated.clone(),
             counters: counters.clone(),
+            parked: Mutex::new(tasks.parked.take(id, row)),
+            desk: Arc::downgrade(&desk),
         };
         while tasks.running.try_join_next().is_some() {} // Forgets the tasks that have ended.
         tasks.running.spawn(task.run(inbox));
         let last_used = tasks.posted;
         let handle = Handle { mailbox, waiting: Arc::default(), outdated, last_used };
         tasks.handles.insert(id.clone(), handle);
+        counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
         Ok(())
     }
 }
 
-impl Tasks {
-    /// Ends the least recently used task with an empty mailbox; `false` if every mailbox has
-    /// epochs.
-    fn park_one(&mut self) -> bool {
-        let idle = self.handles.iter().filter(|(_, h)| h.waiting.load(Ordering::Acquire) == 0);
-        let least = idle.min_by_key(|(_, handle)| handle.last_used).map(|(id, _)| id.clone());
-        least.and_then(|id| self.handles.remove(&id)).is_some()
+impl KeepsParked for Desk {
+    fn is_draining(&self) -> bool {
+        self.tasks().draining
+    }
+
+    fn keep_parked(&self, id: &SessionId, parked: ParkedState) {
+        let mut tasks = self.tasks();
+        if !tasks.draining && !tasks.handles.contains_key(id) {
+            tasks.parked.insert(id, parked);
+            self.counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
+        }
+    }
+}
+
+impl Desk {
+    fn tasks(&self) -> MutexGuard<'_, Tasks> {
+        self.tasks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -24,6 +24,9 @@ pub struct SessionLimits {
     pub retention_days: u32,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
+    /// Bytes of the encoded states of parked sessions in memory. Beyond it the least recently
+    /// parked ones are restored from the store.
+    pub parked_bytes: usize,
     /// Bases that one session may choose from.
     pub candidate_bases: usize,
     /// Epochs in the window of a computation on request.
@@ -48,8 +51,9 @@ impl SessionLimits {
             raw_chunk_bytes: 256 << 10,
             observations_per_epoch: 512,
             future_s: 86_400,
-            retention_days: 0,
+            retention_days: 90,
             active_sessions: 4_096,
+            parked_bytes: 512 << 20,
             candidate_bases: 32,
             solve_window_epochs: 300,
             solve_time: Duration::from_secs(5),

@@ -14,11 +14,13 @@
 //! and one transaction of the store commits many of them.
 //!
 //! # State and reproducibility
-//! A session's state is the state of its estimator. It is stored every 256 epochs, in the same
-//! transaction, and when the session is parked. To restore it, the epochs stored since then are
-//! replayed, each with the configuration and navigation data of its solution. So the state after a
-//! crash is the same bit by bit, and so are all later solutions. An epoch with another
-//! configuration than the previous one starts a new estimator, both originally and in replay.
+//! A session's state is the state of its estimator. It is stored every 256 epochs, or when
+//! computing the epochs since again would take too long, in the same transaction. A session that is
+//! parked leaves its encoded state in memory, up to a limit. To restore a state from the store, the
+//! epochs stored since then are replayed, each with the configuration and navigation data of its
+//! solution. So the state after a crash is the same bit by bit, and so are all later solutions. An
+//! epoch with another configuration than the previous one starts a new estimator, both originally
+//! and in replay.
 //!
 //! # Revisions
 //! Revision 0 is the immediate answer. When an epoch leaves the window, it is answered again,
@@ -94,6 +96,7 @@ mod error;
 mod info;
 mod limits;
 mod panics;
+mod parked;
 
 mod raw;
 mod reading;
@@ -105,6 +108,7 @@ mod solvers;
 mod state;
 mod submission;
 mod task;
+mod tasks;
 
 pub use computation::Computed;
 pub use counters::SessionCounts;

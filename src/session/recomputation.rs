@@ -101,6 +101,7 @@ impl Recomputation {
                 ReplayWith::Stored
             },
             arcs,
+            known: None,
             tolerates_missing: false,
         };
         let ends_windows = change.is_some() || row.closed_unix_ms.is_some();

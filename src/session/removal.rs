@@ -51,6 +51,9 @@ pub(super) async fn remove_expired(
     clock: &Clock,
     retention_days: u32,
 ) -> Result<(), StoreError> {
+    // Marked first, so that whole days of the log are dropped where nothing of them is kept.
+    store.mark_expired(clock.day(), retention_days).await?;
+    store.drop_days(clock.day(), retention_days).await?;
     loop {
         let sessions = store.expired(clock.day(), retention_days).await?;
         if sessions.is_empty() {

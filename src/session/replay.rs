@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Instant;
 use std::vec::IntoIter;
 
 use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
@@ -60,6 +61,8 @@ pub(super) struct Replay {
     pub(super) with: ReplayWith,
     /// Numbers of the epochs after which a new arc began, in order.
     pub(super) arcs: Arc<[u64]>,
+    /// A configuration that need not be read.
+    pub(super) known: Option<Arc<Configuration>>,
     /// Whether missing data is tolerated: the present navigation data replace those no longer
     /// stored, and base epochs no longer stored are left out.
     pub(super) tolerates_missing: bool,
@@ -139,7 +142,9 @@ impl Page {
         if let Some(revisions) = step.begin_arc(&mut self.state, &self.arcs, scratch) {
             self.answers.extend(revisions);
         }
+        let begun = Instant::now();
         let advanced = step.advance(&mut self.state, scratch);
+        self.state.unsaved_time += begun.elapsed();
         self.answers.push(advanced.solution);
         self.answers.extend(advanced.revisions);
         Progress::Remaining
@@ -216,9 +221,18 @@ impl Replay {
     async fn configuration(&self, hash: &Arc<str>) -> Result<Arc<Configuration>, SessionError> {
         match &self.with {
             ReplayWith::Options(active) => Ok(Arc::new(active.estimation.clone())),
-            ReplayWith::Stored => {
-                configuration_of(&self.store, &self.aiding, hash).await.map(Arc::new)
-            }
+            ReplayWith::Stored => self.stored_configuration(hash).await,
+        }
+    }
+
+    /// A stored configuration.
+    async fn stored_configuration(
+        &self,
+        hash: &Arc<str>,
+    ) -> Result<Arc<Configuration>, SessionError> {
+        match self.known.as_ref().filter(|known| known.hash == *hash) {
+            Some(known) => Ok(known.clone()),
+            None => configuration_of(&self.store, &self.aiding, hash).await.map(Arc::new),
         }
     }
 
@@ -313,7 +327,10 @@ pub(super) async fn restored(
     configuration: &Configuration,
 ) -> Result<State, SessionError> {
     let (mut state, mut after) = match snapshot(replay).await? {
-        Some(state) => (state.clone(), state.last.map(|(seq, _)| seq)),
+        Some(state) => {
+            let last = state.last_seq();
+            (state, last)
+        }
         None => {
             let after = replay.store.number_before_last(replay.key, REBUILT_EPOCHS).await?;
             (State::new(configuration), after)
@@ -322,10 +339,10 @@ pub(super) async fn restored(
     loop {
         let (next, answers) = replay.next(state, after).await?;
         state = next;
-        if answers.is_empty() {
+        after = state.last_seq();
+        if answers.iter().filter(|answer| answer.revision == 0).count() < PAGE {
             break;
         }
-        after = state.last_seq();
     }
     let ends_arc = state.last_seq().is_some_and(|last| replay.arcs.contains(&last));
     if !ends_arc || state.begins_arc() {
@@ -354,8 +371,7 @@ async fn decoded(
     replay: &Replay,
     stored: &StoredSnapshot,
 ) -> Result<Result<State, SnapshotError>, SessionError> {
-    let configuration =
-        configuration_of(&replay.store, &replay.aiding, &stored.configuration_hash).await?;
+    let configuration = replay.stored_configuration(&stored.configuration_hash).await?;
     Ok(State::decode(stored.seq, &stored.content, &configuration))
 }
 

@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::aiding::bases::BaseInput;
 use crate::config::PositioningOptions;
@@ -10,7 +11,10 @@ use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Reason, Soluti
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::recording::ApproximatePosition;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
-use crate::store::{BaseKey, EncodedSnapshot, EpochReference, StoredSolution};
+use crate::store::{
+    BaseKey, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
+    StoredSolution,
+};
 
 use super::antenna;
 use super::base_selection::{BaseSelection, BaseSource};
@@ -56,9 +60,38 @@ pub(super) struct State {
     unrevised: VecDeque<(u64, GpsTime)>,
     /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
+    /// Time that their computing took, which a replay would take again.
+    pub(super) unsaved_time: Duration,
     /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
-    /// epoch after one is stored whole.
+    /// epoch after a restore is stored whole.
     pub(super) reference: Option<EpochReference>,
+    /// The encoded first answers of epochs that may be revised. They are not part of snapshots
+    /// either; the revisions of other epochs are stored whole.
+    first_answers: VecDeque<(u64, FirstAnswer)>,
+}
+
+/// What a state in memory has beside its snapshot.
+#[derive(Clone, Debug)]
+pub(super) struct Carried {
+    unsaved: usize,
+    unsaved_time: Duration,
+    reference: Option<EpochReference>,
+    first_answers: VecDeque<(u64, FirstAnswer)>,
+}
+
+impl Carried {
+    /// Notes that the state is stored; see [`State::note_stored`].
+    pub(super) fn note_stored(&mut self, is_kept: bool) {
+        (self.unsaved, self.unsaved_time) = (0, Duration::ZERO);
+        self.reference.take_if(|_| is_kept);
+    }
+
+    /// Bytes of memory.
+    pub(super) fn bytes(&self) -> usize {
+        let reference = self.reference.as_ref().map_or(0, EpochReference::bytes);
+        let first_answers = self.first_answers.iter().map(|(_, first)| first.bytes());
+        reference + first_answers.sum::<usize>()
+    }
 }
 
 clone_fields!(State {
@@ -69,7 +102,9 @@ clone_fields!(State {
     last,
     unrevised,
     unsaved,
+    unsaved_time,
     reference,
+    first_answers,
 });
 
 /// The solution of an epoch, and the revisions of earlier epochs that it led to.
@@ -89,7 +124,9 @@ impl State {
             last: None,
             unrevised: VecDeque::new(),
             unsaved: 0,
+            unsaved_time: Duration::ZERO,
             reference: None,
+            first_answers: VecDeque::new(),
         }
     }
 
@@ -209,6 +246,7 @@ impl State {
         *self = Self {
             last: Some((seq, epoch.time)),
             unsaved: self.unsaved + 1,
+            unsaved_time: self.unsaved_time,
             ..Self::new(configuration)
         };
         let solution = StoredSolution {
@@ -253,8 +291,67 @@ impl State {
         revised.into_iter().filter_map(number).collect()
     }
 
+    /// Remembers the last epoch as it is stored, for the encoding of the next one and of its
+    /// revision.
+    pub(super) fn remember(&mut self, stored: &EncodedEpoch) {
+        self.reference = Some(stored.reference().clone());
+        let newest = self.unrevised.back().map(|(seq, _)| *seq);
+        if let Some(seq) = newest.filter(|newest| self.last_seq() == Some(*newest)) {
+            self.first_answers.push_back((seq, stored.first_answer()));
+        }
+    }
+
+    /// Encodes revisions, relative to the first answers that are remembered.
+    pub(super) fn encoded_revisions(
+        &mut self,
+        revisions: &[StoredSolution],
+    ) -> Vec<EncodedSolution> {
+        let encode = |revision: &StoredSolution| {
+            let index = self.first_answers.binary_search_by_key(&revision.seq, |(seq, _)| *seq);
+            match index.ok().and_then(|index| self.first_answers.get(index)) {
+                Some((_, first)) => EncodedSolution::revision(revision, first),
+                None => EncodedSolution::new(revision),
+            }
+        };
+        let encoded = revisions.iter().map(encode).collect();
+        let oldest = self.unrevised.front().map(|(seq, _)| *seq);
+        while self.first_answers.front().is_some_and(|(seq, _)| oldest.is_none_or(|o| *seq < o)) {
+            self.first_answers.pop_front();
+        }
+        encoded
+    }
+
+    /// Notes that the state is stored. If it is kept for replay, retention may remove the epochs
+    /// before it, so the next one is stored whole.
+    pub(super) fn note_stored(&mut self, is_kept: bool) {
+        (self.unsaved, self.unsaved_time) = (0, Duration::ZERO);
+        self.reference.take_if(|_| is_kept);
+    }
+
+    /// What [`Self::encoded_content`] leaves.
+    pub(super) fn carried(&self) -> Carried {
+        Carried {
+            unsaved: self.unsaved,
+            unsaved_time: self.unsaved_time,
+            reference: self.reference.clone(),
+            first_answers: self.first_answers.clone(),
+        }
+    }
+
+    /// The decoded state with what was carried beside it.
+    pub(super) fn with(self, carried: Carried) -> Self {
+        let Carried { unsaved, unsaved_time, reference, first_answers } = carried;
+        Self { unsaved, unsaved_time, reference, first_answers, ..self }
+    }
+
     /// The encoded state; `None` before the first epoch.
     pub(super) fn encoded(&self) -> Option<EncodedSnapshot> {
+        let (seq, content) = self.encoded_content()?;
+        Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), content))
+    }
+
+    /// The content of the encoded state, and the number of the epoch after which it is.
+    pub(super) fn encoded_content(&self) -> Option<(u64, Vec<u8>)> {
         let (seq, time) = self.last?;
         let mut writer = SnapshotWriter::new(LAYOUT);
         time.save(&mut writer);
@@ -262,7 +359,7 @@ impl State {
         self.antenna_position.save(&mut writer);
         self.unrevised.save(&mut writer);
         writer.bytes(&self.estimator.snapshot());
-        Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), writer.finish()))
+        Some((seq, writer.finish()))
     }
 
     /// Decodes the state that [`Self::encoded`] gave after epoch `seq`, with its configuration.
@@ -288,7 +385,9 @@ impl State {
             last,
             unrevised,
             unsaved: 0,
+            unsaved_time: Duration::ZERO,
             reference: None,
+            first_answers: VecDeque::new(),
         })
     }
 }

@@ -6,11 +6,11 @@ use super::{SessionKey, Store, StoreError};
 /// Number of the epoch up to which a step removes epochs.
 const LAST_OF_STEP: &str =
     "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
-const REMOVE_SOLUTIONS: &str = "DELETE FROM solutions WHERE session = $1 AND seq <= $2";
+const REMOVE_REVISIONS: &str = "DELETE FROM revisions WHERE session = $1 AND seq <= $2";
 const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
 /// The rest, once there are no epochs. Without its head a session is not found any more.
 const REMOVE_REST: [&str; 8] = [
-    "DELETE FROM solutions WHERE session = $1",
+    "DELETE FROM revisions WHERE session = $1",
     "DELETE FROM snapshots WHERE session = $1",
     "DELETE FROM kept_snapshots WHERE session = $1",
     "DELETE FROM raw_pieces WHERE session = $1",
@@ -64,7 +64,7 @@ impl Store {
                 let last = sqlx::query_scalar(LAST_OF_STEP).bind(key).bind(epochs as i64 - 1);
                 let last: Option<i64> = last.fetch_optional(&mut *transaction).await?;
                 let through = last.unwrap_or(i64::MAX);
-                for sql in [REMOVE_SOLUTIONS, REMOVE_EPOCHS] {
+                for sql in [REMOVE_REVISIONS, REMOVE_EPOCHS] {
                     let remove = sqlx::query(sql).bind(key).bind(through);
                     remove.execute(&mut *transaction).await?;
                 }

@@ -18,8 +18,10 @@ mod chain;
 mod codec;
 mod committer;
 mod database;
+mod days;
 mod deadline;
 mod deletion;
+mod epochs;
 mod error;
 mod feeds;
 mod health;
@@ -32,6 +34,7 @@ mod retention;
 mod sessions;
 mod snapshots;
 mod solutions;
+mod times;
 
 use std::fmt;
 use std::path::Path;
@@ -44,8 +47,9 @@ pub use antennas::AntennaName;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
 pub use committer::{
-    ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference,
+    ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
+pub use epochs::StoredEpoch;
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
@@ -56,10 +60,11 @@ pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use snapshots::StoredSnapshot;
-pub use solutions::{Revisions, SolutionQuery, StoredEpoch, StoredSolution};
+pub use solutions::{Revisions, SolutionQuery, StoredSolution};
 
 use committer::{Committer, Connector, Timing};
 use database::Database;
+use days::Days;
 use lease::FileLease;
 use pool::{Pool, reading};
 
@@ -72,6 +77,7 @@ pub struct Store {
     durability: Arc<[DurabilitySetting]>,
     folder: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
+    days: Arc<Days>,
 }
 
 impl Store {
@@ -103,9 +109,11 @@ impl Store {
         connector.check_lease().await?; // Before the schema of a running service is changed.
         database.migrate().await?;
         let durability = connector.durability().await?.into();
+        let days = connector.days();
         let (committer, task) = Committer::start(connector, Timing::service()).await?;
         let task = Arc::new(Mutex::new(Some(task)));
-        Ok(Self { pool, committer, task, durability, folder, lease: lease.map(Arc::new) })
+        let lease = lease.map(Arc::new);
+        Ok(Self { pool, committer, task, durability, folder, lease, days })
     }
 
     /// Opens the database of `url` for reading. Nothing of it is changed, neither its schema; a
@@ -120,7 +128,8 @@ impl Store {
         let pool = Pool::new(&database);
         let folder = database.folder().map(Into::into);
         let (committer, task) = (Committer::stopped(), Arc::default());
-        Ok(Self { pool, committer, task, durability: Arc::new([]), folder, lease: None })
+        let (durability, lease, days) = (Arc::new([]), None, Arc::default());
+        Ok(Self { pool, committer, task, durability, folder, lease, days })
     }
 
     /// The settings of the database on which durability depends, as they were at the start.

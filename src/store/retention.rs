@@ -7,31 +7,67 @@
 use super::pool::{Pool, reading, writing};
 use super::{SessionKey, Store, StoreError, StoredSnapshot};
 
-/// Sessions whose snapshots are older than their retention, with the newest of these.
-/// `$1` is the day, `$2` the retention of sessions that have none of their own.
-const EXPIRED: &str = "SELECT k.session AS session, MAX(k.seq) AS through FROM kept_snapshots k \
-    JOIN sessions s ON s.key = k.session WHERE s.deleted_unix_ms IS NULL \
-    AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 \
-    AND k.day < CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT)) \
-    AND EXISTS (SELECT 1 FROM epochs e WHERE e.session = k.session AND e.seq <= k.seq) \
-    GROUP BY k.session LIMIT $3";
+/// Sessions with snapshots that are older than their retention, with the newest of these and their
+/// number. `$1` is the day, `$2` the retention of sessions that have none of their own.
+macro_rules! expired {
+    ($condition:literal) => {
+        concat!(
+            "SELECT x.session AS session, x.through AS through FROM (",
+            "SELECT k.session AS session, MAX(k.seq) AS through, ",
+            "COUNT(DISTINCT k.seq) AS snapshots ",
+            "FROM kept_snapshots k JOIN sessions s ON s.key = k.session ",
+            "WHERE s.deleted_unix_ms IS NULL ",
+            "AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 AND k.day < ",
+            "CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT)) ",
+            "GROUP BY k.session) AS x JOIN session_heads h ON h.session = x.session WHERE ",
+            $condition,
+            " LIMIT $3"
+        )
+    };
+}
 /// Sessions that were closed before their retention, with the number of their last epoch.
-const EXPIRED_CLOSED: &str = "SELECT h.session AS session, h.last_seq AS through \
-    FROM session_heads h JOIN sessions s ON s.key = h.session WHERE s.deleted_unix_ms IS NULL \
-    AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 AND h.last_seq IS NOT NULL \
-    AND h.closed_unix_ms < 86400000 \
-        * (CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT))) \
-    AND EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session) LIMIT $3";
+macro_rules! expired_closed {
+    ($condition:literal) => {
+        concat!(
+            "SELECT h.session AS session, h.last_seq AS through FROM session_heads h ",
+            "JOIN sessions s ON s.key = h.session WHERE s.deleted_unix_ms IS NULL ",
+            "AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 AND h.last_seq IS NOT NULL ",
+            "AND h.closed_unix_ms < 86400000 ",
+            "* (CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT))) AND ",
+            $condition,
+            " LIMIT $3"
+        )
+    };
+}
+/// Those whose heads do not tell it yet.
+const TO_MARK: [&str; 2] = [
+    expired!("x.through > COALESCE(h.removed_through, -1)"),
+    expired_closed!("h.last_seq > COALESCE(h.removed_through, -1)"),
+];
+/// Those of which rows are left.
+const TO_REMOVE: [&str; 2] = [
+    expired!(
+        "(x.snapshots > 1 OR EXISTS \
+         (SELECT 1 FROM epochs e WHERE e.session = x.session AND e.seq <= x.through))"
+    ),
+    expired_closed!(
+        "(EXISTS (SELECT 1 FROM snapshots n WHERE n.session = h.session) \
+         OR EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session))"
+    ),
+];
 const MARK: &str = "UPDATE session_heads SET removed_through = $2 \
     WHERE session = $1 AND (removed_through IS NULL OR removed_through < $2)";
 /// Number of the epoch up to which a step removes.
 const LAST_OF_STEP: &str = "SELECT seq FROM epochs WHERE session = $1 AND seq <= $2 \
     ORDER BY seq LIMIT 1 OFFSET $3";
 const REMOVE: [&str; 2] = [
-    "DELETE FROM solutions WHERE session = $1 AND seq <= $2",
+    "DELETE FROM revisions WHERE session = $1 AND seq <= $2",
     "DELETE FROM epochs WHERE session = $1 AND seq <= $2",
 ];
-const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND seq < $2";
+/// The snapshot after which the rest is replayed stays, if there is a rest.
+const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND (seq < $2 \
+    OR EXISTS (SELECT 1 FROM session_heads h WHERE h.session = $1 \
+    AND h.closed_unix_ms IS NOT NULL AND h.last_seq <= $2))";
 /// A closed session continues from no state.
 const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
     (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
@@ -59,10 +95,40 @@ impl Store {
     /// # Errors
     /// The database fails.
     pub(crate) async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
+        self.found_expired(&TO_REMOVE, today, days).await
+    }
+
+    /// Marks the epochs that are older than their retention as removed: no reader finds them.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn mark_expired(&self, today: i64, days: u32) -> Result<(), StoreError> {
+        loop {
+            let found = self.found_expired(&TO_MARK, today, days).await?;
+            if found.is_empty() {
+                return Ok(());
+            }
+            // One by one: a transaction that locks several heads could block a commit for ever.
+            for Expired { session, through } in found {
+                let marked = writing!(&self.pool, pool => {
+                    let mark = sqlx::query(MARK).bind(session.0).bind(through as i64);
+                    mark.execute(pool).await.map(drop)
+                });
+                marked.map_err(StoreError::database("marking expired epochs"))?;
+            }
+        }
+    }
+
+    async fn found_expired(
+        &self,
+        queries: &[&'static str],
+        today: i64,
+        days: u32,
+    ) -> Result<Vec<Expired>, StoreError> {
         let mut found = Vec::new();
-        for sql in [EXPIRED, EXPIRED_CLOSED] {
+        for sql in queries {
             let rows: Result<Vec<(i64, i64)>, _> = reading!(bulk &self.pool, pool => {
-                sqlx::query_as(sql)
+                sqlx::query_as(*sql)
                     .bind(today)
                     .bind(i64::from(days))
                     .bind(SESSIONS)

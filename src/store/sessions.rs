@@ -8,6 +8,8 @@ use super::pool::{reading, writing};
 use super::{AntennaName, BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
+/// In the column of a session's choice of bases: the nearest of several.
+const NEAREST_OF: i32 = 1;
 
 /// Primary key of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -105,7 +107,7 @@ impl RawSession {
         let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
         let base = match self.base_choice {
             0 => self.base.zip(self.base_id).map(|(key, id)| name(key, id)).into(),
-            1 => {
+            NEAREST_OF => {
                 let own = candidates.iter().filter(|(session, ..)| *session == self.key);
                 BaseChoice::NearestOf(own.map(|(_, base, id)| name(*base, id.clone())).collect())
             }
@@ -160,7 +162,7 @@ fn base_column(base: &BaseChoice) -> Option<i64> {
 const fn choice_column(base: &BaseChoice) -> i32 {
     match base {
         BaseChoice::None | BaseChoice::One(_) => 0,
-        BaseChoice::NearestOf(_) => 1,
+        BaseChoice::NearestOf(_) => NEAREST_OF,
         BaseChoice::Nearest => 2,
     }
 }
@@ -262,7 +264,10 @@ impl Store {
         let Some(row) = row.map_err(StoreError::database("reading a session"))? else {
             return Ok(None);
         };
-        let candidates = self.candidates(row.key, row.key).await?;
+        let candidates = match row.base_choice {
+            NEAREST_OF => self.candidates(row.key, row.key).await?,
+            _ => Vec::new(),
+        };
         row.parse(&candidates).map(Some)
     }
 

@@ -9,7 +9,7 @@ use graphfix::session::{
 use graphfix::store::Store;
 use serde_json::json;
 
-use crate::support::database::{Database, on_both_databases, whole_session};
+use crate::support::database::{Database, on_both_databases, on_postgres, whole_session};
 use crate::support::doors::{Doors, code};
 use crate::support::sessions::{epoch, new_session};
 
@@ -68,18 +68,18 @@ async fn a_store_with_retention_stays_flat(database: Database) {
             live_a_day(&sessions, &clock, id, day).await;
         }
         sessions.remove_expired().await.unwrap();
-        rows.push(database.count("epochs").await + database.count("solutions").await);
+        rows.push(database.count("epochs").await + database.count("revisions").await);
         sizes.push(database.bytes().await);
     }
     println!("rows {rows:?}, bytes {sizes:?}");
-    let per_day = 2 * 3 * PER_DAY as i64;
+    let per_day = 3 * PER_DAY as i64;
     // Up to a snapshot of the day before, so that the oldest day can be replayed.
     let kept = (i64::from(RETENTION) + 2) * per_day;
     assert!(per_day * i64::from(RETENTION) < rows[5] && rows[5] < kept, "{rows:?}");
     assert_eq!(rows[4], rows[5], "{rows:?}");
     // A server frees the space of rows when it vacuums.
     if database.url.starts_with("sqlite") {
-        let ((used, _), (used_after, file_after)) = (sizes[3], sizes[5]);
+        let ((used, _), (used_after, file_after)) = (sizes[4], sizes[5]);
         assert!(used_after < used * 11 / 10, "{sizes:?}");
         assert!(file_after * 3 <= used_after * 4, "at most a quarter is free: {sizes:?}");
     }
@@ -128,6 +128,71 @@ async fn a_store_with_retention_stays_flat(database: Database) {
     }
 }
 
+/// Days of the log in the partitions of `table`.
+async fn days(database: &Database, table: &str) -> i64 {
+    let partitions = "pg_inherits JOIN pg_class c ON c.oid = inhrelid \
+                      WHERE relname ~ '_[0-9]{8}$' AND relnamespace = current_schema()::regnamespace";
+    database.count(&format!("{partitions} AND inhparent = '{table}'::regclass")).await
+}
+
+/// Of a day that is older than the service's retention, what another session keeps for longer is
+/// moved, and the partition is dropped.
+#[tokio::test]
+async fn days_are_dropped_and_what_is_kept_is_moved() {
+    on_postgres(async |database| {
+        let (store, clock) = (database.store().await, Clock::at(START));
+        let sessions = desk(&store, &clock).await;
+        let short = sessions.create(new_session()).await.unwrap().id;
+        let for_ever = NewSession { retention_days: Some(0), ..new_session() };
+        let long = sessions.create(for_ever).await.unwrap().id;
+        let mut counts = Vec::new();
+        for day in 0..9 {
+            live_a_day(&sessions, &clock, &short, day).await;
+            live_a_day(&sessions, &clock, &long, day).await;
+            if day == 0 {
+                // As if a revision had been stored on two days.
+                for (day, seq) in [("NULL", 3), ("DATE '2026-01-01'", 3), ("NULL", 4)] {
+                    let revision = format!(
+                        "INSERT INTO revisions (session, seq, revision, gps_time_ns, day, status, \
+                         origin, content) SELECT session, seq, 1, gps_time_ns, {day}, status, \
+                         origin, solution FROM epochs WHERE seq = {seq} AND session = 2"
+                    );
+                    database.execute(&revision).await;
+                }
+            }
+            sessions.remove_expired().await.unwrap();
+            counts.push(days(&database, "epochs").await);
+        }
+        // Two days of the retention, one that a snapshot may reach back, two of the margin, today.
+        assert_eq!(counts, [1, 2, 3, 4, 5, 5, 5, 5, 5]);
+        let kept = database.count("epochs_kept").await;
+        assert_eq!(kept, 4 * PER_DAY as i64, "only what is kept for ever is moved");
+        assert_eq!(database.count("revisions_kept").await, 2);
+        let listed = sessions.solutions(&long, &whole_session()).await.unwrap().page.items;
+        let keys = listed.iter().map(|solution| (solution.seq, solution.revision));
+        let first = [(1, 0), (2, 0), (3, 0), (3, 1), (4, 0), (4, 1), (5, 0)];
+        assert_eq!(keys.take(first.len()).collect::<Vec<_>>(), first);
+        assert_eq!(listed.len() as u64, 9 * PER_DAY + 2);
+        database.execute("DELETE FROM revisions").await;
+        for id in [&long, &short] {
+            let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+            let again = Recomputation::open(store.clone(), aiding, id, None).await.unwrap();
+            let check = again.check().await.unwrap();
+            assert!(check.is_same() && 0 < check.compared, "{check:?}");
+        }
+        for id in [&long, &short] {
+            sessions.close(id).await.unwrap();
+        }
+        let update = "UPDATE sessions SET retention_days = NULL";
+        database.execute(update).await;
+        clock.set(START + 60 * MS_PER_DAY);
+        sessions.remove_expired().await.unwrap();
+        sessions.remove_expired().await.unwrap();
+        assert_eq!(days(&database, "epochs").await + days(&database, "revisions").await, 0);
+    })
+    .await;
+}
+
 /// A session's own retention takes the place of the service's, also after a change.
 async fn a_session_has_its_own_retention(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
@@ -173,7 +238,7 @@ async fn a_closed_session_expires(database: Database) {
     }
     let listed = sessions.solutions(&id, &whole_session()).await.unwrap();
     assert_eq!((listed.page.items.len(), listed.oldest_available), (0, Some(41)));
-    for table in ["solutions", "snapshots"] {
+    for table in ["revisions", "snapshots", "kept_snapshots"] {
         assert_eq!(database.count(table).await, 0, "{table}");
     }
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();

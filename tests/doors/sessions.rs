@@ -60,6 +60,7 @@ fn limits() -> SessionLimits {
         future_s: 86_400,
         retention_days: 0,
         active_sessions: 64,
+        parked_bytes: 1 << 20,
         candidate_bases: 2,
         label_characters: 20,
         solve_window_epochs: 300,
@@ -293,7 +294,7 @@ async fn a_deleted_session_leaves_nothing(database: Database) {
     let count = async |table: &str| database.count(table).await;
     until("removed", async || count("epochs").await, |epochs| *epochs == 3).await;
     until("removed", async || count("session_heads").await, |heads| *heads == 1).await;
-    assert_eq!((count("solutions").await, count("sessions").await), (3, 2));
+    assert_eq!((count("epochs").await, count("sessions").await), (3, 2));
     assert_eq!(stored_numbers(&restarted, &other).await, [1, 2, 3]);
 }
 
@@ -380,22 +381,46 @@ async fn all_mailboxes_together_are_bounded(database: Database) {
     sessions.submit(&other, batch(2..11)).await.unwrap();
 }
 
+/// Parked sessions continue from memory, or from the store if there is no room.
 async fn parked_sessions_go_on(database: Database) {
+    for (parked_bytes, is_kept) in [(0, false), (1 << 20, true)] {
+        let few = SessionLimits { active_sessions: 2, parked_bytes, ..limits() };
+        let sessions = desk_with(&database.store().await, few).await;
+        let mut ids = Vec::new();
+        for _ in 0..5 {
+            ids.push(created(&sessions).await);
+        }
+        for seq in 1..=4 {
+            for id in &ids {
+                let answer = sessions.submit(id, batch([seq])).await.unwrap();
+                assert_eq!(answer.durable_through, Some(seq));
+            }
+        }
+        for id in &ids {
+            assert_eq!(stored_numbers(&sessions, id).await, [1, 2, 3, 4]);
+        }
+        // A task may start before the one before it has left its state.
+        let restores = sessions.counts().restores;
+        assert_eq!(restores < 4 * 5, is_kept, "{restores} restores");
+    }
     let few = SessionLimits { active_sessions: 2, ..limits() };
     let sessions = desk_with(&database.store().await, few).await;
     let mut ids = Vec::new();
     for _ in 0..5 {
         ids.push(created(&sessions).await);
+        sessions.submit(ids.last().unwrap(), batch(1..5)).await.unwrap();
     }
-    for seq in 1..=4 {
-        for id in &ids {
-            let answer = sessions.submit(id, batch([seq])).await.unwrap();
-            assert_eq!(answer.durable_through, Some(seq));
-        }
-    }
-    for id in &ids {
-        assert_eq!(stored_numbers(&sessions, id).await, [1, 2, 3, 4]);
-    }
+    // What changes while a session is parked is in force when it continues.
+    let update = SessionUpdate { mode: Some("ekf".to_owned()), ..SessionUpdate::default() };
+    sessions.update(&ids[0], update).await.unwrap();
+    sessions.submit(&ids[0], batch([5])).await.unwrap();
+    let solutions = stored(&sessions, &ids[0]).await;
+    assert_ne!(solutions[3].configuration_hash, solutions[4].configuration_hash);
+    // Another writer's epochs are not overwritten.
+    let other = desk_with(&database.store().await, limits()).await;
+    other.submit(&ids[1], batch([5])).await.unwrap();
+    let next = sessions.submit(&ids[1], batch([6])).await;
+    assert_eq!(next.unwrap().durable_through, Some(6));
     let busy_one = sessions.enqueue(&ids[3], batch([5])).await.unwrap();
     let busy_other = sessions.enqueue(&ids[4], batch([5])).await.unwrap();
     busy_one.answer().await.unwrap();
@@ -471,7 +496,7 @@ async fn a_store_that_fails_acknowledges_nothing(database: Database) {
 
 async fn another_writer_is_noticed(database: Database) {
     let one = desk(&database.store().await).await;
-    let other = desk(&database.store().await).await;
+    let other = desk_with(&database.store().await, limits()).await;
     let id = created(&one).await;
     one.submit(&id, batch([1])).await.unwrap();
     other.submit(&id, batch([2])).await.unwrap();
@@ -491,7 +516,7 @@ async fn corrupt_rows_are_errors(database: Database) {
     database.execute("UPDATE epochs SET content = '\\x' WHERE seq = 2").await;
     let error = sessions.submit(&id, batch([2])).await.unwrap_err();
     assert_eq!(error.code().name(), "STORED_DATA_CORRUPT");
-    database.execute("UPDATE solutions SET content = '\\x' WHERE seq = 3").await;
+    database.execute("UPDATE epochs SET solution = '\\x' WHERE seq = 3").await;
     let error = sessions.solutions(&id, &whole_session()).await.unwrap_err();
     assert_eq!(error.code().name(), "STORED_DATA_CORRUPT");
 }

@@ -132,10 +132,13 @@ async fn solutions_are_chosen_by_status_and_revision(database: Database) {
     let store = database.store().await;
     let key = session(&store, "one").await;
     store.commit(batch(key, 1..=4)).await.unwrap();
-    let smoothed = "INSERT INTO solutions SELECT session, seq, 1, gps_time_ns, status, x_m, y_m, \
-                    z_m, content, origin FROM solutions WHERE seq IN (2, 3)";
+    let smoothed = "INSERT INTO revisions (session, seq, revision, gps_time_ns, status, content, \
+                    origin) SELECT session, seq, 1, gps_time_ns, status, solution, origin \
+                    FROM epochs WHERE seq IN (2, 3)";
     database.execute(smoothed).await;
-    database.execute("UPDATE solutions SET status = 10 WHERE seq = 3").await;
+    for table in ["epochs", "revisions"] {
+        database.execute(&format!("UPDATE {table} SET status = 10 WHERE seq = 3")).await;
+    }
     let of = async |revisions, status, token: Option<&str>| {
         let page_token = token.map(str::to_owned);
         stored(&store, key, &SolutionQuery { revisions, status, page_token, ..whole_session() })
@@ -199,7 +202,7 @@ async fn a_newer_schema_is_refused(database: Database) {
     let error = Store::open(&database.url).await.unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 16"
+        "the database has schema 9000, this Graphfix knows schemas up to 18"
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
 }

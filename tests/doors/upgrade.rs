@@ -1,5 +1,6 @@
-//! A database of the first schema with raw streams, feeds and archives (migrations 1 to 8, layouts 1
-//! of epochs and 3 of solutions and snapshots) is opened, listed, continued and replayed.
+//! Populated databases of earlier schemas are opened, listed, continued and replayed: that of the first
+//! with raw streams, feeds and archives (migrations 1 to 8, layouts 1 of epochs and 3 of solutions
+//! and snapshots), and that of the last with solutions in a table of their own (migration 16).
 
 use std::path::Path;
 
@@ -13,19 +14,21 @@ use sqlx::{Connection, PgConnection, SqliteConnection};
 use crate::support::database::{Database, on_both_databases, whole_session};
 use crate::support::sessions::{created, desk, epoch};
 
-on_both_databases!(a_populated_database_of_the_eighth_schema_is_upgraded);
+on_both_databases!(
+    a_populated_database_of_the_eighth_schema_is_upgraded,
+    a_populated_database_of_the_sixteenth_schema_is_upgraded,
+);
 
-const SCHEMA: i64 = 8;
 const HASH: &str = "87fd338087fd338087fd338087fd338087fd338087fd338087fd338087fd3380";
 const VERSION: &str = "0.0.9";
 const EPOCHS: u64 = 5;
 
-/// Applies the migrations up to [`SCHEMA`].
-async fn make_schema(database: &Database) {
+/// Applies the migrations up to one.
+async fn make_schema(database: &Database, schema: i64) {
     let is_sqlite = database.url.starts_with("sqlite");
     let folder = if is_sqlite { "migrations/sqlite" } else { "migrations/postgres" };
     let all = Migrator::new(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).await.unwrap();
-    let known = all.iter().filter(|migration| migration.version <= SCHEMA).cloned().collect();
+    let known = all.iter().filter(|migration| migration.version <= schema).cloned().collect();
     let known = Migrator::with_migrations(known);
     if is_sqlite {
         let url = format!("{}?mode=rwc", database.url);
@@ -180,7 +183,7 @@ async fn check(store: &Store, id: &SessionId, least: usize) {
 }
 
 async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Database) {
-    make_schema(&database).await;
+    make_schema(&database, 8).await;
     let (open, closed) = (SessionId::random(), SessionId::random());
     let answers = populate(&database, open.as_str(), false).await;
     populate(&database, closed.as_str(), true).await;
@@ -210,6 +213,44 @@ async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Databas
     let other = sessions.submit(&open, vec![epoch(3, 3.5)]).await.unwrap().outcomes.remove(0);
     assert_eq!(other.result.unwrap_err().code().name(), "SEQUENCE_CONFLICT");
     // The snapshot of that time cannot be read: the state is rebuilt from the stored epochs.
+    let next = sessions.submit(&open, epochs(EPOCHS + 1..=2 * EPOCHS)).await.unwrap();
+    assert_eq!(next.durable_through, Some(2 * EPOCHS));
+    check(&store, &open, 2 * EPOCHS as usize).await;
+    sessions.drain().await;
+    store.close().await;
+}
+
+/// The last schema with first answers and revisions in one table.
+async fn a_populated_database_of_the_sixteenth_schema_is_upgraded(database: Database) {
+    make_schema(&database, 16).await;
+    let (open, revised) = (SessionId::random(), SessionId::random());
+    let answers = populate(&database, open.as_str(), false).await;
+    populate(&database, revised.as_str(), false).await;
+    let key = format!("(SELECT key FROM sessions WHERE id = '{}')", revised.as_str());
+    let time = answers[1].solution.time.as_ns();
+    for sql in [
+        "INSERT INTO session_heads (session, owner, fence, last_seq, last_gps_time_ns, status) \
+         SELECT session, '', 0, MAX(seq), MAX(gps_time_ns), 0 FROM epochs GROUP BY session"
+            .to_owned(),
+        format!(
+            "INSERT INTO solutions (session, seq, revision, gps_time_ns, status, content) \
+             SELECT session, seq, 1, {time}, status, content FROM solutions \
+             WHERE seq = 2 AND session = {key}"
+        ),
+    ] {
+        database.execute(&sql).await;
+    }
+    let store = database.store().await;
+    for table in ["epochs", "revisions"] {
+        let expected = if table == "epochs" { 2 * EPOCHS as i64 } else { 1 };
+        assert_eq!(database.count(table).await, expected, "{table}");
+    }
+    let sessions = desk(&store).await;
+    let listed = sessions.solutions(&revised, &whole_session()).await.unwrap().page.items;
+    let keys: Vec<_> = listed.iter().map(|solution| (solution.seq, solution.revision)).collect();
+    assert_eq!(keys, [(1, 0), (2, 0), (2, 1), (3, 0), (4, 0), (5, 0)]);
+    assert!(listed.iter().all(|solution| &*solution.version == VERSION));
+    assert_eq!(listed[2].solution, answers[1].solution);
     let next = sessions.submit(&open, epochs(EPOCHS + 1..=2 * EPOCHS)).await.unwrap();
     assert_eq!(next.durable_through, Some(2 * EPOCHS));
     check(&store, &open, 2 * EPOCHS as usize).await;

@@ -52,7 +52,7 @@ impl Lock {
         }
         let mut connection = PgConnection::connect(&database.url).await.unwrap();
         sqlx::query("BEGIN").execute(&mut connection).await.unwrap();
-        let lock = "LOCK TABLE solutions IN EXCLUSIVE MODE";
+        let lock = "LOCK TABLE epochs IN EXCLUSIVE MODE";
         sqlx::query(lock).execute(&mut connection).await.unwrap();
         Self::Postgres(connection)
     }

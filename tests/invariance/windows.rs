@@ -157,12 +157,12 @@ async fn each_epoch_is_revised_once(database: Database) {
     assert!(30 < all.chunks(2).filter(|pair| moved(pair)).count(), "smoothing moves positions");
 
     // A changed stored solution is detected.
-    let swap = "UPDATE solutions SET content = (SELECT content FROM solutions WHERE seq = 7 \
-                AND revision = 0) WHERE seq = 8 AND revision = 0";
+    let swap = "UPDATE epochs SET solution = (SELECT solution FROM epochs WHERE seq = 59) \
+                WHERE seq = 60";
     database.execute(swap).await;
     let check = checked(&database, &id).await;
-    assert_eq!((check.compared, check.different, check.first), (120, 1, Some((8, 0))));
-    database.execute("DELETE FROM solutions WHERE seq = 9 AND revision = 1").await;
+    assert_eq!((check.compared, check.different, check.first), (120, 1, Some((60, 0))));
+    database.execute("DELETE FROM revisions WHERE seq = 9").await;
     assert_eq!(checked(&database, &id).await.not_stored, 1);
 }
 

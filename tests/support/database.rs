@@ -62,7 +62,7 @@ impl Database {
     }
 
     /// Bytes of the pages in use and of all pages, indices included; on Postgres both are those of
-    /// epochs and solutions.
+    /// epochs and revisions.
     pub(crate) async fn bytes(&self) -> (i64, i64) {
         if self.url.starts_with("sqlite") {
             let mut connection = SqliteConnection::connect(&self.url).await.unwrap();
@@ -75,8 +75,10 @@ impl Database {
             ((pages - free) * page, pages * page)
         } else {
             let mut connection = PgConnection::connect(&self.url).await.unwrap();
-            let sql = "SELECT pg_total_relation_size('epochs') \
-                       + pg_total_relation_size('solutions')";
+            let sql = "SELECT SUM(pg_total_relation_size(inhrelid))::bigint FROM pg_inherits \
+                       JOIN pg_class ON pg_class.oid = inhparent \
+                       WHERE relname IN ('epochs', 'revisions') \
+                       AND relnamespace = current_schema()::regnamespace";
             let bytes = sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap();
             (bytes, bytes)
         }

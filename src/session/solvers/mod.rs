@@ -1,6 +1,7 @@
 //! The solver pool: estimation runs here, never on the threads that serve the network.
 
 mod lanes;
+mod newest;
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,10 +17,13 @@ use super::state::State;
 
 pub(super) use lanes::Lane;
 use lanes::Lanes;
+use newest::{Admitted, Newest};
 
 /// A quantum ends after this time, or after this number of steps if others wait.
 const QUANTUM: Duration = Duration::from_millis(10);
 const QUANTUM_STEPS: usize = 16;
+/// Sessions that are restored at the same time.
+const RESTORES_PER_THREAD: usize = 4;
 /// Most spare states that are kept.
 const SPARE_STATES: usize = 64;
 
@@ -28,6 +32,8 @@ const SPARE_STATES: usize = 64;
 pub(super) struct Solvers {
     lanes: Lanes,
     memory: MemoryPool,
+    threads: usize,
+    restores: Newest,
 }
 
 /// Whether steps are left after one.
@@ -52,7 +58,20 @@ struct Shared {
 
 impl Solvers {
     pub(super) fn new(threads: NonZeroUsize) -> Self {
-        Self { lanes: Lanes::new(threads.get()), memory: MemoryPool::default() }
+        let threads = threads.get();
+        let (lanes, memory) = (Lanes::new(threads), MemoryPool::default());
+        Self { lanes, memory, threads, restores: Newest::new(RESTORES_PER_THREAD * threads) }
+    }
+
+    /// Number of threads.
+    pub(super) const fn threads(&self) -> usize {
+        self.threads
+    }
+
+    /// Waits until a session may be restored: as many at a time as keep the pool busy while others
+    /// read the store.
+    pub(super) async fn admitted_restore(&self) -> Admitted {
+        self.restores.admitted().await
     }
 
     pub(super) fn memory(&self) -> &MemoryPool {

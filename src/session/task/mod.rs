@@ -1,13 +1,14 @@
 //! One session's task: the sole owner of its estimator. It handles messages in order of arrival.
 
 mod message;
+mod parking;
 mod positioning;
 mod receive;
 
 use std::collections::HashMap;
 use std::mem;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use tokio::sync::mpsc;
@@ -24,8 +25,9 @@ use crate::store::{
 use super::batch::{Plan, SolvedBatch};
 use super::counters::Counters;
 use super::info::oldest_available;
+use super::parked::{KeepsParked, ParkedState};
 use super::raw::Reception;
-use super::replay::{ActiveConfiguration, Replay, ReplayWith, active_configuration, restored};
+use super::replay::{ActiveConfiguration, active_configuration};
 use super::solvers::{Lane, Solvers};
 use super::state::State;
 use super::{
@@ -36,8 +38,6 @@ pub(super) use message::{MailboxPermit, Message, RawSubmission, Submission};
 
 /// A batch takes no further push once it has this many epochs.
 const EPOCHS_PER_BATCH: usize = 1_024;
-/// With fewer new epochs the state is not stored when the task ends: replaying them is as fast.
-const EPOCHS_WORTH_STORING: usize = 32;
 
 /// The data of a session's task.
 pub(super) struct Task {
@@ -58,6 +58,10 @@ pub(super) struct Task {
     /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) counters: Arc<Counters>,
+    /// The state with which the session was parked, if the desk has it.
+    pub(super) parked: Mutex<Option<ParkedState>>,
+    /// Where the state is kept when the session is parked.
+    pub(super) desk: Weak<dyn KeepsParked>,
 }
 
 /// A session in memory.
@@ -73,6 +77,9 @@ struct Active {
     epoch_time: Option<Duration>,
     /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
+    /// The last day, since 1970-01-01, on which a snapshot was kept for replay, as far as this task
+    /// knows.
+    kept_day: Option<i64>,
 }
 
 impl Active {
@@ -132,7 +139,7 @@ impl Task {
     async fn reset(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let current = self.activate(active).await?;
         let Some(after_seq) = current.last_seq() else { return Ok(()) };
-        let snapshot_day = self.snapshot_day(&current.configuration);
+        let keeps_snapshot = self.keeps_snapshot(current);
         let mut state = (*current.committed).clone();
         let estimation = current.configuration.estimation.clone();
         let work = move |scratch: &mut Scratch| {
@@ -143,13 +150,14 @@ impl Task {
         };
         let (state, revisions, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
         let arc = Some(ArcStart { after_seq, unix_ms });
-        let batch = Batch::new(self.key, Some(after_seq));
-        let batch = Batch { revisions, snapshot, snapshot_day, arc, ..batch };
+        let batch = self.batch(Some(after_seq));
+        let batch = Batch { revisions, snapshot, keeps_snapshot, arc, ..batch };
         let stored = self.store.commit(batch).await;
         // An arc is not seen in the last number, so an unconfirmed one is read from the store.
         stored.inspect_err(|_| *active = None)?;
         if let Some(current) = active {
             current.committed = Arc::new(state);
+            self.note_kept(current, keeps_snapshot);
             current.raw = None; // Restored with the date of the clock.
         }
         Ok(())
@@ -163,27 +171,9 @@ impl Task {
             self.solvers.estimate(Lane::RealTime, move |scratch| state.finish(scratch)).await?;
         let revisions = revisions.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
-        let batch = Batch::new(self.key, previous);
+        let batch = self.batch(previous);
         self.store.commit(Batch { revisions, closed_unix_ms, ..batch }).await?;
         Ok(())
-    }
-
-    /// Stores the state, so that the next task replays only a few epochs.
-    async fn park(&self, active: Option<Active>) {
-        let Some(Active { committed, configuration, .. }) = active else { return };
-        if committed.unsaved < EPOCHS_WORTH_STORING {
-            return;
-        }
-        let snapshot_day = self.snapshot_day(&configuration);
-        let batch = Batch { snapshot_day, ..Batch::new(self.key, committed.last_seq()) };
-        let Ok(snapshot) = self.solvers.run(Lane::Restore, move || committed.encoded()).await
-        else {
-            return;
-        };
-        if let Err(error) = self.store.commit(Batch { snapshot, ..batch }).await {
-            // Nothing is lost, because the epochs are replayed.
-            tracing::warn!(session = %self.id, %error, "a session's state was not stored");
-        }
     }
 
     /// Positions and commits the pushes as one batch, and answers each of them.
@@ -227,26 +217,28 @@ impl Task {
         if epochs.is_empty() {
             let committed = current.committed.clone();
             let durable_through = committed.last_seq();
-            let batch = Batch::new(self.key, durable_through);
+            let batch = self.batch(durable_through);
             let stored = self.store.commit(Batch { raw, ..batch }).await;
             stored.map_err(|error| failed(active, committed, error))?;
             return Ok((Vec::new(), durable_through));
         }
         let configuration = current.configuration.clone();
-        let batch = self.position(current, epochs).await?;
+        let rules = self.rules(current);
+        let batch = self.position(current, rules, epochs).await?;
         let SolvedBatch { state, plans, rows, revisions, snapshot, solutions, panics } = batch;
         for (seq, panic) in panics {
             tracing::error!(session = %self.id, seq, panic, "the estimator failed on an epoch");
             self.counters.quarantined.fetch_add(1, Ordering::Relaxed);
         }
         let stored = self.lookup(&plans).await?;
+        let keeps_snapshot = snapshot.is_some() && rules.keeps_snapshot;
         let batch = Batch {
             epochs: rows,
             revisions,
             snapshot,
-            snapshot_day: self.snapshot_day(&configuration),
+            keeps_snapshot,
             raw,
-            ..Batch::new(self.key, active.as_ref().and_then(Active::last_seq))
+            ..self.batch(active.as_ref().and_then(Active::last_seq))
         };
         if !batch.is_empty() {
             let committed = self.store.commit(batch).await;
@@ -254,6 +246,7 @@ impl Task {
         }
         let current = active.as_mut().expect("it stays after a commit");
         let durable_through = state.last_seq();
+        self.note_kept(current, keeps_snapshot);
         self.report_position(&configuration, &state, &solutions);
         if let Ok(before) = Arc::try_unwrap(mem::replace(&mut current.committed, Arc::new(state))) {
             self.solvers.memory().recycle(before);
@@ -300,6 +293,7 @@ impl Task {
         active: &'a mut Option<Active>,
     ) -> Result<&'a mut Active, SessionError> {
         self.confirm(active).await?;
+        self.unpark(active).await;
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if is_outdated || active.is_none() {
             let read = self.active_configuration().await;
@@ -322,6 +316,7 @@ impl Task {
                     configuration,
                     epoch_time: None,
                     raw: None,
+                    kept_day: None,
                 });
             }
         }
@@ -360,29 +355,8 @@ impl Task {
         Ok(Earlier { stored, removed_through })
     }
 
-    /// The day as whose first snapshot a state is kept for replay; `None` without retention.
-    fn snapshot_day(&self, configuration: &ActiveConfiguration) -> Option<i64> {
-        let days = configuration.retention_days.unwrap_or(self.retention_days);
-        (days != 0).then(|| self.clock.day())
-    }
-
     async fn active_configuration(&self) -> Result<ActiveConfiguration, SessionError> {
         active_configuration(&self.store, &self.aiding, self.id.as_str()).await
-    }
-
-    /// The state after the last committed epoch.
-    async fn restored(&self, configuration: &ActiveConfiguration) -> Result<State, SessionError> {
-        let replay = Replay {
-            store: self.store.clone(),
-            aiding: self.aiding.clone(),
-            solvers: self.solvers.clone(),
-            key: self.key,
-            device: self.device.clone(),
-            with: ReplayWith::Stored,
-            arcs: self.store.arcs(self.key).await?.into(),
-            tolerates_missing: true,
-        };
-        restored(&replay, &configuration.estimation).await
     }
 }
 

@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use std::vec::IntoIter;
 
-use crate::clock::gps_time;
 use crate::positioning::Scratch;
 use crate::session::base_selection::BaseSource;
 use crate::session::batch::{BatchAiding, EpochRules, SolvedBatch};
@@ -25,16 +24,12 @@ impl Task {
     pub(super) async fn position(
         &self,
         current: &mut Active,
+        rules: EpochRules,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<SolvedBatch, SessionError> {
         let Active { committed, configuration, epoch_time, .. } = current;
         let committed = committed.clone();
         let aiding = self.aiding_for(configuration, &epochs);
-        let rules = EpochRules {
-            observations_max: self.observations_per_epoch,
-            now: gps_time(self.clock.unix_ms()),
-            future_s: self.future_s,
-        };
         let memory = self.solvers.memory().clone();
         let configuration = configuration.clone();
         let progress = Positioned::Nothing { committed, memory };
@@ -108,7 +103,7 @@ impl Positioning {
         if self.waiting.len() != 0 {
             return Progress::Remaining;
         }
-        batch.finish();
+        batch.finish(&self.rules);
         Progress::Done
     }
 

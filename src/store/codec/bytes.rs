@@ -34,17 +34,33 @@ pub(super) fn thousandths(value: f64) -> Option<i64> {
 /// Appends primitives to a buffer.
 pub(super) struct Encoder {
     bytes: Vec<u8>,
+    /// Where `f64` go, if apart from all else.
+    floats: Option<Vec<u8>>,
 }
 
 impl Encoder {
     pub(super) fn new(version: u8, capacity: usize) -> Self {
         let mut bytes = Vec::with_capacity(capacity);
         bytes.push(version);
-        Self { bytes }
+        Self { bytes, floats: None }
+    }
+
+    /// An encoder without version that keeps `f64` apart, for [`Self::parts`].
+    pub(super) fn in_parts(capacity: usize) -> Self {
+        Self { bytes: Vec::with_capacity(capacity), floats: Some(Vec::with_capacity(capacity)) }
     }
 
     pub(super) fn finish(self) -> Vec<u8> {
         self.bytes
+    }
+
+    /// All but the `f64`, and these.
+    pub(super) fn parts(self) -> (Vec<u8>, Vec<u8>) {
+        (self.bytes, self.floats.unwrap_or_default())
+    }
+
+    pub(super) fn slice(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
     }
 
     pub(super) fn u8(&mut self, value: u8) {
@@ -68,7 +84,7 @@ impl Encoder {
     }
 
     pub(super) fn f64(&mut self, value: f64) {
-        self.bytes.extend_from_slice(&value.to_le_bytes());
+        self.floats.as_mut().unwrap_or(&mut self.bytes).extend_from_slice(&value.to_le_bytes());
     }
 
     pub(super) fn optional_f64(&mut self, value: Option<f64>) {
@@ -136,6 +152,8 @@ impl Encoder {
 pub(super) struct Decoder<'a> {
     bytes: &'a [u8],
     offset: usize,
+    /// What is left of the `f64`, if they are apart.
+    floats: Option<&'a [u8]>,
 }
 
 impl<'a> Decoder<'a> {
@@ -149,25 +167,37 @@ impl<'a> Decoder<'a> {
 
     /// For an encoding with several versions: also returns the version, 1 to `newest`.
     pub(super) fn of_versions(bytes: &'a [u8], newest: u8) -> Result<(Self, u8), CodecError> {
-        let mut decoder = Self { bytes, offset: 0 };
+        let mut decoder = Self { bytes, offset: 0, floats: None };
         match decoder.u8()? {
             found if (1..=newest).contains(&found) => Ok((decoder, found)),
             found => Err(CodecError::UnknownVersion { version: found }),
         }
     }
 
+    /// Reads what [`Encoder::parts`] gave.
+    pub(super) const fn of_parts(bytes: &'a [u8], floats: &'a [u8]) -> Self {
+        Self { bytes, offset: 0, floats: Some(floats) }
+    }
+
     pub(super) fn finish(self) -> Result<(), CodecError> {
-        match self.bytes.len() - self.offset {
+        match self.bytes.len() - self.offset + self.floats.map_or(0, <[u8]>::len) {
             0 => Ok(()),
             extra => Err(CodecError::TrailingBytes { extra }),
         }
+    }
+
+    /// All bytes that are left.
+    pub(super) fn rest(&mut self) -> &'a [u8] {
+        let rest = &self.bytes[self.offset..];
+        self.offset = self.bytes.len();
+        rest
     }
 
     pub(super) fn invalid(&self, what: &'static str) -> CodecError {
         CodecError::Invalid { what, offset: self.offset }
     }
 
-    fn take(&mut self, length: usize) -> Result<&'a [u8], CodecError> {
+    pub(super) fn take(&mut self, length: usize) -> Result<&'a [u8], CodecError> {
         let rest = &self.bytes[self.offset..];
         let Some(taken) = rest.get(..length) else {
             return Err(CodecError::Truncated { offset: self.bytes.len() });
@@ -234,8 +264,16 @@ impl<'a> Decoder<'a> {
     }
 
     pub(super) fn f64(&mut self) -> Result<f64, CodecError> {
-        let bytes = self.take(8)?.try_into().expect("eight bytes were taken");
-        Ok(f64::from_le_bytes(bytes))
+        let bytes = match &mut self.floats {
+            None => self.take(8)?,
+            Some(floats) => {
+                let (bytes, rest) =
+                    floats.split_at_checked(8).ok_or(CodecError::Truncated { offset: 0 })?;
+                *floats = rest;
+                bytes
+            }
+        };
+        Ok(f64::from_le_bytes(bytes.try_into().expect("eight bytes were taken")))
     }
 
     pub(super) fn optional_f64(&mut self) -> Result<Option<f64>, CodecError> {

@@ -9,24 +9,27 @@
 mod antenna;
 mod bits;
 mod bytes;
+mod columns;
 mod ephemeris;
 mod epoch;
 mod lists;
 mod observations;
+mod parts;
 #[cfg(test)]
 mod sample;
 mod solution;
 
 pub(super) use antenna::{decode_calibration, encode_calibration};
+pub(super) use columns::{
+    SolutionColumns, SolutionSummary, solution_columns, solution_summary, status_number,
+};
 pub(super) use ephemeris::{
     NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
 };
 pub(super) use epoch::{
     Distances, decode_epoch, decode_relative_epoch, distances, encode_epoch, encode_relative_epoch,
 };
-pub(super) use solution::{
-    SolutionColumns, decode_solution, encode_solution, solution_columns, status_number,
-};
+pub(super) use solution::{decode_solution, encode_revision, encode_solution, is_relative};
 
 /// Why bytes cannot be decoded.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -51,8 +54,8 @@ pub enum CodecError {
         /// Offset of its end.
         offset: usize,
     },
-    /// The epoch to which another is relative is not stored.
-    #[error("the epoch to which it is relative is missing")]
+    /// The epoch or solution to which another is relative is not stored.
+    #[error("that to which it is relative is missing")]
     ReferenceMissing,
     /// Bytes follow the last value.
     #[error("{extra} bytes too many")]
@@ -68,7 +71,7 @@ mod tests {
 
     use proptest::prelude::*;
 
-    use crate::gnss::{KlobucharCoefficients, NeQuickCoefficients};
+    use crate::gnss::{KlobucharCoefficients, NeQuickCoefficients, Solution};
 
     use super::solution::DecodedSolution;
     use super::*;
@@ -124,8 +127,29 @@ mod tests {
         #[test]
         fn solutions_round_trip(solution in sample::solution()) {
             let columns = solution_columns(&solution);
-            let decode = |bytes: &[u8]| decode_solution(bytes, columns).map(|d| d.solution);
+            let decode = |bytes: &[u8]| decode_solution(bytes, columns, None).map(|d| d.solution);
             assert_round_trip(&solution, encode_solution, decode);
+        }
+
+        /// A revision is read with the first answer, whatever the two have in common.
+        #[test]
+        fn revisions_round_trip(first in sample::solution(), other in sample::solution()) {
+            let bytes = encode_solution(&first);
+            for revision in [&first, &other] {
+                let columns = solution_columns(revision);
+                let encode = |revision: &Solution| encode_revision(revision, &bytes);
+                let decode = |revision: &[u8]| {
+                    decode_solution(revision, columns, Some(&bytes)).map(|d| d.solution)
+                };
+                assert_round_trip(revision, encode, decode);
+            }
+            let columns = solution_columns(&first);
+            let same = encode_revision(&first, &bytes);
+            if 32 < bytes.len() {
+                prop_assert!(is_relative(&same) && same.len() < 16, "{} bytes", same.len());
+                let alone = decode_solution(&same, columns, None);
+                prop_assert_eq!(alone, Err(CodecError::ReferenceMissing));
+            }
         }
 
         #[test]
@@ -158,10 +182,15 @@ mod tests {
             }
             let columns = solution_columns(&solution);
             let bytes = corrupted(encode_solution(&solution));
-            if let Ok(DecodedSolution { solution: read, .. }) = decode_solution(&bytes, columns) {
+            let decode = |bytes: &[u8], columns| decode_solution(bytes, columns, None);
+            if let Ok(DecodedSolution { solution: read, .. }) = decode(&bytes, columns) {
                 let columns = solution_columns(&read);
-                prop_assert!(decode_solution(&encode_solution(&read), columns).is_ok());
+                prop_assert!(decode(&encode_solution(&read), columns).is_ok());
             }
+            let revision = encode_revision(&solution, &encode_solution(&solution));
+            let first = corrupted(encode_solution(&solution));
+            decode_solution(&corrupted(revision.clone()), columns, Some(&first)).ok();
+            decode_solution(&revision, columns, Some(&first)).ok();
             if let Ok(read) = decode_ephemeris(&corrupted(encode_ephemeris(&ephemeris))) {
                 prop_assert!(decode_ephemeris(&encode_ephemeris(&read)).is_ok());
             }

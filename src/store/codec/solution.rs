@@ -1,8 +1,12 @@
 //! Solutions as bytes.
 //!
-//! Layout 5 is what the columns of a row do not hold: they have the time, the position, and by
-//! reference the program's version and the configuration. A position that a column would not
-//! return bit by bit stands in the bytes. Up to layout 4 the bytes hold everything.
+//! Layouts 6 and 7 are what the columns of a row do not hold: they have the time, the position, and
+//! by reference the program's version and the configuration. A position that a column would not
+//! return bit by bit stands in the bytes. Layout 6 is whole; layout 7 is a revision relative to the
+//! first answer of its epoch (see `parts`).
+//!
+//! Earlier layouts are read: in layout 5 the parts are not apart, and up to layout 4 the bytes hold
+//! everything.
 
 use nalgebra::Vector3;
 
@@ -14,22 +18,16 @@ use crate::gnss::{
 
 use super::CodecError;
 use super::bytes::{Decoder, Encoder, constellation_number};
+use super::columns::{SolutionColumns, solution_columns, status_number};
 use super::lists::{decode_issues, decode_satellites, encode_issues, encode_satellites};
+use super::parts::{self, Parts};
 
+const WHOLE: u8 = 6;
 /// The newest layout. Layout 1 had no relative estimate, layout 2 no base epoch, layout 3 no
 /// protection levels.
-const LAYOUT: u8 = 5;
+const RELATIVE: u8 = 7;
 /// The first layout that needs the columns, and that writes lists in bits.
 const WITH_COLUMNS: u8 = 5;
-
-/// What the columns of a row hold of its solution.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(in crate::store) struct SolutionColumns {
-    /// Time tag of the epoch.
-    pub time: GpsTime,
-    /// ECEF position (m).
-    pub position_m: [Option<f64>; 3],
-}
 
 /// A decoded solution.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,30 +39,46 @@ pub(in crate::store) struct DecodedSolution {
     pub origin: Option<(String, String)>,
 }
 
-/// The stored number of a status. It never changes, and rises from none to best.
-pub(in crate::store) const fn status_number(status: Status) -> i16 {
-    match status {
-        Status::None => 0,
-        Status::Single => 10,
-        Status::Ekf => 15,
-        Status::Fgo => 20,
-        Status::Float => 30,
-        Status::Fixed => 40,
-    }
-}
-
-/// The columns of a solution. A position that SQLite does not return bit by bit has none.
-pub(in crate::store) fn solution_columns(solution: &Solution) -> SolutionColumns {
-    let position = solution.estimate.as_ref().map(|estimate| estimate.position.0);
-    let is_kept = |axis_m: &f64| axis_m.is_finite() && *axis_m != 0.0; // −0 would lose its sign.
-    let position = position.filter(|position| position.iter().all(is_kept));
-    let axis_m = |axis: usize| position.map(|position| position[axis]);
-    SolutionColumns { time: solution.time, position_m: [axis_m(0), axis_m(1), axis_m(2)] }
-}
-
 /// Encodes what [`solution_columns`] leaves of a solution.
 pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
-    let mut out = Encoder::new(LAYOUT, 384);
+    whole(&parts_of(solution))
+}
+
+/// The same of a revision, relative to the encoded first answer of its epoch if that takes fewer
+/// bytes.
+pub(in crate::store) fn encode_revision(solution: &Solution, first: &[u8]) -> Vec<u8> {
+    let own = parts_of(solution);
+    let whole = whole(&own);
+    let Ok(first) = whole_parts(first) else { return whole };
+    let mut out = Encoder::new(RELATIVE, whole.len());
+    parts::encode_relative(&mut out, &own, &first);
+    let relative = out.finish();
+    if relative.len() < whole.len() { relative } else { whole }
+}
+
+/// Whether an encoded solution is relative to the first answer of its epoch.
+pub(in crate::store) fn is_relative(bytes: &[u8]) -> bool {
+    bytes.first() == Some(&RELATIVE)
+}
+
+fn whole(parts: &Parts<'_>) -> Vec<u8> {
+    let mut out = Encoder::new(WHOLE, 4 + parts.bytes.len() + parts.floats.len());
+    parts::encode_whole(&mut out, parts);
+    out.finish()
+}
+
+/// The parts of a solution in layout 6.
+fn whole_parts(bytes: &[u8]) -> Result<Parts<'_>, CodecError> {
+    parts::decode_whole(&mut Decoder::new(bytes, WHOLE)?)
+}
+
+fn parts_of(solution: &Solution) -> Parts<'static> {
+    let mut out = Encoder::in_parts(320);
+    encode_content(&mut out, solution);
+    Parts::of(out)
+}
+
+fn encode_content(out: &mut Encoder, solution: &Solution) {
     out.u8(status_number(solution.status) as u8);
     out.u8(u8::from(solution.estimate.is_some()));
     if let Some(estimate) = &solution.estimate {
@@ -73,14 +87,14 @@ pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
         if !is_in_columns {
             out.vector(&estimate.position.0);
         }
-        encode_estimate(&mut out, estimate, solution.time);
+        encode_estimate(out, estimate, solution.time);
     }
     out.count(solution.reasons.len());
     for reason in &solution.reasons {
-        encode_reason(&mut out, reason);
+        encode_reason(out, reason);
     }
     let satellites = solution.estimate.as_ref().map_or(&[][..], |e| &e.satellites_used);
-    encode_issues(&mut out, &solution.provenance.ephemerides, satellites, solution.time);
+    encode_issues(out, &solution.provenance.ephemerides, satellites, solution.time);
     out.u8(u8::from(solution.provenance.base.is_some()));
     if let Some(used) = &solution.provenance.base {
         out.text(&used.base);
@@ -91,7 +105,6 @@ pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
         out.f64(protection.horizontal_m);
         out.f64(protection.vertical_m);
     }
-    out.finish()
 }
 
 fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate, time: GpsTime) {
@@ -210,12 +223,32 @@ fn encode_base_reason(out: &mut Encoder, reason: &Reason) {
     }
 }
 
-/// Decodes a solution with the columns of its row.
+/// Decodes a solution with the columns of its row, and with the encoded first answer of its epoch
+/// if it [is relative](is_relative) to it.
 pub(in crate::store) fn decode_solution(
     bytes: &[u8],
     columns: SolutionColumns,
+    first: Option<&[u8]>,
 ) -> Result<DecodedSolution, CodecError> {
-    let (mut input, layout) = Decoder::of_versions(bytes, LAYOUT)?;
+    let (mut input, layout) = Decoder::of_versions(bytes, RELATIVE)?;
+    let parts = match layout {
+        RELATIVE => {
+            let first = whole_parts(first.ok_or(CodecError::ReferenceMissing)?)?;
+            let parts = parts::decode_relative(&mut input, &first)?;
+            input.finish()?;
+            parts
+        }
+        WHOLE => parts::decode_whole(&mut input)?,
+        _ => return decode_content(input, layout, columns),
+    };
+    decode_content(Decoder::of_parts(&parts.bytes, &parts.floats), layout, columns)
+}
+
+fn decode_content(
+    mut input: Decoder<'_>,
+    layout: u8,
+    columns: SolutionColumns,
+) -> Result<DecodedSolution, CodecError> {
     let time = if layout < WITH_COLUMNS { input.time()? } else { columns.time };
     let number = i16::from(input.u8()?);
     let known = Status::ALL.into_iter().find(|status| status_number(*status) == number);
@@ -493,21 +526,32 @@ mod tests {
     fn a_position_without_columns_is_corrupt() {
         let columns = |position_m| SolutionColumns { time: GpsTime::EPOCH, position_m };
         let none = encode_solution(&Solution::none(GpsTime::EPOCH, vec![]));
-        assert!(decode_solution(&none, columns([None; 3])).is_ok());
+        assert!(decode_solution(&none, columns([None; 3]), None).is_ok());
         let bytes = [5, 10, 1, 1, 1];
-        let error = decode_solution(&bytes, columns([Some(1.0), None, None])).unwrap_err();
+        let error = decode_solution(&bytes, columns([Some(1.0), None, None]), None).unwrap_err();
         assert_eq!(error, CodecError::Invalid { what: "position", offset: 4 });
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
+        /// Layout 5 is that of today, but for the values, which stand where they are written.
+        #[test]
+        fn layout_5_is_read(solution in sample::solution()) {
+            let mut out = Encoder::new(WITH_COLUMNS, 0);
+            encode_content(&mut out, &solution);
+            let columns = solution_columns(&solution);
+            let read = decode_solution(&out.finish(), columns, None).unwrap();
+            prop_assert_eq!(format!("{:?}", read.solution), format!("{solution:?}"));
+            prop_assert_eq!(read.origin, None);
+        }
+
         #[test]
         fn former_layouts_are_read(solution in sample::solution(), layout in 1_u8..5) {
             let solution = of_layout(layout, &solution);
             let bytes = encode_former(layout, &solution, "0.1.0", "c0ffee");
             let columns = SolutionColumns { time: GpsTime::EPOCH, position_m: [None; 3] };
-            let read = decode_solution(&bytes, columns).unwrap();
+            let read = decode_solution(&bytes, columns, None).unwrap();
             prop_assert_eq!(format!("{:?}", read.solution), format!("{solution:?}"));
             let origin = read.origin.unwrap();
             prop_assert_eq!((&*origin.0, &*origin.1), ("0.1.0", "c0ffee"));

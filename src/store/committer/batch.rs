@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
-use crate::gnss::Epoch;
+use crate::gnss::{Epoch, Observation};
 use crate::store::chain::CHAIN;
 use crate::store::codec::{
-    Distances, encode_epoch, encode_relative_epoch, encode_solution, solution_columns,
-    status_number,
+    Distances, SolutionSummary, encode_epoch, encode_relative_epoch, encode_revision,
+    encode_solution, solution_columns, solution_summary, status_number,
 };
 use crate::store::{BaseUse, RawChange, SessionKey, StoredSolution};
+
+/// From 1970-01-01 to 9999-12-31.
+const DAYS: std::ops::RangeInclusive<i64> = 0..=2_932_896;
 
 /// The changes of one session that are committed together.
 #[derive(Clone, Debug)]
@@ -23,9 +26,10 @@ pub struct Batch {
     pub revisions: Vec<EncodedSolution>,
     /// The session's state after the last of the epochs.
     pub snapshot: Option<EncodedSnapshot>,
-    /// The day since 1970-01-01 as whose first snapshot it is kept for replay; `None` for a session
-    /// without retention.
-    pub snapshot_day: Option<i64>,
+    /// The day of arrival, since 1970-01-01 UTC; `None` if it is not known.
+    pub day: Option<i64>,
+    /// Whether the snapshot is kept for replay if it is the first of its day.
+    pub keeps_snapshot: bool,
     /// The chunk of raw bytes from which the epochs were decoded.
     pub raw: Option<Box<RawChange>>,
     /// Begins a new arc of the session.
@@ -43,7 +47,8 @@ impl Batch {
             epochs: Vec::new(),
             revisions: Vec::new(),
             snapshot: None,
-            snapshot_day: None,
+            day: None,
+            keeps_snapshot: false,
             raw: None,
             arc: None,
             closed_unix_ms: None,
@@ -58,6 +63,11 @@ impl Batch {
             && self.raw.is_none()
             && self.arc.is_none()
             && self.closed_unix_ms.is_none()
+    }
+
+    /// The partition of its rows: the day of arrival, if its name has eight digits.
+    pub(super) fn partition(&self) -> Option<i32> {
+        self.day.filter(|day| DAYS.contains(day)).map(|day| day as i32)
     }
 }
 
@@ -79,6 +89,13 @@ pub struct EpochReference {
     first: u64,
     /// Epochs in its chain so far.
     length: usize,
+}
+
+impl EpochReference {
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Epoch>() + self.epoch.observations.len() * size_of::<Observation>()
+    }
 }
 
 /// An encoded epoch with its real-time answer.
@@ -130,6 +147,11 @@ impl EncodedEpoch {
         &self.reference
     }
 
+    /// The first answer, to which a revision is encoded relative.
+    pub(crate) fn first_answer(&self) -> FirstAnswer {
+        self.solution.first_answer()
+    }
+
     /// Key of the base and the numbers of [`BaseUse`], as columns.
     pub(super) fn base_columns(&self) -> [Option<i64>; 3] {
         let column = |of: fn(&BaseUse) -> i64| self.base.as_ref().map(of);
@@ -149,27 +171,53 @@ pub(super) type Origin = (Arc<str>, Arc<str>);
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedSolution {
     pub(super) seq: i64,
-    pub(super) revision: i32,
+    pub(super) revision: i16,
     pub(super) gps_time_ns: i64,
     pub(super) status: i16,
     pub(super) position_m: [Option<f64>; 3],
+    pub(super) summary: SolutionSummary,
     pub(super) origin: Origin,
-    pub(super) content: Vec<u8>,
+    pub(super) content: Arc<[u8]>,
+}
+
+/// The encoded first answer of an epoch, to which its revision is encoded relative.
+#[derive(Clone, Debug)]
+pub struct FirstAnswer(Arc<[u8]>);
+
+impl FirstAnswer {
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        self.0.len()
+    }
 }
 
 impl EncodedSolution {
     /// Encodes a solution.
     pub fn new(stored: &StoredSolution) -> Self {
+        Self::with_content(stored, encode_solution(&stored.solution))
+    }
+
+    /// Encodes a revision relative to the first answer of its epoch.
+    pub(crate) fn revision(stored: &StoredSolution, FirstAnswer(first): &FirstAnswer) -> Self {
+        Self::with_content(stored, encode_revision(&stored.solution, first))
+    }
+
+    fn with_content(stored: &StoredSolution, content: Vec<u8>) -> Self {
         let StoredSolution { seq, revision, solution, version, configuration_hash } = stored;
         Self {
             seq: number(*seq),
-            revision: i32::try_from(*revision).expect("revisions are few"),
+            revision: i16::try_from(*revision).expect("revisions are few"),
             gps_time_ns: solution.time.as_ns(),
             status: status_number(solution.status),
             position_m: solution_columns(solution).position_m,
+            summary: solution_summary(solution),
             origin: (version.clone(), configuration_hash.clone()),
-            content: encode_solution(solution),
+            content: content.into(),
         }
+    }
+
+    fn first_answer(&self) -> FirstAnswer {
+        FirstAnswer(self.content.clone())
     }
 }
 

@@ -12,6 +12,7 @@ use uuid::Uuid;
 
 use crate::store::StoreError;
 use crate::store::database::{Database, POSTGRES_DURABLE};
+use crate::store::days::{Days, make_day};
 use crate::store::deadline::DEADLINE;
 use crate::store::health::DurabilitySetting;
 
@@ -52,6 +53,7 @@ pub(in crate::store) struct Connector {
     /// Process of the last connection on a server; 0 before the first.
     process: AtomicI32,
     origins: Origins,
+    days: Arc<Days>,
 }
 
 /// A connection that commits.
@@ -69,7 +71,12 @@ impl Connector {
         let name = connection_name(&database);
         let (node, process) = (node.map(Into::into), AtomicI32::new(0));
         let (owner, origins) = (std::sync::Mutex::default(), Origins::default());
-        Self { database, turn, name, node, owner, process, origins }
+        Self { database, turn, name, node, owner, process, origins, days: Arc::default() }
+    }
+
+    /// The days whose partitions exist.
+    pub(in crate::store) fn days(&self) -> Arc<Days> {
+        self.days.clone()
     }
 
     /// The settings of the database on which durability depends.
@@ -183,6 +190,7 @@ impl Connect for Connector {
 
     async fn connect(&self) -> Result<Link, StoreError> {
         let failed = StoreError::database(CONNECTING);
+        self.days.forget(); // Perhaps a partition is missing.
         let connect = async {
             let mut link = self.connected().await?;
             let holder = self.wait_for_lease(&mut link).await?;
@@ -240,9 +248,14 @@ impl Connect for Connector {
                 let mut transaction = connection.begin().await?;
                 let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
                 let keys = origin_keys!(self.origins, transaction, &accepted);
+                let days = self.days.unknown(accepted.iter().filter_map(|b| b.partition()));
+                for day in &days {
+                    make_day(&mut transaction, *day).await?;
+                }
                 write_postgres(&mut transaction, &accepted, &keys).await?;
                 committing.store(true, Ordering::Relaxed);
                 transaction.commit().await?;
+                self.days.learn(days);
                 (accepted, keys)
             }
         };

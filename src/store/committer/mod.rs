@@ -37,7 +37,9 @@ use super::StoreError;
 use super::deadline::{DEADLINE, within};
 use super::health::{CommitterHealth, CommitterState};
 
-pub use batch::{ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference};
+pub use batch::{
+    ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
+};
 pub(super) use link::Connector;
 
 /// Batches that may wait during a transaction. Further ones wait for a free slot.

@@ -17,12 +17,12 @@ pub(super) const INSERT: &str =
 /// The keys of committed origins.
 #[derive(Default)]
 pub(super) struct Origins {
-    known: Mutex<HashMap<Origin, i64>>,
+    known: Mutex<HashMap<Origin, i32>>,
 }
 
 /// The keys of the origins that a transaction names.
 #[derive(Clone, Debug)]
-pub(super) struct OriginKeys(HashMap<Origin, i64>);
+pub(super) struct OriginKeys(HashMap<Origin, i32>);
 
 impl Origins {
     /// The known keys of the origins of these batches, and the origins whose keys are not known.
@@ -56,12 +56,15 @@ impl Origins {
 
 impl OriginKeys {
     /// The key of a solution's origin.
-    pub(super) fn key(&self, solution: &EncodedSolution) -> i64 {
+    pub(super) fn key(&self, solution: &EncodedSolution) -> i32 {
         self.0[&solution.origin]
     }
 
-    pub(super) fn insert(&mut self, origin: Origin, key: i64) {
+    /// Adds the key of an origin. The column of solutions has 32 bits.
+    pub(super) fn insert(&mut self, origin: Origin, key: i64) -> Result<(), sqlx::Error> {
+        let key = i32::try_from(key).map_err(|error| sqlx::Error::Encode(Box::new(error)))?;
         self.0.insert(origin, key);
+        Ok(())
     }
 }
 
@@ -85,7 +88,7 @@ macro_rules! origin_keys {
                     insert.bind(version).bind(hash).fetch_one(&mut *$transaction).await?
                 }
             };
-            keys.insert(origin, key);
+            keys.insert(origin, key)?;
         }
         keys
     }};

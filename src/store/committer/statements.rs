@@ -5,22 +5,66 @@ use std::sync::LazyLock;
 use sqlx::{PgConnection, SqliteConnection};
 
 use crate::gnss::{GpsTime, LeapSeconds};
-use crate::store::SessionKey;
 
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 use super::origins::OriginKeys;
 use super::raw::{write_raw_postgres, write_raw_sqlite};
 use super::rows::{ROWS_PER_STATEMENT, with_values};
 
-const EPOCH_COLUMNS: usize = 8;
-const SOLUTION_COLUMNS: usize = 10;
+/// Columns of an answer, which stand last in both tables.
+const ANSWER_COLUMNS: usize = 10;
+const EPOCH_COLUMNS: usize = 9 + ANSWER_COLUMNS;
+const REVISION_COLUMNS: usize = 5 + ANSWER_COLUMNS;
 
-const INSERT_EPOCHS: &str = "INSERT INTO epochs \
-    (session, seq, gps_time_ns, navigation, base, base_after, base_through, content) ";
-const INSERT_SOLUTIONS: &str = "INSERT INTO solutions \
-    (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, origin, content) ";
+macro_rules! answer_columns {
+    () => {
+        "origin, status, x_m, y_m, z_m, sigma_east_mm, sigma_north_mm, sigma_up_mm, ratio, \
+         base_age_ms"
+    };
+}
+const INSERT_EPOCHS: &str = concat!(
+    "INSERT INTO epochs (session, seq, gps_time_ns, navigation, base, base_after, base_through, \
+     content, solution, ",
+    answer_columns!(),
+    ") "
+);
+const INSERT_REVISIONS: &str = concat!(
+    "INSERT INTO revisions (session, seq, revision, gps_time_ns, content, ",
+    answer_columns!(),
+    ") "
+);
 /// The insert into `epochs` detects a repeated number; a stored revision is not replaced.
 const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
+const POSTGRES_EPOCHS: &str = concat!(
+    "INSERT INTO epochs (session, day, seq, gps_time_ns, navigation, base, base_after, \
+     base_through, content, solution, ",
+    answer_columns!(),
+    ") SELECT u.session, DATE '1970-01-01' + u.day, u.seq, u.gps_time_ns, u.navigation, u.base, \
+     u.base_after, u.base_through, u.content, u.solution, ",
+    answer_columns!(),
+    " FROM UNNEST($1::bigint[], $2::integer[], $3::bigint[], $4::bigint[], $5::bigint[], \
+     $6::bigint[], $7::bigint[], $8::bigint[], $9::bytea[], $10::bytea[], $11::integer[], \
+     $12::smallint[], $13::double precision[], $14::double precision[], \
+     $15::double precision[], $16::integer[], $17::integer[], $18::integer[], $19::real[], \
+     $20::integer[]) AS u (session, day, seq, gps_time_ns, navigation, base, base_after, \
+     base_through, content, solution, ",
+    answer_columns!(),
+    ")"
+);
+/// A stored revision is not replaced. If it is stored again on another day, one of them is listed.
+const POSTGRES_REVISIONS: &str = concat!(
+    "INSERT INTO revisions (session, day, seq, revision, gps_time_ns, content, ",
+    answer_columns!(),
+    ") SELECT u.session, DATE '1970-01-01' + u.day, u.seq, u.revision, u.gps_time_ns, u.content, ",
+    answer_columns!(),
+    " FROM UNNEST($1::bigint[], $2::integer[], $3::bigint[], $4::smallint[], $5::bigint[], \
+     $6::bytea[], $7::integer[], $8::smallint[], $9::double precision[], \
+     $10::double precision[], $11::double precision[], $12::integer[], $13::integer[], \
+     $14::integer[], $15::real[], $16::integer[]) AS u (session, day, seq, revision, \
+     gps_time_ns, content, ",
+    answer_columns!(),
+    ") ON CONFLICT DO NOTHING"
+);
 /// The newest state wins, in whatever order the writers come.
 const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuration_hash, content) \
     VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
@@ -42,8 +86,8 @@ const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
 static EPOCH_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
     ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows, ""))
 });
-static SOLUTION_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_SOLUTIONS, SOLUTION_COLUMNS, rows, ONCE))
+static REVISION_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
+    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_REVISIONS, REVISION_COLUMNS, rows, ONCE))
 });
 
 /// GPS time of the system clock's time (ms since 1970-01-01 UTC), in nanoseconds.
@@ -51,26 +95,84 @@ fn gps_time_ns(unix_ms: i64) -> i64 {
     GpsTime::from_unix_ms(unix_ms, &LeapSeconds::table()).as_ns()
 }
 
-type EpochRow<'a> = (SessionKey, &'a EncodedEpoch);
-/// A solution with the key of its origin.
-type SolutionRow<'a> = (SessionKey, &'a EncodedSolution, i64);
+/// An epoch with the key of its answer's origin.
+struct EpochRow<'a> {
+    session: i64,
+    day: Option<i32>,
+    epoch: &'a EncodedEpoch,
+    origin: i32,
+}
 
-fn epoch_rows<'a>(batches: &[&'a Batch]) -> Vec<EpochRow<'a>> {
+/// A revision with the key of its origin.
+struct RevisionRow<'a> {
+    session: i64,
+    day: Option<i32>,
+    solution: &'a EncodedSolution,
+    origin: i32,
+}
+
+fn epoch_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<EpochRow<'a>> {
     let rows = |batch: &&'a Batch| {
         let batch: &'a Batch = batch;
-        batch.epochs.iter().map(|epoch| (batch.session, epoch))
+        let (session, day) = (batch.session.0, batch.partition());
+        batch.epochs.iter().map(move |epoch| {
+            let origin = keys.key(&epoch.solution);
+            EpochRow { session, day, epoch, origin }
+        })
     };
     batches.iter().flat_map(rows).collect()
 }
 
-fn solution_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<SolutionRow<'a>> {
+fn revision_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<RevisionRow<'a>> {
     let rows = |batch: &&'a Batch| {
         let batch: &'a Batch = batch;
-        let first = batch.epochs.iter().map(|epoch| &epoch.solution);
-        let solutions = first.chain(&batch.revisions);
-        solutions.map(|solution| (batch.session, solution, keys.key(solution)))
+        let (session, day) = (batch.session.0, batch.partition());
+        batch.revisions.iter().map(move |solution| {
+            let origin = keys.key(solution);
+            RevisionRow { session, day, solution, origin }
+        })
     };
     batches.iter().flat_map(rows).collect()
+}
+
+/// Binds the columns of an answer.
+macro_rules! bind_answer {
+    ($insert:expr, $solution:expr, $origin:expr) => {{
+        let [x_m, y_m, z_m] = $solution.position_m;
+        let [east_mm, north_mm, up_mm] = $solution.summary.sigma_mm;
+        $insert
+            .bind(*$origin)
+            .bind($solution.status)
+            .bind(x_m)
+            .bind(y_m)
+            .bind(z_m)
+            .bind(east_mm)
+            .bind(north_mm)
+            .bind(up_mm)
+            .bind($solution.summary.ratio)
+            .bind($solution.summary.base_age_ms)
+    }};
+}
+/// Binds the columns of many answers, each with the key of its origin, as arrays.
+macro_rules! bind_answers {
+    ($insert:expr, $answers:expr) => {{
+        let answers = &$answers;
+        let axis =
+            |axis: usize| answers.iter().map(|(s, _)| s.position_m[axis]).collect::<Vec<_>>();
+        let sigma =
+            |axis: usize| answers.iter().map(|(s, _)| s.summary.sigma_mm[axis]).collect::<Vec<_>>();
+        $insert
+            .bind(answers.iter().map(|(_, origin)| *origin).collect::<Vec<_>>())
+            .bind(answers.iter().map(|(s, _)| s.status).collect::<Vec<_>>())
+            .bind(axis(0))
+            .bind(axis(1))
+            .bind(axis(2))
+            .bind(sigma(0))
+            .bind(sigma(1))
+            .bind(sigma(2))
+            .bind(answers.iter().map(|(s, _)| s.summary.ratio).collect::<Vec<_>>())
+            .bind(answers.iter().map(|(s, _)| s.summary.base_age_ms).collect::<Vec<_>>())
+    }};
 }
 
 /// Writes the parts of a batch that occur once.
@@ -87,7 +189,8 @@ macro_rules! write_changes {
                     .execute(&mut *$transaction)
                     .await?;
             }
-            if let (Some(snapshot), Some(day)) = (&batch.snapshot, batch.snapshot_day) {
+            let kept = batch.snapshot.as_ref().filter(|_| batch.keeps_snapshot);
+            if let (Some(snapshot), Some(day)) = (kept, batch.day) {
                 sqlx::query(KEEP_SNAPSHOT)
                     .bind(session)
                     .bind(day)
@@ -111,23 +214,24 @@ macro_rules! write_changes {
         }
     };
 }
+
 /// Writes batches within a transaction.
 pub(super) async fn write_sqlite(
     transaction: &mut SqliteConnection,
     batches: &[&Batch],
     keys: &OriginKeys,
 ) -> Result<(), sqlx::Error> {
-    let mut rest = &epoch_rows(batches)[..];
+    let mut rest = &epoch_rows(batches, keys)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
             insert_epochs(transaction, index, chunk).await?;
             rest = after;
         }
     }
-    let mut rest = &solution_rows(batches, keys)[..];
+    let mut rest = &revision_rows(batches, keys)[..];
     for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
         while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_solutions(transaction, index, chunk).await?;
+            insert_revisions(transaction, index, chunk).await?;
             rest = after;
         }
     }
@@ -142,101 +246,92 @@ async fn insert_epochs(
     rows: &[EpochRow<'_>],
 ) -> Result<(), sqlx::Error> {
     let mut epochs = sqlx::query(EPOCH_VALUES[index].as_str());
-    for (session, row) in rows {
-        let [base, base_after, base_through] = row.base_columns();
+    for EpochRow { session, epoch, origin, .. } in rows {
+        let [base, base_after, base_through] = epoch.base_columns();
         epochs = epochs
-            .bind(session.0)
-            .bind(row.seq)
-            .bind(row.gps_time_ns)
-            .bind(row.navigation)
+            .bind(*session)
+            .bind(epoch.seq)
+            .bind(epoch.gps_time_ns)
+            .bind(epoch.navigation)
             .bind(base)
             .bind(base_after)
             .bind(base_through)
-            .bind(&row.content[..]);
+            .bind(&epoch.content[..])
+            .bind(&epoch.solution.content[..]);
+        epochs = bind_answer!(epochs, epoch.solution, origin);
     }
     epochs.execute(connection).await.map(drop)
 }
 
-async fn insert_solutions(
+async fn insert_revisions(
     connection: &mut SqliteConnection,
     index: usize,
-    rows: &[SolutionRow<'_>],
+    rows: &[RevisionRow<'_>],
 ) -> Result<(), sqlx::Error> {
-    let mut solutions = sqlx::query(SOLUTION_VALUES[index].as_str());
-    for (session, row, origin) in rows {
-        let [x_m, y_m, z_m] = row.position_m;
-        solutions = solutions
-            .bind(session.0)
-            .bind(row.seq)
-            .bind(row.revision)
-            .bind(row.gps_time_ns)
-            .bind(row.status)
-            .bind(x_m)
-            .bind(y_m)
-            .bind(z_m)
-            .bind(*origin)
-            .bind(&row.content[..]);
+    let mut revisions = sqlx::query(REVISION_VALUES[index].as_str());
+    for RevisionRow { session, solution, origin, .. } in rows {
+        revisions = revisions
+            .bind(*session)
+            .bind(solution.seq)
+            .bind(solution.revision)
+            .bind(solution.gps_time_ns)
+            .bind(&solution.content[..]);
+        revisions = bind_answer!(revisions, solution, origin);
     }
-    solutions.execute(connection).await.map(drop)
+    revisions.execute(connection).await.map(drop)
 }
 
-/// Writes batches within a transaction.
+/// Writes batches within a transaction. The partitions of their days exist.
 pub(super) async fn write_postgres(
     transaction: &mut PgConnection,
     batches: &[&Batch],
     keys: &OriginKeys,
 ) -> Result<(), sqlx::Error> {
-    insert_arrays(transaction, &epoch_rows(batches), &solution_rows(batches, keys)).await?;
+    let epochs = epoch_rows(batches, keys);
+    if !epochs.is_empty() {
+        insert_epoch_arrays(transaction, &epochs).await?;
+    }
+    let revisions = revision_rows(batches, keys);
+    if !revisions.is_empty() {
+        insert_revision_arrays(transaction, &revisions).await?;
+    }
     write_raw_postgres(transaction, batches).await?;
     write_changes!(transaction, batches);
     Ok(())
 }
 
-async fn insert_arrays(
+async fn insert_epoch_arrays(
     connection: &mut PgConnection,
-    epochs: &[EpochRow<'_>],
-    solutions: &[SolutionRow<'_>],
+    rows: &[EpochRow<'_>],
 ) -> Result<(), sqlx::Error> {
-    let base = |column: usize| {
-        epochs.iter().map(|(_, row)| row.base_columns()[column]).collect::<Vec<_>>()
-    };
-    sqlx::query(
-        "INSERT INTO epochs
-             (session, seq, gps_time_ns, navigation, base, base_after, base_through, content)
-         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::bigint[],
-                              $5::bigint[], $6::bigint[], $7::bigint[], $8::bytea[])",
-    )
-    .bind(epochs.iter().map(|(session, _)| session.0).collect::<Vec<_>>())
-    .bind(epochs.iter().map(|(_, row)| row.seq).collect::<Vec<_>>())
-    .bind(epochs.iter().map(|(_, row)| row.gps_time_ns).collect::<Vec<_>>())
-    .bind(epochs.iter().map(|(_, row)| row.navigation).collect::<Vec<_>>())
-    .bind(base(0))
-    .bind(base(1))
-    .bind(base(2))
-    .bind(epochs.iter().map(|(_, row)| &row.content[..]).collect::<Vec<_>>())
-    .execute(&mut *connection)
-    .await?;
-    let axis =
-        |axis: usize| solutions.iter().map(|(_, r, _)| r.position_m[axis]).collect::<Vec<_>>();
-    sqlx::query(
-        "INSERT INTO solutions
-             (session, seq, revision, gps_time_ns, status, x_m, y_m, z_m, origin, content)
-         SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::integer[], $4::bigint[],
-                              $5::smallint[], $6::double precision[], $7::double precision[],
-                              $8::double precision[], $9::bigint[], $10::bytea[])
-         ON CONFLICT (session, seq, revision) DO NOTHING",
-    )
-    .bind(solutions.iter().map(|(session, ..)| session.0).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row, _)| row.seq).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row, _)| row.revision).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row, _)| row.gps_time_ns).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row, _)| row.status).collect::<Vec<_>>())
-    .bind(axis(0))
-    .bind(axis(1))
-    .bind(axis(2))
-    .bind(solutions.iter().map(|(.., origin)| *origin).collect::<Vec<_>>())
-    .bind(solutions.iter().map(|(_, row, _)| &row.content[..]).collect::<Vec<_>>())
-    .execute(connection)
-    .await
-    .map(drop)
+    let base =
+        |column: usize| rows.iter().map(|row| row.epoch.base_columns()[column]).collect::<Vec<_>>();
+    let insert = sqlx::query(POSTGRES_EPOCHS)
+        .bind(rows.iter().map(|row| row.session).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.day).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.epoch.seq).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.epoch.gps_time_ns).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.epoch.navigation).collect::<Vec<_>>())
+        .bind(base(0))
+        .bind(base(1))
+        .bind(base(2))
+        .bind(rows.iter().map(|row| &row.epoch.content[..]).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| &row.epoch.solution.content[..]).collect::<Vec<_>>());
+    let answers: Vec<_> = rows.iter().map(|row| (&row.epoch.solution, row.origin)).collect();
+    bind_answers!(insert, answers).execute(connection).await.map(drop)
+}
+
+async fn insert_revision_arrays(
+    connection: &mut PgConnection,
+    rows: &[RevisionRow<'_>],
+) -> Result<(), sqlx::Error> {
+    let insert = sqlx::query(POSTGRES_REVISIONS)
+        .bind(rows.iter().map(|row| row.session).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.day).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.solution.seq).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.solution.revision).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| row.solution.gps_time_ns).collect::<Vec<_>>())
+        .bind(rows.iter().map(|row| &row.solution.content[..]).collect::<Vec<_>>());
+    let answers: Vec<_> = rows.iter().map(|row| (row.solution, row.origin)).collect();
+    bind_answers!(insert, answers).execute(connection).await.map(drop)
 }

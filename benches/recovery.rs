@@ -1,0 +1,216 @@
+//! Many `fgo` sessions on one desk, without a network: the first answers after a crash under load,
+//! the time to stop with all states dirty, and the cost of an epoch when not all sessions fit in
+//! memory. The database is a SQLite file; the crash is a copy of its files.
+//!
+//! `GRAPHFIX_BENCH_SESSIONS=10000 cargo bench --bench recovery`
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use futures::StreamExt;
+use futures::stream::FuturesUnordered;
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::gnss::{Epoch, Navigation};
+use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
+use graphfix::simulation::{Scenario, Simulator};
+use graphfix::store::{BaseChoice, Store};
+
+/// Sessions that push at the same time, while nothing is measured.
+const CONCURRENT: usize = 64;
+/// Epochs in a push while the sessions are filled.
+const FILLING: u64 = 16;
+/// Most epochs of a session before the crash.
+const EPOCHS_MAX: u64 = 256;
+/// Rounds of one epoch for each session.
+const ROUNDS: u64 = 3;
+/// Of the sessions, those that fit in memory: 4096 of 10,000, as by default.
+const FITTING: f64 = 0.4096;
+
+struct Drive {
+    navigation: Navigation,
+    epochs: Vec<Epoch>,
+}
+
+/// Sixteen satellites or so, two signals each, an epoch a second.
+fn drive() -> Drive {
+    let duration_s = (EPOCHS_MAX + 64) as f64;
+    let scenario = Scenario { duration_s, elevation_mask_rad: 0.5, ..Scenario::open_sky() };
+    let simulator = Simulator::new(Scenario { base: None, ..scenario }, 3);
+    let navigation = Navigation::clone(simulator.navigation());
+    Drive { navigation, epochs: simulator.map(|epoch| epoch.rover).collect() }
+}
+
+/// A desk on a database, with room for this many sessions.
+async fn desk(url: &str, drive: &Drive, active_sessions: usize) -> (Store, Sessions) {
+    let store = Store::open(url).await.expect("the database opens");
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await;
+    let aiding = aiding.expect("navigation data are read");
+    let pushed = aiding.navigation.push(drive.navigation.clone(), "simulation").await;
+    pushed.expect("the navigation data are stored");
+    let limits = SessionLimits { active_sessions, ..SessionLimits::service() };
+    (store.clone(), Sessions::open(store, aiding, limits))
+}
+
+async fn created(sessions: &Sessions, count: usize) -> Vec<SessionId> {
+    let mut ids = Vec::with_capacity(count);
+    for _ in 0..count {
+        let new = NewSession {
+            label: String::new(),
+            mode: "fgo".to_owned(),
+            profile: "general".to_owned(),
+            overrides: BTreeMap::new(),
+            base: BaseChoice::None,
+            antenna: String::new(),
+            retention_days: None,
+        };
+        ids.push(sessions.create(new).await.expect("the session is created").id);
+    }
+    ids
+}
+
+/// Epochs of a session before the crash: from 129 to 256, so that states of any age are restored.
+fn filled(index: usize) -> u64 {
+    EPOCHS_MAX - (index as u64 * 37) % (EPOCHS_MAX / 2)
+}
+
+async fn push(sessions: &Sessions, drive: &Drive, id: &SessionId, seqs: std::ops::Range<u64>) {
+    let epoch = |seq: u64| SequencedEpoch { seq, epoch: drive.epochs[seq as usize].clone() };
+    let submitted = sessions.submit(id, seqs.map(epoch).collect()).await;
+    let outcomes = submitted.expect("the epochs are committed").outcomes;
+    assert!(outcomes.iter().all(|outcome| outcome.result.is_ok()));
+}
+
+/// Runs `run` for each session, this many at the same time.
+async fn each<F: Future<Output = ()>>(count: usize, concurrent: usize, run: impl Fn(usize) -> F) {
+    futures::stream::iter(0..count).map(run).buffer_unordered(concurrent).collect::<()>().await;
+}
+
+/// CPU time of this process.
+fn cpu() -> Duration {
+    let stat = fs::read_to_string("/proc/self/stat").expect("Linux tells the times of a process");
+    let fields = stat.rsplit(')').next().expect("the name ends").split_whitespace();
+    let ticks: u64 = fields.skip(11).take(2).map(|ticks| ticks.parse::<u64>().unwrap_or(0)).sum();
+    Duration::from_millis(10 * ticks)
+}
+
+/// Resident memory of this process (MB).
+fn resident_mb() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").expect("Linux tells the memory");
+    let line = status.lines().find(|line| line.starts_with("VmRSS")).expect("it is resident");
+    line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) / 1_024
+}
+
+fn copy(from: &Path, to: &Path) {
+    for suffix in ["", "-wal"] {
+        let named = |path: &Path| format!("{}{suffix}", path.display());
+        fs::copy(named(from), named(to)).expect("the files of the database are copied");
+    }
+}
+
+/// All sessions push an epoch at once. Prints when they are answered.
+async fn storm(sessions: &Sessions, drive: &Drive, ids: &[SessionId]) {
+    let (start, before) = (Instant::now(), cpu());
+    let first = |(index, id)| async move {
+        let seq = filled(index);
+        push(sessions, drive, id, seq..seq + 1).await;
+        start.elapsed().as_secs_f64()
+    };
+    let storm: FuturesUnordered<_> = ids.iter().enumerate().map(first).collect();
+    let delays: Vec<f64> = storm.collect().await;
+    let at = |fraction: f64| delays[(fraction * (delays.len() - 1) as f64) as usize];
+    println!(
+        "after the crash: first answers p50 {:.1} s, p99 {:.1} s, all {:.1} s; {:.2} ms of CPU a session",
+        at(0.5),
+        at(0.99),
+        at(1.0),
+        1e3 * (cpu() - before).as_secs_f64() / ids.len() as f64,
+    );
+}
+
+/// Rounds of one epoch for each session, in order. Returns the CPU time of an epoch (µs).
+async fn round_robin(sessions: &Sessions, drive: &Drive, ids: &[SessionId], from: u64) -> f64 {
+    let (start, before, worst) = (Instant::now(), cpu(), AtomicUsize::new(0));
+    for round in from..from + ROUNDS {
+        each(ids.len(), CONCURRENT, |index| {
+            let (id, worst) = (&ids[index], &worst);
+            async move {
+                let (seq, start) = (filled(index) + round, Instant::now());
+                push(sessions, drive, id, seq..seq + 1).await;
+                worst.fetch_max(start.elapsed().as_micros() as usize, Ordering::Relaxed);
+            }
+        })
+        .await;
+    }
+    let epochs = ROUNDS as f64 * ids.len() as f64;
+    let cost_us = 1e6 * (cpu() - before).as_secs_f64() / epochs;
+    println!(
+        "  {:.0} epochs/s, {cost_us:.0} us of CPU an epoch, longest delay {:.0} ms, {} MB resident",
+        epochs / start.elapsed().as_secs_f64(),
+        worst.into_inner() as f64 / 1e3,
+        resident_mb(),
+    );
+    cost_us
+}
+
+fn main() {
+    let count = std::env::var("GRAPHFIX_BENCH_SESSIONS")
+        .map_or(500, |count| count.parse().expect("GRAPHFIX_BENCH_SESSIONS is a number"));
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime starts");
+    runtime.block_on(measure(count));
+}
+
+async fn measure(count: usize) {
+    let folder = tempfile::tempdir().expect("the temporary folder is writable");
+    let drive = Arc::new(drive());
+    let observations = drive.epochs[0].observations.len();
+    println!("{count} fgo sessions, {observations} observations an epoch");
+    let (live, crashed) = (folder.path().join("live.db"), folder.path().join("crashed.db"));
+    let url = |file: &Path| format!("sqlite://{}", file.display());
+    let (store, sessions) = desk(&url(&live), &drive, count).await;
+    let ids = created(&sessions, count).await;
+    let start = Instant::now();
+    each(count, CONCURRENT, |index| {
+        let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
+        async move {
+            let end = filled(index);
+            for first in (0..end).step_by(FILLING as usize) {
+                push(sessions, drive, id, first..end.min(first + FILLING)).await;
+            }
+        }
+    })
+    .await;
+    println!("filled in {:.1} s, {} MB resident", start.elapsed().as_secs_f64(), resident_mb());
+    copy(&live, &crashed);
+
+    let start = Instant::now();
+    sessions.drain().await;
+    println!("stopped with all states dirty in {:.1} s", start.elapsed().as_secs_f64());
+    store.close().await;
+    drop(sessions);
+
+    let (store, sessions) = desk(&url(&crashed), &drive, count).await;
+    storm(&sessions, &drive, &ids).await;
+    println!("round robin, all fit:");
+    let fitting = round_robin(&sessions, &drive, &ids, 1).await;
+    sessions.drain().await;
+    store.close().await;
+    drop(sessions);
+
+    let room = (FITTING * count as f64) as usize;
+    let (store, sessions) = desk(&url(&crashed), &drive, room).await;
+    each(count, CONCURRENT, |index| {
+        let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
+        let seq = filled(index) + ROUNDS + 1;
+        async move { push(sessions, drive, id, seq..seq + 1).await }
+    })
+    .await;
+    println!("round robin, {room} fit:");
+    let cost = round_robin(&sessions, &drive, &ids, ROUNDS + 2).await;
+    println!("  {:.2} times the cost", cost / fitting);
+    sessions.drain().await;
+    store.close().await;
+}

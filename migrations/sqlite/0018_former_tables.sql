@@ -1,0 +1,3 @@
+-- The tables that the migration before has copied.
+DROP TABLE solutions;
+DROP TABLE former_epochs;

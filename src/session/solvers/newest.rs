@@ -1,0 +1,102 @@
+//! Admission of a bounded number, the newest first: under overload, who has just come is served at
+//! once, instead of everybody after everybody else's patience has ended.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::oneshot;
+
+/// A bounded number of places. All clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Newest(Arc<Mutex<Places>>);
+
+#[derive(Debug)]
+struct Places {
+    free: usize,
+    waiting: Vec<oneshot::Sender<Admitted>>,
+}
+
+/// A place. Dropping it admits the next.
+#[derive(Debug)]
+pub(in crate::session) struct Admitted(Newest);
+
+impl Newest {
+    pub(super) fn new(places: usize) -> Self {
+        Self(Arc::new(Mutex::new(Places { free: places, waiting: Vec::new() })))
+    }
+
+    /// Waits for a place.
+    pub(super) async fn admitted(&self) -> Admitted {
+        let waiting = {
+            let mut places = self.places();
+            if let Some(free) = places.free.checked_sub(1) {
+                places.free = free;
+                return Admitted(self.clone());
+            }
+            let (sender, waiting) = oneshot::channel();
+            places.waiting.push(sender);
+            waiting
+        };
+        waiting.await.expect("a place that is waited for is given")
+    }
+
+    /// Gives a place that is free again to the newest who waits.
+    fn admit_next(&self) {
+        loop {
+            let mut places = self.places();
+            let Some(newest) = places.waiting.pop() else {
+                places.free += 1;
+                return;
+            };
+            drop(places);
+            if newest.is_closed() {
+                continue; // Who waited has gone.
+            }
+            // Err: has gone just now. Dropping the place admits the next.
+            drop(newest.send(Admitted(self.clone())));
+            return;
+        }
+    }
+
+    fn places(&self) -> MutexGuard<'_, Places> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Admitted {
+    fn drop(&mut self) {
+        self.0.admit_next();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+    use std::task::{Context, Poll, Waker};
+
+    use super::*;
+
+    fn now<F: Future>(future: F) -> Option<F::Output> {
+        match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(output) => Some(output),
+            Poll::Pending => None,
+        }
+    }
+
+    #[test]
+    fn the_newest_comes_first_and_no_place_is_lost() {
+        let newest = Newest::new(2);
+        let (first, second) = (now(newest.admitted()).unwrap(), now(newest.admitted()).unwrap());
+        let mut waiting: Vec<_> = (0..4).map(|_| Box::pin(newest.admitted())).collect();
+        assert!(waiting.iter_mut().all(|waiting| now(waiting.as_mut()).is_none()));
+        drop(waiting.pop()); // Has gone.
+        drop(first);
+        let third = now(waiting.pop().unwrap().as_mut()).unwrap();
+        assert!(waiting.iter_mut().all(|waiting| now(waiting.as_mut()).is_none()));
+        drop(second);
+        // Given, but never taken.
+        drop(waiting.pop());
+        assert!(now(waiting.pop().unwrap().as_mut()).is_some());
+        drop(third);
+        assert!(now(newest.admitted()).is_some() && now(newest.admitted()).is_some());
+    }
+}

@@ -1,0 +1,219 @@
+//! Partitions of the log by day of arrival, on Postgres.
+//!
+//! Epochs and revisions of a day are in partitions of their own, so that retention drops a day at
+//! once: no row is deleted one by one, and the disk gets its space back. The committer makes the
+//! partitions of a day before its first commit of that day. Rows that outlive their day, because
+//! their session keeps them for longer, are moved to the partition without day.
+
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use sqlx::{AssertSqlSafe, Connection, PgConnection, PgPool};
+use tokio::time::sleep;
+
+use super::deadline::{BULK_DEADLINE, within};
+use super::pool::Pool;
+use super::{Store, StoreError};
+
+/// The partitioned tables, each with the columns that are unique in a partition.
+const TABLES: [(&str, &str); 2] =
+    [("epochs", "session, seq"), ("revisions", "session, seq, revision")];
+/// Days of a table's partitions, since 1970-01-01.
+const DAYS: &str = "SELECT TO_DATE(SUBSTRING(relname FROM '_([0-9]{8})$'), 'YYYYMMDD') \
+    - DATE '1970-01-01' FROM pg_inherits JOIN pg_class ON pg_class.oid = inhrelid \
+    WHERE inhparent = $1::regclass AND relname ~ '_[0-9]{8}$' ORDER BY 1";
+/// To drop a table, nobody may read it. A drop waits for this long at most, because who comes
+/// later waits behind it.
+const DROP_PATIENCE: &str = "SET LOCAL lock_timeout = '200ms'";
+/// The state of a lock that was not granted in time.
+const LOCK_NOT_AVAILABLE: &str = "55P03";
+/// Rows moved in one transaction, so that it takes few milliseconds.
+const ROWS_PER_STEP: i64 = 500;
+/// Between transactions, for those of others.
+const PAUSE: Duration = Duration::from_millis(20);
+const SESSIONS_PER_READ: i64 = 100;
+
+/// The days whose partitions are known to exist.
+#[derive(Debug, Default)]
+pub(super) struct Days {
+    known: Mutex<BTreeSet<i32>>,
+}
+
+impl Days {
+    /// Those of the days whose partitions may have to be made.
+    pub(super) fn unknown(&self, days: impl IntoIterator<Item = i32>) -> BTreeSet<i32> {
+        let known = self.known();
+        days.into_iter().filter(|day| !known.contains(day)).collect()
+    }
+
+    /// Remembers days whose partitions are committed.
+    pub(super) fn learn(&self, days: BTreeSet<i32>) {
+        self.known().extend(days);
+    }
+
+    /// Forgets all, after a failure or before a drop.
+    pub(super) fn forget(&self) {
+        self.known().clear();
+    }
+
+    fn known(&self) -> std::sync::MutexGuard<'_, BTreeSet<i32>> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Makes the partitions of a day, in a transaction. Readers and writers of other days are not
+/// stopped, as they would be by `CREATE TABLE … PARTITION OF`.
+pub(super) async fn make_day(connection: &mut PgConnection, day: i32) -> Result<(), sqlx::Error> {
+    let date = date(connection, day).await?;
+    for (table, unique) in TABLES {
+        let partition = partition(table, &date);
+        let exists = sqlx::query_scalar("SELECT to_regclass($1) IS NOT NULL").bind(&partition);
+        if exists.fetch_one(&mut *connection).await? {
+            continue;
+        }
+        for sql in [
+            format!("CREATE TABLE {partition} (LIKE {table})"),
+            format!("CREATE UNIQUE INDEX ON {partition} ({unique})"),
+            format!("ALTER TABLE {table} ATTACH PARTITION {partition} FOR VALUES IN ('{date}')"),
+        ] {
+            sqlx::query(AssertSqlSafe(sql)).execute(&mut *connection).await?;
+        }
+    }
+    Ok(())
+}
+
+/// The date of a day since 1970-01-01, as `YYYY-MM-DD`.
+async fn date(connection: &mut PgConnection, day: i32) -> Result<String, sqlx::Error> {
+    let sql = "SELECT TO_CHAR(DATE '1970-01-01' + $1::integer, 'YYYY-MM-DD')";
+    sqlx::query_scalar(sql).bind(day).fetch_one(connection).await
+}
+
+fn partition(table: &str, date: &str) -> String {
+    format!("{table}_{}", date.replace('-', ""))
+}
+
+impl Store {
+    /// Drops the partitions of days of which nothing is kept any more. Of days that are older than
+    /// the retention of the service, `retention_days`, it moves what is kept before; 0 is for ever.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn drop_days(
+        &self,
+        today: i64,
+        retention_days: u32,
+    ) -> Result<(), StoreError> {
+        let Pool::Postgres(pool) = &self.pool else { return Ok(()) };
+        let dropping = async {
+            for (table, _) in TABLES {
+                let days = sqlx::query_scalar(DAYS).bind(table).fetch_all(pool);
+                let days: Vec<i32> = within(BULK_DEADLINE, days).await?;
+                for day in days {
+                    let age = today - i64::from(day);
+                    // A session keeps up to a day more than its retention.
+                    let is_due = retention_days != 0 && i64::from(retention_days) + 2 < age;
+                    if 1 < age {
+                        self.drop_day(pool, table, day, is_due).await?;
+                    }
+                }
+            }
+            Ok(())
+        };
+        dropping.await.map_err(StoreError::database("dropping the days of the log"))
+    }
+
+    /// Drops a day of a table if nothing of it is kept, or if it has been moved.
+    async fn drop_day(
+        &self,
+        pool: &PgPool,
+        table: &str,
+        day: i32,
+        is_due: bool,
+    ) -> Result<(), sqlx::Error> {
+        let mut connection = pool.acquire().await?;
+        let partition = partition(table, &date(&mut connection, day).await?);
+        if is_due {
+            move_kept(&mut connection, table, &partition).await?;
+        }
+        let is_kept = !kept_sessions(&mut connection, &partition, 1).await?.is_empty();
+        if !is_kept && drop_partition(&mut connection, &partition).await? {
+            tracing::info!(partition, "a day of the log is dropped");
+            self.days.forget();
+        }
+        Ok(())
+    }
+}
+
+/// Some of the sessions of which a partition has rows that are not removed.
+async fn kept_sessions(
+    connection: &mut PgConnection,
+    partition: &str,
+    count: i64,
+) -> Result<Vec<i64>, sqlx::Error> {
+    // The limit within makes it a search in the index for each session.
+    let sql = format!(
+        "SELECT h.session FROM session_heads h CROSS JOIN LATERAL (SELECT 1 FROM {partition} p \
+         WHERE p.session = h.session AND p.seq > COALESCE(h.removed_through, -1) LIMIT 1) kept \
+         LIMIT $1"
+    );
+    let read = sqlx::query_scalar(AssertSqlSafe(sql)).bind(count).fetch_all(connection);
+    within(BULK_DEADLINE, read).await
+}
+
+/// Moves what is kept of a day to the partition without day, in steps.
+async fn move_kept(
+    connection: &mut PgConnection,
+    table: &str,
+    partition: &str,
+) -> Result<(), sqlx::Error> {
+    let step = format!(
+        "WITH step AS (SELECT p.seq FROM {partition} p JOIN session_heads h USING (session) \
+         WHERE p.session = $1 AND p.seq > COALESCE(h.removed_through, -1) ORDER BY p.seq LIMIT $2) \
+         UPDATE {table} SET day = NULL WHERE session = $1 AND seq IN (SELECT seq FROM step) \
+         AND tableoid = '{partition}'::regclass"
+    );
+    // A revision that was stored on two days is kept once.
+    let repeated = format!(
+        "DELETE FROM {partition} p USING revisions_kept k WHERE p.session = $1 \
+         AND k.session = $1 AND k.seq = p.seq AND k.revision = p.revision"
+    );
+    loop {
+        let sessions = kept_sessions(connection, partition, SESSIONS_PER_READ).await?;
+        if sessions.is_empty() {
+            return Ok(());
+        }
+        for session in sessions {
+            if table == "revisions" {
+                let remove = sqlx::query(AssertSqlSafe(&*repeated)).bind(session);
+                within(BULK_DEADLINE, remove.execute(&mut *connection)).await?;
+            }
+            loop {
+                let step = sqlx::query(AssertSqlSafe(&*step)).bind(session).bind(ROWS_PER_STEP);
+                let moved = within(BULK_DEADLINE, step.execute(&mut *connection)).await?;
+                if moved.rows_affected() < ROWS_PER_STEP as u64 {
+                    break;
+                }
+                sleep(PAUSE).await;
+            }
+        }
+    }
+}
+
+/// Drops a partition; `false` if readers hold it.
+async fn drop_partition(
+    connection: &mut PgConnection,
+    partition: &str,
+) -> Result<bool, sqlx::Error> {
+    let mut transaction = connection.begin().await?;
+    sqlx::query(DROP_PATIENCE).execute(&mut *transaction).await?;
+    let drop = sqlx::query(AssertSqlSafe(format!("DROP TABLE {partition}")));
+    match within(BULK_DEADLINE, drop.execute(&mut *transaction)).await {
+        Ok(_) => transaction.commit().await.map(|()| true),
+        Err(error) => {
+            let code = error.as_database_error().and_then(|e| e.code().map(|c| c.to_string()));
+            transaction.rollback().await?;
+            if code.as_deref() == Some(LOCK_NOT_AVAILABLE) { Ok(false) } else { Err(error) }
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Finds epoch numbers by time. Within an arc of a session time rises with the number, so a search
+//! in the index of numbers finds a time in few reads, and times need no index.
+
+use crate::gnss::GpsTime;
+
+use super::pool::reading;
+use super::{SessionKey, Store, StoreError};
+
+/// An epoch: its number and time (ns).
+type Found = (i64, i64);
+
+const FIRST_FROM: &str = "SELECT seq, gps_time_ns FROM epochs \
+    WHERE session = $1 AND $2 <= seq AND seq <= $3 ORDER BY seq LIMIT 1";
+const LAST_UNTIL: &str = "SELECT seq, gps_time_ns FROM epochs \
+    WHERE session = $1 AND $2 <= seq AND seq <= $3 ORDER BY seq DESC LIMIT 1";
+
+impl Store {
+    /// The first and last epoch number of a span of time, over all arcs of a session. Epochs of
+    /// other times may lie between them.
+    pub(super) async fn numbers_between(
+        &self,
+        session: SessionKey,
+        from: Option<GpsTime>,
+        to: Option<GpsTime>,
+    ) -> Result<Option<(i64, i64)>, StoreError> {
+        if from.is_none() && to.is_none() {
+            return Ok(Some((0, i64::MAX)));
+        }
+        let ends = self.arcs(session).await?.into_iter().map(|seq| seq as i64).chain([i64::MAX]);
+        let (mut span, mut first) = (None::<(i64, i64)>, 0);
+        for last in ends {
+            if let Some((begin, end)) =
+                self.numbers_in_arc(session, (first, last), from, to).await?
+            {
+                let begin = span.map_or(begin, |(earlier, _)| earlier.min(begin));
+                span = Some((begin, end));
+            }
+            first = last.saturating_add(1);
+        }
+        Ok(span)
+    }
+
+    /// The same within an arc, by its first and last number.
+    async fn numbers_in_arc(
+        &self,
+        session: SessionKey,
+        (first, last): (i64, i64),
+        from: Option<GpsTime>,
+        to: Option<GpsTime>,
+    ) -> Result<Option<(i64, i64)>, StoreError> {
+        let ends = self.found(FIRST_FROM, session, (first, last)).await?;
+        let ends = ends.zip(self.found(LAST_UNTIL, session, (first, last)).await?);
+        let Some((oldest, newest)) = ends else { return Ok(None) };
+        let begin = match from {
+            None => Some(oldest.0),
+            Some(from) => self.first_not_before(session, from.as_ns(), oldest, newest).await?,
+        };
+        // The first epoch after the span; without one, the span reaches to the end of the arc.
+        let beyond = match to {
+            None => None,
+            Some(to) if to.as_ns() == i64::MAX => None,
+            Some(to) => self.first_not_before(session, to.as_ns() + 1, oldest, newest).await?,
+        };
+        let end = beyond.map_or(last, |beyond| beyond - 1);
+        Ok(begin.filter(|begin| *begin <= end).map(|begin| (begin, end)))
+    }
+
+    /// Number of the first epoch at this time or later, between two epochs of an arc.
+    ///
+    /// The time divides the span of numbers as it divides the span of times. Each second read
+    /// halves the numbers instead, so that the reads are at most twice their bits.
+    async fn first_not_before(
+        &self,
+        session: SessionKey,
+        time_ns: i64,
+        oldest: Found,
+        newest: Found,
+    ) -> Result<Option<i64>, StoreError> {
+        if newest.1 < time_ns {
+            return Ok(None);
+        }
+        // `before` is before the time, `found` is not; what lies between is not known.
+        let (mut before, mut found, mut halves) = (oldest, newest, false);
+        if time_ns <= oldest.1 {
+            return Ok(Some(oldest.0));
+        }
+        while before.0 + 1 < found.0 {
+            let middle = if halves {
+                i64::midpoint(before.0, found.0)
+            } else {
+                interpolated(time_ns, before, found)
+            };
+            halves = !halves;
+            match self.found(FIRST_FROM, session, (middle, found.0 - 1)).await? {
+                None => match self.found(LAST_UNTIL, session, (before.0 + 1, middle - 1)).await? {
+                    None => break,
+                    Some(epoch) if epoch.1 < time_ns => break,
+                    Some(epoch) => found = epoch,
+                },
+                Some(epoch) if epoch.1 < time_ns => before = epoch,
+                Some(epoch) => found = epoch,
+            }
+        }
+        Ok(Some(found.0))
+    }
+
+    async fn found(
+        &self,
+        sql: &'static str,
+        session: SessionKey,
+        (first, last): (i64, i64),
+    ) -> Result<Option<Found>, StoreError> {
+        let row: Result<Option<Found>, _> = reading!(&self.pool, pool => {
+            sqlx::query_as(sql).bind(session.0).bind(first).bind(last).fetch_optional(pool).await
+        });
+        row.map_err(StoreError::database("finding a time"))
+    }
+}
+
+/// A number between those of two epochs, as far as the time is between theirs.
+fn interpolated(time_ns: i64, before: Found, found: Found) -> i64 {
+    let (numbers, times) = (found.0 - before.0, (found.1 as f64) - (before.1 as f64));
+    let fraction = (time_ns as f64 - before.1 as f64) / times.max(1.0);
+    before.0 + ((numbers as f64 * fraction) as i64).clamp(1, numbers - 1)
+}
