@@ -314,10 +314,14 @@ async fn a_device_moves_its_own_session_only() {
     sent(&sessions, &alone, &frames, &epochs[0]).await;
     let confirmed = positions(&sessions, &second, &epochs[..10]).await;
     let honest_then = positions(&sessions, &honest, &epochs[5..10]).await;
-    assert_eq!(confirmed[5..], honest_then);
-    let liar_then = positions(&sessions, &liar, &epochs[5..10]).await;
-    assert_eq!(liar_then, honest_then);
-    assert_eq!(positions(&sessions, &none, &epochs[5..10]).await, honest_then);
+    // Each session begins its search at its own last position, so the last bits may differ.
+    let is_same = |positions: &[Solution]| {
+        let pairs = positions.iter().zip(&honest_then);
+        pairs.map(|(one, other)| far_m(one, other)).all(|far| far.is_some_and(|far| far < 1e-3))
+    };
+    assert!(is_same(&confirmed[5..]));
+    assert!(is_same(&positions(&sessions, &liar, &epochs[5..10]).await));
+    assert!(is_same(&positions(&sessions, &none, &epochs[5..10]).await));
     drop(sessions);
 
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();

@@ -127,6 +127,7 @@ impl Measurements {
     pub fn gather(&mut self, epoch: &Epoch, navigation: &Navigation, options: &PositioningOptions) {
         self.list.clear();
         self.without_ephemeris.clear();
+        self.ionosphere_fallback = None; // Known once they are placed.
         self.odometry = epoch.odometry;
         let mut seen = [0_u128; Constellation::COUNT];
         for (satellite, observations) in epoch.by_satellite() {
