@@ -6,7 +6,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
 
 use uuid::Uuid;
 
@@ -20,9 +19,6 @@ use super::Refusal;
 const REQUEST_BYTES: usize = 4 << 10;
 /// A request is small up to this size (bytes).
 const SMALL_BYTES: usize = 128 << 10;
-/// The shortest delay before a refused request should be sent again. Each refusal asks for a
-/// random delay between this and twice as long.
-const RETRY_AFTER: Duration = Duration::from_millis(500);
 
 tokio::task_local! {
     /// The lease of the request that the task serves.
@@ -120,11 +116,17 @@ impl Lease {
         let add = |used: usize| used.checked_add(bytes).filter(|used| *used <= limit);
         if budget.0.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, add).is_err() {
             let message = format!("all requests together use {} bytes of memory", budget.used());
-            let refusal = Refusal::new(Code::MemoryExhausted, message);
-            return Err(refusal.retry_after(with_jitter(RETRY_AFTER)));
+            return Err(Refusal::new(Code::MemoryExhausted, message));
         }
         reserved.fetch_add(bytes, Ordering::AcqRel);
         Ok(())
+    }
+
+    /// Returns what is reserved beyond `bytes`, because the rest is freed.
+    pub(crate) fn shrink_to(&self, bytes: usize) {
+        let Leased { budget, reserved, .. } = &*self.0;
+        let before = reserved.fetch_min(bytes, Ordering::AcqRel);
+        budget.0.used.fetch_sub(before.saturating_sub(bytes), Ordering::AcqRel);
     }
 
     /// Counts bytes of the body that have arrived.
@@ -160,13 +162,6 @@ pub(crate) fn check_ratio(packed: usize, unpacked: usize) -> Result<(), Refusal>
     Ok(formats::check_ratio(packed as u64, unpacked as u64)?)
 }
 
-/// A random delay from `least` to twice as long, so that refused clients do not return together.
-fn with_jitter(least: Duration) -> Duration {
-    // The quality of these random bits does not matter.
-    let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
-    least.mul_f64(1.0 + fraction)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -187,9 +182,23 @@ mod tests {
         let late = budget.lease().unwrap();
         let refusal = late.reserve(1 << 20).unwrap_err();
         assert_eq!(refusal.code, Code::MemoryExhausted);
-        assert!((RETRY_AFTER..=2 * RETRY_AFTER).contains(&refusal.retry_after.unwrap()));
+        assert!(refusal.retry_after.is_some());
         late.reserve(SMALL_BYTES - REQUEST_BYTES).unwrap();
         drop((large, late));
+        assert_eq!(budget.used(), 0);
+    }
+
+    #[test]
+    fn what_is_returned_is_free_for_others() {
+        let budget = budget(16 << 20);
+        let (one, other) = (budget.lease().unwrap(), budget.lease().unwrap());
+        one.reserve(11 << 20).unwrap();
+        assert_eq!(other.reserve(11 << 20).unwrap_err().code, Code::MemoryExhausted);
+        one.shrink_to(1 << 20);
+        one.shrink_to(2 << 20); // It has less.
+        assert_eq!(budget.used(), (1 << 20) + REQUEST_BYTES);
+        other.reserve(10 << 20).unwrap();
+        drop((one, other));
         assert_eq!(budget.used(), 0);
     }
 

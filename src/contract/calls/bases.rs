@@ -121,8 +121,7 @@ pub async fn push_epochs(
     request: v1::PushBaseEpochsRequest,
 ) -> Result<v1::PushBaseEpochsResponse, Refusal> {
     let id = base_id(&request.base)?;
-    let epochs = epochs(&request.epochs, &service.limits().intake(), Numbered::No)?;
-    drop(request.epochs);
+    let epochs = epochs(request.epochs, &service.limits().intake(), Numbered::No)?;
     let epochs: Vec<Epoch> = epochs.into_iter().map(|sequenced| sequenced.epoch).collect();
     let times: Vec<GpsTime> = epochs.iter().map(|epoch| epoch.time).collect();
     let BasePush { outcomes, check } = service.bases().push(&id, epochs).await?;

@@ -2,7 +2,8 @@
 
 use crate::config::IntakeLimits;
 use crate::contract::convert::{self, Stored};
-use crate::contract::{Refusal, Service, intake, off_the_network, texts, v1};
+use crate::contract::{Lease, Refusal, Service, intake, off_the_network, texts, v1};
+use crate::gnss::Observation;
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
 use super::{MODE, PROFILE, base_choice, or_standard, session_id};
@@ -17,8 +18,7 @@ pub async fn push_epochs(
     request: v1::PushEpochsRequest,
 ) -> Result<v1::PushEpochsResponse, Refusal> {
     let id = session_id(&request.session)?;
-    let epochs = epochs(&request.epochs, &service.limits().intake(), Numbered::Yes)?;
-    drop(request.epochs);
+    let epochs = epochs(request.epochs, &service.limits().intake(), Numbered::Yes)?;
     answer(service.sessions().submit(&id, epochs).await?)
 }
 
@@ -58,7 +58,7 @@ pub async fn solve_once(
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
-        epochs: epochs(&request.epochs, &service.limits().intake(), Numbered::No)?,
+        epochs: epochs(request.epochs, &service.limits().intake(), Numbered::No)?,
         navigation: None,
         base: base_choice(service, &request.base, &request.bases)?,
         antenna: request.antenna,
@@ -74,7 +74,26 @@ pub(super) enum Numbered {
     No,
 }
 
+/// Memory of the answer to an epoch, as a message and encoded (bytes).
+const ANSWER_BYTES: usize = 8 << 10;
+
+/// Reads the epochs of a request. The memory of their messages is returned to the budget.
 pub(super) fn epochs(
+    messages: Vec<v1::Epoch>,
+    limits: &IntakeLimits,
+    numbered: Numbered,
+) -> Result<Vec<SequencedEpoch>, Refusal> {
+    let epochs = read_epochs(&messages, limits, numbered)?;
+    drop(messages);
+    if let Some(lease) = Lease::current() {
+        let observations: usize = epochs.iter().map(|read| read.epoch.observations.len()).sum();
+        let of_epochs = epochs.len() * (size_of::<SequencedEpoch>() + ANSWER_BYTES);
+        lease.shrink_to(of_epochs + observations * size_of::<Observation>());
+    }
+    Ok(epochs)
+}
+
+fn read_epochs(
     messages: &[v1::Epoch],
     limits: &IntakeLimits,
     numbered: Numbered,
