@@ -96,7 +96,7 @@ impl From<StoreError> for Refusal {
             StoreError::PageSize { .. } => refusal.at("pageSize"),
             _ => refusal,
         };
-        Self { retry_after: SessionError::from(error).retry_after(), ..refusal }
+        refusal.retry_after(SessionError::from(error).retry_after())
     }
 }
 
@@ -188,7 +188,7 @@ impl From<SessionError> for Refusal {
             | SessionError::Interrupted => None,
         };
         let refusal = Self::new(error.code(), error.to_string()).at_some(field);
-        Self { retry_after: error.retry_after(), ..refusal }
+        refusal.retry_after(error.retry_after())
     }
 }
 

@@ -2,7 +2,13 @@
 
 use std::time::Duration;
 
-use crate::refusal::Code;
+use uuid::Uuid;
+
+use crate::refusal::{Class, Code};
+
+/// The shortest delay before a request is sent again that was refused for want of capacity, or
+/// because the service cannot serve now.
+const RETRY_AFTER: Duration = Duration::from_millis(500);
 
 /// Why a request, or one epoch of it, is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -25,11 +31,13 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// A refusal that names no field, line or byte.
+    /// A refusal that names no field, line or byte. It asks for a delay if time cures it.
     pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
         let (field, line, byte_offset) = (None, None, None);
-        Self { code, message, field, line, byte_offset, retry_after: None, cause: None }
+        let is_passing = matches!(code.class(), Class::Exhausted | Class::Unavailable);
+        let retry_after = is_passing.then(delay);
+        Self { code, message, field, line, byte_offset, retry_after, cause: None }
     }
 
     /// The refusal with its cause for the log.
@@ -93,17 +101,42 @@ impl Refusal {
         self
     }
 
-    /// The refusal with the delay before the next attempt.
+    /// The refusal with another delay before the next attempt, if one is given.
     #[must_use]
-    pub(crate) fn retry_after(mut self, delay: Duration) -> Self {
-        self.retry_after = Some(delay);
+    pub(crate) fn retry_after(mut self, delay: Option<Duration>) -> Self {
+        self.retry_after = delay.or(self.retry_after);
         self
     }
+}
+
+/// A random delay from `RETRY_AFTER` to twice as long, so that refused clients do not return
+/// together.
+fn delay() -> Duration {
+    // The quality of these random bits does not matter.
+    let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
+    RETRY_AFTER.mul_f64(1.0 + fraction)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What time cures asks for a delay, at random; what it does not cure asks for none.
+    #[test]
+    fn what_time_cures_asks_for_a_delay() {
+        for code in Code::ALL {
+            let refusal = Refusal::new(*code, "no");
+            let is_passing = matches!(code.class(), Class::Exhausted | Class::Unavailable);
+            assert_eq!(refusal.retry_after.is_some(), is_passing, "{code}");
+            assert!(refusal.retry_after.is_none_or(|d| d <= 2 * RETRY_AFTER && RETRY_AFTER <= d));
+        }
+        let refused = || Refusal::new(Code::MailboxFull, "full");
+        let delays: Vec<_> = (0..20).filter_map(|_| refused().retry_after).collect();
+        assert!(delays.iter().any(|delay| *delay != delays[0]), "{delays:?}");
+        let given = Duration::from_millis(100);
+        let refused = refused().retry_after(Some(given)).retry_after(None);
+        assert_eq!(refused.retry_after, Some(given));
+    }
 
     #[test]
     fn a_field_gains_its_surroundings() {

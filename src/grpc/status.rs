@@ -18,7 +18,9 @@ const DOMAIN: &str = "graphfix";
 pub const fn grpc_code(class: Class) -> GrpcCode {
     match class {
         Class::Malformed | Class::MediaType => GrpcCode::InvalidArgument,
-        Class::TooLarge | Class::Exhausted => GrpcCode::ResourceExhausted,
+        // Clients repeat what is exhausted, and time does not make a request smaller.
+        Class::TooLarge => GrpcCode::OutOfRange,
+        Class::Exhausted => GrpcCode::ResourceExhausted,
         Class::NotFound => GrpcCode::NotFound,
         Class::Route | Class::Method => GrpcCode::Unimplemented,
         Class::Conflict => GrpcCode::AlreadyExists,
@@ -82,7 +84,7 @@ mod tests {
     fn a_refusal_keeps_its_values() {
         let refusal = Refusal::new(Code::MailboxFull, "64 pushes wait")
             .at("epochs")
-            .retry_after(Duration::from_millis(250));
+            .retry_after(Some(Duration::from_millis(250)));
         let status = to_status(&refusal);
         assert_eq!(status.code(), GrpcCode::ResourceExhausted);
         let details = status.get_error_details();

@@ -20,8 +20,6 @@ use super::seats::Seats;
 
 /// The delay after a connection that could not be accepted.
 const ACCEPT_DELAY: Duration = Duration::from_millis(100);
-/// `Retry-After` of the answer to a refused connection (s).
-const RETRY_AFTER_S: u64 = 2;
 
 /// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains.
 ///
@@ -103,10 +101,11 @@ async fn accept(
 /// Answers a refused connection without waiting: what the socket's buffer does not take is lost.
 fn refuse(stream: TcpStream, refusal: &Refusal) {
     let problem = Problem::of(refusal);
+    let retry_after_s = refusal.retry_after.map_or(1, |delay| delay.as_millis().div_ceil(1000));
     let body = serde_json::to_string(&problem).expect("a problem is texts and numbers");
     let answer = format!(
         "HTTP/1.1 {} Too Many Requests\r\ncontent-type: application/problem+json\r\n\
-         content-length: {}\r\nretry-after: {RETRY_AFTER_S}\r\nconnection: close\r\n\r\n{body}",
+         content-length: {}\r\nretry-after: {retry_after_s}\r\nconnection: close\r\n\r\n{body}",
         problem.status,
         body.len(),
     );

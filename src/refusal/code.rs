@@ -229,7 +229,7 @@ codes! {
     BaseInUse = "BASE_IN_USE", Precondition,
         "close the sessions that use it, or let them use another base";
     /// The service has as many bases as allowed.
-    TooManyBases = "TOO_MANY_BASES", Exhausted,
+    TooManyBases = "TOO_MANY_BASES", Precondition,
         "delete a base that is no longer used, or let the operator raise limits.bases";
     /// The position of the base is unknown: neither its creator nor a file's header has given it.
     BasePositionMissing = "BASE_POSITION_MISSING", Precondition,
