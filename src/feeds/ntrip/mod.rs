@@ -15,6 +15,8 @@ mod chunked;
 mod client;
 mod error;
 mod head;
+#[cfg(test)]
+mod mutated;
 mod request;
 mod sourcetable;
 
