@@ -67,7 +67,8 @@ async fn serve(State(limit): State<usize>, request: Request, next: Next) -> Resp
 /// The reflection service. It must stay a separate function that is never inlined: with
 /// optimisation by rustc 1.95, two builders configured through one closure shared a buffer that the
 /// first one had freed, and the service crashed at its start. Whether the compiler or the library
-/// is at fault is unknown.
+/// is at fault is unknown: valgrind's memcheck finds no invalid access in the service as it is, nor
+/// in a program that only builds these services through the closure (tonic 0.14.9, optimised).
 #[inline(never)]
 fn reflection() -> tonic_reflection::server::Builder<'static> {
     tonic_reflection::server::Builder::configure()
