@@ -160,23 +160,20 @@ impl Ranging {
 
     /// Its part in the residuals of its epoch, with the error model that [`Self::judge`] uses.
     pub(super) fn influence(&self, residual: f64, kernel: &Kernel) -> Influence {
-        let judged = self.judge(residual, kernel);
-        let (slope, is_accepted) = match self.error().filter(|_| kernel.law != Law::Huber) {
-            Some(error) => {
-                let evaluated = error.evaluate(-residual * error.sigma_m);
-                (evaluated.information * error.sigma_m.powi(2), USED_WEIGHT <= judged.direct)
-            }
-            None => {
-                let slope = kernel.pull_slope(residual);
-                (slope, 0.0 < slope)
-            }
+        let constellation = self.satellite.constellation;
+        let Some(error) = self.error().filter(|_| kernel.law != Law::Huber) else {
+            let (weight, slope) = (kernel.weight(residual), kernel.pull_slope(residual));
+            let (pull, is_accepted) = (weight * residual, 0.0 < slope);
+            return Influence { constellation, pull, weight, slope, is_accepted };
         };
+        let at = error.evaluate(-residual * error.sigma_m);
+        let variance_m2 = error.sigma_m * error.sigma_m;
         Influence {
-            constellation: self.satellite.constellation,
-            pull: judged.weight * judged.residual,
-            weight: judged.weight,
-            slope,
-            is_accepted,
+            constellation,
+            pull: -at.slope * error.sigma_m,
+            weight: at.curvature * variance_m2,
+            slope: at.information * variance_m2,
+            is_accepted: USED_WEIGHT <= at.direct,
         }
     }
 

@@ -156,13 +156,17 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u
     }
     let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
     let other = has_learnt.then(|| of_noise(Noise::BeforeLearning));
-    let evidences = || std::iter::once(&learnt).chain(&other);
-    let least_of = |costs: &mut dyn Iterator<Item = f64>| costs.fold(f64::INFINITY, f64::min);
-    let stands_cost = least_of(&mut evidences().map(|e| e.stands().cost));
-    if stands_cost - least_of(&mut evidences().map(Evidence::least_cost)) < least {
+    let least_cost = other.iter().map(Evidence::least_cost).fold(learnt.least_cost(), f64::min);
+    let by_learnt = learnt.stands().cost;
+    if by_learnt - least_cost < least {
         return Rivalry::Unrivalled;
     }
-    let rivals = evidences().filter_map(|evidence| evidence.best_elsewhere(seed));
+    let stands_cost = other.iter().map(|other| other.stands().cost).fold(by_learnt, f64::min);
+    if stands_cost - least_cost < least {
+        return Rivalry::Unrivalled;
+    }
+    let evidences = std::iter::once(&learnt).chain(&other);
+    let rivals = evidences.filter_map(|evidence| evidence.best_elsewhere(seed));
     match rivals.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
         Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost },
         None => Rivalry::Unrivalled,
