@@ -23,7 +23,7 @@ use super::{Active, Task};
 
 /// After a restart, the sessions that were in memory repeat this much computing on each thread.
 const RESTART: Duration = Duration::from_secs(10);
-/// Bounds of what one session repeats. Storing a state costs some 0.2 ms.
+/// Bounds of what one session repeats (empirical).
 const REPLAY_LEAST: Duration = Duration::from_millis(2);
 const REPLAY_MOST: Duration = Duration::from_millis(50);
 /// A parked state is stored if at least this part of what may be repeated would be.
