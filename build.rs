@@ -47,6 +47,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     build
         .field_attribute(".graphfix.v1.Solution.status", as_name)
         .field_attribute(".graphfix.v1.ListSolutionsRequest.status", as_name)
+        .field_attribute(".graphfix.v1.SessionHead.status", as_name)
+        .field_attribute(".graphfix.v1.SeriesStatus.status", as_name)
+        .field_attribute(".graphfix.v1.SeriesInterval.status", as_name)
+        .field_attribute(".graphfix.v1.SeriesInterval.worst_status", as_name)
+        .field_attribute(".graphfix.v1.SeriesInterval.best_status", as_name)
         .field_attribute(".graphfix.v1.Reason.values", as_object)
         .compile_fds(descriptors.clone())?;
 

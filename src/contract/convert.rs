@@ -203,17 +203,22 @@ pub fn revisions(number: i32) -> Result<Revisions, Refusal> {
     }
 }
 
+/// A position as geodetic coordinates.
+pub(crate) fn geodetic(position: Ecef) -> v1::Geodetic {
+    let geodetic = position.to_geodetic();
+    v1::Geodetic {
+        latitude_deg: geodetic.latitude_rad.to_degrees(),
+        longitude_deg: geodetic.longitude_rad.to_degrees(),
+        height_m: geodetic.height_m,
+    }
+}
+
 fn position(estimate: &SolutionEstimate) -> v1::Position {
     let Ecef(p) = estimate.position;
-    let geodetic = estimate.position.to_geodetic();
     let frame = LocalFrame::at(estimate.position);
     v1::Position {
         ecef: Some(v1::Ecef { x_m: p.x, y_m: p.y, z_m: p.z }),
-        geodetic: Some(v1::Geodetic {
-            latitude_deg: geodetic.latitude_rad.to_degrees(),
-            longitude_deg: geodetic.longitude_rad.to_degrees(),
-            height_m: geodetic.height_m,
-        }),
+        geodetic: Some(geodetic(estimate.position)),
         covariance_ecef_m2: Some(covariance(&estimate.covariance)),
         covariance_enu_m2: Some(covariance(&frame.covariance_to_enu(&estimate.covariance))),
     }

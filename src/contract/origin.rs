@@ -171,6 +171,8 @@ impl From<SessionError> for Refusal {
             SessionError::NotFound { .. }
             | SessionError::Closed { .. }
             | SessionError::Empty { .. } => Some("session"),
+            SessionError::NoSuchEpoch { .. } => Some("seq"),
+            SessionError::TooManyPoints { .. } => Some("points"),
             SessionError::LabelTooLong { .. } => Some("label"),
             SessionError::RetentionTooLong { .. } => Some("retentionDays"),
             SessionError::WindowTooLong { .. } => Some("overrides.window_epochs_max"),

@@ -19,7 +19,7 @@ pub(crate) fn reason(reason: &Reason) -> v1::Reason {
 }
 
 /// What the user can do about it.
-const fn remedy(reason: &Reason) -> &'static str {
+pub(crate) const fn remedy(reason: &Reason) -> &'static str {
     match reason {
         Reason::EphemerisMissing { .. } => "push current navigation data for these satellites",
         Reason::TooFewSatellites { .. } => {

@@ -30,6 +30,13 @@ impl Sessions for Door {
         carry(calls::sessions::list(&self.0, request.into_inner()).await)
     }
 
+    async fn heads(
+        &self,
+        request: Request<v1::ListHeadsRequest>,
+    ) -> Result<Response<v1::ListHeadsResponse>, Status> {
+        carry(calls::sessions::heads(&self.0, request.into_inner()).await)
+    }
+
     async fn update(
         &self,
         request: Request<v1::UpdateSessionRequest>,

@@ -15,4 +15,18 @@ impl Solutions for Door {
     ) -> Result<Response<v1::ListSolutionsResponse>, Status> {
         carry(calls::solutions::list(&self.0, request.into_inner()).await)
     }
+
+    async fn series(
+        &self,
+        request: Request<v1::SolutionSeriesRequest>,
+    ) -> Result<Response<v1::SolutionSeriesResponse>, Status> {
+        carry(calls::solutions::series(&self.0, request.into_inner()).await)
+    }
+
+    async fn explain(
+        &self,
+        request: Request<v1::ExplainEpochRequest>,
+    ) -> Result<Response<v1::ExplainEpochResponse>, Status> {
+        carry(calls::solutions::explain(&self.0, request.into_inner()).await)
+    }
 }

@@ -57,6 +57,7 @@ pub fn router(service: &Service) -> Router {
 fn controls() -> Router<Service> {
     Router::new()
         .route("/v1/sessions", get(sessions::list).post(sessions::create))
+        .route("/v1/sessions:heads", get(sessions::heads))
         .route(
             "/v1/sessions/{session}",
             // POST is `{session}:solve` or `{session}:reset`.
@@ -66,6 +67,8 @@ fn controls() -> Router<Service> {
                 .post(positioning::act),
         )
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
+        .route("/v1/sessions/{session}/solutions:series", get(solutions::series))
+        .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
         .route("/healthz", get(pages::live))

@@ -24,6 +24,7 @@ use super::{bases, navigation, positioning, raw, sessions, solutions};
     paths(
         sessions::create,
         sessions::list,
+        sessions::heads,
         sessions::get,
         sessions::update,
         sessions::reset,
@@ -33,6 +34,8 @@ use super::{bases, navigation, positioning, raw, sessions, solutions};
         positioning::solve,
         positioning::solve_once,
         solutions::list,
+        solutions::series,
+        solutions::explain,
         navigation::push,
         navigation::status,
         bases::create,

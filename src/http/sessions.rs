@@ -73,6 +73,32 @@ pub(super) async fn list(
     Ok(Json(calls::sessions::list(&service, request).await?))
 }
 
+/// The page of a list of heads.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct HeadsQuery {
+    /// Most heads on the page, 1 to 10000; 1000 if absent.
+    pub(super) page_size: u32,
+    /// `nextPageToken` of the previous answer.
+    pub(super) page_token: String,
+}
+
+/// Lists the latest status and position of sessions, the newest session first. Without the
+/// configurations, so that a fleet fits into few pages.
+#[utoipa::path(get, operation_id = "sessionsHeads",
+    path = "/v1/sessions:heads", tag = "Sessions", params(HeadsQuery),
+    responses((status = 200, body = v1::ListHeadsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn heads(
+    State(service): State<Service>,
+    StrictQuery(page): StrictQuery<HeadsQuery>,
+) -> Result<Json<v1::ListHeadsResponse>, Refused> {
+    let HeadsQuery { page_size, page_token } = page;
+    let request = v1::ListHeadsRequest { page_size, page_token };
+    Ok(Json(calls::sessions::heads(&service, request).await?))
+}
+
 /// Changes the given fields and no others. The epochs that follow are positioned with the new
 /// configuration.
 #[utoipa::path(patch, operation_id = "sessionsUpdate",

@@ -6,6 +6,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use crate::contract::{Refusal, Service, calls, intake, v1};
+use crate::refusal::Code;
 
 use super::body::StrictQuery;
 use super::problem::{Problem, Refused};
@@ -50,6 +51,72 @@ pub(super) async fn list(
         page_token: query.page_token,
     };
     Ok(Json(calls::solutions::list(&service, request).await?))
+}
+
+/// The time series to compute.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct SeriesParameters {
+    /// First time: GPS week and seconds of week, such as `2051:46701.5`; that of the first solution
+    /// if absent.
+    from: Option<String>,
+    /// Last time, in the same form; that of the last solution if absent.
+    to: Option<String>,
+    /// Number of intervals, 1 to 4000; 1000 if absent.
+    points: u32,
+    /// The revision of each epoch: `last` (if absent) or `first`.
+    revisions: Option<String>,
+    /// `nextPageToken` of the previous answer. The other parameters must be those of its request.
+    page_token: String,
+}
+
+/// Thins stored solutions to a time series: smallest, largest and last values in intervals of equal
+/// length. For plots of a day or a month.
+#[utoipa::path(get, operation_id = "solutionsSeries",
+    path = "/v1/sessions/{session}/solutions:series", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"), SeriesParameters),
+    responses((status = 200, body = v1::SolutionSeriesResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn series(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<SeriesParameters>,
+) -> Result<Json<v1::SolutionSeriesResponse>, Refused> {
+    let request = v1::SolutionSeriesRequest {
+        session,
+        from: query.from.map(|text| time("from", &text)).transpose()?,
+        to: query.to.map(|text| time("to", &text)).transpose()?,
+        points: query.points,
+        revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
+        page_token: query.page_token,
+    };
+    Ok(Json(calls::solutions::series(&service, request).await?))
+}
+
+/// Returns one stored epoch with its solutions, and for each satellite where it stood, how well its
+/// pseudorange agrees with the position, and why it was not used.
+#[utoipa::path(get, operation_id = "solutionsExplain",
+    path = "/v1/sessions/{session}/epochs/{seq}", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"),
+        ("seq" = String, Path, description = "Number of the epoch, or `last`")),
+    responses((status = 200, body = v1::ExplainEpochResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn explain(
+    State(service): State<Service>,
+    Path((session, seq)): Path<(String, String)>,
+) -> Result<Json<v1::ExplainEpochResponse>, Refused> {
+    let request = v1::ExplainEpochRequest { session, seq: epoch_number(&seq)? };
+    Ok(Json(calls::solutions::explain(&service, request).await?))
+}
+
+/// The number of an epoch in a path; zero for the last one.
+fn epoch_number(text: &str) -> Result<u64, Refusal> {
+    let number = if text == "last" { Some(0) } else { text.parse().ok().filter(|seq| *seq != 0) };
+    number.ok_or_else(|| {
+        let message = "an epoch is named by its number from 1, or by last";
+        Refusal::new(Code::InvalidField, message).at("seq")
+    })
 }
 
 fn time(field: &str, text: &str) -> Result<v1::GpsTime, Refusal> {

@@ -34,6 +34,7 @@ mod rtk;
 #[cfg(test)]
 mod scenario;
 mod setup;
+mod sky;
 mod snapshot;
 mod spp;
 mod standstill;
@@ -47,3 +48,4 @@ pub use antenna::correct_for_antenna;
 pub use base_position::{BasePositionCheck, BasePositionVerdict};
 pub use estimator::{Batch, Estimator, EstimatorState, Scratch};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
+pub use sky::{SatelliteRole, SatelliteView, satellite_views};

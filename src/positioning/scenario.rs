@@ -11,7 +11,7 @@ use crate::gnss::{
 };
 use crate::models::{geometric_range, look_angles, range_rate, state_at_transmission};
 
-use super::{Aiding, Estimator};
+use super::{Aiding, Estimator, SatelliteRole, satellite_views};
 
 const CLOCK_M: f64 = 1_234.5;
 const DRIFT_M_S: f64 = 0.7;
@@ -122,13 +122,17 @@ fn sky(letter: char, count: usize, navigation: &mut Navigation) -> Vec<Observati
     observations
 }
 
-fn solve(observations: Vec<Observation>, navigation: &Navigation) -> Solution {
+fn options() -> PositioningOptions {
     let mut options = PositioningOptions::new(Mode::Spp, Profile::General);
     for (key, value) in [("ionosphere", "none"), ("troposphere", "none")] {
         options.set(key, value).unwrap();
     }
+    options
+}
+
+fn solve(observations: Vec<Observation>, navigation: &Navigation) -> Solution {
     let epoch = Epoch { observations, ..Epoch::new(tag()) };
-    Estimator::new(options).advance(&epoch, &Aiding::alone(navigation))
+    Estimator::new(options()).advance(&epoch, &Aiding::alone(navigation))
 }
 
 fn error_m(solution: &Solution) -> f64 {
@@ -176,6 +180,42 @@ fn a_reflected_satellite_is_excluded_by_name() {
     let solution = solve(observations, &navigation);
     assert!(error_m(&solution) < 1e-4);
     assert_eq!(solution.reasons, [Reason::SatellitesExcluded { satellites: vec![reflected] }]);
+}
+
+/// A view has the error as residual, the direction, and why a satellite is not used.
+#[test]
+fn satellites_are_viewed_from_the_answer() {
+    let mut navigation = Navigation::default();
+    let mut observations = sky('G', 9, &mut navigation);
+    let reflected = observations[4].satellite;
+    observations[4].pseudorange_m = observations[4].pseudorange_m.map(|range| range + 150.0);
+    observations[5].loss_of_lock = true;
+    let unknown: SatelliteId = "E30".parse().unwrap();
+    observations.push(Observation { satellite: unknown, ..observations[0] });
+    let solution = solve(observations.clone(), &navigation);
+    let epoch = Epoch { observations, ..Epoch::new(tag()) };
+    let views = satellite_views(&epoch, &solution, &navigation, &options());
+    let frame = LocalFrame::at(receiver());
+    for (index, view) in views.iter().enumerate() {
+        let role = match index {
+            4 => SatelliteRole::Excluded,
+            9 => SatelliteRole::NoEphemeris,
+            _ => SatelliteRole::Used,
+        };
+        assert_eq!((view.role, view.is_slipped), (role, index == 5), "{view:?}");
+        if view.satellite == unknown {
+            assert_eq!((view.look, view.residual_m), (None, None));
+            continue;
+        }
+        let off_m = if view.satellite == reflected { 150.0 } else { 0.0 };
+        assert!((view.residual_m.unwrap() - off_m).abs() < 1e-3, "{view:?}");
+        let ephemeris = &navigation.of(view.satellite)[0];
+        let state = state_at_transmission(ephemeris, tag(), 2.2e7);
+        let look = look_angles(&frame, state.position);
+        // Signals travel 70 to 90 ms, in which a satellite moves by 0.3 km.
+        assert!((view.look.unwrap().azimuth_rad - look.azimuth_rad).abs() < 1e-3, "{view:?}");
+        assert!((view.look.unwrap().elevation_rad - look.elevation_rad).abs() < 1e-4, "{view:?}");
+    }
 }
 
 /// Three of twelve satellites have errors of a light-millisecond, an arbitrary range and 5 km.

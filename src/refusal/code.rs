@@ -173,6 +173,9 @@ codes! {
         "send fewer epochs, shorten the window, or use a session; the operator sets limits.solve_s";
     /// The session has no epoch to solve yet.
     SessionEmpty = "SESSION_EMPTY", Precondition, "push an epoch first";
+    /// The session has no epoch of this number.
+    EpochNotFound = "EPOCH_NOT_FOUND", NotFound,
+        "list the session's solutions for the numbers of its epochs";
     /// The session's mailbox is full of waiting epochs.
     MailboxFull = "MAILBOX_FULL", Exhausted,
         "wait for the delay in the answer and send the same epochs again";

@@ -160,6 +160,22 @@ pub enum SessionError {
         /// Id of the session.
         id: String,
     },
+    /// The session has no epoch of this number.
+    #[error("session {id} has no epoch {seq}")]
+    NoSuchEpoch {
+        /// Id of the session.
+        id: String,
+        /// The number as given.
+        seq: u64,
+    },
+    /// A time series is asked for with no point, or more than allowed.
+    #[error("a series of {points} points is not from 1 to {limit}")]
+    TooManyPoints {
+        /// Number of points.
+        points: usize,
+        /// Number of points allowed.
+        limit: usize,
+    },
     /// The service is stopping and takes no more epochs.
     #[error("the service is shutting down")]
     Draining,
@@ -226,6 +242,8 @@ impl SessionError {
             Self::TooManyActive { .. } => Code::TooManyActiveSessions,
             Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
+            Self::NoSuchEpoch { .. } => Code::EpochNotFound,
+            Self::TooManyPoints { .. } => Code::InvalidField,
             Self::Draining => Code::Draining,
             Self::EstimatorFailed { .. } => Code::EstimatorFailed,
             Self::ChunkTooLarge { .. } => Code::PieceTooLarge,

@@ -93,6 +93,7 @@ mod counters;
 
 mod desk;
 mod error;
+mod explanation;
 mod info;
 mod limits;
 mod panics;
@@ -103,6 +104,7 @@ mod reading;
 mod recomputation;
 mod removal;
 mod replay;
+mod series;
 mod solve;
 mod solvers;
 mod state;
@@ -110,14 +112,17 @@ mod submission;
 mod task;
 mod tasks;
 
+pub use crate::store::SessionHead;
 pub use computation::Computed;
 pub use counters::SessionCounts;
 pub use desk::Sessions;
 pub use error::SessionError;
+pub use explanation::{EpochExplanation, SatelliteRole, SatelliteView};
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate, SolutionPage};
 pub use limits::SessionLimits;
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};
+pub use series::{Interval, Range, SERIES_POINTS, SeriesQuery, SolutionSeries};
 pub use solve::{Burst, SolveRequest};
 pub use submission::{
     Acknowledged, EpochOutcome, EpochRefusal, Pending, SEQUENCES, SequencedEpoch, Submitted,

@@ -1,6 +1,6 @@
 //! What the desk reads from the store, and how it removes what is expired.
 
-use crate::store::{Page, SolutionQuery, StoreError};
+use crate::store::{Page, SessionHead, SolutionQuery, StoreError};
 
 use super::desk::Sessions;
 use super::info::oldest_available;
@@ -33,6 +33,19 @@ impl Sessions {
             })?;
             self.info(id, row)
         })
+    }
+
+    /// A page of 1 to 10 000 heads, the newest session first, with the clock of the service.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the store fails.
+    pub async fn heads(
+        &self,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<(Page<SessionHead>, i64), SessionError> {
+        let page = self.store().heads(page_size, page_token).await?;
+        Ok((page, self.clock().unix_ms()))
     }
 
     /// Stored solutions of a session, open or closed, in order of epoch number and revision.

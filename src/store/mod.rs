@@ -24,6 +24,7 @@ mod deletion;
 mod epochs;
 mod error;
 mod feeds;
+mod heads;
 mod health;
 mod lease;
 mod navigation;
@@ -52,6 +53,7 @@ pub use committer::{
 pub use epochs::StoredEpoch;
 pub use error::StoreError;
 pub use feeds::BaseFeed;
+pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use navigation::{NavigationChange, StoredCoefficients, StoredEphemeris, StoredNavigation};
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};

@@ -272,7 +272,7 @@ impl Store {
     }
 
     /// The key of an id, of deleted sessions too.
-    async fn key_of(&self, id: &str) -> Result<Option<i64>, StoreError> {
+    pub(super) async fn key_of(&self, id: &str) -> Result<Option<i64>, StoreError> {
         let key: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT key FROM sessions WHERE id = $1";
             sqlx::query_scalar(sql).bind(id).fetch_optional(pool).await

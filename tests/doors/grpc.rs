@@ -39,6 +39,33 @@ async fn what_is_pushed_is_listed() {
     assert_eq!(listed.solutions, pushed);
 }
 
+/// Heads, series and explanations are the same by either door.
+#[tokio::test]
+async fn both_doors_show_the_same() {
+    let doors = Doors::open().await;
+    let session = session(&doors.router).await;
+    let push =
+        v1::PushEpochsRequest { session: session.clone(), epochs: vec![message(1), message(2)] };
+    PositioningClient::new(doors.router.clone()).push_epochs(push).await.unwrap();
+    let mut solutions = SolutionsClient::new(doors.router.clone());
+
+    let mut sessions = SessionsClient::new(doors.router.clone());
+    let heads = sessions.heads(v1::ListHeadsRequest::default()).await.unwrap().into_inner();
+    let (_, by_rest) = doors.get("/v1/sessions:heads").await;
+    assert_eq!(serde_json::json!(heads.heads[0].last_seq), by_rest["heads"][0]["lastSeq"]);
+
+    let asked = v1::SolutionSeriesRequest { session: session.clone(), ..Default::default() };
+    let series = solutions.series(asked).await.unwrap().into_inner();
+    let path = format!("/v1/sessions/{session}/solutions:series");
+    assert_eq!(serde_json::json!(series), doors.get(&path).await.1);
+
+    let asked = v1::ExplainEpochRequest { session: session.clone(), seq: 0 };
+    let explained = solutions.explain(asked).await.unwrap().into_inner();
+    assert_eq!(explained.satellites[0].role, "NO_EPHEMERIS");
+    let path = format!("/v1/sessions/{session}/epochs/2");
+    assert_eq!(serde_json::json!(explained), doors.get(&path).await.1);
+}
+
 #[tokio::test]
 async fn a_refusal_has_code_field_and_remedy() {
     let doors = Doors::open().await;

@@ -1,8 +1,10 @@
 //! Sessions.
 
 use crate::aiding::bases::BaseChoice;
-use crate::contract::{Refusal, Service, texts, v1};
-use crate::session::{NewSession, SessionInfo, SessionUpdate};
+use crate::clock::gps_time;
+use crate::contract::{Lease, Refusal, Service, convert, texts, v1};
+use crate::gnss::GpsTime;
+use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 
 use super::{
     MODE, NEAREST, PROFILE, base_choice, or_standard, page_size, page_token, session_id, utc,
@@ -10,6 +12,12 @@ use super::{
 
 /// Sessions on a page if the request gives no size.
 const PAGE: usize = 100;
+/// Heads on a page if the request gives no size.
+const HEADS: usize = 1000;
+/// Most heads on a page.
+const HEADS_MAX: usize = 10_000;
+/// Memory of a head, its message and its JSON (bytes).
+const HEAD_BYTES: usize = 1024;
 
 /// Opens a session.
 ///
@@ -61,6 +69,27 @@ pub async fn list(
     Ok(v1::ListSessionsResponse {
         sessions: page.items.into_iter().map(message).collect(),
         next_page_token: page.next_page_token.unwrap_or_default(),
+    })
+}
+
+/// A page of heads, the newest session first.
+///
+/// # Errors
+/// The page token or size is invalid.
+pub async fn heads(
+    service: &Service,
+    request: v1::ListHeadsRequest,
+) -> Result<v1::ListHeadsResponse, Refusal> {
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let size = page_size(request.page_size, HEADS);
+    let reserved = Lease::current();
+    reserved.as_ref().map_or(Ok(()), |lease| lease.reserve(size.min(HEADS_MAX) * HEAD_BYTES))?;
+    let (page, now_ms) = service.sessions().heads(size, page_token(&request.page_token)).await?;
+    let now = gps_time(now_ms);
+    Ok(v1::ListHeadsResponse {
+        heads: page.items.into_iter().map(|head| head_message(head, now)).collect(),
+        next_page_token: page.next_page_token.unwrap_or_default(),
+        now_utc: utc(now_ms),
     })
 }
 
@@ -132,6 +161,21 @@ pub async fn delete(
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
     Ok(message(service.sessions().delete(&id).await?))
+}
+
+fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {
+    v1::SessionHead {
+        session: head.id,
+        label: head.label,
+        mode: head.mode,
+        created_utc: utc(head.created_unix_ms),
+        closed: head.is_closed,
+        last_seq: head.last_seq,
+        last_time: head.last_time.map(Into::into),
+        age_s: head.last_time.map(|last| now - last),
+        status: head.status.map_or(v1::Status::Unspecified, convert::status).into(),
+        position: head.position.map(convert::geodetic),
+    }
 }
 
 fn message(info: SessionInfo) -> v1::Session {

@@ -1,13 +1,24 @@
 //! Stored solutions.
 
-use crate::contract::{Refusal, Service, convert, texts, v1};
-use crate::session::SolutionPage;
-use crate::store::SolutionQuery;
+use crate::contract::reason::remedy;
+use crate::contract::{Lease, Refusal, Service, convert, texts, v1};
+use crate::gnss::{LeapSeconds, Observation};
+use crate::refusal::Code;
+use crate::session::{
+    Interval, Range, SERIES_POINTS, SatelliteRole, SatelliteView, SeriesQuery, SolutionPage,
+};
+use crate::store::{Revisions, SolutionQuery};
 
 use super::{page_size, page_token, session_id};
 
 /// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
+/// Intervals of a series if the request gives no number.
+const POINTS: usize = 1000;
+/// Memory of an interval, its message and its JSON (bytes).
+const INTERVAL_BYTES: usize = 2048;
+/// Memory of the solutions that a series reads at a time (bytes).
+const BATCH_BYTES: usize = 4 << 20;
 
 /// A page of a session's stored solutions in order of seq and revision.
 ///
@@ -33,4 +44,131 @@ pub async fn list(
         next_page_token: page.next_page_token.unwrap_or_default(),
         oldest_available_seq: oldest_available,
     })
+}
+
+/// A page of the time series of a session's solutions.
+///
+/// # Errors
+/// The session does not exist, or a time, the number of points or the page token is invalid.
+pub async fn series(
+    service: &Service,
+    request: v1::SolutionSeriesRequest,
+) -> Result<v1::SolutionSeriesResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let revisions = convert::revisions(request.revisions)?;
+    if revisions == Revisions::All {
+        let message = "a series has one revision of each epoch, last or first";
+        return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
+    }
+    let query = SeriesQuery {
+        from: convert::time(request.from, "from")?,
+        to: convert::time(request.to, "to")?,
+        points: page_size(request.points, POINTS),
+        revisions,
+        page_token: page_token(&request.page_token).map(ToOwned::to_owned),
+    };
+    let bytes = BATCH_BYTES + query.points.min(SERIES_POINTS) * INTERVAL_BYTES;
+    Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
+    let series = service.sessions().series(&id, &query).await?;
+    let intervals = series.intervals.iter();
+    let solutions = series.intervals.values().map(|interval| u64::from(interval.solutions)).sum();
+    let reasons = series.reasons.iter().map(|(reason, solutions)| v1::SeriesReason {
+        code: reason.code().to_owned(),
+        remedy: remedy(reason).to_owned(),
+        solutions: *solutions,
+    });
+    let statuses = series.statuses.iter().rev().map(|(status, solutions)| v1::SeriesStatus {
+        status: convert::status(*status).into(),
+        solutions: *solutions,
+    });
+    Ok(v1::SolutionSeriesResponse {
+        statuses: statuses.collect(),
+        from: series.span.map(|(from, _)| from.into()),
+        to: series.span.map(|(_, to)| to.into()),
+        interval_length_s: series.interval_s,
+        solutions,
+        reasons: reasons.collect(),
+        intervals: intervals.map(|(index, interval)| interval_message(*index, interval)).collect(),
+        next_page_token: series.next_page_token.unwrap_or_default(),
+    })
+}
+
+fn interval_message(index: u32, interval: &Interval) -> v1::SeriesInterval {
+    let range =
+        |range: Option<Range>| range.map(|Range { min, max, last }| v1::Range { min, max, last });
+    let (seq, time) = interval.last;
+    let (worst, best) = interval.statuses;
+    v1::SeriesInterval {
+        index,
+        solutions: interval.solutions,
+        seq,
+        time: Some(time.into()),
+        time_utc: time.to_rfc3339(&LeapSeconds::table()),
+        status: convert::status(interval.status).into(),
+        worst_status: convert::status(worst).into(),
+        best_status: convert::status(best).into(),
+        position: interval.position.map(convert::geodetic),
+        satellites: range(interval.satellites),
+        height_m: range(interval.height_m),
+        horizontal_sigma_m: range(interval.horizontal_sigma_m),
+        vertical_sigma_m: range(interval.vertical_sigma_m),
+        horizontal_protection_m: range(interval.horizontal_protection_m),
+        vertical_protection_m: range(interval.vertical_protection_m),
+        age_s: range(interval.age_s),
+        ratio: range(interval.ratio),
+    }
+}
+
+/// A stored epoch with its solutions and satellites.
+///
+/// # Errors
+/// The session or the epoch does not exist.
+pub async fn explain(
+    service: &Service,
+    request: v1::ExplainEpochRequest,
+) -> Result<v1::ExplainEpochResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    let seq = Some(request.seq).filter(|seq| *seq != 0);
+    let explained = service.sessions().explain(&id, seq).await?;
+    let observed: std::collections::BTreeMap<_, _> = explained.epoch.by_satellite().collect();
+    let satellite = |view: &SatelliteView| {
+        view_message(view, observed.get(&view.satellite).copied().unwrap_or_default())
+    };
+    Ok(v1::ExplainEpochResponse {
+        solutions: explained.solutions.iter().map(convert::stored).collect(),
+        satellites: explained.satellites.iter().map(satellite).collect(),
+    })
+}
+
+fn view_message(view: &SatelliteView, observations: &[Observation]) -> v1::SatelliteView {
+    let signal = |observation: &Observation| v1::SignalView {
+        code: observation.code.to_string(),
+        cn0_db_hz: observation.cn0_db_hz,
+        pseudorange: observation.pseudorange_m.is_some(),
+        carrier_phase: observation.carrier_phase.is_some(),
+        doppler: observation.doppler_hz.is_some(),
+    };
+    v1::SatelliteView {
+        satellite: view.satellite.to_string(),
+        role: role_text(view.role).to_owned(),
+        azimuth_deg: view.look.map(|look| look.azimuth_rad.to_degrees()),
+        elevation_deg: view.look.map(|look| look.elevation_rad.to_degrees()),
+        residual_m: view.residual_m,
+        sigma_m: view.sigma_m,
+        slipped: view.is_slipped,
+        half_cycle: view.has_half_cycle,
+        signals: observations.iter().map(signal).collect(),
+    }
+}
+
+const fn role_text(role: SatelliteRole) -> &'static str {
+    match role {
+        SatelliteRole::Used => "USED",
+        SatelliteRole::Excluded => "EXCLUDED",
+        SatelliteRole::NoEphemeris => "NO_EPHEMERIS",
+        SatelliteRole::BelowMask => "BELOW_MASK",
+        SatelliteRole::SwitchedOff => "SWITCHED_OFF",
+        SatelliteRole::Unused => "UNUSED",
+    }
 }

@@ -3,7 +3,7 @@
 use axum::http::StatusCode;
 use serde_json::json;
 
-use crate::support::doors::{Doors, code};
+use crate::support::doors::{Doors, code, epoch};
 
 #[tokio::test]
 async fn a_session_is_created_changed_and_closed() {
@@ -59,4 +59,33 @@ async fn sessions_are_listed_page_by_page() {
     let listed: Vec<_> = listed.map(|session| session["session"].as_str().unwrap()).collect();
     assert_eq!(listed, created);
     assert_eq!(second["nextPageToken"], "");
+}
+
+/// Heads have the last epoch and the latest position, the newest session first.
+#[tokio::test]
+async fn heads_show_the_last_epoch() {
+    let doors = Doors::open().await;
+    let (silent, active) = (doors.session().await, doors.session().await);
+    let epochs: Vec<_> = (1..=3).map(epoch).collect();
+    doors.post(&format!("/v1/sessions/{active}/epochs"), json!({"epochs": epochs})).await;
+    let (status, first) = doors.get("/v1/sessions:heads?pageSize=1").await;
+    assert_eq!(status, StatusCode::OK, "{first}");
+    let head = &first["heads"][0];
+    assert_eq!((&head["session"], &head["lastSeq"]), (&json!(active), &json!(3)));
+    assert_eq!((&head["status"], &head["label"]), (&json!("NONE"), &json!("rover")));
+    assert_eq!(head["lastTime"], json!({"week": 2051, "nsOfWeek": 46_704_000_000_000_u64}));
+    assert_eq!(head["position"], json!(null));
+    // The epochs are of 2019.
+    assert!(head["ageS"].as_f64().is_some_and(|age_s| 3.15e7 < age_s), "{head}");
+
+    let token = first["nextPageToken"].as_str().unwrap();
+    let (_, second) = doors.get(&format!("/v1/sessions:heads?pageSize=1&pageToken={token}")).await;
+    let head = &second["heads"][0];
+    assert_eq!((&head["session"], &second["nextPageToken"]), (&json!(silent), &json!("")));
+    assert_eq!((&head["status"], &head["ageS"]), (&json!("UNSPECIFIED"), &json!(null)));
+
+    for query in ["pageSize=10001", "pageToken=ses_0"] {
+        let (status, refused) = doors.get(&format!("/v1/sessions:heads?{query}")).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{refused}");
+    }
 }

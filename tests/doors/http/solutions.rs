@@ -5,7 +5,7 @@ use graphfix::contract::convert;
 use graphfix::session::SequencedEpoch;
 use serde_json::{Value, json};
 
-use crate::support::doors::{Doors, epoch};
+use crate::support::doors::{Doors, code, epoch};
 use crate::support::drive::DRIVE;
 
 fn numbers(page: &Value) -> Vec<u64> {
@@ -63,4 +63,118 @@ async fn revisions_are_chosen() {
     let (status, refused) =
         doors.get(&format!("/v1/sessions/{session}/solutions?revisions=ALL")).await;
     assert_eq!((status, &refused["field"]), (StatusCode::BAD_REQUEST, &json!("revisions")));
+}
+
+/// A session in mode `fgo` with the first epochs of the drive.
+async fn driven(doors: &Doors, epochs: usize) -> String {
+    let (status, _) = doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
+    assert_eq!(status, StatusCode::OK);
+    let (_, session) = doors.post("/v1/sessions", json!({"mode": "fgo"})).await;
+    let session = session["session"].as_str().unwrap().to_owned();
+    let message = |e: &SequencedEpoch| convert::epoch_message(e.seq, &e.epoch);
+    let epochs: Vec<_> = DRIVE.epochs[..epochs].iter().map(message).collect();
+    let path = format!("/v1/sessions/{session}/epochs");
+    let (status, answer) = doors.post(&path, json!({"epochs": epochs})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    session
+}
+
+/// The intervals of a series against the listed solutions that fall into them.
+#[tokio::test]
+async fn a_series_thins_the_solutions() {
+    let doors = Doors::open().await;
+    let session = driven(&doors, 30).await;
+    let path = format!("/v1/sessions/{session}/solutions");
+    let (_, listed) = doors.get(&format!("{path}?revisions=first")).await;
+    let (status, series) = doors.get(&format!("{path}:series?points=7&revisions=first")).await;
+    assert_eq!((status, &series["solutions"]), (StatusCode::OK, &json!(30)), "{series}");
+    let intervals = series["intervals"].as_array().unwrap();
+    assert_eq!(intervals.len(), 7);
+    let mut rest = listed["solutions"].as_array().unwrap().as_slice();
+    for interval in intervals {
+        let count = interval["solutions"].as_u64().unwrap() as usize;
+        let (inside, after) = rest.split_at(count);
+        rest = after;
+        let last = inside.last().unwrap();
+        assert_eq!((&interval["seq"], &interval["time"]), (&last["seq"], &last["time"]));
+        assert_eq!(interval["status"], last["status"]);
+        assert_eq!(interval["position"], last["position"]["geodetic"]);
+        let count = |s: &Value| s["satellitesUsed"].as_array().unwrap().len() as f64;
+        let used = inside.iter().map(count);
+        let range = &interval["satellites"];
+        assert_eq!(range["min"].as_f64(), used.clone().reduce(f64::min));
+        assert_eq!(range["max"].as_f64(), used.clone().reduce(f64::max));
+        assert_eq!(range["last"].as_f64(), inside.last().map(count));
+    }
+    assert!(rest.is_empty());
+    let statuses = series["statuses"].as_array().unwrap().iter();
+    assert_eq!(statuses.map(|of| of["solutions"].as_u64().unwrap()).sum::<u64>(), 30);
+
+    let one = &listed["solutions"][10]["time"];
+    let second = one["nsOfWeek"].as_u64().unwrap() as f64 * 1e-9;
+    let at = format!("{}:{second}", one["week"]);
+    let (_, single) = doors.get(&format!("{path}:series?from={at}&to={at}")).await;
+    assert_eq!(single["intervals"].as_array().unwrap().len(), 1, "{single}");
+    assert_eq!(single["intervals"][0]["seq"], listed["solutions"][10]["seq"]);
+}
+
+#[tokio::test]
+async fn a_series_has_limits() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let path = format!("/v1/sessions/{session}/solutions:series");
+    let (status, empty) = doors.get(&path).await;
+    assert_eq!(
+        (status, &empty["intervals"], &empty["from"]),
+        (StatusCode::OK, &json!([]), &json!(null))
+    );
+    for (query, field) in
+        [("points=4001", "points"), ("revisions=all", "revisions"), ("pageToken=x", "pageToken")]
+    {
+        let epochs: Vec<_> = (1..=2).map(epoch).collect();
+        doors.post(&format!("/v1/sessions/{session}/epochs"), json!({"epochs": epochs})).await;
+        let (status, refused) = doors.get(&format!("{path}?{query}")).await;
+        assert_eq!(
+            (status, &refused["field"]),
+            (StatusCode::BAD_REQUEST, &json!(field)),
+            "{refused}"
+        );
+    }
+}
+
+/// Each satellite of an epoch has its direction and role; those of the position agree with it.
+#[tokio::test]
+async fn an_epoch_is_explained() {
+    let doors = Doors::open().await;
+    let session = driven(&doors, 5).await;
+    let path = format!("/v1/sessions/{session}");
+    let (status, last) = doors.get(&format!("{path}/epochs/last")).await;
+    assert_eq!(status, StatusCode::OK, "{last}");
+    let (_, fifth) = doors.get(&format!("{path}/epochs/5")).await;
+    assert_eq!(last, fifth);
+    let (_, listed) = doors.get(&format!("{path}/solutions?from=2051:0")).await;
+    let solution = listed["solutions"].as_array().unwrap().last().unwrap();
+    assert_eq!(last["solutions"], json!([solution]));
+
+    let satellites = last["satellites"].as_array().unwrap();
+    let used: Vec<&Value> = satellites.iter().filter(|view| view["role"] == "USED").collect();
+    let mut names: Vec<&str> =
+        used.iter().map(|view| view["satellite"].as_str().unwrap()).collect();
+    names.sort_unstable();
+    assert_eq!(json!(names), solution["satellitesUsed"]);
+    for view in &used {
+        let (azimuth, elevation) = (view["azimuthDeg"].as_f64(), view["elevationDeg"].as_f64());
+        assert!((0.0..360.0).contains(&azimuth.unwrap()), "{view}");
+        assert!((0.0..90.0).contains(&elevation.unwrap()), "{view}");
+        assert!(view["signals"][0]["cn0DbHz"].as_f64().is_some_and(|cn0| 10.0 < cn0), "{view}");
+    }
+    // The median of each constellation takes its clock away, so residuals are metres.
+    let residuals = used.iter().filter_map(|view| view["residualM"].as_f64());
+    assert!(4 <= residuals.clone().count());
+    assert!(residuals.clone().all(|residual_m| residual_m.abs() < 100.0), "{last}");
+
+    let (status, refused) = doors.get(&format!("{path}/epochs/77")).await;
+    assert_eq!((status, code(&refused)), (StatusCode::NOT_FOUND, "EPOCH_NOT_FOUND"));
+    let (status, refused) = doors.get(&format!("{path}/epochs/first")).await;
+    assert_eq!((status, &refused["field"]), (StatusCode::BAD_REQUEST, &json!("seq")));
 }

@@ -1,0 +1,74 @@
+//! One stored epoch with everything that explains its answer.
+
+use crate::aiding::device;
+use crate::gnss::Epoch;
+use crate::positioning::satellite_views;
+use crate::store::{Revisions, SolutionQuery, StoreError, StoredSolution};
+
+use super::configuration::kept_options;
+use super::desk::Sessions;
+use super::{SessionError, SessionId};
+
+pub use crate::positioning::{SatelliteRole, SatelliteView};
+
+/// Most revisions of an epoch that are read.
+const REVISIONS: usize = 100;
+
+/// A stored epoch with its solutions, and its satellites as the first of them sees them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EpochExplanation {
+    /// The epoch as received.
+    pub epoch: Epoch,
+    /// All revisions of its solution.
+    pub solutions: Vec<StoredSolution>,
+    /// The observed satellites, in the order of the epoch.
+    pub satellites: Vec<SatelliteView>,
+}
+
+impl Sessions {
+    /// Explains a stored epoch; `None` for the last one. The ephemerides are those that it was
+    /// solved with, or the present ones if those are no longer stored.
+    ///
+    /// # Errors
+    /// No session has this id, it has no epoch of this number, or the store fails.
+    pub async fn explain(
+        &self,
+        id: &SessionId,
+        seq: Option<u64>,
+    ) -> Result<EpochExplanation, SessionError> {
+        let row = self.row(id).await?;
+        let stored = match seq {
+            None => self.store().last_epochs(row.key, 1).await?,
+            Some(seq) => self.store().epochs_after(row.key, seq.checked_sub(1), 1).await?,
+        };
+        let stored = stored.into_iter().next();
+        let stored = match (seq, stored) {
+            (None, None) => return Err(SessionError::Empty { id: id.to_string() }),
+            (None, Some(last)) => last,
+            (Some(seq), found) => found
+                .filter(|found| found.solution.seq == seq)
+                .ok_or_else(|| SessionError::NoSuchEpoch { id: id.to_string(), seq })?,
+        };
+        let (navigation, device) = (&self.aiding().navigation, device(id.as_str()));
+        let navigation = match navigation.after(stored.navigation, &device).await {
+            Err(StoreError::NavigationForgotten { .. }) => navigation.current_for(&device),
+            found => found?,
+        };
+        let hash = &stored.solution.configuration_hash;
+        let options = kept_options(&self.store().configuration(hash).await?)?;
+        let time = stored.epoch.time;
+        let query = SolutionQuery {
+            from: Some(time),
+            to: Some(time),
+            status: None,
+            revisions: Revisions::All,
+            page_size: REVISIONS,
+            page_token: None,
+        };
+        let mut solutions = self.store().solutions(row.key, &query).await?.items;
+        solutions.retain(|solution| solution.seq == stored.solution.seq);
+        let answer = &stored.solution.solution;
+        let satellites = satellite_views(&stored.epoch, answer, &navigation.navigation, &options);
+        Ok(EpochExplanation { epoch: stored.epoch, solutions, satellites })
+    }
+}
