@@ -10,6 +10,7 @@ use tonic::{Code as GrpcCode, Status};
 use tonic_types::StatusExt;
 
 use crate::contract::v1;
+use crate::grpc::v1::bases_client::BasesClient;
 use crate::grpc::v1::positioning_client::PositioningClient;
 use crate::grpc::v1::sessions_client::SessionsClient;
 use crate::grpc::{self, v1::navigation_client::NavigationClient};
@@ -93,6 +94,40 @@ impl Connection {
             let request = v1::PushNavigationRequest { content: content.clone() };
             match client.push(request).await {
                 Ok(answer) => return Ok(answer.into_inner().new_ephemerides),
+                Err(status) => retry.wait(&status).await?,
+            }
+        }
+    }
+
+    /// Creates a base; returns its id.
+    ///
+    /// # Errors
+    /// The service refuses it.
+    pub(super) async fn create_base(
+        &self,
+        request: v1::CreateBaseRequest,
+    ) -> Result<String, Failure> {
+        let mut client = BasesClient::new(self.channel.clone());
+        let mut retry = Retry::new(self.patience);
+        loop {
+            match client.create(request.clone()).await {
+                Ok(answer) => return Ok(answer.into_inner().base),
+                Err(status) => retry.wait(&status).await?,
+            }
+        }
+    }
+
+    /// Pushes an epoch of a base.
+    ///
+    /// # Errors
+    /// The service refuses it.
+    pub(super) async fn push_base(&self, base: &str, epoch: v1::Epoch) -> Result<(), Failure> {
+        let mut client = BasesClient::new(self.channel.clone());
+        let mut retry = Retry::new(self.patience);
+        let request = v1::PushBaseEpochsRequest { base: base.to_owned(), epochs: vec![epoch] };
+        loop {
+            match client.push_epochs(request.clone()).await {
+                Ok(_) => return Ok(()),
                 Err(status) => retry.wait(&status).await?,
             }
         }

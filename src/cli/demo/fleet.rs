@@ -1,5 +1,6 @@
 //! The simulated devices: each drives, observes and pushes epoch by epoch.
 
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,8 +10,15 @@ use tokio::time::Instant;
 use crate::cli::Failure;
 use crate::cli::device::Connection;
 use crate::contract::{convert, v1};
-use crate::gnss::{Ecef, LocalFrame, Navigation};
-use crate::simulation::{Scenario, Simulator};
+use crate::gnss::{Ecef, Geodetic, GpsTime, LocalFrame, Navigation};
+use crate::simulation::{Scenario, SimulatedEpoch, Simulator};
+
+/// Part of the drive after which the device that gets lost falls silent.
+const LOST_AFTER: f64 = 0.4;
+/// Distance of the first device from the middle of the fleet (m); the others are farther out.
+const SPREAD_M: f64 = 900.0;
+/// Length of a degree of latitude (m).
+const DEGREE_M: f64 = 111_000.0;
 
 /// Surroundings of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,15 +27,119 @@ pub(super) enum Sky {
     Urban,
 }
 
+/// What a device is, and how it is positioned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Relative to a base 8 km away, under open sky: mostly fixed.
+    Surveyor,
+    /// Factor graph among high buildings.
+    Taxi,
+    /// Relative to a base 3 km away, among high buildings: mostly float.
+    Van,
+    /// Single-point positioning under open sky.
+    Tracker,
+    /// A surveyor whose base falls silent for a part of every minute.
+    Tractor,
+    /// Factor graph under open sky; falls silent on the way.
+    Courier,
+}
+
+impl Kind {
+    /// The kind of a device of the fleet.
+    pub(super) const fn of(index: usize) -> Self {
+        match index % 6 {
+            0 => Self::Surveyor,
+            1 => Self::Taxi,
+            2 => Self::Van,
+            3 => Self::Tracker,
+            4 => Self::Tractor,
+            _ => Self::Courier,
+        }
+    }
+
+    pub(super) const fn sky(self) -> Sky {
+        match self {
+            Self::Taxi | Self::Van => Sky::Urban,
+            Self::Surveyor | Self::Tracker | Self::Tractor | Self::Courier => Sky::Open,
+        }
+    }
+
+    /// Name, mode and profile of its session.
+    const fn session(self) -> (&'static str, &'static str, &'static str) {
+        match self {
+            Self::Surveyor => ("surveyor", "rtk-fgo", "general"),
+            Self::Taxi => ("taxi", "fgo", "urban-vehicle"),
+            Self::Van => ("delivery van", "rtk-fgo", "urban-vehicle"),
+            Self::Tracker => ("tracker", "spp", "general"),
+            Self::Tractor => ("tractor", "rtk-fgo", "general"),
+            Self::Courier => ("courier", "fgo", "general"),
+        }
+    }
+
+    fn scenario(self) -> Scenario {
+        let without_base = |scenario: Scenario| Scenario { base: None, ..scenario };
+        match self {
+            Self::Surveyor | Self::Tractor => Scenario::rtk_open(),
+            Self::Van => Scenario::rtk_canyon(),
+            Self::Taxi => without_base(Scenario::urban_canyon()),
+            Self::Tracker | Self::Courier => without_base(Scenario::open_sky()),
+        }
+    }
+
+    /// Whether the base's epoch reaches the service, by its number.
+    const fn receives_base(self, number: usize) -> bool {
+        !matches!(self, Self::Tractor) || number % 90 < 50
+    }
+}
+
 /// Plan of one device's drive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plan {
     pub(super) index: usize,
-    pub(super) sky: Sky,
     pub(super) seed: u64,
+    /// Time tag of the first epoch.
+    pub(super) start: GpsTime,
+    /// Duration of the drive that is reported (s).
     pub(super) duration_s: f64,
-    /// Speed relative to real time.
+    /// Duration of the drive that follows in real time (s).
+    pub(super) live_s: f64,
+    /// Speed of the former relative to real time.
     pub(super) speed: f64,
+}
+
+impl Plan {
+    pub(super) const fn kind(&self) -> Kind {
+        Kind::of(self.index)
+    }
+
+    fn scenario(&self) -> Scenario {
+        let scenario = self.kind().scenario();
+        // A spiral of the golden angle: no two devices are near each other.
+        let (distance_m, angle) = (
+            SPREAD_M * (self.index as f64 + 1.0).sqrt(),
+            self.index as f64 * PI * (3.0 - 5_f64.sqrt()),
+        );
+        let (east_m, north_m) = (distance_m * (angle % TAU).sin(), distance_m * angle.cos());
+        let Geodetic { latitude_rad, longitude_rad, height_m } = scenario.origin;
+        let degree_rad = 1_f64.to_radians() / DEGREE_M;
+        let origin = Geodetic {
+            latitude_rad: latitude_rad + north_m * degree_rad,
+            longitude_rad: longitude_rad + east_m * degree_rad / latitude_rad.cos(),
+            height_m,
+        };
+        let is_lost = self.kind() == Kind::Courier;
+        let duration_s = match is_lost {
+            true => (self.duration_s * LOST_AFTER).floor(),
+            false => self.duration_s + self.live_s,
+        };
+        Scenario { start: self.start, duration_s, origin, ..scenario }
+    }
+
+    /// When the epoch of this time since the first is due, since the start.
+    fn due(&self, elapsed_s: f64) -> Duration {
+        let fast_s = elapsed_s.min(self.duration_s);
+        Duration::from_secs_f64(fast_s / self.speed + (elapsed_s - fast_s))
+    }
 }
 
 /// The result of one epoch.
@@ -51,32 +163,52 @@ pub(super) async fn drive(
     connection: Connection,
     reports: mpsc::Sender<Report>,
 ) -> Result<(), Failure> {
-    let (scenario, name, mode, profile) = match plan.sky {
-        Sky::Open => (Scenario::open_sky(), "open", "spp", "general"),
-        Sky::Urban => (Scenario::urban_canyon(), "urban", "fgo", "urban-vehicle"),
-    };
-    let scenario = Scenario { duration_s: plan.duration_s, base: None, ..scenario };
-    let interval = Duration::from_secs_f64(scenario.interval_s / plan.speed);
+    let scenario = plan.scenario();
+    let interval_s = scenario.interval_s;
     let simulator = Simulator::with_navigation(scenario, plan.seed, navigation);
-    let label = format!("demo {} {name}", plan.index + 1);
+    let (name, mode, profile) = plan.kind().session();
+    let label = format!("{name} {}", plan.index + 1);
+    let base = match simulator.base_position() {
+        Some(position) => connection.create_base(base_request(&label, position)).await?,
+        None => String::new(),
+    };
     let (mode, profile) = (mode.to_owned(), profile.to_owned());
-    let new = v1::CreateSessionRequest { label, mode, profile, ..Default::default() };
+    let new =
+        v1::CreateSessionRequest { label, mode, profile, base: base.clone(), ..Default::default() };
     let mut device = connection.open(None, new).await?;
     // Each device starts at another fraction of the interval, so that their pushes are spread.
-    let start = Instant::now() + interval.mul_f64(plan.index as f64 * 0.618 % 1.0);
+    let fraction = plan.index as f64 * 0.618 % 1.0;
+    let start = Instant::now() + Duration::from_secs_f64(interval_s / plan.speed).mul_f64(fraction);
+    let mut reports = Some(reports);
     for (number, simulated) in simulator.enumerate() {
-        tokio::time::sleep_until(start + interval * number as u32).await;
-        let epoch = convert::epoch_message(number as u64 + 1, &simulated.rover);
+        let elapsed_s = number as f64 * interval_s;
+        tokio::time::sleep_until(start + plan.due(elapsed_s)).await;
+        if plan.duration_s < elapsed_s {
+            reports = None; // The table is complete; the drive goes on.
+        }
+        let SimulatedEpoch { rover, base: observed, position, .. } = simulated;
+        if let Some(observed) = observed.filter(|_| plan.kind().receives_base(number)) {
+            connection.push_base(&base, convert::epoch_message(0, &observed)).await?;
+        }
+        let epoch = convert::epoch_message(number as u64 + 1, &rover);
         let sent = Instant::now();
         let pushed = device.push(vec![epoch]).await?;
         let latency = sent.elapsed();
-        for solution in &pushed.solutions {
-            let report = report(&plan, solution, simulated.position, latency);
+        for (solution, reports) in pushed.solutions.iter().zip(reports.iter().cycle()) {
+            let report = report(&plan, solution, position, latency);
             // An error means that nobody watches any more.
             reports.send(report).await.ok();
         }
     }
     Ok(())
+}
+
+fn base_request(label: &str, Ecef(position): Ecef) -> v1::CreateBaseRequest {
+    v1::CreateBaseRequest {
+        label: format!("base of {label}"),
+        marker: Some(v1::Ecef { x_m: position.x, y_m: position.y, z_m: position.z }),
+        ..Default::default()
+    }
 }
 
 fn report(plan: &Plan, solution: &v1::Solution, truth: Ecef, latency: Duration) -> Report {
@@ -86,7 +218,7 @@ fn report(plan: &Plan, solution: &v1::Solution, truth: Ecef, latency: Duration) 
     });
     Report {
         index: plan.index,
-        sky: plan.sky,
+        sky: plan.kind().sky(),
         status: solution.status().as_str_name().trim_start_matches("STATUS_"),
         satellites: solution.satellites_used.len(),
         error_m,

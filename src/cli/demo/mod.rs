@@ -5,7 +5,7 @@ mod table;
 
 use std::io::IsTerminal;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use clap::{Args, value_parser};
 use tokio::net::TcpListener;
@@ -15,10 +15,11 @@ use crate::app;
 use crate::config::ServiceConfiguration;
 use crate::feeds::{FeedOptions, TimeLimits};
 use crate::formats::rinex::write_navigation;
+use crate::gnss::{GpsTime, LeapSeconds};
 use crate::refusal::Code;
 use crate::simulation::{self, Scenario};
 
-use self::fleet::{Report, Sky};
+use self::fleet::Report;
 use self::table::Table;
 use super::Failure;
 use super::device::Connection;
@@ -26,21 +27,25 @@ use super::host;
 
 /// The port that is tried first.
 const PORT: u16 = 8080;
+/// Duration for which the fleet drives on in real time (s).
+const LIVE_S: f64 = 6.0 * 3600.0;
 
-/// Starts the service on this machine, simulates a fleet, sends its observations over gRPC and
-/// shows the errors of the positions; then serves until interrupted. Nothing is kept.
+/// Starts the service on this machine, simulates a fleet with base stations, sends its observations
+/// over gRPC and shows the errors of the positions; then the fleet drives on in real time until
+/// interrupted. The dashboard shows it all the while. Nothing is kept.
 #[derive(Clone, Debug, Args)]
 pub(super) struct DemoArguments {
-    /// Devices, alternately under open sky and among high buildings.
+    /// Devices: relative to a base and without, under open sky and among high buildings; the sixth
+    /// falls silent on the way.
     #[arg(long, value_name = "N", default_value_t = 6)]
     #[arg(value_parser = value_parser!(u16).range(1..=100))]
     devices: u16,
-    /// Simulated seconds, one epoch each.
-    #[arg(long, value_name = "SECONDS", default_value_t = 120)]
+    /// Simulated seconds until the summary, one epoch each.
+    #[arg(long, value_name = "SECONDS", default_value_t = 300)]
     #[arg(value_parser = value_parser!(u32).range(1..=3600))]
     duration: u32,
-    /// Speed as a multiple of real time.
-    #[arg(long, value_name = "FACTOR", default_value_t = 4)]
+    /// Speed until the summary, as a multiple of real time.
+    #[arg(long, value_name = "FACTOR", default_value_t = 10)]
     #[arg(value_parser = value_parser!(u32).range(1..=1000))]
     speed: u32,
     /// Seed of the simulated errors.
@@ -70,59 +75,69 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped the sender, which also stops the service.
     let serving = tokio::spawn(app.serve(listener, async { drop(stopped.await) }));
-    println!("serving gRPC and REST at http://{address}/ (open it: /docs explains every call)");
+    println!(
+        "the dashboard is at http://{address}/ (gRPC and REST too: /docs explains every call)"
+    );
 
     let server = format!("http://{address}");
     let played = tokio::select! {
         played = play(&arguments, &server) => played,
         () = host::interrupted() => Ok(()),
     };
-    if played.is_ok() && !arguments.exit {
-        println!("still serving at http://{address}/v1/sessions; interrupt to end");
-        host::interrupted().await;
-    }
     drop(stop);
     serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))?;
     played
 }
 
-/// Drives the fleet and shows its errors.
+/// Drives the fleet and shows its errors; then it drives on until interrupted, or exits.
 async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
+    let connection = Connection::to(server, Duration::from_secs(10))?;
+    let start = start(arguments);
+    let live_s = if arguments.exit { 0.0 } else { LIVE_S };
     let duration_s = f64::from(arguments.duration);
-    let open = Scenario { duration_s, base: None, ..Scenario::open_sky() };
-    let navigation = Arc::new(simulation::navigation(&open));
+    let sky = Scenario { start, duration_s: duration_s + live_s, ..Scenario::open_sky() };
+    let navigation = Arc::new(simulation::navigation(&sky));
     let mut rinex = Vec::new();
     write_navigation(&mut rinex, &navigation)
         .map_err(|error| Failure::new(Code::Internal, error, "report this"))?;
-    let connection = Connection::to(server, Duration::from_secs(10))?;
     let ephemerides = connection.push_navigation_bytes(rinex.into()).await?;
     println!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
 
     let (reports, mut inbox) = mpsc::channel::<Report>(1024);
     let mut fleet = tokio::task::JoinSet::new();
-    for index in 0..arguments.devices {
-        let sky = if index % 2 == 0 { Sky::Open } else { Sky::Urban };
-        let device = fleet::Plan {
-            index: usize::from(index),
-            sky,
-            seed: arguments.seed + u64::from(index),
-            duration_s,
-            speed: f64::from(arguments.speed),
-        };
+    for index in 0..usize::from(arguments.devices) {
+        let (seed, speed) = (arguments.seed + index as u64, f64::from(arguments.speed));
+        let plan = fleet::Plan { index, seed, start, duration_s, live_s, speed };
         let (navigation, reports) = (navigation.clone(), reports.clone());
-        fleet.spawn(fleet::drive(device, navigation, connection.clone(), reports));
+        fleet.spawn(fleet::drive(plan, navigation, connection.clone(), reports));
     }
     drop(reports);
     let live = std::io::stdout().is_terminal();
-    let mut table = Table::new(usize::from(arguments.devices), arguments.duration, live);
+    let mut table = Table::new(usize::from(arguments.devices), live);
     while let Some(report) = inbox.recv().await {
         table.take(report);
+    }
+    table.summarise();
+    if !arguments.exit {
+        println!("the fleet drives on: see {server}/; interrupt to end");
     }
     while let Some(driven) = fleet.join_next().await {
         driven.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
     }
-    table.summarise();
+    if !arguments.exit {
+        println!("the drive is over; still serving at {server}/; interrupt to end");
+        host::interrupted().await;
+    }
     Ok(())
+}
+
+/// Time tag of the first epoch: at the summary, the fleet has reached the present.
+fn start(arguments: &DemoArguments) -> GpsTime {
+    let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let unix_ms = i64::try_from(since_1970.as_secs() * 1000).unwrap_or(0);
+    let (duration_s, speed) = (f64::from(arguments.duration), f64::from(arguments.speed));
+    let behind_s = (duration_s - duration_s / speed).floor();
+    GpsTime::from_unix_ms(unix_ms, &LeapSeconds::table()) + -behind_s
 }
 
 /// The standard port, or a free one if it is in use.
