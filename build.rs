@@ -1,6 +1,8 @@
-//! Compiles `proto/` to Rust: messages once, with their JSON twins, and the services over them.
+//! Compiles `proto/` to Rust: messages once, with their JSON twins, and the services over them; and
+//! lists the files of the dashboard, which `scripts/web` makes.
 
-use std::path::PathBuf;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
 use prost::Message;
 
@@ -19,6 +21,8 @@ const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSch
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=proto");
+    println!("cargo::rerun-if-changed=web/dist");
+    list_dashboard()?;
     let descriptors = protox::compile(SERVICES, ["proto"])?;
     let folder = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(folder.join("descriptors.bin"), descriptors.encode_to_vec())?;
@@ -61,4 +65,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .codec_path("crate::grpc::Codec")
         .compile_fds(descriptors)?;
     Ok(())
+}
+
+/// Writes the table of the dashboard's files: path of the service, and content.
+fn list_dashboard() -> std::io::Result<()> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("web/dist");
+    let mut files = vec![root.join("index.html"), root.join("licences.txt")];
+    for entry in std::fs::read_dir(root.join("assets"))? {
+        files.push(entry?.path());
+    }
+    files.sort();
+    let mut table = String::from("&[\n");
+    for file in files {
+        let path = file.strip_prefix(&root).expect("it is a file of the folder");
+        let written = writeln!(table, "(\"/{}\", include_bytes!({file:?})),", path.display());
+        written.expect("a text takes any text");
+    }
+    table.push(']');
+    let out = PathBuf::from(std::env::var("OUT_DIR").expect("cargo names the folder"));
+    std::fs::write(out.join("dashboard.rs"), table)
 }

@@ -24,7 +24,7 @@ const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// `Content-Security-Policy` of answers that are not pages: nothing may be loaded or framed.
 const NO_CONTENT: &str = "default-src 'none'; frame-ancestors 'none'";
-/// `Content-Security-Policy` of the pages, which load nothing from other hosts.
+/// `Content-Security-Policy` of the pages of `/docs`, which load nothing from other hosts.
 const OWN_CONTENT: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; \
                            img-src 'self' data:; frame-ancestors 'none'";
 
@@ -143,7 +143,8 @@ fn refusal_error(refusal: Refusal) -> BoxError {
     refusal.into()
 }
 
-/// Adds a `Content-Security-Policy`, and forbids browsers to guess the content type.
+/// Adds a `Content-Security-Policy` where there is no stricter one, and forbids browsers to guess
+/// the content type.
 fn with_security_headers(mut response: Response) -> Response {
     let headers = response.headers_mut();
     let kind = headers.get(header::CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();
@@ -151,7 +152,7 @@ fn with_security_headers(mut response: Response) -> Response {
         .iter()
         .any(|page| kind.starts_with(page));
     let policy = HeaderValue::from_static(if is_page { OWN_CONTENT } else { NO_CONTENT });
-    headers.insert(header::CONTENT_SECURITY_POLICY, policy);
+    headers.entry(header::CONTENT_SECURITY_POLICY).or_insert(policy);
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     response
 }

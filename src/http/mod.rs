@@ -4,6 +4,7 @@ mod admission;
 mod bases;
 mod body;
 mod connection;
+mod dashboard;
 mod json_extent;
 mod metered;
 mod navigation;
@@ -43,6 +44,7 @@ pub fn router(service: &Service) -> Router {
         .merge(contents().layer(Extension(BodyLimit(limit))))
         .method_not_allowed_fallback(pages::no_method)
         .with_state(service.clone())
+        .merge(dashboard::routes())
         .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
         .layer(RequestDecompressionLayer::new())
         .layer(CatchPanicLayer::custom(server::panicked));
@@ -74,7 +76,6 @@ fn controls() -> Router<Service> {
         .route("/healthz", get(pages::live))
         .route("/readyz", get(pages::ready))
         .route("/openapi.json", get(pages::schema))
-        .route("/", get(pages::home))
 }
 
 /// Calls that bring epochs, bytes or files.

@@ -1,9 +1,9 @@
-//! Paths that are not calls: health, schema and home page.
+//! Paths that are not calls: health and schema.
 
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::response::{Html, Response};
+use axum::response::Response;
 
 use crate::contract::{Readiness, Refusal, Service};
 use crate::refusal::Code;
@@ -11,11 +11,6 @@ use crate::refusal::Code;
 use super::admission::{answer, is_grpc};
 use super::openapi;
 use super::problem::Refused;
-
-/// `GET /`: the home page, with links.
-pub(super) async fn home() -> Html<&'static str> {
-    Html(include_str!("home.html"))
-}
 
 /// `GET /healthz`: 200 while the process runs.
 pub(super) async fn live() -> &'static str {

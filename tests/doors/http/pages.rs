@@ -3,11 +3,11 @@
 use std::io::Read;
 
 use axum::body::Body;
-use axum::http::{Request, StatusCode};
+use axum::http::{HeaderMap, Request, StatusCode};
 use graphfix::formats::decompress;
 use tower::ServiceExt;
 
-use crate::support::doors::Doors;
+use crate::support::doors::{Doors, code};
 use crate::support::snapshot;
 
 #[tokio::test]
@@ -22,21 +22,61 @@ async fn readiness_ends_when_the_service_drains() {
 #[tokio::test]
 async fn the_page_of_the_schema_comes_from_the_binary() {
     let doors = Doors::open().await;
-    for path in ["/", "/docs/", "/docs/swagger-ui-bundle.js"] {
+    for path in ["/docs/", "/docs/swagger-ui-bundle.js"] {
         let request = Request::get(path).body(Body::empty()).unwrap();
         let response = doors.router.clone().oneshot(request).await.unwrap();
         assert_eq!(response.status(), StatusCode::OK, "{path}");
         let is_packed = response.headers().get("content-encoding").is_some_and(|it| it == "gzip");
-        assert_eq!(is_packed, path != "/", "{path}");
+        assert!(is_packed, "{path}");
         let body = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
         let mut page = String::new();
         decompress(&*body).read_to_string(&mut page).unwrap();
-        assert!(page.to_lowercase().contains("swagger") || path == "/", "{path}");
+        assert!(page.to_lowercase().contains("swagger"), "{path}");
         assert!(
             path.ends_with(".js") || !page.contains("src=\"http"),
             "{path} loads from elsewhere"
         );
     }
+}
+
+/// Status, headers and content of a file of the dashboard.
+async fn file(doors: &Doors, path: &str, accepted: &str) -> (StatusCode, HeaderMap, String) {
+    let request = Request::get(path).header("accept-encoding", accepted);
+    let request = request.body(Body::empty()).unwrap();
+    let response = doors.router.clone().oneshot(request).await.unwrap();
+    let (head, body) = response.into_parts();
+    let body = axum::body::to_bytes(body, usize::MAX).await.unwrap();
+    let mut text = String::new();
+    decompress(&*body).read_to_string(&mut text).unwrap();
+    (head.status, head.headers, text)
+}
+
+/// The page loads its own files only, by names that never change their content.
+#[tokio::test]
+async fn the_dashboard_comes_from_the_binary() {
+    let doors = Doors::open().await;
+    let (status, headers, page) = file(&doors, "/", "identity").await;
+    assert_eq!((status, headers["cache-control"].to_str().unwrap()), (StatusCode::OK, "no-cache"));
+    let policy = headers["content-security-policy"].to_str().unwrap();
+    assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    assert!(!page.contains("://"), "{page}");
+    let links = page.split(['"', '\'']).filter(|part| part.starts_with("/assets/"));
+    let links: Vec<&str> = links.collect();
+    assert!(4 <= links.len(), "{page}");
+    for path in links {
+        let (status, headers, plain) = file(&doors, path, "identity").await;
+        assert_eq!(status, StatusCode::OK, "{path}");
+        assert!(headers["cache-control"].to_str().unwrap().contains("immutable"), "{path}");
+        assert!(headers.get("content-encoding").is_none(), "{path}");
+        let (_, headers, unpacked) = file(&doors, path, "br, gzip").await;
+        assert_eq!(headers["content-encoding"].to_str().unwrap(), "gzip", "{path}");
+        assert!(plain == unpacked, "{path}");
+    }
+    let (status, _, licences) = file(&doors, "/licences.txt", "gzip").await;
+    assert_eq!(status, StatusCode::OK);
+    assert!(licences.contains("preact") && licences.contains("uplot"), "{licences}");
+    let (status, refused) = doors.get("/assets/app-0.js").await;
+    assert_eq!((status, code(&refused)), (StatusCode::NOT_FOUND, "ROUTE_NOT_FOUND"));
 }
 
 /// Every path of the document is routed, and the document is the reviewed one.
@@ -52,7 +92,7 @@ async fn the_schema_is_a_snapshot_and_true() {
             assert!(ids.insert(id), "{id} twice");
             assert!(operation["responses"]["5XX"].is_object(), "{id} describes no failure");
             let request = Request::builder().method(method.to_uppercase().as_str());
-            let request = request.uri(path.replace("{session}", "ses_0"));
+            let request = request.uri(path.replace("{session}", "ses_0").replace("{seq}", "1"));
             let (_, answer) = doors.ask(request.body(Body::empty()).unwrap()).await;
             let code = answer["code"].as_str().unwrap_or_default();
             let absent = ["ROUTE_NOT_FOUND", "METHOD_NOT_ALLOWED"].contains(&code);

@@ -1,0 +1,396 @@
+/** One session: its track, its quality over time, its sky, and why it is not better. */
+import { useMemo, useRef, useState } from "preact/hooks";
+import {
+  type Base, type Explained, type GpsTime, type Interval, type Series, type Session, type Solution,
+  bases, explain, gpsText, series, session,
+} from "../api";
+import { Chart, StatusStrip } from "../chart";
+import { useLive } from "../live";
+import { BaseMarkers, BaselineLine, ChosenEpoch, Track, type TrackPoint } from "../map/layers";
+import { Map2d } from "../map/map";
+import type { Layer, LonLat } from "../map/view";
+import { SatelliteTable, SkyLegend, SkyPlot } from "../sky";
+import { LOOKS, type State, colourOf, isDark, lookState, lostAfterS } from "../status";
+import { ago, count, duration, gpsTime, learnLeapSeconds, length, unixS, utc } from "../time";
+import { Badge, Because, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Symbol, sentence, useTheme } from "../ui";
+import { siteOf } from "./site";
+
+type Span = "600" | "3600" | "86400" | "all";
+type Zoom = { from: GpsTime; to: GpsTime };
+type Revision = "both" | "first" | "last";
+
+/** Points of a series: more than a screen has columns for, few enough to load at once. */
+const POINTS = 1200;
+
+interface Tracks {
+  causal: Series;
+  revised: Series;
+}
+
+const isRelative = (mode: string): boolean => mode.startsWith("rtk");
+
+export function SessionPage({ id }: { id: string }) {
+  useTheme();
+  const [chosen, setChosen] = useState<number>();
+  const [span, setSpan] = useState<Span>("3600");
+  const [zoom, setZoom] = useState<Zoom>();
+  const about = useLive(`session:${id}`, (signal) => session(id, signal), 10_000);
+  const closed = about.value?.closed ?? false;
+  const last = useLive(`last:${id}`, (signal) => explain(id, null, signal), closed ? 30_000 : 1500);
+  const epoch = useLive(
+    `epoch:${id}:${chosen ?? "last"}`,
+    async (signal) => (chosen === undefined ? undefined : explain(id, chosen, signal)),
+    Infinity,
+  );
+  const stations = useLive("session-bases", bases, 30_000);
+  const latest = last.value?.solutions[0];
+  if (latest) learnLeapSeconds(latest.time, latest.timeUtc);
+  const tracks = useTracks(id, span, zoom, latest, closed);
+
+  if (!about.value) {
+    return (
+      <div class="page">
+        <p><a href="#/fleet">← Fleet</a></p>
+        {about.problem ? <ProblemBox problem={about.problem} what="The session cannot be shown" /> : <Loading what="the session" />}
+      </div>
+    );
+  }
+  const shown = chosen === undefined ? last.value : epoch.value;
+  const isEmpty = last.problem?.code === "SESSION_EMPTY";
+  return (
+    <div class="page session">
+      <Title about={about.value} latest={latest} />
+      {about.problem && <ProblemBox problem={about.problem} what="The session is not up to date" />}
+      {last.problem && !isEmpty && <ProblemBox problem={last.problem} what="The last epoch cannot be loaded" />}
+      {isEmpty ? <NoEpochs id={id} /> : (
+        <>
+          <div class="session-tools">
+            <Segments<Span | "zoom">
+              label="Span of time"
+              value={zoom ? "zoom" : span}
+              options={[
+                { value: "600", name: "10 min" }, { value: "3600", name: "1 h" }, { value: "86400", name: "24 h" }, { value: "all", name: "All" },
+                ...(zoom ? [{ value: "zoom" as const, name: "Zoomed" }] : []),
+              ]}
+              onChange={(value) => { setZoom(undefined); if (value !== "zoom") setSpan(value); }}
+            />
+            {chosen === undefined
+              ? <span class="small">Following the last epoch. Choose another on the map or in a plot.</span>
+              : <span class="chosen">Epoch {count(chosen)} <button type="button" class="quiet" onClick={() => setChosen(undefined)}>Follow the last</button></span>}
+          </div>
+          {epoch.problem && <ProblemBox problem={epoch.problem} what={`Epoch ${chosen} cannot be shown`} />}
+          <Figures solution={newest(shown)} />
+          <div class="session-grid">
+            <SessionMap id={id} tracks={tracks.value} shown={shown} bases={stations.value?.bases ?? []} onPick={setChosen} spanKey={`${id}:${span}:${zoom ? gpsText(zoom.from) : ""}`} />
+            <Why about={about.value} shown={shown} tracks={tracks.value} />
+          </div>
+          {tracks.problem && <ProblemBox problem={tracks.problem} what="The time series cannot be loaded" />}
+          <Plots tracks={tracks.value} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />
+          <Sky shown={shown} />
+          <Details about={about.value} solution={newest(shown)} />
+        </>
+      )}
+    </div>
+  );
+}
+
+/** The causal and the revised series of a span of time. */
+function useTracks(id: string, span: Span, zoom: Zoom | undefined, latest: Solution | undefined, closed: boolean) {
+  const end = useRef<Solution | undefined>(undefined);
+  end.current = latest;
+  const took = useRef(0);
+  const key = zoom ? `${gpsText(zoom.from)}-${gpsText(zoom.to)}` : span;
+  return useLive<Tracks>(
+    `tracks:${id}:${key}:${latest ? "" : "waits"}`,
+    async (signal) => {
+      const begun = performance.now();
+      const bounds: { from?: string; to?: string } = {};
+      if (zoom) {
+        bounds.from = gpsText(zoom.from);
+        bounds.to = gpsText(zoom.to);
+      } else if (span !== "all" && end.current) {
+        bounds.from = gpsText(gpsTime(unixS(end.current.time) - Number(span)));
+      }
+      const [causal, revised] = await Promise.all(
+        (["first", "last"] as const).map((revisions) => series(id, { ...bounds, points: POINTS, revisions }, signal)),
+      );
+      took.current = performance.now() - begun;
+      return { causal, revised };
+    },
+    () => (closed || zoom ? 60_000 : Math.max(3000, 15 * took.current)),
+  );
+}
+
+const newest = (shown: Explained | undefined): Solution | undefined => shown?.solutions.at(-1);
+
+function Title({ about, latest }: { about: Session; latest: Solution | undefined }) {
+  const age = latest ? Date.now() / 1000 - unixS(latest.time) : undefined;
+  const arrivals = useRef({ seq: latest?.seq, at: 0 });
+  if (latest && arrivals.current.seq !== latest.seq) {
+    arrivals.current = { seq: latest.seq, at: arrivals.current.seq === undefined ? 0 : Date.now() };
+  }
+  const arriving = Date.now() - arrivals.current.at < 10_000;
+  const lost = !arriving && lostAfterS() < (age ?? 0);
+  const state: State = about.closed ? "CLOSED" : !latest ? "NEW" : lost ? "LOST" : lookState(latest.status);
+  return (
+    <header class="session-title">
+      <p class="crumb"><a href="#/fleet">← Fleet</a></p>
+      <div class="title-row">
+        <h1>{about.label || "Session"}</h1>
+        <Badge state={state} large />
+        <span class="small">{age === undefined ? "no epoch yet" : arriving && 60 < age ? "receiving epochs of the past" : `last epoch ${ago(age)}`} · <b>{about.mode}</b> · profile {about.profile}</span>
+      </div>
+      <p class="small id"><code>{about.session}</code></p>
+    </header>
+  );
+}
+
+function Figures({ solution }: { solution: Solution | undefined }) {
+  if (!solution) return null;
+  const { position, relative } = solution;
+  const cov = position?.covarianceEnuM2;
+  const mean = cov ? (cov.firstFirst + cov.secondSecond) / 2 : 0;
+  const sigmaH = cov ? Math.sqrt(mean + Math.hypot((cov.firstFirst - cov.secondSecond) / 2, cov.firstSecond)) : undefined;
+  return (
+    <dl class="figures">
+      <Figure name="Status" value={<Badge state={lookState(solution.status)} />} />
+      <Figure name="Satellites" value={solution.satellitesUsed.length} hint="satellites whose measurements determine the position" />
+      <Figure name="σ horizontal" value={length(sigmaH)} hint="standard deviation along the worst horizontal direction" />
+      <Figure name="σ vertical" value={length(cov && Math.sqrt(cov.thirdThird))} />
+      <Figure name="Protection H · V" value={`${length(solution.horizontalProtectionM)} · ${length(solution.verticalProtectionM)}`} hint="distances that the error exceeds with at most the stated risk" />
+      {relative && <Figure name="Ratio" value={relative.ratio === null ? "–" : relative.ratio.toFixed(1)} hint="second-best to best integers" />}
+      {relative && <Figure name="Ambiguities" value={`${relative.fixedAmbiguities} of ${relative.ambiguities} fixed`} />}
+      {relative && <Figure name="Age of base" value={duration(relative.ageS)} />}
+      {relative && <Figure name="Baseline" value={length(relative.lengthM)} />}
+      {solution.dops && <Figure name="PDOP" value={solution.dops.pdop.toFixed(1)} />}
+      {position && <Figure name="Latitude, longitude" value={`${position.geodetic.latitudeDeg.toFixed(8)}°, ${position.geodetic.longitudeDeg.toFixed(8)}°`} />}
+      {position && <Figure name="Height" value={`${position.geodetic.heightM.toFixed(3)} m`} hint="above the ellipsoid" />}
+      <Figure name="Time (UTC)" value={utc(unixS(solution.time))} />
+    </dl>
+  );
+}
+
+const place = (interval: Interval): LonLat | undefined =>
+  interval.position ? { lon: interval.position.longitudeDeg, lat: interval.position.latitudeDeg } : undefined;
+
+function pointsOf(series: Series): TrackPoint[] {
+  return series.intervals.flatMap((interval) => {
+    const at = place(interval);
+    return at ? [{ at, state: lookState(interval.status), seq: interval.seq }] : [];
+  });
+}
+
+interface SessionMapProps {
+  id: string;
+  tracks: Tracks | undefined;
+  shown: Explained | undefined;
+  bases: Base[];
+  spanKey: string;
+  onPick: (seq: number) => void;
+}
+
+function SessionMap({ tracks, shown, bases, spanKey, onPick }: SessionMapProps) {
+  const [revision, setRevision] = useState<Revision>("both");
+  const causal = useMemo(() => (tracks ? pointsOf(tracks.causal) : []), [tracks]);
+  const revised = useMemo(() => (tracks ? pointsOf(tracks.revised) : []), [tracks]);
+  const anchor = useRef<LonLat | undefined>(undefined);
+  anchor.current ??= causal[0]?.at;
+  const theme = isDark();
+  const layers = useMemo(() => {
+    const solution = revision === "first" ? shown?.solutions[0] : newest(shown);
+    const line = theme ? "#3d5566" : "#b4c6d0";
+    const list: Layer[] = [];
+    const base = bases.find(({ base }) => base === solution?.provenance.base?.base);
+    const site = base && siteOf(base);
+    const at = solution?.position && { lon: solution.position.geodetic.longitudeDeg, lat: solution.position.geodetic.latitudeDeg };
+    if (site && at) list.push(new BaselineLine(site, at));
+    if (site && base) list.push(new BaseMarkers([{ id: base.base, at: site, label: base.label || "base" }]));
+    // Between epochs far apart a line only hints at the way.
+    const coarse = 4 < (tracks?.causal.intervalLengthS ?? 0);
+    const strong = theme ? "#c9d8e2" : "#33505f";
+    if (revision === "both") list.push(new Track(revised, { line: coarse ? line : strong, dots: false, width: coarse ? 1 : 1.6 }));
+    if (revision !== "last") list.push(new Track(causal, { line: revision === "both" ? "transparent" : line, dots: true }));
+    if (revision === "last") list.push(new Track(revised, { line, dots: true }));
+    const cov = solution?.position?.covarianceEnuM2;
+    if (solution && at && cov) {
+      list.push(new ChosenEpoch(at, lookState(solution.status), { ee: cov.firstFirst, en: cov.firstSecond, nn: cov.secondSecond }, solution.horizontalProtectionM));
+    }
+    return list;
+  }, [causal, revised, revision, shown, bases, theme]);
+  const states = [...new Set(causal.map(({ state }) => state))];
+  const frame = useMemo(() => causal.map(({ at }) => at), [causal]);
+  return (
+    <section class="card map-card" aria-label="Track">
+      <div class="card-head">
+        <h2>Track</h2>
+        <Segments<Revision> label="Revision" value={revision} onChange={setRevision} options={[{ value: "both", name: "Both" }, { value: "first", name: "Causal" }, { value: "last", name: "Revised" }]} />
+      </div>
+      <Map2d label="Map of the track" layers={layers} frame={frame} frameKey={spanKey} smallestM={2} anchor={anchor.current} calmWheel onPick={(picked) => { if (picked && /^\d+$/.test(picked)) onPick(Number(picked)); }}>
+        {tracks && frame.length === 0 && <div class="map-note">No position in this span of time.</div>}
+      </Map2d>
+      <p class="map-legend">
+        {states.map((state) => <span key={state}><Symbol state={state} size={11} />{LOOKS[state].name}</span>)}
+        {revision === "both" && <span><i class="stroke" />revised, smoothed by later epochs</span>}
+        <span><i class="oval" />95 % error ellipse</span>
+        <span><i class="dashed-ring" />protection level</span>
+      </p>
+    </section>
+  );
+}
+
+function Why({ about, shown, tracks }: { about: Session; shown: Explained | undefined; tracks: Tracks | undefined }) {
+  const solution = shown?.solutions[0];
+  const best = isRelative(about.mode) ? "FIXED" : undefined;
+  const title = best && solution?.status !== "FIXED" ? "Why not fixed" : "What limits it";
+  const over = tracks?.causal;
+  return (
+    <section class="card why" tabIndex={0} aria-label={title}>
+      <h2>{title}</h2>
+      {!solution && <Loading what="the epoch" />}
+      {solution && solution.reasons.length === 0 && (
+        <p class="good">{solution.status === "FIXED" ? "Nothing: the integers are fixed." : "Nothing: this epoch has no limiting reason."}</p>
+      )}
+      {solution?.reasons.map((reason) => <Because key={reason.code} refusal={reason} tone={solution.status === "NONE" ? "bad" : "warn"} />)}
+      {!best && solution && <p class="small">Mode <b>{about.mode}</b> positions without a base. For centimetres, change the session to <b>rtk-fgo</b> and name a base.</p>}
+      {over && 0 < over.solutions && (
+        <>
+          <h3>In this span of time</h3>
+          <ul class="shares">
+            {over.statuses.map(({ status, solutions }) => (
+              <Share key={status} name={<><Symbol state={lookState(status)} size={12} /> {LOOKS[lookState(status)].name}</>} part={solutions / over.solutions} colour={colourOf(lookState(status))} />
+            ))}
+          </ul>
+          {over.reasons.length > 0 && (
+            <ul class="shares reasons">
+              {over.reasons.slice(0, 6).map(({ code, remedy, solutions }) => (
+                <Share key={code} name={<code>{code}</code>} part={solutions / over.solutions} hint={sentence(remedy)} />
+              ))}
+            </ul>
+          )}
+        </>
+      )}
+    </section>
+  );
+}
+
+function Share({ name, part, colour, hint }: { name: preact.ComponentChildren; part: number; colour?: string; hint?: string }) {
+  const percent = part < 0.01 ? "< 1 %" : `${Math.round(part * 100)} %`;
+  return (
+    <li title={hint}>
+      <span class="share-name">{name}</span>
+      <span class="share-part">{percent}</span>
+      <svg class="share-bar" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">
+        <rect width="100" height="4" class="bar-back" />
+        <rect width={Math.max(0.6, part * 100)} height="4" fill={colour ?? "currentColor"} />
+      </svg>
+    </li>
+  );
+}
+
+interface PlotsProps {
+  tracks: Tracks | undefined;
+  selected: number | undefined;
+  onPick: (seq: number) => void;
+  onZoom: (from: GpsTime, to: GpsTime) => void;
+}
+
+const BLUE: [string, string] = ["#6cc4f5", "#0b76b8"];
+const AMBER: [string, string] = ["#f0b429", "#a86400"];
+const ROSE: [string, string] = ["#ff9d9d", "#8c2f39"];
+const GREEN: [string, string] = ["#2bc79b", "#00785a"];
+
+function Plots({ tracks, selected, onPick, onZoom }: PlotsProps) {
+  if (!tracks) return <section class="card"><h2>Over time</h2><Loading what="the time series" /></section>;
+  const { intervals, intervalLengthS, solutions } = tracks.causal;
+  if (intervals.length === 0) return <section class="card"><h2>Over time</h2><p>No epoch in this span of time.</p></section>;
+  const common = { intervals, intervalS: intervalLengthS, selected, onPick, onZoom };
+  const has = (name: "ageS" | "ratio" | "horizontalProtectionM") => intervals.some((interval) => interval[name] !== null);
+  const metres = (v: number) => (Math.abs(v) < 0.1 ? `${+(v * 1000).toPrecision(3)} mm` : Math.abs(v) < 1000 ? `${+v.toPrecision(3)} m` : `${+(v / 1000).toPrecision(3)} km`);
+  const exact = (v: number) => `${v.toFixed(2)} m`;
+  return (
+    <section class="card plots">
+      <div class="card-head">
+        <h2>Over time</h2>
+        <span class="small">{count(solutions)} epochs{intervals.length < solutions && `, thinned to ${count(intervals.length)} intervals of ${duration(intervalLengthS)}: line is the last value, band the extremes`}. Drag to zoom, click to choose an epoch. Times are UTC.</span>
+      </div>
+      <div class="chart"><figcaption><strong>Status</strong><span class="small">higher is better; the bar is the worst of its interval</span></figcaption><StatusStrip {...common} /></div>
+      <Chart {...common} title="Precision" log format={metres} height={160} lines={[
+        ...(has("horizontalProtectionM") ? [{ name: "protection H", colour: ROSE, value: (i: Interval) => i.horizontalProtectionM, dash: [5, 4] }] : []),
+        { name: "σ vertical", colour: AMBER, value: (i) => i.verticalSigmaM },
+        { name: "σ horizontal", colour: BLUE, value: (i) => i.horizontalSigmaM },
+      ]} />
+      <div class="plot-pairs">
+        <Chart {...common} title="Satellites" whole least={4} format={(v) => String(Math.round(v))} lines={[{ name: "used", colour: GREEN, value: (i) => i.satellites }]} />
+        <Chart {...common} title="Height" least={0.5} format={exact} lines={[{ name: "above the ellipsoid", colour: BLUE, value: (i) => i.heightM }]} />
+        {has("ratio") && <Chart {...common} title="Ratio" log format={(v) => String(+v.toPrecision(3))} lines={[{ name: "second-best to best integers", colour: GREEN, value: (i) => i.ratio }]} />}
+        {has("ageS") && <Chart {...common} title="Age of corrections" positive least={2} format={(v) => `${+v.toFixed(1)} s`} lines={[{ name: "base epoch", colour: AMBER, value: (i) => i.ageS }]} />}
+      </div>
+    </section>
+  );
+}
+
+function Sky({ shown }: { shown: Explained | undefined }) {
+  const satellites = shown?.satellites ?? [];
+  const used = satellites.filter(({ role }) => role === "USED").length;
+  return (
+    <section class="card sky-card">
+      <div class="card-head">
+        <h2>Sky</h2>
+        <span class="small">{used} of {satellites.length} observed satellites are used{shown && ` in epoch ${count(shown.solutions[0]?.seq ?? 0)}`}</span>
+      </div>
+      {satellites.length === 0 ? <p>No satellite is observed in this epoch.</p> : (
+        <div class="sky-grid">
+          <div><SkyPlot satellites={satellites} /><SkyLegend satellites={satellites} /></div>
+          <SatelliteTable satellites={satellites} />
+        </div>
+      )}
+    </section>
+  );
+}
+
+function Details({ about, solution }: { about: Session; solution: Solution | undefined }) {
+  const changed = about.configuration.filter(({ name }) => name in about.overrides);
+  return (
+    <details class="card details">
+      <summary><h2>Configuration and origin</h2></summary>
+      <dl class="figures">
+        <Figure name="Mode" value={about.mode} />
+        <Figure name="Profile" value={about.profile} />
+        <Figure name="Base" value={about.base || (about.bases.length ? `nearest of ${about.bases.length}` : "none")} />
+        <Figure name="Antenna" value={about.antenna || "not corrected"} />
+        <Figure name="Retention" value={about.retentionDays === 0 ? "for ever" : `${about.retentionDays} d`} />
+        <Figure name="Created (UTC)" value={about.createdUtc.slice(0, 19).replace("T", " ")} />
+        <Figure name="Durable through" value={about.durableThrough === null ? "–" : count(about.durableThrough)} />
+        {solution && <Figure name="Computed by" value={`Graphfix ${solution.provenance.version}`} />}
+      </dl>
+      {changed.length > 0 && <h3>Differs from the profile</h3>}
+      {changed.length > 0 && <Options options={changed} />}
+      <h3>All options in force</h3>
+      <Options options={about.configuration} />
+    </details>
+  );
+}
+
+function Options({ options }: { options: Session["configuration"] }) {
+  return (
+    <div class="table-box options" tabIndex={0} role="region" aria-label="Options">
+      <table>
+        <thead><tr><th scope="col">Option</th><th scope="col">Value</th><th scope="col">Meaning</th></tr></thead>
+        <tbody>
+          {options.map(({ name, value, unit, meaning, default: standard }) => (
+            <tr key={name}><th scope="row"><code>{name}</code></th><td>{value === standard ? value : <b>{value}</b>} {unit}</td><td>{meaning}</td></tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+function NoEpochs({ id }: { id: string }) {
+  return (
+    <Empty title="No epoch yet">
+      <p>The session is open and waits for its receiver. Play a receiver's file into it:</p>
+      <Copyable label="Play a file into the session" text={`graphfix stream --session ${id} --rover FILE.obs --server ${location.origin}`} />
+    </Empty>
+  );
+}
