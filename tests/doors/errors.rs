@@ -41,6 +41,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::Overloaded, "tests/doors/sessions.rs"),
     (Code::TooManyActiveSessions, "tests/doors/sessions.rs"),
     (Code::EstimatorFailed, "src/session/solvers/mod.rs"),
+    (Code::EpochNotFound, "tests/doors/http/solutions.rs"),
     (Code::BasePositionRefused, "tests/doors/bases.rs"),
     (Code::AntennaUnknown, "tests/doors/session_antennas.rs"),
     (Code::BaseForgotten, "tests/doors/bases.rs"),
