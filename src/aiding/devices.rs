@@ -194,7 +194,8 @@ impl Devices {
     }
 }
 
-/// The coefficients of each kind, and the leap seconds; `None` where there are none.
+/// What is not an ephemeris, in parts: the ionosphere coefficients of each system, and the leap
+/// seconds. `None` for a part that is missing.
 pub(super) fn coefficients(navigation: &Navigation) -> [Option<Navigation>; 5] {
     let mut kinds: [Navigation; 5] = Default::default();
     kinds[0].klobuchar_gps = navigation.klobuchar_gps;

@@ -459,13 +459,13 @@ mod tests {
     fn noise_learnt_at_a_wrong_position_is_doubted() {
         let off = Vector3::new(3.0, -4.0, -40.0);
         let learnt = CodeError { sigma_m: 12.0, reflected: 0.98 };
-        let believed = |before_learning| {
-            let taught = |pooled| Pooled { error: learnt, before_learning, ..pooled };
-            pool(off, &[]).into_iter().map(taught).collect::<Vec<_>>()
+        let with_prior = |before_learning| {
+            let residual = |pooled| Pooled { error: learnt, before_learning, ..pooled };
+            pool(off, &[]).into_iter().map(residual).collect::<Vec<_>>()
         };
-        let (_, by_learnt) = found(&believed(learnt), KNOWN);
-        let (offset, log_odds) = found(&believed(KNOWN_NOISE), KNOWN);
-        assert!(by_learnt < 5.0 && 10.0 < log_odds, "{by_learnt} {log_odds}");
+        let (_, learnt_alone) = found(&with_prior(learnt), KNOWN);
+        let (offset, log_odds) = found(&with_prior(KNOWN_NOISE), KNOWN);
+        assert!(learnt_alone < 5.0 && 10.0 < log_odds, "{learnt_alone} {log_odds}");
         assert!(offset.is_before_learning() && (offset.position_m() + off).norm() < 3.0);
     }
 
