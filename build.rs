@@ -14,6 +14,8 @@ const SERVICES: [&str; 5] = [
     "proto/graphfix/v1/bases.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
+/// Names of messages of gRPC's streams, which HTTP does not have, begin with this.
+const OF_STREAMS: &str = "Stream";
 /// Travel as bare bodies over HTTP.
 const WITHOUT_JSON: [&str; 3] = ["PushNavigationRequest", "UploadBaseRequest", "PushRawRequest"];
 const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
@@ -37,10 +39,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .bytes(".graphfix.v1.PushNavigationRequest.content")
         .bytes(".graphfix.v1.UploadBaseRequest.content")
         .bytes(".graphfix.v1.PushRawRequest.content")
+        .bytes(".graphfix.v1.StreamRawRequest.content")
         .btree_map(".");
     let in_package = descriptors.file.iter().filter(|file| file.package() == PACKAGE);
     for message in in_package.flat_map(|file| &file.message_type) {
-        if !WITHOUT_JSON.contains(&message.name()) {
+        let name = message.name();
+        if !WITHOUT_JSON.contains(&name) && !name.starts_with(OF_STREAMS) {
             build = build.message_attribute(format!(".{PACKAGE}.{}", message.name()), JSON);
         }
     }

@@ -214,6 +214,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         retention_days: limits.retention_days,
         solve_window_epochs: limits.solve_window_epochs,
         solve_time: Duration::from_secs(limits.solve_s),
+        live_solutions: limits.live_solutions,
         active_sessions: limits.active_sessions,
         parked_bytes: limits.parked_bytes,
         solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),

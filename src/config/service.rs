@@ -193,6 +193,19 @@ pub struct Limits {
     pub mailbox_epochs: usize,
     /// Epochs that wait in all mailboxes together.
     pub waiting_epochs: usize,
+    /// Streams that are open.
+    pub streams: usize,
+    /// Epochs, or chunks of raw bytes, that may be on their way on one stream.
+    pub stream_epochs: usize,
+    /// Bytes of messages that may be on their way on one stream.
+    pub stream_bytes: usize,
+    /// Time after which a stream without a message is ended (s).
+    pub stream_idle_s: u64,
+    /// Watches that are open.
+    pub watches: usize,
+    /// Newly committed solutions in memory for those who watch; who is further behind reads the
+    /// database.
+    pub live_solutions: usize,
     /// Ephemerides kept in memory for one satellite.
     pub ephemerides_per_satellite: usize,
     /// Number of base stations.
@@ -343,6 +356,12 @@ impl ServiceConfiguration {
             ("active_sessions", limits.active_sessions),
             ("mailbox_epochs", limits.mailbox_epochs),
             ("waiting_epochs", limits.waiting_epochs),
+            ("streams", limits.streams),
+            ("stream_epochs", limits.stream_epochs),
+            ("stream_bytes", limits.stream_bytes),
+            ("stream_idle_s", limits.stream_idle_s as usize),
+            ("watches", limits.watches),
+            ("live_solutions", limits.live_solutions),
             ("ephemerides_per_satellite", limits.ephemerides_per_satellite),
             ("bases", limits.bases),
             ("epochs_per_base", limits.epochs_per_base),
@@ -379,6 +398,12 @@ impl Limits {
             parked_bytes: 512 << 20,
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,
+            streams: 16_384,
+            stream_epochs: 256,
+            stream_bytes: 512 << 10,
+            stream_idle_s: 300,
+            watches: 1024,
+            live_solutions: 4096,
             ephemerides_per_satellite: 480,
             bases: 64,
             epochs_per_base: 100_000,

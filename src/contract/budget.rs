@@ -46,6 +46,10 @@ struct Leased {
     reserved: AtomicUsize,
     /// Bytes of the body that have arrived, before any unpacking.
     arrived: AtomicUsize,
+    /// Bytes of a stream's body that have arrived and are not decoded yet.
+    undecoded: AtomicUsize,
+    /// Length of the last message that was decoded (bytes).
+    message: AtomicUsize,
     /// Identifies the request in answers and in the log.
     id: Uuid,
 }
@@ -61,9 +65,9 @@ impl Budget {
     /// # Errors
     /// The budget is exhausted.
     pub(crate) fn lease(&self) -> Result<Lease, Refusal> {
-        let (reserved, arrived) = Default::default();
-        let lease =
-            Lease(Arc::new(Leased { budget: self.clone(), reserved, arrived, id: Uuid::now_v7() }));
+        let (reserved, arrived, undecoded, message) = Default::default();
+        let (budget, id) = (self.clone(), Uuid::now_v7());
+        let lease = Lease(Arc::new(Leased { budget, reserved, arrived, undecoded, message, id }));
         lease.reserve(REQUEST_BYTES)?;
         Ok(lease)
     }
@@ -127,6 +131,40 @@ impl Lease {
         let Leased { budget, reserved, .. } = &*self.0;
         let before = reserved.fetch_min(bytes, Ordering::AcqRel);
         budget.0.used.fetch_sub(before.saturating_sub(bytes), Ordering::AcqRel);
+    }
+
+    /// Reserves memory for bytes of a stream's body that have arrived.
+    ///
+    /// # Errors
+    /// The budget is exhausted.
+    pub(crate) fn arrive_undecoded(&self, bytes: usize) -> Result<(), Refusal> {
+        self.reserve(bytes)?;
+        self.0.undecoded.fetch_add(bytes, Ordering::AcqRel);
+        Ok(())
+    }
+
+    /// Notes that a message was decoded: its length, and its bytes in the body.
+    pub(crate) fn note_decoded(&self, length: usize, in_body: usize) {
+        let rest = |undecoded: usize| Some(undecoded.saturating_sub(in_body));
+        // Err: never, as the closure always gives a value.
+        self.0.undecoded.fetch_update(Ordering::AcqRel, Ordering::Acquire, rest).ok();
+        self.0.message.store(length, Ordering::Release);
+    }
+
+    /// Length of the last message that was decoded (bytes).
+    pub(crate) fn last_message(&self) -> usize {
+        self.0.message.load(Ordering::Acquire)
+    }
+
+    /// Leaves a stream `in_flight` bytes beside those that are not decoded yet.
+    ///
+    /// # Errors
+    /// It has fewer, and the budget is exhausted.
+    pub(crate) fn settle(&self, in_flight: usize) -> Result<(), Refusal> {
+        let whole = REQUEST_BYTES + self.0.undecoded.load(Ordering::Acquire) + in_flight;
+        self.shrink_to(whole);
+        let missing = whole.saturating_sub(self.0.reserved.load(Ordering::Acquire));
+        if missing == 0 { Ok(()) } else { self.reserve(missing) }
     }
 
     /// Counts bytes of the body that have arrived.
@@ -200,6 +238,22 @@ mod tests {
         other.reserve(10 << 20).unwrap();
         drop((one, other));
         assert_eq!(budget.used(), 0);
+    }
+
+    /// The bytes of a message are returned when it is decoded, its epochs when they are answered.
+    #[test]
+    fn a_stream_keeps_the_memory_of_what_is_on_its_way() {
+        let budget = budget(16 << 20);
+        let lease = budget.lease().unwrap();
+        lease.arrive_undecoded(1000).unwrap();
+        lease.reserve(5000).unwrap(); // Decoding one of 595 bytes and a prefix.
+        lease.note_decoded(595, 600);
+        lease.settle(3000).unwrap();
+        assert_eq!((lease.last_message(), budget.used()), (595, REQUEST_BYTES + 400 + 3000));
+        lease.settle(4000).unwrap();
+        lease.note_decoded(395, 400);
+        lease.settle(0).unwrap();
+        assert_eq!(budget.used(), REQUEST_BYTES);
     }
 
     #[test]

@@ -109,6 +109,7 @@ fn epochs_field(message: TypeId) -> Option<u32> {
         (TypeId::of::<v1::PushEpochsRequest>(), 2),
         (TypeId::of::<v1::PushBaseEpochsRequest>(), 2),
         (TypeId::of::<v1::SolveOnceRequest>(), 4),
+        (TypeId::of::<v1::StreamRequest>(), 2),
     ];
     fields.into_iter().find(|(of, _)| *of == message).map(|(_, field)| field)
 }

@@ -7,9 +7,10 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
 use crate::config::Limits;
 use crate::feeds::Feeds;
+use crate::refusal::Code;
 use crate::session::Sessions;
 
-use super::Budget;
+use super::{Budget, Refusal};
 
 /// Uploaded files that are read at the same time. More would take processor time from the
 /// estimators.
@@ -33,6 +34,10 @@ struct Desks {
     hosts: Arc<[String]>,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
+    /// Limits the open streams.
+    streams: Arc<Semaphore>,
+    /// Limits the open watches.
+    watches: Arc<Semaphore>,
 }
 
 impl Service {
@@ -44,6 +49,8 @@ impl Service {
         limits: Limits,
     ) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
+        let permits = |most: usize| Arc::new(Semaphore::new(most.min(Semaphore::MAX_PERMITS)));
+        let (streams, watches) = (permits(limits.streams), permits(limits.watches));
         Self(Arc::new(Desks {
             sessions,
             aiding,
@@ -54,6 +61,8 @@ impl Service {
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
+            streams,
+            watches,
         }))
     }
 
@@ -90,6 +99,28 @@ impl Service {
     pub(super) async fn file_reader(&self) -> OwnedSemaphorePermit {
         let permit = self.0.file_readers.clone().acquire_owned().await;
         permit.expect("the semaphore is never closed")
+    }
+
+    /// The right to another open stream, which it keeps until it ends.
+    ///
+    /// # Errors
+    /// As many are open as allowed.
+    pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+        self.0.streams.clone().try_acquire_owned().map_err(|_| {
+            let message = format!("{} streams are open, as many as allowed", self.limits().streams);
+            Refusal::new(Code::TooManyStreams, message)
+        })
+    }
+
+    /// The right to another open watch, which it keeps until it ends.
+    ///
+    /// # Errors
+    /// As many are open as allowed.
+    pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+        self.0.watches.clone().try_acquire_owned().map_err(|_| {
+            let message = format!("{} watches are open, as many as allowed", self.limits().watches);
+            Refusal::new(Code::TooManyWatches, message)
+        })
     }
 
     /// The desk for sessions.

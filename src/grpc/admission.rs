@@ -19,19 +19,38 @@ use crate::contract::{Lease, Refusal, in_background};
 use crate::refusal::Code;
 
 use super::status::to_status;
+use super::stream_body::{PREFIX_BYTES, StreamBody};
 
 const ENCODING: &str = "grpc-encoding";
+const ACCEPTED_ENCODINGS: &str = "grpc-accept-encoding";
 const TIMEOUT: &str = "grpc-timeout";
-/// Every call of these services has one message.
+/// The calls of these services have one message, except the streams.
 const SERVICES: &str = "/graphfix.v1.";
-/// A message begins with a flag and its length; gRPC over HTTP/2, Length-Prefixed-Message.
-pub(crate) const PREFIX_BYTES: usize = 5;
+/// Calls with a stream of messages.
+const STREAMS: [&str; 2] =
+    ["/graphfix.v1.Positioning/Stream", "/graphfix.v1.Positioning/StreamRaw"];
 const BLOCK_BYTES: usize = 64 << 10;
 /// Largest window of a Zstandard frame, as a power of two (bytes).
 const WINDOW_LOG_MAX: u32 = 23;
 
-/// Serves a request unless it is refused. `limit` is the largest message (bytes).
-pub(super) async fn admit(limit: usize, request: Request, next: Next) -> Response {
+/// A call that answers with a stream of short messages.
+const WATCH: &str = "/graphfix.v1.Solutions/Watch";
+
+/// Largest messages (bytes).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MessageLimits {
+    pub(super) of_call: usize,
+    /// Of each message of a stream.
+    pub(super) of_stream: usize,
+}
+
+/// Whether the call at this path has a stream of messages.
+pub(crate) fn is_stream(path: &str) -> bool {
+    STREAMS.contains(&path)
+}
+
+/// Serves a request unless it is refused.
+pub(super) async fn admit(limits: MessageLimits, request: Request, next: Next) -> Response {
     let kind = request.headers().get(header::CONTENT_TYPE);
     if !kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc")) {
         let message = "a call of this service takes application/grpc";
@@ -41,7 +60,11 @@ pub(super) async fn admit(limit: usize, request: Request, next: Next) -> Respons
     }
     let deadline = timeout_of(request.headers());
     let call = async {
-        match unpacked_request(request, limit).await {
+        let admitted = match is_stream(request.uri().path()) {
+            true => streamed_request(request, limits.of_stream),
+            false => unpacked_request(request, limits.of_call).await,
+        };
+        match admitted {
             Ok(request) => next.run(request).await,
             Err(refusal) => refused(&refusal),
         }
@@ -86,8 +109,22 @@ enum Encoding {
     Zstd,
 }
 
+/// The request with a stream of messages that are not packed, neither are the answers.
+fn streamed_request(mut request: Request, limit: usize) -> Result<Request, Refusal> {
+    let headers = request.headers_mut();
+    headers.remove(ACCEPTED_ENCODINGS);
+    if headers.get(ENCODING).is_some_and(|encoding| encoding.as_bytes() != b"identity") {
+        let message = "the messages of a stream are not packed: use the encoding identity";
+        return Err(Refusal::new(Code::UnsupportedMediaType, message));
+    }
+    Ok(request.map(|body| Body::new(StreamBody::new(body, limit))))
+}
+
 /// The request with its message unpacked.
 async fn unpacked_request(mut request: Request, limit: usize) -> Result<Request, Refusal> {
+    if request.uri().path() == WATCH {
+        request.headers_mut().remove(ACCEPTED_ENCODINGS);
+    }
     if !request.uri().path().starts_with(SERVICES) {
         return Ok(request);
     }

@@ -1,5 +1,6 @@
 //! Protobuf as tonic does it, except that an undecodable message is the client's fault.
 
+use std::any::TypeId;
 use std::marker::PhantomData;
 
 use bytes::Buf;
@@ -7,10 +8,17 @@ use prost::Message;
 use tonic::codec::{BufferSettings, DecodeBuf, Decoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-use crate::contract::{Lease, Refusal, extent_of, off_the_network};
+use crate::contract::{Lease, Refusal, extent_of, off_the_network, v1};
 use crate::refusal::Code;
 
 use super::status::to_status;
+use super::stream_body::PREFIX_BYTES;
+
+/// Buffer of a stream of a device for messages to read, and to write (bytes). Longer messages need
+/// more for as long as they are there.
+const STREAM_BUFFER_BYTES: [usize; 2] = [2 << 10, 512];
+/// Bytes after which encoded messages of a stream are sent.
+const STREAM_YIELD_BYTES: usize = 32 << 10;
 
 /// Encodes like [`ProstCodec`]. A message that cannot be decoded is refused as `MALFORMED_BODY`,
 /// with the byte at which decoding stopped. The service, but not a client, first counts the content
@@ -35,17 +43,37 @@ where
     type Decoder = MessageDecoder<U>;
 
     fn encoder(&mut self) -> Self::Encoder {
-        ProstCodec::<T, U>::raw_encoder(BufferSettings::default())
+        let [_, to_write] = STREAM_BUFFER_BYTES;
+        ProstCodec::<T, U>::raw_encoder(settings_for::<T>(to_write))
     }
 
     fn decoder(&mut self) -> Self::Decoder {
-        MessageDecoder(PhantomData)
+        MessageDecoder { lease: Lease::current(), message: PhantomData }
     }
 }
 
-/// Decodes one message.
+/// Buffers for messages of this type: small ones for those of a device's stream, as there are
+/// thousands.
+fn settings_for<M: 'static>(bytes: usize) -> BufferSettings {
+    let of_streams = [
+        TypeId::of::<v1::StreamRequest>(),
+        TypeId::of::<v1::StreamRawRequest>(),
+        TypeId::of::<v1::StreamResponse>(),
+        TypeId::of::<v1::StreamRawResponse>(),
+    ];
+    match of_streams.contains(&TypeId::of::<M>()) {
+        true => BufferSettings::new(bytes, STREAM_YIELD_BYTES),
+        false => BufferSettings::default(),
+    }
+}
+
+/// Decodes the messages of a call.
 #[derive(Clone, Debug)]
-pub struct MessageDecoder<U>(PhantomData<U>);
+pub struct MessageDecoder<U> {
+    /// The lease of the request, outside a service none.
+    lease: Option<Lease>,
+    message: PhantomData<U>,
+}
 
 impl<U: Message + Default + 'static> Decoder for MessageDecoder<U> {
     type Item = U;
@@ -53,14 +81,20 @@ impl<U: Message + Default + 'static> Decoder for MessageDecoder<U> {
 
     fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<U>, tonic::Status> {
         let length = buffer.remaining();
-        if let Some(lease) = Lease::current() {
+        if let Some(lease) = &self.lease {
             let extent = off_the_network(length, || extent_of::<U>(buffer.chunk()));
-            extent.reserve(length, &lease).map_err(|refusal| to_status(&refusal))?;
+            extent.reserve(length, lease).map_err(|refusal| to_status(&refusal))?;
+            lease.note_decoded(length, length + PREFIX_BYTES);
         }
         off_the_network(length, || U::decode(&mut *buffer)).map(Some).map_err(|error| {
             let offset = length - buffer.remaining();
             let refusal = Refusal::new(Code::MalformedBody, error.to_string());
             to_status(&refusal.on_byte(offset as u64))
         })
+    }
+
+    fn buffer_settings(&self) -> BufferSettings {
+        let [to_read, _] = STREAM_BUFFER_BYTES;
+        settings_for::<U>(to_read)
     }
 }

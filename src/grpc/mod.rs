@@ -10,14 +10,21 @@ mod routes;
 mod sessions;
 mod solutions;
 mod status;
+mod stream_body;
+
+use std::pin::Pin;
+
+use futures::Stream;
+use tonic::Status;
 
 use crate::contract::Service;
 
-pub(crate) use admission::PREFIX_BYTES;
+pub(crate) use admission::is_stream;
 pub use codec::Codec;
 pub(crate) use routes::routes;
 pub(crate) use status::to_status;
 pub use status::{code_of, grpc_code};
+pub(crate) use stream_body::PREFIX_BYTES;
 
 /// The services of `proto/graphfix/v1`, servers and clients.
 #[allow(missing_docs, unreachable_pub, clippy::all)]
@@ -27,6 +34,9 @@ pub mod v1 {
 
 /// The schema, for reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+
+/// The messages of a stream to the client.
+type Answered<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 /// Implements the services of this door.
 #[derive(Clone)]

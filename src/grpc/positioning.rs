@@ -1,11 +1,11 @@
 //! `graphfix.v1.Positioning`.
 
-use tonic::{Request, Response, Status, async_trait};
+use tonic::{Request, Response, Status, Streaming, async_trait};
 
 use crate::contract::{calls, v1};
 
 use super::status::carry;
-use super::{Door, v1::positioning_server::Positioning};
+use super::{Answered, Door, v1::positioning_server::Positioning};
 
 #[async_trait]
 impl Positioning for Door {
@@ -21,6 +21,26 @@ impl Positioning for Door {
         request: Request<v1::PushRawRequest>,
     ) -> Result<Response<v1::PushRawResponse>, Status> {
         carry(calls::raw::push(&self.0, request.into_inner()).await)
+    }
+
+    type StreamStream = Answered<v1::StreamResponse>;
+
+    async fn stream(
+        &self,
+        request: Request<Streaming<v1::StreamRequest>>,
+    ) -> Result<Response<Self::StreamStream>, Status> {
+        let answers = calls::stream::epochs(&self.0, request.into_inner());
+        Ok(Response::new(Box::pin(answers)))
+    }
+
+    type StreamRawStream = Answered<v1::StreamRawResponse>;
+
+    async fn stream_raw(
+        &self,
+        request: Request<Streaming<v1::StreamRawRequest>>,
+    ) -> Result<Response<Self::StreamRawStream>, Status> {
+        let answers = calls::stream::raw(&self.0, request.into_inner());
+        Ok(Response::new(Box::pin(answers)))
     }
 
     async fn solve(

@@ -15,6 +15,7 @@ use tonic_health::server::HealthReporter;
 
 use crate::contract::Service;
 
+use super::admission::MessageLimits;
 use super::v1::bases_server::BasesServer;
 use super::v1::navigation_server::NavigationServer;
 use super::v1::positioning_server::PositioningServer;
@@ -31,6 +32,7 @@ const HEALTH_INTERVAL: Duration = Duration::from_secs(1);
 /// Outside a tokio runtime, because a task reports the service's readiness as gRPC health.
 pub(crate) fn routes(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
+    let limits = MessageLimits { of_call: limit, of_stream: service.limits().stream_bytes };
     let door = Door(service.clone());
     let (health, health_service) = tonic_health::server::health_reporter();
     tokio::spawn(report_health(service.clone(), health));
@@ -54,13 +56,13 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(BasesServer))
         .into_axum_router()
         .reset_fallback()
-        .layer(middleware::from_fn_with_state(limit, serve))
+        .layer(middleware::from_fn_with_state(limits, serve))
 }
 
 /// Serves a request; refusals of tonic itself and panics become refusals with a code. One layer,
 /// because each costs an allocation or two a request.
-async fn serve(State(limit): State<usize>, request: Request, next: Next) -> Response {
-    let served = AssertUnwindSafe(admission::admit(limit, request, next)).catch_unwind().await;
+async fn serve(State(limits): State<MessageLimits>, request: Request, next: Next) -> Response {
+    let served = AssertUnwindSafe(admission::admit(limits, request, next)).catch_unwind().await;
     frame::explain(served.unwrap_or_else(frame::panicked))
 }
 

@@ -1,11 +1,12 @@
 //! `graphfix.v1.Solutions`.
 
+use futures::StreamExt;
 use tonic::{Request, Response, Status, async_trait};
 
 use crate::contract::{calls, v1};
 
 use super::status::carry;
-use super::{Door, v1::solutions_server::Solutions};
+use super::{Answered, Door, v1::solutions_server::Solutions};
 
 #[async_trait]
 impl Solutions for Door {
@@ -14,6 +15,16 @@ impl Solutions for Door {
         request: Request<v1::ListSolutionsRequest>,
     ) -> Result<Response<v1::ListSolutionsResponse>, Status> {
         carry(calls::solutions::list(&self.0, request.into_inner()).await)
+    }
+
+    type WatchStream = Answered<v1::WatchSolutionsResponse>;
+
+    async fn watch(
+        &self,
+        request: Request<v1::WatchSolutionsRequest>,
+    ) -> Result<Response<Self::WatchStream>, Status> {
+        let messages = calls::watch::watch(&self.0, request.into_inner()).await?;
+        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
     }
 
     async fn series(

@@ -7,7 +7,7 @@ use tonic::{Code as GrpcCode, Response, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
 use crate::contract::Refusal;
-use crate::refusal::Class;
+use crate::refusal::{Class, Code};
 
 /// Answers are compressed from this length on (bytes). Shorter ones are not worth the time.
 const COMPRESSED_FROM_BYTES: usize = 1 << 10;
@@ -32,9 +32,17 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
     }
 }
 
-/// A refusal as gRPC sends it. Failures of the service are logged here, once.
+impl From<Refusal> for Status {
+    fn from(refusal: Refusal) -> Self {
+        to_status(&refusal)
+    }
+}
+
+/// A refusal as gRPC sends it. Failures of the service are logged here, once; that it stops, is
+/// none of them.
 pub(crate) fn to_status(refusal: &Refusal) -> Status {
-    if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
+    let is_failure = matches!(refusal.code.class(), Class::Internal | Class::Unavailable);
+    if is_failure && refusal.code != Code::Draining {
         tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
     }
     let mut metadata = HashMap::from([("remedy".to_owned(), refusal.code.remedy().to_owned())]);
@@ -78,7 +86,6 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::refusal::Code;
 
     #[test]
     fn a_refusal_keeps_its_values() {

@@ -120,6 +120,9 @@ fn metered(
     lease: Lease,
     is_grpc: bool,
 ) -> Result<(Request, Lease), Refusal> {
+    if is_grpc && grpc::is_stream(request.uri().path()) {
+        return Ok((request, lease)); // It has no end; its door reserves memory for each message.
+    }
     let limit = service.limits().body_bytes;
     let (parts, body) = request.into_parts();
     let length = usize::try_from(body.size_hint().lower()).unwrap_or(usize::MAX);

@@ -17,6 +17,7 @@ mod seats;
 mod server;
 mod sessions;
 mod solutions;
+mod watch;
 
 use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
@@ -70,6 +71,7 @@ fn controls() -> Router<Service> {
         )
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
         .route("/v1/sessions/{session}/solutions:series", get(solutions::series))
+        .route("/v1/sessions/{session}/solutions:watch", get(watch::watch))
         .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))

@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi;
 
-use super::{bases, navigation, positioning, raw, sessions, solutions};
+use super::{bases, navigation, positioning, raw, sessions, solutions, watch};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -35,6 +35,7 @@ use super::{bases, navigation, positioning, raw, sessions, solutions};
         positioning::solve_once,
         solutions::list,
         solutions::series,
+        watch::watch,
         solutions::explain,
         navigation::push,
         navigation::status,

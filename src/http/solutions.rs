@@ -129,7 +129,7 @@ fn status(name: &str) -> Result<i32, Refusal> {
         .ok_or_else(|| intake::unknown_status(name))
 }
 
-fn revisions(name: &str) -> Result<i32, Refusal> {
+pub(super) fn revisions(name: &str) -> Result<i32, Refusal> {
     v1::Revisions::from_str_name(&format!("REVISIONS_{}", name.to_uppercase()))
         .filter(|_| name.chars().all(|c| c.is_ascii_lowercase()))
         .filter(|revisions| *revisions != v1::Revisions::Unspecified)

@@ -192,6 +192,33 @@ codes! {
     Interrupted = "INTERRUPTED", Unavailable,
         "send the same epochs again; those already stored are answered from the store";
 
+    // Streams of a device.
+
+    /// As many streams are open as allowed.
+    TooManyStreams = "TOO_MANY_STREAMS", Exhausted,
+        "wait for the delay in the answer and open the stream again, or let the operator raise \
+         limits.streams";
+    /// The device sends more on a stream than its credit allows.
+    CreditExceeded = "CREDIT_EXCEEDED", Precondition,
+        "send no more than the credit of the last answer, and open another stream after this one";
+    /// No message has arrived on a stream for too long.
+    StreamIdle = "STREAM_IDLE", Timeout,
+        "open another stream; a message without epochs keeps a silent one open";
+    /// As many watches are open as allowed.
+    TooManyWatches = "TOO_MANY_WATCHES", Exhausted,
+        "wait for the delay in the answer and watch again, or let the operator raise \
+         limits.watches";
+    /// The reader of a watch takes its messages too slowly.
+    WatchTooSlow = "WATCH_TOO_SLOW", Exhausted,
+        "watch again with the cursor of the last received message; nothing is missed";
+    /// The cursor does not come from a watch.
+    CursorInvalid = "CURSOR_INVALID", Malformed,
+        "send the cursor of the last received message, unchanged";
+    /// The device has acknowledgements that the session has not given.
+    AcknowledgementUnknown = "ACKNOWLEDGEMENT_UNKNOWN", Precondition,
+        "check the session's id; if the database was restored from a backup, open the stream \
+         without the acknowledgement and send the later epochs again";
+
     // Raw bytes of a receiver.
 
     /// The raw chunk is larger than allowed.

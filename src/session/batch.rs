@@ -62,6 +62,8 @@ pub(super) struct SolvedBatch {
     pub(super) rows: Vec<EncodedEpoch>,
     /// Revisions of these and earlier epochs, encoded for the store.
     pub(super) revisions: Vec<EncodedSolution>,
+    /// The same revisions, for those who watch.
+    pub(super) revised: Vec<StoredSolution>,
     /// The state, encoded for the store, if it is due.
     pub(super) snapshot: Option<EncodedSnapshot>,
     /// The solutions of `rows`, with the same indices.
@@ -78,6 +80,7 @@ impl SolvedBatch {
             plans: Vec::new(),
             rows: Vec::new(),
             revisions: Vec::new(),
+            revised: Vec::new(),
             snapshot: None,
             solutions: Vec::new(),
             panics: Vec::new(),
@@ -163,6 +166,7 @@ impl SolvedBatch {
         self.state.remember(&row);
         self.rows.push(row);
         self.revisions.extend(self.state.encoded_revisions(&revisions));
+        self.revised.extend(revisions);
         self.solutions.push(solution);
         Plan::Positioned { index: self.rows.len() - 1, resent: false }
     }

@@ -13,8 +13,10 @@ use crate::aiding::{AidingDesk, device};
 use crate::clock::Clock;
 use crate::store::{SessionRow, SessionSettings, Store};
 
+use super::answers::Reply;
 use super::configuration::settings;
 use super::counters::Counters;
+use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
 use super::removal::{remove_deleted, remove_expired_hourly};
 use super::solvers::Solvers;
@@ -47,6 +49,7 @@ struct Desk {
     limits: SessionLimits,
     solvers: Solvers,
     counters: Arc<Counters>,
+    live: Arc<Live>,
     clock: Clock,
     /// Epochs that wait in all mailboxes together.
     waiting: Arc<AtomicUsize>,
@@ -84,6 +87,7 @@ impl Sessions {
             store,
             aiding,
             solvers: Solvers::new(limits.solver_threads),
+            live: Arc::new(Live::new(limits.live_solutions)),
             limits,
             counters: Arc::default(),
             clock,
@@ -165,7 +169,8 @@ impl Sessions {
     /// No session has this id, it is closed, or the store fails; nothing is then changed.
     pub async fn reset(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         let (reply, answer) = oneshot::channel();
-        self.send(id, Message::Reset { unix_ms: self.unix_ms(), permit: None, reply }, 1).await?;
+        let message = Message::Reset { unix_ms: self.unix_ms(), permit: None, reply };
+        self.send(id, &mut Some(message), 1).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
     }
@@ -241,8 +246,8 @@ impl Sessions {
         self.check_push(&epochs)?;
         let count = epochs.len();
         let (reply, answer) = oneshot::channel();
-        let submission = Submission { epochs, permit: None, reply };
-        self.send(id, Message::Submission(submission), count).await?;
+        let submission = Submission { epochs, permit: None, reply: Reply::Call(reply) };
+        self.send(id, &mut Some(Message::Submission(submission)), count).await?;
         Ok(Pending(answer))
     }
 
@@ -256,36 +261,42 @@ impl Sessions {
         id: &SessionId,
         chunk: RawChunk,
     ) -> Result<RawReceived, SessionError> {
+        let epochs = self.check_chunk(&chunk)?;
+        let (reply, answer) = oneshot::channel();
+        let reply = Reply::Call(reply);
+        let submission = Box::new(RawSubmission { chunk, permit: None, reply });
+        self.send(id, &mut Some(Message::Raw(submission)), epochs).await?;
+        answer.await.unwrap_or(Err(SessionError::Interrupted))
+    }
+
+    /// Checks a chunk. Returns the number of epochs that it counts as in the mailbox: their true
+    /// number is not known yet, so its length decides.
+    pub(super) fn check_chunk(&self, chunk: &RawChunk) -> Result<usize, SessionError> {
         let (bytes, limit) = (chunk.content.len(), self.desk.limits.raw_chunk_bytes);
         if limit < bytes {
             return Err(SessionError::ChunkTooLarge { bytes, limit });
         }
-        // The number of its epochs is not known yet, so its length decides how much it counts.
-        let epochs = (bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_push);
-        let (reply, answer) = oneshot::channel();
-        let submission = Box::new(RawSubmission { chunk, permit: None, reply });
-        self.send(id, Message::Raw(submission), epochs).await?;
-        answer.await.unwrap_or(Err(SessionError::Interrupted))
+        Ok((bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_push))
     }
 
-    /// Puts a message into the session's mailbox, and starts its task if none runs.
-    async fn send(
+    /// Puts a message into the session's mailbox, and starts its task if none runs. If it is
+    /// refused, the message stays where it is.
+    pub(super) async fn send(
         &self,
         id: &SessionId,
-        message: Message,
+        message: &mut Option<Message>,
         epochs: usize,
     ) -> Result<(), SessionError> {
-        let mut message = Some(message);
-        if self.post(id, &mut message, epochs)? {
+        if self.post(id, message, epochs)? {
             return Ok(());
         }
         let _starting = self.starting(id).lock().await;
-        if self.post(id, &mut message, epochs)? {
+        if self.post(id, message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
         }
         let row = self.open_row(id).await?;
         self.start(id, &row, Start::Epochs)?;
-        if self.post(id, &mut message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
+        if self.post(id, message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
     /// Refuses new epochs, and waits until the accepted ones are positioned and stored.
@@ -309,6 +320,16 @@ impl Sessions {
     /// Numbers of events since the start.
     pub fn counts(&self) -> SessionCounts {
         self.desk.counters.read()
+    }
+
+    /// Whether epochs wait in a session's mailbox.
+    pub(super) fn has_waiting(&self, id: &SessionId) -> bool {
+        let tasks = self.tasks();
+        tasks.handles.get(id).is_some_and(|handle| 0 < handle.waiting.load(Ordering::Acquire))
+    }
+
+    pub(super) fn live(&self) -> &Arc<Live> {
+        &self.desk.live
     }
 
     /// The store.
@@ -396,7 +417,8 @@ impl Sessions {
                 handle.last_used = posted;
                 Ok(true)
             }
-            Err(TrySendError::Full(_)) => {
+            Err(TrySendError::Full(posting)) => {
+                *message = Some(posting);
                 let limit = limits.mailbox_epochs;
                 Err(SessionError::MailboxFull { waiting, limit, retry_after })
             }
@@ -410,7 +432,7 @@ impl Sessions {
 
     /// Starts a session's task. If as many run as allowed, some of them are parked.
     fn start(&self, id: &SessionId, row: &SessionRow, start: Start) -> Result<(), SessionError> {
-        let Desk { store, aiding, limits, solvers, counters, clock, .. } = &*self.desk;
+        let Desk { store, aiding, limits, solvers, counters, live, clock, .. } = &*self.desk;
         let mut tasks = self.tasks();
         if tasks.draining {
             return Err(SessionError::Draining);
@@ -436,6 +458,7 @@ impl Sessions {
             clock: clock.clone(),
             outdated: outdated.clone(),
             counters: counters.clone(),
+            live: live.clone(),
             parked: Mutex::new(tasks.parked.take(id, row)),
             desk: Arc::downgrade(&desk),
         };

@@ -33,6 +33,9 @@ pub struct SessionLimits {
     pub solve_window_epochs: usize,
     /// Time that a computation on request may use the solver pool.
     pub solve_time: Duration,
+    /// Newly committed solutions in memory for those who watch; who is further behind reads the
+    /// store.
+    pub live_solutions: usize,
     /// Characters of a label.
     pub label_characters: usize,
     /// Threads that run estimators.
@@ -57,6 +60,7 @@ impl SessionLimits {
             candidate_bases: 32,
             solve_window_epochs: 300,
             solve_time: Duration::from_secs(5),
+            live_solutions: 4_096,
             label_characters: 200,
             solver_threads: available_parallelism().unwrap_or(NonZeroUsize::MIN),
             retry_after: Duration::from_millis(100),

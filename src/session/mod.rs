@@ -83,6 +83,7 @@
 //! # Ok(()) }
 //! ```
 
+mod answers;
 mod antenna;
 mod base_selection;
 mod batch;
@@ -96,6 +97,7 @@ mod error;
 mod explanation;
 mod info;
 mod limits;
+mod live;
 mod panics;
 mod parked;
 
@@ -108,11 +110,14 @@ mod series;
 mod solve;
 mod solvers;
 mod state;
+mod streamed;
 mod submission;
 mod task;
 mod tasks;
+mod watching;
 
 pub use crate::store::SessionHead;
+pub use answers::Answers;
 pub use computation::Computed;
 pub use counters::SessionCounts;
 pub use desk::Sessions;
@@ -120,10 +125,14 @@ pub use error::SessionError;
 pub use explanation::{EpochExplanation, SatelliteRole, SatelliteView};
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate, SolutionPage};
 pub use limits::SessionLimits;
+pub use live::{News, Watch};
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};
+pub(crate) use series::sigmas_m;
 pub use series::{Interval, Range, SERIES_POINTS, SeriesQuery, SolutionSeries};
 pub use solve::{Burst, SolveRequest};
+pub use streamed::StreamedPush;
 pub use submission::{
     Acknowledged, EpochOutcome, EpochRefusal, Pending, SEQUENCES, SequencedEpoch, Submitted,
 };
+pub use watching::{WatchCursor, WatchPage};

@@ -151,7 +151,7 @@ impl Interval {
 ///
 /// The former is the square root of the greater eigenvalue of the covariance of east and north:
 /// λ = (σ_e² + σ_n²)/2 + √((σ_e² − σ_n²)²/4 + σ_en²).
-fn sigmas_m(estimate: &SolutionEstimate) -> (f64, f64) {
+pub(crate) fn sigmas_m(estimate: &SolutionEstimate) -> (f64, f64) {
     let enu = LocalFrame::at(estimate.position).covariance_to_enu(&estimate.covariance);
     let half_difference = (enu[(0, 0)] - enu[(1, 1)]) / 2.0;
     let mean = (enu[(0, 0)] + enu[(1, 1)]) / 2.0;

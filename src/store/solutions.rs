@@ -36,6 +36,8 @@ pub enum Revisions {
     Last,
     /// All revisions.
     All,
+    /// All but the real-time answer.
+    Later,
 }
 
 /// The solutions to list.
@@ -187,6 +189,22 @@ impl Store {
         Ok(Page { items, next_page_token })
     }
 
+    /// Number of the last epoch of a session with a later revision than the real-time answer.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn last_revised(
+        &self,
+        session: SessionKey,
+    ) -> Result<Option<u64>, StoreError> {
+        let number: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT MAX(seq) FROM revisions WHERE session = $1";
+            sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await
+        });
+        let number = number.map_err(StoreError::database("reading the last revision"))?;
+        Ok(number.map(|seq| seq as u64))
+    }
+
     async fn select(
         &self,
         session: SessionKey,
@@ -200,6 +218,7 @@ impl Store {
         let sql = match query.revisions {
             Revisions::All => list!("", ""),
             Revisions::First => list!("", "AND 1 = 0"),
+            Revisions::Later => list!("AND 1 = 0", ""),
             Revisions::Last => list!(
                 "AND NOT EXISTS (SELECT 1 FROM revisions n WHERE n.session = e.session \
                  AND n.seq = e.seq)",

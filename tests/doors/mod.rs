@@ -23,4 +23,6 @@ mod sessions;
 mod simulation;
 mod storage;
 mod store;
+mod streams;
 mod upgrade;
+mod watches;

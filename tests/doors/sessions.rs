@@ -62,6 +62,7 @@ fn limits() -> SessionLimits {
         active_sessions: 64,
         parked_bytes: 1 << 20,
         candidate_bases: 2,
+        live_solutions: 64,
         label_characters: 20,
         solve_window_epochs: 300,
         solve_time: Duration::from_secs(60),

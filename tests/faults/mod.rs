@@ -11,3 +11,4 @@ mod lease;
 mod mutated;
 mod robustness;
 mod server;
+mod streams;

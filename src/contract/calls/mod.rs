@@ -8,7 +8,9 @@ pub mod positioning;
 pub mod raw;
 pub mod sessions;
 pub mod solutions;
+pub mod stream;
 mod upload;
+pub mod watch;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};

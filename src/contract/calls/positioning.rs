@@ -93,7 +93,8 @@ pub(super) fn epochs(
     Ok(epochs)
 }
 
-fn read_epochs(
+/// Reads and checks the epochs of a message.
+pub(super) fn read_epochs(
     messages: &[v1::Epoch],
     limits: &IntakeLimits,
     numbered: Numbered,

@@ -32,7 +32,7 @@ pub async fn push(
 }
 
 /// Checks that every JSON reader keeps the offsets of a chunk exactly.
-fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
+pub(super) fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
     if offset <= SEQUENCES.end() - length as u64 {
         return Ok(offset);
     }
@@ -55,7 +55,8 @@ fn answer(received: RawReceived) -> v1::PushRawResponse {
     }
 }
 
-fn total(MessageTotal { kind, count }: &MessageTotal) -> v1::MessageTotal {
+/// The counts of one type of message.
+pub(super) fn total(MessageTotal { kind, count }: &MessageTotal) -> v1::MessageTotal {
     v1::MessageTotal {
         kind: kind.to_string(),
         decoded: count.decoded,
@@ -64,7 +65,8 @@ fn total(MessageTotal { kind, count }: &MessageTotal) -> v1::MessageTotal {
     }
 }
 
-fn left_out(LeftOut { kind, why, count, first }: LeftOut) -> v1::LeftOut {
+/// One kind of content that was skipped.
+pub(super) fn left_out(LeftOut { kind, why, count, first }: LeftOut) -> v1::LeftOut {
     let kind = kind.map(|kind| kind.to_string()).unwrap_or_default();
     v1::LeftOut { kind, why, count, first }
 }

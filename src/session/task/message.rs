@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tokio::sync::oneshot;
 
+use crate::session::answers::Reply;
 use crate::session::{RawChunk, RawReceived, SequencedEpoch, SessionError, Submitted};
 
 /// A message in the mailbox.
@@ -29,7 +30,7 @@ pub(in crate::session) struct Submission {
     pub(in crate::session) epochs: Vec<SequencedEpoch>,
     /// Set when the message is sent.
     pub(in crate::session) permit: Option<MailboxPermit>,
-    pub(in crate::session) reply: oneshot::Sender<Result<Submitted, SessionError>>,
+    pub(in crate::session) reply: Reply<Submitted>,
 }
 
 /// A chunk in the mailbox.
@@ -37,10 +38,28 @@ pub(in crate::session) struct RawSubmission {
     pub(in crate::session) chunk: RawChunk,
     /// Set when the message is sent.
     pub(in crate::session) permit: Option<MailboxPermit>,
-    pub(in crate::session) reply: oneshot::Sender<Result<RawReceived, SessionError>>,
+    pub(in crate::session) reply: Reply<RawReceived>,
 }
 
 impl Message {
+    /// Whether it belongs to a stream that takes nothing more.
+    pub(in crate::session) fn is_broken(&self) -> bool {
+        match self {
+            Self::Submission(submission) => submission.reply.is_broken(),
+            Self::Raw(submission) => submission.reply.is_broken(),
+            Self::Reset { .. } | Self::Close { .. } => false,
+        }
+    }
+
+    /// Drops it, if it belongs to a stream that will not post it.
+    pub(in crate::session) fn cancel(self) {
+        match self {
+            Self::Submission(submission) => submission.reply.cancel(),
+            Self::Raw(submission) => submission.reply.cancel(),
+            Self::Reset { .. } | Self::Close { .. } => {}
+        }
+    }
+
     /// Attaches the permit that the message occupies while it waits.
     pub(in crate::session) fn set_permit(&mut self, permit: MailboxPermit) {
         match self {

@@ -25,6 +25,7 @@ use crate::store::{
 use super::batch::{Plan, SolvedBatch};
 use super::counters::Counters;
 use super::info::oldest_available;
+use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
 use super::raw::Reception;
 use super::replay::{ActiveConfiguration, active_configuration};
@@ -58,6 +59,8 @@ pub(super) struct Task {
     /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) counters: Arc<Counters>,
+    /// Where those who watch see what is committed.
+    pub(super) live: Arc<Live>,
     /// The state with which the session was parked, if the desk has it.
     pub(super) parked: Mutex<Option<ParkedState>>,
     /// Where the state is kept when the session is parked.
@@ -99,6 +102,8 @@ impl Task {
             let (mut submissions, mut other) = (Vec::new(), None);
             while let Some(message) = next {
                 match message {
+                    // Dropped: the stream has ended with the error before it.
+                    message if message.is_broken() => {}
                     Message::Submission(submission) => {
                         epochs += submission.epochs.len();
                         submissions.push(submission);
@@ -117,7 +122,7 @@ impl Task {
                     // Boxed, because a task at rest needs as much memory as its largest future.
                     let answer = Box::pin(self.receive(&mut active, chunk, &mut permit)).await;
                     drop(permit);
-                    reply.send(answer).ok(); // Err: the client hung up.
+                    reply.send(answer);
                 }
                 Some(Message::Reset { unix_ms, permit, reply }) => {
                     let answer = Box::pin(self.reset(&mut active, unix_ms)).await;
@@ -143,18 +148,19 @@ impl Task {
         let mut state = (*current.committed).clone();
         let estimation = current.configuration.estimation.clone();
         let work = move |scratch: &mut Scratch| {
-            let revisions = state.begin_arc(&estimation, scratch);
-            let revisions: Vec<_> = revisions.iter().map(EncodedSolution::new).collect();
+            let revised = state.begin_arc(&estimation, scratch);
             let snapshot = state.encoded();
-            (state, revisions, snapshot)
+            (state, revised, snapshot)
         };
-        let (state, revisions, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
+        let (state, revised, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
+        let revisions = revised.iter().map(EncodedSolution::new).collect();
         let arc = Some(ArcStart { after_seq, unix_ms });
         let batch = self.batch(Some(after_seq));
         let batch = Batch { revisions, snapshot, keeps_snapshot, arc, ..batch };
         let stored = self.store.commit(batch).await;
         // An arc is not seen in the last number, so an unconfirmed one is read from the store.
         stored.inspect_err(|_| *active = None)?;
+        self.live.publish(self.key, &revised);
         if let Some(current) = active {
             current.committed = Arc::new(state);
             self.note_kept(current, keeps_snapshot);
@@ -167,12 +173,14 @@ impl Task {
     async fn close(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let mut state = (*self.activate(active).await?.committed).clone();
         let previous = state.last_seq();
-        let revisions =
+        let revised =
             self.solvers.estimate(Lane::RealTime, move |scratch| state.finish(scratch)).await?;
-        let revisions = revisions.iter().map(EncodedSolution::new).collect();
+        let revisions = revised.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
         let batch = self.batch(previous);
         self.store.commit(Batch { revisions, closed_unix_ms, ..batch }).await?;
+        self.live.publish(self.key, &revised);
+        self.live.publish_closed(self.key);
         Ok(())
     }
 
@@ -191,7 +199,7 @@ impl Task {
                 Err(error) => Err(error.clone()),
             };
             drop(permit);
-            reply.send(answer).ok(); // Err: the client hung up.
+            reply.send(answer);
         }
     }
 
@@ -217,6 +225,9 @@ impl Task {
         if epochs.is_empty() {
             let committed = current.committed.clone();
             let durable_through = committed.last_seq();
+            if raw.is_none() {
+                return Ok((Vec::new(), durable_through));
+            }
             let batch = self.batch(durable_through);
             let stored = self.store.commit(Batch { raw, ..batch }).await;
             stored.map_err(|error| failed(active, committed, error))?;
@@ -225,7 +236,8 @@ impl Task {
         let configuration = current.configuration.clone();
         let rules = self.rules(current);
         let batch = self.position(current, rules, epochs).await?;
-        let SolvedBatch { state, plans, rows, revisions, snapshot, solutions, panics } = batch;
+        let SolvedBatch { state, plans, rows, revisions, revised, snapshot, solutions, panics } =
+            batch;
         for (seq, panic) in panics {
             tracing::error!(session = %self.id, seq, panic, "the estimator failed on an epoch");
             self.counters.quarantined.fetch_add(1, Ordering::Relaxed);
@@ -244,6 +256,7 @@ impl Task {
             let committed = self.store.commit(batch).await;
             committed.map_err(|error| failed(active, Arc::new(state.clone()), error))?;
         }
+        self.live.publish(self.key, solutions.iter().chain(&revised));
         let current = active.as_mut().expect("it stays after a commit");
         let durable_through = state.last_seq();
         self.note_kept(current, keeps_snapshot);
@@ -310,6 +323,7 @@ impl Task {
             } else {
                 let committed = Arc::new(self.restored(&configuration).await?);
                 self.counters.restores.fetch_add(1, Ordering::Relaxed);
+                self.live.publish_unknown(self.key);
                 *active = Some(Active {
                     committed,
                     unconfirmed: None,
@@ -328,6 +342,7 @@ impl Task {
         let unconfirmed = active.as_ref().and_then(|current| current.unconfirmed.clone());
         let Some(later) = unconfirmed else { return Ok(()) };
         let stored = self.store.confirmed_last_number(self.key).await?;
+        self.live.publish_unknown(self.key);
         match active {
             Some(current) if stored == later.last_seq() => {
                 current.committed = later;

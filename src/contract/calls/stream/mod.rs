@@ -1,0 +1,43 @@
+//! Streams of a device: messages come in, and answers go out when what they acknowledge is durable.
+//!
+//! A stream is not a task of its own. It is polled by whoever sends its answers, so a device that
+//! reads no answers is not read from either.
+
+mod epochs;
+mod flow;
+mod ledger;
+mod raw;
+mod results;
+
+use futures::Stream;
+
+use crate::contract::{Refusal, Service, v1};
+
+use epochs::OfEpochs;
+use flow::Flow;
+use raw::OfRaw;
+
+/// The answers to a stream of epochs. The last one is an error if the stream ends with a refusal.
+pub fn epochs<I, E>(
+    service: &Service,
+    messages: I,
+) -> impl Stream<Item = Result<v1::StreamResponse, E>> + Send + use<I, E>
+where
+    I: Stream<Item = Result<v1::StreamRequest, E>> + Send + Unpin + 'static,
+    E: From<Refusal> + Send + 'static,
+{
+    Flow::<OfEpochs, I, E>::answers(service, messages)
+}
+
+/// The answers to a stream of raw bytes. The last one is an error if the stream ends with a
+/// refusal.
+pub fn raw<I, E>(
+    service: &Service,
+    messages: I,
+) -> impl Stream<Item = Result<v1::StreamRawResponse, E>> + Send + use<I, E>
+where
+    I: Stream<Item = Result<v1::StreamRawRequest, E>> + Send + Unpin + 'static,
+    E: From<Refusal> + Send + 'static,
+{
+    Flow::<OfRaw, I, E>::answers(service, messages)
+}

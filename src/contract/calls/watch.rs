@@ -1,0 +1,227 @@
+//! Watches: what a session commits, as it is committed.
+//!
+//! Each watch has a task, which reads the ring of newly committed solutions, or the store if it is
+//! behind. A few messages wait for the reader. If it takes none of them for some time, the task
+//! ends and frees what it has; the reader finds the messages, and then how to go on.
+
+use std::time::Duration;
+
+use futures::Stream;
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
+use tokio::time::timeout;
+
+use crate::contract::{Lease, Refusal, Service, convert, v1};
+use crate::refusal::Code;
+use crate::session::{News, SessionError, SessionId, Watch, WatchCursor, WatchPage};
+use crate::store::{Revisions, StoredSolution};
+
+use super::session_id;
+
+/// Messages that wait for a reader.
+const WAITING: usize = 4;
+/// Solutions in one message at most.
+const SOLUTIONS: usize = 32;
+/// Memory of a watch: its waiting messages and a page from the store (bytes).
+const WATCH_BYTES: usize = 96 << 10;
+/// Time without solutions after which a message without any is sent, so that no proxy takes the
+/// watch for dead.
+const KEEPALIVE: Duration = Duration::from_secs(15);
+
+/// A message of a watch, or why the watch ends.
+type Message = Result<v1::WatchSolutionsResponse, Refusal>;
+
+/// Watches the solutions of a session. The first message has none and comes at once.
+///
+/// # Errors
+/// The session does not exist, the cursor is invalid, or as many watches are open as allowed.
+pub async fn watch(
+    service: &Service,
+    request: v1::WatchSolutionsRequest,
+) -> Result<impl Stream<Item = Message> + Send + use<>, Refusal> {
+    let id = session_id(&request.session)?;
+    let start = start(&request)?;
+    let with_revisions = match v1::Revisions::try_from(request.revisions) {
+        Ok(v1::Revisions::Unspecified) => true,
+        _ => match convert::revisions(request.revisions)? {
+            Revisions::First => false,
+            Revisions::All => true,
+            Revisions::Last | Revisions::Later => {
+                let message = "a watch has all revisions of each epoch, or the first";
+                return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
+            }
+        },
+    };
+    if service.is_draining() {
+        return Err(SessionError::Draining.into());
+    }
+    let permit = service.watch_permit()?;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
+    let (watch, now) = service.sessions().watch(&id).await?;
+    let (sender, messages) = mpsc::channel(WAITING);
+    let patience = Duration::from_secs(service.limits().body_silence_s);
+    let cursor = start.unwrap_or(now);
+    let (service, oldest_available) = (service.clone(), None);
+    let watching =
+        Watching { service, id, watch, cursor, with_revisions, oldest_available, sender, patience };
+    let (end, ended) = oneshot::channel();
+    tokio::spawn(async move {
+        if let Err(refusal) = watching.run(permit).await {
+            end.send(refusal).ok(); // Err: the reader has gone.
+        }
+    });
+    let reading = Reading { messages, ended: Some(ended) };
+    Ok(futures::stream::unfold(reading, |mut reading| async move {
+        Some((reading.next().await?, reading))
+    }))
+}
+
+/// Where a watch begins; `None` for the present.
+fn start(request: &v1::WatchSolutionsRequest) -> Result<Option<WatchCursor>, Refusal> {
+    let (cursor, after_seq) = (&*request.cursor, request.after_seq);
+    match (cursor, after_seq) {
+        ("", after) => Ok(after.map(|seq| WatchCursor { answers: seq, revisions: seq })),
+        (_, Some(_)) => {
+            let message = "cursor and afterSeq are both given";
+            Err(Refusal::new(Code::InvalidField, message).at("afterSeq"))
+        }
+        (text, None) => parse(text).map(Some).ok_or_else(|| {
+            let message = "this is not the cursor of a watch";
+            Refusal::new(Code::CursorInvalid, message).at("cursor")
+        }),
+    }
+}
+
+/// A cursor as a text: the number of the last answer, and that of the last revision.
+pub(crate) fn text_of(cursor: WatchCursor) -> String {
+    format!("{}.{}", cursor.answers, cursor.revisions)
+}
+
+fn parse(text: &str) -> Option<WatchCursor> {
+    let number = |text: &str| {
+        let is_plain = text.len() <= 16 && text.bytes().all(|byte| byte.is_ascii_digit());
+        text.parse().ok().filter(|_| is_plain)
+    };
+    let (answers, revisions) = text.split_once('.')?;
+    Some(WatchCursor { answers: number(answers)?, revisions: number(revisions)? })
+}
+
+/// The reader's side.
+struct Reading {
+    messages: mpsc::Receiver<v1::WatchSolutionsResponse>,
+    /// Why the watch ended.
+    ended: Option<oneshot::Receiver<Refusal>>,
+}
+
+impl Reading {
+    async fn next(&mut self) -> Option<Message> {
+        if let Some(message) = self.messages.recv().await {
+            return Some(Ok(message));
+        }
+        // Err: the watch ended because the session is closed.
+        let refusal = self.ended.take()?.await.ok()?;
+        Some(Err(refusal))
+    }
+}
+
+/// The task of a watch.
+struct Watching {
+    service: Service,
+    id: SessionId,
+    watch: Watch,
+    cursor: WatchCursor,
+    with_revisions: bool,
+    oldest_available: Option<u64>,
+    sender: mpsc::Sender<v1::WatchSolutionsResponse>,
+    /// Time that the reader has for a message.
+    patience: Duration,
+}
+
+impl Watching {
+    /// Sends solutions until the session is closed or the reader has gone.
+    async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
+        let mut drained = Box::pin(self.service.drained());
+        self.send(Vec::new(), false).await?;
+        let mut is_closed = self.catch_up().await?;
+        while !is_closed {
+            let sender = self.sender.clone();
+            let news = tokio::select! {
+                news = timeout(KEEPALIVE, self.watch.next()) => news,
+                () = &mut drained => return Err(SessionError::Draining.into()),
+                () = sender.closed() => return Ok(()),
+            };
+            is_closed = match news {
+                Err(_) => self.send(Vec::new(), false).await.map(|()| false)?,
+                Ok(News::Unknown) => self.catch_up().await?,
+                Ok(News::Solutions { solutions, is_closed }) => {
+                    self.send_new(solutions.iter().map(|solution| &**solution)).await?;
+                    is_closed
+                }
+            };
+        }
+        self.send(Vec::new(), true).await
+    }
+
+    /// Sends what the store has behind the cursor. Returns whether the session is closed after it.
+    async fn catch_up(&mut self) -> Result<bool, Refusal> {
+        loop {
+            let asked = (SOLUTIONS / 2, self.with_revisions);
+            let page = self.service.sessions().watched(&self.id, self.cursor, asked).await?;
+            let WatchPage { solutions, has_more, oldest_available, is_closed } = page;
+            self.oldest_available = oldest_available;
+            self.send_new(solutions.iter()).await?;
+            if !has_more {
+                return Ok(is_closed);
+            }
+        }
+    }
+
+    /// Sends solutions that are behind the cursor.
+    async fn send_new<'a>(
+        &mut self,
+        solutions: impl Iterator<Item = &'a StoredSolution>,
+    ) -> Result<(), Refusal> {
+        let mut messages = Vec::new();
+        for solution in solutions {
+            let is_wanted = self.with_revisions || solution.revision == 0;
+            if is_wanted && self.cursor.see(solution) {
+                messages.push(convert::stored(solution));
+            }
+            if messages.len() == SOLUTIONS {
+                self.send(std::mem::take(&mut messages), false).await?;
+            }
+        }
+        if messages.is_empty() { Ok(()) } else { self.send(messages, false).await }
+    }
+
+    async fn send(&self, solutions: Vec<v1::Solution>, closed: bool) -> Result<(), Refusal> {
+        let cursor = text_of(self.cursor);
+        let oldest_available_seq = self.oldest_available;
+        let message =
+            v1::WatchSolutionsResponse { solutions, cursor, oldest_available_seq, closed };
+        match timeout(self.patience, self.sender.send(message)).await {
+            // Err: the reader has gone, which ends the watch at its next wait.
+            Ok(sent) => {
+                sent.ok();
+                Ok(())
+            }
+            Err(_) => {
+                let message = format!("no message was read for {} s", self.patience.as_secs());
+                Err(Refusal::new(Code::WatchTooSlow, message))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cursor_is_read_as_it_is_written() {
+        let cursor = WatchCursor { answers: (1 << 53) - 1, revisions: 0 };
+        assert_eq!(parse(&text_of(cursor)), Some(cursor));
+        for wrong in ["", "1", "1.", ".1", "1.2.3", "-1.2", "+1.2", "1.99999999999999999", "a.b"] {
+            assert_eq!(parse(wrong), None, "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! `/v1/sessions/{session}/solutions:watch`: server-sent events.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::extract::{Path, State};
+use axum::http::HeaderMap;
+use axum::response::Sse;
+use axum::response::sse::Event;
+use futures::{Stream, StreamExt, stream};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Refusal, Service, calls, v1};
+use crate::refusal::Code;
+
+use super::body::StrictQuery;
+use super::problem::{Problem, Refused};
+use super::solutions::revisions;
+
+/// Header with which a browser names the last event that it has.
+const LAST_EVENT: &str = "last-event-id";
+/// Delay before a browser watches again after a break.
+const RETRY: Duration = Duration::from_secs(2);
+
+/// Where a watch begins.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct WatchQuery {
+    /// The revisions of each epoch: `all` (if absent) or `first`.
+    revisions: Option<String>,
+    /// `id` of the last event: the watch goes on behind it. The header `Last-Event-ID`, which
+    /// browsers send by themselves, has precedence.
+    cursor: String,
+    /// Without a cursor: the solutions of epochs after this number, stored ones first; 0 for all.
+    /// Only what is committed from now on if absent.
+    after_seq: Option<u64>,
+}
+
+/// Sends the solutions of a session as they are committed, as server-sent events.
+///
+/// Each event `solutions` has new solutions, and an `id` with which another watch goes on behind
+/// them. Its content is that of the gRPC call's message. The last event is `closed` if the session
+/// is closed, or `end` with a problem document that says why the watch ends; then watch again with
+/// the last `id`, as browsers do by themselves.
+#[utoipa::path(get, operation_id = "solutionsWatch",
+    path = "/v1/sessions/{session}/solutions:watch", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"), WatchQuery),
+    responses((status = 200, body = v1::WatchSolutionsResponse, content_type = "text/event-stream"),
+        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+pub(super) async fn watch(
+    State(service): State<Service>,
+    Path(session): Path<String>,
+    headers: HeaderMap,
+    StrictQuery(query): StrictQuery<WatchQuery>,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
+    let last = headers.get(LAST_EVENT).map(|id| id.to_str().map(ToOwned::to_owned));
+    let last = last.transpose().map_err(|_| {
+        Refusal::new(Code::CursorInvalid, "Last-Event-ID is not a text").at("cursor")
+    })?;
+    let request = v1::WatchSolutionsRequest {
+        session,
+        revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
+        // A cursor is behind the number at which a watch began.
+        after_seq: query.after_seq.filter(|_| last.is_none()),
+        cursor: last.unwrap_or(query.cursor),
+    };
+    let messages = calls::watch::watch(&service, request).await?;
+    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
+    Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
+}
+
+/// A message as an event.
+fn event(message: Result<v1::WatchSolutionsResponse, Refusal>) -> Event {
+    let named = |name: &str| Event::default().event(name);
+    let written = "a message is texts and finite numbers";
+    match message {
+        Ok(message) => {
+            let name = if message.closed { "closed" } else { "solutions" };
+            named(name).id(message.cursor.clone()).json_data(message).expect(written)
+        }
+        Err(refusal) => named("end").json_data(Problem::of(&refusal)).expect(written),
+    }
+}
