@@ -77,11 +77,14 @@ fn filled(index: usize) -> u64 {
     EPOCHS_MAX - (index as u64 * 37) % (EPOCHS_MAX / 2)
 }
 
-async fn push(sessions: &Sessions, drive: &Drive, id: &SessionId, seqs: std::ops::Range<u64>) {
-    let epoch = |seq: u64| SequencedEpoch { seq, epoch: drive.epochs[seq as usize].clone() };
-    let submitted = sessions.submit(id, seqs.map(epoch).collect()).await;
+/// Pushes epochs of the drive by index; the first has number 1.
+async fn push(sessions: &Sessions, drive: &Drive, id: &SessionId, indices: std::ops::Range<u64>) {
+    let epoch =
+        |index: u64| SequencedEpoch { seq: index + 1, epoch: drive.epochs[index as usize].clone() };
+    let submitted = sessions.submit(id, indices.map(epoch).collect()).await;
     let outcomes = submitted.expect("the epochs are committed").outcomes;
-    assert!(outcomes.iter().all(|outcome| outcome.result.is_ok()));
+    let refusal = outcomes.into_iter().find_map(|outcome| outcome.result.err());
+    assert_eq!(refusal, None);
 }
 
 /// Runs `run` for each session, this many at the same time.
