@@ -6,18 +6,30 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 
-const SERVICES: [&str; 5] = [
+const SERVICES: [&str; 8] = [
     "proto/graphfix/v1/sessions.proto",
     "proto/graphfix/v1/positioning.proto",
     "proto/graphfix/v1/solutions.proto",
     "proto/graphfix/v1/navigation.proto",
     "proto/graphfix/v1/bases.proto",
+    "proto/graphfix/v1/jobs.proto",
+    "proto/graphfix/v1/keys.proto",
+    "proto/graphfix/v1/tenants.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
 /// Names of messages of gRPC's streams, which HTTP does not have, begin with this.
 const OF_STREAMS: &str = "Stream";
 /// Travel as bare bodies over HTTP.
-const WITHOUT_JSON: [&str; 3] = ["PushNavigationRequest", "UploadBaseRequest", "PushRawRequest"];
+const WITHOUT_JSON: [&str; 8] = [
+    "PushNavigationRequest",
+    "UploadBaseRequest",
+    "PushRawRequest",
+    "CreateJobRequest",
+    "JobPart",
+    "JobResultResponse",
+    "TrackRequest",
+    "TrackResponse",
+];
 const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
     #[serde(rename_all = \"camelCase\", default, deny_unknown_fields)]";
 
@@ -40,6 +52,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .bytes(".graphfix.v1.UploadBaseRequest.content")
         .bytes(".graphfix.v1.PushRawRequest.content")
         .bytes(".graphfix.v1.StreamRawRequest.content")
+        .bytes(".graphfix.v1.TrackResponse.content")
+        .bytes(".graphfix.v1.JobResultResponse.content")
+        .bytes(".graphfix.v1.CreateJobRequest.content.chunk")
         .btree_map(".");
     let in_package = descriptors.file.iter().filter(|file| file.package() == PACKAGE);
     for message in in_package.flat_map(|file| &file.message_type) {
@@ -73,7 +88,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 /// Writes the table of the dashboard's files: path of the service, and content.
 fn list_dashboard() -> std::io::Result<()> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("web/dist");
+    // Asked at run time: a build script that is already built serves another checkout, too.
+    let root = std::env::var("CARGO_MANIFEST_DIR").expect("cargo names the folder");
+    let root = Path::new(&root).join("web/dist");
     let mut files = vec![root.join("index.html"), root.join("licences.txt")];
     for entry in std::fs::read_dir(root.join("assets"))? {
         files.push(entry?.path());

@@ -2,7 +2,10 @@
 //! the time to stop with all states dirty, and the cost of an epoch when not all sessions fit in
 //! memory. The database is a SQLite file; the crash is a copy of its files.
 //!
-//! `GRAPHFIX_BENCH_SESSIONS=10000 cargo bench --bench recovery`
+//! `GRAPHFIX_BENCH_SESSIONS=10000 GRAPHFIX_BENCH_EPOCHS=64 cargo bench --bench recovery`
+//!
+//! While the sessions are filled, a stream brings an ephemeris every `GRAPHFIX_BENCH_STREAM_MS`, so
+//! that they were solved with many different sets of navigation data.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +17,7 @@ use std::time::{Duration, Instant};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::gnss::{Epoch, Navigation};
+use graphfix::gnss::{Ephemeris, Epoch, Navigation};
 use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::{BaseChoice, Store};
@@ -23,8 +26,10 @@ use graphfix::store::{BaseChoice, Store};
 const CONCURRENT: usize = 64;
 /// Epochs in a push while the sessions are filled.
 const FILLING: u64 = 16;
-/// Most epochs of a session before the crash.
+/// Most epochs of a session before the crash, if no other number is given.
 const EPOCHS_MAX: u64 = 256;
+/// Time between two ephemerides of the stream, if no other is given (ms).
+const STREAM_MS: u64 = 100;
 /// Rounds of one epoch for each session.
 const ROUNDS: u64 = 3;
 /// Of the sessions, those that fit in memory: 4096 of 10,000, as by default.
@@ -33,26 +38,34 @@ const FITTING: f64 = 0.4096;
 struct Drive {
     navigation: Navigation,
     epochs: Vec<Epoch>,
+    /// Most epochs of a session before the crash.
+    epochs_max: u64,
+}
+
+/// The number in a variable of the environment.
+fn number(name: &str, standard: u64) -> u64 {
+    std::env::var(name).map_or(standard, |text| text.parse().expect("it is a number"))
 }
 
 /// Sixteen satellites or so, two signals each, an epoch a second.
 fn drive() -> Drive {
-    let duration_s = (EPOCHS_MAX + 64) as f64;
+    let epochs_max = number("GRAPHFIX_BENCH_EPOCHS", EPOCHS_MAX);
+    let duration_s = (epochs_max + 64) as f64;
     let scenario = Scenario { duration_s, elevation_mask_rad: 0.5, ..Scenario::open_sky() };
     let simulator = Simulator::new(Scenario { base: None, ..scenario }, 3);
     let navigation = Navigation::clone(simulator.navigation());
-    Drive { navigation, epochs: simulator.map(|epoch| epoch.rover).collect() }
+    Drive { navigation, epochs: simulator.map(|epoch| epoch.rover).collect(), epochs_max }
 }
 
 /// A desk on a database, with room for this many sessions.
-async fn desk(url: &str, drive: &Drive, active_sessions: usize) -> (Store, Sessions) {
+async fn desk(url: &str, drive: &Drive, active_sessions: usize) -> (Store, Sessions, AidingDesk) {
     let store = Store::open(url).await.expect("the database opens");
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await;
     let aiding = aiding.expect("navigation data are read");
     let pushed = aiding.navigation.push(drive.navigation.clone(), "simulation").await;
     pushed.expect("the navigation data are stored");
     let limits = SessionLimits { active_sessions, ..SessionLimits::service() };
-    (store.clone(), Sessions::open(store, aiding, limits))
+    (store.clone(), Sessions::open(store, aiding.clone(), limits), aiding)
 }
 
 async fn created(sessions: &Sessions, count: usize) -> Vec<SessionId> {
@@ -72,9 +85,28 @@ async fn created(sessions: &Sessions, count: usize) -> Vec<SessionId> {
     ids
 }
 
-/// Epochs of a session before the crash: from 129 to 256, so that states of any age are restored.
-fn filled(index: usize) -> u64 {
-    EPOCHS_MAX - (index as u64 * 37) % (EPOCHS_MAX / 2)
+impl Drive {
+    /// Epochs of a session before the crash: from half of the most on, so that states of any age
+    /// are restored.
+    fn filled(&self, index: usize) -> u64 {
+        self.epochs_max - (index as u64 * 37) % (self.epochs_max / 2)
+    }
+}
+
+/// Brings an ephemeris now and then, for some days later. Returns never.
+async fn stream(aiding: &AidingDesk, drive: &Drive) {
+    let pause = Duration::from_millis(number("GRAPHFIX_BENCH_STREAM_MS", STREAM_MS));
+    let all: Vec<&Ephemeris> = drive.navigation.satellites().flat_map(|(_, list)| list).collect();
+    for count in 0.. {
+        tokio::time::sleep(pause).await;
+        let Ephemeris::Keplerian(mut orbit) = all[count % all.len()].clone() else { continue };
+        let later_s = 864_000.0 + 16.0 * count as f64;
+        (orbit.toe, orbit.toc) = (orbit.toe + later_s, orbit.toc + later_s);
+        let mut brought = Navigation::default();
+        brought.insert(Ephemeris::Keplerian(orbit));
+        let pushed = aiding.navigation.push(brought, "simulation").await;
+        pushed.expect("the ephemeris is stored");
+    }
 }
 
 /// Pushes epochs of the drive by index; the first has number 1.
@@ -118,7 +150,7 @@ fn copy(from: &Path, to: &Path) {
 async fn storm(sessions: &Sessions, drive: &Drive, ids: &[SessionId]) {
     let (start, before) = (Instant::now(), cpu());
     let first = |(index, id)| async move {
-        let seq = filled(index);
+        let seq = drive.filled(index);
         push(sessions, drive, id, seq..seq + 1).await;
         start.elapsed().as_secs_f64()
     };
@@ -141,7 +173,7 @@ async fn round_robin(sessions: &Sessions, drive: &Drive, ids: &[SessionId], from
         each(ids.len(), CONCURRENT, |index| {
             let (id, worst) = (&ids[index], &worst);
             async move {
-                let (seq, start) = (filled(index) + round, Instant::now());
+                let (seq, start) = (drive.filled(index) + round, Instant::now());
                 push(sessions, drive, id, seq..seq + 1).await;
                 worst.fetch_max(start.elapsed().as_micros() as usize, Ordering::Relaxed);
             }
@@ -160,8 +192,7 @@ async fn round_robin(sessions: &Sessions, drive: &Drive, ids: &[SessionId], from
 }
 
 fn main() {
-    let count = std::env::var("GRAPHFIX_BENCH_SESSIONS")
-        .map_or(500, |count| count.parse().expect("GRAPHFIX_BENCH_SESSIONS is a number"));
+    let count = number("GRAPHFIX_BENCH_SESSIONS", 500) as usize;
     let runtime = tokio::runtime::Runtime::new().expect("a runtime starts");
     runtime.block_on(measure(count));
 }
@@ -173,20 +204,28 @@ async fn measure(count: usize) {
     println!("{count} fgo sessions, {observations} observations an epoch");
     let (live, crashed) = (folder.path().join("live.db"), folder.path().join("crashed.db"));
     let url = |file: &Path| format!("sqlite://{}", file.display());
-    let (store, sessions) = desk(&url(&live), &drive, count).await;
+    let (store, sessions, aiding) = desk(&url(&live), &drive, count).await;
     let ids = created(&sessions, count).await;
     let start = Instant::now();
-    each(count, CONCURRENT, |index| {
+    let filling = each(count, CONCURRENT, |index| {
         let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
         async move {
-            let end = filled(index);
+            let end = drive.filled(index);
             for first in (0..end).step_by(FILLING as usize) {
                 push(sessions, drive, id, first..end.min(first + FILLING)).await;
             }
         }
-    })
-    .await;
-    println!("filled in {:.1} s, {} MB resident", start.elapsed().as_secs_f64(), resident_mb());
+    });
+    tokio::select! {
+        () = filling => {}
+        () = stream(&aiding, &drive) => {}
+    }
+    println!(
+        "filled in {:.1} s, with {} pushes of navigation data, {} MB resident",
+        start.elapsed().as_secs_f64(),
+        aiding.navigation.current().push,
+        resident_mb(),
+    );
     copy(&live, &crashed);
 
     let start = Instant::now();
@@ -195,7 +234,7 @@ async fn measure(count: usize) {
     store.close().await;
     drop(sessions);
 
-    let (store, sessions) = desk(&url(&crashed), &drive, count).await;
+    let (store, sessions, _) = desk(&url(&crashed), &drive, count).await;
     storm(&sessions, &drive, &ids).await;
     println!("round robin, all fit:");
     let fitting = round_robin(&sessions, &drive, &ids, 1).await;
@@ -204,10 +243,10 @@ async fn measure(count: usize) {
     drop(sessions);
 
     let room = (FITTING * count as f64) as usize;
-    let (store, sessions) = desk(&url(&crashed), &drive, room).await;
+    let (store, sessions, _) = desk(&url(&crashed), &drive, room).await;
     each(count, CONCURRENT, |index| {
         let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
-        let seq = filled(index) + ROUNDS + 1;
+        let seq = drive.filled(index) + ROUNDS + 1;
         async move { push(sessions, drive, id, seq..seq + 1).await }
     })
     .await;

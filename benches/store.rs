@@ -17,6 +17,7 @@ use graphfix::session::{NewSession, SequencedEpoch, SessionLimits, Sessions};
 use graphfix::store::{
     BaseChoice, Batch, EncodedEpoch, SessionKey, SessionSettings, Store, StoredSolution,
 };
+use graphfix::tenant::Tenant;
 use nalgebra::Matrix3;
 
 const SESSIONS: usize = 8;
@@ -128,7 +129,11 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         antenna: None,
         retention_days: None,
     };
-    store.create_session(&unique, &settings, 0).await.expect("the session is stored").key
+    store
+        .create_session(&Tenant::operator(), &unique, &settings, 0)
+        .await
+        .expect("the session is stored")
+        .key
 }
 
 /// Twenty satellites with two signals each.

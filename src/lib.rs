@@ -40,6 +40,7 @@
 //! | [`reception`] | a receiver's stream of bytes into epochs and navigation data |
 //! | [`store`] | the database |
 //! | [`clock`] | the system clock |
+//! | [`keys`] | API keys: who may call what |
 //! | [`aiding`] | ephemerides and base stations, for all sessions |
 //! | [`feeds`] | casters and archives, which fill `aiding` |
 //! | [`recording`] | files of a rover and its base, positioned together |
@@ -58,6 +59,7 @@ pub mod gnss;
 pub mod refusal;
 
 pub mod id;
+pub mod tenant;
 
 pub mod config;
 
@@ -81,6 +83,10 @@ pub mod reception;
 pub mod store;
 
 pub mod clock;
+mod meters;
+
+pub mod keys;
+pub mod quotas;
 
 pub mod aiding;
 
@@ -89,6 +95,8 @@ pub mod feeds;
 pub mod recording;
 
 pub mod session;
+
+pub mod jobs;
 
 pub mod contract;
 

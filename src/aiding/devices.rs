@@ -1,14 +1,17 @@
-//! The navigation data of single devices, which serve their own sessions only.
+//! The navigation data of single devices, which serve their own sessions only, and those of
+//! tenants, which serve the sessions of the tenant only. Both are called devices here.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::gnss::{Ephemeris, Navigation};
+use crate::gnss::{Ephemeris, LeapSeconds, Navigation};
 
-use super::trust::{Issue, agree, contradict, issue};
+use super::trust::{Issue, TENANT_PREFIX, agree, contradict, issue};
 
 /// Ephemerides of one device. A receiver of all constellations decodes some 40 an hour.
 const OF_DEVICE_MAX: usize = 256;
+/// Ephemerides of one tenant: those of all constellations of two days, and more.
+const OF_TENANT_MAX: usize = 16_384;
 /// Ephemerides of all devices together.
 const OF_ALL_MAX: usize = 100_000;
 /// Age from which the data of a device make room for those of others (ms).
@@ -86,12 +89,13 @@ impl Devices {
     ) -> (Vec<Ephemeris>, Vec<Owned>) {
         let is_new = |e: &Ephemeris| self.find(source, e) != Some(e);
         let mut new: Vec<Ephemeris> = brought.into_iter().filter(is_new).collect();
-        new.truncate(OF_DEVICE_MAX);
+        let most = most_of(source);
+        new.truncate(most);
         let replaced = |e: &&Ephemeris| self.find(source, e).is_some();
         let added = new.len() - new.iter().filter(replaced).count();
         let mut ended = Vec::new();
         let present = self.devices.get(source).map_or(&[][..], |own| &own.order[..]);
-        let surplus = (present.len() + added).saturating_sub(OF_DEVICE_MAX);
+        let surplus = (present.len() + added).saturating_sub(most);
         let stays = |issued: &&Issue| !new.iter().any(|e| issue(e) == **issued);
         for oldest in present.iter().filter(stays).take(surplus) {
             ended.extend(self.get(source, oldest).map(|e| (source.clone(), e.clone())));
@@ -138,12 +142,12 @@ impl Devices {
     /// Removes an ephemeris that is no longer in force.
     pub(super) fn remove(&mut self, source: &str, ephemeris: &Ephemeris) {
         let issued = issue(ephemeris);
-        let Some(own) = self.devices.get_mut(source) else { return };
-        let before = own.order.len();
-        own.order.retain(|other| *other != issued);
-        if own.order.len() == before {
+        let mut owners = self.owners.get(&issued).into_iter().flatten();
+        if !owners.any(|(owner, _)| &**owner == source) {
             return;
         }
+        let Some(own) = self.devices.get_mut(source) else { return };
+        own.order.retain(|other| *other != issued);
         own.navigation.retain(|other| issue(other) != issued);
         if own.navigation == Navigation::default() {
             self.devices.remove(source);
@@ -171,14 +175,7 @@ impl Devices {
     /// Removes coefficients that are no longer in force.
     pub(super) fn remove_coefficients(&mut self, source: &str, ended: &Navigation) {
         let Some(own) = self.devices.get_mut(source) else { return };
-        let before = std::mem::take(&mut own.navigation);
-        let stays = |kept: &Navigation| !contains_coefficients(ended, kept);
-        for kept in coefficients(&before).into_iter().flatten().filter(stays) {
-            own.navigation.merge(kept);
-        }
-        for (_, list) in before.satellites() {
-            own.navigation.insert_all(list.iter().cloned());
-        }
+        remove_coefficients(&mut own.navigation, ended);
         if own.navigation == Navigation::default() {
             self.devices.remove(source);
         }
@@ -192,6 +189,11 @@ impl Devices {
         let own = self.devices.get(source)?;
         own.navigation.of(issued.0).iter().find(|e| issue(e) == *issued)
     }
+}
+
+/// Most ephemerides of a source.
+fn most_of(source: &str) -> usize {
+    if source.starts_with(TENANT_PREFIX) { OF_TENANT_MAX } else { OF_DEVICE_MAX }
 }
 
 /// What is not an ephemeris, in parts: the ionosphere coefficients of each system, and the leap
@@ -210,4 +212,18 @@ pub(super) fn coefficients(navigation: &Navigation) -> [Option<Navigation>; 5] {
 pub(super) fn contains_coefficients(whole: &Navigation, part: &Navigation) -> bool {
     let (whole, part) = (coefficients(whole), coefficients(part));
     whole.iter().zip(&part).all(|(whole, part)| part.is_none() || whole == part)
+}
+
+/// Removes the coefficients and leap seconds that are those of `ended`.
+pub(super) fn remove_coefficients(navigation: &mut Navigation, ended: &Navigation) {
+    fn remove<T: PartialEq>(known: &mut Option<T>, ended: &Option<T>) {
+        *known = known.take().filter(|known| Some(known) != ended.as_ref());
+    }
+    remove(&mut navigation.klobuchar_gps, &ended.klobuchar_gps);
+    remove(&mut navigation.klobuchar_beidou, &ended.klobuchar_beidou);
+    remove(&mut navigation.klobuchar_qzss, &ended.klobuchar_qzss);
+    remove(&mut navigation.nequick, &ended.nequick);
+    if navigation.leap_seconds == ended.leap_seconds {
+        navigation.leap_seconds = LeapSeconds::table();
+    }
 }

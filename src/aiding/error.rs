@@ -43,6 +43,12 @@ pub enum AidingError {
         /// Id of the base.
         id: String,
     },
+    /// The base is the operator's, and another tenant wants to change it.
+    #[error("base {id} is the operator's")]
+    BaseOfOperator {
+        /// Id of the base.
+        id: String,
+    },
     /// The position of the base is unknown.
     #[error("the position of base {id} is unknown")]
     BasePositionMissing {
@@ -95,6 +101,7 @@ impl AidingError {
             Self::TooManyBases { .. } => Code::TooManyBases,
             Self::LabelTooLong { .. } => Code::LabelTooLong,
             Self::BaseInUse { .. } => Code::BaseInUse,
+            Self::BaseOfOperator { .. } => Code::BaseOfOperator,
             Self::BasePositionMissing { .. } => Code::BasePositionMissing,
             Self::BasePositionRefused { .. } => Code::BasePositionRefused,
             Self::AntennaUnknown { .. } => Code::AntennaUnknown,

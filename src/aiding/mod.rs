@@ -11,19 +11,23 @@ mod devices;
 mod error;
 mod limits;
 mod navigation;
+mod past;
 mod shared;
 mod state;
+mod tenant_navigation;
 mod trust;
+mod views;
 
 pub use antennas::Antennas;
 pub use bases::BaseBroker;
 pub use error::AidingError;
 pub use limits::AidingLimits;
-pub use navigation::PushedNavigation;
 pub use navigation::{NavigationBroker, NavigationPush};
 pub use navigation::{NavigationStatus, SatelliteCoverage};
-pub(crate) use trust::OF_BASE;
+pub use state::PushedNavigation;
+pub use tenant_navigation::TenantNavigation;
 pub use trust::{AGREED, UPLOAD, device};
+pub(crate) use trust::{OF_BASE, rover_source, tenant_source};
 
 use std::sync::Arc;
 

@@ -1,16 +1,17 @@
 //! The desk for broadcast ephemerides, ionosphere coefficients and leap seconds.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, OwnedMutexGuard};
 
 use crate::clock::unix_ms;
 use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
-use crate::store::{NavigationChange, Store, StoreError, owner_of};
+use crate::store::{NavigationChange, Store, StoreError, StoredNavigation, owner_of};
 
-use super::state::{Part, State};
+use super::past::PastStates;
+use super::state::{Part, PushedNavigation, State};
 use super::trust::{Trust, trust};
 use super::{AidingError, AidingLimits};
 
@@ -64,16 +65,17 @@ pub struct NavigationStatus {
 /// Source of each satellite's newest ephemeris, and when it was stored (ms since 1970-01-01 UTC).
 type Sources = BTreeMap<SatelliteId, (Arc<str>, i64)>;
 
-/// Past states of the navigation data that are cached for replay.
-const PAST_CACHED: usize = 4;
+/// The part of the superseded ephemerides that is deleted at a time.
+const ROOM: usize = 16;
 
-/// The navigation data after one push. They never change.
-#[derive(Clone, Debug, Default)]
-pub struct PushedNavigation {
-    /// Number of the push; zero before the first.
-    pub push: u64,
-    /// All navigation data in force.
-    pub navigation: Arc<Navigation>,
+/// What pushes leave to the next one.
+#[derive(Default)]
+struct Pushing {
+    /// A push did not end well, so that it may be stored without being known here.
+    is_unconfirmed: bool,
+    /// Ephemerides that may end before the number of superseded ones must be looked at. To look at
+    /// it, the database counts them all.
+    room: usize,
 }
 
 /// The desk for broadcast navigation data. All clones share the same data.
@@ -84,9 +86,8 @@ pub struct NavigationBroker {
     state: Arc<RwLock<State>>,
     sources: Arc<RwLock<Sources>>,
     /// Locked while a push is compared and committed, so that pushes follow one another.
-    pushing: Arc<Mutex<()>>,
-    /// Past states that replay requested recently, the newest last.
-    past: Arc<Mutex<VecDeque<Arc<RwLock<State>>>>>,
+    pushing: Arc<Mutex<Pushing>>,
+    past: Arc<PastStates>,
 }
 
 impl NavigationBroker {
@@ -96,15 +97,8 @@ impl NavigationBroker {
     /// The store fails.
     pub async fn open(store: Store, limits: AidingLimits) -> Result<Self, AidingError> {
         let stored = store.navigation().await?;
-        let mut sources = Sources::new();
-        for row in &stored.ephemerides {
-            let newest = sources.entry(row.ephemeris.satellite()).or_default();
-            if newest.1 < row.stored_unix_ms && trust(&row.source) != Trust::Device {
-                *newest = (row.source.as_str().into(), row.stored_unix_ms);
-            }
-        }
+        let sources = Arc::new(RwLock::new(sources_of(&stored)));
         let state = Arc::new(RwLock::new(State::of(stored)));
-        let sources = Arc::new(RwLock::new(sources));
         Ok(Self { store, limits, state, sources, pushing: Arc::default(), past: Arc::default() })
     }
 
@@ -116,7 +110,7 @@ impl NavigationBroker {
 
     /// The navigation data in force now for the session of a device, which is a source of its own.
     pub fn current_for(&self, device: &str) -> PushedNavigation {
-        pushed_for(&self.state, device)
+        self.read().pushed_for(device)
     }
 
     /// The navigation data that were in force for the session of a device after push number `push`.
@@ -128,19 +122,7 @@ impl NavigationBroker {
         if current.push == push {
             return Ok(current);
         }
-        // Locked while the store is read: many sessions restored at once ask for the same push.
-        let mut past = self.past.lock().await;
-        let is_known = |state: &&Arc<RwLock<State>>| read(state).push == push;
-        if let Some(known) = past.iter().find(is_known) {
-            return Ok(pushed_for(known, device));
-        }
-        let found = self.store.navigation_after(push).await?;
-        let found = Arc::new(RwLock::new(State::of(found)));
-        if past.len() == PAST_CACHED {
-            past.pop_front();
-        }
-        past.push_back(found.clone());
-        Ok(pushed_for(&found, device))
+        self.past.after(push, device, &self.store, &self.state).await
     }
 
     /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
@@ -167,19 +149,50 @@ impl NavigationBroker {
         if is_known {
             return Ok(counts);
         }
-        let _turn = self.pushing.lock().await;
-        let parts = self.read().parts(&pushed, &source.into(), limit, unix_ms());
-        for part in parts {
-            counts.new += part.new.len();
-            counts.dropped += part.ended.len() + part.ended_owned.len();
-            self.commit(part).await?;
-        }
+        let turn = self.pushing.clone().lock_owned().await;
+        let (broker, source) = (self.clone(), source.into());
+        // In its own task: what is stored must become known, also if the caller has gone.
+        let pushing = tokio::spawn(async move { broker.push_in_turn(turn, &pushed, source).await });
+        let (new, dropped) = pushing.await.unwrap_or(Err(StoreError::Closed.into()))?;
+        counts.new = new;
+        counts.dropped = dropped;
         counts.in_force = self.current_len();
         Ok(counts)
     }
 
+    /// Stores what is new of a push. Returns the numbers of new and of dropped ephemerides.
+    async fn push_in_turn(
+        &self,
+        mut turn: OwnedMutexGuard<Pushing>,
+        pushed: &Navigation,
+        source: Arc<str>,
+    ) -> Result<(usize, usize), AidingError> {
+        if turn.is_unconfirmed {
+            self.read_again().await?;
+        }
+        let limit = self.limits.ephemerides_per_satellite;
+        let parts = self.read().parts(pushed, &source, limit, unix_ms());
+        let (mut new, mut dropped) = (0, 0);
+        turn.is_unconfirmed = true;
+        for part in parts {
+            new += part.new.len();
+            dropped += part.ended.len() + part.ended_owned.len();
+            self.commit(part, &mut turn.room).await?;
+        }
+        turn.is_unconfirmed = false;
+        Ok((new, dropped))
+    }
+
+    /// Takes over what is stored, after a push of which this is not known.
+    async fn read_again(&self) -> Result<(), AidingError> {
+        let stored = self.store.navigation().await?;
+        *self.sources.write().unwrap_or_else(PoisonError::into_inner) = sources_of(&stored);
+        *write(&self.state) = State::of(stored);
+        Ok(())
+    }
+
     /// Stores a part of a push, and then takes it over.
-    async fn commit(&self, part: Part) -> Result<(), AidingError> {
+    async fn commit(&self, part: Part, room: &mut usize) -> Result<(), AidingError> {
         let stored_unix_ms = unix_ms();
         let new: Vec<Ephemeris> =
             part.new.satellites().flat_map(|(_, list)| list.iter().cloned()).collect();
@@ -188,6 +201,8 @@ impl NavigationBroker {
         let ended: Vec<(&str, &Ephemeris)> = shared.chain(owned).collect();
         let ended_coefficients: Vec<(&str, &Navigation)> =
             part.ended_coefficients.iter().map(|(owner, ended)| (owner_of(owner), ended)).collect();
+        let (limit, ending) = (self.limits.superseded_ephemerides, new.len() + ended.len());
+        let is_looked_at = *room < ending;
         let change = NavigationChange {
             new: &new,
             ended: &ended,
@@ -195,9 +210,14 @@ impl NavigationBroker {
             ended_coefficients: &ended_coefficients,
             source: &part.source,
             stored_unix_ms,
-            superseded_limit: self.limits.superseded_ephemerides,
+            superseded_limit: is_looked_at.then_some(limit - limit / ROOM),
         };
         let push = self.store.push_navigation(&change).await?;
+        *room = if is_looked_at { limit / ROOM } else { *room - ending };
+        if push != self.read().push + 1 {
+            // One before it is stored, although its commit was not confirmed.
+            return self.read_again().await;
+        }
         if trust(&part.source) != Trust::Device {
             let mut sources = self.sources.write().unwrap_or_else(PoisonError::into_inner);
             for ephemeris in &new {
@@ -210,7 +230,18 @@ impl NavigationBroker {
 
     /// The satellites with usable ephemerides, and the time that these cover.
     pub fn status(&self) -> NavigationStatus {
-        let navigation = self.current().navigation;
+        self.status_of(&self.current().navigation)
+    }
+
+    /// The satellites of which a source alone has ephemerides in force.
+    pub(super) fn own_satellites(&self, source: &str) -> Vec<SatelliteId> {
+        let state = self.read();
+        let own = state.devices.of(source).into_iter().flat_map(Navigation::satellites);
+        own.map(|(satellite, _)| satellite).collect()
+    }
+
+    /// The same of data that serve a tenant.
+    pub(super) fn status_of(&self, navigation: &Navigation) -> NavigationStatus {
         let sources = self.sources.read().unwrap_or_else(PoisonError::into_inner);
         let coverage = |(satellite, list): (SatelliteId, &[Ephemeris])| {
             let (source, stored_unix_ms) = sources.get(&satellite).cloned().unwrap_or_default();
@@ -238,34 +269,24 @@ impl NavigationBroker {
     }
 }
 
+/// The sources of each satellite's newest ephemeris that serves all sessions.
+fn sources_of(stored: &StoredNavigation) -> Sources {
+    let mut sources = Sources::new();
+    for row in &stored.ephemerides {
+        let newest = sources.entry(row.ephemeris.satellite()).or_default();
+        if newest.1 < row.stored_unix_ms && trust(&row.source) != Trust::Device {
+            *newest = (row.source.as_str().into(), row.stored_unix_ms);
+        }
+    }
+    sources
+}
+
 fn read(state: &RwLock<State>) -> RwLockReadGuard<'_, State> {
     state.read().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn write(state: &RwLock<State>) -> RwLockWriteGuard<'_, State> {
     state.write().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// What serves the session of a device.
-fn pushed_for(state: &RwLock<State>, device: &str) -> PushedNavigation {
-    {
-        let state = read(state);
-        let push = state.push;
-        if state.devices.of(device).is_none() {
-            return PushedNavigation { push, navigation: state.shared.navigation.clone() };
-        }
-        if let Some(view) = state.views.get(device) {
-            return PushedNavigation { push, navigation: view.clone() };
-        }
-    }
-    let mut state = write(state);
-    let push = state.push;
-    let view = match state.devices.of(device) {
-        None => return PushedNavigation { push, navigation: state.shared.navigation.clone() },
-        Some(own) => Arc::new(state.shared.view(own)),
-    };
-    state.views.insert(device.into(), view.clone());
-    PushedNavigation { push, navigation: view }
 }
 
 fn usable_span(list: &[Ephemeris]) -> Option<(GpsTime, GpsTime)> {

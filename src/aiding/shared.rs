@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::gnss::{Ephemeris, Navigation};
+use crate::gnss::{Ephemeris, Navigation, SatelliteId};
 
-use super::devices::coefficients;
+use super::devices::{coefficients, remove_coefficients};
 use super::trust::{Issue, Trust, agree, contradict, issue, trust};
 
 /// Age from which an ephemeris that is not the operator's makes room for others (ms).
@@ -16,8 +16,9 @@ const LASTING_MS: i64 = 86_400_000;
 pub(super) struct Shared {
     /// All of them.
     pub(super) navigation: Arc<Navigation>,
-    /// The ephemerides that are not the operator's.
-    ranks: BTreeMap<Issue, Rank>,
+    /// The ephemerides that are not the operator's, by satellite. Clones share them until one
+    /// changes.
+    ranks: BTreeMap<SatelliteId, Arc<BTreeMap<Issue, Rank>>>,
     /// Sources of the coefficients, by kind.
     coefficients: [Option<Arc<str>>; 5],
 }
@@ -34,10 +35,11 @@ impl Shared {
     /// Adds an ephemeris.
     pub(super) fn insert(&mut self, ephemeris: Ephemeris, source: &Arc<str>, stored_unix_ms: i64) {
         match trust(source) {
-            Trust::Operator => drop(self.ranks.remove(&issue(&ephemeris))),
+            Trust::Operator => self.remove_rank(&issue(&ephemeris)),
             _ => {
                 let rank = Rank { source: source.clone(), stored_unix_ms };
-                self.ranks.insert(issue(&ephemeris), rank);
+                let ranks = self.ranks.entry(ephemeris.satellite()).or_default();
+                Arc::make_mut(ranks).insert(issue(&ephemeris), rank);
             }
         }
         Arc::make_mut(&mut self.navigation).insert(ephemeris);
@@ -56,9 +58,30 @@ impl Shared {
 
     /// Removes ephemerides that are no longer in force.
     pub(super) fn remove(&mut self, ended: &[Ephemeris]) {
-        if !ended.is_empty() {
-            Arc::make_mut(&mut self.navigation).retain(|e| !ended.contains(e));
-            ended.iter().for_each(|ephemeris| drop(self.ranks.remove(&issue(ephemeris))));
+        for ephemeris in ended {
+            Arc::make_mut(&mut self.navigation).remove(ephemeris);
+            self.remove_rank(&issue(ephemeris));
+        }
+    }
+
+    /// Removes coefficients and leap seconds that are no longer in force.
+    pub(super) fn remove_coefficients(&mut self, ended: &Navigation) {
+        let known = self.coefficients.iter_mut().zip(coefficients(ended));
+        known.for_each(|(known, ended)| *known = known.take().filter(|_| ended.is_none()));
+        remove_coefficients(Arc::make_mut(&mut self.navigation), ended);
+    }
+
+    fn rank(&self, issued: &Issue) -> Option<&Rank> {
+        self.ranks.get(&issued.0)?.get(issued)
+    }
+
+    fn remove_rank(&mut self, issued: &Issue) {
+        let Some(ranks) = self.ranks.get_mut(&issued.0) else { return };
+        if ranks.contains_key(issued) {
+            Arc::make_mut(ranks).remove(issued);
+        }
+        if ranks.is_empty() {
+            self.ranks.remove(&issued.0);
         }
     }
 
@@ -70,7 +93,7 @@ impl Shared {
 
     /// The trust in an ephemeris that is in force.
     pub(super) fn trust_in(&self, ephemeris: &Ephemeris) -> Trust {
-        self.ranks.get(&issue(ephemeris)).map_or(Trust::Operator, |rank| trust(&rank.source))
+        self.rank(&issue(ephemeris)).map_or(Trust::Operator, |rank| trust(&rank.source))
     }
 
     /// Whether an ephemeris contradicts one that is trusted as far as `least`, or further.
@@ -86,7 +109,7 @@ impl Shared {
         source: &str,
     ) -> Option<&Ephemeris> {
         let known = self.same_issue(ephemeris).filter(|known| agree(known, ephemeris))?;
-        let rank = self.ranks.get(&issue(known))?;
+        let rank = self.rank(&issue(known))?;
         (trust(&rank.source) == Trust::Offer && &*rank.source != source).then_some(known)
     }
 
@@ -115,7 +138,7 @@ impl Shared {
         for (satellite, list) in new.satellites() {
             let present = self.navigation.of(satellite);
             let is_old = |e: &&Ephemeris| {
-                let rank = self.ranks.get(&issue(e));
+                let rank = self.rank(&issue(e));
                 rank.is_some_and(|rank| rank.stored_unix_ms + LASTING_MS < now_unix_ms)
             };
             let mut old = present.iter().filter(is_old);

@@ -1,7 +1,6 @@
 //! The navigation data in force after a push, and what another push changes.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::gnss::{Ephemeris, Navigation};
 use crate::store::StoredNavigation;
@@ -9,6 +8,16 @@ use crate::store::StoredNavigation;
 use super::devices::{Devices, Owned, coefficients, contains_coefficients};
 use super::shared::Shared;
 use super::trust::{AGREED, Trust, trust};
+use super::views::Views;
+
+/// The navigation data after one push. They never change.
+#[derive(Clone, Debug, Default)]
+pub struct PushedNavigation {
+    /// Number of the push; zero before the first.
+    pub push: u64,
+    /// All navigation data in force.
+    pub navigation: Arc<Navigation>,
+}
 
 /// The navigation data in force after a push.
 #[derive(Default)]
@@ -16,8 +25,7 @@ pub(super) struct State {
     pub(super) push: u64,
     pub(super) shared: Shared,
     pub(super) devices: Devices,
-    /// What serves the sessions whose devices have data of their own, as far as it was asked for.
-    pub(super) views: BTreeMap<Arc<str>, Arc<Navigation>>,
+    views: Mutex<Views>,
 }
 
 /// What one source brings in a push, as far as it is taken, and what ends because of it.
@@ -211,6 +219,22 @@ impl State {
         Part { source, new, ended, ended_owned, ended_coefficients }
     }
 
+    /// What serves the session of a device.
+    pub(super) fn pushed_for(&self, device: &str) -> PushedNavigation {
+        let push = self.push;
+        let Some(own) = self.devices.of(device) else {
+            return PushedNavigation { push, navigation: self.shared.navigation.clone() };
+        };
+        let views = || self.views.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = views().get(device);
+        let navigation = known.unwrap_or_else(|| {
+            let view = Arc::new(self.shared.view(own));
+            views().insert(device, view.clone(), own);
+            view
+        });
+        PushedNavigation { push, navigation }
+    }
+
     /// Takes over a part that is stored as push number `push`.
     pub(super) fn take_over(
         &mut self,
@@ -220,24 +244,25 @@ impl State {
         stored_unix_ms: i64,
     ) {
         let Part { source, new: brought, ended, ended_owned, ended_coefficients } = part;
+        let views = self.views.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.push = push;
         self.shared.remove(&ended);
         for (owner, ephemeris) in &ended_owned {
             self.devices.remove(owner, ephemeris);
-            self.views.remove(owner);
+            views.remove(owner);
         }
         for (owner, coefficients) in &ended_coefficients {
             self.devices.remove_coefficients(owner, coefficients);
-            self.views.remove(owner);
+            views.remove(owner);
         }
         if trust(&source) == Trust::Device {
             new.into_iter().for_each(|e| self.devices.insert(&source, e, stored_unix_ms));
             self.devices.insert_coefficients(&source, brought);
-            self.views.remove(&source);
+            views.remove(&source);
         } else {
             new.into_iter().for_each(|e| self.shared.insert(e, &source, stored_unix_ms));
             self.shared.insert_coefficients(&brought, &source);
-            self.views.clear();
+            views.clear();
         }
     }
 }

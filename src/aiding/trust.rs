@@ -4,12 +4,17 @@
 //! uploads and the streams of bases, and last what one device has decoded. Data of the first three
 //! serve all sessions; those of a device serve its own session only, until another source agrees.
 //! Nothing is replaced or contradicted by a source of lower trust.
+//!
+//! All sources of a tenant other than the operator, its devices, uploads and bases, are one source
+//! of the trust of a device: it serves the sessions of the tenant only, until a source of another
+//! tenant agrees. So no tenant brings data to others, however many devices it has.
 
 use std::sync::Arc;
 
 use crate::gnss::{Ephemeris, GpsTime, GroupDelays, NavigationMessage, SatelliteId};
 use crate::models::{satellite_state, validity_s};
 use crate::store::OWNER_PREFIX;
+use crate::tenant::Tenant;
 
 /// Source of uploaded files, as the navigation status names it.
 pub const UPLOAD: &str = "upload";
@@ -17,6 +22,8 @@ pub const UPLOAD: &str = "upload";
 pub const AGREED: &str = "agreed";
 /// Prefix of the sources that are streams of bases.
 pub(crate) const OF_BASE: &str = "base ";
+/// Beginning of the sources that are tenants; the name follows.
+pub(super) const TENANT_PREFIX: &str = "device tenant ";
 /// Source of what devices brought to earlier versions, which shared it at once.
 const FORMER_DEVICE: &str = "device";
 /// Difference of the satellite's positions and clocks by two ephemerides that contradict each other
@@ -32,7 +39,7 @@ const ACCURACY_RATIO: f64 = 1.5;
 /// How far a source is trusted, the least first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Trust {
-    /// A device: trusted by its own session only.
+    /// A device, trusted by its own session only, or a tenant, trusted by its own sessions only.
     Device,
     /// An upload, or the stream of a base.
     Offer,
@@ -53,9 +60,19 @@ pub(super) fn trust(source: &str) -> Trust {
     }
 }
 
-/// The source that is the device of a session.
+/// The source that is the device of an operator's session.
 pub fn device(session: &str) -> Arc<str> {
     format!("{OWNER_PREFIX}{session}").into()
+}
+
+/// The source that is the device of a tenant's session.
+pub(crate) fn rover_source(tenant: &Tenant, session: &str) -> Arc<str> {
+    tenant_source(tenant).unwrap_or_else(|| device(session))
+}
+
+/// The one source that all sources of a tenant are; `None` for the operator's, which differ.
+pub(crate) fn tenant_source(tenant: &Tenant) -> Option<Arc<str>> {
+    (!tenant.is_operator()).then(|| format!("{TENANT_PREFIX}{tenant}").into())
 }
 
 /// Whether two ephemerides of one satellite give different orbits or clocks at a time for which

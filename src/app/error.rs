@@ -1,9 +1,12 @@
 //! Why a service does not open, or stops.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use crate::aiding::AidingError;
 use crate::feeds::FetchError;
+use crate::jobs::JobError;
+use crate::keys::KeyError;
 use crate::refusal::Code;
 use crate::store::StoreError;
 
@@ -19,6 +22,15 @@ pub enum AppError {
     /// A source of data.
     #[error(transparent)]
     Fetch(#[from] FetchError),
+    /// The folder of batch jobs.
+    #[error(transparent)]
+    Jobs(#[from] JobError),
+    /// Stored keys.
+    #[error(transparent)]
+    Keys(#[from] KeyError),
+    /// Others can reach the address, and anybody could call without a key.
+    #[error("refusing to listen on {0}: without a key only this machine may be served")]
+    NotLoopback(SocketAddr),
     /// The operator's calibrations of antennas.
     #[error("{}: {reason}", path.display())]
     Antex {
@@ -36,6 +48,9 @@ impl AppError {
             Self::Store(error) => error.code(),
             Self::Aiding(error) => error.code(),
             Self::Fetch(error) => error.code(),
+            Self::Jobs(error) => error.code(),
+            Self::Keys(error) => error.code(),
+            Self::NotLoopback(_) => Code::ListenNotLoopback,
             Self::Antex { .. } => Code::AntexInvalid,
         }
     }

@@ -8,7 +8,9 @@ mod error;
 use std::fs::File;
 use std::future::Future;
 use std::io::BufReader;
+use std::net::SocketAddr;
 use std::num::NonZeroUsize;
+use std::sync::{Arc, OnceLock};
 use std::thread::available_parallelism;
 use std::time::Duration;
 
@@ -30,8 +32,11 @@ use crate::feeds::{
 use crate::formats::{antex, decompress};
 use crate::gnss::AntennaCatalogue;
 use crate::http;
+use crate::jobs::Jobs;
+use crate::keys::Keys;
+use crate::quotas::TenantQuotas;
 use crate::session::{SessionLimits, Sessions};
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 
 pub use error::AppError;
 
@@ -74,7 +79,11 @@ pub async fn open(
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
-    let service = Service::new(sessions, aiding, feeds, limits.clone());
+    let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
+    let jobs = Jobs::open(store.clone(), lane, jobs, node.clone()).await?;
+    let keys = Keys::open(store.clone()).await?;
+    let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
+    let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     Ok(App { store, service: service.named(node).with_hosts(&configuration.hosts) })
 }
 
@@ -113,15 +122,48 @@ impl App {
         &self.service
     }
 
+    /// Checks that the service may listen on an address: beyond loopback only if requests need a
+    /// key.
+    ///
+    /// # Errors
+    /// [`AppError::NotLoopback`].
+    pub fn check_address(&self, address: SocketAddr) -> Result<(), AppError> {
+        if address.ip().is_loopback() {
+            return Ok(());
+        }
+        if !self.service.keys().are_needed() {
+            return Err(AppError::NotLoopback(address));
+        }
+        tracing::warn!(%address, "no TLS: let a proxy bring it, or keys can be read on their way");
+        Ok(())
+    }
+
     /// Serves until `stop` is ready. Then it refuses new requests, finishes the running ones, and
     /// closes.
+    ///
+    /// # Errors
+    /// Another service had the database meanwhile, so that this one must start again.
     pub async fn serve(
         self,
         listener: TcpListener,
         stop: impl Future<Output = ()> + Send + 'static,
-    ) {
+    ) -> Result<(), AppError> {
+        let (store, lost) = (self.store.clone(), Arc::new(OnceLock::new()));
+        let stop = {
+            let lost = lost.clone();
+            async move {
+                tokio::select! {
+                    () = stop => {}
+                    holder = store.lease_lost() => drop(lost.set(holder)),
+                }
+            }
+        };
         http::serve(listener, &self.service, stop).await;
         self.close().await;
+        match lost.get() {
+            None => Ok(()),
+            Some(holder) => Err(StoreError::LeaseLost { holder: holder.to_string() }.into()),
+        }
     }
 
     /// Finishes the running requests and closes the database. Requests that take longer than
@@ -131,7 +173,12 @@ impl App {
         if timeout(limit, self.service.sessions().drain()).await.is_err() {
             tracing::warn!(seconds = limit.as_secs(), "epochs were still positioned; cut off");
         }
+        if timeout(limit, self.service.jobs().close()).await.is_err() {
+            tracing::warn!(seconds = limit.as_secs(), "a job still runs; it begins again later");
+        }
         self.service.feeds().close().await;
+        self.service.keys().close().await;
+        self.service.quotas().close().await;
         self.store.close().await;
     }
 }

@@ -17,6 +17,7 @@ use crate::recording::{AnswerKind, Recording, RecordingError, RecordingInputs, S
 use crate::refusal::Code;
 
 use super::Failure;
+use super::evaluate::Triple;
 use super::option_arguments::assignments;
 use super::recording::RecordingArguments;
 
@@ -48,14 +49,8 @@ pub(crate) struct CompareArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "static_ecef")]
     truth: Option<PathBuf>,
     /// One true position instead: ECEF (m).
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        allow_hyphen_values = true,
-        value_delimiter = ',',
-        num_args = 3
-    )]
-    static_ecef: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    static_ecef: Option<Triple>,
     /// Largest error of a correct fix (m).
     #[arg(long, value_name = "M", default_value_t = 0.10)]
     fix_tol: f64,
@@ -133,8 +128,8 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
 
 impl CompareArguments {
     fn truth(&self, inputs: &RecordingInputs) -> Result<Option<Truth>, Failure> {
-        if let Some([x, y, z]) = self.static_ecef.as_deref() {
-            return Ok(Some(Truth::Static(Ecef::new(*x, *y, *z))));
+        if let Some(Triple([x, y, z])) = self.static_ecef {
+            return Ok(Some(Truth::Static(Ecef::new(x, y, z))));
         }
         let Some(path) = &self.truth else { return Ok(None) };
         let file = File::open(path).map_err(|error| {

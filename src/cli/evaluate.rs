@@ -74,7 +74,7 @@ pub(crate) struct EvaluateArguments {
 
 /// Three numbers separated by commas.
 #[derive(Clone, Copy, Debug)]
-struct Triple([f64; 3]);
+pub(super) struct Triple(pub(super) [f64; 3]);
 
 impl std::str::FromStr for Triple {
     type Err = String;

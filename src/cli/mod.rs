@@ -3,14 +3,19 @@
 //! A command that cannot do its work ends with a non-zero exit code and one line on standard
 //! error, `error[CODE]: what is wrong (what to do)`.
 
+mod bearer;
+mod cargo;
 mod compare;
 mod config;
+mod connection;
 mod demo;
-mod device;
+mod device_stream;
 mod evaluate;
 mod failure;
 mod files;
 mod host;
+mod keys;
+mod load;
 mod option_arguments;
 mod progress;
 mod recording;
@@ -20,6 +25,7 @@ mod simulate;
 mod solve;
 mod stream;
 mod stream_raw;
+mod tenants;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -48,7 +54,10 @@ enum Command {
     Demo(demo::DemoArguments),
     Serve(Box<serve::ServeArguments>),
     Stream(Box<stream::StreamArguments>),
+    Load(load::LoadArguments),
     Replay(replay::ReplayArguments),
+    Keys(keys::KeysArguments),
+    Tenants(tenants::TenantsArguments),
 }
 
 impl Command {
@@ -62,7 +71,10 @@ impl Command {
             Self::Demo(arguments) => demo::run(arguments),
             Self::Serve(arguments) => serve::run(*arguments),
             Self::Stream(arguments) => stream::run(*arguments),
+            Self::Load(arguments) => load::run(arguments),
             Self::Replay(arguments) => replay::run(&arguments),
+            Self::Keys(arguments) => keys::run(arguments),
+            Self::Tenants(arguments) => tenants::run(arguments),
         }
     }
 }

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use crate::contract::v1;
 
-use super::device::Pushed;
+use super::Failure;
+use super::cargo::Cargo;
+use super::device_stream::{Acknowledged, DeviceStream, Next};
 
 /// The speed at which a file is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,8 +33,7 @@ pub(super) struct Progress {
     pub(super) skipped: u64,
     acknowledged: u64,
     positioned: u64,
-    recovered: u64,
-    retries: usize,
+    breaks: usize,
     refused: u64,
 }
 
@@ -47,28 +48,73 @@ impl Progress {
             skipped: 0,
             acknowledged: 0,
             positioned: 0,
-            recovered: 0,
-            retries: 0,
+            breaks: 0,
             refused: 0,
         }
     }
 
-    pub(super) fn count(&mut self, pushed: &Pushed) {
-        let with_position = |solution: &&v1::Solution| solution.position.is_some();
-        self.acknowledged += pushed.solutions.len() as u64;
-        self.positioned += pushed.solutions.iter().filter(with_position).count() as u64;
-        self.recovered += pushed.recovered as u64;
-        self.retries += pushed.retries;
-        for (seq, words) in &pushed.refusals {
-            if self.refused < 10 {
-                eprintln!("epoch {seq} refused: {words}");
+    fn count(&mut self, acknowledged: Acknowledged) {
+        for result in acknowledged.results {
+            match result.refusal {
+                None => self.acknowledged += 1,
+                Some(refusal) => self.refuse(result.seq, &refusal),
             }
-            self.refused += 1;
+            let has_position = result.summary.is_some_and(|summary| summary.position.is_some());
+            self.positioned += u64::from(has_position);
         }
         if self.terminal && Duration::from_secs(1) < self.shown.elapsed() {
             self.shown = Instant::now();
             eprint!("\r{}", self.line());
         }
+    }
+
+    /// Counts a refused epoch, and shows the first ones.
+    fn refuse(&mut self, seq: u64, refusal: &v1::Refusal) {
+        if self.refused < 10 {
+            eprintln!("epoch {seq} refused: {}: {}", refusal.code, refusal.message);
+        }
+        self.refused += 1;
+    }
+
+    /// Counts answers until `due`.
+    ///
+    /// # Errors
+    /// The service refuses the stream, or does not answer again.
+    pub(super) async fn until<C: Cargo>(
+        &mut self,
+        device: &mut DeviceStream<C>,
+        due: tokio::time::Instant,
+    ) -> Result<(), Failure> {
+        while let Next::Acknowledged(acknowledged) = device.next(Some(due)).await? {
+            self.count(acknowledged);
+        }
+        Ok(())
+    }
+
+    /// Counts answers until more should be sent.
+    ///
+    /// # Errors
+    /// The service refuses the stream, or does not answer again.
+    pub(super) async fn until_room<C: Cargo>(
+        &mut self,
+        device: &mut DeviceStream<C>,
+    ) -> Result<(), Failure> {
+        while !device.has_room() {
+            if let Next::Acknowledged(acknowledged) = device.next(None).await? {
+                self.count(acknowledged);
+            }
+        }
+        Ok(())
+    }
+
+    /// Counts answers until everything is durable.
+    ///
+    /// # Errors
+    /// The service refuses the stream, or does not answer again.
+    pub(super) async fn end<C: Cargo>(&mut self, device: DeviceStream<C>) -> Result<(), Failure> {
+        let breaks = device.close(|acknowledged| self.count(acknowledged)).await?;
+        self.breaks += breaks;
+        Ok(())
     }
 
     fn rate(&self) -> f64 {
@@ -84,15 +130,13 @@ impl Progress {
             eprintln!();
         }
         println!(
-            "{}, {:.1} s; {} with a position, {} skipped as stored, {} found stored after a break, \
-             {} refused, {} retries",
+            "{}, {:.1} s; {} with a position, {} skipped as stored, {} refused, {} breaks",
             self.line(),
             self.start.elapsed().as_secs_f64(),
             self.positioned,
             self.skipped,
-            self.recovered,
             self.refused,
-            self.retries
+            self.breaks
         );
     }
 }

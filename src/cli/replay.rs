@@ -17,7 +17,7 @@ use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest
 use super::Failure;
 use super::host;
 use super::option_arguments::assignments;
-use super::solve::{Output, unwritable};
+use super::solve::{create, unwritable};
 
 /// Computes a stored session again from its epochs and the navigation data of that time.
 ///
@@ -43,7 +43,7 @@ pub(super) struct ReplayArguments {
     /// Write each epoch as it leaves the window, smoothed by the epochs that follow.
     #[arg(long, requires = "output")]
     smoothed: bool,
-    /// Output file; its extension selects .pos, .csv or .geojson.
+    /// Output file; its extension selects .pos, .csv, .geojson, .kml, .gpx or .nmea.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -123,7 +123,7 @@ async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<
                 format!("session   : {}", arguments.session),
                 format!("options   : {}", again.configuration_hash()),
             ];
-            Some((path, Output::create(path, &comments, again.leap_seconds())?))
+            Some((path, create(path, &comments, again.leap_seconds())?))
         }
         None => None,
     };

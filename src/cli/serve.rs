@@ -20,10 +20,13 @@ pub(super) struct ServeArguments {
     /// TOML file; its missing keys have their defaults, and the other arguments override it.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
-    /// Address and port; only loopback addresses, because there are no keys and no TLS yet.
-    /// Default: 127.0.0.1:8080.
+    /// Address and port; beyond loopback only once a key exists (graphfix keys create), and behind
+    /// a proxy that brings TLS. Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
+    /// Name or address under which clients call the service, beside localhost; may be repeated.
+    #[arg(long, value_name = "NAME", env = "GRAPHFIX_HOSTS", value_delimiter = ',')]
+    host: Vec<String>,
     /// Name of this node in the log and in answers. Default: the host's name and a random suffix.
     #[arg(long, value_name = "NAME", env = "GRAPHFIX_NODE")]
     node: Option<String>,
@@ -67,6 +70,7 @@ impl ServeArguments {
             }
         };
         configuration.listen = self.listen.unwrap_or(configuration.listen);
+        configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
         configuration.database = self.database.unwrap_or(configuration.database);
         configuration.fetch.hosts.extend(self.fetch_host);
@@ -86,7 +90,8 @@ impl ServeArguments {
 /// Runs the service.
 ///
 /// # Errors
-/// The configuration is refused, the address is in use, or the database cannot be opened.
+/// The configuration is refused, the address is in use, others can reach it and no key exists, or
+/// the database cannot be opened or was another service's meanwhile.
 pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
     let configuration = arguments.configuration()?;
     host::start_log(&configuration)?;
@@ -100,9 +105,10 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
     })?;
     let opened = app::open(&configuration, TimeLimits::standard(), FeedOptions::standard());
     let app = opened.await?;
+    app.check_address(configuration.listen)?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
     tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
-    app.serve(listener, host::interrupted()).await;
+    app.serve(listener, host::interrupted()).await?;
     tracing::info!("stopped; everything acknowledged is stored");
     Ok(())
 }

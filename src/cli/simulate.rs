@@ -247,7 +247,8 @@ fn rinex_writer(
     ObservationWriter::new(create(&path)?, &header).map_err(|error| not_writable(&path, &error))
 }
 
-fn header(
+/// The header of a simulated file of observations.
+pub(super) fn header(
     name: &str,
     scenario: &Scenario,
     position: Option<Ecef>,

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use clap::Args;
 
 use crate::config::PositioningOptions;
-use crate::formats::{csv, geojson, pos};
-use crate::gnss::{LeapSeconds, Reason, Solution, Status};
-use crate::recording::{AnswerKind, Provenance, Solutions};
+use crate::formats::track::TrackFormat;
+use crate::gnss::LeapSeconds;
+use crate::recording::{AnswerKind, Provenance, SolutionWriter, Solutions, Tally, comments_of};
 use crate::refusal::Code;
 
 use super::Failure;
@@ -41,7 +41,7 @@ pub(crate) struct SolveArguments {
     /// Write the smoothed solution of each epoch, computed when the epoch leaves the window.
     #[arg(long)]
     smoothed: bool,
-    /// File to write; its name ends in .pos, .csv or .geojson.
+    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx or .nmea.
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
 }
@@ -51,14 +51,10 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let began = Instant::now();
     let options = arguments.options()?;
     let inputs = arguments.recording.inputs();
-    let comments = [
-        format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
-        format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
-        format!("options   : {}", options.configuration_hash()),
-    ];
+    let comments = comments_of(&options);
     let mut solutions = Solutions::open(&inputs, options, arguments.answer_kind())?;
     let leap_seconds = solutions.leap_seconds();
-    let mut output = Output::create(&arguments.output, &comments, leap_seconds)?;
+    let mut output = create(&arguments.output, &comments, leap_seconds)?;
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
     for solution in &mut solutions {
@@ -104,72 +100,21 @@ pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
 }
 
 /// The solution file, in the format of its name's ending.
-pub(super) enum Output {
-    Pos(pos::Writer<BufWriter<File>>),
-    Csv(csv::Writer<BufWriter<File>>),
-    Geojson(geojson::Writer<BufWriter<File>>),
-}
-
-impl Output {
-    pub(super) fn create(
-        path: &Path,
-        comments: &[String],
-        leap: LeapSeconds,
-    ) -> Result<Self, Failure> {
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-        if !["pos", "csv", "geojson"].contains(&ending) {
-            let message = format!("{} does not name a format", path.display());
-            let remedy = "end the name in .pos, .csv or .geojson";
-            return Err(Failure::new(Code::UnknownOutputFormat, message, remedy));
-        }
-        let failed = |error| unwritable(path, &error);
-        let file = File::create(path).map_err(failed)?;
-        let buffered = BufWriter::with_capacity(WRITE_BUFFER_BYTES, file);
-        match ending {
-            "pos" => pos::Writer::new(buffered, comments).map(Self::Pos),
-            "csv" => csv::Writer::new(buffered).map(Self::Csv),
-            _ => geojson::Writer::new(buffered, leap).map(Self::Geojson),
-        }
-        .map_err(failed)
-    }
-
-    pub(super) fn write(&mut self, solution: &Solution) -> std::io::Result<()> {
-        match self {
-            Self::Pos(writer) => writer.write(solution),
-            Self::Csv(writer) => writer.write(solution),
-            Self::Geojson(writer) => writer.write(solution),
-        }
-    }
-
-    pub(super) fn finish(self) -> std::io::Result<()> {
-        match self {
-            Self::Pos(writer) => writer.finish()?.flush(),
-            Self::Csv(writer) => writer.finish()?.flush(),
-            Self::Geojson(writer) => writer.finish()?.flush(),
-        }
-    }
-}
-
-/// Counts of the epochs and of their answers.
-#[derive(Debug, Default)]
-struct Tally {
-    epochs: u64,
-    answered: u64,
-    /// Number of epochs by the code of a reason in their solution, in order of first appearance.
-    reasons: Vec<(&'static str, u64)>,
-}
-
-impl Tally {
-    fn add(&mut self, solution: &Solution) {
-        self.epochs += 1;
-        self.answered += u64::from(solution.status != Status::None);
-        for code in solution.reasons.iter().map(Reason::code) {
-            match self.reasons.iter_mut().find(|(known, _)| *known == code) {
-                Some((_, count)) => *count += 1,
-                None => self.reasons.push((code, 1)),
-            }
-        }
-    }
+pub(super) fn create(
+    path: &Path,
+    comments: &[String],
+    leap: LeapSeconds,
+) -> Result<SolutionWriter<BufWriter<File>>, Failure> {
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+    let format = TrackFormat::from_name(ending).ok_or_else(|| {
+        let message = format!("{} does not name a format", path.display());
+        let remedy = "end the name in .pos, .csv, .geojson, .kml, .gpx or .nmea";
+        Failure::new(Code::UnknownOutputFormat, message, remedy)
+    })?;
+    let file = File::create(path)
+        .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
+        .and_then(|file| SolutionWriter::new(file, format, comments, leap));
+    file.map_err(|error| unwritable(path, &error))
 }
 
 /// A line on standard error with the number of epochs so far, on terminals only.

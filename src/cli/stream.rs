@@ -7,6 +7,8 @@ use std::time::Duration;
 
 use clap::Args;
 
+use tokio::time::Instant;
+
 use crate::contract::{convert, v1};
 use crate::formats::decompress;
 use crate::formats::observations::FileFormat;
@@ -15,14 +17,16 @@ use crate::gnss::{Epoch, GpsTime};
 use crate::refusal::Code;
 
 use super::Failure;
-use super::device::{Connection, Device};
+use super::cargo::{Epochs, RawBytes};
+use super::connection::Connection;
+use super::device_stream::DeviceStream;
 use super::files::{self, StartTime};
 use super::host;
 use super::progress::{Progress, Speed, parse_speed};
 use super::stream_raw::Bytestream;
 
-/// Epochs of one push at full speed.
-const BATCH: usize = 256;
+/// Epochs of one message at full speed.
+const BATCH: usize = 16;
 
 /// Sends observations to a service as a device does, also across restarts of the service.
 #[derive(Clone, Debug, Args)]
@@ -34,7 +38,11 @@ pub(super) struct StreamArguments {
     /// The service.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
     server: String,
-    /// Navigation files to push first.
+    /// Key of the service, with the right device. In the environment other users of this machine do
+    /// not see it.
+    #[arg(long, value_name = "KEY", env = "GRAPHFIX_KEY", hide_env_values = true)]
+    key: Option<String>,
+    /// Navigation files to push first; the key then needs the right operate, too.
     #[arg(long, value_name = "FILE")]
     nav: Vec<PathBuf>,
     /// Speed: 1 is real time, 10 is ten times as fast, max is as fast as the service answers.
@@ -75,7 +83,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     let is_raw = format != FileFormat::Rinex;
     let mut rover = if is_raw { None } else { Some(Rover::open(&arguments.rover)?) };
     let patience = Duration::from_secs(arguments.patience);
-    let connection = Connection::to(&arguments.server, patience)?;
+    let connection = Connection::to(&arguments.server, arguments.key.as_deref(), patience)?;
     for path in &arguments.nav {
         let new = connection.push_navigation(path).await?;
         eprintln!("{}: {new} new ephemerides", path.display());
@@ -88,66 +96,33 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
         antenna: arguments.antenna,
         ..Default::default()
     };
-    let mut device = connection.open(arguments.session.as_deref(), new).await?;
-    println!("session {}", device.session().session);
+    let session = connection.session(arguments.session.as_deref(), new).await?;
+    println!("session {}", session.session);
     let mut progress = Progress::start();
-    let Some(rover) = &mut rover else {
-        let stored = device.session().raw_through.unwrap_or(0);
-        let near = arguments.start_time.map(|StartTime(time)| time);
-        let bytes = Bytestream::open((&arguments.rover, format), stored, near)?;
-        bytes.play(&mut device, arguments.speed, &mut progress).await?;
-        progress.close();
-        return Ok(());
-    };
-    rover.skip_through(device.session().durable_through.unwrap_or(0), &mut progress)?;
-    match arguments.speed {
-        Speed::Max => at_full_speed(rover, &mut device, &mut progress).await?,
-        Speed::Factor(factor) => paced(rover, &mut device, factor, &mut progress).await?,
+    let (id, answered) = (&*session.session, session.durable_through.unwrap_or(0));
+    let (speed, answers) = (arguments.speed, v1::Answers::Summary);
+    match &mut rover {
+        None => {
+            let near = arguments.start_time.map(|StartTime(time)| time);
+            let device = DeviceStream::new((&connection, RawBytes { near }), id, answers, answered);
+            let stored = session.raw_through.unwrap_or(0);
+            let bytes = Bytestream::open((&arguments.rover, format), stored, near)?;
+            bytes.play(device, speed, &mut progress).await?;
+        }
+        Some(rover) => {
+            let device = DeviceStream::new((&connection, Epochs), id, answers, answered);
+            rover.skip_through(answered, &mut progress)?;
+            rover.play(device, speed, &mut progress).await?;
+        }
     }
     progress.close();
     Ok(())
 }
 
-/// Reads and encodes the next push while the service processes the previous one.
-async fn at_full_speed(
-    rover: &mut Rover,
-    device: &mut Device,
-    progress: &mut Progress,
-) -> Result<(), Failure> {
-    let mut batch = rover.batch(BATCH)?;
-    while !batch.is_empty() {
-        let (pushed, next) = tokio::join!(device.push(batch), async {
-            // Send the push before reading blocks the thread.
-            tokio::task::yield_now().await;
-            rover.batch(BATCH)
-        });
-        progress.count(&pushed?);
-        batch = next?;
-    }
-    Ok(())
-}
-
-/// Sends each epoch when it is due. Epochs that became due during a push are sent together.
-async fn paced(
-    rover: &mut Rover,
-    device: &mut Device,
-    factor: f64,
-    progress: &mut Progress,
-) -> Result<(), Failure> {
-    let start = tokio::time::Instant::now();
-    let mut first: Option<GpsTime> = None;
-    let mut due = Vec::new();
-    while let Some((seq, epoch)) = rover.next()? {
-        let after_s = (epoch.time - *first.get_or_insert(epoch.time)) / factor;
-        let when = start + Duration::from_secs_f64(after_s.max(0.0));
-        if tokio::time::Instant::now() < when || due.len() == BATCH {
-            progress.count(&device.push(std::mem::take(&mut due)).await?);
-            tokio::time::sleep_until(when).await;
-        }
-        due.push(convert::epoch_message(seq, epoch));
-    }
-    progress.count(&device.push(due).await?);
-    Ok(())
+/// Sends epochs in one message.
+fn send(device: &mut DeviceStream<Epochs>, epochs: Vec<v1::Epoch>, due: Instant) {
+    let (count, through) = (epochs.len() as u64, epochs.last().map_or(0, |epoch| epoch.seq));
+    device.send(v1::StreamRequest { opening: None, epochs }, count, through, due);
 }
 
 /// The observation file with numbered epochs.
@@ -180,6 +155,56 @@ impl Rover {
         }
         self.seq += 1;
         Ok(Some((self.seq, &self.epoch)))
+    }
+
+    /// Sends the file to its end.
+    async fn play(
+        &mut self,
+        mut device: DeviceStream<Epochs>,
+        speed: Speed,
+        progress: &mut Progress,
+    ) -> Result<(), Failure> {
+        match speed {
+            Speed::Max => self.at_full_speed(&mut device, progress).await?,
+            Speed::Factor(factor) => self.paced(&mut device, factor, progress).await?,
+        }
+        progress.end(device).await
+    }
+
+    /// Sends epochs as fast as the service answers.
+    async fn at_full_speed(
+        &mut self,
+        device: &mut DeviceStream<Epochs>,
+        progress: &mut Progress,
+    ) -> Result<(), Failure> {
+        loop {
+            let batch = self.batch(BATCH)?;
+            if batch.is_empty() {
+                return Ok(());
+            }
+            send(device, batch, Instant::now());
+            progress.until_room(device).await?;
+        }
+    }
+
+    /// Sends each epoch when it is due.
+    async fn paced(
+        &mut self,
+        device: &mut DeviceStream<Epochs>,
+        factor: f64,
+        progress: &mut Progress,
+    ) -> Result<(), Failure> {
+        let start = Instant::now();
+        let mut first: Option<GpsTime> = None;
+        while let Some((seq, epoch)) = self.next()? {
+            let after_s = (epoch.time - *first.get_or_insert(epoch.time)) / factor;
+            let due = start + Duration::from_secs_f64(after_s.max(0.0));
+            let message = convert::epoch_message(seq, epoch);
+            progress.until_room(device).await?;
+            progress.until(device, due).await?;
+            send(device, vec![message], due);
+        }
+        Ok(())
     }
 
     fn batch(&mut self, size: usize) -> Result<Vec<v1::Epoch>, Failure> {

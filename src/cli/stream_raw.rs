@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use bytes::Bytes;
+use tokio::time::Instant;
 
 use crate::contract::v1;
 use crate::formats::gnss_logger;
@@ -14,7 +15,8 @@ use crate::gnss::GpsTime;
 use crate::refusal::Code;
 
 use super::Failure;
-use super::device::Device;
+use super::cargo::RawBytes;
+use super::device_stream::DeviceStream;
 use super::files;
 use super::progress::{Progress, Speed};
 
@@ -28,7 +30,6 @@ pub(super) struct Bytestream<'a> {
     path: &'a Path,
     input: Box<dyn BufRead>,
     offset: u64,
-    near: Option<GpsTime>,
     pace: Pace,
 }
 
@@ -73,7 +74,7 @@ impl<'a> Bytestream<'a> {
                 Pace::Receiver(Box::new(Decoder::new(near.map(TimeReference::Day))))
             }
         };
-        let mut stream = Self { path, input, offset: skipped, near, pace };
+        let mut stream = Self { path, input, offset: skipped, pace };
         let mut left = skipped;
         while 0 < left {
             // The header of a log is among these bytes.
@@ -98,67 +99,73 @@ impl<'a> Bytestream<'a> {
     /// The file cannot be read, or the service refuses its bytes or does not answer again.
     pub(super) async fn play(
         mut self,
-        device: &mut Device,
+        mut device: DeviceStream<RawBytes>,
         speed: Speed,
         progress: &mut Progress,
     ) -> Result<(), Failure> {
         match speed {
-            Speed::Max => loop {
-                let bytes = self.read(CHUNK_BYTES)?;
-                let is_end = bytes.len() < CHUNK_BYTES;
-                self.push(bytes, is_end, device, progress).await?;
-                if is_end {
-                    return Ok(());
-                }
-            },
-            Speed::Factor(factor) => self.paced(factor, device, progress).await,
+            Speed::Max => self.at_full_speed(&mut device, progress).await?,
+            Speed::Factor(factor) => self.paced(factor, &mut device, progress).await?,
+        }
+        progress.end(device).await
+    }
+
+    /// Sends the bytes as fast as the service answers.
+    async fn at_full_speed(
+        &mut self,
+        device: &mut DeviceStream<RawBytes>,
+        progress: &mut Progress,
+    ) -> Result<(), Failure> {
+        loop {
+            let bytes = self.read(CHUNK_BYTES)?;
+            let is_end = bytes.len() < CHUNK_BYTES;
+            self.send(device, bytes, is_end, Instant::now());
+            if is_end {
+                return Ok(());
+            }
+            progress.until_room(device).await?;
         }
     }
 
-    /// Sends the bytes of each epoch when they are due. Epochs that became due during a push go
-    /// together.
+    /// Sends the bytes of each epoch when they are due.
     async fn paced(
         &mut self,
         factor: f64,
-        device: &mut Device,
+        device: &mut DeviceStream<RawBytes>,
         progress: &mut Progress,
     ) -> Result<(), Failure> {
-        let start = tokio::time::Instant::now();
-        let (mut due, mut first): (Vec<u8>, Option<GpsTime>) = (Vec::new(), None);
+        let start = Instant::now();
+        let (mut waiting, mut first): (Vec<u8>, Option<GpsTime>) = (Vec::new(), None);
         loop {
             let bytes = self.read(PACE_BYTES)?;
             let is_end = bytes.len() < PACE_BYTES;
             let epoch = self.pace.push(&bytes);
-            due.extend(bytes);
+            waiting.extend(bytes);
             if let Some(time) = epoch {
                 let after_s = (time - *first.get_or_insert(time)) / factor;
-                let when = start + Duration::from_secs_f64(after_s.max(0.0));
-                let is_ahead = tokio::time::Instant::now() < when;
-                if is_ahead || CHUNK_BYTES < due.len() {
-                    tokio::time::sleep_until(when).await;
-                    self.push(std::mem::take(&mut due), false, device, progress).await?;
-                }
+                let due = start + Duration::from_secs_f64(after_s.max(0.0));
+                progress.until_room(device).await?;
+                progress.until(device, due).await?;
+                self.send(device, std::mem::take(&mut waiting), false, due);
             }
             if is_end {
-                return self.push(due, true, device, progress).await;
+                self.send(device, waiting, true, Instant::now());
+                return Ok(());
             }
         }
     }
 
-    async fn push(
+    fn send(
         &mut self,
+        device: &mut DeviceStream<RawBytes>,
         bytes: Vec<u8>,
         end: bool,
-        device: &mut Device,
-        progress: &mut Progress,
-    ) -> Result<(), Failure> {
+        due: Instant,
+    ) {
         let (offset, content) = (self.offset, Bytes::from(bytes));
         self.offset += content.len() as u64;
-        let session = device.session().session.clone();
-        let near = self.near.map(Into::into);
-        let chunk = v1::PushRawRequest { session, offset, content, end, near };
-        progress.count(&device.push_raw(chunk).await?);
-        Ok(())
+        let chunk = v1::StreamRawRequest { opening: None, offset, content, end };
+        device.send(chunk, 1, self.offset, due);
     }
 }
 

@@ -1,10 +1,14 @@
 //! The system clock. Nothing that computes asks it.
 
-use std::sync::Arc;
+mod stopwatch;
+
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::sync::{Arc, LazyLock};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use crate::gnss::{GpsTime, LeapSeconds};
+
+pub(crate) use stopwatch::Stopwatch;
 
 const MS_PER_DAY: i64 = 86_400_000;
 
@@ -17,8 +21,17 @@ pub(crate) fn unix_ms() -> i64 {
 /// The clock of a desk: that of the system, or one that is set.
 #[derive(Clone, Debug)]
 pub struct Clock {
-    /// The time of a clock that is set (ms since 1970-01-01 UTC).
-    set: Option<Arc<AtomicI64>>,
+    /// A clock that is set.
+    set: Option<Arc<Hands>>,
+}
+
+/// A clock that is set.
+#[derive(Debug)]
+struct Hands {
+    /// Its time (ms since 1970-01-01 UTC).
+    unix_ms: AtomicI64,
+    /// The time that has passed for its owner (ms).
+    elapsed_ms: AtomicI64,
 }
 
 impl Clock {
@@ -29,25 +42,51 @@ impl Clock {
 
     /// A clock that stands at this time (ms since 1970-01-01 UTC) until it is set again.
     pub fn at(unix_ms: i64) -> Self {
-        Self { set: Some(Arc::new(AtomicI64::new(unix_ms))) }
+        let (unix_ms, elapsed_ms) = (AtomicI64::new(unix_ms), AtomicI64::new(0));
+        Self { set: Some(Arc::new(Hands { unix_ms, elapsed_ms })) }
     }
 
-    /// Sets this clock and its clones. The system's clock is not changed.
+    /// Lets time pass on this clock and its clones until `unix_ms`. The system's clock is not
+    /// changed.
     pub fn set(&self, unix_ms: i64) {
-        if let Some(set) = &self.set {
-            set.store(unix_ms, Ordering::Relaxed);
+        if let Some(hands) = &self.set {
+            let before = hands.unix_ms.swap(unix_ms, Ordering::Relaxed);
+            hands.elapsed_ms.fetch_add((unix_ms - before).max(0), Ordering::Relaxed);
+        }
+    }
+
+    /// Sets this clock and its clones to another time, while no time passes. The system's clock is
+    /// not changed.
+    pub fn step(&self, unix_ms: i64) {
+        if let Some(hands) = &self.set {
+            hands.unix_ms.store(unix_ms, Ordering::Relaxed);
         }
     }
 
     /// The time now (ms since 1970-01-01 UTC).
     pub fn unix_ms(&self) -> i64 {
-        self.set.as_ref().map_or_else(unix_ms, |set| set.load(Ordering::Relaxed))
+        self.set.as_ref().map_or_else(unix_ms, |hands| hands.unix_ms.load(Ordering::Relaxed))
+    }
+
+    /// The time that has passed since some moment of this process (ms), whatever the clock is set
+    /// to.
+    pub fn elapsed_ms(&self) -> i64 {
+        static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
+        match &self.set {
+            Some(hands) => hands.elapsed_ms.load(Ordering::Relaxed),
+            None => BEGUN.elapsed().as_millis() as i64,
+        }
     }
 
     /// The day now, since 1970-01-01 UTC.
     pub fn day(&self) -> i64 {
-        self.unix_ms().div_euclid(MS_PER_DAY)
+        day_of(self.unix_ms())
     }
+}
+
+/// The day, since 1970-01-01 UTC, of a time (ms since then).
+pub(crate) const fn day_of(unix_ms: i64) -> i64 {
+    unix_ms.div_euclid(MS_PER_DAY)
 }
 
 /// GPS time of the system clock's time (ms since 1970-01-01 UTC).

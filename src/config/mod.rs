@@ -9,6 +9,7 @@ mod graph_options;
 mod graph_table;
 mod integrity_options;
 mod integrity_table;
+mod jobs;
 mod option_specification;
 mod option_table;
 mod positioning;
@@ -23,6 +24,7 @@ pub(crate) use choices::{
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use integrity_options::IntegrityOptions;
+pub use jobs::JobsConfiguration;
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;

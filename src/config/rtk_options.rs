@@ -74,7 +74,16 @@ impl RtkOptions {
     }
 
     /// The defaults of `profile`.
-    pub(super) fn new(_profile: Profile) -> Self {
+    pub(super) fn new(profile: Profile) -> Self {
+        let general = Self::general();
+        match profile {
+            // The paper gives none; that of RTKLIB.
+            Profile::Paper => Self { ratio_min: 3.0, ..general },
+            _ => general,
+        }
+    }
+
+    fn general() -> Self {
         Self {
             pseudorange_sigma_m: 0.3,
             pseudorange_cn0_sigma_m: 1.0,

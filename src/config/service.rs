@@ -11,6 +11,8 @@ use serde::Deserialize;
 
 use crate::refusal::Code;
 
+use super::jobs::JobsConfiguration;
+
 /// Shortest interval between requests (s): ephemerides change once an hour, and archives serve
 /// everybody.
 const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
@@ -22,8 +24,7 @@ pub(crate) const RETENTION_MAX_DAYS: u32 = 36_500;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ServiceConfiguration {
-    /// Address and port to listen on. Only loopback is accepted, since there are no keys and no
-    /// TLS.
+    /// Address and port to listen on; beyond loopback only once a key exists.
     pub listen: SocketAddr,
     /// Name of this node in the log, in answers, and to another service on the same database.
     /// Empty: the name of the host and a random mark.
@@ -43,6 +44,8 @@ pub struct ServiceConfiguration {
     pub bases: BasesConfiguration,
     /// Phase centres of antennas.
     pub antennas: AntennasConfiguration,
+    /// Batch jobs.
+    pub jobs: JobsConfiguration,
     /// Limits on what the service accepts.
     pub limits: Limits,
 }
@@ -252,9 +255,6 @@ pub(crate) enum ServiceConfigurationError {
     /// The file is not valid TOML, or holds an unknown key or a value of the wrong type.
     #[error("{0}")]
     Malformed(String),
-    /// The address is not loopback.
-    #[error("refusing to listen on {0}: without keys and TLS only this machine may be served")]
-    NotLoopback(SocketAddr),
     /// The interval between requests to archives is too short.
     #[error("navigation.archive_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
     ArchiveInterval,
@@ -264,6 +264,9 @@ pub(crate) enum ServiceConfigurationError {
     /// A limit of zero would refuse everything.
     #[error("limits.{0} must be at least 1")]
     ZeroLimit(&'static str),
+    /// The same of batch jobs.
+    #[error("jobs.{0} must be at least 1")]
+    ZeroJobLimit(&'static str),
 }
 
 impl ServiceConfigurationError {
@@ -271,10 +274,9 @@ impl ServiceConfigurationError {
     pub(crate) const fn code(&self) -> Code {
         match self {
             Self::Malformed(_) => Code::ConfigurationMalformed,
-            Self::NotLoopback(_) => Code::ListenNotLoopback,
             Self::ArchiveInterval => Code::ArchiveIntervalTooShort,
             Self::TableInterval => Code::TableIntervalTooShort,
-            Self::ZeroLimit(_) => Code::LimitZero,
+            Self::ZeroLimit(_) | Self::ZeroJobLimit(_) => Code::LimitZero,
         }
     }
 }
@@ -300,6 +302,7 @@ impl ServiceConfiguration {
             },
             bases: BasesConfiguration { networks: Vec::new(), table_interval_s: 3600, idle_s: 300 },
             antennas: AntennasConfiguration { antex: None },
+            jobs: JobsConfiguration::standard(),
             limits: Limits::standard(),
         }
     }
@@ -315,20 +318,20 @@ impl ServiceConfiguration {
     /// Checks the values before anything is opened.
     ///
     /// # Errors
-    /// An address that is not loopback, or a limit of zero.
+    /// A name, interval or retention out of range, or a limit of zero.
     pub(crate) fn check(&self) -> Result<(), ServiceConfigurationError> {
         if 100 < self.node.len() || !self.node.chars().all(|c| c.is_ascii_graphic()) {
             let why = "node must have at most 100 visible ASCII characters and no space";
             return Err(ServiceConfigurationError::Malformed(why.to_owned()));
-        }
-        if !self.listen.ip().is_loopback() {
-            return Err(ServiceConfigurationError::NotLoopback(self.listen));
         }
         if self.navigation.archive_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::ArchiveInterval);
         }
         if self.bases.table_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::TableInterval);
+        }
+        if let Some(name) = self.jobs.zero() {
+            return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
         let limits = &self.limits;
         if RETENTION_MAX_DAYS < limits.retention_days {
@@ -470,17 +473,6 @@ mod tests {
         let error = ServiceConfiguration::from_toml("[limits]\nepochs = 7\n").unwrap_err();
         assert!(error.to_string().contains("epochs_per_push"), "{error}");
         assert!(error.to_string().contains("line 2"), "{error}");
-    }
-
-    #[test]
-    fn only_loopback_is_listened_on() {
-        for (address, allowed) in
-            [("127.0.0.1:80", true), ("[::1]:80", true), ("0.0.0.0:80", false)]
-        {
-            let listen = address.parse().unwrap();
-            let check = ServiceConfiguration { listen, ..ServiceConfiguration::standard() }.check();
-            assert_eq!(check.is_ok(), allowed, "{address}");
-        }
     }
 
     #[test]

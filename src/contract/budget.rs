@@ -11,6 +11,7 @@ use uuid::Uuid;
 
 use crate::config::IntakeLimits;
 use crate::formats;
+use crate::keys::Pass;
 use crate::refusal::Code;
 
 use super::Refusal;
@@ -52,6 +53,8 @@ struct Leased {
     message: AtomicUsize,
     /// Identifies the request in answers and in the log.
     id: Uuid,
+    /// Who sends it; `None` if nobody needs a key for it.
+    pass: Option<Pass>,
 }
 
 impl Budget {
@@ -60,14 +63,20 @@ impl Budget {
         Self(Arc::new(Shared { total, used: AtomicUsize::new(0), limits }))
     }
 
-    /// The lease of a request that begins.
+    /// The lease of a request of `pass` that begins.
     ///
     /// # Errors
     /// The budget is exhausted.
-    pub(crate) fn lease(&self) -> Result<Lease, Refusal> {
-        let (reserved, arrived, undecoded, message) = Default::default();
-        let (budget, id) = (self.clone(), Uuid::now_v7());
-        let lease = Lease(Arc::new(Leased { budget, reserved, arrived, undecoded, message, id }));
+    pub(crate) fn lease(&self, pass: Option<Pass>) -> Result<Lease, Refusal> {
+        let lease = Lease(Arc::new(Leased {
+            budget: self.clone(),
+            reserved: AtomicUsize::new(0),
+            arrived: AtomicUsize::new(0),
+            undecoded: AtomicUsize::new(0),
+            message: AtomicUsize::new(0),
+            id: Uuid::now_v7(),
+            pass,
+        }));
         lease.reserve(REQUEST_BYTES)?;
         Ok(lease)
     }
@@ -75,6 +84,11 @@ impl Budget {
     /// Bytes in use.
     pub fn used(&self) -> usize {
         self.0.used.load(Ordering::Acquire)
+    }
+
+    /// Bytes in all.
+    pub(super) fn total(&self) -> usize {
+        self.0.total
     }
 
     /// The part of the budget that large requests share (bytes).
@@ -97,6 +111,11 @@ impl Lease {
     /// The id of the request.
     pub(crate) fn request_id(&self) -> Uuid {
         self.0.id
+    }
+
+    /// Who sends the request; `None` if nobody needs a key for it.
+    pub(crate) fn pass(&self) -> Option<&Pass> {
+        self.0.pass.as_ref()
     }
 
     /// The limits on the content of a request.
@@ -213,11 +232,11 @@ mod tests {
     #[test]
     fn large_requests_leave_a_quarter_to_small_ones() {
         let budget = budget(16 << 20);
-        let large: Vec<Lease> = (0..3).map(|_| budget.lease().unwrap()).collect();
+        let large: Vec<Lease> = (0..3).map(|_| budget.lease(None).unwrap()).collect();
         for lease in &large {
             lease.reserve((4 << 20) - REQUEST_BYTES).unwrap();
         }
-        let late = budget.lease().unwrap();
+        let late = budget.lease(None).unwrap();
         let refusal = late.reserve(1 << 20).unwrap_err();
         assert_eq!(refusal.code, Code::MemoryExhausted);
         assert!(refusal.retry_after.is_some());
@@ -229,7 +248,7 @@ mod tests {
     #[test]
     fn what_is_returned_is_free_for_others() {
         let budget = budget(16 << 20);
-        let (one, other) = (budget.lease().unwrap(), budget.lease().unwrap());
+        let (one, other) = (budget.lease(None).unwrap(), budget.lease(None).unwrap());
         one.reserve(11 << 20).unwrap();
         assert_eq!(other.reserve(11 << 20).unwrap_err().code, Code::MemoryExhausted);
         one.shrink_to(1 << 20);
@@ -244,7 +263,7 @@ mod tests {
     #[test]
     fn a_stream_keeps_the_memory_of_what_is_on_its_way() {
         let budget = budget(16 << 20);
-        let lease = budget.lease().unwrap();
+        let lease = budget.lease(None).unwrap();
         lease.arrive_undecoded(1000).unwrap();
         lease.reserve(5000).unwrap(); // Decoding one of 595 bytes and a prefix.
         lease.note_decoded(595, 600);
@@ -258,7 +277,7 @@ mod tests {
 
     #[test]
     fn a_request_that_never_fits_is_too_large() {
-        let lease = budget(16 << 20).lease().unwrap();
+        let lease = budget(16 << 20).lease(None).unwrap();
         assert_eq!(lease.reserve(13 << 20).unwrap_err().code, Code::BodyTooLarge);
         assert_eq!(lease.reserve(usize::MAX).unwrap_err().code, Code::BodyTooLarge);
     }

@@ -177,7 +177,7 @@ mod tests {
     fn lease() -> Lease {
         let limits =
             IntakeLimits { epochs_per_push: 3, satellites_per_epoch: 2, observations_per_epoch: 4 };
-        Budget::new(64 << 20, limits).lease().unwrap()
+        Budget::new(64 << 20, limits).lease(None).unwrap()
     }
 
     fn push(epochs: usize, observations: usize) -> Vec<u8> {

@@ -4,26 +4,36 @@
 //! JSON form. Each call is a function from a request to an answer or a [`Refusal`]. A door only
 //! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
+pub mod access;
 mod budget;
+mod caller;
 pub mod calls;
 pub mod convert;
 mod extent;
+mod hang_up;
 pub(crate) mod intake;
 pub(crate) mod json;
+mod metrics;
 mod origin;
 mod readiness;
 pub(crate) mod reason;
 mod refusal;
+mod request_meters;
 mod service;
+mod sign_in;
 mod texts;
 mod threads;
 
 pub use budget::Budget;
 pub(crate) use budget::{Lease, check_ratio};
+pub use caller::Caller;
 pub(crate) use extent::{Extent, extent_of};
+pub(crate) use hang_up::finished;
 pub(crate) use readiness::Readiness;
 pub use refusal::Refusal;
+pub(crate) use request_meters::{Outcome, RequestMeters};
 pub use service::Service;
+pub(crate) use sign_in::SignedIn;
 pub(crate) use threads::{in_background, off_the_network};
 
 /// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.

@@ -6,6 +6,9 @@ use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
 use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
 use crate::formats::{UnpackError, unpack_error};
+use crate::jobs::JobError;
+use crate::keys::KeyError;
+use crate::quotas::QuotaError;
 use crate::reception::ReceptionError;
 use crate::refusal::Code;
 use crate::session::{EpochRefusal, SessionError};
@@ -100,6 +103,37 @@ impl From<StoreError> for Refusal {
     }
 }
 
+impl From<KeyError> for Refusal {
+    fn from(error: KeyError) -> Self {
+        let field = match &error {
+            KeyError::Store(error) => return error.clone().into(),
+            KeyError::UnknownRight { index, .. } => Some(format!("rights[{index}]")),
+            KeyError::NoRights => Some("rights".to_owned()),
+            KeyError::LabelTooLong { .. } => Some("label".to_owned()),
+            KeyError::NotFound { .. } => Some("key".to_owned()),
+            _ => None,
+        };
+        let delay = match error {
+            KeyError::TooManyAttempts { retry_after } => Some(retry_after),
+            _ => None,
+        };
+        let refusal = Self::new(error.code(), error.to_string()).retry_after(delay);
+        refusal.at_some(field.as_deref())
+    }
+}
+
+impl From<QuotaError> for Refusal {
+    fn from(error: QuotaError) -> Self {
+        match error {
+            QuotaError::Store(error) => error.into(),
+            QuotaError::NotFound { .. } => Self::new(error.code(), error.to_string()).at("tenant"),
+            error => {
+                Self::new(error.code(), error.to_string()).retry_after(Some(error.retry_after()))
+            }
+        }
+    }
+}
+
 impl From<AidingError> for Refusal {
     fn from(error: AidingError) -> Self {
         let field = match error {
@@ -107,6 +141,7 @@ impl From<AidingError> for Refusal {
             AidingError::LabelTooLong { .. } => Some("label"),
             AidingError::BaseNotFound { .. }
             | AidingError::BaseInUse { .. }
+            | AidingError::BaseOfOperator { .. }
             | AidingError::BasePositionMissing { .. }
             | AidingError::BasePositionRefused { .. } => Some("base"),
             AidingError::AntennaUnknown { .. } => Some("antenna"),
@@ -170,6 +205,7 @@ impl From<SessionError> for Refusal {
             }
             SessionError::NotFound { .. }
             | SessionError::Closed { .. }
+            | SessionError::TooManyArcs { .. }
             | SessionError::Empty { .. } => Some("session"),
             SessionError::NoSuchEpoch { .. } => Some("seq"),
             SessionError::TooManyPoints { .. } => Some("points"),
@@ -184,6 +220,7 @@ impl From<SessionError> for Refusal {
             SessionError::MailboxFull { .. }
             | SessionError::Overloaded { .. }
             | SessionError::TooManyActive { .. }
+            | SessionError::Quota(_)
             | SessionError::Draining
             | SessionError::EstimatorFailed { .. }
             | SessionError::ReplayStartMissing { .. }
@@ -191,6 +228,30 @@ impl From<SessionError> for Refusal {
         };
         let refusal = Self::new(error.code(), error.to_string()).at_some(field);
         refusal.retry_after(error.retry_after())
+    }
+}
+
+impl From<JobError> for Refusal {
+    fn from(error: JobError) -> Self {
+        let field = match error {
+            JobError::Configuration(error) => return Self::from(error).within("options"),
+            JobError::Store(error) => return error.into(),
+            JobError::NotFound { .. }
+            | JobError::NotEnded { .. }
+            | JobError::WithoutResult { .. } => Some("job"),
+            JobError::IdempotencyConflict { .. } => Some("Idempotency-Key"),
+            JobError::InvalidOption { field, .. } => Some(field),
+            JobError::BaseRequired { .. } => Some("base"),
+            JobError::Off
+            | JobError::TooMany { .. }
+            | JobError::TooManyUploads { .. }
+            | JobError::FileTooLarge { .. }
+            | JobError::TooManyFiles { .. }
+            | JobError::SpaceExhausted { .. }
+            | JobError::Disk { .. }
+            | JobError::Draining => None,
+        };
+        Self::new(error.code(), error.to_string()).at_some(field)
     }
 }
 

@@ -23,6 +23,8 @@ pub(crate) struct Readiness {
     pub ready: bool,
     /// What prevents it; empty if ready.
     pub problems: Vec<String>,
+    /// What needs the operator, although the service can do its work.
+    pub warnings: Vec<String>,
     /// The service is about to stop.
     pub draining: bool,
     /// The database.
@@ -75,10 +77,11 @@ impl Service {
             node: self.node().to_owned(),
             ready: problems.is_empty(),
             problems,
+            warnings: self.sessions().clock_ahead().map(clock_warning).into_iter().collect(),
             draining,
             database: database(store, &health, free_bytes),
-            restores: counts.restores,
-            quarantined: counts.quarantined,
+            restores: counts.restores(),
+            quarantined: counts.quarantined(),
         }
     }
 }
@@ -87,12 +90,23 @@ fn committer_problem(health: &CommitterHealth) -> Option<String> {
     match &health.state {
         CommitterState::Failed { why } => Some(format!("commits fail: {why}")),
         CommitterState::Stopped => Some("the committer has stopped".to_owned()),
+        CommitterState::LeaseLost { holder } => {
+            Some(format!("node {holder} had the database meanwhile; this one must start again"))
+        }
         CommitterState::Working if SILENCE_MAX < health.silence() => {
             let silence_s = health.silence().as_secs_f64();
             Some(format!("the database has confirmed nothing for {silence_s:.1} s"))
         }
         CommitterState::Working => None,
     }
+}
+
+fn clock_warning(ahead: Duration) -> String {
+    let days = ahead.as_secs_f64() / 86_400.0;
+    format!(
+        "the clock is {days:.1} days ahead of what is stored; check it. Epochs are kept for longer \
+         by as much until a device sends present ones"
+    )
 }
 
 fn database(store: &Store, health: &CommitterHealth, free_bytes: Option<u64>) -> DatabaseReadiness {

@@ -13,57 +13,8 @@ pub(crate) fn reason(reason: &Reason) -> v1::Reason {
     v1::Reason {
         code: reason.code().to_owned(),
         message: reason.to_string(),
-        remedy: remedy(reason).to_owned(),
+        remedy: reason.remedy().to_owned(),
         values: Some(Struct { fields: fields.collect() }),
-    }
-}
-
-/// What the user can do about it.
-pub(crate) const fn remedy(reason: &Reason) -> &'static str {
-    match reason {
-        Reason::EphemerisMissing { .. } => "push current navigation data for these satellites",
-        Reason::TooFewSatellites { .. } => {
-            "wait for a clearer sky, or allow more constellations or a lower elevation mask"
-        }
-        Reason::GeometryTooWeak { .. } => "allow more constellations or wait for a clearer sky",
-        Reason::NoRedundancy => "allow more constellations so that errors can be detected",
-        Reason::ResidualsTooLarge { .. } => {
-            "expect reflections; trust the covariance, which has been widened"
-        }
-        Reason::SatellitesExcluded { .. } => "none needed: the others determine the position",
-        Reason::NotConverged => "check the observations; they contradict one another",
-        Reason::IonosphereFallback { .. } => {
-            "push navigation data that carries the ionosphere coefficients"
-        }
-        Reason::BaseMissing => "name a base and push its epochs",
-        Reason::BaseStale { .. } => "check the base's connection, or allow a greater base age",
-        Reason::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
-        Reason::BaseMoved { .. } | Reason::BaseChanged { .. } => {
-            "none needed: a fix comes back as after cycle slips"
-        }
-        Reason::BaselineTooLong { .. } => "choose a nearer base",
-        Reason::TooFewCommonSatellites { .. } => {
-            "choose a base that receives the rover's constellations and bands"
-        }
-        Reason::RatioBelowThreshold { .. }
-        | Reason::SuccessRateTooLow { .. }
-        | Reason::FixImprecise { .. } => {
-            "wait for more epochs, a clearer sky, or receive a second frequency"
-        }
-        Reason::FixRejected => "none needed: it is tried again at the next epoch",
-        Reason::HalfCycleUnresolved { .. } => "none needed: the receiver resolves them in time",
-        Reason::CycleSlips { .. } => "expect less precision until the new ambiguities settle",
-        Reason::StartUnproven { .. } => {
-            "do not rely on the position until the reason is gone: drive on, or see more sky"
-        }
-        Reason::EpochRepeated { .. } => "write each epoch once, in the order of time",
-        Reason::ProtectionLimitExceeded { .. } => {
-            "do not rely on the position, or allow a greater limit or risk (`integrity.*`)"
-        }
-        Reason::OdometryUnused { .. } => {
-            "send each displacement with the epoch where it ends, since the epoch before"
-        }
-        Reason::EstimatorFailed => "send the next epochs, and report the failure with this epoch",
     }
 }
 

@@ -7,10 +7,13 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
 use crate::config::Limits;
 use crate::feeds::Feeds;
+use crate::jobs::Jobs;
+use crate::keys::Keys;
+use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
 
-use super::{Budget, Refusal};
+use super::{Budget, Refusal, RequestMeters};
 
 /// Uploaded files that are read at the same time. More would take processor time from the
 /// estimators.
@@ -26,6 +29,9 @@ struct Desks {
     sessions: Sessions,
     aiding: AidingDesk,
     feeds: Feeds,
+    jobs: Jobs,
+    keys: Keys,
+    quotas: TenantQuotas,
     limits: Arc<Limits>,
     budget: Budget,
     /// Limits how many uploaded files are read at the same time.
@@ -34,6 +40,7 @@ struct Desks {
     hosts: Arc<[String]>,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
+    meters: RequestMeters,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
     /// Limits the open watches.
@@ -46,6 +53,9 @@ impl Service {
         sessions: Sessions,
         aiding: AidingDesk,
         feeds: Feeds,
+        jobs: Jobs,
+        keys: Keys,
+        quotas: TenantQuotas,
         limits: Limits,
     ) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
@@ -55,12 +65,16 @@ impl Service {
             sessions,
             aiding,
             feeds,
+            jobs,
+            keys,
+            quotas,
             budget,
             file_readers: Arc::new(Semaphore::new(FILE_READERS)),
             hosts: Arc::default(),
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
+            meters: RequestMeters::new(),
             streams,
             watches,
         }))
@@ -93,6 +107,20 @@ impl Service {
     /// The memory of all requests.
     pub fn budget(&self) -> &Budget {
         &self.0.budget
+    }
+
+    /// Meters of the requests and connections of both doors.
+    pub(crate) fn meters(&self) -> &RequestMeters {
+        &self.0.meters
+    }
+
+    /// Number of open streams, and of open watches.
+    pub(super) fn open_streams(&self) -> (usize, usize) {
+        let open = |most: usize, free: &Semaphore| {
+            most.min(Semaphore::MAX_PERMITS).saturating_sub(free.available_permits())
+        };
+        let Desks { limits, streams, watches, .. } = &*self.0;
+        (open(limits.streams, streams), open(limits.watches, watches))
     }
 
     /// Waits until another uploaded file may be read. The caller keeps the permit while it reads.
@@ -141,6 +169,21 @@ impl Service {
     /// The desk for streams and archives.
     pub fn feeds(&self) -> &Feeds {
         &self.0.feeds
+    }
+
+    /// The desk for batch jobs.
+    pub fn jobs(&self) -> &Jobs {
+        &self.0.jobs
+    }
+
+    /// The API keys.
+    pub fn keys(&self) -> &Keys {
+        &self.0.keys
+    }
+
+    /// The quotas of tenants.
+    pub fn quotas(&self) -> &TenantQuotas {
+        &self.0.quotas
     }
 
     /// The limits in force.

@@ -5,19 +5,25 @@ use tokio::task::{block_in_place, spawn_blocking};
 
 use crate::refusal::Code;
 
-use super::Refusal;
+use super::{Lease, Refusal};
 
 /// Messages up to this size are decoded on the thread that received them (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 
-/// Runs `work` on a blocking thread.
+/// Runs `work` on a blocking thread. It has the lease of the request until it is done, also if the
+/// caller has gone.
 ///
 /// # Errors
 /// It panicked.
 pub(crate) async fn in_background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Refusal> {
-    let done = spawn_blocking(work).await;
+    let lease = Lease::current();
+    let done = spawn_blocking(move || {
+        let _lease = lease;
+        work()
+    });
+    let done = done.await;
     done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
 }
 

@@ -6,9 +6,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 
-use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFeed, BaseId};
+use crate::aiding::{AidingDesk, tenant_source};
 use crate::gnss::{Ecef, GpsTime};
+use crate::tenant::Tenant;
 
 use super::base_archive::{ArchiveStatus, BaseArchive};
 use super::network::{NetworkHealth, NetworkRequest, RunningNetwork, Streams};
@@ -20,6 +21,8 @@ use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptio
 /// The identity of a stream. Bases with the same key share one connection.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct StreamKey {
+    /// To whom the bases belong: no tenant learns of the streams of another.
+    tenant: Tenant,
     request: StreamRequest,
     near: Option<GpsTime>,
     /// The coordinates' bits, which are compared only.
@@ -74,8 +77,8 @@ impl Feeds {
         let desk =
             Desk { connector, aiding, options, streams, sources, archives, reading, networks };
         let feeds = Self { desk: Arc::new(desk) };
-        for (base, feed) in fed.into_iter().filter(|(_, feed)| !feed.is_on_demand) {
-            if let Err(error) = feeds.start(&base, &feed) {
+        for (base, tenant, feed) in fed.into_iter().filter(|(.., feed)| !feed.is_on_demand) {
+            if let Err(error) = feeds.start(&tenant, &base, &feed) {
                 let code = error.code();
                 tracing::error!(%code, %base, %error, "the stream of a base cannot start");
             }
@@ -160,14 +163,20 @@ impl Feeds {
         self.desk.connector.policy().check(&request.caster.host, request.caster.port)
     }
 
-    /// Starts to fill a base from a stream.
+    /// Starts to fill a base of a tenant from a stream.
     ///
     /// # Errors
     /// The caster's address or the mountpoint is invalid.
-    pub(crate) fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
+    pub(crate) fn start(
+        &self,
+        tenant: &Tenant,
+        base: &BaseId,
+        feed: &BaseFeed,
+    ) -> Result<(), FetchError> {
         let bits = |Ecef(p): Ecef| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
         let follows = feed.follows_rover.then(|| base.clone());
         let key = StreamKey {
+            tenant: tenant.clone(),
             request: request_of(feed)?,
             near: feed.near,
             position: feed.position.map(bits),
@@ -183,7 +192,12 @@ impl Feeds {
         let Desk { connector, aiding, options, .. } = &*self.desk;
         let stream = Stream::new(
             key.request.clone(),
-            StreamHints { near: feed.near, position: feed.position, follows },
+            StreamHints {
+                near: feed.near,
+                position: feed.position,
+                follows,
+                source: tenant_source(tenant),
+            },
             status.clone(),
             StreamMeans { connector: connector.clone(), aiding: aiding.clone(), options: *options },
             stopped,
@@ -296,7 +310,7 @@ impl Feeds {
 /// The desk as its networks see it. They do not keep it alive; once it is gone, nothing is started.
 impl Streams for Weak<Desk> {
     fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
-        self.upgrade().map_or(Ok(()), |desk| Feeds { desk }.start(base, feed))
+        self.upgrade().map_or(Ok(()), |desk| Feeds { desk }.start(&Tenant::operator(), base, feed))
     }
 
     fn stop(&self, base: &BaseId) {

@@ -30,6 +30,7 @@ mod options;
 mod sources;
 mod stop;
 mod stream;
+mod tenant_feeds;
 mod web;
 
 pub use address::FetchPolicy;
@@ -47,5 +48,6 @@ pub use network::{NetworkHealth, NetworkRequest};
 pub use options::FeedOptions;
 pub use sources::NavigationSources;
 pub(crate) use sources::SourceStatus;
+pub(crate) use tenant_feeds::TenantFeeds;
 pub use web::{Fetched, Validators, fetch};
 pub use web::{Url, WebError};

@@ -326,8 +326,8 @@ async fn base_of(
             && (&known.caster, &known.mountpoint, &known.name)
                 == (&feed.caster, &feed.mountpoint, &feed.name)
     };
-    let known = bases.feeds().into_iter().find(|(_, known)| is_same(known));
-    if let Some((base, _)) = known {
+    let known = bases.feeds().into_iter().find(|(.., known)| is_same(known));
+    if let Some((base, ..)) = known {
         return Ok(base);
     }
     let new = NewBase { label, site: None, feed: Some(feed.clone()), archive: None };

@@ -106,6 +106,8 @@ pub(super) struct StreamHints {
     pub(super) position: Option<Ecef>,
     /// The base whose rovers' position is reported to the caster.
     pub(super) follows: Option<BaseId>,
+    /// The source of its ephemerides, if they belong to a tenant other than the operator.
+    pub(super) source: Option<Arc<str>>,
 }
 
 /// Epochs of a station at one position.
@@ -280,7 +282,8 @@ impl Stream {
         if navigation != Navigation::default() {
             let StreamRequest { caster, mountpoint, .. } = &self.request;
             let of_base = if self.status.bases().is_empty() { "" } else { OF_BASE };
-            let source = format!("{of_base}{caster}/{mountpoint}");
+            let named = || format!("{of_base}{caster}/{mountpoint}").into();
+            let source: Arc<str> = self.hints.source.clone().unwrap_or_else(named);
             let pushed = self.aiding.navigation.push(navigation, &source).await;
             self.status.lock().refusal = pushed.as_ref().err().map(FeedProblem::from);
         }

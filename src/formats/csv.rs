@@ -21,13 +21,15 @@
 //! | `reasons` | what limits the solution, separated by `; `, in quotes |
 //! | `hpl_m`, `vpl_m` | horizontal and vertical protection levels (m) |
 //!
-//! Unknown values are empty fields.
+//! Unknown values are empty fields. Of stored solutions two more columns stand in front: `seq`, the
+//! number of the epoch, and `revision`. All revisions of an epoch can be in one file.
 
-use std::io::{self, Write};
+use std::io::Write;
 
 use nalgebra::Matrix3;
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
+use super::encoder::{Encoder, Revision};
 use crate::gnss::{LocalFrame, RelativeEstimate, Solution, SolutionEstimate, Velocity};
 
 const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
@@ -43,23 +45,33 @@ const RELATIVE_COLUMNS: usize = 9;
 /// Number of columns from `ve_m_s` to `cov_vnvu_m2_s2`.
 const VELOCITY_COLUMNS: usize = 9;
 
-/// Writes solutions as CSV rows, one at a time, to a buffered writer.
-pub(crate) struct Writer<W> {
-    output: W,
-    line: Vec<u8>,
+/// Writes CSV rows.
+pub(super) struct Rows {
+    /// Whether the solutions are stored ones, with number and revision.
+    pub(super) is_stored: bool,
 }
 
-impl<W: Write> Writer<W> {
-    /// Writes the column titles.
-    pub(crate) fn new(mut output: W) -> io::Result<Self> {
-        writeln!(output, "{COLUMNS}")?;
-        Ok(Self { output, line: Vec::with_capacity(512) })
+impl Encoder for Rows {
+    fn begin(&mut self, out: &mut Vec<u8>) {
+        if self.is_stored {
+            out.extend_from_slice(b"seq,revision,");
+        }
+        out.extend_from_slice(COLUMNS.as_bytes());
+        out.push(b'\n');
     }
 
-    /// Writes one row for a solution.
-    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
-        let line = &mut self.line;
-        line.clear();
+    fn push(&mut self, solution: &Solution, revision: Option<Revision>, line: &mut Vec<u8>) {
+        if self.is_stored {
+            match revision {
+                Some(Revision { seq, revision }) => {
+                    push_integer(line, seq as i64, 0);
+                    line.push(b',');
+                    push_integer(line, i64::from(revision), 0);
+                    line.push(b',');
+                }
+                None => line.extend_from_slice(b",,"),
+            }
+        }
         push_integer(line, i64::from(solution.time.week()), 0);
         line.push(b',');
         push_seconds(line, solution.time.ns_of_week(), 3, 0);
@@ -79,14 +91,9 @@ impl<W: Write> Writer<W> {
             None => line.extend_from_slice(b",,"),
         }
         line.push(b'\n');
-        self.output.write_all(line)
     }
 
-    /// Flushes and returns the output.
-    pub(crate) fn finish(mut self) -> io::Result<W> {
-        self.output.flush()?;
-        Ok(self.output)
-    }
+    fn finish(&mut self, _: &mut Vec<u8>) {}
 }
 
 fn push_estimate(line: &mut Vec<u8>, estimate: &SolutionEstimate) {
@@ -180,6 +187,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+    use crate::formats::encoder::{sample, text_of};
     use crate::gnss::{Dops, Ecef, GpsTime, Protection, Provenance, Reason, Status};
 
     fn solution(velocity: Option<Velocity>) -> Solution {
@@ -212,9 +220,7 @@ mod tests {
     }
 
     fn rows(solutions: &[Solution]) -> Vec<String> {
-        let mut writer = Writer::new(Vec::new()).unwrap();
-        solutions.iter().for_each(|solution| writer.write(solution).unwrap());
-        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        let text = text_of(&mut Rows { is_stored: false }, solutions);
         text.lines().map(str::to_owned).collect()
     }
 
@@ -259,5 +265,19 @@ mod tests {
             assert_eq!(line.split(',').count(), lines[0].split(',').count(), "{line}");
         }
         assert!(lines[2].starts_with("2300,100.000,NONE,,,"));
+    }
+
+    #[test]
+    fn stored_solutions_have_number_and_revision() {
+        let mut rows = Rows { is_stored: true };
+        let mut out = Vec::new();
+        rows.begin(&mut out);
+        let solution = sample(Status::Fixed);
+        rows.push(&solution, Some(Revision { seq: 7, revision: 1 }), &mut out);
+        let text = String::from_utf8(out).unwrap();
+        let (titles, row) = text.split_once('\n').unwrap();
+        assert!(titles.starts_with("seq,revision,gps_week,"), "{titles}");
+        assert!(row.starts_with("7,1,2051,46702.000,FIXED,"), "{row}");
+        assert_eq!(row.split(',').count(), titles.split(',').count());
     }
 }

@@ -5,86 +5,95 @@
 //! `sdNorthM`, `sdUpM`, and, where known, `speedMS`, the protection levels `horizontalProtectionM`
 //! and `verticalProtectionM` (m), and `reasons`. The track ends where an epoch has no position,
 //! and after [`POINTS_PER_LINE`] points, so that writing needs little memory.
-
-use std::io::{self, Write};
+//!
+//! A stored solution also has `seq` and `revision`. Each listed revision of an epoch is a point;
+//! the track goes through the first of them.
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
+use super::encoder::{Encoder, Revision};
 use crate::gnss::{LeapSeconds, LocalFrame, Solution, SolutionEstimate};
 
 /// Largest number of points in one line of the track.
-pub(crate) const POINTS_PER_LINE: usize = 1000;
+pub(super) const POINTS_PER_LINE: usize = 1000;
 
-/// Writes solutions as one feature collection, one at a time, to a buffered writer.
-///
-/// The document is complete only after [`Writer::finish`].
-pub(crate) struct Writer<W> {
-    output: W,
+/// Writes one feature collection.
+pub(super) struct Collection {
     leap: LeapSeconds,
-    buffer: Vec<u8>,
     /// Coordinates of the current line of the track, as text.
     track: Vec<u8>,
     points_of_track: usize,
     features: usize,
+    /// Number of the last stored epoch.
+    last_seq: Option<u64>,
 }
 
-impl<W: Write> Writer<W> {
-    /// Begins the collection; `leap` converts GPS time to UTC.
-    pub(crate) fn new(mut output: W, leap: LeapSeconds) -> io::Result<Self> {
-        output.write_all(b"{\"type\":\"FeatureCollection\",\"features\":[")?;
-        let (buffer, track) = (Vec::new(), Vec::new());
-        Ok(Self { output, leap, buffer, track, points_of_track: 0, features: 0 })
+impl Collection {
+    /// `leap` converts GPS time to UTC.
+    pub(super) const fn new(leap: LeapSeconds) -> Self {
+        Self { leap, track: Vec::new(), points_of_track: 0, features: 0, last_seq: None }
     }
 
-    /// Writes one point; a solution without position ends the current line of the track.
-    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
-        let Some(estimate) = &solution.estimate else {
-            return self.end_track(false);
-        };
-        self.buffer.clear();
-        push_coordinates(&mut self.buffer, estimate);
+    fn begin_feature(&mut self, geometry: &str, out: &mut Vec<u8>) {
+        let before = if self.features == 0 { "" } else { "," };
+        self.features += 1;
+        let text = format!(
+            "{before}\n{{\"type\":\"Feature\",\"geometry\":{{\"type\":\"{geometry}\",\
+             \"coordinates\":"
+        );
+        out.extend_from_slice(text.as_bytes());
+    }
+
+    fn extend_track(&mut self, coordinates: &[u8]) {
         if self.points_of_track != 0 {
             self.track.push(b',');
         }
-        self.track.extend_from_slice(&self.buffer);
+        self.track.extend_from_slice(coordinates);
         self.points_of_track += 1;
-        self.begin_feature("Point")?;
-        self.output.write_all(&self.buffer)?;
-        self.buffer.clear();
-        push_properties(&mut self.buffer, solution, estimate, &self.leap);
-        self.output.write_all(&self.buffer)?;
-        if POINTS_PER_LINE <= self.points_of_track { self.end_track(true) } else { Ok(()) }
-    }
-
-    /// Writes the last line of the track, ends the document, flushes and returns the output.
-    pub(crate) fn finish(mut self) -> io::Result<W> {
-        self.end_track(false)?;
-        self.output.write_all(b"\n]}\n")?;
-        self.output.flush()?;
-        Ok(self.output)
-    }
-
-    fn begin_feature(&mut self, geometry: &str) -> io::Result<()> {
-        let before = if self.features == 0 { "" } else { "," };
-        self.features += 1;
-        write!(
-            self.output,
-            "{before}\n{{\"type\":\"Feature\",\"geometry\":{{\"type\":\"{geometry}\",\
-             \"coordinates\":"
-        )
     }
 
     /// Writes the current line of the track; the next one begins at its last point if `continued`.
-    fn end_track(&mut self, continued: bool) -> io::Result<()> {
+    fn end_track(&mut self, continued: bool, out: &mut Vec<u8>) {
         if 2 <= self.points_of_track {
-            self.begin_feature("LineString")?;
-            self.output.write_all(b"[")?;
-            self.output.write_all(&self.track)?;
-            self.output.write_all(b"]},\"properties\":{\"kind\":\"track\"}}")?;
+            self.begin_feature("LineString", out);
+            out.push(b'[');
+            out.extend_from_slice(&self.track);
+            out.extend_from_slice(b"]},\"properties\":{\"kind\":\"track\"}}");
         }
         let last = self.track.iter().rposition(|byte| *byte == b'[').filter(|_| continued);
         self.track.drain(..last.unwrap_or(self.track.len()));
         self.points_of_track = usize::from(last.is_some());
-        Ok(())
+    }
+}
+
+impl Encoder for Collection {
+    fn begin(&mut self, out: &mut Vec<u8>) {
+        out.extend_from_slice(b"{\"type\":\"FeatureCollection\",\"features\":[");
+    }
+
+    /// Appends one point; a solution without position ends the current line of the track.
+    fn push(&mut self, solution: &Solution, revision: Option<Revision>, out: &mut Vec<u8>) {
+        let seq = revision.map(|revision| revision.seq);
+        let is_repeated = seq.is_some() && seq == self.last_seq;
+        self.last_seq = seq;
+        let Some(estimate) = &solution.estimate else {
+            return self.end_track(false, out);
+        };
+        self.begin_feature("Point", out);
+        let start = out.len();
+        push_coordinates(out, estimate);
+        if !is_repeated {
+            self.extend_track(&out[start..]);
+        }
+        push_properties(out, solution, estimate, revision, &self.leap);
+        if POINTS_PER_LINE <= self.points_of_track {
+            self.end_track(true, out);
+        }
+    }
+
+    /// Appends the last line of the track, and ends the document.
+    fn finish(&mut self, out: &mut Vec<u8>) {
+        self.end_track(false, out);
+        out.extend_from_slice(b"\n]}\n");
     }
 }
 
@@ -103,6 +112,7 @@ fn push_properties(
     out: &mut Vec<u8>,
     solution: &Solution,
     estimate: &SolutionEstimate,
+    revision: Option<Revision>,
     leap: &LeapSeconds,
 ) {
     let time = solution.time.to_rfc3339(leap);
@@ -112,7 +122,11 @@ fn push_properties(
     text(&time);
     text("\",\"status\":\"");
     text(status);
-    text("\",\"gpsWeek\":");
+    if let Some(Revision { seq, revision }) = revision {
+        text(&format!("\",\"seq\":{seq},\"revision\":{revision},\"gpsWeek\":"));
+    } else {
+        text("\",\"gpsWeek\":");
+    }
     push_integer(out, i64::from(solution.time.week()), 0);
     out.extend_from_slice(b",\"tow\":");
     push_seconds(out, solution.time.ns_of_week(), 3, 0);
@@ -153,6 +167,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::formats::encoder::text_of;
     use crate::gnss::{Dops, Geodetic, GpsTime, Provenance, Reason, Status};
 
     fn solution(index: usize) -> Solution {
@@ -179,9 +194,8 @@ mod tests {
     }
 
     fn features(solutions: &[Solution]) -> Vec<Value> {
-        let mut writer = Writer::new(Vec::new(), LeapSeconds::table()).unwrap();
-        solutions.iter().for_each(|solution| writer.write(solution).unwrap());
-        let document: Value = serde_json::from_slice(&writer.finish().unwrap()).unwrap();
+        let text = text_of(&mut Collection::new(LeapSeconds::table()), solutions);
+        let document: Value = serde_json::from_str(&text).unwrap();
         document["features"].as_array().unwrap().clone()
     }
 
@@ -225,5 +239,27 @@ mod tests {
     #[test]
     fn nothing_is_a_collection_too() {
         assert!(features(&[]).is_empty());
+    }
+
+    /// Two revisions of an epoch are two points, and one point of the track.
+    #[test]
+    fn the_track_has_each_epoch_once() {
+        let mut collection = Collection::new(LeapSeconds::table());
+        let mut out = Vec::new();
+        collection.begin(&mut out);
+        for (seq, revision) in [(1, 0), (1, 1), (2, 0), (2, 1)] {
+            let solution = solution(2 * seq as usize + revision as usize);
+            collection.push(&solution, Some(Revision { seq, revision }), &mut out);
+        }
+        collection.finish(&mut out);
+        let document: Value = serde_json::from_slice(&out).unwrap();
+        let all = document["features"].as_array().unwrap();
+        assert_eq!((all.len(), lines(all)), (5, vec![2]));
+        let names = |feature: &Value| {
+            let number = |name: &str| feature["properties"][name].as_u64();
+            (number("seq"), number("revision"))
+        };
+        assert_eq!(names(&all[3]), (Some(2), Some(1)));
+        assert_eq!(all[4]["geometry"]["coordinates"][1], all[2]["geometry"]["coordinates"]);
     }
 }

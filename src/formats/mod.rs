@@ -3,11 +3,15 @@
 pub mod antex;
 mod binary;
 mod broadcast;
-pub mod csv;
+mod csv;
 mod decimal;
-pub(crate) mod geojson;
+mod encoder;
+mod geojson;
 pub mod gnss_logger;
+mod gpx;
 mod gunzip;
+mod kml;
+mod nmea;
 pub mod observations;
 pub mod odometry;
 pub mod pos;
@@ -15,6 +19,7 @@ pub mod receiver;
 pub mod rinex;
 mod rtcm;
 pub(crate) mod skipped;
+pub(crate) mod track;
 pub mod truth;
 mod ubx;
 mod unpack;
@@ -25,7 +30,7 @@ use flate2::bufread::MultiGzDecoder;
 
 pub(crate) use gunzip::Gunzip;
 pub use gunzip::GunzipError;
-pub use unpack::{UnpackError, check_ratio, unpack_error, unpack_within};
+pub use unpack::{UnpackError, check_ratio, unpack_error, unpack_reader_within, unpack_within};
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];

@@ -5,11 +5,12 @@
 //! sign(c)·√|c| of the covariance c. Graphfix writes latitude, longitude and ellipsoidal height
 //! with GPS week and seconds of week; it reads these, calendar dates and ECEF coordinates.
 
-use std::io::{self, BufRead, Write};
+use std::io::{self, BufRead};
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
+use super::encoder::{Encoder, Revision};
 use crate::gnss::{
     CivilTime, Ecef, Geodetic, GpsTime, LeapSeconds, LocalFrame, Solution, Status, TimeScale,
 };
@@ -33,29 +34,24 @@ pub(crate) const fn quality(status: Status) -> Option<u8> {
     }
 }
 
-/// Writes solutions as `.pos` rows, one at a time, to a buffered writer.
-pub(crate) struct Writer<W> {
-    output: W,
-    line: Vec<u8>,
+/// Writes `.pos` rows with the receiver's time tag; none for a solution without position.
+pub(super) struct Rows {
+    /// Lines of the header before the column titles.
+    pub(super) comments: Vec<String>,
 }
 
-impl<W: Write> Writer<W> {
-    /// Writes the header: `comments`, one line each, then the column titles.
-    pub(crate) fn new(mut output: W, comments: &[String]) -> io::Result<Self> {
-        for comment in comments {
-            writeln!(output, "% {comment}")?;
+impl Encoder for Rows {
+    fn begin(&mut self, out: &mut Vec<u8>) {
+        for comment in &self.comments {
+            out.extend_from_slice(format!("% {comment}\n").as_bytes());
         }
-        writeln!(output, "%\n{CONVENTIONS}\n{COLUMNS}")?;
-        Ok(Self { output, line: Vec::with_capacity(256) })
+        out.extend_from_slice(format!("%\n{CONVENTIONS}\n{COLUMNS}\n").as_bytes());
     }
 
-    /// Writes one row with the receiver's time tag; none for a solution without position.
-    pub(crate) fn write(&mut self, solution: &Solution) -> io::Result<()> {
+    fn push(&mut self, solution: &Solution, _: Option<Revision>, line: &mut Vec<u8>) {
         let (Some(quality), Some(estimate)) = (quality(solution.status), &solution.estimate) else {
-            return Ok(());
+            return;
         };
-        let line = &mut self.line;
-        line.clear();
         push_integer(line, i64::from(solution.time.week()), 4);
         line.push(b' ');
         push_seconds(line, solution.time.ns_of_week(), 3, 10);
@@ -76,14 +72,9 @@ impl<W: Write> Writer<W> {
         push_column(line, relative.map_or(0.0, |relative| relative.age_s), 2, 6);
         push_column(line, ratio.min(RATIO_MAX), 1, 6);
         line.push(b'\n');
-        self.output.write_all(line)
     }
 
-    /// Flushes and returns the output.
-    pub(crate) fn finish(mut self) -> io::Result<W> {
-        self.output.flush()?;
-        Ok(self.output)
-    }
+    fn finish(&mut self, _: &mut Vec<u8>) {}
 }
 
 /// Appends a blank and a number.
@@ -291,6 +282,7 @@ fn covariance_of(roots: &[f64; 6], is_ecef: bool, position: Ecef) -> Matrix3<f64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::encoder::text_of;
     use crate::gnss::{Dops, Provenance, SolutionEstimate};
 
     fn solution(covariance_enu: Matrix3<f64>) -> Solution {
@@ -319,9 +311,7 @@ mod tests {
     }
 
     fn written(solutions: &[Solution]) -> String {
-        let mut writer = Writer::new(Vec::new(), &["program : graphfix".to_owned()]).unwrap();
-        solutions.iter().for_each(|solution| writer.write(solution).unwrap());
-        String::from_utf8(writer.finish().unwrap()).unwrap()
+        text_of(&mut Rows { comments: vec!["program : graphfix".to_owned()] }, solutions)
     }
 
     #[test]

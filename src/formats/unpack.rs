@@ -53,6 +53,19 @@ pub fn unpack_error(error: &Error) -> Option<UnpackError> {
     error.get_ref()?.downcast_ref().copied()
 }
 
+/// The same of a file that is read from a reader, and has `length` bytes.
+///
+/// # Errors
+/// Its first bytes cannot be read.
+pub fn unpack_reader_within(
+    mut input: impl BufRead,
+    length: u64,
+    limit: u64,
+) -> Result<impl BufRead> {
+    let packed = input.fill_buf()?.starts_with(&GZIP_MAGIC).then_some(length);
+    Ok(Bounded { input: decompress(input), packed, limit, read: 0 })
+}
+
 struct Bounded<R> {
     input: R,
     /// Size of the file as received, if it is packed.

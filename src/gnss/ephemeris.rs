@@ -38,6 +38,15 @@ impl Ephemeris {
         }
     }
 
+    /// Whether it is of a message that RINEX 3 has a record for: all but the civil ones.
+    pub(crate) const fn is_legacy(&self) -> bool {
+        use NavigationMessage::{Cnav, Cnav2, Cnv1, Cnv2, Cnv3};
+        match self {
+            Self::Keplerian(e) => !matches!(e.message, Cnav | Cnav2 | Cnv1 | Cnv2 | Cnv3),
+            Self::Glonass(_) => true,
+        }
+    }
+
     /// Issue of data; with `toe` it identifies an ephemeris of a satellite.
     pub(crate) const fn issue(&self) -> u32 {
         match self {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Ephemeris, LeapSeconds, SatelliteId};
+use super::{Ephemeris, GpsTime, LeapSeconds, NavigationMessage, SatelliteId};
 
 /// Coefficients of a Klobuchar model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,13 +43,6 @@ impl Navigation {
     /// `toc` and issue is replaced only if the content differs.
     pub fn insert(&mut self, ephemeris: Ephemeris) -> bool {
         let list = self.ephemerides.entry(ephemeris.satellite()).or_default();
-        let key = |e: &Ephemeris| {
-            let message = match e {
-                Ephemeris::Keplerian(k) => Some(k.message),
-                Ephemeris::Glonass(_) => None,
-            };
-            (e.toe(), message, e.toc(), e.issue())
-        };
         match list.binary_search_by_key(&key(&ephemeris), key) {
             Ok(index) if list[index] == ephemeris => false,
             Ok(index) => {
@@ -61,6 +54,20 @@ impl Navigation {
                 true
             }
         }
+    }
+
+    /// Removes an ephemeris; `false` if it is not among them.
+    pub(crate) fn remove(&mut self, ephemeris: &Ephemeris) -> bool {
+        let satellite = ephemeris.satellite();
+        let Some(list) = self.ephemerides.get_mut(&satellite) else { return false };
+        match list.binary_search_by_key(&key(ephemeris), key) {
+            Ok(index) if list[index] == *ephemeris => drop(Arc::make_mut(list).remove(index)),
+            _ => return false,
+        }
+        if list.is_empty() {
+            self.ephemerides.remove(&satellite);
+        }
+        true
     }
 
     /// Adds ephemerides.
@@ -114,4 +121,13 @@ impl Navigation {
         let lists = other.ephemerides.values();
         lists.flat_map(|list| list.iter()).filter(|e| self.insert((*e).clone())).count()
     }
+}
+
+/// The order of a satellite's ephemerides. It tells one from another.
+fn key(ephemeris: &Ephemeris) -> (GpsTime, Option<NavigationMessage>, GpsTime, u32) {
+    let message = match ephemeris {
+        Ephemeris::Keplerian(keplerian) => Some(keplerian.message),
+        Ephemeris::Glonass(_) => None,
+    };
+    (ephemeris.toe(), message, ephemeris.toc(), ephemeris.issue())
 }

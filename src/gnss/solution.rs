@@ -276,6 +276,55 @@ impl Reason {
             Self::EstimatorFailed => "ESTIMATOR_FAILED",
         }
     }
+
+    /// What the user can do about it.
+    pub const fn remedy(&self) -> &'static str {
+        match self {
+            Self::EphemerisMissing { .. } => "push current navigation data for these satellites",
+            Self::TooFewSatellites { .. } => {
+                "wait for a clearer sky, or allow more constellations or a lower elevation mask"
+            }
+            Self::GeometryTooWeak { .. } => "allow more constellations or wait for a clearer sky",
+            Self::NoRedundancy => "allow more constellations so that errors can be detected",
+            Self::ResidualsTooLarge { .. } => {
+                "expect reflections; trust the covariance, which has been widened"
+            }
+            Self::SatellitesExcluded { .. } => "none needed: the others determine the position",
+            Self::NotConverged => "check the observations; they contradict one another",
+            Self::IonosphereFallback { .. } => {
+                "push navigation data that carries the ionosphere coefficients"
+            }
+            Self::BaseMissing => "name a base and push its epochs",
+            Self::BaseStale { .. } => "check the base's connection, or allow a greater base age",
+            Self::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
+            Self::BaseMoved { .. } | Self::BaseChanged { .. } => {
+                "none needed: a fix comes back as after cycle slips"
+            }
+            Self::BaselineTooLong { .. } => "choose a nearer base",
+            Self::TooFewCommonSatellites { .. } => {
+                "choose a base that receives the rover's constellations and bands"
+            }
+            Self::RatioBelowThreshold { .. }
+            | Self::SuccessRateTooLow { .. }
+            | Self::FixImprecise { .. } => {
+                "wait for more epochs, a clearer sky, or receive a second frequency"
+            }
+            Self::FixRejected => "none needed: it is tried again at the next epoch",
+            Self::HalfCycleUnresolved { .. } => "none needed: the receiver resolves them in time",
+            Self::CycleSlips { .. } => "expect less precision until the new ambiguities settle",
+            Self::StartUnproven { .. } => {
+                "do not rely on the position until the reason is gone: drive on, or see more sky"
+            }
+            Self::EpochRepeated { .. } => "write each epoch once, in the order of time",
+            Self::ProtectionLimitExceeded { .. } => {
+                "do not rely on the position, or allow a greater limit or risk (`integrity.*`)"
+            }
+            Self::OdometryUnused { .. } => {
+                "send each displacement with the epoch where it ends, since the epoch before"
+            }
+            Self::EstimatorFailed => "send the next epochs, and report the failure with this epoch",
+        }
+    }
 }
 
 impl fmt::Display for Reason {

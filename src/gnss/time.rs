@@ -89,6 +89,12 @@ impl GpsTime {
         without_leap + leap.at(without_leap) as f64
     }
 
+    /// The system clock's time of this instant (ms since 1970-01-01 UTC, leap seconds not counted).
+    pub fn to_unix_ms(self, leap: &LeapSeconds) -> i64 {
+        let since_epoch_ms = self.0.div_euclid(NS_PER_SECOND / 1000) - 1000 * leap.at(self);
+        since_epoch_ms + GPS_EPOCH_UNIX_DAYS * DAY_S * 1000
+    }
+
     /// GPS week, without roll-over.
     pub const fn week(self) -> i32 {
         self.0.div_euclid(NS_PER_WEEK) as i32
@@ -392,6 +398,7 @@ mod tests {
         let expected = GpsTime::from_week_seconds(2021, 4.0 * 86_400.0 + 45_420.0 + 18.0);
         let leap = LeapSeconds::table();
         assert_eq!(GpsTime::from_unix_ms(1_538_656_620_000, &leap), expected);
+        assert_eq!(expected.to_unix_ms(&leap), 1_538_656_620_000);
         assert!(GpsTime::from_unix_ms(i64::MAX, &leap) > expected);
     }
 

@@ -27,14 +27,17 @@ const TIMEOUT: &str = "grpc-timeout";
 /// The calls of these services have one message, except the streams.
 const SERVICES: &str = "/graphfix.v1.";
 /// Calls with a stream of messages.
-const STREAMS: [&str; 2] =
-    ["/graphfix.v1.Positioning/Stream", "/graphfix.v1.Positioning/StreamRaw"];
+const STREAMS: [&str; 3] = [
+    "/graphfix.v1.Positioning/Stream",
+    "/graphfix.v1.Positioning/StreamRaw",
+    "/graphfix.v1.Jobs/Create",
+];
 const BLOCK_BYTES: usize = 64 << 10;
 /// Largest window of a Zstandard frame, as a power of two (bytes).
 const WINDOW_LOG_MAX: u32 = 23;
 
-/// A call that answers with a stream of short messages.
-const WATCH: &str = "/graphfix.v1.Solutions/Watch";
+/// Calls that answer with a stream of short messages.
+const WATCHES: [&str; 2] = ["/graphfix.v1.Solutions/Watch", "/graphfix.v1.Jobs/Watch"];
 
 /// Largest messages (bytes).
 #[derive(Clone, Copy, Debug)]
@@ -122,7 +125,7 @@ fn streamed_request(mut request: Request, limit: usize) -> Result<Request, Refus
 
 /// The request with its message unpacked.
 async fn unpacked_request(mut request: Request, limit: usize) -> Result<Request, Refusal> {
-    if request.uri().path() == WATCH {
+    if WATCHES.contains(&request.uri().path()) {
         request.headers_mut().remove(ACCEPTED_ENCODINGS);
     }
     if !request.uri().path().starts_with(SERVICES) {

@@ -13,41 +13,41 @@ impl Bases for Door {
         &self,
         request: Request<v1::CreateBaseRequest>,
     ) -> Result<Response<v1::Base>, Status> {
-        carry(calls::bases::create(&self.0, request.into_inner()).await)
+        carry(calls::bases::create(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn get(
         &self,
         request: Request<v1::GetBaseRequest>,
     ) -> Result<Response<v1::Base>, Status> {
-        carry(calls::bases::get(&self.0, request.into_inner()).await)
+        carry(calls::bases::get(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn list(
         &self,
         request: Request<v1::ListBasesRequest>,
     ) -> Result<Response<v1::ListBasesResponse>, Status> {
-        carry(calls::bases::list(&self.0, request.into_inner()).await)
+        carry(calls::bases::list(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn delete(
         &self,
         request: Request<v1::DeleteBaseRequest>,
     ) -> Result<Response<v1::DeleteBaseResponse>, Status> {
-        carry(calls::bases::delete(&self.0, request.into_inner()).await)
+        carry(calls::bases::delete(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn push_epochs(
         &self,
         request: Request<v1::PushBaseEpochsRequest>,
     ) -> Result<Response<v1::PushBaseEpochsResponse>, Status> {
-        carry(calls::bases::push_epochs(&self.0, request.into_inner()).await)
+        carry(calls::bases::push_epochs(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn upload(
         &self,
         request: Request<v1::UploadBaseRequest>,
     ) -> Result<Response<v1::UploadBaseResponse>, Status> {
-        carry(calls::bases::upload(&self.0, request.into_inner()).await)
+        carry(calls::bases::upload(&self.0.caller()?, request.into_inner()).await)
     }
 }

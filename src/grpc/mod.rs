@@ -4,6 +4,8 @@ mod admission;
 mod bases;
 mod codec;
 mod frame;
+mod jobs;
+mod keys;
 mod navigation;
 mod positioning;
 mod routes;
@@ -11,6 +13,7 @@ mod sessions;
 mod solutions;
 mod status;
 mod stream_body;
+mod tenants;
 
 use std::pin::Pin;
 

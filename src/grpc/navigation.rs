@@ -13,13 +13,13 @@ impl Navigation for Door {
         &self,
         request: Request<v1::PushNavigationRequest>,
     ) -> Result<Response<v1::PushNavigationResponse>, Status> {
-        carry(calls::navigation::push(&self.0, request.into_inner()).await)
+        carry(calls::navigation::push(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn status(
         &self,
         _: Request<v1::NavigationStatusRequest>,
     ) -> Result<Response<v1::NavigationStatusResponse>, Status> {
-        carry(Ok(calls::navigation::status(&self.0)))
+        carry(Ok(calls::navigation::status(&self.0.caller()?)))
     }
 }

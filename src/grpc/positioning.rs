@@ -13,14 +13,14 @@ impl Positioning for Door {
         &self,
         request: Request<v1::PushEpochsRequest>,
     ) -> Result<Response<v1::PushEpochsResponse>, Status> {
-        carry(calls::positioning::push_epochs(&self.0, request.into_inner()).await)
+        carry(calls::positioning::push_epochs(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn push_raw(
         &self,
         request: Request<v1::PushRawRequest>,
     ) -> Result<Response<v1::PushRawResponse>, Status> {
-        carry(calls::raw::push(&self.0, request.into_inner()).await)
+        carry(calls::raw::push(&self.0.caller()?, request.into_inner()).await)
     }
 
     type StreamStream = Answered<v1::StreamResponse>;
@@ -29,7 +29,7 @@ impl Positioning for Door {
         &self,
         request: Request<Streaming<v1::StreamRequest>>,
     ) -> Result<Response<Self::StreamStream>, Status> {
-        let answers = calls::stream::epochs(&self.0, request.into_inner());
+        let answers = calls::stream::epochs(&self.0.caller()?, request.into_inner());
         Ok(Response::new(Box::pin(answers)))
     }
 
@@ -39,7 +39,7 @@ impl Positioning for Door {
         &self,
         request: Request<Streaming<v1::StreamRawRequest>>,
     ) -> Result<Response<Self::StreamRawStream>, Status> {
-        let answers = calls::stream::raw(&self.0, request.into_inner());
+        let answers = calls::stream::raw(&self.0.caller()?, request.into_inner());
         Ok(Response::new(Box::pin(answers)))
     }
 
@@ -47,13 +47,13 @@ impl Positioning for Door {
         &self,
         request: Request<v1::SolveRequest>,
     ) -> Result<Response<v1::SolveResponse>, Status> {
-        carry(calls::positioning::solve(&self.0, request.into_inner()).await)
+        carry(calls::positioning::solve(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn solve_once(
         &self,
         request: Request<v1::SolveOnceRequest>,
     ) -> Result<Response<v1::SolveOnceResponse>, Status> {
-        carry(calls::positioning::solve_once(&self.0, request.into_inner()).await)
+        carry(calls::positioning::solve_once(&self.0.caller()?, request.into_inner()).await)
     }
 }

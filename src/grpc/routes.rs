@@ -17,10 +17,13 @@ use crate::contract::Service;
 
 use super::admission::MessageLimits;
 use super::v1::bases_server::BasesServer;
+use super::v1::jobs_server::JobsServer;
+use super::v1::keys_server::KeysServer;
 use super::v1::navigation_server::NavigationServer;
 use super::v1::positioning_server::PositioningServer;
 use super::v1::sessions_server::SessionsServer;
 use super::v1::solutions_server::SolutionsServer;
+use super::v1::tenants_server::TenantsServer;
 use super::{DESCRIPTORS, Door, admission, frame};
 
 /// Interval at which the service's readiness is checked.
@@ -36,6 +39,11 @@ pub(crate) fn routes(service: &Service) -> Router {
     let door = Door(service.clone());
     let (health, health_service) = tonic_health::server::health_reporter();
     tokio::spawn(report_health(service.clone(), health));
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
     let v1 = reflection().build_v1().expect("the descriptors are protox's");
     let v1alpha = reflection().build_v1alpha().expect("the descriptors are protox's");
     macro_rules! limited {
@@ -54,6 +62,9 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(SolutionsServer))
         .add_service(limited!(NavigationServer))
         .add_service(limited!(BasesServer))
+        .add_service(limited!(JobsServer))
+        .add_service(limited!(KeysServer))
+        .add_service(limited!(TenantsServer))
         .into_axum_router()
         .reset_fallback()
         .layer(middleware::from_fn_with_state(limits, serve))
@@ -66,27 +77,18 @@ async fn serve(State(limits): State<MessageLimits>, request: Request, next: Next
     frame::explain(served.unwrap_or_else(frame::panicked))
 }
 
-/// The reflection service. It must stay a separate function that is never inlined: with
-/// optimisation by rustc 1.95, two builders configured through one closure shared a buffer that the
-/// first one had freed, and the service crashed at its start. Whether the compiler or the library
-/// is at fault is unknown: valgrind's memcheck finds no invalid access in the service as it is, nor
-/// in a program that only builds these services through the closure (tonic 0.14.9, optimised).
-#[inline(never)]
-fn reflection() -> tonic_reflection::server::Builder<'static> {
-    tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-}
-
 /// Reports each second whether the services, and the whole, are serving, until the service drains.
 async fn report_health(service: Service, health: HealthReporter) {
-    const NAMES: [&str; 6] = [
+    const NAMES: [&str; 9] = [
         "",
         "graphfix.v1.Sessions",
         "graphfix.v1.Positioning",
         "graphfix.v1.Solutions",
         "graphfix.v1.Navigation",
         "graphfix.v1.Bases",
+        "graphfix.v1.Jobs",
+        "graphfix.v1.Keys",
+        "graphfix.v1.Tenants",
     ];
     let report = async |status| {
         for name in NAMES {

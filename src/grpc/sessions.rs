@@ -13,55 +13,55 @@ impl Sessions for Door {
         &self,
         request: Request<v1::CreateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::create(&self.0, request.into_inner()).await)
+        carry(calls::sessions::create(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn get(
         &self,
         request: Request<v1::GetSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::get(&self.0, request.into_inner()).await)
+        carry(calls::sessions::get(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn list(
         &self,
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
-        carry(calls::sessions::list(&self.0, request.into_inner()).await)
+        carry(calls::sessions::list(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn heads(
         &self,
         request: Request<v1::ListHeadsRequest>,
     ) -> Result<Response<v1::ListHeadsResponse>, Status> {
-        carry(calls::sessions::heads(&self.0, request.into_inner()).await)
+        carry(calls::sessions::heads(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn update(
         &self,
         request: Request<v1::UpdateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::update(&self.0, request.into_inner()).await)
+        carry(calls::sessions::update(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn reset(
         &self,
         request: Request<v1::ResetSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::reset(&self.0, request.into_inner()).await)
+        carry(calls::sessions::reset(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn close(
         &self,
         request: Request<v1::CloseSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::close(&self.0, request.into_inner()).await)
+        carry(calls::sessions::close(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn delete(
         &self,
         request: Request<v1::DeleteSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::delete(&self.0, request.into_inner()).await)
+        carry(calls::sessions::delete(&self.0.caller()?, request.into_inner()).await)
     }
 }

@@ -14,7 +14,7 @@ impl Solutions for Door {
         &self,
         request: Request<v1::ListSolutionsRequest>,
     ) -> Result<Response<v1::ListSolutionsResponse>, Status> {
-        carry(calls::solutions::list(&self.0, request.into_inner()).await)
+        carry(calls::solutions::list(&self.0.caller()?, request.into_inner()).await)
     }
 
     type WatchStream = Answered<v1::WatchSolutionsResponse>;
@@ -23,21 +23,35 @@ impl Solutions for Door {
         &self,
         request: Request<v1::WatchSolutionsRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
-        let messages = calls::watch::watch(&self.0, request.into_inner()).await?;
+        let messages = calls::watch::watch(&self.0.caller()?, request.into_inner()).await?;
         Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+    }
+
+    type TrackStream = Answered<v1::TrackResponse>;
+
+    async fn track(
+        &self,
+        request: Request<v1::TrackRequest>,
+    ) -> Result<Response<Self::TrackStream>, Status> {
+        let track = calls::track::track(&self.0.caller()?, request.into_inner()).await?;
+        let answered = track.map(|content| match content {
+            Ok(content) => Ok(v1::TrackResponse { content }),
+            Err(refusal) => Err(Status::from(refusal)),
+        });
+        Ok(Response::new(Box::pin(answered)))
     }
 
     async fn series(
         &self,
         request: Request<v1::SolutionSeriesRequest>,
     ) -> Result<Response<v1::SolutionSeriesResponse>, Status> {
-        carry(calls::solutions::series(&self.0, request.into_inner()).await)
+        carry(calls::solutions::series(&self.0.caller()?, request.into_inner()).await)
     }
 
     async fn explain(
         &self,
         request: Request<v1::ExplainEpochRequest>,
     ) -> Result<Response<v1::ExplainEpochResponse>, Status> {
-        carry(calls::solutions::explain(&self.0, request.into_inner()).await)
+        carry(calls::solutions::explain(&self.0.caller()?, request.into_inner()).await)
     }
 }

@@ -26,6 +26,7 @@ pub const fn grpc_code(class: Class) -> GrpcCode {
         Class::Conflict => GrpcCode::AlreadyExists,
         Class::Precondition => GrpcCode::FailedPrecondition,
         Class::Unavailable => GrpcCode::Unavailable,
+        Class::Unauthenticated => GrpcCode::Unauthenticated,
         Class::Forbidden => GrpcCode::PermissionDenied,
         Class::Timeout => GrpcCode::DeadlineExceeded,
         Class::Internal | Class::NoCall => GrpcCode::Internal,

@@ -1,22 +1,30 @@
-//! Checks of every request of both doors: the host that it names, and the memory that it may use.
+//! Checks of every request of both doors: the host that it names, the call that it is for, the key
+//! that it brings, and the memory that it may use.
+//!
+//! Memory comes last: a request that is refused uses none, and nothing of its body is read.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::BoxError;
 use axum::body::{Body, HttpBody};
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use tonic::Code as Status;
 use uuid::fmt::Hyphenated;
 
-use crate::contract::{Lease, Refusal, Service};
+use crate::contract::access::{Credential, CsrfToken, Target, target};
+use crate::contract::{Lease, Outcome, Refusal, Service};
 use crate::grpc;
 use crate::refusal::Code;
 
+use super::connection::Peer;
+use super::jobs;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
+use super::sign_in;
 
 /// Header with the name of the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
@@ -28,17 +36,16 @@ const NO_CONTENT: &str = "default-src 'none'; frame-ancestors 'none'";
 const OWN_CONTENT: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; \
                            img-src 'self' data:; frame-ancestors 'none'";
 
-/// Serves a request with a lease of memory, unless its host or origin is refused.
+/// Serves a request with a lease of memory, unless its host, its origin, its call or its key is
+/// refused.
 pub(super) async fn admit(
     State(service): State<Service>,
     request: Request,
     next: Next,
 ) -> Response {
-    let is_grpc = is_grpc(request.headers());
-    let admitted = check_host(&service, request.uri(), request.headers())
-        .and_then(|()| service.budget().lease())
-        .and_then(|lease| metered(&service, request, lease, is_grpc));
-    let mut response = match admitted {
+    let (is_grpc, begun) = (is_grpc(request.headers()), Instant::now());
+    let target = target(request.method().as_str(), request.uri().path());
+    let mut response = match admitted(&service, &target, request, is_grpc) {
         Ok((request, lease)) => {
             let mut response = lease.clone().scope(next.run(request)).await;
             let id = lease.request_id();
@@ -49,22 +56,98 @@ pub(super) async fn admit(
             }
             response.map(|body| Keeping::body(body, lease))
         }
-        Err(refusal) => answer(refusal, is_grpc),
+        Err(refusal) => refused(refusal, &target, is_grpc),
     };
+    service.meters().count(is_grpc, outcome(&response), begun.elapsed());
     if let Ok(node) = HeaderValue::from_str(service.node()) {
         response.headers_mut().insert(NODE, node);
     }
     if is_grpc { response } else { with_security_headers(response) }
 }
 
+/// How a request went, as far as the head of its answer tells.
+fn outcome(response: &Response) -> Outcome {
+    // A gRPC call that fails at once has its status in the head (trailers only).
+    let grpc = response.headers().get("grpc-status");
+    let grpc = grpc.map(|status| Status::from_bytes(status.as_bytes()));
+    match (response.status(), grpc) {
+        (_, Some(Status::Internal | Status::Unknown | Status::Unavailable | Status::DataLoss)) => {
+            Outcome::Failed
+        }
+        (status, _) if status.is_server_error() => Outcome::Failed,
+        (_, Some(code)) if code != Status::Ok => Outcome::Refused,
+        (status, _) if status.is_client_error() => Outcome::Refused,
+        _ => Outcome::Answered,
+    }
+}
+
+/// The request with its lease, if everything about it but its body is right.
+fn admitted(
+    service: &Service,
+    target: &Target,
+    request: Request,
+    is_grpc: bool,
+) -> Result<(Request, Lease), Refusal> {
+    let (method, path) = (request.method(), request.uri().path());
+    check_host(service, request.uri(), request.headers())?;
+    let call = match target {
+        Target::Call(call) => call,
+        Target::OtherMethod(_) => {
+            let message = format!("{path} does not take {method}");
+            return Err(Refusal::new(Code::MethodNotAllowed, message));
+        }
+        Target::Unknown => {
+            let message = format!("{method} {path} is not a call");
+            return Err(Refusal::new(Code::RouteNotFound, message));
+        }
+    };
+    let peer = request.extensions().get().map(|Peer(address)| *address);
+    let pass = service.admit(call, credential(&request), peer)?;
+    let lease = service.budget().lease(pass)?;
+    metered(service, request, lease, is_grpc)
+}
+
+/// The key of a request (RFC 6750, section 2.1), or else its cookie. An `authorization` of another
+/// form, or a second one, is a key that fits none.
+fn credential(request: &Request) -> Credential<'_> {
+    let headers = request.headers();
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    if let Some(value) = values.next() {
+        let value = value.to_str().unwrap_or_default();
+        let (scheme, key) = value.split_once(' ').unwrap_or_default();
+        let is_bearer = scheme.eq_ignore_ascii_case("bearer") && values.next().is_none();
+        return Credential::Key(if is_bearer { key.trim() } else { "" });
+    }
+    let Some(cookie) = sign_in::cookie(headers) else { return Credential::None };
+    let token = match request.method().is_safe() {
+        true => CsrfToken::NotNeeded,
+        false => {
+            let token = headers.get(sign_in::CSRF).and_then(|token| token.to_str().ok());
+            CsrfToken::Given(token.unwrap_or_default())
+        }
+    };
+    Credential::Cookie(cookie, token)
+}
+
+/// A refusal as the addressed door sends it, with the methods that the path takes.
+fn refused(refusal: Refusal, target: &Target, is_grpc: bool) -> Response {
+    let mut response = answer(refusal, is_grpc);
+    if let Target::OtherMethod(methods) = target
+        && let Ok(methods) = HeaderValue::from_str(&methods.join(", "))
+    {
+        response.headers_mut().insert(header::ALLOW, methods);
+    }
+    response
+}
+
 /// Whether these are the headers of a gRPC request.
-pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
+fn is_grpc(headers: &HeaderMap) -> bool {
     let kind = headers.get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
 /// A refusal as the addressed door sends it: a gRPC status, or a problem document.
-pub(super) fn answer(refusal: Refusal, is_grpc: bool) -> Response {
+fn answer(refusal: Refusal, is_grpc: bool) -> Response {
     if is_grpc {
         return grpc::to_status(&refusal).into_http::<Body>();
     }
@@ -123,6 +206,14 @@ fn metered(
     if is_grpc && grpc::is_stream(request.uri().path()) {
         return Ok((request, lease)); // It has no end; its door reserves memory for each message.
     }
+    let fault = if is_grpc { status_error } else { refusal_error };
+    let patience = Patience { silence: Duration::from_secs(service.limits().body_silence_s) };
+    if !is_grpc && request.method() == Method::POST && request.uri().path() == jobs::PATH {
+        // Its files go to the disk as they arrive.
+        let (parts, body) = request.into_parts();
+        let body = Metered::passing(body, lease.clone(), patience, fault)?;
+        return Ok((Request::from_parts(parts, Body::new(body)), lease));
+    }
     let limit = service.limits().body_bytes;
     let (parts, body) = request.into_parts();
     let length = usize::try_from(body.size_hint().lower()).unwrap_or(usize::MAX);
@@ -130,8 +221,6 @@ fn metered(
         let message = format!("the body has {length} bytes, at most {limit} are taken");
         return Err(Refusal::new(Code::BodyTooLarge, message));
     }
-    let fault = if is_grpc { status_error } else { refusal_error };
-    let patience = Patience { silence: Duration::from_secs(service.limits().body_silence_s) };
     let body = Metered::new(body, length, lease.clone(), patience, fault)?;
     Ok((Request::from_parts(parts, Body::new(body)), lease))
 }

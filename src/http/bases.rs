@@ -1,10 +1,10 @@
 //! `/v1/bases`.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use axum::http::StatusCode;
 
-use crate::contract::{Refusal, Service, calls, v1};
+use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::{JsonBody, RawBody, StrictQuery};
@@ -18,10 +18,10 @@ use super::sessions::PageQuery;
     responses((status = 201, body = v1::Base), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn create(
-    State(service): State<Service>,
+    caller: Caller,
     JsonBody(request): JsonBody<v1::CreateBaseRequest>,
 ) -> Result<(StatusCode, Json<v1::Base>), Refused> {
-    Ok((StatusCode::CREATED, Json(calls::bases::create(&service, request).await?)))
+    Ok((StatusCode::CREATED, Json(calls::bases::create(&caller, request).await?)))
 }
 
 /// Returns a base with its health.
@@ -31,10 +31,10 @@ pub(super) async fn create(
     responses((status = 200, body = v1::Base), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn get(
-    State(service): State<Service>,
+    caller: Caller,
     Path(base): Path<String>,
 ) -> Result<Json<v1::Base>, Refused> {
-    Ok(Json(calls::bases::get(&service, v1::GetBaseRequest { base }).await?))
+    Ok(Json(calls::bases::get(&caller, v1::GetBaseRequest { base }).await?))
 }
 
 /// Lists bases with their health, in order of id.
@@ -43,12 +43,12 @@ pub(super) async fn get(
     responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn list(
-    State(service): State<Service>,
+    caller: Caller,
     StrictQuery(page): StrictQuery<PageQuery>,
 ) -> Result<Json<v1::ListBasesResponse>, Refused> {
     let PageQuery { page_size, page_token } = page;
     let request = v1::ListBasesRequest { page_size, page_token };
-    Ok(Json(calls::bases::list(&service, request).await?))
+    Ok(Json(calls::bases::list(&caller, request).await?))
 }
 
 /// Deletes a base with its epochs, unless an open session uses it.
@@ -58,10 +58,10 @@ pub(super) async fn list(
     responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn delete(
-    State(service): State<Service>,
+    caller: Caller,
     Path(base): Path<String>,
 ) -> Result<Json<v1::DeleteBaseResponse>, Refused> {
-    Ok(Json(calls::bases::delete(&service, v1::DeleteBaseRequest { base }).await?))
+    Ok(Json(calls::bases::delete(&caller, v1::DeleteBaseRequest { base }).await?))
 }
 
 /// Takes epochs of a base in order of time. Acknowledged epochs are durable.
@@ -76,7 +76,7 @@ pub(super) async fn delete(
     responses((status = 200, body = v1::PushBaseEpochsResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn push_epochs(
-    State(service): State<Service>,
+    caller: Caller,
     Path(base): Path<String>,
     JsonBody(request): JsonBody<v1::PushBaseEpochsRequest>,
 ) -> Result<Json<v1::PushBaseEpochsResponse>, Refused> {
@@ -85,7 +85,7 @@ pub(super) async fn push_epochs(
         return Err(Refusal::new(Code::InvalidField, message).at("base").into());
     }
     let request = v1::PushBaseEpochsRequest { base, ..request };
-    Ok(Json(calls::bases::push_epochs(&service, request).await?))
+    Ok(Json(calls::bases::push_epochs(&caller, request).await?))
 }
 
 /// Takes a RINEX observation file of a base. If the base has no position yet, it takes the one of
@@ -98,10 +98,10 @@ pub(super) async fn push_epochs(
     responses((status = 200, body = v1::UploadBaseResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn upload(
-    State(service): State<Service>,
+    caller: Caller,
     Path(base): Path<String>,
     RawBody(content): RawBody,
 ) -> Result<Json<v1::UploadBaseResponse>, Refused> {
     let request = v1::UploadBaseRequest { base, content };
-    Ok(Json(calls::bases::upload(&service, request).await?))
+    Ok(Json(calls::bases::upload(&caller, request).await?))
 }

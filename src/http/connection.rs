@@ -2,6 +2,7 @@
 
 use std::convert::Infallible;
 use std::io;
+use std::net::IpAddr;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -39,6 +40,10 @@ const PING_TIMEOUT: Duration = Duration::from_secs(20);
 const LOOK_INTERVAL: Duration = Duration::from_secs(5);
 /// Time that a connection has for its shutdown.
 const END_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// The address at the other end of a request's connection.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peer(pub(super) IpAddr);
 
 /// How long a connection waits for its peer.
 #[derive(Clone, Copy, Debug)]
@@ -116,7 +121,7 @@ impl Drop for Running {
 
 /// Serves the requests of `stream` until it ends, its peer is too slow, or `stopping` is true.
 pub(super) async fn serve_connection(
-    stream: TcpStream,
+    (stream, peer): (TcpStream, Peer),
     router: Router,
     patience: ConnectionPatience,
     mut stopping: watch::Receiver<bool>,
@@ -130,7 +135,8 @@ pub(super) async fn serve_connection(
         is_http1: AtomicBool::new(false),
     });
     let of_service = activity.clone();
-    let service = service_fn(move |request: Request<Incoming>| {
+    let service = service_fn(move |mut request: Request<Incoming>| {
+        request.extensions_mut().insert(peer);
         let (running, router) = (of_service.begin(request.version()), router.clone());
         async move {
             let response = router.oneshot(request.map(Body::new)).await?;

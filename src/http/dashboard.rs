@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use flate2::Compression;
@@ -54,13 +54,12 @@ async fn licences(State(files): State<Files>, headers: HeaderMap) -> Response {
 async fn asset(
     State(files): State<Files>,
     Path(file): Path<String>,
-    method: Method,
     uri: Uri,
     headers: HeaderMap,
 ) -> Response {
     match files.answer(&format!("/assets/{file}"), &headers) {
         Some(response) => response,
-        None => pages::no_route(method, uri, headers).await,
+        None => pages::no_route(uri).await.into_response(),
     }
 }
 

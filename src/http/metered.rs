@@ -15,6 +15,9 @@ use crate::refusal::Code;
 
 /// Memory for a body whose length is unknown is reserved in steps of this size (bytes).
 const STEP_BYTES: usize = 16 << 10;
+/// Memory of a body that goes to the disk as it arrives: the parser's buffer and chunks of the
+/// network and the disk.
+const PASSING_BYTES: usize = 2 << 20;
 /// Slowest rate of a body (bytes/s).
 const RATE_MIN: u64 = 16 << 10;
 
@@ -30,6 +33,8 @@ pub(super) struct Metered {
     body: Body,
     lease: Lease,
     reserved: usize,
+    /// Whether the request keeps its body.
+    is_kept: bool,
     arrived: usize,
     patience: Patience,
     begun: Instant,
@@ -60,6 +65,7 @@ impl Metered {
             body,
             lease,
             reserved: length,
+            is_kept: true,
             arrived: 0,
             patience,
             begun,
@@ -69,9 +75,24 @@ impl Metered {
         })
     }
 
+    /// The body of a request that keeps nothing of it: memory is reserved once, for what is between
+    /// the network and the disk.
+    ///
+    /// # Errors
+    /// The budget does not have this much memory.
+    pub(super) fn passing(
+        body: Body,
+        lease: Lease,
+        patience: Patience,
+        fault: fn(Refusal) -> BoxError,
+    ) -> Result<Self, Refusal> {
+        let passing = Self::new(body, PASSING_BYTES, lease, patience, fault)?;
+        Ok(Self { is_kept: false, ..passing })
+    }
+
     /// Reserves memory for the next bytes.
     fn reserve_next(&mut self) -> Result<(), Refusal> {
-        if self.body.is_end_stream() || self.arrived < self.reserved {
+        if !self.is_kept || self.body.is_end_stream() || self.arrived < self.reserved {
             return Ok(());
         }
         self.lease.reserve(STEP_BYTES)?;
@@ -83,7 +104,7 @@ impl Metered {
         let bytes = frame.data_ref().map_or(0, Bytes::len);
         self.arrived += bytes;
         self.lease.arrive(bytes);
-        if let Some(surplus) = self.arrived.checked_sub(self.reserved) {
+        if let Some(surplus) = self.arrived.checked_sub(self.reserved).filter(|_| self.is_kept) {
             self.lease.reserve(surplus)?;
             self.reserved = self.arrived;
         }

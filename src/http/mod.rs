@@ -3,10 +3,15 @@
 mod admission;
 mod bases;
 mod body;
+mod caller;
 mod connection;
 mod dashboard;
+mod job_events;
+mod jobs;
 mod json_extent;
+mod keys;
 mod metered;
+mod multipart;
 mod navigation;
 mod openapi;
 mod pages;
@@ -16,10 +21,13 @@ mod raw;
 mod seats;
 mod server;
 mod sessions;
+mod sign_in;
 mod solutions;
+mod tenants;
+mod track;
 mod watch;
 
-use axum::routing::{get, post};
+use axum::routing::{delete, get, post};
 use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::decompression::RequestDecompressionLayer;
@@ -37,13 +45,13 @@ pub use server::serve;
 /// Largest body of a call that brings neither epochs nor a file (bytes).
 const CONTROL_BYTES: usize = 256 << 10;
 
-/// Both doors on one router: REST, pages and gRPC.
+/// Both doors on one router: REST, pages and gRPC. What is not in the table of calls
+/// ([`crate::contract::access`]) is refused before it comes to a route.
 pub fn router(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
     let rest = controls()
         .layer(Extension(BodyLimit(limit.min(CONTROL_BYTES))))
         .merge(contents().layer(Extension(BodyLimit(limit))))
-        .method_not_allowed_fallback(pages::no_method)
         .with_state(service.clone())
         .merge(dashboard::routes())
         .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
@@ -73,10 +81,22 @@ fn controls() -> Router<Service> {
         .route("/v1/sessions/{session}/solutions:series", get(solutions::series))
         .route("/v1/sessions/{session}/solutions:watch", get(watch::watch))
         .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
+        .merge(track::routes())
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
+        .route(jobs::PATH, get(jobs::list).post(jobs::create))
+        .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
+        .route("/v1/jobs/{job}/events", get(job_events::events))
+        .route("/v1/jobs/{job}/result", get(jobs::result))
+        .route("/v1/jobs/{job}/report", get(jobs::report))
+        .route("/v1/keys", get(keys::list).post(keys::create))
+        .route("/v1/keys/{key}", delete(keys::revoke))
+        .route("/v1/tenants", get(tenants::list))
+        .route("/v1/tenants/{tenant}", get(tenants::get).put(tenants::set))
+        .route("/v1/sign-in", get(sign_in::get).post(sign_in::create).delete(sign_in::delete))
         .route("/healthz", get(pages::live))
         .route("/readyz", get(pages::ready))
+        .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::schema))
 }
 

@@ -1,9 +1,8 @@
 //! `/v1/navigation`.
 
 use axum::Json;
-use axum::extract::State;
 
-use crate::contract::{Service, calls, v1};
+use crate::contract::{Caller, calls, v1};
 
 use super::body::RawBody;
 use super::problem::{Problem, Refused};
@@ -17,11 +16,11 @@ use super::problem::{Problem, Refused};
         (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn push(
-    State(service): State<Service>,
+    caller: Caller,
     RawBody(content): RawBody,
 ) -> Result<Json<v1::PushNavigationResponse>, Refused> {
     let request = v1::PushNavigationRequest { content };
-    Ok(Json(calls::navigation::push(&service, request).await?))
+    Ok(Json(calls::navigation::push(&caller, request).await?))
 }
 
 /// Lists the satellites with usable ephemerides, and the time that these cover.
@@ -30,8 +29,6 @@ pub(super) async fn push(
     responses((status = 200, body = v1::NavigationStatusResponse),
         (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
-pub(super) async fn status(
-    State(service): State<Service>,
-) -> Result<Json<v1::NavigationStatusResponse>, Refused> {
-    Ok(Json(calls::navigation::status(&service)))
+pub(super) async fn status(caller: Caller) -> Result<Json<v1::NavigationStatusResponse>, Refused> {
+    Ok(Json(calls::navigation::status(&caller)))
 }

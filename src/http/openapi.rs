@@ -2,7 +2,10 @@
 
 use utoipa::OpenApi;
 
-use super::{bases, navigation, positioning, raw, sessions, solutions, watch};
+use super::{
+    bases, job_events, jobs, keys, navigation, positioning, raw, sessions, sign_in, solutions,
+    tenants, track, watch,
+};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -19,7 +22,11 @@ use super::{bases, navigation, positioning, raw, sessions, solutions, watch};
         (name = "Positioning", description = "Epochs in, solutions out"),
         (name = "Solutions", description = "What was stored"),
         (name = "Navigation", description = "Broadcast ephemerides, which every session uses"),
+        (name = "Jobs", description = "Files in, a file of positions and a report out"),
         (name = "Bases", description = "Base stations, which sessions relative to one name"),
+        (name = "Keys", description = "API keys: who may call what"),
+        (name = "Tenants", description = "What each tenant may use, and what it uses"),
+        (name = "Sign-in", description = "A cookie for a browser in place of a key"),
     ),
     paths(
         sessions::create,
@@ -37,6 +44,7 @@ use super::{bases, navigation, positioning, raw, sessions, solutions, watch};
         solutions::series,
         watch::watch,
         solutions::explain,
+        track::track,
         navigation::push,
         navigation::status,
         bases::create,
@@ -45,6 +53,22 @@ use super::{bases, navigation, positioning, raw, sessions, solutions, watch};
         bases::delete,
         bases::push_epochs,
         bases::upload,
+        jobs::create,
+        jobs::list,
+        jobs::get,
+        job_events::events,
+        jobs::cancel,
+        jobs::result,
+        jobs::report,
+        keys::create,
+        keys::list,
+        keys::revoke,
+        tenants::get,
+        tenants::list,
+        tenants::set,
+        sign_in::get,
+        sign_in::create,
+        sign_in::delete,
     )
 )]
 struct Rest;

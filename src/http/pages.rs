@@ -2,13 +2,11 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::response::Response;
+use axum::http::{HeaderName, StatusCode, Uri, header};
 
 use crate::contract::{Readiness, Refusal, Service};
 use crate::refusal::Code;
 
-use super::admission::{answer, is_grpc};
 use super::openapi;
 use super::problem::Refused;
 
@@ -27,20 +25,21 @@ pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, Json<R
     (status, Json(readiness))
 }
 
+/// `GET /metrics`: what the service has done and uses, in the text format of OpenMetrics 1.0, which
+/// Prometheus reads.
+pub(super) async fn metrics(
+    State(service): State<Service>,
+) -> ([(HeaderName, &'static str); 1], String) {
+    let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    ([(header::CONTENT_TYPE, kind)], service.metrics().await)
+}
+
 /// `GET /openapi.json`.
 pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
     Json(openapi::document())
 }
 
-/// The answer to an unknown path, as the addressed door sends it.
-pub(super) async fn no_route(method: Method, uri: Uri, headers: HeaderMap) -> Response {
-    let message = format!("{method} {} is not a call", uri.path());
-    let refusal = Refusal::new(Code::RouteNotFound, message);
-    answer(refusal, is_grpc(&headers))
-}
-
-/// The answer to a method that the path does not take.
-pub(super) async fn no_method(method: Method, uri: Uri) -> Refused {
-    let message = format!("{} does not take {method}", uri.path());
-    Refusal::new(Code::MethodNotAllowed, message).into()
+/// The answer to a path that has the form of a call or page, and is none.
+pub(super) async fn no_route(uri: Uri) -> Refused {
+    Refusal::new(Code::RouteNotFound, format!("there is no {}", uri.path())).into()
 }

@@ -1,10 +1,10 @@
 //! Epochs in, solutions out.
 
 use axum::Json;
-use axum::extract::{FromRequest, Path, Request, State};
+use axum::extract::{FromRequest, Path, Request};
 use axum::response::{IntoResponse, Response};
 
-use crate::contract::{Refusal, Service, calls, v1};
+use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::JsonBody;
@@ -24,28 +24,24 @@ use super::sessions::{self, named};
     responses((status = 200, body = v1::PushEpochsResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn push_epochs(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     JsonBody(request): JsonBody<v1::PushEpochsRequest>,
 ) -> Result<Json<v1::PushEpochsResponse>, Refused> {
     let session = named(session, &request.session)?;
     let request = v1::PushEpochsRequest { session, ..request };
-    Ok(Json(calls::positioning::push_epochs(&service, request).await?))
+    Ok(Json(calls::positioning::push_epochs(&caller, request).await?))
 }
 
 /// `POST /v1/sessions/{session}:solve` or `:reset`.
-pub(super) async fn act(
-    State(service): State<Service>,
-    Path(target): Path<String>,
-    request: Request,
-) -> Response {
+pub(super) async fn act(caller: Caller, Path(target): Path<String>, request: Request) -> Response {
     let named = target.rsplit_once(':').map(|(session, call)| (session.to_owned(), call));
     match named {
         Some((session, "solve")) => match JsonBody::from_request(request, &()).await {
-            Ok(body) => solve(State(service), session, body).await.into_response(),
+            Ok(body) => solve(caller, session, body).await.into_response(),
             Err(refused) => refused.into_response(),
         },
-        Some((session, "reset")) => sessions::reset(State(service), session).await.into_response(),
+        Some((session, "reset")) => sessions::reset(caller, session).await.into_response(),
         _ => {
             let message = format!("POST /v1/sessions/{target} is not a call");
             Refused(Refusal::new(Code::RouteNotFound, message)).into_response()
@@ -61,13 +57,13 @@ pub(super) async fn act(
     responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 async fn solve(
-    State(service): State<Service>,
+    caller: Caller,
     session: String,
     JsonBody(request): JsonBody<v1::SolveRequest>,
 ) -> Result<Json<v1::SolveResponse>, Refused> {
     let session = named(session, &request.session)?;
     let request = v1::SolveRequest { session, ..request };
-    Ok(Json(calls::positioning::solve(&service, request).await?))
+    Ok(Json(calls::positioning::solve(&caller, request).await?))
 }
 
 /// Positions one or a few epochs without a session. Nothing is stored.
@@ -77,8 +73,8 @@ async fn solve(
     responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn solve_once(
-    State(service): State<Service>,
+    caller: Caller,
     JsonBody(request): JsonBody<v1::SolveOnceRequest>,
 ) -> Result<Json<v1::SolveOnceResponse>, Refused> {
-    Ok(Json(calls::positioning::solve_once(&service, request).await?))
+    Ok(Json(calls::positioning::solve_once(&caller, request).await?))
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::contract::Refusal;
-use crate::refusal::Class;
+use crate::refusal::{Class, Code};
 
 /// A refusal as an RFC 9457 problem document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -61,9 +61,18 @@ pub const fn http_status(class: Class) -> StatusCode {
         Class::Conflict | Class::Precondition => StatusCode::CONFLICT,
         Class::Exhausted => StatusCode::TOO_MANY_REQUESTS,
         Class::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
+        Class::Unauthenticated => StatusCode::UNAUTHORIZED,
         Class::Forbidden => StatusCode::FORBIDDEN,
         Class::Timeout => StatusCode::REQUEST_TIMEOUT,
         Class::Internal | Class::NoCall => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}
+
+/// How to authenticate (RFC 6750, section 3).
+const fn challenge(code: Code) -> &'static str {
+    match code {
+        Code::KeyRequired => "Bearer realm=\"graphfix\"",
+        _ => "Bearer realm=\"graphfix\", error=\"invalid_token\"",
     }
 }
 
@@ -99,6 +108,10 @@ impl IntoResponse for Refused {
         let mut response = (status, Json(Problem::of(&refusal))).into_response();
         let kind = HeaderValue::from_static("application/problem+json");
         response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        if refusal.code.class() == Class::Unauthenticated {
+            let challenge = HeaderValue::from_static(challenge(refusal.code));
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
+        }
         if let Some(delay) = refusal.retry_after {
             let seconds = delay.as_millis().div_ceil(1000) as u64;
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));

@@ -1,11 +1,11 @@
 //! `/v1/sessions/{session}/raw`.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Refusal, Service, calls, intake, v1};
+use crate::contract::{Caller, Refusal, calls, intake, v1};
 
 use super::body::{RawBody, StrictQuery};
 use super::problem::{Problem, Refused};
@@ -38,7 +38,7 @@ pub(super) struct RawQuery {
     responses((status = 200, body = v1::PushRawResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn push(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     StrictQuery(query): StrictQuery<RawQuery>,
     RawBody(content): RawBody,
@@ -47,5 +47,5 @@ pub(super) async fn push(
     let at_near = |refusal: Refusal| refusal.at("near");
     let near = near.map(|text| intake::time_text(&text).map(Into::into).map_err(at_near));
     let request = v1::PushRawRequest { session, offset, content, end, near: near.transpose()? };
-    Ok(Json(calls::raw::push(&service, request).await?))
+    Ok(Json(calls::raw::push(&caller, request).await?))
 }

@@ -5,6 +5,7 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::contract::Refusal;
+use crate::meters::Gauge;
 use crate::refusal::Code;
 
 /// File descriptors that are reserved for the database, the feeds and the log.
@@ -17,6 +18,8 @@ const PROCESS_LIMITS: &str = "/proc/self/limits";
 pub(super) struct Seats(Arc<Shared>);
 
 struct Shared {
+    /// The connections that are open.
+    open: Gauge,
     most: usize,
     most_of_address: usize,
     taken: Mutex<Taken>,
@@ -36,8 +39,8 @@ pub(super) struct Seat {
 
 impl Seats {
     /// Seats for `most` connections, at most `most_of_address` from one address. Both are lower if
-    /// the process may open fewer files.
-    pub(super) fn new(most: usize, most_of_address: usize) -> Self {
+    /// the process may open fewer files. `open` counts the connections that are open.
+    pub(super) fn new(most: usize, most_of_address: usize, open: Gauge) -> Self {
         let files = open_files(&std::fs::read_to_string(PROCESS_LIMITS).unwrap_or_default());
         let by_files = files.map_or(usize::MAX, |files| files.saturating_sub(OTHER_FILES).max(16));
         if by_files < most {
@@ -48,7 +51,7 @@ impl Seats {
             usize::MAX => most_of_address,
             _ => most_of_address.min(most.div_ceil(2).max(16)),
         };
-        Self(Arc::new(Shared { most, most_of_address, taken: Mutex::default() }))
+        Self(Arc::new(Shared { open, most, most_of_address, taken: Mutex::default() }))
     }
 
     /// A seat for a connection from `address`.
@@ -66,6 +69,7 @@ impl Seats {
         }
         *of_address += 1;
         taken.all += 1;
+        self.0.open.inc();
         Ok(Seat { seats: self.clone(), address })
     }
 
@@ -78,6 +82,7 @@ impl Drop for Seat {
     fn drop(&mut self) {
         let mut taken = self.seats.taken();
         taken.all -= 1;
+        self.seats.0.open.dec();
         if let Some(count) = taken.of_address.get_mut(&self.address) {
             *count -= 1;
             if *count == 0 {
@@ -100,16 +105,18 @@ mod tests {
     #[test]
     fn connections_are_counted_in_all_and_by_address() {
         let (here, there) = (IpAddr::from([127, 0, 0, 1]), IpAddr::from([127, 0, 0, 2]));
-        let seats = Seats::new(3, 2);
+        let open = Gauge::default();
+        let seats = Seats::new(3, 2, open.clone());
         let taken: Vec<Seat> = (0..2).map(|_| seats.take(here).unwrap()).collect();
         assert_eq!(seats.take(here).err().unwrap().code, Code::TooManyConnections);
         let other = seats.take(there).unwrap();
         assert!(seats.take(there).is_err(), "a fourth of three");
+        assert_eq!(open.get(), 3);
         drop(taken);
         assert!(seats.take(here).is_ok());
         drop(other);
         let taken = seats.taken();
-        assert_eq!((taken.all, taken.of_address.len()), (0, 0));
+        assert_eq!((taken.all, taken.of_address.len(), open.get()), (0, 0, 0));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 use crate::contract::{Refusal, Service};
 use crate::refusal::Code;
 
-use super::connection::{ConnectionPatience, serve_connection};
+use super::connection::{ConnectionPatience, Peer, serve_connection};
 use super::problem::{Problem, Refused};
 use super::router;
 use super::seats::Seats;
@@ -69,7 +69,11 @@ async fn accept(
         idle: Duration::from_secs(limits.idle_s),
         silence: Duration::from_secs(limits.body_silence_s),
     };
-    let seats = Seats::new(limits.connections, limits.connections_per_address);
+    let seats = Seats::new(
+        limits.connections,
+        limits.connections_per_address,
+        service.meters().connections.clone(),
+    );
     let router = router(service);
     loop {
         let (stream, peer) = match listener.accept().await {
@@ -86,8 +90,9 @@ async fn accept(
             Ok(seat) => {
                 // Err: the connection is lost already.
                 stream.set_nodelay(true).ok();
+                let connection = (stream, Peer(peer.ip()));
                 let served =
-                    serve_connection(stream, router.clone(), patience, is_stopping.clone());
+                    serve_connection(connection, router.clone(), patience, is_stopping.clone());
                 connections.spawn(async move {
                     let _seat = seat;
                     served.await;

@@ -1,12 +1,12 @@
 //! `/v1/sessions`.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use axum::http::StatusCode;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Refusal, Service, calls, v1};
+use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
@@ -39,10 +39,10 @@ pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
     responses((status = 201, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn create(
-    State(service): State<Service>,
+    caller: Caller,
     JsonBody(request): JsonBody<v1::CreateSessionRequest>,
 ) -> Result<(StatusCode, Json<v1::Session>), Refused> {
-    Ok((StatusCode::CREATED, Json(calls::sessions::create(&service, request).await?)))
+    Ok((StatusCode::CREATED, Json(calls::sessions::create(&caller, request).await?)))
 }
 
 /// Returns a session with the configuration in force.
@@ -52,11 +52,11 @@ pub(super) async fn create(
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn get(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
 ) -> Result<Json<v1::Session>, Refused> {
     let request = v1::GetSessionRequest { session };
-    Ok(Json(calls::sessions::get(&service, request).await?))
+    Ok(Json(calls::sessions::get(&caller, request).await?))
 }
 
 /// Lists sessions, the newest first.
@@ -65,12 +65,12 @@ pub(super) async fn get(
     responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn list(
-    State(service): State<Service>,
+    caller: Caller,
     StrictQuery(page): StrictQuery<PageQuery>,
 ) -> Result<Json<v1::ListSessionsResponse>, Refused> {
     let PageQuery { page_size, page_token } = page;
     let request = v1::ListSessionsRequest { page_size, page_token };
-    Ok(Json(calls::sessions::list(&service, request).await?))
+    Ok(Json(calls::sessions::list(&caller, request).await?))
 }
 
 /// The page of a list of heads.
@@ -91,12 +91,12 @@ pub(super) struct HeadsQuery {
     responses((status = 200, body = v1::ListHeadsResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn heads(
-    State(service): State<Service>,
+    caller: Caller,
     StrictQuery(page): StrictQuery<HeadsQuery>,
 ) -> Result<Json<v1::ListHeadsResponse>, Refused> {
     let HeadsQuery { page_size, page_token } = page;
     let request = v1::ListHeadsRequest { page_size, page_token };
-    Ok(Json(calls::sessions::heads(&service, request).await?))
+    Ok(Json(calls::sessions::heads(&caller, request).await?))
 }
 
 /// Changes the given fields and no others. The epochs that follow are positioned with the new
@@ -108,13 +108,13 @@ pub(super) async fn heads(
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn update(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     JsonBody(request): JsonBody<v1::UpdateSessionRequest>,
 ) -> Result<Json<v1::Session>, Refused> {
     let session = named(session, &request.session)?;
     let request = v1::UpdateSessionRequest { session, ..request };
-    Ok(Json(calls::sessions::update(&service, request).await?))
+    Ok(Json(calls::sessions::update(&caller, request).await?))
 }
 
 /// Begins a new arc of a session: its next epoch may have any time, and its estimator starts again.
@@ -124,12 +124,9 @@ pub(super) async fn update(
     params(("session" = String, Path, description = "Its id")),
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
-pub(super) async fn reset(
-    State(service): State<Service>,
-    session: String,
-) -> Result<Json<v1::Session>, Refused> {
+pub(super) async fn reset(caller: Caller, session: String) -> Result<Json<v1::Session>, Refused> {
     let request = v1::ResetSessionRequest { session };
-    Ok(Json(calls::sessions::reset(&service, request).await?))
+    Ok(Json(calls::sessions::reset(&caller, request).await?))
 }
 
 /// Whether to delete what a session has stored.
@@ -148,14 +145,14 @@ pub(super) struct CloseQuery {
     responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn close(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     StrictQuery(query): StrictQuery<CloseQuery>,
 ) -> Result<Json<v1::Session>, Refused> {
     if query.purge {
         let request = v1::DeleteSessionRequest { session };
-        return Ok(Json(calls::sessions::delete(&service, request).await?));
+        return Ok(Json(calls::sessions::delete(&caller, request).await?));
     }
     let request = v1::CloseSessionRequest { session };
-    Ok(Json(calls::sessions::close(&service, request).await?))
+    Ok(Json(calls::sessions::close(&caller, request).await?))
 }

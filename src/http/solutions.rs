@@ -1,11 +1,11 @@
 //! `/v1/sessions/{session}/solutions`.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Refusal, Service, calls, intake, v1};
+use crate::contract::{Caller, Refusal, calls, intake, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
@@ -37,7 +37,7 @@ pub(super) struct SolutionsQuery {
     responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn list(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     StrictQuery(query): StrictQuery<SolutionsQuery>,
 ) -> Result<Json<v1::ListSolutionsResponse>, Refused> {
@@ -50,7 +50,43 @@ pub(super) async fn list(
         page_size: query.page_size,
         page_token: query.page_token,
     };
-    Ok(Json(calls::solutions::list(&service, request).await?))
+    Ok(Json(calls::solutions::list(&caller, request).await?))
+}
+
+/// The solutions of a track.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct TrackQuery {
+    /// First time: GPS week and seconds of week, such as `2051:46701.5`.
+    from: Option<String>,
+    /// Last time, in the same form.
+    to: Option<String>,
+    /// Only this status, such as `FIXED`.
+    status: Option<String>,
+    /// The revisions of each epoch: `last` (if absent), `first`, or in CSV and GeoJSON `all`.
+    revisions: Option<String>,
+}
+
+impl TrackQuery {
+    /// The request of a track.
+    ///
+    /// # Errors
+    /// A time, the status or the choice of revisions is invalid.
+    pub(super) fn request(
+        self,
+        session: String,
+        format: &str,
+    ) -> Result<v1::TrackRequest, Refusal> {
+        Ok(v1::TrackRequest {
+            session,
+            format: format.to_owned(),
+            from: self.from.map(|text| time("from", &text)).transpose()?,
+            to: self.to.map(|text| time("to", &text)).transpose()?,
+            status: self.status.map_or(Ok(0), |name| status(&name))?,
+            revisions: self.revisions.map_or(Ok(0), |name| revisions(&name))?,
+        })
+    }
 }
 
 /// The time series to compute.
@@ -79,7 +115,7 @@ pub(super) struct SeriesParameters {
     responses((status = 200, body = v1::SolutionSeriesResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn series(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     StrictQuery(query): StrictQuery<SeriesParameters>,
 ) -> Result<Json<v1::SolutionSeriesResponse>, Refused> {
@@ -91,7 +127,7 @@ pub(super) async fn series(
         revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
         page_token: query.page_token,
     };
-    Ok(Json(calls::solutions::series(&service, request).await?))
+    Ok(Json(calls::solutions::series(&caller, request).await?))
 }
 
 /// Returns one stored epoch with its solutions, and for each satellite where it stood, how well its
@@ -103,11 +139,11 @@ pub(super) async fn series(
     responses((status = 200, body = v1::ExplainEpochResponse), (status = "4XX", body = Problem),
         (status = "5XX", body = Problem)))]
 pub(super) async fn explain(
-    State(service): State<Service>,
+    caller: Caller,
     Path((session, seq)): Path<(String, String)>,
 ) -> Result<Json<v1::ExplainEpochResponse>, Refused> {
     let request = v1::ExplainEpochRequest { session, seq: epoch_number(&seq)? };
-    Ok(Json(calls::solutions::explain(&service, request).await?))
+    Ok(Json(calls::solutions::explain(&caller, request).await?))
 }
 
 /// The number of an epoch in a path; zero for the last one.

@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::{Path, State};
+use axum::extract::Path;
 use axum::http::HeaderMap;
 use axum::response::Sse;
 use axum::response::sse::Event;
@@ -11,7 +11,7 @@ use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Refusal, Service, calls, v1};
+use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
@@ -21,7 +21,7 @@ use super::solutions::revisions;
 /// Header with which a browser names the last event that it has.
 const LAST_EVENT: &str = "last-event-id";
 /// Delay before a browser watches again after a break.
-const RETRY: Duration = Duration::from_secs(2);
+pub(super) const RETRY: Duration = Duration::from_secs(2);
 
 /// Where a watch begins.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -50,7 +50,7 @@ pub(super) struct WatchQuery {
     responses((status = 200, body = v1::WatchSolutionsResponse, content_type = "text/event-stream"),
         (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
 pub(super) async fn watch(
-    State(service): State<Service>,
+    caller: Caller,
     Path(session): Path<String>,
     headers: HeaderMap,
     StrictQuery(query): StrictQuery<WatchQuery>,
@@ -66,7 +66,7 @@ pub(super) async fn watch(
         after_seq: query.after_seq.filter(|_| last.is_none()),
         cursor: last.unwrap_or(query.cursor),
     };
-    let messages = calls::watch::watch(&service, request).await?;
+    let messages = calls::watch::watch(&caller, request).await?;
     let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
     Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
 }

@@ -11,7 +11,7 @@ use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
 use super::integrity::{complete, complete_all};
-use super::rtk::{RtkFilter, RtkWindow};
+use super::rtk::{RtkFilter, RtkPaper, RtkWindow};
 use super::setup::Setup;
 use super::spp::SinglePoints;
 
@@ -36,14 +36,14 @@ macro_rules! modes {
 
         impl ModeState {
             fn new(setup: &Setup, revises: bool) -> Self {
-                match setup.options.mode {
-                    $(Mode::$mode => Self::$mode(Box::new(<$engine>::new(setup, revises))),)*
+                match Kind::of(&setup.options) {
+                    $(Kind::$mode => Self::$mode(Box::new(<$engine>::new(setup, revises))),)*
                 }
             }
 
             fn fits(&self, setup: &Setup) -> bool {
-                match (self, setup.options.mode) {
-                    $((Self::$mode(state), Mode::$mode) => state.fits(setup),)*
+                match (self, Kind::of(&setup.options)) {
+                    $((Self::$mode(state), Kind::$mode) => state.fits(setup),)*
                     _ => false,
                 }
             }
@@ -123,6 +123,32 @@ modes! {
     2 => Ekf(KalmanFilter), filter;
     3 => RtkFgo(RtkWindow), rtk_window;
     4 => RtkEkf(RtkFilter), rtk_filter;
+    5 => RtkPaper(RtkPaper), rtk_paper;
+}
+
+/// An estimator: that of a mode, or the published one of mode `rtk-fgo`.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Spp,
+    Fgo,
+    Ekf,
+    RtkFgo,
+    RtkEkf,
+    RtkPaper,
+}
+
+impl Kind {
+    const fn of(options: &PositioningOptions) -> Self {
+        match options.mode {
+            Mode::Spp => Self::Spp,
+            Mode::Fgo => Self::Fgo,
+            Mode::Ekf => Self::Ekf,
+            Mode::RtkFgo if options.graph.motion => Self::RtkFgo,
+            // Without motion the Doppler velocity alone links the epochs.
+            Mode::RtkFgo => Self::RtkPaper,
+            Mode::RtkEkf => Self::RtkEkf,
+        }
+    }
 }
 
 /// The state of an estimator, separate from its scratch. It is plain data: copies and snapshots
@@ -336,16 +362,20 @@ pub struct Batch {
 #[derive(Debug)]
 enum Whole {
     Alone(Box<WholeChain>),
-    Relative(Box<(RtkWindow, <RtkWindow as Engine>::Scratch)>),
+    Relative(Box<(ModeState, Scratch)>),
 }
 
 impl Batch {
     /// A batch without epochs yet.
     pub fn new(options: PositioningOptions) -> Self {
         let setup = Setup::batch(options);
-        let chain = match setup.options.mode.is_relative() {
-            true => Whole::Relative(Box::new((RtkWindow::new(&setup, true), Default::default()))),
-            false => Whole::Alone(Box::new(WholeChain::new(&setup))),
+        let relative = |state| Whole::Relative(Box::new((state, Scratch::default())));
+        let chain = match Kind::of(&setup.options) {
+            Kind::Spp | Kind::Fgo | Kind::Ekf => Whole::Alone(Box::new(WholeChain::new(&setup))),
+            Kind::RtkFgo | Kind::RtkEkf => {
+                relative(ModeState::RtkFgo(Box::new(RtkWindow::new(&setup, true))))
+            }
+            Kind::RtkPaper => relative(ModeState::RtkPaper(Box::new(RtkPaper::new(&setup, true)))),
         };
         Self { setup, chain, solutions: Vec::new() }
     }
@@ -357,8 +387,8 @@ impl Batch {
         match &mut self.chain {
             Whole::Alone(chain) => chain.push(&inputs),
             Whole::Relative(relative) => {
-                let (window, scratch) = &mut **relative;
-                window.advance(&inputs, scratch, &mut self.solutions);
+                let (state, scratch) = &mut **relative;
+                state.advance(&inputs, scratch, &mut self.solutions);
             }
         }
     }
@@ -368,9 +398,9 @@ impl Batch {
         let mut solutions = match self.chain {
             Whole::Alone(chain) => chain.finish(&self.setup),
             Whole::Relative(relative) => {
-                let (mut window, mut scratch) = *relative;
+                let (mut state, mut scratch) = *relative;
                 let mut solutions = self.solutions;
-                window.finish(&self.setup, &mut scratch, &mut solutions);
+                state.finish(&self.setup, &mut scratch, &mut solutions);
                 solutions
             }
         };

@@ -12,7 +12,7 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 use crate::config::{DopplerUse, PositioningOptions, REFERENCE_CN0_DB_HZ};
 use crate::gnss::{Ecef, Velocity};
 use crate::graph::HUBER_WIDTH;
-use crate::models::range_rate;
+use crate::models::{SatelliteState, range_rate};
 
 use super::Measurement;
 
@@ -67,9 +67,21 @@ impl VelocityEstimator {
         is_used: impl Fn(usize) -> bool,
         options: &PositioningOptions,
     ) -> Option<Velocity> {
-        self.rows.clear();
         let used = measurements.iter().enumerate().filter(|(index, _)| is_used(*index));
-        self.rows.extend(used.filter_map(|(_, m)| row(position, m, options)));
+        let rates = used.filter_map(|(_, m)| Some((&m.state, m.range_rate_m_s?, m.cn0_db_hz)));
+        self.estimate_rates(position, rates, options)
+    }
+
+    /// Velocity at `position` from satellites with their range rates, corrected for the satellites'
+    /// clocks (m/s), and C/N0 (dB-Hz); `None` if these do not determine it.
+    pub(super) fn estimate_rates<'a>(
+        &mut self,
+        position: Ecef,
+        rates: impl Iterator<Item = (&'a SatelliteState, f64, Option<f64>)>,
+        options: &PositioningOptions,
+    ) -> Option<Velocity> {
+        self.rows.clear();
+        self.rows.extend(rates.map(|rate| row(position, rate, options)));
         match options.graph.doppler {
             DopplerUse::Velocity => {
                 let root_weight = options.doppler_sigma_m_s.recip();
@@ -81,17 +93,19 @@ impl VelocityEstimator {
     }
 }
 
-fn row(position: Ecef, measurement: &Measurement, options: &PositioningOptions) -> Option<Row> {
-    let measured_m_s = measurement.range_rate_m_s?;
-    let state = &measurement.state;
+fn row(
+    position: Ecef,
+    (state, measured_m_s, cn0_db_hz): (&SatelliteState, f64, Option<f64>),
+    options: &PositioningOptions,
+) -> Row {
     let rate = range_rate(state.position, &state.velocity_m_s, position, &Vector3::zeros());
     let slope = rate.by_velocity;
-    let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
-    Some(Row {
+    let cn0_db_hz = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
+    Row {
         design: Vector4::new(slope.x, slope.y, slope.z, 1.0),
         residual_m_s: rate.rate_m_s - measured_m_s,
         root_weight: variance_m2_s2(options.doppler_sigma_m_s, cn0_db_hz).sqrt().recip(),
-    })
+    }
 }
 
 /// σ² = s²·(1 + 10^(−(S−42)/10)) (m²/s²): the variance of a strong signal, and thermal noise.

@@ -16,12 +16,18 @@ pub(super) type Reader = Box<dyn BufRead>;
 pub struct Input {
     name: String,
     open: Box<dyn Fn() -> io::Result<Reader>>,
+    is_unpacked: bool,
 }
 
 impl Input {
     /// An input that `open` opens, at its first byte each time.
     pub fn new(name: String, open: impl Fn() -> io::Result<Reader> + 'static) -> Self {
-        Self { name, open: Box::new(open) }
+        Self { name, open: Box::new(open), is_unpacked: false }
+    }
+
+    /// The same of bytes that `open` has unpacked, if they were gzip.
+    pub fn unpacked(name: String, open: impl Fn() -> io::Result<Reader> + 'static) -> Self {
+        Self { name, open: Box::new(open), is_unpacked: true }
     }
 
     /// Bytes in memory.
@@ -44,7 +50,7 @@ impl Input {
             let name = self.name.clone();
             RecordingError::NotReadable { name, source }
         })?;
-        Ok(Box::new(decompress(reader)))
+        Ok(if self.is_unpacked { reader } else { Box::new(decompress(reader)) })
     }
 
     /// Its format.

@@ -22,6 +22,7 @@ mod odometry;
 mod provenance;
 mod reading;
 mod solutions;
+mod writing;
 
 pub use answers::{AnswerKind, Solver};
 pub use antenna::ApproximatePosition;
@@ -31,3 +32,4 @@ pub use input::Input;
 pub use provenance::{AntennaProvenance, BaseProvenance, Provenance};
 pub use reading::{Recording, RecordingInputs};
 pub use solutions::Solutions;
+pub use writing::{SolutionWriter, Tally, comments_of};

@@ -78,7 +78,20 @@ impl<'a> Solutions<'a> {
         self.recording.provenance()
     }
 
-    /// Positions the next epoch; at the end, gives the estimator's remaining answers.
+    /// Positions the next epoch, or at the end gives the estimator's remaining answers. Appends
+    /// the answers that are due to `answers`. Returns whether the recording goes on.
+    ///
+    /// # Errors
+    /// A file cannot be read, or the recording has no epoch. Nothing follows then.
+    pub fn step(&mut self, answers: &mut Vec<Solution>) -> Result<bool, RecordingError> {
+        let advanced = self.advance();
+        answers.extend(self.due.drain(..));
+        if advanced.is_err() {
+            self.solver = None;
+        }
+        advanced.map(|()| self.solver.is_some())
+    }
+
     fn advance(&mut self) -> Result<(), RecordingError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if self.recording.read_epoch(&mut self.epoch)? {

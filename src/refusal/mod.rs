@@ -26,7 +26,9 @@ pub enum Class {
     Conflict,
     /// The session or base is not in a state to serve the request.
     Precondition,
-    /// Requests for this host or from this origin are not accepted.
+    /// The request needs a key that is in force.
+    Unauthenticated,
+    /// Requests for this host, from this origin or with this key are not accepted.
     Forbidden,
     /// The request or its answer took too long.
     Timeout,

@@ -7,6 +7,7 @@ use crate::positioning::{Aiding, Estimator};
 use crate::snapshot::snapshot_fields;
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::BaseKey;
+use crate::tenant::Tenant;
 
 /// Age at which the rover's last position is too old to select a base by (s).
 const POSITION_LIFETIME_S: f64 = 60.0;
@@ -22,9 +23,10 @@ pub(super) enum BaseSource {
 }
 
 impl BaseSource {
-    /// The bases of `choice` for rover epochs in `span`, its first and last time.
+    /// The bases of `choice` for rover epochs of a tenant in `span`, its first and last time.
     pub(super) fn new(
         bases: &BaseBroker,
+        tenant: &Tenant,
         choice: &BaseChoice,
         span: Option<(GpsTime, GpsTime)>,
         options: &PositioningOptions,
@@ -34,8 +36,8 @@ impl BaseSource {
             (BaseChoice::One(name), Some((from, until))) => {
                 Self::One(bases.view(name, from, until, options.rtk.base_span_s()))
             }
-            (BaseChoice::NearestOf(names), _) => Self::Nearest(bases.candidates(Some(names))),
-            (BaseChoice::Nearest, _) => Self::Nearest(bases.candidates(None)),
+            (BaseChoice::NearestOf(names), _) => Self::Nearest(bases.candidates(names)),
+            (BaseChoice::Nearest, _) => Self::Nearest(bases.of(tenant).candidates()),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! The computing part of a session's work, which runs on the solver pool.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::aiding::PushedNavigation;
+use crate::clock::Stopwatch;
 use crate::gnss::GpsTime;
 use crate::positioning::Scratch;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
@@ -96,12 +97,12 @@ impl SolvedBatch {
         rules: &EpochRules,
         scratch: &mut Scratch,
     ) {
-        let (seq, begun) = (epoch.seq, Instant::now());
+        let (seq, stopwatch) = (epoch.seq, Stopwatch::started());
         let plan = match self.refusal(&epoch, rules) {
             Some(refusal) => Plan::Refused(refusal),
             None if self.is_after_last(seq) => {
                 let plan = self.advance(epoch, aiding, configuration, scratch);
-                self.state.unsaved_time += begun.elapsed();
+                self.state.unsaved_time += stopwatch.elapsed();
                 plan
             }
             None => self.repeated(epoch),

@@ -1,11 +1,19 @@
 //! Checks of a request before anything changes.
 
+use std::time::Duration;
+
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::RETENTION_MAX_DAYS;
+use crate::quotas::QuotaError;
 use crate::store::AntennaName;
 
 use super::desk::Sessions;
-use super::{SequencedEpoch, SessionError};
+use super::{RawChunk, SequencedEpoch, SessionError};
+
+/// Raw bytes that count as one waiting epoch in a mailbox. No receiver uses fewer bytes per epoch.
+const BYTES_PER_EPOCH: usize = 256;
+/// Delay after which sessions may have been deleted.
+const STORED_DELAY: Duration = Duration::from_secs(60);
 
 impl Sessions {
     /// The chosen bases, as the store names them.
@@ -26,7 +34,8 @@ impl Sessions {
                 return Ok(BaseChoice::None);
             }
         }
-        Ok(choice.try_map(|id| self.aiding().bases.name(&id))?)
+        let bases = self.aiding().bases.of(self.tenant());
+        Ok(choice.try_map(|id| bases.name(&id))?)
     }
 
     /// The calibrated antenna of a name; none for an empty name.
@@ -46,6 +55,44 @@ impl Sessions {
             0 => Err(SessionError::NoEpochs),
             _ if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
             _ => Ok(()),
+        }
+    }
+
+    /// Checks a push, and counts it on the tenant's quotas.
+    pub(super) fn admit_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
+        self.check_push(epochs)?;
+        self.meter().admit_epochs()?;
+        self.meter().count_epochs(epochs.len());
+        Ok(())
+    }
+
+    /// Checks a chunk, and the tenant's quotas, on which its epochs are counted later. Returns the
+    /// number of epochs that it counts as in the mailbox: their true number is not known yet, so
+    /// its length decides.
+    pub(super) fn admit_chunk(&self, chunk: &RawChunk) -> Result<usize, SessionError> {
+        let (bytes, limit) = (chunk.content.len(), self.limits().raw_chunk_bytes);
+        if limit < bytes {
+            return Err(SessionError::ChunkTooLarge { bytes, limit });
+        }
+        if 0 < bytes {
+            self.meter().admit_epochs()?;
+        }
+        Ok((bytes / BYTES_PER_EPOCH + 1).min(self.limits().epochs_per_push))
+    }
+
+    /// Checks the tenant's quota of sessions. No other session of the tenant is created while the
+    /// guard is there.
+    pub(super) async fn admit_session(
+        &self,
+    ) -> Result<Option<tokio::sync::MutexGuard<'_, ()>>, SessionError> {
+        let Some((creating, limit)) = self.meter().creating_session().await else {
+            return Ok(None);
+        };
+        let used = self.store().tenant_use(self.tenant()).await?.sessions;
+        let retry_after = STORED_DELAY;
+        match used < limit {
+            true => Ok(Some(creating)),
+            false => Err(QuotaError::Sessions { used, limit, retry_after }.into()),
         }
     }
 

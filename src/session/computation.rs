@@ -2,10 +2,11 @@
 //! caller that has gone ends it.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use std::vec::IntoIter;
 
 use crate::aiding::bases::BaseInput;
+use crate::clock::Stopwatch;
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::recording::ApproximatePosition;
@@ -47,7 +48,7 @@ pub(super) struct Computation {
     antenna_position: ApproximatePosition,
     waiting: IntoIter<SequencedEpoch>,
     computed: Vec<Computed>,
-    /// Time on the solver pool so far, and at most.
+    /// Processor time on the solver pool so far, and at most.
     used: Duration,
     limit: Duration,
 }
@@ -94,12 +95,12 @@ impl Computation {
         if self.limit < self.used {
             return Progress::Done;
         }
-        let begun = Instant::now();
+        let stopwatch = Stopwatch::started();
         if let Some(epoch) = self.waiting.next() {
             let computed = self.position(epoch, scratch);
             self.computed.push(computed);
         }
-        self.used += begun.elapsed();
+        self.used += stopwatch.elapsed();
         if self.waiting.len() == 0 { Progress::Done } else { Progress::Remaining }
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
+use crate::config::{ConfigError, Mode, OptionEntry, PositioningOptions, Profile};
 use crate::store::{AntennaName, BaseChoice, SessionSettings, StoredConfiguration};
 
 use super::SessionError;
@@ -53,6 +53,23 @@ pub(super) fn settings(
         antenna,
         retention_days: None,
     })
+}
+
+/// The options of a stored session with their values in force. Those that this version does not
+/// know are left out.
+pub(super) fn entries(settings: &SessionSettings) -> Vec<OptionEntry> {
+    if let Ok(options) = stored_options(settings) {
+        return options.entries();
+    }
+    // Another version stored them.
+    let known = options(&settings.mode, &settings.profile, &BTreeMap::new());
+    let mut entries = known.map(|options| options.entries()).unwrap_or_default();
+    for entry in &mut entries {
+        if let Some(value) = settings.configuration.get(entry.name) {
+            entry.value.clone_from(value);
+        }
+    }
+    entries
 }
 
 /// The hash of a configuration: of its options and, if the session corrects for antennas, of the

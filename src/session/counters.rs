@@ -1,30 +1,112 @@
-//! Numbers of events of all sessions since the start.
+//! What all sessions have done since the start.
 
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use crate::gnss::Status;
+use crate::meters::{self, Counter, Family, Histogram, Label};
 
 /// The counters, which all tasks share.
-#[derive(Debug, Default)]
-pub(super) struct Counters {
-    pub(super) restores: AtomicU64,
-    pub(super) quarantined: AtomicU64,
+#[derive(Debug)]
+pub struct Counters {
+    pub(super) meters: SessionMeters,
     /// Sessions with a state in memory.
     pub(super) in_memory: AtomicUsize,
+    /// Epochs in all mailboxes.
+    pub(super) waiting: Arc<AtomicUsize>,
 }
 
-/// Numbers of events of all sessions since the start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SessionCounts {
+/// Meters of all sessions. Clones share them.
+#[derive(Clone, Debug)]
+pub(crate) struct SessionMeters {
     /// States loaded from the store.
-    pub restores: u64,
+    pub(crate) restores: Counter,
     /// Epochs on which an estimator panicked.
-    pub quarantined: u64,
+    pub(crate) quarantined: Counter,
+    /// Committed epochs, by the status of their first answer.
+    pub(crate) epochs: Family<Label, Counter>,
+    /// Refused epochs.
+    pub(crate) refused: Counter,
+    /// Times of each stage (s).
+    pub(crate) stages: Family<Label, Histogram, fn() -> Histogram>,
+}
+
+/// A stage of a batch of epochs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// A push waits in the mailbox.
+    Waiting,
+    /// The estimator computes: processor time.
+    Solving,
+    /// The batch waits for its transaction and becomes durable.
+    Committing,
+}
+
+impl Stage {
+    const ALL: [Self; 3] = [Self::Waiting, Self::Solving, Self::Committing];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Solving => "solving",
+            Self::Committing => "committing",
+        }
+    }
 }
 
 impl Counters {
-    pub(super) fn read(&self) -> SessionCounts {
-        SessionCounts {
-            restores: self.restores.load(Ordering::Relaxed),
-            quarantined: self.quarantined.load(Ordering::Relaxed),
+    pub(super) fn new() -> Self {
+        let meters = SessionMeters {
+            restores: Counter::default(),
+            quarantined: Counter::default(),
+            epochs: Family::default(),
+            refused: Counter::default(),
+            stages: Family::new_with_constructor(meters::times),
+        };
+        // What has not occurred is reported as 0.
+        for stage in Stage::ALL {
+            drop(meters.stages.get_or_create(&[("stage", stage.name())]));
         }
+        for status in Status::ALL {
+            drop(meters.epochs.get_or_create(&[("status", status.name())]));
+        }
+        Self { meters, in_memory: AtomicUsize::new(0), waiting: Arc::default() }
+    }
+
+    /// Number of states loaded from the store.
+    pub fn restores(&self) -> u64 {
+        self.meters.restores.get()
+    }
+
+    /// Number of epochs on which an estimator panicked.
+    pub fn quarantined(&self) -> u64 {
+        self.meters.quarantined.get()
+    }
+
+    /// Meters for the operator.
+    pub(crate) const fn meters(&self) -> &SessionMeters {
+        &self.meters
+    }
+
+    /// Number of epochs that wait in all mailboxes.
+    pub(crate) fn waiting(&self) -> usize {
+        self.waiting.load(Ordering::Acquire)
+    }
+
+    /// Number of sessions with a state in memory.
+    pub(crate) fn in_memory(&self) -> usize {
+        self.in_memory.load(Ordering::Relaxed)
+    }
+
+    /// Records the time of a stage.
+    pub(super) fn record(&self, stage: Stage, elapsed: Duration) {
+        let histogram = self.meters.stages.get_or_create(&[("stage", stage.name())]);
+        histogram.observe(elapsed.as_secs_f64());
+    }
+
+    /// Counts a committed epoch.
+    pub(super) fn count_epoch(&self, status: Status) {
+        self.meters.epochs.get_or_create(&[("status", status.name())]).inc();
     }
 }

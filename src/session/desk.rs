@@ -2,37 +2,39 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::task::JoinSet;
 
-use crate::aiding::{AidingDesk, device};
+use crate::aiding::{AidingDesk, rover_source};
 use crate::clock::Clock;
+use crate::quotas::{Meter, Meters};
 use crate::store::{SessionRow, SessionSettings, Store};
+use crate::tenant::Tenant;
 
 use super::answers::Reply;
 use super::configuration::settings;
 use super::counters::Counters;
 use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
-use super::removal::{remove_deleted, remove_expired_hourly};
+use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::tasks::{Handle, Start, Tasks};
 use super::{
-    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionCounts, SessionError,
-    SessionId, SessionInfo, SessionLimits, SessionUpdate, Submitted,
+    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId,
+    SessionInfo, SessionLimits, SessionUpdate, Submitted,
 };
 
 /// Number of locks for starting and closing sessions. A session's id selects its lock.
 const STARTING_LOCKS: usize = 64;
-/// Raw bytes that count as one waiting epoch in a mailbox. No receiver uses fewer bytes per epoch.
-const BYTES_PER_EPOCH: usize = 256;
 
-/// The desk for sessions. All clones share it.
+/// The desk for sessions, as one tenant sees it. All clones share the desk.
+///
+/// A handle reads and changes the sessions of its tenant. Others are not found.
 ///
 /// A session's task is started by its first push, and holds the estimator in memory. At most
 /// [`SessionLimits::active_sessions`] tasks run. To start another one, the least recently used
@@ -41,6 +43,7 @@ const BYTES_PER_EPOCH: usize = 256;
 #[derive(Clone)]
 pub struct Sessions {
     desk: Arc<Desk>,
+    meter: Arc<Meter>,
 }
 
 struct Desk {
@@ -48,23 +51,23 @@ struct Desk {
     aiding: AidingDesk,
     limits: SessionLimits,
     solvers: Solvers,
+    meters: Meters,
     counters: Arc<Counters>,
     live: Arc<Live>,
     clock: Clock,
-    /// Epochs that wait in all mailboxes together.
-    waiting: Arc<AtomicUsize>,
     /// Locked from reading a session's row until its task is started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
     /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
+    expiry: Arc<Expiry>,
     /// The tasks that remove what is deleted and what is expired. They end when the desk drains or
     /// is dropped.
     removal: Mutex<JoinSet<()>>,
 }
 
 impl Sessions {
-    /// Opens the desk with the system's clock.
+    /// Opens the desk with the system's clock, for the operator's sessions.
     pub fn open(store: Store, aiding: AidingDesk, limits: SessionLimits) -> Self {
         Self::open_at(store, aiding, limits, Clock::system())
     }
@@ -81,23 +84,32 @@ impl Sessions {
         let tasks = Tasks::new(limits.parked_bytes);
         let (deleted, mut removal) = (Arc::new(Notify::new()), JoinSet::new());
         removal.spawn(remove_deleted(store.clone(), deleted.clone()));
-        let expiring = remove_expired_hourly(store.clone(), clock.clone(), limits.retention_days);
-        removal.spawn(expiring);
+        let expiry = Expiry::new(store.clone(), clock.clone(), limits.retention_days);
+        let expiry = Arc::new(expiry);
+        removal.spawn(expiry.clone().remove_hourly());
         let desk = Desk {
             store,
             aiding,
             solvers: Solvers::new(limits.solver_threads),
+            meters: Meters::default(),
             live: Arc::new(Live::new(limits.live_solutions)),
             limits,
-            counters: Arc::default(),
+            counters: Arc::new(Counters::new()),
             clock,
-            waiting: Arc::default(),
             starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
             tasks: Mutex::new(tasks),
             deleted,
+            expiry,
             removal: Mutex::new(removal),
         };
-        Self { desk: Arc::new(desk) }
+        let meter = desk.meters.of(&Tenant::operator());
+        Self { desk: Arc::new(desk), meter }
+    }
+
+    /// The desk for the sessions of a tenant.
+    #[must_use]
+    pub fn of(&self, tenant: &Tenant) -> Self {
+        Self { desk: self.desk.clone(), meter: self.desk.meters.of(tenant) }
     }
 
     /// Creates a session and stores it.
@@ -113,7 +125,10 @@ impl Sessions {
         let settings = settings(label, mode, profile, overrides, base, antenna)?;
         let settings = SessionSettings { retention_days, ..settings };
         let id = SessionId::random();
-        let row = self.desk.store.create_session(id.as_str(), &settings, self.unix_ms()).await?;
+        let store = &self.desk.store;
+        let _creating = self.admit_session().await?;
+        let row = store.create_session(self.tenant(), id.as_str(), &settings, self.unix_ms());
+        let row = row.await?;
         self.info(id, row)
     }
 
@@ -156,7 +171,7 @@ impl Sessions {
         )?;
         row.settings = SessionSettings { retention_days, ..settings };
         self.desk.store.update_session(row.key, &row.settings).await?;
-        if let Some(handle) = self.tasks().handles.get(id) {
+        if let Some(handle) = self.tasks().own(id, self.tenant()) {
             handle.outdated.store(true, Ordering::Release);
         }
         self.info(id.clone(), row)
@@ -173,51 +188,6 @@ impl Sessions {
         self.send(id, &mut Some(message), 1).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
-    }
-
-    /// Closes a session. It takes no more epochs, and its stored solutions stay readable. Waiting
-    /// epochs are still positioned and stored, and the epochs in the window get their last
-    /// revision.
-    ///
-    /// # Errors
-    /// No session has this id, the service is stopping, or the store fails. The session then stays
-    /// open.
-    pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        let (desk, session) = (self.clone(), id.clone());
-        // In its own task, so that the session is closed even if the caller disconnects.
-        let closing = tokio::spawn(async move { desk.close_whole(&session).await });
-        closing.await.unwrap_or(Err(SessionError::Interrupted))?;
-        self.get(id).await
-    }
-
-    /// Deletes a session with all that it has stored; closes it before, if it is open. Returns it
-    /// as it was. From then on it is not found; its space is freed in the background.
-    ///
-    /// # Errors
-    /// No session has this id, the service is stopping, or the store fails; it may then be closed.
-    pub async fn delete(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        let (info, row) = (self.close(id).await?, self.row(id).await?);
-        self.desk.store.delete_session(row.key, self.unix_ms()).await?;
-        self.desk.deleted.notify_one();
-        Ok(info)
-    }
-
-    async fn close_whole(&self, id: &SessionId) -> Result<(), SessionError> {
-        let _starting = self.starting(id).lock().await;
-        let row = self.row(id).await?;
-        if row.closed_unix_ms.is_some() {
-            return Ok(());
-        }
-        if !self.tasks().handles.contains_key(id) {
-            self.start(id, &row, Start::Closing)?;
-        }
-        // Removed first, so that no message follows the closing one.
-        let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
-        let (reply, answer) = oneshot::channel();
-        let last = Message::Close { unix_ms: self.unix_ms(), reply };
-        handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
-        drop(handle);
-        answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
     /// Positions and commits the epochs of one push; returns when they are durable.
@@ -243,7 +213,7 @@ impl Sessions {
         id: &SessionId,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<Pending, SessionError> {
-        self.check_push(&epochs)?;
+        self.admit_push(&epochs)?;
         let count = epochs.len();
         let (reply, answer) = oneshot::channel();
         let submission = Submission { epochs, permit: None, reply: Reply::Call(reply) };
@@ -261,22 +231,12 @@ impl Sessions {
         id: &SessionId,
         chunk: RawChunk,
     ) -> Result<RawReceived, SessionError> {
-        let epochs = self.check_chunk(&chunk)?;
+        let epochs = self.admit_chunk(&chunk)?;
         let (reply, answer) = oneshot::channel();
         let reply = Reply::Call(reply);
         let submission = Box::new(RawSubmission { chunk, permit: None, reply });
         self.send(id, &mut Some(Message::Raw(submission)), epochs).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))
-    }
-
-    /// Checks a chunk. Returns the number of epochs that it counts as in the mailbox: their true
-    /// number is not known yet, so its length decides.
-    pub(super) fn check_chunk(&self, chunk: &RawChunk) -> Result<usize, SessionError> {
-        let (bytes, limit) = (chunk.content.len(), self.desk.limits.raw_chunk_bytes);
-        if limit < bytes {
-            return Err(SessionError::ChunkTooLarge { bytes, limit });
-        }
-        Ok((bytes / BYTES_PER_EPOCH + 1).min(self.desk.limits.epochs_per_push))
     }
 
     /// Puts a message into the session's mailbox, and starts its task if none runs. If it is
@@ -317,19 +277,29 @@ impl Sessions {
         self.tasks().draining
     }
 
-    /// Numbers of events since the start.
-    pub fn counts(&self) -> SessionCounts {
-        self.desk.counters.read()
+    /// What all sessions have done since the start.
+    pub fn counts(&self) -> &Counters {
+        &self.desk.counters
     }
 
     /// Whether epochs wait in a session's mailbox.
     pub(super) fn has_waiting(&self, id: &SessionId) -> bool {
         let tasks = self.tasks();
-        tasks.handles.get(id).is_some_and(|handle| 0 < handle.waiting.load(Ordering::Acquire))
+        let own = tasks.own(id, self.tenant());
+        own.is_some_and(|handle| 0 < handle.waiting.load(Ordering::Acquire))
     }
 
     pub(super) fn live(&self) -> &Arc<Live> {
         &self.desk.live
+    }
+
+    /// Wakes the task that removes deleted sessions.
+    pub(super) fn deleted(&self) -> &Notify {
+        &self.desk.deleted
+    }
+
+    pub(super) fn expiry(&self) -> &Expiry {
+        &self.desk.expiry
     }
 
     /// The store.
@@ -341,8 +311,9 @@ impl Sessions {
         &self.desk.aiding
     }
 
-    pub(super) fn solvers(&self) -> &Solvers {
-        &self.desk.solvers
+    /// The solver pool, for the tenant.
+    pub(super) fn solvers(&self) -> Solvers {
+        self.desk.solvers.of(self.meter.clone())
     }
 
     /// The limits in force.
@@ -351,7 +322,7 @@ impl Sessions {
     }
 
     pub(super) async fn row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
-        let row = self.desk.store.session(id.as_str()).await?;
+        let row = self.desk.store.session(self.tenant(), id.as_str()).await?;
         row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })
     }
 
@@ -359,11 +330,26 @@ impl Sessions {
         SessionInfo::of(id, row, self.desk.limits.retention_days)
     }
 
+    /// Whose sessions these are.
+    pub(super) fn tenant(&self) -> &Tenant {
+        self.meter.tenant()
+    }
+
+    /// The meter of the tenant.
+    pub(super) fn meter(&self) -> &Meter {
+        &self.meter
+    }
+
+    /// The meters of all tenants.
+    pub(crate) fn meters(&self) -> &Meters {
+        &self.desk.meters
+    }
+
     pub(super) fn clock(&self) -> &Clock {
         &self.desk.clock
     }
 
-    fn unix_ms(&self) -> i64 {
+    pub(super) fn unix_ms(&self) -> i64 {
         self.desk.clock.unix_ms()
     }
 
@@ -375,11 +361,11 @@ impl Sessions {
         }
     }
 
-    fn tasks(&self) -> MutexGuard<'_, Tasks> {
+    pub(super) fn tasks(&self) -> MutexGuard<'_, Tasks> {
         self.desk.tasks()
     }
 
-    fn starting(&self, id: &SessionId) -> &tokio::sync::Mutex<()> {
+    pub(super) fn starting(&self, id: &SessionId) -> &tokio::sync::Mutex<()> {
         let mut hasher = DefaultHasher::new();
         id.hash(&mut hasher);
         &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
@@ -393,7 +379,7 @@ impl Sessions {
         message: &mut Option<Message>,
         epochs: usize,
     ) -> Result<bool, SessionError> {
-        let Desk { limits, waiting: of_all, .. } = &*self.desk;
+        let (limits, of_all) = (&self.desk.limits, &self.desk.counters.waiting);
         let retry_after = limits.retry_after;
         let mut tasks = self.tasks();
         if tasks.draining {
@@ -401,7 +387,8 @@ impl Sessions {
         }
         tasks.posted += 1;
         let posted = tasks.posted;
-        let Some(handle) = tasks.handles.get_mut(id) else { return Ok(false) };
+        let own = |handle: &&mut Handle| handle.tenant == *self.tenant();
+        let Some(handle) = tasks.handles.get_mut(id).filter(own) else { return Ok(false) };
         let (waiting, limit) = (handle.waiting.load(Ordering::Acquire), limits.mailbox_epochs);
         if limit < waiting + epochs {
             return Err(SessionError::MailboxFull { waiting, limit, retry_after });
@@ -431,7 +418,12 @@ impl Sessions {
     }
 
     /// Starts a session's task. If as many run as allowed, some of them are parked.
-    fn start(&self, id: &SessionId, row: &SessionRow, start: Start) -> Result<(), SessionError> {
+    pub(super) fn start(
+        &self,
+        id: &SessionId,
+        row: &SessionRow,
+        start: Start,
+    ) -> Result<(), SessionError> {
         let Desk { store, aiding, limits, solvers, counters, live, clock, .. } = &*self.desk;
         let mut tasks = self.tasks();
         if tasks.draining {
@@ -447,10 +439,11 @@ impl Sessions {
         let task = Task {
             id: id.clone(),
             key: row.key,
-            device: device(id.as_str()),
+            tenant: row.tenant.clone(),
+            device: rover_source(&row.tenant, id.as_str()),
             store: store.clone(),
             aiding: aiding.clone(),
-            solvers: solvers.clone(),
+            solvers: solvers.of(self.meter.clone()),
             epochs_per_push: limits.epochs_per_push,
             observations_per_epoch: limits.observations_per_epoch,
             future_s: limits.future_s,
@@ -465,7 +458,8 @@ impl Sessions {
         while tasks.running.try_join_next().is_some() {} // Forgets the tasks that have ended.
         tasks.running.spawn(task.run(inbox));
         let last_used = tasks.posted;
-        let handle = Handle { mailbox, waiting: Arc::default(), outdated, last_used };
+        let tenant = row.tenant.clone();
+        let handle = Handle { tenant, mailbox, waiting: Arc::default(), outdated, last_used };
         tasks.handles.insert(id.clone(), handle);
         counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
         Ok(())

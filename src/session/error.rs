@@ -6,6 +6,7 @@ use uuid::Uuid;
 
 use crate::aiding::AidingError;
 use crate::config::ConfigError;
+use crate::quotas::QuotaError;
 use crate::reception::ReceptionError;
 use crate::refusal::{Class, Code};
 use crate::store::StoreError;
@@ -136,6 +137,15 @@ pub enum SessionError {
         /// The delay before the next attempt.
         retry_after: Duration,
     },
+    /// The tenant has used a quota.
+    #[error(transparent)]
+    Quota(#[from] QuotaError),
+    /// The session has as many arcs as allowed.
+    #[error("the session has been reset {limit} times, no more is allowed")]
+    TooManyArcs {
+        /// Number of resets allowed.
+        limit: usize,
+    },
     /// The window of a computation on request is longer than allowed.
     #[error("the window has {epochs} epochs, at most {limit} are computed on request")]
     WindowTooLong {
@@ -240,6 +250,7 @@ impl SessionError {
             Self::MailboxFull { .. } => Code::MailboxFull,
             Self::Overloaded { .. } => Code::Overloaded,
             Self::TooManyActive { .. } => Code::TooManyActiveSessions,
+            Self::TooManyArcs { .. } => Code::TooManyArcs,
             Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
             Self::NoSuchEpoch { .. } => Code::EpochNotFound,
@@ -251,6 +262,7 @@ impl SessionError {
             Self::RawConflict { .. } => Code::RawConflict,
             Self::Raw(error) => error.code(),
             Self::Interrupted => Code::Interrupted,
+            Self::Quota(error) => error.code(),
             Self::Store(error) => error.code(),
         }
     }
@@ -262,6 +274,8 @@ impl SessionError {
             Self::MailboxFull { retry_after, .. }
             | Self::Overloaded { retry_after, .. }
             | Self::TooManyActive { retry_after, .. } => *retry_after,
+            // A quota is a tenant's own, and says when it allows more.
+            Self::Quota(error) => return Some(error.retry_after()),
             Self::Draining | Self::Interrupted => UNAVAILABLE,
             Self::Store(error) if matches!(error.code().class(), Class::Unavailable) => UNAVAILABLE,
             _ => return None,

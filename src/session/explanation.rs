@@ -1,18 +1,15 @@
 //! One stored epoch with everything that explains its answer.
 
-use crate::aiding::device;
+use crate::aiding::rover_source;
 use crate::gnss::Epoch;
 use crate::positioning::satellite_views;
-use crate::store::{Revisions, SolutionQuery, StoreError, StoredSolution};
+use crate::store::{StoreError, StoredSolution};
 
 use super::configuration::kept_options;
 use super::desk::Sessions;
 use super::{SessionError, SessionId};
 
 pub use crate::positioning::{SatelliteRole, SatelliteView};
-
-/// Most revisions of an epoch that are read.
-const REVISIONS: usize = 100;
 
 /// A stored epoch with its solutions, and its satellites as the first of them sees them.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,24 +46,15 @@ impl Sessions {
                 .filter(|found| found.solution.seq == seq)
                 .ok_or_else(|| SessionError::NoSuchEpoch { id: id.to_string(), seq })?,
         };
-        let (navigation, device) = (&self.aiding().navigation, device(id.as_str()));
+        let (navigation, device) =
+            (&self.aiding().navigation, rover_source(self.tenant(), id.as_str()));
         let navigation = match navigation.after(stored.navigation, &device).await {
             Err(StoreError::NavigationForgotten { .. }) => navigation.current_for(&device),
             found => found?,
         };
         let hash = &stored.solution.configuration_hash;
         let options = kept_options(&self.store().configuration(hash).await?)?;
-        let time = stored.epoch.time;
-        let query = SolutionQuery {
-            from: Some(time),
-            to: Some(time),
-            status: None,
-            revisions: Revisions::All,
-            page_size: REVISIONS,
-            page_token: None,
-        };
-        let mut solutions = self.store().solutions(row.key, &query).await?.items;
-        solutions.retain(|solution| solution.seq == stored.solution.seq);
+        let solutions = self.store().solutions_of(row.key, stored.solution.seq).await?;
         let answer = &stored.solution.solution;
         let satellites = satellite_views(&stored.epoch, answer, &navigation.navigation, &options);
         Ok(EpochExplanation { epoch: stored.epoch, solutions, satellites })

@@ -9,7 +9,7 @@ use crate::id::{Id, Kind};
 use crate::store::{AntennaName, Page, SessionRow, StoredSolution};
 
 use super::SessionError;
-use super::configuration::stored_options;
+use super::configuration::entries;
 
 /// Marks an [`Id`] as a session's; its text begins with `ses_`.
 pub enum SessionKind {}
@@ -74,7 +74,7 @@ pub struct SessionInfo {
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
-    /// All options with their values in force.
+    /// All options with their values in force, as far as this version knows them.
     pub configuration: Vec<OptionEntry>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
@@ -104,7 +104,7 @@ impl SessionInfo {
         row: SessionRow,
         retention_days: u32,
     ) -> Result<Self, SessionError> {
-        let configuration = stored_options(&row.settings)?.entries();
+        let configuration = entries(&row.settings);
         Ok(Self {
             id,
             label: row.settings.label,

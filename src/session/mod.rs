@@ -88,6 +88,7 @@ mod antenna;
 mod base_selection;
 mod batch;
 mod checks;
+mod closing;
 mod computation;
 mod configuration;
 mod counters;
@@ -119,7 +120,7 @@ mod watching;
 pub use crate::store::SessionHead;
 pub use answers::Answers;
 pub use computation::Computed;
-pub use counters::SessionCounts;
+pub use counters::Counters;
 pub use desk::Sessions;
 pub use error::SessionError;
 pub use explanation::{EpochExplanation, SatelliteRole, SatelliteView};
@@ -131,6 +132,7 @@ pub use recomputation::{Check, Recomputation};
 pub(crate) use series::sigmas_m;
 pub use series::{Interval, Range, SERIES_POINTS, SeriesQuery, SolutionSeries};
 pub use solve::{Burst, SolveRequest};
+pub use solvers::{BATCH_QUANTUM, BatchLane, BatchTurn};
 pub use streamed::StreamedPush;
 pub use submission::{
     Acknowledged, EpochOutcome, EpochRefusal, Pending, SEQUENCES, SequencedEpoch, Submitted,

@@ -97,7 +97,7 @@ mod tests {
             assert_eq!(solution.solution.status == Status::None, is_failed, "{solution:?}");
             assert!(!resent);
         }
-        assert_eq!(sessions.counts().quarantined, 2);
+        assert_eq!(sessions.counts().quarantined(), 2);
         let resent = answers(&sessions, &id, &epochs[9..10]).await;
         assert!(resent[0].resent && resent[0].solution == first[9].solution);
 

@@ -1,10 +1,12 @@
 //! What the desk reads from the store, and how it removes what is expired.
 
+use std::time::Duration;
+
 use crate::store::{Page, SessionHead, SolutionQuery, StoreError};
 
 use super::desk::Sessions;
 use super::info::oldest_available;
-use super::removal::remove_expired;
+use super::solvers::BatchLane;
 use super::{SessionError, SessionId, SessionInfo, SolutionPage};
 
 impl Sessions {
@@ -16,6 +18,11 @@ impl Sessions {
         self.info(id.clone(), self.row(id).await?)
     }
 
+    /// The part of the solver pool that batch jobs have.
+    pub fn batch_lane(&self) -> BatchLane {
+        self.solvers().batch_lane(self.meters().clone())
+    }
+
     /// A page of 1 to 1000 sessions, the newest first.
     ///
     /// # Errors
@@ -25,7 +32,7 @@ impl Sessions {
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionInfo>, SessionError> {
-        let page = self.store().sessions(page_size, page_token).await?;
+        let page = self.store().sessions(self.tenant(), page_size, page_token).await?;
         page.try_map(|row| {
             let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
                 what: "session id",
@@ -44,7 +51,7 @@ impl Sessions {
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<(Page<SessionHead>, i64), SessionError> {
-        let page = self.store().heads(page_size, page_token).await?;
+        let page = self.store().heads(self.tenant(), page_size, page_token).await?;
         Ok((page, self.clock().unix_ms()))
     }
 
@@ -68,6 +75,12 @@ impl Sessions {
     /// # Errors
     /// The store fails.
     pub async fn remove_expired(&self) -> Result<(), SessionError> {
-        Ok(remove_expired(self.store(), self.clock(), self.limits().retention_days).await?)
+        Ok(self.expiry().remove().await?)
+    }
+
+    /// Time by which the clock is ahead of the time by which the ages of epochs are counted, if it
+    /// is more than a day. Epochs are kept for longer by as much.
+    pub fn clock_ahead(&self) -> Option<Duration> {
+        self.expiry().clock_ahead()
     }
 }

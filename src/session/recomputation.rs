@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::aiding::{AidingDesk, device};
+use crate::aiding::{AidingDesk, rover_source};
 use crate::gnss::LeapSeconds;
 use crate::positioning::Scratch;
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
@@ -68,13 +68,14 @@ impl Recomputation {
         id: &SessionId,
         change: Option<&SolveRequest>,
     ) -> Result<Self, SessionError> {
-        let row = store.session(id.as_str()).await?;
+        let row = store.session_of_any(id.as_str()).await?;
         let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })?;
         let active = match change {
             None => active_configuration(&store, &aiding, id.as_str()).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
-                let asked = request.base.clone().try_map(|id| aiding.bases.name(&id))?;
+                let bases = aiding.bases.of(&row.tenant);
+                let asked = request.base.clone().try_map(|id| bases.name(&id))?;
                 let base = if asked.is_none() { &row.settings.base } else { &asked };
                 let bases = base_of(options.mode, base)?;
                 let antenna = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
@@ -94,7 +95,8 @@ impl Recomputation {
             aiding,
             solvers: Solvers::new(SessionLimits::service().solver_threads),
             key: row.key,
-            device: device(id.as_str()),
+            device: rover_source(&row.tenant, id.as_str()),
+            tenant: row.tenant,
             with: if change.is_some() {
                 ReplayWith::Options(Arc::new(active))
             } else {

@@ -1,12 +1,13 @@
 //! Frees the space of deleted sessions and of epochs older than their retention, in the background.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 use tokio::sync::Notify;
 use tokio::time::sleep;
 
-use crate::clock::Clock;
+use crate::clock::{Clock, day_of};
 use crate::store::{Store, StoreError};
 
 /// Epochs removed in one transaction, so that commits wait for few milliseconds.
@@ -16,6 +17,9 @@ const PAUSE: Duration = Duration::from_millis(20);
 const RETRY: Duration = Duration::from_secs(10);
 /// Between checks for epochs that are older than their retention, which is counted in days.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(3_600);
+/// A clock that is ahead of the time of the ages by more than this has been set, or the service did
+/// not run (ms).
+const STEP_MS: i64 = 86_400_000;
 
 /// Removes what deleted sessions have stored, whenever it is woken; first what is left from before.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
@@ -31,42 +35,82 @@ pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
     }
 }
 
-/// Removes the epochs that are older than their retention, once an hour.
-pub(super) async fn remove_expired_hourly(store: Store, clock: Clock, retention_days: u32) {
-    loop {
-        match remove_expired(&store, &clock, retention_days).await {
-            Ok(()) => sleep(EXPIRY_INTERVAL).await,
-            Err(error) => {
-                tracing::warn!(%error, "expired epochs still take space");
-                sleep(RETRY).await;
-            }
-        }
-    }
+/// Removes epochs that are older than their retention.
+pub(super) struct Expiry {
+    store: Store,
+    clock: Clock,
+    /// Retention of sessions without one of their own (days).
+    retention_days: u32,
+    /// The clock's [`Clock::elapsed_ms`] when ages were last counted. Locked during a removal.
+    counted_ms: tokio::sync::Mutex<i64>,
+    /// Time by which the clock was ahead of the time of the ages then (ms).
+    ahead_ms: AtomicI64,
 }
 
-/// Removes the epochs that are older than their retention, in steps. Sessions without a retention
-/// of their own have `retention_days`.
-pub(super) async fn remove_expired(
-    store: &Store,
-    clock: &Clock,
-    retention_days: u32,
-) -> Result<(), StoreError> {
-    // Marked first, so that whole days of the log are dropped where nothing of them is kept.
-    store.mark_expired(clock.day(), retention_days).await?;
-    store.drop_days(clock.day(), retention_days).await?;
-    loop {
-        let sessions = store.expired(clock.day(), retention_days).await?;
-        if sessions.is_empty() {
-            break;
-        }
-        for expired in sessions {
-            while store.remove_expired(&expired, EPOCHS_PER_STEP).await? {
-                sleep(PAUSE).await;
+impl Expiry {
+    pub(super) fn new(store: Store, clock: Clock, retention_days: u32) -> Self {
+        let counted_ms = tokio::sync::Mutex::new(clock.elapsed_ms());
+        Self { store, clock, retention_days, counted_ms, ahead_ms: AtomicI64::new(0) }
+    }
+
+    /// Removes them once an hour.
+    pub(super) async fn remove_hourly(self: Arc<Self>) {
+        loop {
+            match self.remove().await {
+                Ok(()) => sleep(EXPIRY_INTERVAL).await,
+                Err(error) => {
+                    tracing::warn!(%error, "expired epochs still take space");
+                    sleep(RETRY).await;
+                }
             }
         }
     }
-    while store.release_pages().await? {
-        sleep(PAUSE).await;
+
+    /// Removes them, in steps.
+    pub(super) async fn remove(&self) -> Result<(), StoreError> {
+        let mut counted_ms = self.counted_ms.lock().await;
+        let today = self.today(&mut counted_ms).await?;
+        let (store, retention_days) = (&self.store, self.retention_days);
+        // Marked first, so that whole days of the log are dropped where nothing of them is kept.
+        store.mark_expired(today, retention_days).await?;
+        store.drop_days(today, retention_days).await?;
+        loop {
+            let sessions = store.expired(today, retention_days).await?;
+            if sessions.is_empty() {
+                break;
+            }
+            for expired in sessions {
+                while store.remove_expired(&expired, EPOCHS_PER_STEP).await? {
+                    sleep(PAUSE).await;
+                }
+            }
+        }
+        while store.release_pages().await? {
+            sleep(PAUSE).await;
+        }
+        Ok(())
     }
-    Ok(())
+
+    /// Time by which the clock is ahead of the time by which ages are counted, if it is so far that
+    /// it must have been set. Epochs are kept for longer by as much.
+    pub(super) fn clock_ahead(&self) -> Option<Duration> {
+        let ahead_ms = self.ahead_ms.load(Ordering::Relaxed);
+        (STEP_MS < ahead_ms).then(|| Duration::from_millis(ahead_ms as u64))
+    }
+
+    /// The day by which ages are counted.
+    async fn today(&self, counted_ms: &mut i64) -> Result<i64, StoreError> {
+        let (now, elapsed_ms) = (self.clock.unix_ms(), self.clock.elapsed_ms());
+        let counted = self.store.advance_expiry_clock(now, elapsed_ms - *counted_ms).await?;
+        *counted_ms = elapsed_ms;
+        self.ahead_ms.store(now - counted, Ordering::Relaxed);
+        if let Some(ahead) = self.clock_ahead() {
+            let days = ahead.as_secs_f64() / 86_400.0;
+            tracing::warn!(
+                days,
+                "the clock is ahead of what is stored; epochs are kept for longer"
+            );
+        }
+        Ok(day_of(counted))
+    }
 }

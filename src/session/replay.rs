@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
 use std::vec::IntoIter;
 
 use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
+use crate::clock::Stopwatch;
 use crate::config::PositioningOptions;
 use crate::gnss::{AntennaCalibration, Epoch, Reason};
 use crate::positioning::Scratch;
@@ -15,6 +15,7 @@ use crate::snapshot::SnapshotError;
 use crate::store::{
     BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSnapshot, StoredSolution,
 };
+use crate::tenant::Tenant;
 
 use super::SessionError;
 use super::base_selection::BaseSource;
@@ -56,6 +57,8 @@ pub(super) struct Replay {
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
+    /// To whom the session belongs.
+    pub(super) tenant: Tenant,
     /// The session's device as a source of navigation data.
     pub(super) device: Arc<str>,
     pub(super) with: ReplayWith,
@@ -142,9 +145,9 @@ impl Page {
         if let Some(revisions) = step.begin_arc(&mut self.state, &self.arcs, scratch) {
             self.answers.extend(revisions);
         }
-        let begun = Instant::now();
+        let stopwatch = Stopwatch::started();
         let advanced = step.advance(&mut self.state, scratch);
-        self.state.unsaved_time += begun.elapsed();
+        self.state.unsaved_time += stopwatch.elapsed();
         self.answers.push(advanced.solution);
         self.answers.extend(advanced.revisions);
         Progress::Remaining
@@ -214,7 +217,8 @@ impl Replay {
             _ => None,
         };
         let ActiveConfiguration { estimation, bases, .. } = &**active;
-        let source = BaseSource::new(&self.aiding.bases, bases, span, &estimation.options);
+        let source =
+            BaseSource::new(&self.aiding.bases, &self.tenant, bases, span, &estimation.options);
         Ok(PageBases::Selected(Arc::new(source)))
     }
 
@@ -304,7 +308,7 @@ pub(super) async fn active_configuration(
     aiding: &AidingDesk,
     id: &str,
 ) -> Result<ActiveConfiguration, SessionError> {
-    let row = store.session(id).await?;
+    let row = store.session_of_any(id).await?;
     let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
     let options: PositioningOptions = stored_options(&row.settings)?;
     let bases = base_of(options.mode, &row.settings.base)?;
@@ -358,7 +362,7 @@ pub(super) async fn restored(
 
 async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {
     let Some(stored) = replay.store.snapshot(replay.key).await? else { return Ok(None) };
-    match decoded(replay, &stored).await? {
+    match decoded(replay, stored).await? {
         Ok(state) => Ok(Some(state)),
         Err(error) => {
             tracing::warn!(%error, "a session's state is rebuilt from its last epochs");
@@ -369,10 +373,11 @@ async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {
 
 async fn decoded(
     replay: &Replay,
-    stored: &StoredSnapshot,
+    stored: StoredSnapshot,
 ) -> Result<Result<State, SnapshotError>, SessionError> {
     let configuration = replay.stored_configuration(&stored.configuration_hash).await?;
-    Ok(State::decode(stored.seq, &stored.content, &configuration))
+    let decode = move || State::decode(stored.seq, &stored.content, &configuration);
+    replay.solvers.run(Lane::Restore, decode).await
 }
 
 /// The oldest state that a session keeps for replay, after epochs through `removed_through` were
@@ -385,9 +390,10 @@ pub(super) async fn oldest_state(
     removed_through: u64,
 ) -> Result<Option<State>, SessionError> {
     for stored in replay.store.kept_snapshots(replay.key).await? {
-        match decoded(replay, &stored).await? {
+        let seq = stored.seq;
+        match decoded(replay, stored).await? {
             Ok(state) => return Ok(Some(state)),
-            Err(error) => tracing::warn!(seq = stored.seq, %error, "a kept snapshot is skipped"),
+            Err(error) => tracing::warn!(seq, %error, "a kept snapshot is skipped"),
         }
     }
     match replay.store.epochs_after(replay.key, None, 1).await?.is_empty() {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
-use crate::aiding::device;
+use crate::aiding::rover_source;
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::Navigation;
 use crate::store::SessionSettings;
@@ -97,6 +97,7 @@ impl Sessions {
         let row = self.row(id).await?;
         let options = request.options(&row.settings)?;
         self.check_window(&options)?;
+        self.meter().admit_computation()?;
         let asked = self.base_names(request.base.clone())?;
         let base = if asked.is_none() { &row.settings.base } else { &asked };
         let base = configuration::base_of(options.mode, base)?;
@@ -118,7 +119,7 @@ impl Sessions {
             .rev()
             .map(|stored| SequencedEpoch { seq: stored.solution.seq, epoch: stored.epoch.clone() });
         let epochs = sequenced.collect();
-        let device = device(id.as_str());
+        let device = rover_source(self.tenant(), id.as_str());
         let navigation = self.aiding().navigation.current_for(&device).navigation;
         let hash = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
         let estimation = Configuration {
@@ -140,6 +141,7 @@ impl Sessions {
         let options = configuration::options(&burst.mode, &burst.profile, &burst.overrides)?;
         self.check_window(&options)?;
         self.check_push(&burst.epochs)?;
+        self.meter().admit_computation()?;
         let limit = self.limits().observations_per_epoch;
         for (index, epoch) in burst.epochs.iter().enumerate() {
             let observations = epoch.epoch.observations.len();
@@ -151,10 +153,11 @@ impl Sessions {
         if let Some(before) = disorder {
             return Err(SessionError::BurstOutOfOrder { index: before + 1 });
         }
+        let current = self.aiding().navigation.of(self.tenant()).current().navigation;
         let navigation = match burst.navigation {
-            None => self.aiding().navigation.current().navigation,
+            None => current,
             Some(own) => {
-                let mut navigation = (*self.aiding().navigation.current().navigation).clone();
+                let mut navigation = (*current).clone();
                 navigation.merge(own);
                 Arc::new(navigation)
             }
@@ -193,8 +196,9 @@ impl Sessions {
     ) -> Result<Vec<Computed>, SessionError> {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().next().zip(times().next_back());
-        let source = BaseSource::new(&self.aiding().bases, &base, span, &estimation.options);
+        let source =
+            BaseSource::new(&self.aiding().bases, self.tenant(), &base, span, &estimation.options);
         let limit = self.limits().solve_time;
-        Computation::new(estimation, epochs, navigation, source, limit).run(self.solvers()).await
+        Computation::new(estimation, epochs, navigation, source, limit).run(&self.solvers()).await
     }
 }

@@ -60,7 +60,7 @@ pub(super) struct State {
     unrevised: VecDeque<(u64, GpsTime)>,
     /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
-    /// Time that their computing took, which a replay would take again.
+    /// Processor time of their computing, which a replay would use again.
     pub(super) unsaved_time: Duration,
     /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
     /// epoch after a restore is stored whole.

@@ -38,7 +38,7 @@ impl Sessions {
         epochs: Vec<SequencedEpoch>,
         answers: &Answers<Submitted>,
     ) -> Result<StreamedPush, SessionError> {
-        self.check_push(&epochs)?;
+        self.admit_push(&epochs)?;
         let count = epochs.len();
         let submission = Submission { epochs, permit: None, reply: answers.reply() };
         Ok(StreamedPush { message: Some(Message::Submission(submission)), epochs: count })
@@ -53,7 +53,7 @@ impl Sessions {
         chunk: RawChunk,
         answers: &Answers<RawReceived>,
     ) -> Result<StreamedPush, SessionError> {
-        let epochs = self.check_chunk(&chunk)?;
+        let epochs = self.admit_chunk(&chunk)?;
         let submission = RawSubmission { chunk, permit: None, reply: answers.reply() };
         Ok(StreamedPush { message: Some(Message::Raw(Box::new(submission))), epochs })
     }

@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
+use crate::tenant::Tenant;
+
 use super::SessionId;
 use super::parked::ParkedStates;
 use super::task::Message;
@@ -36,6 +38,8 @@ pub(super) enum Start {
 
 /// A running task.
 pub(super) struct Handle {
+    /// To whom the session belongs.
+    pub(super) tenant: Tenant,
     pub(super) mailbox: mpsc::Sender<Message>,
     pub(super) waiting: Arc<AtomicUsize>,
     pub(super) outdated: Arc<AtomicBool>,
@@ -47,6 +51,11 @@ impl Tasks {
     pub(super) fn new(parked_bytes: usize) -> Self {
         let (handles, parked) = (HashMap::new(), ParkedStates::new(parked_bytes));
         Self { handles, parked, running: JoinSet::new(), posted: 0, draining: false }
+    }
+
+    /// The running task of a tenant's session.
+    pub(super) fn own(&self, id: &SessionId, tenant: &Tenant) -> Option<&Handle> {
+        self.handles.get(id).filter(|handle| handle.tenant == *tenant)
     }
 
     /// Sessions with a state in memory.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::gnss::{AntennaCalibration, BaseSite, Ecef, Epoch, GpsTime, PositionSource};
+use crate::tenant::Tenant;
 
 use super::antennas::calibration_hash;
 use super::codec::{decode_epoch, encode_epoch};
@@ -93,11 +94,32 @@ pub struct BaseUse {
     pub through: u64,
 }
 
+/// A base to store.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NewBaseRow<'a> {
+    /// To whom it belongs.
+    pub(crate) tenant: &'a Tenant,
+    /// Public id.
+    pub(crate) id: &'a str,
+    /// A name for people.
+    pub(crate) label: &'a str,
+    /// Position and antenna, if they are known.
+    pub(crate) site: Option<&'a BaseSite>,
+    /// The caster's stream that fills it.
+    pub(crate) feed: Option<&'a BaseFeed>,
+    /// The address of the archive's files that fill it.
+    pub(crate) archive: Option<&'a str>,
+    /// When it is created (ms since 1970-01-01 UTC).
+    pub(crate) created_unix_ms: i64,
+}
+
 /// A stored base.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BaseRow {
     /// Primary key of the base.
     pub key: BaseKey,
+    /// To whom it belongs.
+    pub tenant: Tenant,
     /// Public id of the base.
     pub id: String,
     /// A name for people.
@@ -250,34 +272,27 @@ macro_rules! site {
     }};
 }
 
-/// Key, id, label, time of creation (ms) and address of the archive of a base.
-type NamedRow = (i64, String, String, i64, Option<String>);
+/// Key, id, label, time of creation (ms), address of the archive and tenant of a base.
+type NamedRow = (i64, String, String, i64, Option<String>, String);
 
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
 impl Store {
-    /// Stores a new base.
+    /// Stores a new base of a tenant.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
-    pub(crate) async fn create_base(
-        &self,
-        id: &str,
-        label: &str,
-        site: Option<&BaseSite>,
-        feed: Option<&BaseFeed>,
-        archive: Option<&str>,
-        created_unix_ms: i64,
-    ) -> Result<BaseKey, StoreError> {
+    pub(crate) async fn create_base(&self, new: &NewBaseRow<'_>) -> Result<BaseKey, StoreError> {
+        let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms } = *new;
         self.keep_calibration_of(site).await?;
         let created = writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
-                let sql = "INSERT INTO bases (id, label, created_unix_ms, archive)
-                           VALUES ($1, $2, $3, $4) RETURNING key";
+                let sql = "INSERT INTO bases (id, label, created_unix_ms, archive, tenant)
+                           VALUES ($1, $2, $3, $4, $5) RETURNING key";
                 let insert = sqlx::query_as(sql).bind(id).bind(label).bind(created_unix_ms);
-                let insert = insert.bind(archive);
+                let insert = insert.bind(archive).bind(tenant.name());
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 let key = BaseKey(key);
                 if let Some(site) = site {
@@ -301,7 +316,7 @@ impl Store {
     pub(crate) async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
         let failed = "reading bases";
         let rows: Result<Vec<NamedRow>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key, id, label, created_unix_ms, archive FROM bases
+            let sql = "SELECT key, id, label, created_unix_ms, archive, tenant FROM bases
                        WHERE deleted_unix_ms IS NULL ORDER BY key";
             sqlx::query_as(sql).fetch_all(pool).await
         });
@@ -310,9 +325,9 @@ impl Store {
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let kept = self.calibrations().await?;
-        let base = |(key, id, label, created_unix_ms, archive): NamedRow| {
-            let (key, sites) = (BaseKey(key), Vec::new());
-            BaseRow { key, id, label, created_unix_ms, sites, feed: None, archive }
+        let base = |(key, id, label, created_unix_ms, archive, tenant): NamedRow| {
+            let (key, sites, tenant) = (BaseKey(key), Vec::new(), Tenant::stored(&tenant));
+            BaseRow { key, tenant, id, label, created_unix_ms, sites, feed: None, archive }
         };
         let feeds: Result<Vec<RawFeed>, _> = reading!(&self.pool, pool => {
             sqlx::query_as("SELECT * FROM base_feeds").fetch_all(pool).await

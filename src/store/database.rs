@@ -85,7 +85,7 @@ impl Database {
                 let connecting = options.clone().create_if_missing(true).connect().await;
                 let opening = StoreError::database("opening the SQLite database");
                 let mut connection: SqliteConnection = connecting.map_err(opening)?;
-                let migrated = SQLITE_MIGRATIONS.run_direct(None, &mut connection, false).await;
+                let migrated = SQLITE_MIGRATIONS.run_direct(&mut connection).await;
                 migrated.map_err(|error| migration_error(error, &SQLITE_MIGRATIONS))
             }
             Self::Postgres(options) => {
@@ -94,7 +94,7 @@ impl Database {
                     options.clone().options([("statement_timeout", 0)]).connect().await;
                 let opening = StoreError::database("connecting to Postgres");
                 let mut connection: PgConnection = connecting.map_err(opening)?;
-                let migrated = POSTGRES_MIGRATIONS.run_direct(None, &mut connection, false).await;
+                let migrated = POSTGRES_MIGRATIONS.run_direct(&mut connection).await;
                 migrated.map_err(|error| migration_error(error, &POSTGRES_MIGRATIONS))
             }
         }

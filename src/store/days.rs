@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use sqlx::{AssertSqlSafe, Connection, PgConnection, PgPool};
+use sqlx::{Connection, PgConnection, PgPool};
 use tokio::time::sleep;
 
 use super::deadline::{BULK_DEADLINE, within};
@@ -77,7 +77,7 @@ pub(super) async fn make_day(connection: &mut PgConnection, day: i32) -> Result<
             format!("CREATE UNIQUE INDEX ON {partition} ({unique})"),
             format!("ALTER TABLE {table} ATTACH PARTITION {partition} FOR VALUES IN ('{date}')"),
         ] {
-            sqlx::query(AssertSqlSafe(sql)).execute(&mut *connection).await?;
+            sqlx::query(&sql).execute(&mut *connection).await?;
         }
     }
     Ok(())
@@ -104,7 +104,7 @@ impl Store {
         today: i64,
         retention_days: u32,
     ) -> Result<(), StoreError> {
-        let Pool::Postgres(pool) = &self.pool else { return Ok(()) };
+        let Pool::Postgres { pool, .. } = &self.pool else { return Ok(()) };
         let dropping = async {
             for (table, _) in TABLES {
                 let days = sqlx::query_scalar(DAYS).bind(table).fetch_all(pool);
@@ -137,11 +137,44 @@ impl Store {
             move_kept(&mut connection, table, &partition).await?;
         }
         let is_kept = !kept_sessions(&mut connection, &partition, 1).await?.is_empty();
-        if !is_kept && drop_partition(&mut connection, &partition).await? {
+        if !is_kept && self.drop_partition(&mut connection, &partition).await? {
             tracing::info!(partition, "a day of the log is dropped");
-            self.days.forget();
         }
         Ok(())
+    }
+
+    /// Drops a partition; `false` if somebody holds it, or if something has come that is kept.
+    async fn drop_partition(
+        &self,
+        connection: &mut PgConnection,
+        partition: &str,
+    ) -> Result<bool, sqlx::Error> {
+        let mut transaction = connection.begin().await?;
+        let dropping = async {
+            sqlx::query(DROP_PATIENCE).execute(&mut *transaction).await?;
+            // Nobody writes to it from now on, not even if the clock was set back.
+            let lock = format!("LOCK TABLE {partition} IN EXCLUSIVE MODE");
+            sqlx::query(&lock).execute(&mut *transaction).await?;
+            if !kept_sessions(&mut transaction, partition, 1).await?.is_empty() {
+                return Ok(false);
+            }
+            self.days.forget(); // The committer makes it again, if it should need it.
+            let drop = format!("DROP TABLE {partition}");
+            within(BULK_DEADLINE, sqlx::query(&drop).execute(&mut *transaction)).await.map(|_| true)
+        };
+        match dropping.await {
+            Ok(true) => {
+                transaction.commit().await?;
+                self.days.forget();
+                Ok(true)
+            }
+            Ok(false) => transaction.rollback().await.map(|()| false),
+            Err(error) => {
+                let code = error.as_database_error().and_then(|e| e.code().map(|c| c.to_string()));
+                transaction.rollback().await?;
+                if code.as_deref() == Some(LOCK_NOT_AVAILABLE) { Ok(false) } else { Err(error) }
+            }
+        }
     }
 }
 
@@ -157,7 +190,7 @@ async fn kept_sessions(
          WHERE p.session = h.session AND p.seq > COALESCE(h.removed_through, -1) LIMIT 1) kept \
          LIMIT $1"
     );
-    let read = sqlx::query_scalar(AssertSqlSafe(sql)).bind(count).fetch_all(connection);
+    let read = sqlx::query_scalar(&sql).bind(count).fetch_all(connection);
     within(BULK_DEADLINE, read).await
 }
 
@@ -185,35 +218,17 @@ async fn move_kept(
         }
         for session in sessions {
             if table == "revisions" {
-                let remove = sqlx::query(AssertSqlSafe(&*repeated)).bind(session);
+                let remove = sqlx::query(&repeated).bind(session);
                 within(BULK_DEADLINE, remove.execute(&mut *connection)).await?;
             }
             loop {
-                let step = sqlx::query(AssertSqlSafe(&*step)).bind(session).bind(ROWS_PER_STEP);
+                let step = sqlx::query(&step).bind(session).bind(ROWS_PER_STEP);
                 let moved = within(BULK_DEADLINE, step.execute(&mut *connection)).await?;
                 if moved.rows_affected() < ROWS_PER_STEP as u64 {
                     break;
                 }
                 sleep(PAUSE).await;
             }
-        }
-    }
-}
-
-/// Drops a partition; `false` if readers hold it.
-async fn drop_partition(
-    connection: &mut PgConnection,
-    partition: &str,
-) -> Result<bool, sqlx::Error> {
-    let mut transaction = connection.begin().await?;
-    sqlx::query(DROP_PATIENCE).execute(&mut *transaction).await?;
-    let drop = sqlx::query(AssertSqlSafe(format!("DROP TABLE {partition}")));
-    match within(BULK_DEADLINE, drop.execute(&mut *transaction)).await {
-        Ok(_) => transaction.commit().await.map(|()| true),
-        Err(error) => {
-            let code = error.as_database_error().and_then(|e| e.code().map(|c| c.to_string()));
-            transaction.rollback().await?;
-            if code.as_deref() == Some(LOCK_NOT_AVAILABLE) { Ok(false) } else { Err(error) }
         }
     }
 }

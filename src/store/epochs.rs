@@ -1,5 +1,7 @@
 //! Reads epochs with their first answers.
 
+use tokio::task::coop::consume_budget;
+
 use crate::gnss::Epoch;
 
 use super::chain::Chain;
@@ -164,7 +166,7 @@ impl Store {
                 .fetch_all(readers);
                 within(DEADLINE, rows).await
             }
-            Pool::Postgres(pool) => {
+            Pool::Postgres { pool, .. } => {
                 let sql = select_epochs!("AND e.seq = ANY($2)");
                 let rows = sqlx::query_as(sql).bind(session.0).bind(seqs).fetch_all(pool);
                 within(DEADLINE, rows).await
@@ -184,6 +186,7 @@ impl Store {
         let mut chain = Chain::of(self, session);
         let mut epochs = Vec::with_capacity(rows.len());
         for row in rows {
+            consume_budget().await; // Many rows don't hold the thread up.
             let seq = row.solution.seq as u64;
             match chain.decode(seq, &row.epoch).await {
                 Err(error) if self.explains_missing(session, seq, &error).await? => {}
@@ -248,7 +251,11 @@ mod tests {
             antenna: None,
             retention_days: None,
         };
-        let key = store.create_session("one", &settings, 0).await.unwrap().key;
+        let key = store
+            .create_session(&crate::tenant::Tenant::operator(), "one", &settings, 0)
+            .await
+            .unwrap()
+            .key;
         let mut epochs: Vec<EncodedEpoch> = Vec::new();
         for seq in 1..=40 {
             let answer = answer(seq, 0);

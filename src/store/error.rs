@@ -38,6 +38,15 @@ pub enum StoreError {
         /// The name of its node.
         holder: String,
     },
+    /// Another service had the lease of the database meanwhile.
+    #[error(
+        "another service had the database meanwhile, so this one may know less than is stored and \
+         must start again: {holder}"
+    )]
+    LeaseLost {
+        /// The name of its node.
+        holder: String,
+    },
     /// The lease of the database cannot be taken.
     #[error("the lock file of the database: {why}")]
     Lease {
@@ -140,7 +149,7 @@ impl StoreError {
             Self::Url { .. } => Code::DatabaseUrlInvalid,
             Self::NewerSchema { .. } => Code::DatabaseSchemaNewer,
             Self::OlderSchema { .. } => Code::DatabaseSchemaOlder,
-            Self::InUse { .. } => Code::DatabaseInUse,
+            Self::InUse { .. } | Self::LeaseLost { .. } => Code::DatabaseInUse,
             Self::Migration { .. } => Code::DatabaseMigrationFailed,
             Self::Database { .. }
             | Self::Unconfirmed { .. }

@@ -1,6 +1,7 @@
 //! Heads of sessions: what was committed last, and the span of time of their solutions.
 
 use crate::gnss::{Ecef, GpsTime, Status};
+use crate::tenant::Tenant;
 
 use super::codec::status_number;
 use super::page::rows_asked;
@@ -88,12 +89,13 @@ macro_rules! time_of {
 }
 
 impl Store {
-    /// A page of heads, the newest session first.
+    /// A page of the heads of a tenant, the newest session first.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
     pub(crate) async fn heads(
         &self,
+        tenant: &Tenant,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionHead>, StoreError> {
@@ -101,11 +103,11 @@ impl Store {
         let before = match page_token {
             None => i64::MAX,
             Some(id) => {
-                let key = self.key_of(id).await?;
+                let key = self.key_of(tenant, id).await?;
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
-        let rows: Result<Vec<RawHead>, _> = reading!(&self.pool, pool => {
+        let rows: Result<Vec<RawHead>, _> = reading!(list &self.pool, pool => {
             let sql = "SELECT s.id AS id, s.label AS label, s.mode AS mode,
                               s.created_unix_ms AS created_unix_ms,
                               h.closed_unix_ms AS closed_unix_ms, h.last_seq AS last_seq,
@@ -113,9 +115,10 @@ impl Store {
                               CAST(h.status AS BIGINT) AS status,
                               h.x_m AS x_m, h.y_m AS y_m, h.z_m AS z_m
                        FROM sessions s JOIN session_heads h ON h.session = s.key
-                       WHERE s.key < $1 AND s.deleted_unix_ms IS NULL
-                       ORDER BY s.key DESC LIMIT $2";
-            sqlx::query_as(sql).bind(before).bind(rows_asked).fetch_all(pool).await
+                       WHERE s.tenant = $1 AND s.key < $2 AND s.deleted_unix_ms IS NULL
+                       ORDER BY s.key DESC LIMIT $3";
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(before);
+            select.bind(rows_asked).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing the heads of sessions"))?;
         Page::of(rows, page_size, |row| row.id.clone()).try_map(RawHead::parse)
@@ -133,7 +136,7 @@ impl Store {
         let (mut span, mut first) = (None::<(i64, i64)>, 0);
         for last in ends {
             // Within an arc time rises with the number.
-            let row: Result<(Option<i64>, Option<i64>), _> = reading!(&self.pool, pool => {
+            let row: Result<(Option<i64>, Option<i64>), _> = reading!(list &self.pool, pool => {
                 let sql = concat!(
                     "SELECT (", time_of!("ORDER BY seq LIMIT 1"), "), ",
                     "(", time_of!("ORDER BY seq DESC LIMIT 1"), ")"

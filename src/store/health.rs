@@ -13,6 +13,12 @@ pub enum CommitterState {
         /// Message of the failure.
         why: Arc<str>,
     },
+    /// Another service had the lease meanwhile. It commits nothing any more: the service must start
+    /// again.
+    LeaseLost {
+        /// Name of the other node.
+        holder: Arc<str>,
+    },
     /// It was stopped.
     Stopped,
 }
@@ -35,6 +41,11 @@ impl CommitterHealth {
     pub(super) fn new() -> Self {
         let confirmed = Instant::now();
         Self { state: CommitterState::Working, confirmed, failures: 0, panics: 0 }
+    }
+
+    /// Whether it will commit nothing any more.
+    pub(super) const fn has_ended(&self) -> bool {
+        matches!(self.state, CommitterState::Stopped | CommitterState::LeaseLost { .. })
     }
 
     /// Time since the last confirmation.

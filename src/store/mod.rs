@@ -1,5 +1,5 @@
-//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions and navigation data, in
-//! SQLite or Postgres.
+//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions, navigation data and keys,
+//! in SQLite or Postgres.
 //!
 //! [`Store`] has the pool of either database. Where possible, one text of SQL with `$1` serves
 //! both, and both give the same answers. The schema is in `migrations/`, embedded in the program,
@@ -23,9 +23,12 @@ mod deadline;
 mod deletion;
 mod epochs;
 mod error;
+mod expiry_clock;
 mod feeds;
 mod heads;
 mod health;
+mod jobs;
+mod keys;
 mod lease;
 mod navigation;
 mod page;
@@ -35,18 +38,21 @@ mod retention;
 mod sessions;
 mod snapshots;
 mod solutions;
+mod tenants;
 mod times;
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 
 pub use antennas::AntennaName;
+pub(crate) use bases::NewBaseRow;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;
+pub(crate) use committer::CommitterMeters;
 pub use committer::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
@@ -55,7 +61,12 @@ pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
-pub use navigation::{NavigationChange, StoredCoefficients, StoredEphemeris, StoredNavigation};
+pub use jobs::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob};
+pub use keys::{KeyRow, NewKeyRow};
+pub use navigation::{
+    NavigationChange, NavigationDifference, NavigationRows, StoredCoefficients, StoredEphemeris,
+    StoredNavigation,
+};
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
@@ -63,6 +74,7 @@ pub use retention::Expired;
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredSolution};
+pub use tenants::{TenantRow, TenantUse};
 
 use committer::{Committer, Connector, Timing};
 use database::Database;
@@ -74,10 +86,13 @@ use pool::{Pool, reading};
 #[derive(Clone)]
 pub struct Store {
     pool: Pool,
+    /// A connection that reads changed keys and nothing else.
+    key_pool: Pool,
     committer: Committer,
     task: Arc<Mutex<Option<JoinHandle<()>>>>,
     durability: Arc<[DurabilitySetting]>,
     folder: Option<Arc<Path>>,
+    file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
     days: Arc<Days>,
 }
@@ -103,10 +118,11 @@ impl Store {
 
     async fn open_for(url: &str, node: Option<&str>) -> Result<Self, StoreError> {
         let database = Database::parse(url)?;
-        let file = database.file().zip(node);
-        let lease = file.map(|(file, node)| FileLease::take(&file, node)).transpose()?;
-        let pool = Pool::new(&database);
+        let leased = database.file().zip(node);
+        let lease = leased.map(|(file, node)| FileLease::take(&file, node)).transpose()?;
+        let (pool, key_pool) = (Pool::new(&database), Pool::of_one(&database));
         let folder = database.folder().map(Into::into);
+        let file = database.file().map(Into::into);
         let connector = Connector::new(database.clone(), pool.turn(), node);
         connector.check_lease().await?; // Before the schema of a running service is changed.
         database.migrate().await?;
@@ -115,7 +131,25 @@ impl Store {
         let (committer, task) = Committer::start(connector, Timing::service()).await?;
         let task = Arc::new(Mutex::new(Some(task)));
         let lease = lease.map(Arc::new);
-        Ok(Self { pool, committer, task, durability, folder, lease, days })
+        Ok(Self { pool, key_pool, committer, task, durability, folder, file, lease, days })
+    }
+
+    /// Opens the database of `url` to change what no service has in its memory alone, such as keys;
+    /// a service may be using it. Commits fail with [`StoreError::Closed`]. Without a service the
+    /// database is created if absent, and its schema brought up to date.
+    ///
+    /// # Errors
+    /// The URL is invalid, the database cannot be reached, or a service uses it with another
+    /// schema.
+    pub async fn open_beside(url: &str, node: &str) -> Result<Self, StoreError> {
+        let database = Database::parse(url)?;
+        if let Err(error) = database.check_schema().await {
+            if matches!(error, StoreError::NewerSchema { .. }) {
+                return Err(error);
+            }
+            Self::open_alone(url, node).await?.close().await;
+        }
+        Ok(Self::without_committer(&database))
     }
 
     /// Opens the database of `url` for reading. Nothing of it is changed, neither its schema; a
@@ -126,12 +160,16 @@ impl Store {
     pub async fn open_read_only(url: &str) -> Result<Self, StoreError> {
         let database = Database::parse(url)?;
         database.check_schema().await?;
-        let database = database.read_only();
-        let pool = Pool::new(&database);
+        Ok(Self::without_committer(&database.read_only()))
+    }
+
+    fn without_committer(database: &Database) -> Self {
+        let (pool, key_pool) = (Pool::new(database), Pool::of_one(database));
         let folder = database.folder().map(Into::into);
+        let file = database.file().map(Into::into);
         let (committer, task) = (Committer::stopped(), Arc::default());
         let (durability, lease, days) = (Arc::new([]), None, Arc::default());
-        Ok(Self { pool, committer, task, durability, folder, lease, days })
+        Self { pool, key_pool, committer, task, durability, folder, file, lease, days }
     }
 
     /// The settings of the database on which durability depends, as they were at the start.
@@ -142,6 +180,22 @@ impl Store {
     /// What the committer reports of itself.
     pub fn committer_health(&self) -> CommitterHealth {
         self.committer.health()
+    }
+
+    /// Waits until another service turns out to have had the lease of the database since this one
+    /// last committed. This one must then start again. Returns the name of the other node.
+    pub async fn lease_lost(&self) -> Arc<str> {
+        self.committer.lease_lost().await
+    }
+
+    /// What the committer has done since the start.
+    pub(crate) const fn committer_meters(&self) -> &CommitterMeters {
+        self.committer.meters()
+    }
+
+    /// Number of batches that wait for the next transaction.
+    pub(crate) fn waiting_batches(&self) -> usize {
+        self.committer.waiting()
     }
 
     /// Checks that the database answers reads.
@@ -159,6 +213,11 @@ impl Store {
     pub(crate) fn free_bytes(&self) -> Option<u64> {
         let disk = rustix::fs::statvfs(&**self.folder.as_ref()?).ok()?;
         Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
+    /// The database file; `None` for a server.
+    pub(crate) fn file(&self) -> Option<PathBuf> {
+        self.file.as_deref().map(Path::to_owned)
     }
 
     /// Commits a batch, all of it or nothing. Returns when it is durable.
@@ -194,6 +253,7 @@ impl Store {
             // A panic of the committer has already failed the calls that waited for it.
             task.await.ok();
         }
+        self.key_pool.close().await;
         self.pool.close().await;
         if let Some(lease) = &self.lease {
             lease.end();

@@ -41,6 +41,24 @@ pub struct StoredNavigation {
     pub coefficients: Vec<StoredCoefficients>,
 }
 
+/// Ephemerides and coefficients.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NavigationRows {
+    /// Ephemerides.
+    pub ephemerides: Vec<StoredEphemeris>,
+    /// Ionosphere coefficients and leap seconds, by kind.
+    pub coefficients: Vec<StoredCoefficients>,
+}
+
+/// How the navigation data in force after one push differ from those after another.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NavigationDifference {
+    /// Those that are in force only after the one push.
+    pub ended: NavigationRows,
+    /// Those that are in force only after the other.
+    pub begun: NavigationRows,
+}
+
 /// The beginning of the sources that own their data: these serve nobody else.
 pub(crate) const OWNER_PREFIX: &str = "device ";
 
@@ -60,8 +78,8 @@ pub struct NavigationChange<'a> {
     pub source: &'a str,
     /// Time of the push (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
-    /// Most superseded ephemerides that are stored for replay.
-    pub superseded_limit: usize,
+    /// Superseded ephemerides that stay stored for replay; `None` to leave all of them.
+    pub superseded_limit: Option<usize>,
 }
 
 const NEXT_PUSH: &str = "UPDATE navigation_pushes SET newest = newest + 1 RETURNING newest";
@@ -84,6 +102,19 @@ const FORGET: [&str; 3] = [
     "DELETE FROM navigation_records WHERE until <= $1",
     "UPDATE navigation_pushes SET complete_since = $1",
 ];
+
+const READING: &str = "reading navigation data";
+
+macro_rules! ephemeris_rows {
+    () => {
+        "SELECT since, until, source, stored_unix_ms, content FROM ephemerides "
+    };
+}
+macro_rules! record_rows {
+    () => {
+        "SELECT since, until, source, kind, content FROM navigation_records "
+    };
+}
 
 /// Binds the key of an ephemeris after the number of the push.
 macro_rules! named {
@@ -146,9 +177,14 @@ impl Store {
                         .execute(&mut *transaction)
                         .await?;
                 }
-                let surplus = sqlx::query_as(SURPLUS).bind(change.superseded_limit as i64);
-                let surplus: Option<(i64,)> = surplus.fetch_optional(&mut *transaction).await?;
-                if let Some((end,)) = surplus {
+                let surplus: Option<i64> = match change.superseded_limit {
+                    None => None,
+                    Some(limit) => {
+                        let surplus = sqlx::query_scalar(SURPLUS).bind(limit as i64);
+                        surplus.fetch_optional(&mut *transaction).await?
+                    }
+                };
+                if let Some(end) = surplus {
                     for forget in FORGET {
                         sqlx::query(forget).bind(end).execute(&mut *transaction).await?;
                     }
@@ -193,35 +229,143 @@ impl Store {
     }
 
     async fn navigation_in_force(&self, push: u64) -> Result<StoredNavigation, StoreError> {
-        let failed = "reading navigation data";
         let at = push as i64;
-        type EphemerisRow = (String, i64, Vec<u8>);
         let ephemerides: Result<Vec<EphemerisRow>, _> = reading!(bulk &self.pool, pool => {
-            let sql = "SELECT source, stored_unix_ms, content FROM ephemerides
-                       WHERE since <= $1 AND (until IS NULL OR $1 < until)";
+            let sql = concat!(
+                ephemeris_rows!(), "WHERE since <= $1 AND (until IS NULL OR $1 < until)"
+            );
             sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
-        let records: Result<Vec<(String, String, Vec<u8>)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT source, kind, content FROM navigation_records
-                       WHERE since <= $1 AND (until IS NULL OR $1 < until)";
+        let records: Result<Vec<RecordRow>, _> = reading!(&self.pool, pool => {
+            let sql = concat!(
+                record_rows!(), "WHERE since <= $1 AND (until IS NULL OR $1 < until)"
+            );
             sqlx::query_as(sql).bind(at).fetch_all(pool).await
         });
-        let parse = |(source, stored_unix_ms, content): (String, i64, Vec<u8>)| {
-            let ephemeris = decode_ephemeris(&content).map_err(StoreError::corrupt("ephemeris"))?;
-            Ok(StoredEphemeris { ephemeris, source, stored_unix_ms })
+        let ephemerides = ephemerides.map_err(StoreError::database(READING))?;
+        let records = records.map_err(StoreError::database(READING))?;
+        let ephemerides = ephemerides.into_iter().map(EphemerisRow::parse);
+        let coefficients = records.into_iter().map(RecordRow::parse);
+        Ok(StoredNavigation {
+            push,
+            ephemerides: ephemerides.collect::<Result<_, _>>()?,
+            coefficients: coefficients.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// How the navigation data in force after push `to` differ from those after push `from`, which
+    /// may be the later one. `None` if some of the difference is no longer stored.
+    ///
+    /// # Errors
+    /// The data after push `to` are no longer stored, the database fails, or a row is corrupt.
+    pub(crate) async fn navigation_difference(
+        &self,
+        from: u64,
+        to: u64,
+    ) -> Result<Option<NavigationDifference>, StoreError> {
+        let (first, last) = (from.min(to) as i64, from.max(to) as i64);
+        let ephemerides: Result<Vec<EphemerisRow>, _> = reading!(bulk &self.pool, pool => {
+            let sql = concat!(
+                ephemeris_rows!(),
+                "WHERE ($1 < since AND since <= $2) OR ($1 < until AND until <= $2)"
+            );
+            sqlx::query_as(sql).bind(first).bind(last).fetch_all(pool).await
+        });
+        let records: Result<Vec<RecordRow>, _> = reading!(&self.pool, pool => {
+            let sql = concat!(
+                record_rows!(),
+                "WHERE ($1 < since AND since <= $2) OR ($1 < until AND until <= $2)"
+            );
+            sqlx::query_as(sql).bind(first).bind(last).fetch_all(pool).await
+        });
+        let ephemerides = ephemerides.map_err(StoreError::database(READING))?;
+        let records = records.map_err(StoreError::database(READING))?;
+        // Read last: nothing that was read has been forgotten before.
+        let (_, complete_since) = self.navigation_pushes().await?;
+        if to < complete_since {
+            return Err(StoreError::NavigationForgotten { push: to, complete_since });
+        }
+        if from < complete_since {
+            return Ok(None);
+        }
+        let (mut ended, mut begun) = (NavigationRows::default(), NavigationRows::default());
+        for row in ephemerides {
+            match row.span.change(from, to) {
+                Some(Change::Ended) => ended.ephemerides.push(row.parse()?),
+                Some(Change::Begun) => begun.ephemerides.push(row.parse()?),
+                None => {}
+            }
+        }
+        for row in records {
+            match row.span.change(from, to) {
+                Some(Change::Ended) => ended.coefficients.push(row.parse()?),
+                Some(Change::Begun) => begun.coefficients.push(row.parse()?),
+                None => {}
+            }
+        }
+        Ok(Some(NavigationDifference { ended, begun }))
+    }
+}
+
+/// The pushes from which and before which a row is in force.
+#[derive(sqlx::FromRow)]
+struct Span {
+    since: i64,
+    until: Option<i64>,
+}
+
+/// What becomes of a row between two pushes.
+enum Change {
+    Ended,
+    Begun,
+}
+
+impl Span {
+    fn change(&self, from: u64, to: u64) -> Option<Change> {
+        let is_in_force = |push: u64| {
+            self.since <= push as i64 && self.until.is_none_or(|end| (push as i64) < end)
         };
-        let ephemerides = ephemerides.map_err(StoreError::database(failed))?;
-        let ephemerides = ephemerides.into_iter().map(parse).collect::<Result<_, StoreError>>()?;
-        let parse = |(source, kind, content): (String, String, Vec<u8>)| {
-            let record =
-                decode_record(&content).map_err(StoreError::corrupt("navigation record"))?;
-            let mut coefficients = Navigation::default();
-            take_over(&mut coefficients, &kind, record);
-            Ok(StoredCoefficients { coefficients, source })
-        };
-        let records = records.map_err(StoreError::database(failed))?;
-        let coefficients = records.into_iter().map(parse).collect::<Result<_, StoreError>>()?;
-        Ok(StoredNavigation { push, ephemerides, coefficients })
+        match (is_in_force(from), is_in_force(to)) {
+            (true, false) => Some(Change::Ended),
+            (false, true) => Some(Change::Begun),
+            _ => None,
+        }
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct EphemerisRow {
+    #[sqlx(flatten)]
+    span: Span,
+    source: String,
+    stored_unix_ms: i64,
+    content: Vec<u8>,
+}
+
+impl EphemerisRow {
+    fn parse(self) -> Result<StoredEphemeris, StoreError> {
+        let Self { source, stored_unix_ms, content, .. } = self;
+        let ephemeris = decode_ephemeris(&content).map_err(StoreError::corrupt("ephemeris"))?;
+        Ok(StoredEphemeris { ephemeris, source, stored_unix_ms })
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct RecordRow {
+    #[sqlx(flatten)]
+    span: Span,
+    source: String,
+    kind: String,
+    content: Vec<u8>,
+}
+
+impl RecordRow {
+    fn parse(self) -> Result<StoredCoefficients, StoreError> {
+        let record = decode_record(&self.content);
+        let record = record.map_err(StoreError::corrupt("navigation record"))?;
+        let mut coefficients = Navigation::default();
+        take_over(&mut coefficients, &self.kind, record);
+        Ok(StoredCoefficients { coefficients, source: self.source })
     }
 }
 

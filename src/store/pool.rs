@@ -1,18 +1,29 @@
-//! The pools of the two databases. The committer has a connection of its own.
+//! The pools of the two databases. The committer has a connection of its own. Lists that somebody
+//! looks at have connections of their own, so that no device waits for them.
+//!
+//! A read that nobody waits for any more must end in the database, too: a server ends it by its own
+//! limit, and SQLite asks now and then whether its time is over.
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-use sqlx::postgres::PgPoolOptions;
-use sqlx::sqlite::SqlitePoolOptions;
-use sqlx::{Connection, PgPool, SqlitePool};
+use sqlx::postgres::{PgConnectOptions, PgPoolOptions};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
+use sqlx::{Connection, PgPool, SqliteConnection, SqlitePool};
 use tokio::sync::Mutex;
 
 use super::database::{Database, POSTGRES_DURABLE};
-use super::deadline::DEADLINE;
+use super::deadline::{BULK_DEADLINE, DEADLINE};
 
 const SQLITE_READERS: u32 = 4;
+const SQLITE_LISTERS: u32 = 4;
 const POSTGRES_CONNECTIONS: u32 = 16;
+const POSTGRES_LISTERS: u32 = 4;
+/// Instructions of SQLite between two looks at the time: some 0.1 ms.
+const INSTRUCTIONS: i32 = 4_096;
+/// After a deadline, for its error to be the one that is reported.
+const GRACE: Duration = Duration::from_millis(100);
 
 /// The pools of one of the databases.
 #[derive(Clone)]
@@ -23,16 +34,35 @@ pub(super) enum Pool {
         writer: SqlitePool,
         /// The connections that read.
         readers: SqlitePool,
+        /// The connections that read lists.
+        listers: SqlitePool,
         /// Locked by who writes, in order of arrival. SQLite's own lock would be a matter of luck.
         turn: Arc<Mutex<()>>,
     },
     /// Postgres.
-    Postgres(PgPool),
+    Postgres {
+        /// The connections that read and write.
+        pool: PgPool,
+        /// The connections that read lists.
+        listers: PgPool,
+    },
 }
 
 /// Runs the same body on the reading pool of either database, with the deadline of a statement or,
-/// with `bulk`, of many rows.
+/// with `bulk`, of many rows; with `list`, on the connections for lists.
 macro_rules! reading {
+    (list $pool:expr, $executor:ident => $body:expr) => {
+        match $pool {
+            $crate::store::pool::Pool::Sqlite { listers: $executor, .. } => {
+                let read = async { $body };
+                $crate::store::deadline::within($crate::store::deadline::DEADLINE, read).await
+            }
+            $crate::store::pool::Pool::Postgres { listers: $executor, .. } => {
+                let read = async { $body };
+                $crate::store::deadline::within($crate::store::deadline::DEADLINE, read).await
+            }
+        }
+    };
     (bulk $pool:expr, $executor:ident => $body:expr) => {
         $crate::store::pool::reading!(
             $crate::store::deadline::BULK_DEADLINE, $pool, $executor => $body
@@ -46,7 +76,7 @@ macro_rules! reading {
             $crate::store::pool::Pool::Sqlite { readers: $executor, .. } => {
                 $crate::store::deadline::within($deadline, async { $body }).await
             }
-            $crate::store::pool::Pool::Postgres($executor) => {
+            $crate::store::pool::Pool::Postgres { pool: $executor, .. } => {
                 $crate::store::deadline::within($deadline, async { $body }).await
             }
         }
@@ -64,7 +94,7 @@ macro_rules! writing {
                 };
                 $crate::store::deadline::within($crate::store::deadline::BULK_DEADLINE, write).await
             }
-            $crate::store::pool::Pool::Postgres($executor) => {
+            $crate::store::pool::Pool::Postgres { pool: $executor, .. } => {
                 let write = async { $body };
                 $crate::store::deadline::within($crate::store::deadline::BULK_DEADLINE, write).await
             }
@@ -84,23 +114,38 @@ impl Pool {
                     SqlitePoolOptions::new().max_connections(1).after_release(|connection, _| {
                         Box::pin(async { Ok(!connection.is_in_transaction()) })
                     });
-                let readers = SqlitePoolOptions::new().max_connections(SQLITE_READERS);
                 Self::Sqlite {
                     writer: writer.acquire_timeout(DEADLINE).connect_lazy_with(options.clone()),
-                    readers: readers.acquire_timeout(DEADLINE).connect_lazy_with(options.clone()),
+                    readers: sqlite_readers(options, SQLITE_READERS, BULK_DEADLINE),
+                    listers: sqlite_readers(options, SQLITE_LISTERS, DEADLINE),
+                    turn: Arc::default(),
+                }
+            }
+            Database::Postgres(options) => Self::Postgres {
+                pool: postgres(options.clone(), POSTGRES_CONNECTIONS),
+                listers: postgres(
+                    options.clone().options([("statement_timeout", DEADLINE.as_millis())]),
+                    POSTGRES_LISTERS,
+                ),
+            },
+        }
+    }
+
+    /// One connection that reads, for what must not wait for other reads, and none that writes.
+    pub(super) fn of_one(database: &Database) -> Self {
+        match database {
+            Database::Sqlite(options) => {
+                let none = SqlitePoolOptions::new().connect_lazy_with(options.clone());
+                Self::Sqlite {
+                    writer: none.clone(),
+                    readers: sqlite_readers(options, 1, DEADLINE),
+                    listers: none,
                     turn: Arc::default(),
                 }
             }
             Database::Postgres(options) => {
-                let pool = PgPoolOptions::new()
-                    .max_connections(POSTGRES_CONNECTIONS)
-                    .acquire_timeout(DEADLINE)
-                    .after_connect(|connection, _| {
-                        Box::pin(async {
-                            sqlx::query(POSTGRES_DURABLE).execute(connection).await.map(drop)
-                        })
-                    });
-                Self::Postgres(pool.connect_lazy_with(options.clone()))
+                let pool = postgres(options.clone(), 1);
+                Self::Postgres { listers: pool.clone(), pool }
             }
         }
     }
@@ -109,26 +154,88 @@ impl Pool {
     pub(super) fn turn(&self) -> Arc<Mutex<()>> {
         match self {
             Self::Sqlite { turn, .. } => turn.clone(),
-            Self::Postgres(_) => Arc::default(),
+            Self::Postgres { .. } => Arc::default(),
         }
     }
 
     pub(super) async fn close(&self) {
         match self {
-            Self::Sqlite { writer, readers, .. } => {
+            Self::Sqlite { writer, readers, listers, .. } => {
                 readers.close().await;
+                listers.close().await;
                 writer.close().await;
             }
-            Self::Postgres(pool) => pool.close().await,
+            Self::Postgres { pool, listers } => {
+                listers.close().await;
+                pool.close().await;
+            }
         }
     }
+}
+
+/// Connections that read. Whatever a connection is used for ends within the limit.
+fn sqlite_readers(options: &SqliteConnectOptions, count: u32, limit: Duration) -> SqlitePool {
+    SqlitePoolOptions::new()
+        .max_connections(count)
+        .acquire_timeout(DEADLINE)
+        .after_connect(move |connection, _| Box::pin(end_after(connection, limit)))
+        // This also shows that the connection works.
+        .test_before_acquire(false)
+        .before_acquire(move |connection, _| {
+            Box::pin(async move { end_after(connection, limit).await.map(|()| true) })
+        })
+        .connect_lazy_with(options.clone())
+}
+
+/// Interrupts whatever runs on a connection when a time has passed.
+async fn end_after(connection: &mut SqliteConnection, limit: Duration) -> Result<(), sqlx::Error> {
+    let end = Instant::now() + limit + GRACE;
+    let mut connection = connection.lock_handle().await?;
+    connection.set_progress_handler(INSTRUCTIONS, move || Instant::now() < end);
+    Ok(())
+}
+
+fn postgres(options: PgConnectOptions, count: u32) -> PgPool {
+    PgPoolOptions::new()
+        .max_connections(count)
+        .acquire_timeout(DEADLINE)
+        .after_connect(|connection, _| {
+            Box::pin(async { sqlx::query(POSTGRES_DURABLE).execute(connection).await.map(drop) })
+        })
+        .connect_lazy_with(options)
 }
 
 impl fmt::Debug for Pool {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Sqlite { .. } => "Sqlite",
-            Self::Postgres(_) => "Postgres",
+            Self::Postgres { .. } => "Postgres",
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// More lists than connections time out. Their connections serve again at once, and other reads
+    /// never wait.
+    #[tokio::test]
+    async fn a_read_whose_time_is_over_ends_in_the_database() {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}?mode=rwc", folder.path().join("graphfix.db").display());
+        let Database::Sqlite(options) = Database::parse(&url).unwrap() else { panic!("SQLite") };
+        let limit = Duration::from_millis(50);
+        let listers = sqlite_readers(&options, 1, limit);
+        let endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) \
+                       SELECT COUNT(*) FROM n";
+        for _ in 0..3 {
+            let read = sqlx::query_scalar::<_, i64>(endless).fetch_one(&listers);
+            let begun = Instant::now();
+            assert!(tokio::time::timeout(limit, read).await.is_err());
+            let next: i64 = sqlx::query_scalar("SELECT 1").fetch_one(&listers).await.unwrap();
+            assert_eq!(next, 1);
+            assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());
+        }
     }
 }

@@ -55,7 +55,10 @@ const TO_REMOVE: [&str; 2] = [
          OR EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session))"
     ),
 ];
-const MARK: &str = "UPDATE session_heads SET removed_through = $2 \
+/// What is counted as stored shrinks as the numbers of epochs do.
+const MARK: &str = "UPDATE session_heads SET removed_through = $2, stored_bytes = \
+    CASE WHEN last_seq > $2 THEN CAST(stored_bytes * (1.0 * (last_seq - $2) \
+    / (last_seq - COALESCE(removed_through, 0))) AS BIGINT) ELSE 0 END \
     WHERE session = $1 AND (removed_through IS NULL OR removed_through < $2)";
 /// Number of the epoch up to which a step removes.
 const LAST_OF_STEP: &str = "SELECT seq FROM epochs WHERE session = $1 AND seq <= $2 \
@@ -128,7 +131,7 @@ impl Store {
         let mut found = Vec::new();
         for sql in queries {
             let rows: Result<Vec<(i64, i64)>, _> = reading!(bulk &self.pool, pool => {
-                sqlx::query_as(*sql)
+                sqlx::query_as(sql)
                     .bind(today)
                     .bind(i64::from(days))
                     .bind(SESSIONS)

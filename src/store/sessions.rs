@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use crate::tenant::Tenant;
+
 use super::page::rows_asked;
 use super::pool::{reading, writing};
 use super::{AntennaName, BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
@@ -58,6 +60,8 @@ pub struct SessionRow {
     pub key: SessionKey,
     /// Public id of the session.
     pub id: String,
+    /// To whom it belongs.
+    pub tenant: Tenant,
     /// Settings of the session.
     pub settings: SessionSettings,
     /// When it was created (ms since 1970-01-01 UTC).
@@ -76,6 +80,7 @@ pub struct SessionRow {
 struct RawSession {
     key: i64,
     id: String,
+    tenant: String,
     label: String,
     mode: String,
     profile: String,
@@ -123,6 +128,7 @@ impl RawSession {
         Ok(SessionRow {
             key: SessionKey(self.key),
             id: self.id,
+            tenant: Tenant::stored(&self.tenant),
             settings: SessionSettings {
                 label: self.label,
                 mode: self.mode,
@@ -184,8 +190,8 @@ macro_rules! insert_candidates {
 macro_rules! select_sessions {
     ($condition:literal) => {
         concat!(
-            "SELECT key, id, label, mode, profile, overrides, configuration, configuration_hash, ",
-            "created_unix_ms, session_heads.closed_unix_ms AS closed_unix_ms, ",
+            "SELECT key, id, tenant, label, mode, profile, overrides, configuration, ",
+            "configuration_hash, created_unix_ms, session_heads.closed_unix_ms AS closed_unix_ms, ",
             "last_seq, raw_through, removed_through, retention_days, ",
             "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, ",
             "base_choice, antenna, calibration ",
@@ -196,12 +202,13 @@ macro_rules! select_sessions {
 }
 
 impl Store {
-    /// Stores a new session.
+    /// Stores a new session of a tenant.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
     pub async fn create_session(
         &self,
+        tenant: &Tenant,
         id: &str,
         settings: &SessionSettings,
         created_unix_ms: i64,
@@ -213,8 +220,8 @@ impl Store {
                 let insert = sqlx::query_as(
                     "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
                                            configuration_hash, created_unix_ms, base, base_choice,
-                                           antenna, calibration, retention_days)
-                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)
+                                           antenna, calibration, retention_days, tenant)
+                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14)
                      RETURNING key",
                 )
                 .bind(id)
@@ -229,7 +236,8 @@ impl Store {
                 .bind(choice_column(&settings.base))
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration))
-                .bind(settings.retention_days.map(i64::from));
+                .bind(settings.retention_days.map(i64::from))
+                .bind(tenant.name());
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 insert_candidates!(transaction, key, &settings.base);
                 let head = "INSERT INTO session_heads (session, owner, fence) VALUES ($1, '', 0)";
@@ -243,6 +251,7 @@ impl Store {
         Ok(SessionRow {
             key: SessionKey(key),
             id: id.to_owned(),
+            tenant: tenant.clone(),
             settings: settings.clone(),
             created_unix_ms,
             closed_unix_ms: None,
@@ -252,14 +261,34 @@ impl Store {
         })
     }
 
-    /// The session with this id.
+    /// The session of a tenant with this id.
     ///
     /// # Errors
     /// The database fails, or the row is corrupt.
-    pub async fn session(&self, id: &str) -> Result<Option<SessionRow>, StoreError> {
+    pub async fn session(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+    ) -> Result<Option<SessionRow>, StoreError> {
+        self.session_of(tenant.name(), id).await
+    }
+
+    /// The session with this id, of whichever tenant: for its own task, and for who has the
+    /// database.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn session_of_any(&self, id: &str) -> Result<Option<SessionRow>, StoreError> {
+        self.session_of("", id).await
+    }
+
+    /// The session of a tenant, or of any if its name is empty.
+    async fn session_of(&self, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
         let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
-            let sql = select_sessions!("WHERE id = $1 AND deleted_unix_ms IS NULL");
-            sqlx::query_as(sql).bind(id).fetch_optional(pool).await
+            let sql = select_sessions!(
+                "WHERE id = $1 AND ($2 = '' OR tenant = $2) AND deleted_unix_ms IS NULL"
+            );
+            sqlx::query_as(sql).bind(id).bind(tenant).fetch_optional(pool).await
         });
         let Some(row) = row.map_err(StoreError::database("reading a session"))? else {
             return Ok(None);
@@ -271,11 +300,15 @@ impl Store {
         row.parse(&candidates).map(Some)
     }
 
-    /// The key of an id, of deleted sessions too.
-    pub(super) async fn key_of(&self, id: &str) -> Result<Option<i64>, StoreError> {
+    /// The key of a tenant's session, of deleted ones too.
+    pub(super) async fn key_of(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+    ) -> Result<Option<i64>, StoreError> {
         let key: Result<Option<i64>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key FROM sessions WHERE id = $1";
-            sqlx::query_scalar(sql).bind(id).fetch_optional(pool).await
+            let sql = "SELECT key FROM sessions WHERE id = $1 AND tenant = $2";
+            sqlx::query_scalar(sql).bind(id).bind(tenant.name()).fetch_optional(pool).await
         });
         key.map_err(StoreError::database("reading a session"))
     }
@@ -291,12 +324,13 @@ impl Store {
         rows.map_err(StoreError::database("reading a session's bases"))
     }
 
-    /// A page of sessions, the newest first.
+    /// A page of the sessions of a tenant, the newest first.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
     pub(crate) async fn sessions(
         &self,
+        tenant: &Tenant,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionRow>, StoreError> {
@@ -304,15 +338,17 @@ impl Store {
         let before = match page_token {
             None => i64::MAX,
             Some(id) => {
-                let key = self.key_of(id).await?;
+                let key = self.key_of(tenant, id).await?;
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
         let rows: Result<Vec<RawSession>, _> = reading!(&self.pool, pool => {
             let sql = select_sessions!(
-                "WHERE key < $1 AND deleted_unix_ms IS NULL ORDER BY key DESC LIMIT $2"
+                "WHERE tenant = $1 AND key < $2 AND deleted_unix_ms IS NULL \
+                 ORDER BY key DESC LIMIT $3"
             );
             sqlx::query_as(sql)
+                .bind(tenant.name())
                 .bind(before)
                 .bind(rows_asked)
                 .fetch_all(pool)

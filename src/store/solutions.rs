@@ -3,14 +3,24 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use tokio::task::coop::consume_budget;
+
 use crate::gnss::{GpsTime, Solution, Status};
 
 use super::codec::{SolutionColumns, decode_solution, is_relative, status_number};
+use super::deadline::{DEADLINE, within};
 use super::page::rows_asked;
-use super::pool::reading;
+use super::pool::{Pool, reading};
 use super::{Page, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
+/// Epochs that are looked through for those of one status. A page ends there, full or not.
+const SCANNED_EPOCHS: usize = 20_000;
+/// The number of the epoch after so many others.
+const NUMBER_AFTER: &str = "SELECT seq FROM epochs \
+    WHERE session = $1 AND seq >= $2 AND seq <= $3 AND seq > COALESCE(\
+    (SELECT removed_through FROM session_heads h WHERE h.session = $1), -1) \
+    ORDER BY seq LIMIT 1 OFFSET $4";
 
 /// A stored solution.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +65,16 @@ pub struct SolutionQuery {
     pub page_size: usize,
     /// Token of the page; `None` for the first page.
     pub page_token: Option<String>,
+}
+
+impl SolutionQuery {
+    /// Checks the size of the page.
+    ///
+    /// # Errors
+    /// It is out of range.
+    pub(crate) fn check(&self) -> Result<(), StoreError> {
+        rows_asked(self.page_size, PAGE_LIMIT).map(drop)
+    }
 }
 
 #[derive(sqlx::FromRow)]
@@ -160,7 +180,8 @@ macro_rules! list {
 }
 
 impl Store {
-    /// A page of a session's solutions in order of epoch number and revision.
+    /// A page of a session's solutions in order of epoch number and revision. It may have fewer
+    /// than its size, or none, although there are more: its token tells.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
@@ -179,14 +200,63 @@ impl Store {
         let Some((first, last)) = self.numbers_between(session, query.from, query.to).await? else {
             return Ok(Page { items: Vec::new(), next_page_token: None });
         };
-        let rows = self.select(session, query, (first, last), after, rows_asked).await;
+        let first = first.max(after.0);
+        let scanned = self.scanned_through(session, query, (first, last)).await?;
+        let numbers = (first, scanned.unwrap_or(last));
+        let rows = self.select(session, query, numbers, after, rows_asked).await;
         let rows = rows.map_err(StoreError::database("listing solutions"))?;
         let token = |row: &RawSolution| format!("{}.{}", row.seq, row.revision);
         let Page { mut items, next_page_token } = Page::of(rows, query.page_size, token);
         // Of a revision that was stored on two days, one is listed.
         items.dedup_by_key(|row| (row.seq, row.revision));
         let items = self.decoded_solutions(session, items).await?;
-        Ok(Page { items, next_page_token })
+        let beyond = || scanned.map(|seq| format!("{seq}.{}", i32::MAX));
+        Ok(Page { items, next_page_token: next_page_token.or_else(beyond) })
+    }
+
+    /// Number of the epoch with which a page ends at the latest; `None` if no limit is reached
+    /// between these numbers. Without it, a database would look through a whole session for a
+    /// status, or for the revisions that are the last ones.
+    async fn scanned_through(
+        &self,
+        session: SessionKey,
+        query: &SolutionQuery,
+        (first, last): (i64, i64),
+    ) -> Result<Option<i64>, StoreError> {
+        let epochs = match (query.status, query.revisions) {
+            (None, Revisions::Last) => query.page_size + 1, // Each has one.
+            (Some(_), _) => SCANNED_EPOCHS.max(query.page_size + 1),
+            _ => return Ok(None),
+        };
+        let number: Result<Option<i64>, _> = reading!(list &self.pool, pool => {
+            let number = sqlx::query_scalar(NUMBER_AFTER).bind(session.0).bind(first).bind(last);
+            number.bind(epochs as i64).fetch_optional(pool).await
+        });
+        number.map_err(StoreError::database("listing solutions"))
+    }
+
+    /// All revisions of the solution of an epoch; up to 100.
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub(crate) async fn solutions_of(
+        &self,
+        session: SessionKey,
+        seq: u64,
+    ) -> Result<Vec<StoredSolution>, StoreError> {
+        let query = SolutionQuery {
+            from: None,
+            to: None,
+            status: None,
+            revisions: Revisions::All,
+            page_size: 100,
+            page_token: None,
+        };
+        let (seq, rows) = (seq as i64, query.page_size as i64);
+        let rows = self.select(session, &query, (seq, seq), (-1, i32::MAX), rows).await;
+        let mut rows = rows.map_err(StoreError::database("reading an epoch's solutions"))?;
+        rows.dedup_by_key(|row| row.revision); // It may have been stored on two days.
+        self.decoded_solutions(session, rows).await
     }
 
     /// Number of the last epoch of a session with a later revision than the real-time answer.
@@ -221,15 +291,16 @@ impl Store {
             Revisions::Later => list!("AND 1 = 0", ""),
             Revisions::Last => list!(
                 "AND NOT EXISTS (SELECT 1 FROM revisions n WHERE n.session = e.session \
-                 AND n.seq = e.seq)",
+                 AND n.seq = e.seq AND n.seq >= $2 AND n.seq <= $3)",
                 "AND NOT EXISTS (SELECT 1 FROM revisions n WHERE n.session = r.session \
-                 AND n.seq = r.seq AND n.revision > r.revision)"
+                 AND n.seq = r.seq AND n.revision > r.revision \
+                 AND n.seq >= $2 AND n.seq <= $3)"
             ),
         };
         let (from, to) = time_columns(query.from, query.to);
-        reading!(&self.pool, pool => sqlx::query_as(sql)
+        reading!(list &self.pool, pool => sqlx::query_as(sql)
             .bind(session.0)
-            .bind(first.max(after_seq))
+            .bind(first)
             .bind(last)
             .bind(after_seq)
             .bind(after_revision)
@@ -251,6 +322,7 @@ impl Store {
         let firsts = self.first_answers(session, &rows).await?;
         let (mut solutions, mut last) = (Vec::with_capacity(rows.len()), None);
         for row in rows {
+            consume_budget().await; // Many rows don't hold the thread up.
             let first = match &last {
                 Some((seq, content)) if *seq == row.seq => Some(content),
                 _ => firsts.get(&row.seq),
@@ -281,14 +353,23 @@ impl Store {
                 _ => {}
             }
         }
-        let Some((first, last)) = needed.first().zip(needed.last()) else {
+        if needed.is_empty() {
             return Ok(HashMap::new());
+        }
+        let found: Result<Vec<(i64, Vec<u8>)>, _> = match &self.pool {
+            Pool::Sqlite { listers, .. } => {
+                let list = serde_json::to_string(&needed).expect("a list of numbers is JSON");
+                let sql = "SELECT seq, solution FROM epochs
+                           WHERE session = $1 AND seq IN (SELECT value FROM json_each($2))";
+                let rows = sqlx::query_as(sql).bind(session.0).bind(list).fetch_all(listers);
+                within(DEADLINE, rows).await
+            }
+            Pool::Postgres { listers, .. } => {
+                let sql = "SELECT seq, solution FROM epochs WHERE session = $1 AND seq = ANY($2)";
+                let rows = sqlx::query_as(sql).bind(session.0).bind(needed).fetch_all(listers);
+                within(DEADLINE, rows).await
+            }
         };
-        let found: Result<Vec<(i64, Vec<u8>)>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT seq, solution FROM epochs
-                       WHERE session = $1 AND $2 <= seq AND seq <= $3";
-            sqlx::query_as(sql).bind(session.0).bind(*first).bind(*last).fetch_all(pool).await
-        });
         let found = found.map_err(StoreError::database("reading first answers"))?;
         Ok(found.into_iter().collect())
     }
@@ -304,4 +385,76 @@ fn parse_token(token: &str) -> Option<(i64, i32)> {
     let (seq, revision) = token.split_once('.')?;
     let (seq, revision) = (seq.parse().ok()?, revision.parse().ok()?);
     (0 <= seq && 0 <= revision).then_some((seq, revision))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use crate::gnss::Epoch;
+    use crate::store::{BaseChoice, Batch, EncodedEpoch, SessionSettings};
+
+    use super::*;
+
+    /// A session with this many epochs without a position.
+    async fn session(store: &Store, epochs: u64) -> SessionKey {
+        let settings = SessionSettings {
+            label: String::new(),
+            mode: "spp".to_owned(),
+            profile: "general".to_owned(),
+            overrides: BTreeMap::new(),
+            configuration: BTreeMap::new(),
+            configuration_hash: "c0ffee".into(),
+            base: BaseChoice::None,
+            antenna: None,
+            retention_days: None,
+        };
+        let key = store
+            .create_session(&crate::tenant::Tenant::operator(), "one", &settings, 0)
+            .await
+            .unwrap()
+            .key;
+        let encoded = |seq: u64| {
+            let time = GpsTime::from_week_seconds(2300, seq as f64);
+            let solution = Solution::none(time, vec![]);
+            let (version, configuration_hash) = ("0.1.0".into(), "c0ffee".into());
+            let answer = StoredSolution { seq, revision: 0, solution, version, configuration_hash };
+            EncodedEpoch::new(Arc::new(Epoch::new(time)), &answer, 0, None, None)
+        };
+        let epochs = (1..=epochs).map(encoded).collect();
+        store.commit(Batch { epochs, ..Batch::new(key, None) }).await.unwrap();
+        key
+    }
+
+    /// A list for a status that no epoch has reads some thousand epochs a page, not the session.
+    #[tokio::test]
+    async fn a_page_looks_through_some_epochs_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let store = Store::open(&url).await.unwrap();
+        let scanned = SCANNED_EPOCHS as u64;
+        let key = session(&store, scanned + 100).await;
+        let mut query = SolutionQuery {
+            from: None,
+            to: None,
+            status: Some(Status::Fixed),
+            revisions: Revisions::Last,
+            page_size: 10,
+            page_token: None,
+        };
+        let page = store.solutions(key, &query).await.unwrap();
+        let token = format!("{}.{}", scanned + 1, i32::MAX);
+        assert_eq!((page.items.len(), &page.next_page_token), (0, &Some(token)));
+        query.page_token = page.next_page_token;
+        let page = store.solutions(key, &query).await.unwrap();
+        assert_eq!((page.items.len(), page.next_page_token), (0, None));
+
+        (query.status, query.page_token) = (None, None);
+        for pages in 0..3 {
+            let page = store.solutions(key, &query).await.unwrap();
+            let numbers: Vec<u64> = page.items.iter().map(|solution| solution.seq).collect();
+            assert_eq!(numbers, (10 * pages + 1..=10 * pages + 10).collect::<Vec<_>>());
+            query.page_token = page.next_page_token;
+        }
+    }
 }

@@ -110,7 +110,7 @@ impl Store {
         session: SessionKey,
         (first, last): (i64, i64),
     ) -> Result<Option<Found>, StoreError> {
-        let row: Result<Option<Found>, _> = reading!(&self.pool, pool => {
+        let row: Result<Option<Found>, _> = reading!(list &self.pool, pool => {
             sqlx::query_as(sql).bind(session.0).bind(first).bind(last).fetch_optional(pool).await
         });
         row.map_err(StoreError::database("finding a time"))

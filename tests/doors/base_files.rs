@@ -94,7 +94,7 @@ async fn session(doors: &Doors, base: &str) -> String {
         base: base.to_owned(),
         ..Default::default()
     };
-    calls::sessions::create(&doors.service, new).await.unwrap().session
+    calls::sessions::create(&doors.caller(), new).await.unwrap().session
 }
 
 /// Positions some of the rover's epochs.
@@ -107,7 +107,7 @@ async fn push(
     let message = |e: &graphfix::session::SequencedEpoch| convert::epoch_message(e.seq, &e.epoch);
     let epochs = pair.rover[epochs].iter().map(message).collect();
     let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
-    let pushed = calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+    let pushed = calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
     pushed.results.into_iter().map(|result| result.solution.unwrap()).collect()
 }
 
@@ -382,7 +382,7 @@ async fn crinex_is_taken_as_archives_have_it() {
     let rover = session(&doors, &base).await;
     let epochs = vec![convert::epoch_message(1, &expected[0])];
     let push = v1::PushEpochsRequest { session: rover, epochs };
-    calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+    calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
     let held = doors.until(&path(&base), |base| count(&base["archive"], "files") == 1).await;
     let missing = &held["archive"]["missing"];
     assert_eq!((&held["epochs"], missing), (&json!(expected.len()), &json!(0)));

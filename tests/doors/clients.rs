@@ -1,4 +1,5 @@
-//! Independent clients: Python's grpcio with stubs generated from `proto/`, and curl.
+//! Independent clients: Python's grpcio with stubs generated from `proto/`, curl, and the tests of
+//! the Python client.
 
 use std::fs;
 use std::path::Path;
@@ -93,4 +94,21 @@ fn as_python_prints(solution: &Value) -> Value {
         "ecef": [ecef["xM"], ecef["yM"], ecef["zM"]],
         "hash": solution["provenance"]["configurationHash"],
     })
+}
+
+/// Builds the wheel, installs it into a clean environment, and runs the client's own tests: among
+/// them `kill -9` in the middle of streams.
+#[test]
+fn the_python_client_passes_its_tests() {
+    // Without it nothing has prepared a Python, nor the packages that the client needs.
+    let Some(python) = python::with("grpc_tools") else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/client");
+    let mut tests = Command::new(script);
+    tests.arg(env!("CARGO_BIN_EXE_graphfix")).arg(env!("CARGO_TARGET_TMPDIR"));
+    let output = tests.env("GRAPHFIX_TEST_PYTHON", python).output().unwrap();
+    let [printed, errors] =
+        [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    assert!(output.status.success(), "{printed}{errors}");
+    // pytest says how many; none would be a mistake of the script.
+    assert!(printed.contains(" passed"), "{printed}");
 }

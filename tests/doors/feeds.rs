@@ -60,7 +60,7 @@ async fn session_of(doors: &Doors, base: &str, mode: &str, options: &[(&str, &st
         base: base.to_owned(),
         ..Default::default()
     };
-    calls::sessions::create(&doors.service, new).await.unwrap().session
+    calls::sessions::create(&doors.caller(), new).await.unwrap().session
 }
 
 fn second(solution: &v1::Solution) -> f64 {
@@ -245,7 +245,7 @@ async fn last_answers(
     let mut answers = Vec::new();
     for session in sessions {
         let push = v1::PushEpochsRequest { session: session.clone(), epochs: messages.clone() };
-        let answer = calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+        let answer = calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
         assert_eq!(answer.durable_through, Some(first_seq + epochs.len() as u64 - 1));
         answers.push(answer.results.into_iter().next_back().unwrap().solution.unwrap());
     }

@@ -433,7 +433,7 @@ async fn between() -> (Doors, [String; 2]) {
         *id = base["base"].as_str().unwrap().to_owned();
         let epochs = epochs.iter().map(|epoch| convert::epoch_message(0, epoch)).collect();
         let push = v1::PushBaseEpochsRequest { base: id.clone(), epochs };
-        calls::bases::push_epochs(&doors.service, push).await.unwrap();
+        calls::bases::push_epochs(&doors.caller(), push).await.unwrap();
     }
     (doors, ids)
 }
@@ -473,10 +473,10 @@ async fn both_doors_take_the_nearest_base() {
 
     let base = "nearest".to_owned();
     let new = v1::CreateSessionRequest { mode: "rtk-fgo".into(), base, ..Default::default() };
-    let session = calls::sessions::create(&doors.service, new).await.unwrap();
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap();
     assert_eq!((session.base.as_str(), session.bases.len()), ("nearest", 0));
     let push = v1::PushEpochsRequest { session: session.session, epochs: rover() };
-    let answer = calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+    let answer = calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
     let solution = answer.results[109].solution.as_ref().unwrap();
     assert_eq!(solution.provenance.as_ref().unwrap().base.as_ref().unwrap().base, east);
 

@@ -55,11 +55,11 @@ async fn a_caster_is_told_where_the_rover_is() {
     assert!(told.is_err(), "a place is told that nobody knows: {told:?}");
 
     let new = v1::CreateSessionRequest { mode: "rtk-fgo".to_owned(), base, ..Default::default() };
-    let session = calls::sessions::create(&doors.service, new).await.unwrap().session;
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().session;
     for batch in PAIR.rover[..40].chunks(20) {
         let epochs = batch.iter().map(|e| convert::epoch_message(e.seq, &e.epoch)).collect();
         let push = v1::PushEpochsRequest { session: session.clone(), epochs };
-        let answer = calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+        let answer = calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
         let last = answer.results.last().unwrap().solution.as_ref().unwrap();
         let ecef = last.position.as_ref().unwrap().ecef.as_ref().unwrap();
         let place = Ecef::new(ecef.x_m, ecef.y_m, ecef.z_m).to_geodetic();

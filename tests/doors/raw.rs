@@ -53,7 +53,7 @@ fn numbers(received: &RawReceived) -> Vec<u64> {
 
 /// All stored epochs of a session, numbered from 1.
 async fn stored(store: &Store, id: &SessionId) -> Vec<Epoch> {
-    let key = store.session(id.as_str()).await.unwrap().unwrap().key;
+    let key = store.session_of_any(id.as_str()).await.unwrap().unwrap().key;
     let mut rows: Vec<StoredEpoch> = store.epochs_after(key, None, 10_000).await.unwrap();
     rows.sort_by_key(|row| row.solution.seq);
     for (index, row) in rows.iter().enumerate() {
@@ -123,7 +123,7 @@ async fn split_anywhere_it_gives_the_epochs_of_the_file(database: Database) {
     assert!(200 < expected.len(), "{}", expected.len());
     assert_eq!(stored(&store, &id).await, expected);
     // Only the observed bytes: they contain the ephemerides.
-    let key = store.session(id.as_str()).await.unwrap().unwrap().key;
+    let key = store.session_of_any(id.as_str()).await.unwrap().unwrap().key;
     let rows = store.epochs_after(key, None, 10_000).await.unwrap();
     let single = rows.iter().filter(|row| row.solution.solution.status == Status::Single).count();
     assert!(expected.len() * 8 / 10 < single, "{single} of {}", expected.len());
@@ -569,7 +569,7 @@ async fn a_device_needs_nothing_but_its_bytes() {
     let Some(stream) = log(600_000) else { return };
     let doors = Doors::open().await;
     let new = v1::CreateSessionRequest { mode: "fgo".into(), ..Default::default() };
-    let session = calls::sessions::create(&doors.service, new).await.unwrap().session;
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().session;
     let (mut offset, mut errors_m) = (0, Vec::new());
     // The receiver's own RTK position in the data set.
     let (latitude_rad, longitude_rad) =
@@ -580,7 +580,7 @@ async fn a_device_needs_nothing_but_its_bytes() {
         let session = session.clone();
         let push = v1::PushRawRequest { session, offset, content, end: false, near: None };
         offset += bytes.len() as u64;
-        for result in calls::raw::push(&doors.service, push).await.unwrap().results {
+        for result in calls::raw::push(&doors.caller(), push).await.unwrap().results {
             let Some(position) = result.solution.unwrap().position else { continue };
             let there = position.ecef.unwrap();
             let there = Ecef::new(there.x_m, there.y_m, there.z_m);

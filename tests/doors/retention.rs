@@ -17,6 +17,7 @@ on_both_databases!(
     a_store_with_retention_stays_flat,
     a_session_has_its_own_retention,
     a_closed_session_expires,
+    a_step_of_the_clock_removes_nothing,
     a_replay_needs_a_readable_snapshot,
 );
 
@@ -285,4 +286,41 @@ async fn retention_is_an_option_of_a_session() {
     let (status, refused) = doors.post("/v1/sessions", json!({"retentionDays": 36_501})).await;
     assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
     assert_eq!(refused["field"], json!("retentionDays"));
+}
+
+/// A clock that is set years ahead removes nothing, at once or at a restart, until a device sends
+/// an epoch of that time. Time that passes is counted all the same.
+async fn a_step_of_the_clock_removes_nothing(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let id = sessions.create(new_session()).await.unwrap().id;
+    for day in 0..3 {
+        live_a_day(&sessions, &clock, &id, day).await;
+        sessions.remove_expired().await.unwrap();
+    }
+    assert_eq!(sessions.clock_ahead(), None);
+    let kept = database.count("epochs").await;
+    let wrong = START + 1_000 * MS_PER_DAY;
+    clock.step(wrong);
+    let restarted = desk(&store, &clock).await;
+    for sessions in [&sessions, &restarted] {
+        sessions.remove_expired().await.unwrap();
+        assert_eq!(database.count("epochs").await, kept);
+        let ahead_days = sessions.clock_ahead().unwrap().as_secs_f64() / 86_400.0;
+        assert!((997.9..998.1).contains(&ahead_days), "{ahead_days}");
+    }
+    let oldest = async || sessions.get(&id).await.unwrap().oldest_available;
+    assert_eq!(oldest().await, None);
+    clock.set(wrong + MS_PER_DAY);
+    restarted.remove_expired().await.unwrap();
+    let after_a_day = oldest().await.unwrap();
+    assert!((2..PER_DAY).contains(&after_a_day), "{after_a_day}");
+
+    let present = sessions.create(new_session()).await.unwrap().id;
+    let since_week_2051_s = (wrong + MS_PER_DAY) / 1_000 - 315_964_800 - 2_051 * 604_800;
+    let live = outcome(&sessions, &present, epoch(1, since_week_2051_s as f64)).await;
+    assert!(live.result.is_ok(), "{live:?}");
+    restarted.remove_expired().await.unwrap();
+    assert_eq!(restarted.clock_ahead(), None);
+    assert!(2 * PER_DAY < oldest().await.unwrap());
 }

@@ -31,6 +31,7 @@ on_both_databases!(
     an_epoch_beyond_the_limits_is_refused,
     an_epoch_of_the_future_does_no_harm,
     a_reset_session_takes_epochs_of_any_time,
+    resets_are_bounded,
     a_closed_session_is_readable,
     a_deleted_session_leaves_nothing,
     an_update_holds_for_the_epochs_that_follow,
@@ -46,6 +47,7 @@ on_both_databases!(
     another_writer_is_noticed,
     corrupt_rows_are_errors,
     sessions_are_listed_in_pages,
+    sessions_with_options_of_another_version_are_listed,
     configurations_that_do_not_exist_are_refused,
     requests_are_solved_without_a_trace,
 );
@@ -401,7 +403,7 @@ async fn parked_sessions_go_on(database: Database) {
             assert_eq!(stored_numbers(&sessions, id).await, [1, 2, 3, 4]);
         }
         // A task may start before the one before it has left its state.
-        let restores = sessions.counts().restores;
+        let restores = sessions.counts().restores();
         assert_eq!(restores < 4 * 5, is_kept, "{restores} restores");
     }
     let few = SessionLimits { active_sessions: 2, ..limits() };
@@ -637,4 +639,38 @@ async fn real_epochs_give_the_same_bits_after_restarts() {
     assert_eq!(stored(&sessions, &restarted).await, expected);
     let solved = sessions.solve(&whole, &SolveRequest::default()).await.unwrap();
     assert_eq!(solved.solution, expected.last().unwrap().solution);
+}
+
+async fn resets_are_bounded(database: Database) {
+    let sessions = desk(&database.store().await).await;
+    let id = created(&sessions).await;
+    sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
+    let arcs = "INSERT INTO session_arcs (session, after_seq, created_unix_ms) \
+                WITH RECURSIVE n(i) AS (SELECT -998 UNION ALL SELECT i + 1 FROM n WHERE i < 0) \
+                SELECT 1, i, 0 FROM n";
+    database.execute(arcs).await;
+    sessions.reset(&id).await.unwrap();
+    sessions.submit(&id, vec![epoch(2, 1.0)]).await.unwrap();
+    let refused = sessions.reset(&id).await.unwrap_err();
+    assert_eq!(refused.code().name(), "TOO_MANY_ARCS", "{refused}");
+    assert!(sessions.submit(&id, vec![epoch(3, 2.0)]).await.unwrap().outcomes[0].result.is_ok());
+}
+
+/// The options that this version knows are shown, those of another one do no harm.
+async fn sessions_with_options_of_another_version_are_listed(database: Database) {
+    let sessions = desk(&database.store().await).await;
+    let (id, other) = (created(&sessions).await, created(&sessions).await);
+    let known = sessions.get(&id).await.unwrap();
+    let update = r#"UPDATE sessions SET configuration = '{"elevation_mask_deg":"17","of_later":"1"}'
+                    WHERE key = 1"#;
+    database.execute(update).await;
+    let listed = sessions.list(10, None).await.unwrap().items;
+    let ids: Vec<_> = listed.iter().map(|session| session.id.clone()).collect();
+    assert_eq!(ids, [other, id]);
+    let names = |session: &graphfix::session::SessionInfo| {
+        session.configuration.iter().map(|entry| entry.name).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&listed[1]), names(&known));
+    let mask = listed[1].configuration.iter().find(|entry| entry.name == "elevation_mask_deg");
+    assert_eq!(mask.map(|entry| &*entry.value), Some("17"));
 }

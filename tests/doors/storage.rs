@@ -160,7 +160,7 @@ async fn a_chain_is_read_from_any_epoch(database: Database) {
     let id = support::created(&sessions).await;
     let pushed: Vec<_> = (1..=40).map(|seq| epoch(seq, seq as f64)).collect();
     sessions.submit(&id, pushed.clone()).await.unwrap();
-    let key = store.session(id.as_str()).await.unwrap().unwrap().key;
+    let key = store.session_of_any(id.as_str()).await.unwrap().unwrap().key;
     let read = |rows: Vec<StoredEpoch>| -> Vec<SequencedEpoch> {
         let sequenced =
             |row: StoredEpoch| SequencedEpoch { seq: row.solution.seq, epoch: row.epoch };

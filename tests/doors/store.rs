@@ -1,6 +1,9 @@
 //! The store and the navigation broker, on both databases.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 
 use graphfix::aiding::{AidingLimits, NavigationBroker};
@@ -12,6 +15,7 @@ use graphfix::store::{
     BaseChoice, Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery,
     Store, StoreError, StoredSolution,
 };
+use graphfix::tenant::Tenant;
 
 use crate::support::database::{Database, on_both_databases, whole_session};
 
@@ -41,7 +45,7 @@ async fn session(store: &Store, id: &str) -> SessionKey {
         antenna: None,
         retention_days: None,
     };
-    store.create_session(id, &settings, 0).await.unwrap().key
+    store.create_session(&Tenant::operator(), id, &settings, 0).await.unwrap().key
 }
 
 fn time(second: u64) -> GpsTime {
@@ -200,11 +204,20 @@ async fn a_newer_schema_is_refused(database: Database) {
                  checksum, execution_time FROM _sqlx_migrations WHERE version = 1";
     database.execute(later).await;
     let error = Store::open(&database.url).await.unwrap_err();
+    let known = newest_migration();
     assert_eq!(
         error.to_string(),
-        "the database has schema 9000, this Graphfix knows schemas up to 18"
+        format!("the database has schema 9000, this Graphfix knows schemas up to {known}")
     );
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_NEWER");
+}
+
+/// The number with which the name of the newest migration begins.
+fn newest_migration() -> u32 {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
+    let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
+    let number = |name: OsString| name.to_str().unwrap()[..4].parse().unwrap();
+    names.map(number).max().unwrap()
 }
 
 /// If the list of migrations is lost, the schema is unknown.

@@ -27,16 +27,16 @@ const EPOCHS: u64 = 5;
 async fn make_schema(database: &Database, schema: i64) {
     let is_sqlite = database.url.starts_with("sqlite");
     let folder = if is_sqlite { "migrations/sqlite" } else { "migrations/postgres" };
-    let all = Migrator::new(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).await.unwrap();
-    let known = all.iter().filter(|migration| migration.version <= schema).cloned().collect();
-    let known = Migrator::with_migrations(known);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    let mut known = Migrator::new(folder).await.unwrap();
+    known.migrations.to_mut().retain(|migration| migration.version <= schema);
     if is_sqlite {
         let url = format!("{}?mode=rwc", database.url);
         let mut connection = SqliteConnection::connect(&url).await.unwrap();
-        known.run_direct(None, &mut connection, false).await.unwrap();
+        known.run_direct(&mut connection).await.unwrap();
     } else {
         let mut connection = PgConnection::connect(&database.url).await.unwrap();
-        known.run_direct(None, &mut connection, false).await.unwrap();
+        known.run_direct(&mut connection).await.unwrap();
     }
 }
 

@@ -47,14 +47,14 @@ async fn taken(watch: &mut Watch, count: usize) -> (Vec<v1::Solution>, String) {
 async fn push(doors: &Doors, session: &str, range: std::ops::RangeInclusive<u64>) {
     let epochs = range.map(|seq| serde_json::from_value(epoch(seq)).unwrap()).collect();
     let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
-    calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+    calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
 }
 
 async fn drive(doors: &Doors, session: &str, range: std::ops::Range<usize>) {
     let epochs = &DRIVE.epochs[range];
     let epochs = epochs.iter().map(|e| convert::epoch_message(e.seq, &e.epoch)).collect();
     let push = v1::PushEpochsRequest { session: session.to_owned(), epochs };
-    calls::positioning::push_epochs(&doors.service, push).await.unwrap();
+    calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();
 }
 
 /// All revisions as stored, in the order of number and revision.
@@ -65,7 +65,7 @@ async fn listed(doors: &Doors, session: &str) -> Vec<v1::Solution> {
         revisions: v1::Revisions::All.into(),
         ..Default::default()
     };
-    calls::solutions::list(&doors.service, list).await.unwrap().solutions
+    calls::solutions::list(&doors.caller(), list).await.unwrap().solutions
 }
 
 /// Watched live, broken and resumed by the cursor over a restart of the service, until the session
@@ -128,6 +128,27 @@ async fn a_watch_begins_at_the_present() {
         }
     };
     assert_eq!(code_of(&status).as_deref(), Some("DRAINING"));
+}
+
+/// A watch that reads what it has missed ends in a drain too, before it has read all.
+#[tokio::test]
+async fn a_watch_of_the_past_ends_in_a_drain() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    push(&doors, &session, 1..=400).await;
+    let begin = v1::WatchSolutionsRequest { after_seq: Some(0), ..request(&session) };
+    let mut watch = watched(&doors, begin).await.unwrap();
+    let (first, _) = taken(&mut watch, 1).await;
+    doors.service.drain();
+    let mut solutions = first.len();
+    let status = loop {
+        match message(&mut watch).await {
+            Ok(more) => solutions += more.unwrap().solutions.len(),
+            Err(status) => break status,
+        }
+    };
+    assert_eq!(code_of(&status).as_deref(), Some("DRAINING"));
+    assert!(solutions < 400, "{solutions}");
 }
 
 #[tokio::test]

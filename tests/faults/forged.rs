@@ -13,6 +13,7 @@ use graphfix::session::{
     RawChunk, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
 };
 use graphfix::simulation::{Scenario, Simulator};
+use graphfix::tenant::Tenant;
 use prost::Message;
 use serde_json::{Value, json};
 use tower::ServiceExt;
@@ -329,6 +330,49 @@ async fn a_device_moves_its_own_session_only() {
         let again = Recomputation::open(store.clone(), aiding.clone(), id, None).await.unwrap();
         let check = again.check().await.unwrap();
         assert!(check.is_same() && check.compared == 10, "{check:?}");
+    }
+}
+
+/// All devices of a tenant are one source: what they bring serves the tenant, and is confirmed by
+/// others only.
+#[tokio::test]
+async fn the_devices_of_a_tenant_serve_the_tenant_alone() {
+    let database = Database::sqlite();
+    let store = database.store().await;
+    let tenants = ["a", "b"].map(|name| Tenant::parse(name).unwrap());
+    let open = async || {
+        let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+        let operator = Sessions::open(store.clone(), aiding, SessionLimits::service());
+        (operator.of(&tenants[0]), operator.of(&tenants[1]), operator)
+    };
+    let (epochs, frames, _) = open_sky();
+    let positioned = async |sessions: &Sessions| {
+        let id = created(sessions).await;
+        let answers = positions(sessions, &id, &epochs[..5]).await;
+        (id, answers.iter().all(|solution| solution.status == Status::Single))
+    };
+    let (a, b, operator) = open().await;
+    for _ in 0..2 {
+        sent(&a, &created(&a).await, &frames, &epochs[0]).await;
+        for (sessions, is_served) in [(&a, true), (&b, false), (&operator, false)] {
+            assert_eq!(positioned(sessions).await.1, is_served);
+        }
+    }
+    drop((a, b, operator));
+
+    let (a, b, operator) = open().await;
+    let served = positioned(&a).await.0;
+    let without = positioned(&b).await.0;
+    sent(&b, &created(&b).await, &frames, &epochs[0]).await;
+    for sessions in [&a, &b, &operator] {
+        assert!(positioned(sessions).await.1);
+    }
+    drop((a, b, operator));
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    for id in [&served, &without] {
+        let again = Recomputation::open(store.clone(), aiding.clone(), id, None).await.unwrap();
+        let check = again.check().await.unwrap();
+        assert!(check.is_same() && check.compared == 5, "{check:?}");
     }
 }
 

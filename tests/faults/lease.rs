@@ -101,6 +101,14 @@ async fn a_service_that_lost_the_lease_commits_nothing() {
         let answer = others.submit(&id, vec![epoch(2, 2.0)]).await.unwrap();
         assert!(!answer.outcomes[0].result.as_ref().unwrap().resent);
         second.close().await;
+        // The first gets the lease again, but what it has in memory is outdated.
+        assert_eq!(&*first.lease_lost().await, "second");
+        let refused = sessions.submit(&id, vec![epoch(3, 3.0)]).await.unwrap_err();
+        assert_eq!(refused.code().name(), "DATABASE_FAILED", "{refused}");
+        assert!(refused.to_string().contains("second"), "{refused}");
+        first.close().await;
+        let third = alone(&database.url, "third").await.unwrap();
+        third.close().await;
     })
     .await;
 }

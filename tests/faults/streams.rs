@@ -104,7 +104,11 @@ async fn no_epoch_is_stored_behind_a_commit_that_failed() {
         let app = app::open(&configuration, PATIENCE, BRISK).await.unwrap();
         let router = graphfix::http::router(app.service());
         let create = v1::CreateSessionRequest::default();
-        let session = graphfix::contract::calls::sessions::create(app.service(), create).await;
+        let session = graphfix::contract::calls::sessions::create(
+            &app.service().without_key().unwrap(),
+            create,
+        )
+        .await;
         let session = session.unwrap().session;
         let mut seq = 0;
         for mode in [Mode::CutBeforeCommit, Mode::CutAfterCommit].into_iter().cycle().take(4) {
@@ -127,8 +131,13 @@ async fn no_epoch_is_stored_behind_a_commit_that_failed() {
             seq += 30;
         }
         let list = v1::ListSolutionsRequest { session, page_size: 10_000, ..Default::default() };
-        let list =
-            async || graphfix::contract::calls::solutions::list(app.service(), list.clone()).await;
+        let list = async || {
+            graphfix::contract::calls::solutions::list(
+                &app.service().without_key().unwrap(),
+                list.clone(),
+            )
+            .await
+        };
         let listed = until("listed", list, Result::is_ok).await.unwrap().solutions;
         let numbers: Vec<u64> = listed.iter().map(|solution| solution.seq).collect();
         assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "a hole");

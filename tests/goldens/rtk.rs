@@ -80,6 +80,10 @@ fn filter() -> PositioningOptions {
     PositioningOptions::new(Mode::RtkEkf, Profile::General)
 }
 
+fn paper() -> PositioningOptions {
+    PositioningOptions::new(Mode::RtkFgo, Profile::Paper)
+}
+
 fn hers_hert() -> Option<Pair> {
     let folder = data::set("hers-hert")?;
     let at = Ecef::new(4_033_460.753_1, 23_538.016_2, 4_924_318.388_1);
@@ -188,6 +192,36 @@ fn a_walk_on_one_frequency_is_fixed_and_never_wrong() {
     let errors = errors_m(&known, |time| position(time).unwrap());
     for (solution, e) in known.iter().zip(&errors).filter(|(s, _)| s.status == Status::Fixed) {
         assert!(e[0].hypot(e[1]) < 0.1, "{:?}: {e:?}", solution.time);
+    }
+}
+
+/// The published estimator on a static pair, at once and from all epochs: a position to a metre, and
+/// few integers, as in Table 2 of Wen & Hsu (2021), where 3.8 % are fixed with a mean of 0.64 m.
+#[test]
+fn the_published_estimator_gives_what_it_can() {
+    let Some(folder) = data::set("galway-static") else { return };
+    let at = Ecef::new(3_774_089.212, -601_661.615_7, 5_089_321.247_4);
+    let [rover, base] = ["rover-20181004-1237.obs.gz", "base-20181004-1236.obs.gz"];
+    let pair = Pair::read(&folder, rover, base, &["rover-20181004-1237.ubx.nav"], at);
+    let rows = truth::read(open(&folder.join("truth.csv")), 2021).unwrap();
+    let position = |time: GpsTime| {
+        rows.iter().find(|row| (row.time - time).abs() < 0.05).map(|row| row.position)
+    };
+    for (solutions, [mean_m, share]) in [
+        (pair.causal(&paper()), measured::GALWAY_PAPER_AT_ONCE),
+        (pair.batch(&paper()), measured::GALWAY_PAPER_BATCH),
+    ] {
+        assert_eq!(solutions.len(), 1202);
+        assert!(solutions.windows(2).all(|pair| pair[0].time < pair[1].time));
+        let known: Vec<Solution> =
+            solutions.into_iter().filter(|solution| position(solution.time).is_some()).collect();
+        let errors = errors_m(&known, |time| position(time).unwrap());
+        let sum_m: f64 = errors.iter().map(|e| e[0].hypot(e[1])).sum();
+        let count = known.len() as f64;
+        near(&[
+            ("mean (m)", sum_m / count, mean_m, 0.03 * mean_m),
+            ("share fixed", fixed(&known) as f64 / count, share, 0.005),
+        ]);
     }
 }
 
@@ -526,7 +560,9 @@ fn a_wrong_base_position_is_refused_or_doubted() {
 /// Stored and restored after every epoch, with the base missing for a while: the same bits.
 #[test]
 fn a_restored_estimator_goes_on_with_the_same_bits() {
-    for (options, alone) in [(general(), Status::Fgo), (filter(), Status::Ekf)] {
+    for (options, alone) in
+        [(general(), Status::Fgo), (filter(), Status::Ekf), (paper(), Status::Fgo)]
+    {
         goes_on_with_the_same_bits(options, alone);
     }
 }

@@ -245,7 +245,7 @@ async fn a_state_that_cannot_be_read_is_rebuilt(database: Database) {
 }
 
 async fn sessions_key(store: &Store, id: &SessionId) -> graphfix::store::SessionKey {
-    store.session(id.as_str()).await.unwrap().unwrap().key
+    store.session_of_any(id.as_str()).await.unwrap().unwrap().key
 }
 
 /// Old navigation data is kept up to a limit; replay beyond it is refused, and a session whose

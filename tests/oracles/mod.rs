@@ -4,4 +4,5 @@ mod evaluation;
 mod gnss_logger;
 mod models;
 mod rtcm;
+mod tracks;
 mod ubx;

@@ -8,7 +8,7 @@ use std::future::Future;
 use std::path::Path;
 
 use graphfix::store::{Revisions, SolutionQuery, Store};
-use sqlx::{AssertSqlSafe, Connection, PgConnection, SqliteConnection};
+use sqlx::{Connection, PgConnection, SqliteConnection};
 use tempfile::TempDir;
 use uuid::Uuid;
 
@@ -51,7 +51,6 @@ impl Database {
 
     /// Runs SQL directly on the database, without the store.
     pub(crate) async fn execute(&self, sql: &str) {
-        let sql = AssertSqlSafe(sql);
         if self.url.starts_with("sqlite") {
             let mut connection = SqliteConnection::connect(&self.url).await.unwrap();
             sqlx::query(sql).execute(&mut connection).await.unwrap();
@@ -86,7 +85,7 @@ impl Database {
 
     /// Number of rows of a table.
     pub(crate) async fn count(&self, table: &str) -> i64 {
-        let sql = AssertSqlSafe(format!("SELECT COUNT(*) FROM {table}"));
+        let sql = &format!("SELECT COUNT(*) FROM {table}");
         if self.url.starts_with("sqlite") {
             let mut connection = SqliteConnection::connect(&self.url).await.unwrap();
             sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
@@ -105,13 +104,13 @@ pub(crate) async fn on_postgres<F: Future<Output = ()>>(test: impl FnOnce(Databa
     };
     let schema = format!("test_{}", Uuid::new_v4().simple());
     let mut connection = PgConnection::connect(&server).await.unwrap();
-    let create = AssertSqlSafe(format!("CREATE SCHEMA {schema}"));
-    sqlx::query(create).execute(&mut connection).await.unwrap();
+    let create = format!("CREATE SCHEMA {schema}");
+    sqlx::query(&create).execute(&mut connection).await.unwrap();
     let separator = if server.contains('?') { '&' } else { '?' };
     let url = format!("{server}{separator}options[search_path]={schema}");
     test(Database { url, _folder: None }).await;
-    let drop = AssertSqlSafe(format!("DROP SCHEMA {schema} CASCADE"));
-    sqlx::query(drop).execute(&mut connection).await.unwrap();
+    let drop = format!("DROP SCHEMA {schema} CASCADE");
+    sqlx::query(&drop).execute(&mut connection).await.unwrap();
 }
 
 /// Declares tests that run on both databases.

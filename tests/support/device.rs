@@ -34,7 +34,7 @@ pub(crate) async fn push(
             end: false,
             near: None,
         };
-        let answer = calls::raw::push(&doors.service, push).await.unwrap();
+        let answer = calls::raw::push(&doors.caller(), push).await.unwrap();
         solutions.extend(answer.results.into_iter().map(|result| result.solution.unwrap()));
     }
     solutions

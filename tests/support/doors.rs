@@ -4,8 +4,10 @@ use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use graphfix::app::{self, App};
-use graphfix::config::{AntennasConfiguration, FetchConfiguration, Limits, ServiceConfiguration};
-use graphfix::contract::Service;
+use graphfix::config::{
+    AntennasConfiguration, FetchConfiguration, JobsConfiguration, Limits, ServiceConfiguration,
+};
+use graphfix::contract::{Caller, Service};
 use graphfix::feeds::FeedOptions;
 use serde_json::{Value, json};
 use tower::ServiceExt;
@@ -20,7 +22,9 @@ pub(crate) struct Doors {
     pub(crate) router: Router,
     pub(crate) service: Service,
     app: App,
+    jobs: JobsConfiguration,
     folder: tempfile::TempDir,
+    database: String,
 }
 
 impl Doors {
@@ -34,35 +38,77 @@ impl Doors {
 
     /// With these options of streams.
     pub(crate) async fn with_feeds(limits: Limits, options: FeedOptions) -> Self {
-        Self::within(tempfile::tempdir().unwrap(), limits, options).await
+        let (folder, jobs) = (tempfile::tempdir().unwrap(), JobsConfiguration::standard());
+        Self::within((folder, None), limits, jobs, options).await
+    }
+
+    /// With these options of batch jobs.
+    pub(crate) async fn with_jobs(jobs: JobsConfiguration) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        Self::within((folder, None), Limits::standard(), jobs, BRISK).await
+    }
+
+    /// With the database of this URL.
+    pub(crate) async fn on(database: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        // A server has no folder beside it.
+        let jobs = Some(folder.path().join("jobs"));
+        let jobs = JobsConfiguration { folder: jobs, ..JobsConfiguration::standard() };
+        let place = (folder, Some(database.to_owned()));
+        Self::within(place, Limits::standard(), jobs, BRISK).await
     }
 
     /// With calibrations of these antennas.
     pub(crate) async fn with_antex(antex: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(ANTEX), antex).unwrap();
-        Self::within(folder, Limits::standard(), BRISK).await
+        let jobs = JobsConfiguration::standard();
+        Self::within((folder, None), Limits::standard(), jobs, BRISK).await
     }
 
     /// The service after it has stopped and started again.
     pub(crate) async fn restarted(self) -> Self {
         self.app.close().await;
-        Self::within(self.folder, Limits::standard(), BRISK).await
+        let place = (self.folder, Some(self.database));
+        Self::within(place, Limits::standard(), self.jobs, BRISK).await
     }
 
-    async fn within(folder: tempfile::TempDir, limits: Limits, options: FeedOptions) -> Self {
+    /// Stops the service: nothing of it uses the database any more.
+    pub(crate) async fn close(self) {
+        self.app.close().await;
+    }
+
+    /// Who calls without a key.
+    pub(crate) fn caller(&self) -> Caller {
+        self.service.without_key().unwrap()
+    }
+
+    /// The folder of the database.
+    pub(crate) fn folder(&self) -> &std::path::Path {
+        self.folder.path()
+    }
+
+    async fn within(
+        (folder, database): (tempfile::TempDir, Option<String>),
+        limits: Limits,
+        jobs: JobsConfiguration,
+        options: FeedOptions,
+    ) -> Self {
+        let own = || format!("sqlite://{}", folder.path().join("test.db").display());
+        let database = database.unwrap_or_else(own);
         let hosts = ["localhost", "127.0.0.1"].map(str::to_owned).to_vec();
         let antex = folder.path().join(ANTEX);
         let configuration = ServiceConfiguration {
-            database: format!("sqlite://{}", folder.path().join("test.db").display()),
+            database: database.clone(),
             fetch: FetchConfiguration { hosts, private_addresses: true, ca_file: None },
             antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
+            jobs: jobs.clone(),
             limits,
             ..ServiceConfiguration::standard()
         };
         let app = app::open(&configuration, PATIENCE, options).await.unwrap();
         let service = app.service().clone();
-        Self { router: graphfix::http::router(&service), service, app, folder }
+        Self { router: graphfix::http::router(&service), service, app, jobs, folder, database }
     }
 
     /// Status and JSON of the answer to a request.

@@ -26,8 +26,8 @@ impl Server {
     pub(crate) fn start_with(database: &str, port: u16, change: impl FnOnce(&mut Command)) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
         command
-            .args(["serve", "--log", "warn", "--listen", &format!("127.0.0.1:{port}")])
-            .args(["--database", database])
+            .args(["serve", "--log", "warn", "--database", database])
+            .env("GRAPHFIX_LISTEN", format!("127.0.0.1:{port}"))
             .stdin(Stdio::null());
         change(&mut command);
         Self { child: command.spawn().unwrap(), port }
@@ -79,6 +79,22 @@ pub(crate) fn status_of(port: u16, path: &str) -> u16 {
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
     answer.split(' ').nth(1).unwrap().parse().unwrap()
+}
+
+/// Status and body of a page that is asked for with this `authorization`; an error if the service
+/// does not answer.
+pub(crate) fn get_with(
+    port: u16,
+    path: &str,
+    authorization: &str,
+) -> std::io::Result<(u16, String)> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    let head = format!("Host: localhost\r\nAuthorization: {authorization}\r\nConnection: close");
+    write!(stream, "GET {path} HTTP/1.1\r\n{head}\r\n\r\n")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
+    Ok((head.split(' ').nth(1).unwrap_or_default().parse().unwrap_or(0), body.to_owned()))
 }
 
 pub(crate) fn free_port() -> u16 {

@@ -247,31 +247,50 @@ const UNREACHABLE = new Problem(
 );
 
 /** The answer of a call as JSON; throws a `Problem`. */
-export async function ask<T>(path: string, signal?: AbortSignal): Promise<T> {
+export async function ask<T>(path: string, signal?: AbortSignal, init: RequestInit = {}): Promise<T> {
   let response: Response;
   try {
-    response = await fetch(path, { signal, headers: { accept: "application/json" } });
+    const headers = { accept: "application/json", ...init.headers };
+    response = await fetch(path, { ...init, signal, headers, credentials: "same-origin" });
   } catch (error) {
     if (signal?.aborted) throw error;
     throw UNREACHABLE;
   }
   const text = await response.text();
+  return answered<T>(response.status, text, response.headers.get("x-request-id"));
+}
+
+/** The body of an answer as JSON; throws the `Problem` of a refusal. */
+export function answered<T>(status: number, text: string, requestId: string | null): T {
   let body: unknown;
   try {
     body = JSON.parse(text);
   } catch {
     body = {};
   }
-  if (response.ok) return body as T;
+  if (200 <= status && status < 300) return body as T;
+  if (status === 401) document.dispatchEvent(new Event(SIGNED_OUT));
   const { code, detail, remedy, field } = body as Record<string, string>;
   throw new Problem(
-    code ?? `HTTP_${response.status}`,
-    detail ?? `the service answered ${response.status}`,
+    code ?? `HTTP_${status}`,
+    detail ?? `the service answered ${status}`,
     remedy ?? "try again; if it persists, look into the log of the service",
     field ?? "",
-    response.headers.get("x-request-id") ?? "",
+    requestId ?? "",
   );
 }
+
+/** Whatever was thrown, as a `Problem`. */
+export const problemOf = (error: unknown): Problem =>
+  error instanceof Problem ? error : new Problem("PAGE_FAILED", String(error), "reload the page, and report this");
+
+/** The answer of a call that changes something. */
+export const change = <T>(method: "POST" | "DELETE", path: string, body?: unknown): Promise<T> =>
+  ask<T>(path, undefined, {
+    method,
+    headers: { ...csrfHeader(), ...(body === undefined ? {} : { "content-type": "application/json" }) },
+    body: body === undefined ? undefined : JSON.stringify(body),
+  });
 
 /** Whether the service can do its work; an answer 503 is one, too. */
 export async function readiness(signal?: AbortSignal): Promise<Readiness> {
@@ -288,6 +307,42 @@ export async function readiness(signal?: AbortSignal): Promise<Readiness> {
     throw UNREACHABLE; // Something else answers, such as a proxy.
   }
 }
+
+/** Event: a call was refused because nobody is signed in, or no longer. */
+export const SIGNED_OUT = "graphfix:signed-out";
+
+/** Whether this browser is signed in, and whether it needs to be. */
+export interface SignInState {
+  needed: boolean;
+  key?: string;
+  rights: string[];
+  csrfToken?: string;
+  expiresUtc?: string;
+}
+
+/** What a change needs beside the cookie; it is worth nothing without it. */
+let csrfToken = "";
+
+/** The header of a change that is made by the cookie. */
+export const csrfHeader = (): Record<string, string> => (csrfToken ? { "x-graphfix-csrf": csrfToken } : {});
+
+function noted(state: SignInState): SignInState {
+  csrfToken = state.csrfToken ?? "";
+  return state;
+}
+
+export const signInState = async (signal?: AbortSignal) => noted(await ask<SignInState>("/v1/sign-in", signal));
+
+/** Exchanges a key for a cookie that scripts cannot read. */
+export const signIn = async (key: string) =>
+  noted(
+    await ask<SignInState>("/v1/sign-in", undefined, {
+      method: "POST",
+      headers: { authorization: `Bearer ${key}` },
+    }),
+  );
+
+export const signOut = async () => noted(await change<SignInState>("DELETE", "/v1/sign-in"));
 
 const path = encodeURIComponent;
 

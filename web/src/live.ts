@@ -6,7 +6,7 @@
  * problem beside it, and the next attempt comes later each time.
  */
 import { useEffect, useRef, useState } from "preact/hooks";
-import { Problem } from "./api";
+import { Problem, problemOf } from "./api";
 
 export interface Live<T> {
   value?: T;
@@ -48,9 +48,7 @@ export function useLive<T>(
         delay = typeof intervalMs === "number" ? intervalMs : intervalMs(loaded);
       } catch (error) {
         if (stop.signal.aborted) return;
-        const problem = error instanceof Problem
-          ? error
-          : new Problem("PAGE_FAILED", String(error), "reload the page, and report this");
+        const problem = problemOf(error);
         setState((before) => ({ key, live: { ...(before.key === key ? before.live : { at: 0 }), problem } }));
         failures += 1;
         delay = Math.min(1000 * 2 ** failures, LONGEST_MS);
@@ -72,4 +70,90 @@ export function useLive<T>(
   }, [key]);
 
   return state.key === key ? state.live : { at: 0 };
+}
+
+/** Time after which a stream of events that was refused is tried again. */
+const STREAM_AGAIN_MS = 30_000;
+const POLL_MS = 1000;
+
+/**
+ * A value that server-sent events bring: `names` are the events that have it, and the last of them
+ * ends the stream. Where no stream can be had, `load` polls.
+ */
+export function useEvents<T>(
+  path: string,
+  names: string[],
+  load: (signal: AbortSignal) => Promise<T>,
+  isLast: (value: T) => boolean,
+): Live<T> & { set: (value: T) => void } {
+  const [state, setState] = useState<{ path: string; live: Live<T> }>({ path, live: { at: 0 } });
+  const latest = useRef({ load, isLast });
+  latest.current = { load, isLast };
+
+  useEffect(() => {
+    const stop = new AbortController();
+    let source: EventSource | undefined;
+    let [timer, failures, streamFrom, isDone] = [0, 0, 0, false];
+
+    const take = (value: T) => {
+      failures = 0;
+      isDone = latest.current.isLast(value);
+      setState({ path, live: { value, at: Date.now() } });
+    };
+    const close = () => {
+      source?.close();
+      source = undefined;
+      window.clearTimeout(timer);
+    };
+    const poll = async () => {
+      try {
+        const value = await latest.current.load(stop.signal);
+        if (!stop.signal.aborted) take(value);
+      } catch (error) {
+        if (stop.signal.aborted) return;
+        const problem = problemOf(error);
+        setState((before) => ({ path, live: { ...(before.path === path ? before.live : { at: 0 }), problem } }));
+        failures += 1;
+      }
+      close();
+      timer = window.setTimeout(begin, Math.min(POLL_MS * 2 ** failures, LONGEST_MS));
+    };
+    const begin = () => {
+      if (document.hidden || isDone || stop.signal.aborted || source) return;
+      if (Date.now() < streamFrom) {
+        void poll();
+        return;
+      }
+      const opened = new EventSource(path);
+      source = opened;
+      for (const name of names) {
+        opened.addEventListener(name, ({ data }) => {
+          take(JSON.parse(data) as T);
+          if (isDone) close();
+        });
+      }
+      const broken = () => {
+        if (source !== opened) return;
+        close();
+        streamFrom = Date.now() + STREAM_AGAIN_MS;
+        void poll(); // Which finds out why, and shows it.
+      };
+      opened.addEventListener("error", broken);
+      opened.addEventListener("end", broken);
+    };
+    const wake = () => {
+      close(); // A hidden page asks for nothing.
+      begin();
+    };
+    begin();
+    document.addEventListener("visibilitychange", wake);
+    return () => {
+      stop.abort();
+      close();
+      document.removeEventListener("visibilitychange", wake);
+    };
+  }, [path]);
+
+  const set = (value: T) => setState({ path, live: { value, at: Date.now() } });
+  return { ...(state.path === path ? state.live : { at: 0 }), set };
 }

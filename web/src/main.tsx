@@ -1,18 +1,25 @@
 /** The frame of the dashboard: navigation, theme, the state of the service, and the pages. */
 import { render } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { type Readiness, readiness } from "./api";
+import { type Readiness, SIGNED_OUT, type SignInState, readiness, signInState, signOut } from "./api";
 import { type Live, useLive } from "./live";
 import { ApiPage } from "./pages/api";
 import { BasesPage } from "./pages/bases";
 import { EphemeridesPage } from "./pages/ephemerides";
 import { FleetPage } from "./pages/fleet";
+import { JobPage } from "./pages/job";
+import { JobsPage } from "./pages/jobs";
+import { KeysPage } from "./pages/keys";
 import { SessionPage } from "./pages/session";
+import { SignInPage } from "./pages/sign-in";
+import { SignedIn } from "./rights";
 
 const PAGES = [
   { path: "fleet", name: "Fleet", icon: "M4 18 10 9l5 6 5-9M4 18h.01M10 9h.01M15 15h.01M20 6h.01" },
+  { path: "jobs", name: "Jobs", icon: "M4 13v6.5h16V13M12 3.5V14M7.8 10 12 14.2 16.2 10" },
   { path: "bases", name: "Bases", icon: "M12 10v11M8 21h8M8.5 6.5a5 5 0 0 0 0 7M15.5 6.5a5 5 0 0 1 0 7M5.6 3.6a9 9 0 0 0 0 12.8M18.4 3.6a9 9 0 0 1 0 12.8" },
   { path: "ephemerides", name: "Ephemerides", icon: "M12 12m-3 0a3 3 0 1 0 6 0a3 3 0 1 0 -6 0M4 16c-2-4 2-10 8-12M20 8c2 4-2 10-8 12M20 8h.01M4 16h.01" },
+  { path: "keys", name: "Keys", icon: "M8 15m-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0M11 12l9-8.5M16.5 7l3 3M14 9.3l1.8 1.8" },
   { path: "api", name: "API", icon: "M8 7l-5 5 5 5M16 7l5 5-5 5M13.5 4l-3 16" },
 ];
 
@@ -104,13 +111,16 @@ function NodeName({ service: { value, problem } }: { service: Live<Readiness> })
   );
 }
 
-function Dashboard() {
+function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut: () => void }) {
   const [page, argument] = useRoute();
+  const mayAdmin = !signedIn?.needed || signedIn.rights.includes("admin");
+  const pages = PAGES.filter(({ path }) => path !== "keys" || mayAdmin);
   const service = useLive("readiness", readiness, 5000);
   const known = PAGES.find(({ path }) => path === page);
   const session = page === "sessions" && argument ? argument : undefined;
+  const job = page === "jobs" && argument ? argument : undefined;
   useEffect(() => {
-    document.title = `${session ? "Session" : (known?.name ?? "Graphfix")} · Graphfix`;
+    document.title = `${session ? "Session" : job ? "Job" : (known?.name ?? "Graphfix")} · Graphfix`;
     document.getElementById("main")?.scrollTo(0, 0);
   }, [page, argument]);
   return (
@@ -127,7 +137,7 @@ function Dashboard() {
           <span>Graphfix</span>
         </a>
         <nav aria-label="Pages">
-          {PAGES.map(({ path, name, icon }) => (
+          {pages.map(({ path, name, icon }) => (
             <a key={path} href={`#/${path}`} aria-current={path === page || (path === "fleet" && session) ? "page" : undefined}>
               <Icon path={icon} />
               <span>{name}</span>
@@ -136,6 +146,11 @@ function Dashboard() {
         </nav>
         <div class="side-end">
           <NodeName service={service} />
+          {signedIn?.key && (
+            <button type="button" class="quiet" onClick={onSignOut} title={`Signed in with ${signedIn.key}, until ${signedIn.expiresUtc}`}>
+              Sign out
+            </button>
+          )}
           <ThemeSwitch />
         </div>
       </header>
@@ -143,8 +158,11 @@ function Dashboard() {
         <ServiceState service={service} />
         {page === "fleet" && <FleetPage />}
         {session && <SessionPage key={session} id={session} />}
+        {page === "jobs" && !job && <JobsPage />}
+        {job && <JobPage key={job} id={job} />}
         {page === "bases" && <BasesPage />}
         {page === "ephemerides" && <EphemeridesPage />}
+        {page === "keys" && <KeysPage />}
         {page === "api" && <ApiPage />}
         {!known && !session && (
           <div class="page"><h1>No such page</h1><p>Go to the <a href="#/fleet">fleet</a>.</p></div>
@@ -154,8 +172,41 @@ function Dashboard() {
   );
 }
 
+/** The dashboard, or the page that asks for a key where calls need one. */
+function Entrance() {
+  const [state, setState] = useState<SignInState>();
+  const [asked, setAsked] = useState(false);
+  useEffect(() => {
+    const look = async () => {
+      try {
+        setState(await signInState());
+      } catch {
+        // The dashboard shows that the service does not answer.
+      }
+      setAsked(true);
+    };
+    void look();
+    document.addEventListener(SIGNED_OUT, look);
+    return () => document.removeEventListener(SIGNED_OUT, look);
+  }, []);
+  const leave = async () => {
+    try {
+      setState(await signOut());
+    } catch {
+      document.dispatchEvent(new Event(SIGNED_OUT)); // It may be over already.
+    }
+  };
+  if (!asked) return <p class="boot">Graphfix</p>;
+  if (state?.needed && !state.key) return <SignInPage onSignedIn={setState} />;
+  return (
+    <SignedIn.Provider value={state ?? { needed: false, rights: [] }}>
+      <Dashboard signedIn={state} onSignOut={leave} />
+    </SignedIn.Provider>
+  );
+}
+
 const root = document.getElementById("app");
 if (root) {
   root.textContent = "";
-  render(<Dashboard />, root);
+  render(<Entrance />, root);
 }

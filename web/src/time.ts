@@ -13,8 +13,18 @@ export function learnLeapSeconds(time: GpsTime, utc: string): void {
   if (Number.isFinite(difference)) leapSeconds = Math.round(difference);
 }
 
+/** Leap seconds and the time from which they hold (s since 1970, UTC), the newest first. */
+const LEAPS = [[1_483_228_800, 18], [1_435_708_800, 17], [1_341_100_800, 16], [1_230_768_000, 15], [1_136_073_600, 14]];
+
+
 const gpsUnixS = (time: GpsTime): number =>
   GPS_EPOCH_UNIX_S + time.week * WEEK_S + time.nsOfWeek / 1e9;
+
+/** Week and seconds of week of a recording as seconds since 1970, UTC, with the leap seconds of then. */
+export function recordedUnixS(week: number, seconds: number): number {
+  const gps = GPS_EPOCH_UNIX_S + week * WEEK_S + seconds;
+  return gps - (LEAPS.find(([from]) => from <= gps)?.[1] ?? 13);
+}
 
 /** Seconds since 1970, UTC. */
 export const unixS = (time: GpsTime): number => gpsUnixS(time) - leapSeconds;

@@ -1,6 +1,6 @@
 /** Parts that several pages use. */
 import type { ComponentChildren } from "preact";
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import type { Problem, Reason, Refusal } from "./api";
 import { LOOKS, SHAPES, type State, colourOf } from "./status";
 
@@ -88,21 +88,24 @@ export function Empty({ title, children }: { title: string; children: ComponentC
 
 /** A block of a command or example with a button that copies it. */
 export function Copyable({ text, label }: { text: string; label: string }) {
-  const [copied, setCopied] = useState(false);
+  const [words, setWords] = useState("Copy");
+  const block = useRef<HTMLPreElement>(null);
   const copy = async () => {
     try {
       await navigator.clipboard.writeText(text);
-      setCopied(true);
-      window.setTimeout(() => setCopied(false), 1600);
+      setWords("Copied");
     } catch {
-      setCopied(false); // Without the right to copy, the text can be selected.
+      // Browsers copy only on pages with TLS or of this machine.
+      if (block.current) getSelection()?.selectAllChildren(block.current);
+      setWords("Selected: press Ctrl+C");
     }
+    window.setTimeout(() => setWords("Copy"), 2500);
   };
   return (
     <div class="copyable">
-      <pre tabIndex={0} aria-label={label}>{text}</pre>
-      <button type="button" class="quiet" onClick={copy} aria-label={`Copy: ${label}`}>
-        {copied ? "Copied" : "Copy"}
+      <pre ref={block} tabIndex={0} aria-label={label}>{text}</pre>
+      <button type="button" class="quiet" onClick={copy} aria-label={words === "Copy" ? `Copy: ${label}` : words}>
+        {words}
       </button>
     </div>
   );
@@ -136,5 +139,40 @@ export function Segments<T extends string>(props: {
         </button>
       ))}
     </div>
+  );
+}
+
+/** A part of a whole, as a bar. */
+export function Share({ name, part, colour, hint }: { name: ComponentChildren; part: number; colour?: string; hint?: string }) {
+  const percent = part < 0.01 ? "< 1 %" : 0.995 <= part && part < 1 ? "> 99 %" : `${Math.round(part * 100)} %`;
+  return (
+    <li title={hint}>
+      <span class="share-name">{name}</span>
+      <span class="share-part">{percent}</span>
+      <svg class="share-bar" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">
+        <rect width="100" height="4" class="bar-back" />
+        <rect width={Math.max(0.6, part * 100)} height="4" fill={colour ?? "currentColor"} />
+      </svg>
+    </li>
+  );
+}
+
+export type Health = "good" | "warn" | "bad" | "idle" | "busy";
+
+const HEALTH: Record<Health, { words: string; path: string }> = {
+  good: { words: "Good", path: "M3 8.5 6.5 12 13 4.5" },
+  warn: { words: "Attention", path: "M8 3v6M8 12v.6" },
+  bad: { words: "Failing", path: "M4 4l8 8M12 4l-8 8" },
+  idle: { words: "Idle", path: "M4 8h8" },
+  busy: { words: "Busy", path: "M8 2.5A5.5 5.5 0 1 1 3 5.6" },
+};
+
+/** A state by colour, shape and words. */
+export function Lamp({ health, words }: { health: Health; words?: string }) {
+  return (
+    <span class={`health ${health}`}>
+      <svg width="14" height="14" viewBox="0 0 16 16" aria-hidden="true"><path d={HEALTH[health].path} fill="none" stroke="currentColor" stroke-width="2.4" stroke-linecap="round" /></svg>
+      {words ?? HEALTH[health].words}
+    </span>
   );
 }

@@ -5,95 +5,13 @@
 //
 // GRAPHFIX is the program; screenshots of each page (light, dark, phone) go to FOLDER.
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
-import { existsSync, mkdirSync, mkdtempSync, readFileSync } from "node:fs";
-import { createServer } from "node:net";
-import { tmpdir } from "node:os";
-import { dirname, join } from "node:path";
-import { fileURLToPath } from "node:url";
-import { chromium } from "playwright-core";
-
-const here = dirname(fileURLToPath(import.meta.url));
-const [program, folder = mkdtempSync(join(tmpdir(), "graphfix-screens-"))] = process.argv.slice(2);
-assert(program, "name the program: node test/browser.mjs target/release/graphfix");
-mkdirSync(folder, { recursive: true });
-const axe = readFileSync(join(here, "../node_modules/axe-core/axe.min.js"), "utf8");
-const executablePath = ["/usr/bin/chromium", "/usr/bin/chromium-browser"].find(existsSync);
-assert(executablePath, "Chromium is needed: apt-get install chromium");
-
-const started = [];
-const stopAll = () => started.forEach((process) => process.kill("SIGTERM"));
-
-/** Starts the program and waits until a line of its output names an address. */
-function start(args, pattern) {
-  const child = spawn(program, args, { stdio: ["ignore", "pipe", "pipe"] });
-  started.push(child);
-  return new Promise((resolve, reject) => {
-    let text = "";
-    const read = (chunk) => {
-      text += chunk;
-      const found = text.match(pattern);
-      if (found) resolve({ child, address: found[1] });
-    };
-    child.stdout.on("data", read);
-    child.stderr.on("data", read);
-    child.on("exit", (code) => reject(new Error(`${args[0]} ended with ${code}: ${text}`)));
-  });
-}
-
-const freePort = () => new Promise((resolve) => {
-  const server = createServer().listen(0, "127.0.0.1", () => {
-    const { port } = server.address();
-    server.close(() => resolve(port));
-  });
-});
-
-async function until(what, seconds, condition) {
-  const end = Date.now() + seconds * 1000;
-  for (;;) {
-    const value = await condition();
-    if (value) return value;
-    assert(Date.now() < end, `not within ${seconds} s: ${what}`);
-    await new Promise((resolve) => setTimeout(resolve, 200));
-  }
-}
-
-const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
-const complaints = [];
-
-/** A page that notes each error of the console and each request to another host. */
-async function open(address, options, expected = []) {
-  const context = await browser.newContext({ reducedMotion: "reduce", ...options });
-  const page = await context.newPage();
-  const allowed = (text) => expected.some((part) => text.includes(part));
-  page.on("console", (message) => {
-    const text = `${message.text()} (${message.location().url})`;
-    if (["error", "warning"].includes(message.type()) && !allowed(text)) complaints.push(`${page.url()}: ${text}`);
-  });
-  page.on("pageerror", (error) => complaints.push(`${page.url()}: ${error.stack}`));
-  page.on("request", (request) => {
-    if (!request.url().startsWith(address)) complaints.push(`${page.url()} asks ${request.url()}`);
-  });
-  return page;
-}
-
-/** Serious faults that axe-core finds. */
-async function checkAccessibility(page, name) {
-  // The page's policy forbids scripts of others, so axe comes in by the debugger.
-  await page.evaluate(axe);
-  const found = await page.evaluate(() => globalThis.axe.run(document, {
-    runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"],
-  }));
-  const serious = found.violations.filter(({ impact }) => impact === "serious" || impact === "critical");
-  const words = serious.map(({ id, help, nodes }) => `${id} (${help}): ${nodes.slice(0, 3).map(({ html }) => html.slice(0, 160)).join(" | ")}`);
-  assert.deepEqual(words, [], `${name}: serious faults of accessibility`);
-}
-
-const FORMS = [
-  { name: "light", options: { colorScheme: "light", viewport: { width: 1440, height: 900 } } },
-  { name: "dark", options: { colorScheme: "dark", viewport: { width: 1440, height: 900 } } },
-  { name: "phone", options: { colorScheme: "dark", viewport: { width: 390, height: 844 }, deviceScaleFactor: 2, isMobile: true, hasTouch: true } },
-];
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import {
+  FORMS, browser, capture, checkAccessibility, complaints, folder, open, run, serve, start, started, stopAll, until,
+} from "./harness.mjs";
+import { jobs } from "./jobs.mjs";
+import { keys } from "./keys.mjs";
 
 async function heads(address) {
   const answer = await fetch(`${address}/v1/sessions:heads`);
@@ -165,6 +83,29 @@ async function sessionIsInspected(address) {
   await other.context().close();
 }
 
+/** The track of a session in each format, as its page links it. */
+async function tracksAreDownloaded(address) {
+  const surveyor = (await heads(address)).find(({ label }) => label.startsWith("surveyor"));
+  const page = await open(address, FORMS[0].options);
+  await page.goto(`${address}/#/sessions/${surveyor.session}`);
+  await page.locator(".uplot").first().waitFor({ timeout: 30_000 });
+  for (const [name, sign] of [[".pos", "% program"], ["CSV", "seq,revision,"], ["GeoJSON", "FeatureCollection"], ["KML", "<kml"], ["GPX", "<gpx"], ["NMEA", "$GNGGA"]]) {
+    const arriving = page.waitForEvent("download");
+    await page.locator(".download a", { hasText: name }).click();
+    const text = readFileSync(await (await arriving).path(), "utf8");
+    assert(text.includes(sign) && 1000 < text.length, `${name}: ${text.slice(0, 80)}`);
+  }
+  await page.context().close();
+}
+
+/** The demo has a recording as a job. */
+async function demoHasAJob(address) {
+  const page = await open(address, FORMS[0].options);
+  await page.goto(`${address}/#/jobs`);
+  await page.locator(".job-row", { hasText: "street.obs" }).getByText("Succeeded").waitFor({ timeout: 120_000 });
+  await page.context().close();
+}
+
 async function errorsAreShown(address) {
   const page = await open(address, FORMS[0].options, ["404"]);
   await page.goto(`${address}/#/sessions/ses_00000000000000000000000000`);
@@ -180,11 +121,9 @@ async function errorsAreShown(address) {
 
 /** Empty pages tell what to do; a service that ends is seen. */
 async function emptyServiceTeaches() {
-  const port = await freePort();
-  const database = `sqlite://${join(mkdtempSync(join(tmpdir(), "graphfix-empty-")), "graphfix.db")}`;
-  const { child, address } = await start(["serve", "--listen", `127.0.0.1:${port}`, "--database", database], /(http:\/\/127\.0\.0\.1:\d+)/);
+  const { child, address } = await serve();
   const page = await open(address, FORMS[0].options, ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "503"]);
-  for (const [path, words] of [["fleet", "No session yet"], ["bases", "No base station yet"], ["ephemerides", "No ephemeris yet"]]) {
+  for (const [path, words] of [["fleet", "No session yet"], ["bases", "No base station yet"], ["ephemerides", "No ephemeris yet"], ["jobs", "No job yet"]]) {
     await page.goto(`${address}/#/${path}`);
     await page.getByRole("heading", { name: words }).waitFor();
     await checkAccessibility(page, `${path} without data`);
@@ -197,6 +136,73 @@ async function emptyServiceTeaches() {
   await page.context().close();
 }
 
+/** A service with keys: a key is exchanged for a cookie, by the keyboard alone, and kept nowhere. */
+async function signInIsAsked() {
+  const { address, database } = await serve();
+  const keys = (...words) => run("keys", "--database", database, ...words);
+  const [, id, key] = keys("create", "--right", "read,operate").match(/^(key_\S+)[^]*\n(gfx_\S+)\n$/);
+  await until("the key is in force", 10, async () => (await fetch(`${address}/v1/sessions`)).status === 401);
+  for (const form of FORMS) {
+    const page = await open(address, form.options);
+    await page.goto(address);
+    await page.getByRole("heading", { name: "Sign in" }).waitFor();
+    await capture(page, "sign-in", form);
+    await page.context().close();
+  }
+
+  // 409: the session of this test has no epoch.
+  const page = await open(address, FORMS[0].options, ["401", "403", "409"]);
+  const asked = () => page.getByRole("heading", { name: "Sign in" }).waitFor();
+  const served = () => page.getByRole("heading", { name: "No session yet" }).waitFor();
+  const submit = async (text) => {
+    await until("the field has the focus", 5, () => page.evaluate(() => document.activeElement?.id === "key"));
+    await page.keyboard.type(text);
+    await page.keyboard.press("Enter");
+  };
+  await page.goto(address);
+  await asked();
+  await submit(`gfx_${"0".repeat(64)}`);
+  await page.locator(".problem", { hasText: "KEY_INVALID" }).waitFor();
+  await checkAccessibility(page, "a wrong key");
+  await submit(key);
+  await served();
+  const kept = await page.evaluate(() => [
+    document.documentElement.outerHTML, document.cookie, JSON.stringify(localStorage), JSON.stringify(sessionStorage), location.href,
+  ].join("\n"));
+  assert(!kept.includes(key.slice(4)) && !kept.includes("graphfix_sign_in"), "the page has the key or the cookie");
+  await page.reload();
+  await served();
+  // Another page of the browser is signed in, too; a change needs the token.
+  const refused = await page.evaluate(async () => {
+    const answer = await fetch("/v1/sessions", { method: "POST", headers: { "content-type": "application/json" }, body: "{}" });
+    return (await answer.json()).code;
+  });
+  assert.equal(refused, "CSRF_TOKEN_INVALID");
+  await page.getByRole("button", { name: "Sign out" }).focus();
+  await page.keyboard.press("Enter");
+  await asked();
+  const status = await page.evaluate(async () => (await fetch("/v1/sessions")).status);
+  assert.equal(status, 401, "the cookie is worth nothing any more");
+  // A session is refused without its key, and shown with it.
+  const body = JSON.stringify({ label: "behind a key" });
+  const headers = { authorization: `Bearer ${key}`, "content-type": "application/json" };
+  const { session } = await (await fetch(`${address}/v1/sessions`, { method: "POST", headers, body })).json();
+  await page.goto(`${address}/#/sessions/${session}`);
+  await asked();
+  assert(!(await page.content()).includes("behind a key"), "the session is shown without a key");
+  await submit(key);
+  await page.getByRole("heading", { name: "behind a key" }).waitFor();
+  await page.getByRole("button", { name: "Sign out" }).click();
+  await asked();
+  await page.goto(`${address}/#/bases`);
+  // A key that is revoked ends the sign-in, and the page asks again.
+  await submit(key);
+  await page.getByRole("heading", { name: "No base station yet" }).waitFor();
+  keys("revoke", id);
+  await asked();
+  await page.context().close();
+}
+
 async function screenshots(address) {
   const surveyor = (await heads(address)).find(({ label }) => label.startsWith("surveyor"));
   const van = (await heads(address)).find(({ label }) => label.startsWith("delivery van"));
@@ -205,23 +211,13 @@ async function screenshots(address) {
     ["session-float", `#/sessions/${van.session}`, ".uplot"], ["bases", "#/bases", ".base"],
     ["ephemerides", "#/ephemerides", ".coverage"], ["api", "#/api", ".copyable"],
   ];
-  for (const { name: form, options } of FORMS) {
+  for (const form of FORMS) {
     for (const [name, path, sign] of pages) {
-      const page = await open(address, options);
+      const page = await open(address, form.options);
       await page.goto(`${address}/${path}`);
       await page.locator(sign).first().waitFor();
       await page.waitForTimeout(1500);
-      await checkAccessibility(page, `${name}, ${form}`);
-      await page.screenshot({ path: join(folder, `${name}-${form}.png`) });
-      // The whole page, whose main part scrolls by itself.
-      const height = await page.evaluate(() => document.getElementById("main").scrollHeight);
-      if (options.viewport.height < height) {
-        await page.setViewportSize({ width: options.viewport.width, height: Math.min(6000, height + 120) });
-        await page.waitForTimeout(400);
-        await page.screenshot({ path: join(folder, `${name}-${form}-whole.png`) });
-      }
-      const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
-      assert(wide <= 0, `${name}, ${form}: the page is ${wide} px too wide`);
+      await capture(page, name, form);
       await page.context().close();
     }
   }
@@ -232,8 +228,13 @@ try {
   await fleetGoesLive(address);
   await sessionIsInspected(address);
   await errorsAreShown(address);
+  await tracksAreDownloaded(address);
+  await demoHasAJob(address);
   await screenshots(address);
   await emptyServiceTeaches();
+  await signInIsAsked();
+  await jobs();
+  await keys();
   assert.deepEqual(complaints, [], "errors of the console, or requests to other hosts");
   console.log(`the dashboard works; screenshots are in ${folder}`);
 } catch (error) {

@@ -6,6 +6,7 @@ use crate::clock::unix_ms;
 use crate::gnss::{Ecef, GpsTime};
 use crate::positioning::BASE_LATER_S;
 use crate::store::{BaseFeed, BaseName};
+use crate::tenant::Tenant;
 
 use super::archive_requests::ArchiveRequests;
 use super::base_epochs::BaseEpochs;
@@ -14,6 +15,7 @@ use super::{BaseInfo, BaseView};
 /// The data of a base that never change.
 pub(super) struct BaseDescription {
     pub(super) name: BaseName,
+    pub(super) tenant: Tenant,
     pub(super) label: String,
     pub(super) created_unix_ms: i64,
     pub(super) feed: Option<BaseFeed>,
@@ -67,11 +69,13 @@ impl Base {
     }
 
     pub(super) fn info(&self) -> BaseInfo {
-        let BaseDescription { name, label, created_unix_ms, feed, archive } = &self.description;
+        let BaseDescription { name, tenant, label, created_unix_ms, feed, archive } =
+            &self.description;
         let stored = self.stored();
         let span = stored.epochs.front().zip(stored.epochs.back());
         BaseInfo {
             name: name.clone(),
+            tenant: tenant.clone(),
             label: label.clone(),
             created_unix_ms: *created_unix_ms,
             feed: feed.clone(),

@@ -6,7 +6,8 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, GpsTime};
-use crate::store::{BaseFeed, BaseKey, BaseName, BaseUse, Store, StoreError};
+use crate::store::{BaseFeed, BaseKey, BaseName, BaseUse, NewBaseRow, Store, StoreError};
+use crate::tenant::Tenant;
 
 use super::base::{Base, BaseDescription};
 use super::base_epochs::BaseEpochs;
@@ -51,6 +52,7 @@ impl BaseBroker {
             let (epochs, stored_unix_ms) = store.base_epochs(row.key).await?;
             let description = BaseDescription {
                 name: BaseName { key: row.key, id: row.id.into() },
+                tenant: row.tenant,
                 label: row.label,
                 created_unix_ms: row.created_unix_ms,
                 feed: row.feed,
@@ -64,12 +66,24 @@ impl BaseBroker {
         Ok(Self { store, navigation, antennas, limits, bases, creating, nearest_base_requests })
     }
 
-    /// Creates a base and stores it.
+    /// Creates a base of the operator and stores it.
     ///
     /// # Errors
     /// There are as many bases as allowed, the label is too long, the antenna is not calibrated, or
     /// the store fails.
-    pub async fn create(&self, mut new: NewBase) -> Result<BaseInfo, AidingError> {
+    pub async fn create(&self, new: NewBase) -> Result<BaseInfo, AidingError> {
+        self.create_for(&Tenant::operator(), new).await
+    }
+
+    /// The same for a tenant.
+    ///
+    /// # Errors
+    /// The same.
+    pub(super) async fn create_for(
+        &self,
+        tenant: &Tenant,
+        mut new: NewBase,
+    ) -> Result<BaseInfo, AidingError> {
         let (length, limit) = (new.label.chars().count(), self.limits.label_characters);
         if limit < length {
             return Err(AidingError::LabelTooLong { length, limit });
@@ -81,13 +95,20 @@ impl BaseBroker {
             return Err(AidingError::TooManyBases { limit });
         }
         let (id, now) = (BaseId::random(), unix_ms());
-        let NewBase { label, site, feed, archive } = &new;
-        let (site, feed, archive) = (site.as_ref(), feed.as_ref(), archive.as_deref());
-        let stored = self.store.create_base(id.as_str(), label, site, feed, archive, now);
-        let key = stored.await?;
+        let row = NewBaseRow {
+            tenant,
+            id: id.as_str(),
+            label: &new.label,
+            site: new.site.as_ref(),
+            feed: new.feed.as_ref(),
+            archive: new.archive.as_deref(),
+            created_unix_ms: now,
+        };
+        let key = self.store.create_base(&row).await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
         let description = BaseDescription {
             name: BaseName { key, id: id.as_str().into() },
+            tenant: tenant.clone(),
             label: new.label,
             created_unix_ms: now,
             feed: new.feed,
@@ -110,7 +131,15 @@ impl BaseBroker {
 
     /// Every base with its health, in order of id.
     pub async fn list(&self) -> Vec<BaseInfo> {
-        let bases: Vec<Arc<Base>> = self.read().values().cloned().collect();
+        self.infos(|_| true).await
+    }
+
+    /// The bases for which `is_asked` holds.
+    pub(super) async fn infos(&self, is_asked: impl Fn(&Base) -> bool + Send) -> Vec<BaseInfo> {
+        let bases: Vec<Arc<Base>> = {
+            let bases = self.read();
+            bases.values().filter(|base| is_asked(base)).cloned().collect()
+        };
         let mut list = Vec::with_capacity(bases.len());
         for base in bases {
             self.check_stored(&base).await;
@@ -132,13 +161,13 @@ impl BaseBroker {
         self.read().keys().cloned().collect()
     }
 
-    /// Every base that is filled by a caster's stream.
-    pub(crate) fn feeds(&self) -> Vec<(BaseId, BaseFeed)> {
+    /// Every base that is filled by a caster's stream, and to whom it belongs.
+    pub(crate) fn feeds(&self) -> Vec<(BaseId, Tenant, BaseFeed)> {
         let bases = self.read();
         let fed = bases
             .iter()
-            .filter_map(|(id, base)| Some((id.clone(), base.description.feed.clone()?)));
-        fed.collect()
+            .filter_map(|(id, base)| Some((id.clone(), base, base.description.feed.clone()?)));
+        fed.map(|(id, base, feed)| (id, base.description.tenant.clone(), feed)).collect()
     }
 
     /// Every base that is filled from an archive, with the template of the archive's file
@@ -202,7 +231,7 @@ impl BaseBroker {
 
     /// Records where a rover is, for casters that compute a stream for the rover's position.
     pub(crate) fn record_rover(&self, base: BaseKey, position: Ecef) {
-        if let Some(base) = self.of(base) {
+        if let Some(base) = self.of_key(base) {
             *base.rover() = Some((position, unix_ms()));
         }
     }
@@ -254,7 +283,7 @@ impl BaseBroker {
             let newest = stored.epochs.iter().rev().take(CHECKED_EPOCHS);
             (site, newest.rev().cloned().collect())
         };
-        let checks = self.checked(PositionChecks::new(), site, epochs).await;
+        let checks = self.checked(base, PositionChecks::new(), site, epochs).await;
         let mut stored = base.stored();
         if stored.checks.present.epochs == 0 {
             stored.checks = checks;
@@ -270,19 +299,20 @@ impl BaseBroker {
         until: GpsTime,
         span_s: f64,
     ) -> BaseView {
-        match self.of(name.key) {
+        match self.of_key(name.key) {
             Some(base) => base.view(from, until, span_s),
             None => BaseView::empty(name.clone()),
         }
     }
 
-    /// The bases of these names that still exist, in the order of the names; all bases if `None`.
-    pub(crate) fn candidates(&self, names: Option<&[BaseName]>) -> Candidates {
-        let bases = match names {
-            None => self.read().values().cloned().collect(),
-            Some(names) => names.iter().filter_map(|name| self.of(name.key)).collect(),
-        };
-        Candidates::new(bases)
+    /// The bases of these names that still exist, in the order of the names.
+    pub(crate) fn candidates(&self, names: &[BaseName]) -> Candidates {
+        Candidates::new(names.iter().filter_map(|name| self.of_key(name.key)).collect())
+    }
+
+    /// The bases for which `may_be` holds.
+    pub(super) fn candidates_that(&self, may_be: impl Fn(&Base) -> bool) -> Candidates {
+        Candidates::new(self.read().values().filter(|base| may_be(base)).cloned().collect())
     }
 
     /// Views that contain the base epochs of earlier solutions, one view for each base. A deleted
@@ -294,7 +324,7 @@ impl BaseBroker {
             *span = (span.0.min(used.after), span.1.max(used.through));
         }
         let view = |(key, (after, through)): (BaseKey, (u64, u64))| {
-            let Some(base) = self.of(key) else {
+            let Some(base) = self.of_key(key) else {
                 return BaseView::empty(BaseName { key, id: "".into() });
             };
             let stored = base.stored();
@@ -304,7 +334,7 @@ impl BaseBroker {
         spans.into_iter().map(view).collect()
     }
 
-    fn of(&self, key: BaseKey) -> Option<Arc<Base>> {
+    fn of_key(&self, key: BaseKey) -> Option<Arc<Base>> {
         self.read().values().find(|base| base.name().key == key).cloned()
     }
 

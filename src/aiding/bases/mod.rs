@@ -38,12 +38,14 @@ mod check;
 mod file;
 mod nearest_requests;
 mod pushing;
+mod tenant_bases;
 mod view;
 
 use crate::gnss::{BaseSite, GpsTime};
 use crate::id::{Id, Kind};
 use crate::refusal::Code;
 use crate::store::BaseName;
+use crate::tenant::Tenant;
 
 pub use crate::positioning::{BasePositionCheck, BasePositionVerdict};
 pub(crate) use base_epochs::Coverage;
@@ -52,6 +54,7 @@ pub(crate) use candidates::Candidates;
 pub use file::BaseFileError;
 pub use file::{BaseFile, BaseFileLimits};
 pub(crate) use nearest_requests::NearestBaseRequest;
+pub use tenant_bases::TenantBases;
 pub use view::{BaseInput, BaseView};
 
 pub use crate::store::{BaseChoice, BaseFeed};
@@ -84,6 +87,8 @@ pub struct NewBase {
 pub struct BaseInfo {
     /// The id and key of the base.
     pub name: BaseName,
+    /// To whom it belongs.
+    pub tenant: Tenant,
     /// A name for people.
     pub label: String,
     /// When it was created (ms since 1970-01-01 UTC).

@@ -110,7 +110,8 @@ impl BaseBroker {
         if !epochs.is_empty() {
             let site =
                 in_force.ok_or_else(|| AidingError::BasePositionMissing { id: id.to_string() })?;
-            checks = self.checked(checks, site, epochs.into_iter().flatten().collect()).await;
+            checks =
+                self.checked(&base, checks, site, epochs.into_iter().flatten().collect()).await;
         }
         let check = checks.present;
         if let (BasePositionVerdict::Refused, Some(distance_m)) =
@@ -173,6 +174,7 @@ impl BaseBroker {
     /// thread.
     pub(super) async fn checked(
         &self,
+        base: &Base,
         checks: PositionChecks,
         site: BaseSite,
         epochs: Vec<StoredBaseEpoch>,
@@ -180,7 +182,8 @@ impl BaseBroker {
         if !epochs.last().is_some_and(|epoch| checks.is_due(epoch.time)) {
             return checks;
         }
-        let navigation: Arc<Navigation> = self.navigation.current().navigation;
+        let tenant = &base.description.tenant;
+        let navigation: Arc<Navigation> = self.navigation.of(tenant).current().navigation;
         let work = move || {
             let epochs = epochs.iter().filter_map(|stored| stored.epoch().ok());
             checks.advance(&site, epochs, &navigation)

@@ -8,7 +8,9 @@ use tokio::sync::mpsc;
 use tokio::time::Instant;
 
 use crate::cli::Failure;
-use crate::cli::device::Connection;
+use crate::cli::cargo::Epochs;
+use crate::cli::connection::Connection;
+use crate::cli::device_stream::{Acknowledged, DeviceStream};
 use crate::contract::{convert, v1};
 use crate::gnss::{Ecef, Geodetic, GpsTime, LocalFrame, Navigation};
 use crate::simulation::{Scenario, SimulatedEpoch, Simulator};
@@ -175,7 +177,8 @@ pub(super) async fn drive(
     let (mode, profile) = (mode.to_owned(), profile.to_owned());
     let new =
         v1::CreateSessionRequest { label, mode, profile, base: base.clone(), ..Default::default() };
-    let mut device = connection.open(None, new).await?;
+    let session = connection.session(None, new).await?.session;
+    let mut device = DeviceStream::new((&connection, Epochs), &session, v1::Answers::Full, 0);
     // Each device starts at another fraction of the interval, so that their pushes are spread.
     let fraction = plan.index as f64 * 0.618 % 1.0;
     let start = Instant::now() + Duration::from_secs_f64(interval_s / plan.speed).mul_f64(fraction);
@@ -188,19 +191,31 @@ pub(super) async fn drive(
         }
         let SimulatedEpoch { rover, base: observed, position, .. } = simulated;
         if let Some(observed) = observed.filter(|_| plan.kind().receives_base(number)) {
-            connection.push_base(&base, convert::epoch_message(0, &observed)).await?;
+            connection.push_base(&base, vec![convert::epoch_message(0, &observed)]).await?;
         }
         let epoch = convert::epoch_message(number as u64 + 1, &rover);
-        let sent = Instant::now();
-        let pushed = device.push(vec![epoch]).await?;
-        let latency = sent.elapsed();
-        for (solution, reports) in pushed.solutions.iter().zip(reports.iter().cycle()) {
-            let report = report(&plan, solution, position, latency);
+        let (seq, request) = (epoch.seq, v1::StreamRequest { opening: None, epochs: vec![epoch] });
+        device.send(request, 1, seq, Instant::now());
+        let mut answers = Vec::new();
+        device.settle(|answer| answers.push(answer)).await?;
+        let Some(reports) = &reports else { continue };
+        for report in answers.iter().flat_map(|answer| reports_of(&plan, answer, position)) {
             // An error means that nobody watches any more.
             reports.send(report).await.ok();
         }
     }
     Ok(())
+}
+
+/// The reports of an answer to one epoch.
+fn reports_of<'a>(
+    plan: &'a Plan,
+    answer: &'a Acknowledged,
+    truth: Ecef,
+) -> impl Iterator<Item = Report> + 'a {
+    let latency = answer.delays.first().copied().unwrap_or_default();
+    let solutions = answer.results.iter().filter_map(|result| result.solution.as_ref());
+    solutions.map(move |solution| report(plan, solution, truth, latency))
 }
 
 fn base_request(label: &str, Ecef(position): Ecef) -> v1::CreateBaseRequest {

@@ -1,6 +1,7 @@
 //! `graphfix demo`: the service, a simulated fleet and its positions, in one command.
 
 mod fleet;
+mod survey;
 mod table;
 
 use std::io::IsTerminal;
@@ -22,7 +23,7 @@ use crate::simulation::{self, Scenario};
 use self::fleet::Report;
 use self::table::Table;
 use super::Failure;
-use super::device::Connection;
+use super::connection::Connection;
 use super::host;
 
 /// The port that is tried first.
@@ -85,13 +86,13 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
         () = host::interrupted() => Ok(()),
     };
     drop(stop);
-    serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))?;
+    serving.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
     played
 }
 
 /// Drives the fleet and shows its errors; then it drives on until interrupted, or exits.
 async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
-    let connection = Connection::to(server, Duration::from_secs(10))?;
+    let connection = Connection::to(server, None, Duration::from_secs(10))?;
     let start = start(arguments);
     let live_s = if arguments.exit { 0.0 } else { LIVE_S };
     let duration_s = f64::from(arguments.duration);
@@ -103,6 +104,11 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     let ephemerides = connection.push_navigation_bytes(rinex.into()).await?;
     println!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
 
+    // Its run gives way to the fleet.
+    let survey = (!arguments.exit).then(|| {
+        let (connection, navigation) = (connection.clone(), navigation.clone());
+        tokio::spawn(survey::submit(connection, start, arguments.seed, navigation))
+    });
     let (reports, mut inbox) = mpsc::channel::<Report>(1024);
     let mut fleet = tokio::task::JoinSet::new();
     for index in 0..usize::from(arguments.devices) {
@@ -118,7 +124,9 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
         table.take(report);
     }
     table.summarise();
-    if !arguments.exit {
+    if let Some(survey) = survey {
+        let job = survey.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"));
+        println!("a recording as a batch job: {server}/#/jobs/{}", job??);
         println!("the fleet drives on: see {server}/; interrupt to end");
     }
     while let Some(driven) = fleet.join_next().await {

@@ -6,7 +6,7 @@ use crate::aiding::bases::{
 };
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
-use crate::contract::{Refusal, Service, convert, texts, v1};
+use crate::contract::{Caller, Refusal, convert, texts, v1};
 use crate::formats::unpack_within;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
@@ -31,10 +31,7 @@ const DELTA_MAX_M: f64 = 1000.0;
 /// # Errors
 /// The position, stream or archive is invalid, there are as many bases as allowed, or the store
 /// fails.
-pub async fn create(
-    service: &Service,
-    request: v1::CreateBaseRequest,
-) -> Result<v1::Base, Refusal> {
+pub async fn create(caller: &Caller, request: v1::CreateBaseRequest) -> Result<v1::Base, Refusal> {
     texts::check_label(&request.label)?;
     texts::check("antenna", &request.antenna, texts::ANTENNA_MAX)?;
     let site = site(&request)?;
@@ -42,28 +39,28 @@ pub async fn create(
         let message = "a base is filled by a caster's stream or by an archive, not by both";
         return Err(Refusal::new(Code::InvalidField, message).at("archive"));
     }
-    let feed = request.ntrip.map(|source| feeds::source(service, source)).transpose()?;
-    let archive = request.archive.map(|source| feeds::archive(service, source)).transpose()?;
+    let feed = request.ntrip.map(|source| feeds::source(caller, source)).transpose()?;
+    let archive = request.archive.map(|source| feeds::archive(caller, source)).transpose()?;
     let new = NewBase { label: request.label, site, feed, archive };
-    let created = service.bases().create(new).await?;
+    let created = caller.bases().create(new).await?;
     if let Some(id) = BaseId::parse(&created.name.id) {
         if let Some(feed) = &created.feed {
-            service.feeds().start(&id, feed)?;
+            caller.feeds().start(&id, feed)?;
         }
         if let Some(archive) = &created.archive {
-            service.feeds().fill(&id, archive)?;
+            caller.feeds().fill(&id, archive)?;
         }
     }
-    Ok(message(service, &created))
+    Ok(message(caller, &created))
 }
 
 /// A base with its health.
 ///
 /// # Errors
 /// The base does not exist.
-pub async fn get(service: &Service, request: v1::GetBaseRequest) -> Result<v1::Base, Refusal> {
+pub async fn get(caller: &Caller, request: v1::GetBaseRequest) -> Result<v1::Base, Refusal> {
     let id = base_id(&request.base)?;
-    Ok(message(service, &service.bases().get(&id).await?))
+    Ok(message(caller, &caller.bases().get(&id).await?))
 }
 
 /// A page of bases in order of id.
@@ -71,7 +68,7 @@ pub async fn get(service: &Service, request: v1::GetBaseRequest) -> Result<v1::B
 /// # Errors
 /// The page token or size is invalid.
 pub async fn list(
-    service: &Service,
+    caller: &Caller,
     request: v1::ListBasesRequest,
 ) -> Result<v1::ListBasesResponse, Refusal> {
     texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
@@ -85,15 +82,15 @@ pub async fn list(
         let message = format!("{token:?} is not a page token of this list");
         return Err(Refusal::new(Code::PageTokenInvalid, message).at("pageToken"));
     }
-    let mut bases = service.bases().list().await;
+    let mut bases = caller.bases().list().await;
     bases.retain(|base| after.is_none_or(|after| after < &*base.name.id));
     let more = size < bases.len();
     bases.truncate(size);
     let last = bases.last().filter(|_| more);
     Ok(v1::ListBasesResponse {
         next_page_token: last.map(|base| base.name.id.to_string()).unwrap_or_default(),
-        bases: bases.iter().map(|base| message(service, base)).collect(),
-        networks: service.feeds().networks().iter().map(feeds::network_message).collect(),
+        bases: bases.iter().map(|base| message(caller, base)).collect(),
+        networks: caller.feeds().networks().iter().map(feeds::network_message).collect(),
     })
 }
 
@@ -102,12 +99,12 @@ pub async fn list(
 /// # Errors
 /// The base does not exist, or an open session uses it.
 pub async fn delete(
-    service: &Service,
+    caller: &Caller,
     request: v1::DeleteBaseRequest,
 ) -> Result<v1::DeleteBaseResponse, Refusal> {
     let id = base_id(&request.base)?;
-    service.bases().delete(&id).await?;
-    service.feeds().stop(&id);
+    caller.bases().delete(&id).await?;
+    caller.feeds().stop(&id);
     Ok(v1::DeleteBaseResponse {})
 }
 
@@ -117,14 +114,14 @@ pub async fn delete(
 /// An epoch is malformed, the position of the base is unknown or wrong, or the store fails. If
 /// every epoch is refused, this is the first one's refusal.
 pub async fn push_epochs(
-    service: &Service,
+    caller: &Caller,
     request: v1::PushBaseEpochsRequest,
 ) -> Result<v1::PushBaseEpochsResponse, Refusal> {
     let id = base_id(&request.base)?;
-    let epochs = epochs(request.epochs, &service.limits().intake(), Numbered::No)?;
+    let epochs = epochs(request.epochs, &caller.limits().intake(), Numbered::No)?;
     let epochs: Vec<Epoch> = epochs.into_iter().map(|sequenced| sequenced.epoch).collect();
     let times: Vec<GpsTime> = epochs.iter().map(|epoch| epoch.time).collect();
-    let BasePush { outcomes, check } = service.bases().push(&id, epochs).await?;
+    let BasePush { outcomes, check } = caller.bases().push(&id, epochs).await?;
     if let (true, Some(Err(first))) = (outcomes.iter().all(Result::is_err), outcomes.first()) {
         return Err(Refusal::from(first.clone()).within("epochs[0]"));
     }
@@ -141,18 +138,18 @@ pub async fn push_epochs(
 /// The file is not readable or exceeds a limit, the position of the base is unknown or wrong, or
 /// the store fails.
 pub async fn upload(
-    service: &Service,
+    caller: &Caller,
     request: v1::UploadBaseRequest,
 ) -> Result<v1::UploadBaseResponse, Refusal> {
     let id = base_id(&request.base)?;
-    let bytes_max = service.limits().decompressed_bytes;
-    let (content, limits) = (request.content, service.bases().file_limits());
+    let bytes_max = caller.limits().decompressed_bytes;
+    let (content, limits) = (request.content, caller.base_file_limits());
     let read = move || Ok(BaseFile::read(unpack_within(&content, bytes_max), &limits)?);
-    let BaseFile { epochs, site, skipped } = read_file(service, limits.bytes, read).await?;
+    let BaseFile { epochs, site, skipped } = read_file(caller, limits.bytes, read).await?;
     if epochs.is_empty() {
         return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));
     }
-    let push = service.bases().upload(&id, epochs, site.as_ref()).await?;
+    let push = caller.bases().upload(&id, epochs, site.as_ref()).await?;
     let refused = push.outcomes.iter().filter_map(|outcome| outcome.as_ref().err());
     let is_new = |outcome: &&Result<CommittedEpoch, BaseEpochRefusal>| {
         outcome.as_ref().is_ok_and(|held| !held.resent)
@@ -232,14 +229,21 @@ const fn verdict_text(verdict: BasePositionVerdict) -> &'static str {
     }
 }
 
-fn message(service: &Service, info: &BaseInfo) -> v1::Base {
+/// A base as the caller sees it: of the operator's bases others do not see where they come from.
+fn message(caller: &Caller, info: &BaseInfo) -> v1::Base {
+    let is_own = info.tenant == *caller.tenant();
     let age_s = info.stored_unix_ms.map(|stored| (unix_ms() - stored) as f64 / 1e3);
     v1::Base {
-        feed: info.feed.as_ref().map(|feed| feeds::message(service, &info.name.id, feed)),
+        feed: info
+            .feed
+            .as_ref()
+            .filter(|_| is_own)
+            .map(|feed| feeds::message(caller, &info.name.id, feed)),
         archive: info
             .archive
             .as_ref()
-            .map(|template| feeds::archive_message(service, &info.name.id, template)),
+            .filter(|_| is_own)
+            .map(|template| feeds::archive_message(caller, &info.name.id, template)),
         base: info.name.id.to_string(),
         label: info.label.clone(),
         created_utc: utc(info.created_unix_ms),

@@ -2,7 +2,7 @@
 
 use crate::aiding::bases::{BaseFeed, BaseId};
 use crate::clock::unix_ms;
-use crate::contract::{Refusal, Service, intake, texts, v1};
+use crate::contract::{Caller, Refusal, intake, texts, v1};
 use crate::feeds::{BaseArchiveHealth, FeedHealth, FeedProblem, NetworkHealth, SourceStatus};
 use crate::gnss::{Ecef, Geodetic};
 use crate::refusal::Code;
@@ -16,7 +16,7 @@ const CREDENTIAL_LIMIT: usize = 200;
 const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e5;
 
 /// Reads and checks the stream of a request.
-pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseFeed, Refusal> {
+pub(super) fn source(caller: &Caller, source: v1::NtripSource) -> Result<BaseFeed, Refusal> {
     let v1::NtripSource { caster, mountpoint, user, password, version, position, near, .. } =
         source;
     texts::check("ntrip.caster", &caster, texts::ADDRESS_MAX)?;
@@ -45,7 +45,7 @@ pub(super) fn source(service: &Service, source: v1::NtripSource) -> Result<BaseF
         follows_rover: source.follow_rover,
         is_on_demand: false,
     };
-    service.feeds().check(&feed)?;
+    caller.feeds().check(&feed)?;
     Ok(feed)
 }
 
@@ -82,14 +82,14 @@ fn rover_position(position: v1::Geodetic) -> Result<Ecef, Refusal> {
 }
 
 /// A stream with its health, as a message.
-pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Feed {
+pub(super) fn message(caller: &Caller, base: &str, feed: &BaseFeed) -> v1::Feed {
     let named = v1::Feed {
         caster: feed.caster.clone(),
         mountpoint: feed.mountpoint.clone(),
         user: feed.name.clone(),
         ..Default::default()
     };
-    let health = BaseId::parse(base).and_then(|id| service.feeds().health(&id));
+    let health = BaseId::parse(base).and_then(|id| caller.feeds().health(&id));
     let Some(health) = health else {
         let state = if feed.is_on_demand { "IDLE" } else { "" };
         return v1::Feed { state: state.to_owned(), ..named };
@@ -118,17 +118,17 @@ pub(super) fn message(service: &Service, base: &str, feed: &BaseFeed) -> v1::Fee
 }
 
 /// Reads and checks the archive of a request.
-pub(super) fn archive(service: &Service, source: v1::ArchiveSource) -> Result<String, Refusal> {
+pub(super) fn archive(caller: &Caller, source: v1::ArchiveSource) -> Result<String, Refusal> {
     texts::check("archive.template", &source.template, texts::ADDRESS_MAX)?;
-    let checked = service.feeds().check_archive(&source.template);
+    let checked = caller.feeds().check_archive(&source.template);
     checked.map_err(|error| Refusal::from(error).at("archive.template"))?;
     Ok(source.template)
 }
 
 /// An archive with its health, as a message.
-pub(super) fn archive_message(service: &Service, base: &str, template: &str) -> v1::BaseArchive {
+pub(super) fn archive_message(caller: &Caller, base: &str, template: &str) -> v1::BaseArchive {
     let named = v1::BaseArchive { template: template.to_owned(), ..Default::default() };
-    let health = BaseId::parse(base).and_then(|id| service.feeds().archive_health(&id));
+    let health = BaseId::parse(base).and_then(|id| caller.feeds().archive_health(&id));
     let Some(health) = health else { return named };
     let BaseArchiveHealth { state, since_unix_ms, retry_unix_ms, problem, refusal, .. } = health;
     v1::BaseArchive {

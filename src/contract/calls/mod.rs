@@ -3,12 +3,18 @@
 
 pub mod bases;
 mod feeds;
+pub mod job_watch;
+pub mod jobs;
+pub mod keys;
 pub mod navigation;
+mod outlet;
 pub mod positioning;
 pub mod raw;
 pub mod sessions;
 pub mod solutions;
 pub mod stream;
+pub mod tenants;
+pub mod track;
 mod upload;
 pub mod watch;
 
@@ -18,7 +24,7 @@ use crate::refusal::Code;
 use crate::session::SessionId;
 
 use super::texts::brief;
-use super::{Refusal, Service};
+use super::{Caller, Refusal};
 
 /// The mode if the request has none.
 const MODE: &str = "spp";
@@ -42,7 +48,7 @@ fn base_id(text: &str) -> Result<BaseId, Refusal> {
 
 /// The bases of a request: one by id, the nearest of all, or the nearest of a list.
 fn base_choice(
-    service: &Service,
+    caller: &Caller,
     base: &str,
     bases: &[String],
 ) -> Result<BaseChoice<BaseId>, Refusal> {
@@ -60,7 +66,7 @@ fn base_choice(
     let named = |(index, text): (usize, &String)| {
         let at = |refusal: Refusal| refusal.at(format!("bases[{index}]"));
         let id = base_id(text).map_err(at)?;
-        service.bases().name(&id).map_err(|error| at(error.into()))?;
+        caller.bases().name(&id).map_err(|error| at(error.into()))?;
         Ok(id)
     };
     let ids: Result<_, Refusal> = bases.iter().enumerate().map(named).collect();
@@ -82,7 +88,7 @@ const fn page_size(asked: u32, standard: usize) -> usize {
 }
 
 /// A system time (ms since 1970-01-01 UTC, without leap seconds) as RFC 3339.
-fn utc(unix_ms: i64) -> String {
+pub(crate) fn utc(unix_ms: i64) -> String {
     const EPOCH: CivilTime =
         CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
     let leap = LeapSeconds::table();

@@ -1,7 +1,7 @@
 //! Navigation: uploads and status.
 
-use crate::aiding::{NavigationStatus, SatelliteCoverage, UPLOAD};
-use crate::contract::{Refusal, Service, v1};
+use crate::aiding::{NavigationStatus, SatelliteCoverage};
+use crate::contract::{Caller, Refusal, v1};
 use crate::formats::{rinex, unpack_within};
 
 use super::feeds;
@@ -15,17 +15,17 @@ const MEMORY_OF_NUMBER: usize = 200 * 320;
 /// # Errors
 /// The file is not readable or exceeds a limit, or the store fails.
 pub async fn push(
-    service: &Service,
+    caller: &Caller,
     request: v1::PushNavigationRequest,
 ) -> Result<v1::PushNavigationResponse, Refusal> {
-    let limits = service.limits();
+    let limits = caller.limits();
     let (bytes_max, most) = (limits.decompressed_bytes, limits.ephemerides_per_satellite);
     let read = move || {
         let text = unpack_within(&request.content, bytes_max);
         Ok(rinex::read_navigation_within(text, most)?)
     };
-    let (navigation, skipped) = read_file(service, most * MEMORY_OF_NUMBER, read).await?;
-    let counts = service.navigation().push(navigation, UPLOAD).await?;
+    let (navigation, skipped) = read_file(caller, most * MEMORY_OF_NUMBER, read).await?;
+    let counts = caller.navigation().push(navigation).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,
         new_ephemerides: counts.new as u64,
@@ -34,13 +34,13 @@ pub async fn push(
 }
 
 /// The satellites with usable ephemerides, and the sources of ephemerides.
-pub fn status(service: &Service) -> v1::NavigationStatusResponse {
-    let status = service.navigation().status();
+pub fn status(caller: &Caller) -> v1::NavigationStatusResponse {
+    let status = caller.navigation().status();
     v1::NavigationStatusResponse {
         ephemerides: status.ephemerides as u64,
         ionosphere_models: ionosphere_models(&status),
         satellites: status.satellites.iter().map(coverage).collect(),
-        sources: service
+        sources: caller
             .feeds()
             .navigation_sources()
             .into_iter()

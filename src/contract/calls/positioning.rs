@@ -2,7 +2,7 @@
 
 use crate::config::IntakeLimits;
 use crate::contract::convert::{self, Stored};
-use crate::contract::{Lease, Refusal, Service, intake, off_the_network, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, finished, intake, off_the_network, texts, v1};
 use crate::gnss::Observation;
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
@@ -14,12 +14,13 @@ use super::{MODE, PROFILE, base_choice, or_standard, session_id};
 /// An epoch is malformed, or the session refuses the push. If the session refuses every epoch, this
 /// is the first one's refusal.
 pub async fn push_epochs(
-    service: &Service,
+    caller: &Caller,
     request: v1::PushEpochsRequest,
 ) -> Result<v1::PushEpochsResponse, Refusal> {
     let id = session_id(&request.session)?;
-    let epochs = epochs(request.epochs, &service.limits().intake(), Numbered::Yes)?;
-    answer(service.sessions().submit(&id, epochs).await?)
+    let epochs = epochs(request.epochs, &caller.limits().intake(), Numbered::Yes)?;
+    let sessions = caller.sessions().clone();
+    answer(finished(async move { sessions.submit(&id, epochs).await }).await?)
 }
 
 /// Solves the session's present window.
@@ -27,7 +28,7 @@ pub async fn push_epochs(
 /// # Errors
 /// The session does not exist or has no epoch, or the configuration does not exist.
 pub async fn solve(
-    service: &Service,
+    caller: &Caller,
     request: v1::SolveRequest,
 ) -> Result<v1::SolveResponse, Refusal> {
     let id = session_id(&request.session)?;
@@ -38,9 +39,9 @@ pub async fn solve(
         mode: given(request.mode),
         profile: given(request.profile),
         overrides: request.overrides,
-        base: base_choice(service, &request.base, &request.bases)?,
+        base: base_choice(caller, &request.base, &request.bases)?,
     };
-    let computed = service.sessions().solve(&id, &request).await?;
+    let computed = caller.sessions().solve(&id, &request).await?;
     Ok(v1::SolveResponse { solution: Some(message(&computed)) })
 }
 
@@ -49,7 +50,7 @@ pub async fn solve(
 /// # Errors
 /// An epoch is malformed, the epochs are out of order, or the configuration does not exist.
 pub async fn solve_once(
-    service: &Service,
+    caller: &Caller,
     request: v1::SolveOnceRequest,
 ) -> Result<v1::SolveOnceResponse, Refusal> {
     texts::check_names([("mode", &*request.mode), ("profile", &*request.profile)])?;
@@ -58,12 +59,12 @@ pub async fn solve_once(
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
-        epochs: epochs(request.epochs, &service.limits().intake(), Numbered::No)?,
+        epochs: epochs(request.epochs, &caller.limits().intake(), Numbered::No)?,
         navigation: None,
-        base: base_choice(service, &request.base, &request.bases)?,
+        base: base_choice(caller, &request.base, &request.bases)?,
         antenna: request.antenna,
     };
-    let computed = service.sessions().solve_once(burst).await?;
+    let computed = caller.sessions().solve_once(burst).await?;
     Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
 }
 

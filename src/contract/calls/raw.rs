@@ -1,6 +1,6 @@
 //! Raw bytes of a receiver in, solutions out.
 
-use crate::contract::{Refusal, Service, intake, v1};
+use crate::contract::{Caller, Refusal, finished, intake, v1};
 use crate::formats::receiver::{RefusalEntry, Statistics};
 use crate::reception::{LeftOut, MessageTotal};
 use crate::refusal::Code;
@@ -16,7 +16,7 @@ use super::session_id;
 /// The chunk is too large, does not continue the stored stream or has an unknown format, or the
 /// session refuses it. The refusal of a single epoch is part of the answer.
 pub async fn push(
-    service: &Service,
+    caller: &Caller,
     request: v1::PushRawRequest,
 ) -> Result<v1::PushRawResponse, Refusal> {
     let id = session_id(&request.session)?;
@@ -28,7 +28,8 @@ pub async fn push(
         is_end: request.end,
         near: near.transpose()?,
     };
-    Ok(answer(service.sessions().receive(&id, chunk).await?))
+    let sessions = caller.sessions().clone();
+    Ok(answer(finished(async move { sessions.receive(&id, chunk).await }).await?))
 }
 
 /// Checks that every JSON reader keeps the offsets of a chunk exactly.

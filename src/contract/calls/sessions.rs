@@ -2,7 +2,7 @@
 
 use crate::aiding::bases::BaseChoice;
 use crate::clock::gps_time;
-use crate::contract::{Lease, Refusal, Service, convert, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 
@@ -24,7 +24,7 @@ const HEAD_BYTES: usize = 1024;
 /// # Errors
 /// The configuration does not exist, or the store fails.
 pub async fn create(
-    service: &Service,
+    caller: &Caller,
     request: v1::CreateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     texts::check_label(&request.label)?;
@@ -36,23 +36,20 @@ pub async fn create(
         mode: or_standard(request.mode, MODE),
         profile: or_standard(request.profile, PROFILE),
         overrides: request.overrides,
-        base: base_choice(service, &request.base, &request.bases)?,
+        base: base_choice(caller, &request.base, &request.bases)?,
         antenna: request.antenna,
         retention_days: request.retention_days,
     };
-    Ok(message(service.sessions().create(new).await?))
+    Ok(message(caller.sessions().create(new).await?))
 }
 
 /// A session.
 ///
 /// # Errors
 /// The session does not exist.
-pub async fn get(
-    service: &Service,
-    request: v1::GetSessionRequest,
-) -> Result<v1::Session, Refusal> {
+pub async fn get(caller: &Caller, request: v1::GetSessionRequest) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
-    Ok(message(service.sessions().get(&id).await?))
+    Ok(message(caller.sessions().get(&id).await?))
 }
 
 /// A page of sessions, the newest first.
@@ -60,12 +57,12 @@ pub async fn get(
 /// # Errors
 /// The page token or size is invalid.
 pub async fn list(
-    service: &Service,
+    caller: &Caller,
     request: v1::ListSessionsRequest,
 ) -> Result<v1::ListSessionsResponse, Refusal> {
     texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
     let size = page_size(request.page_size, PAGE);
-    let page = service.sessions().list(size, page_token(&request.page_token)).await?;
+    let page = caller.sessions().list(size, page_token(&request.page_token)).await?;
     Ok(v1::ListSessionsResponse {
         sessions: page.items.into_iter().map(message).collect(),
         next_page_token: page.next_page_token.unwrap_or_default(),
@@ -77,14 +74,14 @@ pub async fn list(
 /// # Errors
 /// The page token or size is invalid.
 pub async fn heads(
-    service: &Service,
+    caller: &Caller,
     request: v1::ListHeadsRequest,
 ) -> Result<v1::ListHeadsResponse, Refusal> {
     texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
     let size = page_size(request.page_size, HEADS);
     let reserved = Lease::current();
     reserved.as_ref().map_or(Ok(()), |lease| lease.reserve(size.min(HEADS_MAX) * HEAD_BYTES))?;
-    let (page, now_ms) = service.sessions().heads(size, page_token(&request.page_token)).await?;
+    let (page, now_ms) = caller.sessions().heads(size, page_token(&request.page_token)).await?;
     let now = gps_time(now_ms);
     Ok(v1::ListHeadsResponse {
         heads: page.items.into_iter().map(|head| head_message(head, now)).collect(),
@@ -98,7 +95,7 @@ pub async fn heads(
 /// # Errors
 /// The session does not exist or is closed, or the configuration does not exist.
 pub async fn update(
-    service: &Service,
+    caller: &Caller,
     request: v1::UpdateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
@@ -112,7 +109,7 @@ pub async fn update(
     }
     let base = match (&request.base, &*request.bases) {
         (None, []) => None,
-        (base, bases) => Some(base_choice(service, base.as_deref().unwrap_or_default(), bases)?),
+        (base, bases) => Some(base_choice(caller, base.as_deref().unwrap_or_default(), bases)?),
     };
     let update = SessionUpdate {
         label: request.label,
@@ -124,7 +121,7 @@ pub async fn update(
         antenna: request.antenna,
         retention_days: request.retention_days,
     };
-    Ok(message(service.sessions().update(&id, update).await?))
+    Ok(message(caller.sessions().update(&id, update).await?))
 }
 
 /// Begins a new arc of a session.
@@ -132,11 +129,11 @@ pub async fn update(
 /// # Errors
 /// The session does not exist or is closed.
 pub async fn reset(
-    service: &Service,
+    caller: &Caller,
     request: v1::ResetSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
-    Ok(message(service.sessions().reset(&id).await?))
+    Ok(message(caller.sessions().reset(&id).await?))
 }
 
 /// Closes a session.
@@ -144,11 +141,11 @@ pub async fn reset(
 /// # Errors
 /// The session does not exist.
 pub async fn close(
-    service: &Service,
+    caller: &Caller,
     request: v1::CloseSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
-    Ok(message(service.sessions().close(&id).await?))
+    Ok(message(caller.sessions().close(&id).await?))
 }
 
 /// Deletes a session with all that it has stored.
@@ -156,11 +153,11 @@ pub async fn close(
 /// # Errors
 /// The session does not exist.
 pub async fn delete(
-    service: &Service,
+    caller: &Caller,
     request: v1::DeleteSessionRequest,
 ) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
-    Ok(message(service.sessions().delete(&id).await?))
+    Ok(message(caller.sessions().delete(&id).await?))
 }
 
 fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {

@@ -1,11 +1,11 @@
 //! Stored solutions.
 
-use crate::contract::reason::remedy;
-use crate::contract::{Lease, Refusal, Service, convert, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::gnss::{LeapSeconds, Observation};
 use crate::refusal::Code;
 use crate::session::{
-    Interval, Range, SERIES_POINTS, SatelliteRole, SatelliteView, SeriesQuery, SolutionPage,
+    Interval, Range, SERIES_POINTS, SatelliteRole, SatelliteView, SeriesQuery, SessionError,
+    SessionId, SolutionPage,
 };
 use crate::store::{Revisions, SolutionQuery};
 
@@ -13,6 +13,10 @@ use super::{page_size, page_token, session_id};
 
 /// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
+/// Solutions that are read at a time.
+const PORTION: usize = 256;
+/// Memory of a solution, its message and its JSON (bytes).
+pub(super) const SOLUTION_BYTES: usize = 10 << 10;
 /// Intervals of a series if the request gives no number.
 const POINTS: usize = 1000;
 /// Memory of an interval, its message and its JSON (bytes).
@@ -25,7 +29,7 @@ const BATCH_BYTES: usize = 4 << 20;
 /// # Errors
 /// The session does not exist, or the page token, size, time or status is invalid.
 pub async fn list(
-    service: &Service,
+    caller: &Caller,
     request: v1::ListSolutionsRequest,
 ) -> Result<v1::ListSolutionsResponse, Refusal> {
     let id = session_id(&request.session)?;
@@ -38,12 +42,40 @@ pub async fn list(
         page_size: page_size(request.page_size, PAGE),
         page_token: page_token(&request.page_token).map(ToOwned::to_owned),
     };
-    let SolutionPage { page, oldest_available } = service.sessions().solutions(&id, &query).await?;
-    Ok(v1::ListSolutionsResponse {
-        solutions: page.items.iter().map(convert::stored).collect(),
-        next_page_token: page.next_page_token.unwrap_or_default(),
-        oldest_available_seq: oldest_available,
-    })
+    read(caller, &id, query).await
+}
+
+/// Reads a page in portions, each after memory is reserved for it. The page ends early if no more
+/// memory is free, or if the store has looked through many epochs that do not match.
+async fn read(
+    caller: &Caller,
+    id: &SessionId,
+    mut query: SolutionQuery,
+) -> Result<v1::ListSolutionsResponse, Refusal> {
+    query.check().map_err(SessionError::from)?;
+    let (mut left, lease) = (query.page_size, Lease::current());
+    let mut whole = v1::ListSolutionsResponse::default();
+    while 0 < left {
+        query.page_size = left.min(PORTION);
+        let bytes = query.page_size * SOLUTION_BYTES;
+        match lease.as_ref().map_or(Ok(()), |lease| lease.reserve(bytes)) {
+            Err(refusal) if whole.solutions.is_empty() => return Err(refusal),
+            Err(_) => break,
+            Ok(()) => {}
+        }
+        let SolutionPage { page, oldest_available } =
+            caller.sessions().solutions(id, &query).await?;
+        whole.solutions.extend(page.items.iter().map(convert::stored));
+        whole.oldest_available_seq = oldest_available;
+        whole.next_page_token = page.next_page_token.clone().unwrap_or_default();
+        let is_full = page.items.len() == query.page_size;
+        if !is_full || page.next_page_token.is_none() {
+            break;
+        }
+        left -= query.page_size;
+        query.page_token = page.next_page_token;
+    }
+    Ok(whole)
 }
 
 /// A page of the time series of a session's solutions.
@@ -51,7 +83,7 @@ pub async fn list(
 /// # Errors
 /// The session does not exist, or a time, the number of points or the page token is invalid.
 pub async fn series(
-    service: &Service,
+    caller: &Caller,
     request: v1::SolutionSeriesRequest,
 ) -> Result<v1::SolutionSeriesResponse, Refusal> {
     let id = session_id(&request.session)?;
@@ -70,12 +102,12 @@ pub async fn series(
     };
     let bytes = BATCH_BYTES + query.points.min(SERIES_POINTS) * INTERVAL_BYTES;
     Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
-    let series = service.sessions().series(&id, &query).await?;
+    let series = caller.sessions().series(&id, &query).await?;
     let intervals = series.intervals.iter();
     let solutions = series.intervals.values().map(|interval| u64::from(interval.solutions)).sum();
     let reasons = series.reasons.iter().map(|(reason, solutions)| v1::SeriesReason {
         code: reason.code().to_owned(),
-        remedy: remedy(reason).to_owned(),
+        remedy: reason.remedy().to_owned(),
         solutions: *solutions,
     });
     let statuses = series.statuses.iter().rev().map(|(status, solutions)| v1::SeriesStatus {
@@ -125,12 +157,12 @@ fn interval_message(index: u32, interval: &Interval) -> v1::SeriesInterval {
 /// # Errors
 /// The session or the epoch does not exist.
 pub async fn explain(
-    service: &Service,
+    caller: &Caller,
     request: v1::ExplainEpochRequest,
 ) -> Result<v1::ExplainEpochResponse, Refusal> {
     let id = session_id(&request.session)?;
     let seq = Some(request.seq).filter(|seq| *seq != 0);
-    let explained = service.sessions().explain(&id, seq).await?;
+    let explained = caller.sessions().explain(&id, seq).await?;
     let observed: std::collections::BTreeMap<_, _> = explained.epoch.by_satellite().collect();
     let satellite = |view: &SatelliteView| {
         view_message(view, observed.get(&view.satellite).copied().unwrap_or_default())

@@ -1,16 +1,16 @@
 //! Uploaded files: unpacked and read within limits, on few blocking threads.
 
-use crate::contract::{Lease, Refusal, Service, in_background, v1};
+use crate::contract::{Caller, Lease, Refusal, in_background, v1};
 use crate::formats::rinex::SkippedEntry;
 
 /// Reads a file with `work` on a blocking thread, when one of the few for files is free. `bytes`
 /// is the most memory that the file's content can use.
 pub(super) async fn read_file<T: Send + 'static>(
-    service: &Service,
+    caller: &Caller,
     bytes: usize,
     work: impl FnOnce() -> Result<T, Refusal> + Send + 'static,
 ) -> Result<T, Refusal> {
-    let reader = service.file_reader().await;
+    let reader = caller.file_reader().await;
     let lease = Lease::current();
     lease.as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
     let work = move || {

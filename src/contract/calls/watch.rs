@@ -1,24 +1,22 @@
 //! Watches: what a session commits, as it is committed.
 //!
 //! Each watch has a task, which reads the ring of newly committed solutions, or the store if it is
-//! behind. A few messages wait for the reader. If it takes none of them for some time, the task
-//! ends and frees what it has; the reader finds the messages, and then how to go on.
+//! behind.
 
 use std::time::Duration;
 
 use futures::Stream;
-use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::timeout;
 
-use crate::contract::{Lease, Refusal, Service, convert, v1};
+use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::refusal::Code;
 use crate::session::{News, SessionError, SessionId, Watch, WatchCursor, WatchPage};
 use crate::store::{Revisions, StoredSolution};
 
+use super::outlet::{Outlet, outlet};
 use super::session_id;
 
-/// Messages that wait for a reader.
-const WAITING: usize = 4;
 /// Solutions in one message at most.
 const SOLUTIONS: usize = 32;
 /// Memory of a watch: its waiting messages and a page from the store (bytes).
@@ -27,17 +25,15 @@ const WATCH_BYTES: usize = 96 << 10;
 /// watch for dead.
 const KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// A message of a watch, or why the watch ends.
-type Message = Result<v1::WatchSolutionsResponse, Refusal>;
-
 /// Watches the solutions of a session. The first message has none and comes at once.
 ///
 /// # Errors
 /// The session does not exist, the cursor is invalid, or as many watches are open as allowed.
 pub async fn watch(
-    service: &Service,
+    caller: &Caller,
     request: v1::WatchSolutionsRequest,
-) -> Result<impl Stream<Item = Message> + Send + use<>, Refusal> {
+) -> Result<impl Stream<Item = Result<v1::WatchSolutionsResponse, Refusal>> + Send + use<>, Refusal>
+{
     let id = session_id(&request.session)?;
     let start = start(&request)?;
     let with_revisions = match v1::Revisions::try_from(request.revisions) {
@@ -51,28 +47,17 @@ pub async fn watch(
             }
         },
     };
-    if service.is_draining() {
+    if caller.is_draining() {
         return Err(SessionError::Draining.into());
     }
-    let permit = service.watch_permit()?;
+    let permit = caller.watch_permit()?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
-    let (watch, now) = service.sessions().watch(&id).await?;
-    let (sender, messages) = mpsc::channel(WAITING);
-    let patience = Duration::from_secs(service.limits().body_silence_s);
+    let (watch, now) = caller.sessions().watch(&id).await?;
     let cursor = start.unwrap_or(now);
-    let (service, oldest_available) = (service.clone(), None);
-    let watching =
-        Watching { service, id, watch, cursor, with_revisions, oldest_available, sender, patience };
-    let (end, ended) = oneshot::channel();
-    tokio::spawn(async move {
-        if let Err(refusal) = watching.run(permit).await {
-            end.send(refusal).ok(); // Err: the reader has gone.
-        }
-    });
-    let reading = Reading { messages, ended: Some(ended) };
-    Ok(futures::stream::unfold(reading, |mut reading| async move {
-        Some((reading.next().await?, reading))
-    }))
+    let (outlet, reader) = outlet(caller);
+    let (caller, oldest_available) = (caller.clone(), None);
+    let watching = Watching { caller, id, watch, cursor, with_revisions, oldest_available, outlet };
+    Ok(reader.read(watching.run(permit)))
 }
 
 /// Where a watch begins; `None` for the present.
@@ -105,49 +90,28 @@ fn parse(text: &str) -> Option<WatchCursor> {
     Some(WatchCursor { answers: number(answers)?, revisions: number(revisions)? })
 }
 
-/// The reader's side.
-struct Reading {
-    messages: mpsc::Receiver<v1::WatchSolutionsResponse>,
-    /// Why the watch ended.
-    ended: Option<oneshot::Receiver<Refusal>>,
-}
-
-impl Reading {
-    async fn next(&mut self) -> Option<Message> {
-        if let Some(message) = self.messages.recv().await {
-            return Some(Ok(message));
-        }
-        // Err: the watch ended because the session is closed.
-        let refusal = self.ended.take()?.await.ok()?;
-        Some(Err(refusal))
-    }
-}
-
 /// The task of a watch.
 struct Watching {
-    service: Service,
+    caller: Caller,
     id: SessionId,
     watch: Watch,
     cursor: WatchCursor,
     with_revisions: bool,
     oldest_available: Option<u64>,
-    sender: mpsc::Sender<v1::WatchSolutionsResponse>,
-    /// Time that the reader has for a message.
-    patience: Duration,
+    outlet: Outlet<v1::WatchSolutionsResponse>,
 }
 
 impl Watching {
     /// Sends solutions until the session is closed or the reader has gone.
     async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
-        let mut drained = Box::pin(self.service.drained());
+        let mut drained = Box::pin(self.caller.drained());
         self.send(Vec::new(), false).await?;
         let mut is_closed = self.catch_up().await?;
         while !is_closed {
-            let sender = self.sender.clone();
             let news = tokio::select! {
                 news = timeout(KEEPALIVE, self.watch.next()) => news,
                 () = &mut drained => return Err(SessionError::Draining.into()),
-                () = sender.closed() => return Ok(()),
+                () = self.outlet.closed() => return Ok(()),
             };
             is_closed = match news {
                 Err(_) => self.send(Vec::new(), false).await.map(|()| false)?,
@@ -161,11 +125,15 @@ impl Watching {
         self.send(Vec::new(), true).await
     }
 
-    /// Sends what the store has behind the cursor. Returns whether the session is closed after it.
+    /// Sends what the store has behind the cursor. Returns whether the session is closed after it;
+    /// `true`, too, once the reader has gone.
     async fn catch_up(&mut self) -> Result<bool, Refusal> {
-        loop {
+        while !self.outlet.is_closed() {
+            if self.caller.is_draining() {
+                return Err(SessionError::Draining.into());
+            }
             let asked = (SOLUTIONS / 2, self.with_revisions);
-            let page = self.service.sessions().watched(&self.id, self.cursor, asked).await?;
+            let page = self.caller.sessions().watched(&self.id, self.cursor, asked).await?;
             let WatchPage { solutions, has_more, oldest_available, is_closed } = page;
             self.oldest_available = oldest_available;
             self.send_new(solutions.iter()).await?;
@@ -173,6 +141,7 @@ impl Watching {
                 return Ok(is_closed);
             }
         }
+        Ok(true)
     }
 
     /// Sends solutions that are behind the cursor.
@@ -198,17 +167,7 @@ impl Watching {
         let oldest_available_seq = self.oldest_available;
         let message =
             v1::WatchSolutionsResponse { solutions, cursor, oldest_available_seq, closed };
-        match timeout(self.patience, self.sender.send(message)).await {
-            // Err: the reader has gone, which ends the watch at its next wait.
-            Ok(sent) => {
-                sent.ok();
-                Ok(())
-            }
-            Err(_) => {
-                let message = format!("no message was read for {} s", self.patience.as_secs());
-                Err(Refusal::new(Code::WatchTooSlow, message))
-            }
-        }
+        self.outlet.send(message).await
     }
 }
 

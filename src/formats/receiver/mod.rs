@@ -22,6 +22,7 @@ pub use stream::{Decoder, Event};
 
 pub use crate::formats::binary::{Ionosphere, Refusal, TimeReference};
 pub use crate::formats::rtcm::Station;
+pub use crate::formats::ubx::RawxWriter;
 
 use frames::{Frame, FrameBuffer, Scan};
 

@@ -18,6 +18,7 @@ mod galileo;
 mod glonass;
 mod lnav;
 mod rawx;
+mod rawx_writer;
 mod sfrbx;
 
 use crate::formats::binary::{Clock, Refusal};
@@ -25,6 +26,7 @@ use crate::gnss::{CivilTime, GpsTime, LeapSeconds, Observation, TimeScale};
 
 pub(in crate::formats) use broadcast::Broadcast;
 use rawx::RawxState;
+pub use rawx_writer::RawxWriter;
 use sfrbx::Subframes;
 
 /// The content of a message.

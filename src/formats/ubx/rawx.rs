@@ -12,19 +12,22 @@ use crate::gnss::{Constellation, Cycles, GpsTime, Observation, ObservationCode, 
 
 use super::{Notes, field};
 
-const HEADER_BYTES: usize = 16;
-const MEASUREMENT_BYTES: usize = 32;
+pub(super) const HEADER_BYTES: usize = 16;
+pub(super) const MEASUREMENT_BYTES: usize = 32;
 const VERSION_LIMIT: u8 = 1;
 /// Valid GPS weeks of a log, up to the year 2171.
 const WEEKS: std::ops::RangeInclusive<i32> = 1..=9999;
 /// Value of `cpStdev` for 0.06 cycles or more.
 const WORST_PHASE: u8 = 15;
+/// Numbers of constellations, and of signals, are below these.
+const SYSTEMS: u8 = 8;
+const SIGNALS: u8 = 16;
 /// Slot of GLONASS satellites whose slot is unknown.
 const UNKNOWN_SLOT: u8 = 255;
 
-const PSEUDORANGE_VALID: u8 = 1;
-const PHASE_VALID: u8 = 2;
-const HALF_CYCLE_RESOLVED: u8 = 4;
+pub(super) const PSEUDORANGE_VALID: u8 = 1;
+pub(super) const PHASE_VALID: u8 = 2;
+pub(super) const HALF_CYCLE_RESOLVED: u8 = 4;
 const HALF_CYCLE_SUBTRACTED: u8 = 8;
 
 /// The last lock state of a signal.
@@ -149,6 +152,16 @@ pub(super) fn satellite(system: u8, number: u8) -> Result<SatelliteId, Refusal> 
     SatelliteId::new(constellation, number)
         .filter(|satellite| satellite.number <= highest)
         .ok_or(Refusal::UnknownSatellite)
+}
+
+/// The receiver's numbers of constellation, satellite and signal; the inverse of [`identify`].
+pub(super) fn numbers(satellite: SatelliteId, code: ObservationCode) -> Option<[u8; 3]> {
+    let is_of = |system: &u8| self::satellite(*system, satellite.number) == Ok(satellite);
+    let system = (0..SYSTEMS).find(is_of)?;
+    let is_code = |signal: &u8| {
+        self::code(satellite.constellation, *signal).and_then(ObservationCode::parse) == Some(code)
+    };
+    Some([system, satellite.number, (0..SIGNALS).find(is_code)?])
 }
 
 /// The RINEX code of a signal number; UBX-22008968, 1.5.4.

@@ -25,7 +25,7 @@ use atmosphere::Atmosphere;
 
 pub(super) use atmosphere::RELATIVE_HUMIDITY;
 pub(super) use signals::preference;
-pub(super) use weights::constellation_factor;
+pub(super) use weights::{constellation_factor, receiver_weights};
 
 /// Valid pseudoranges of a receiver on Earth (m): its clock may be off by 0.2 s.
 pub(super) const PSEUDORANGES_M: std::ops::Range<f64> = 1e6..1e8;

@@ -25,6 +25,7 @@ pub(crate) struct AnswerParts<'a> {
     pub(crate) state: &'a State,
     /// Of the state.
     pub(crate) covariance: &'a SMatrix<f64, STATE, STATE>,
+    pub(crate) has_velocity: bool,
     pub(crate) differences: &'a SingleDifferences,
     /// Factor on the position's variance without integers.
     pub(crate) float_factor: f64,
@@ -78,7 +79,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     let estimate = SolutionEstimate {
         position,
         covariance: to_ecef(&uncertainty),
-        velocity: Some(Velocity {
+        velocity: parts.has_velocity.then(|| Velocity {
             velocity_m_s: rotation.transpose() * velocity,
             covariance: to_ecef(&velocity_covariance),
             clock_drift_m_s: clock_drift_m_s(epoch, &velocity),
@@ -103,6 +104,28 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     let provenance = Provenance { ephemerides, base: Some(BaseEpochIssue { base: name, time }) };
     let estimate = Some(estimate);
     Solution { time: epoch.time, status, estimate, protection: None, reasons, provenance }
+}
+
+/// The answer at another local position, with its covariance; velocity and clock stay.
+pub(crate) fn moved(
+    solution: &Solution,
+    frame: &LocalFrame,
+    (position, covariance): (&Vector3<f64>, &Matrix3<f64>),
+    options: &RtkOptions,
+) -> Solution {
+    let mut solution = solution.clone();
+    let rotation = &frame.rotation;
+    if let Some(estimate) = &mut solution.estimate {
+        let moved = frame.to_ecef(Enu(*position));
+        let mut covariance = *covariance;
+        if let Some(relative) = &mut estimate.relative {
+            relative.baseline_m += moved.0 - estimate.position.0;
+            covariance += gradient_covariance(options, relative.baseline_m.norm());
+        }
+        estimate.position = moved;
+        estimate.covariance = rotation.transpose() * covariance * rotation;
+    }
+    solution
 }
 
 /// The rover's clock drift (m/s): the common offset of its Doppler shifts at a velocity; zero

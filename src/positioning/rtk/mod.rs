@@ -8,6 +8,7 @@
 //! | `answer` | from a state with its ambiguities to a solution |
 //! | `relative` | the driver: one epoch in order, with or without a usable base |
 //! | `window` | [`RtkWindow`]: a window of epochs in the graph, answered again as they leave |
+//! | `paper` | [`RtkPaper`]: the published estimator, for comparison |
 //! | `filter` | [`RtkFilter`]: the same rows in an extended Kalman filter, for comparison |
 //!
 //! `docs/estimation.md` has the equations.
@@ -16,9 +17,11 @@ mod ambiguity;
 mod answer;
 mod filter;
 mod observed;
+mod paper;
 mod relative;
 mod tracking;
 mod window;
 
 pub(super) use filter::RtkFilter;
+pub(super) use paper::RtkPaper;
 pub(super) use window::RtkWindow;

@@ -33,6 +33,9 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// Scratch of the solver.
     type Scratch: Default + Debug;
 
+    /// Whether its positions without integers are tested against others.
+    const DOUBTS: bool = true;
+
     /// A solver before its first epoch.
     fn new() -> Self;
 
@@ -50,6 +53,11 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
 
     /// The arcs, held integers and noise scales.
     fn tracking(&mut self) -> &mut Tracking;
+
+    /// Factor on the variance of a position without integers.
+    fn float_factor(&mut self) -> f64 {
+        self.tracking().receivers.pseudorange_noise.variance_factor()
+    }
 
     /// Drops all states and arcs, and sets the frame's origin to `start`.
     fn begin(&mut self, start: Ecef, guess: &State);
@@ -117,6 +125,8 @@ pub(crate) struct NewEpoch<'a> {
 pub(crate) struct Resolved {
     pub(crate) state: State,
     pub(crate) covariance: SMatrix<f64, STATE, STATE>,
+    /// Whether the state's velocity is known.
+    pub(crate) has_velocity: bool,
     pub(crate) resolution: Resolution,
 }
 
@@ -316,13 +326,14 @@ impl<S: RelativeSolver> Relative<S> {
         self.reconsider(&resolved, setup.options.rtk.single_epoch, scratch);
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         reasons.extend(slip_reasons(slipped, &self.solver.tracking().arcs, time));
-        let float_factor = self.solver.tracking().receivers.pseudorange_noise.variance_factor();
+        let float_factor = self.solver.float_factor();
         Ok(solution(AnswerParts {
             float_factor,
             frame: self.solver.frame(),
             epoch: self.solver.epoch(&scratch.solver),
             state: &resolved.state,
             covariance: &resolved.covariance,
+            has_velocity: resolved.has_velocity,
             differences,
             resolution: resolved.resolution,
             reasons,
@@ -341,7 +352,7 @@ impl<S: RelativeSolver> Relative<S> {
         is_single_epoch: bool,
         scratch: &mut RelativeScratch<S>,
     ) {
-        if resolved.resolution.outcome.is_ok() || is_single_epoch {
+        if resolved.resolution.outcome.is_ok() || is_single_epoch || !S::DOUBTS {
             self.watch = PseudorangeWatch::default();
             return;
         }

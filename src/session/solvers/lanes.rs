@@ -1,19 +1,22 @@
 //! Who uses the solver pool next.
 //!
 //! Work waits in a lane. Each lane has a share of the pool while others wait, too; within a lane,
-//! work is served in order. A session has one piece of work at a time and returns to the end of its
-//! lane after each quantum, so sessions take turns.
+//! tenants take turns, and the work of a tenant is served in order. A session has one piece of
+//! work at a time and returns behind the others of its tenant after each quantum, so sessions take
+//! turns.
 //!
 //! The lane whose time on the pool, divided by its share, is the least comes next (stride
 //! scheduling: Waldspurger and Weihl, 1995, *Stride Scheduling: Deterministic Proportional-Share
 //! Resource Management*). A lane that has been empty begins at the present virtual time, so it has
 //! no claim to the time before.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
+
+use crate::tenant::Tenant;
 
 /// What work is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,12 +27,14 @@ pub(in crate::session) enum Lane {
     Restore,
     /// Computations that are not stored.
     OnDemand,
+    /// Batch jobs.
+    Batch,
 }
 
 /// Shares of the pool, by lane.
-const SHARES: [f64; 3] = [8.0, 4.0, 1.0];
+const SHARES: [f64; 4] = [8.0, 4.0, 1.0, 1.0];
 /// All lanes.
-const LANES: [Lane; 3] = [Lane::RealTime, Lane::Restore, Lane::OnDemand];
+const LANES: [Lane; 4] = [Lane::RealTime, Lane::Restore, Lane::OnDemand, Lane::Batch];
 
 /// The threads of a pool. All clones share them.
 #[derive(Clone, Debug)]
@@ -39,14 +44,17 @@ pub(super) struct Lanes(Arc<Mutex<Queues>>);
 struct Queues {
     /// Number of threads that do nothing.
     free: usize,
-    queues: [Queue; 3],
+    queues: [Queue; 4],
     /// Virtual time: that of the lane that was served last (s).
     now_s: f64,
 }
 
 #[derive(Debug, Default)]
 struct Queue {
-    waiting: VecDeque<oneshot::Sender<Turn>>,
+    /// The work of each tenant whose work waits.
+    waiting: HashMap<Tenant, VecDeque<oneshot::Sender<Turn>>>,
+    /// These tenants, in the order in which they are served.
+    order: VecDeque<Tenant>,
     /// Number of threads that work for this lane, and may.
     running: usize,
     most: usize,
@@ -63,24 +71,26 @@ pub(super) struct Turn {
 }
 
 impl Lanes {
-    /// A pool of `threads` threads. Computations on request leave one of them to others.
+    /// A pool of `threads` threads. Computations on request leave one of them to others, and so do
+    /// batch jobs.
     pub(super) fn new(threads: usize) -> Self {
-        let most = [threads, threads, threads.saturating_sub(1).max(1)];
+        let fewer = threads.saturating_sub(1).max(1);
+        let most = [threads, threads, fewer, fewer];
         let queues = most.map(|most| Queue { most, ..Queue::default() });
         Self(Arc::new(Mutex::new(Queues { free: threads, queues, now_s: 0.0 })))
     }
 
     /// Waits for a thread.
-    pub(super) async fn turn(&self, lane: Lane) -> Turn {
+    pub(super) async fn turn(&self, lane: Lane, tenant: Tenant) -> Turn {
         let (turn, granted) = oneshot::channel();
-        self.queues().enter(lane, turn);
+        self.queues().enter(lane, tenant, turn);
         self.serve();
         granted.await.expect("a turn that waits is granted")
     }
 
     /// Whether work waits for a thread.
     pub(super) fn is_awaited(&self) -> bool {
-        self.queues().queues.iter().any(|queue| !queue.waiting.is_empty())
+        self.queues().queues.iter().any(|queue| !queue.order.is_empty())
     }
 
     /// Grants turns while there are threads.
@@ -98,33 +108,70 @@ impl Lanes {
     }
 }
 
+impl Queue {
+    /// Adds work of a tenant. One whose work does not wait yet is served last.
+    fn add(&mut self, tenant: Tenant, work: oneshot::Sender<Turn>) {
+        match self.waiting.get_mut(&tenant) {
+            Some(own) => own.push_back(work),
+            None => {
+                self.order.push_back(tenant.clone());
+                self.waiting.insert(tenant, VecDeque::from([work]));
+            }
+        }
+    }
+
+    /// Takes the next work, of the tenant that has waited longest for its turn.
+    fn take(&mut self) -> Option<oneshot::Sender<Turn>> {
+        let tenant = self.order.pop_front()?;
+        let own = self.waiting.get_mut(&tenant)?;
+        let work = own.pop_front();
+        if own.is_empty() {
+            self.waiting.remove(&tenant);
+        } else {
+            self.order.push_back(tenant);
+        }
+        work
+    }
+
+    /// Removes work whose caller has gone, until the next work is one that is waited for.
+    fn drop_left(&mut self) {
+        while let Some(tenant) = self.order.front() {
+            let Some(own) = self.waiting.get_mut(tenant) else { return };
+            while own.front().is_some_and(oneshot::Sender::is_closed) {
+                own.pop_front();
+            }
+            if !own.is_empty() {
+                return;
+            }
+            self.waiting.remove(tenant);
+            self.order.pop_front();
+        }
+    }
+}
+
 impl Queues {
-    fn enter(&mut self, lane: Lane, waiting: oneshot::Sender<Turn>) {
+    fn enter(&mut self, lane: Lane, tenant: Tenant, waiting: oneshot::Sender<Turn>) {
         let now_s = self.now_s;
         let queue = &mut self.queues[lane as usize];
-        if queue.waiting.is_empty() && queue.running == 0 {
+        if queue.order.is_empty() && queue.running == 0 {
             queue.used_s = queue.used_s.max(now_s);
         }
-        queue.waiting.push_back(waiting);
+        queue.add(tenant, waiting);
     }
 
     /// The work that comes next, if there is a thread for it.
     fn next(&mut self) -> Option<(Lane, oneshot::Sender<Turn>)> {
-        for queue in &mut self.queues {
-            while queue.waiting.front().is_some_and(oneshot::Sender::is_closed) {
-                queue.waiting.pop_front(); // Its caller has gone.
-            }
-        }
+        self.queues.iter_mut().for_each(Queue::drop_left);
         if self.free == 0 {
             return None;
         }
         let queue = |lane: &Lane| &self.queues[*lane as usize];
         let can_run =
-            |lane: &Lane| !queue(lane).waiting.is_empty() && queue(lane).running < queue(lane).most;
+            |lane: &Lane| !queue(lane).order.is_empty() && queue(lane).running < queue(lane).most;
         let by_used = |a: &Lane, b: &Lane| queue(a).used_s.total_cmp(&queue(b).used_s);
         let lane = LANES.into_iter().filter(can_run).min_by(by_used)?;
         let queue = &mut self.queues[lane as usize];
-        let waiting = queue.waiting.pop_front()?;
+        let waiting = queue.take()?;
         queue.running += 1;
         self.free -= 1;
         self.now_s = self.now_s.max(queue.used_s);
@@ -161,10 +208,15 @@ mod tests {
         }
     }
 
-    /// Lets work of three lanes wait all the time; returns how many of `turns` each had.
-    fn served(lanes: &Lanes, turns: usize) -> [usize; 3] {
-        let mut waiting: Vec<_> = LANES.iter().map(|lane| Box::pin(lanes.turn(*lane))).collect();
-        let mut counts = [0; 3];
+    fn own() -> Tenant {
+        Tenant::operator()
+    }
+
+    /// Lets work of all lanes wait all the time; returns how many of `turns` each had.
+    fn served(lanes: &Lanes, turns: usize) -> [usize; 4] {
+        let mut waiting: Vec<_> =
+            LANES.iter().map(|lane| Box::pin(lanes.turn(*lane, own()))).collect();
+        let mut counts = [0; 4];
         for index in (0..LANES.len()).cycle() {
             let Some(mut turn) = now(waiting[index].as_mut()) else { continue };
             counts[index] += 1;
@@ -172,7 +224,7 @@ mod tests {
                 break;
             }
             // The lane waits again before the thread is free; each quantum takes 10 ms.
-            waiting[index] = Box::pin(lanes.turn(LANES[index]));
+            waiting[index] = Box::pin(lanes.turn(LANES[index], own()));
             assert!(now(waiting[index].as_mut()).is_none());
             turn.begun -= Duration::from_millis(10);
         }
@@ -181,22 +233,25 @@ mod tests {
 
     #[test]
     fn lanes_have_their_shares() {
-        let [real_time, restore, on_demand] = served(&Lanes::new(1), 1300);
+        let [real_time, restore, on_demand, batch] = served(&Lanes::new(1), 1400);
         assert!((780..=820).contains(&real_time), "{real_time} of 800");
         assert!((380..=420).contains(&restore), "{restore} of 400");
         assert!((90..=110).contains(&on_demand), "{on_demand} of 100");
+        assert!((90..=110).contains(&batch), "{batch} of 100");
     }
 
     #[test]
     fn a_lane_that_was_empty_has_no_claim_to_the_past() {
         let lanes = Lanes::new(1);
         for _ in 0..100 {
-            let mut turn = now(lanes.turn(Lane::RealTime)).unwrap();
+            let mut turn = now(lanes.turn(Lane::RealTime, own())).unwrap();
             turn.begun -= Duration::from_secs(1);
         }
-        let turn = now(lanes.turn(Lane::RealTime)).unwrap();
-        let (mut late, mut next) =
-            (Box::pin(lanes.turn(Lane::OnDemand)), Box::pin(lanes.turn(Lane::RealTime)));
+        let turn = now(lanes.turn(Lane::RealTime, own())).unwrap();
+        let (mut late, mut next) = (
+            Box::pin(lanes.turn(Lane::OnDemand, own())),
+            Box::pin(lanes.turn(Lane::RealTime, own())),
+        );
         assert!(now(late.as_mut()).is_none() && now(next.as_mut()).is_none());
         drop(turn);
         let mut turn = now(late.as_mut()).unwrap();
@@ -205,8 +260,8 @@ mod tests {
         for _ in 0..8 {
             let mut turn = now(next.as_mut()).unwrap();
             turn.begun -= Duration::from_millis(100);
-            late = Box::pin(lanes.turn(Lane::OnDemand));
-            next = Box::pin(lanes.turn(Lane::RealTime));
+            late = Box::pin(lanes.turn(Lane::OnDemand, own()));
+            next = Box::pin(lanes.turn(Lane::RealTime, own()));
             assert!(now(late.as_mut()).is_none() && now(next.as_mut()).is_none());
         }
     }
@@ -214,22 +269,51 @@ mod tests {
     #[test]
     fn a_caller_that_goes_loses_no_thread() {
         let lanes = Lanes::new(1);
-        let turn = now(lanes.turn(Lane::RealTime)).unwrap();
-        let mut gone = Box::pin(lanes.turn(Lane::RealTime));
-        let mut granted = Box::pin(lanes.turn(Lane::RealTime));
+        let turn = now(lanes.turn(Lane::RealTime, own())).unwrap();
+        let mut gone = Box::pin(lanes.turn(Lane::RealTime, own()));
+        let mut granted = Box::pin(lanes.turn(Lane::RealTime, own()));
         assert!(now(gone.as_mut()).is_none() && now(granted.as_mut()).is_none());
         drop(gone);
         drop(turn);
         // Granted, but never taken.
         drop(granted);
-        assert!(now(lanes.turn(Lane::RealTime)).is_some());
+        assert!(now(lanes.turn(Lane::RealTime, own())).is_some());
     }
 
     #[test]
     fn computations_on_request_leave_a_thread_to_others() {
         let lanes = Lanes::new(2);
-        let _first = now(lanes.turn(Lane::OnDemand)).unwrap();
-        assert!(now(lanes.turn(Lane::OnDemand)).is_none());
-        assert!(now(lanes.turn(Lane::RealTime)).is_some());
+        let _first = now(lanes.turn(Lane::OnDemand, own())).unwrap();
+        assert!(now(lanes.turn(Lane::OnDemand, own())).is_none());
+        assert!(now(lanes.turn(Lane::RealTime, own())).is_some());
+    }
+
+    /// Whoever has more work does not have more turns.
+    #[test]
+    fn tenants_take_turns() {
+        let lanes = Lanes::new(1);
+        let (few, many) = (Tenant::parse("few").unwrap(), Tenant::parse("many").unwrap());
+        let turn = now(lanes.turn(Lane::RealTime, many.clone())).unwrap();
+        let work = |tenant: &Tenant| {
+            let mut work = Box::pin(lanes.turn(Lane::RealTime, tenant.clone()));
+            assert!(now(work.as_mut()).is_none());
+            work
+        };
+        let mut of_many: Vec<_> = (0..10).map(|_| work(&many)).collect();
+        let mut of_few: Vec<_> = (0..2).map(|_| work(&few)).collect();
+        let mut served = Vec::new();
+        let mut present = Some(turn);
+        for _ in 0..6 {
+            drop(present.take());
+            for (name, works) in [("many", &mut of_many), ("few", &mut of_few)] {
+                let next = works.first_mut().and_then(|work| now(work.as_mut()));
+                if let Some(turn) = next {
+                    drop(works.remove(0));
+                    served.push(name);
+                    present = Some(turn);
+                }
+            }
+        }
+        assert_eq!(served, ["many", "few", "many", "few", "many", "many"]);
     }
 }

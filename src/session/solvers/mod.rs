@@ -7,33 +7,96 @@ use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::{JoinError, spawn_blocking};
+use tokio::time::sleep;
 
+use crate::clock::Stopwatch;
 use crate::positioning::Scratch;
+use crate::quotas::{Meter, Meters};
+use crate::tenant::Tenant;
 
 use super::SessionError;
 use super::panics::{caught, message};
 use super::state::State;
 
 pub(super) use lanes::Lane;
-use lanes::Lanes;
+use lanes::{Lanes, Turn};
 use newest::{Admitted, Newest};
 
 /// A quantum ends after this time, or after this number of steps if others wait.
 const QUANTUM: Duration = Duration::from_millis(10);
 const QUANTUM_STEPS: usize = 16;
+/// Interval at which a job looks whether its tenant may compute again; quotas may change meanwhile.
+const QUOTA_LOOK: Duration = Duration::from_secs(1);
 /// Sessions that are restored at the same time.
 const RESTORES_PER_THREAD: usize = 4;
+/// Memory of all streams of receivers that are restored at the same time (bytes). A CRINEX or gzip
+/// stream has up to 16 MB, the others 128 kB.
+const STREAM_MEMORY_BYTES: usize = 48 << 20;
+/// Copies of the stored bytes while a stream is restored: the rows, the whole, the decoder's.
+const STREAM_COPIES: u64 = 3;
 /// Most spare states that are kept.
 const SPARE_STATES: usize = 64;
 
-/// A bounded number of threads for estimation, which lanes share.
+/// A bounded number of threads for estimation, which lanes share. A handle works for one tenant, on
+/// whose meter its time is counted.
 #[derive(Clone)]
 pub(super) struct Solvers {
     lanes: Lanes,
+    meter: Arc<Meter>,
     memory: MemoryPool,
     threads: usize,
     restores: Newest,
+    /// Kilobytes that streams which are restored may use.
+    stream_memory: Arc<Semaphore>,
+}
+
+/// Time after which a batch job ends its turn.
+pub const BATCH_QUANTUM: Duration = QUANTUM;
+
+/// The part of the pool that batch jobs have.
+#[derive(Clone)]
+pub struct BatchLane {
+    lanes: Lanes,
+    meters: Meters,
+}
+
+/// The right of a batch job to compute. Dropping it ends the turn.
+#[derive(Debug)]
+#[must_use = "the turn ends when it is dropped"]
+pub struct BatchTurn {
+    _turn: Turn,
+    begun: Instant,
+    meter: Arc<Meter>,
+}
+
+impl BatchLane {
+    /// Processor time that the batch jobs of a tenant have used since the start (s).
+    pub fn used_s(&self, tenant: &Tenant) -> f64 {
+        self.meters.of(tenant).batch_s()
+    }
+
+    /// Waits for a turn of a tenant, which has none while it has used its processor time. The turn
+    /// should end after [`BATCH_QUANTUM`].
+    pub async fn turn(&self, tenant: &Tenant) -> BatchTurn {
+        let meter = self.meters.of(tenant);
+        loop {
+            let delay = meter.computation_delay();
+            if delay.is_zero() {
+                break;
+            }
+            sleep(delay.min(QUOTA_LOOK)).await;
+        }
+        let turn = self.lanes.turn(Lane::Batch, tenant.clone()).await;
+        BatchTurn { _turn: turn, begun: Instant::now(), meter }
+    }
+}
+
+impl Drop for BatchTurn {
+    fn drop(&mut self) {
+        self.meter.count_batch(self.begun.elapsed());
+    }
 }
 
 /// Whether steps are left after one.
@@ -57,10 +120,24 @@ struct Shared {
 }
 
 impl Solvers {
+    /// A pool for the operator, whose time is counted on its own meter.
     pub(super) fn new(threads: NonZeroUsize) -> Self {
         let threads = threads.get();
         let (lanes, memory) = (Lanes::new(threads), MemoryPool::default());
-        Self { lanes, memory, threads, restores: Newest::new(RESTORES_PER_THREAD * threads) }
+        let restores = Newest::new(RESTORES_PER_THREAD * threads);
+        let stream_memory = Arc::new(Semaphore::new(STREAM_MEMORY_BYTES >> 10));
+        let meter = Meters::default().of(&Tenant::operator());
+        Self { lanes, meter, memory, threads, restores, stream_memory }
+    }
+
+    /// The meter on which the time is counted.
+    pub(super) fn meter(&self) -> &Meter {
+        &self.meter
+    }
+
+    /// The same pool for the tenant of a meter.
+    pub(super) fn of(&self, meter: Arc<Meter>) -> Self {
+        Self { meter, ..self.clone() }
     }
 
     /// Number of threads.
@@ -72,6 +149,19 @@ impl Solvers {
     /// read the store.
     pub(super) async fn admitted_restore(&self) -> Admitted {
         self.restores.admitted().await
+    }
+
+    /// Waits until the memory is free that a stream of so many stored bytes needs while it is
+    /// restored. A stream that needs more than there is waits for all of it.
+    pub(super) async fn admitted_stream(&self, stored_bytes: u64) -> OwnedSemaphorePermit {
+        let bytes = stored_bytes.saturating_mul(STREAM_COPIES).min(STREAM_MEMORY_BYTES as u64);
+        let permits = self.stream_memory.clone().acquire_many_owned((bytes >> 10) as u32).await;
+        permits.expect("the semaphore is never closed")
+    }
+
+    /// The part of the pool that batch jobs have.
+    pub(super) fn batch_lane(&self, meters: Meters) -> BatchLane {
+        BatchLane { lanes: self.lanes.clone(), meters }
     }
 
     pub(super) fn memory(&self) -> &MemoryPool {
@@ -87,10 +177,13 @@ impl Solvers {
         lane: Lane,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, SessionError> {
-        let turn = self.lanes.turn(lane).await;
+        let turn = self.lanes.turn(lane, self.meter.tenant().clone()).await;
+        let meter = self.meter.clone();
         let running = spawn_blocking(move || {
-            let _turn = turn;
-            work()
+            let (_turn, begun) = (turn, Stopwatch::started());
+            let done = work();
+            meter.count_cpu(begun.elapsed());
+            done
         });
         running.await.map_err(|error| SessionError::EstimatorFailed { message: message_of(error) })
     }
@@ -125,7 +218,10 @@ impl Solvers {
                 },
             );
         };
-        caught(steps).map_err(|message| SessionError::EstimatorFailed { message })?;
+        let begun = Stopwatch::started();
+        let done = caught(steps);
+        self.meter.count_cpu(begun.elapsed());
+        done.map_err(|message| SessionError::EstimatorFailed { message })?;
         Ok(work)
     }
 
@@ -230,6 +326,22 @@ mod tests {
         assert_eq!(failed.code(), Code::EstimatorFailed);
         assert!(failed.to_string().ends_with("singular at 3"), "{failed}");
         assert_eq!(solvers.run(Lane::RealTime, || 7).await.unwrap(), 7);
+    }
+
+    /// Long streams are restored one after another, short ones beside each other.
+    #[tokio::test]
+    async fn streams_are_restored_within_the_memory() {
+        let solvers = Solvers::new(NonZeroUsize::MIN);
+        let short = solvers.admitted_stream(128 << 10).await;
+        let other = solvers.admitted_stream(128 << 10).await;
+        let mut long = Box::pin(solvers.admitted_stream(u64::MAX));
+        assert!(futures::poll!(&mut long).is_pending());
+        drop((short, other));
+        let long = long.await;
+        let mut next = Box::pin(solvers.admitted_stream(16 << 20));
+        assert!(futures::poll!(&mut next).is_pending());
+        drop(long);
+        drop(next.await);
     }
 
     /// A computation of many steps lets one of a single step pass, and ends with its caller.

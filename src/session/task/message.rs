@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
@@ -60,6 +61,16 @@ impl Message {
         }
     }
 
+    /// How long a push has waited.
+    pub(in crate::session) fn waited(&self) -> Option<Duration> {
+        let permit = match self {
+            Self::Submission(submission) => submission.permit.as_ref(),
+            Self::Raw(submission) => submission.permit.as_ref(),
+            Self::Reset { .. } | Self::Close { .. } => None,
+        };
+        permit.map(|permit| permit.since.elapsed())
+    }
+
     /// Attaches the permit that the message occupies while it waits.
     pub(in crate::session) fn set_permit(&mut self, permit: MailboxPermit) {
         match self {
@@ -74,6 +85,7 @@ impl Message {
 /// The capacity that a message's epochs take while they wait. Dropping it frees the capacity.
 pub(in crate::session) struct MailboxPermit {
     epochs: usize,
+    since: Instant,
     of_session: Arc<AtomicUsize>,
     of_all: Arc<AtomicUsize>,
 }
@@ -86,7 +98,8 @@ impl MailboxPermit {
     ) -> Self {
         of_session.fetch_add(epochs, Ordering::AcqRel);
         of_all.fetch_add(epochs, Ordering::AcqRel);
-        Self { epochs, of_session: of_session.clone(), of_all: of_all.clone() }
+        let (of_session, of_all) = (of_session.clone(), of_all.clone());
+        Self { epochs, since: Instant::now(), of_session, of_all }
     }
 }
 

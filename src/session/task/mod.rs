@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::mem;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
 
@@ -21,9 +21,10 @@ use crate::store::{
     ArcStart, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch,
     StoredSolution,
 };
+use crate::tenant::Tenant;
 
 use super::batch::{Plan, SolvedBatch};
-use super::counters::Counters;
+use super::counters::{Counters, Stage};
 use super::info::oldest_available;
 use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
@@ -40,10 +41,15 @@ pub(super) use message::{MailboxPermit, Message, RawSubmission, Submission};
 /// A batch takes no further push once it has this many epochs.
 const EPOCHS_PER_BATCH: usize = 1_024;
 
+/// Arcs that a session may begin. To find a time, each of them is searched.
+const ARCS: usize = 1_000;
+
 /// The data of a session's task.
 pub(super) struct Task {
     pub(super) id: SessionId,
     pub(super) key: SessionKey,
+    /// To whom it belongs.
+    pub(super) tenant: Tenant,
     /// The session's device as a source of navigation data.
     pub(super) device: Arc<str>,
     pub(super) store: Store,
@@ -101,6 +107,9 @@ impl Task {
             let (mut next, mut epochs) = (Some(first), 0);
             let (mut submissions, mut other) = (Vec::new(), None);
             while let Some(message) = next {
+                if let Some(waited) = message.waited() {
+                    self.counters.record(Stage::Waiting, waited);
+                }
                 match message {
                     // Dropped: the stream has ended with the error before it.
                     message if message.is_broken() => {}
@@ -144,6 +153,9 @@ impl Task {
     async fn reset(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
         let current = self.activate(active).await?;
         let Some(after_seq) = current.last_seq() else { return Ok(()) };
+        if ARCS <= self.store.arcs(self.key).await?.len() {
+            return Err(SessionError::TooManyArcs { limit: ARCS });
+        }
         let keeps_snapshot = self.keeps_snapshot(current);
         let mut state = (*current.committed).clone();
         let estimation = current.configuration.estimation.clone();
@@ -240,7 +252,7 @@ impl Task {
             batch;
         for (seq, panic) in panics {
             tracing::error!(session = %self.id, seq, panic, "the estimator failed on an epoch");
-            self.counters.quarantined.fetch_add(1, Ordering::Relaxed);
+            self.counters.meters.quarantined.inc();
         }
         let stored = self.lookup(&plans).await?;
         let keeps_snapshot = snapshot.is_some() && rules.keeps_snapshot;
@@ -253,8 +265,10 @@ impl Task {
             ..self.batch(active.as_ref().and_then(Active::last_seq))
         };
         if !batch.is_empty() {
+            let begun = Instant::now();
             let committed = self.store.commit(batch).await;
             committed.map_err(|error| failed(active, Arc::new(state.clone()), error))?;
+            self.counters.record(Stage::Committing, begun.elapsed());
         }
         self.live.publish(self.key, solutions.iter().chain(&revised));
         let current = active.as_mut().expect("it stays after a commit");
@@ -264,9 +278,13 @@ impl Task {
         if let Ok(before) = Arc::try_unwrap(mem::replace(&mut current.committed, Arc::new(state))) {
             self.solvers.memory().recycle(before);
         }
+        solutions.iter().for_each(|stored| self.counters.count_epoch(stored.solution.status));
         let outcome = |(seq, plan)| {
             let result = match plan {
-                Plan::Refused(refusal) => Err(refusal),
+                Plan::Refused(refusal) => {
+                    self.counters.meters.refused.inc();
+                    Err(refusal)
+                }
                 Plan::Lookup(epoch) => answer_from(&stored, &epoch, durable_through)?,
                 Plan::Positioned { index, resent } => {
                     Ok(Acknowledged { solution: solutions[index].clone(), resent })
@@ -322,7 +340,7 @@ impl Task {
                 current.epoch_time = None;
             } else {
                 let committed = Arc::new(self.restored(&configuration).await?);
-                self.counters.restores.fetch_add(1, Ordering::Relaxed);
+                self.counters.meters.restores.inc();
                 self.live.publish_unknown(self.key);
                 *active = Some(Active {
                     committed,

@@ -6,7 +6,6 @@
 //! it, the state is restored from the store.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -64,7 +63,7 @@ impl Task {
     /// Computing of a session that a restart may repeat. Sessions differ by up to half of it, so
     /// that those which began together are not stored together.
     fn replay_max(&self) -> Duration {
-        let sessions = self.counters.in_memory.load(Ordering::Relaxed).max(1);
+        let sessions = self.counters.in_memory().max(1);
         let threads = self.solvers.threads();
         let share = (RESTART * threads as u32).div_f64(sessions as f64);
         let mut hasher = DefaultHasher::new();
@@ -143,6 +142,7 @@ impl Task {
             store: self.store.clone(),
             aiding: self.aiding.clone(),
             solvers: self.solvers.clone(),
+            tenant: self.tenant.clone(),
             key: self.key,
             device: self.device.clone(),
             with: ReplayWith::Stored,

@@ -1,12 +1,14 @@
 //! Epochs that are being positioned, one after another, on the solver pool.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use std::vec::IntoIter;
 
+use crate::clock::Stopwatch;
 use crate::positioning::Scratch;
 use crate::session::base_selection::BaseSource;
 use crate::session::batch::{BatchAiding, EpochRules, SolvedBatch};
+use crate::session::counters::Stage;
 use crate::session::replay::ActiveConfiguration;
 use crate::session::solvers::{Lane, MemoryPool, Progress};
 use crate::session::state::State;
@@ -42,6 +44,7 @@ impl Task {
             true => self.solvers.run_here(work, Positioning::step)?,
             false => self.solvers.in_quanta(Lane::RealTime, work, Positioning::step).await?,
         };
+        self.counters.record(Stage::Solving, done.used);
         let each = done.used / count.max(1);
         // Follows a rise at once, and a fall slowly.
         *epoch_time = Some(epoch_time.map_or(each, |before| each.max(before * 7 / 8)));
@@ -57,7 +60,8 @@ impl Task {
         let times = || epochs.iter().map(|sequenced| sequenced.epoch.time);
         let span = times().min().zip(times().max());
         let options = &configuration.estimation.options;
-        let source = BaseSource::new(&self.aiding.bases, &configuration.bases, span, options);
+        let source =
+            BaseSource::new(&self.aiding.bases, &self.tenant, &configuration.bases, span, options);
         BatchAiding { navigation: self.aiding.navigation.current_for(&self.device), source }
     }
 }
@@ -69,7 +73,7 @@ struct Positioning {
     aiding: BatchAiding,
     configuration: Arc<ActiveConfiguration>,
     rules: EpochRules,
-    /// Time of the steps so far.
+    /// Processor time of the steps so far.
     used: Duration,
 }
 
@@ -84,9 +88,9 @@ enum Positioned {
 impl Positioning {
     /// Positions the next epoch.
     fn step(&mut self, scratch: &mut Scratch) -> Progress {
-        let begun = Instant::now();
+        let stopwatch = Stopwatch::started();
         let progress = self.advance(scratch);
-        self.used += begun.elapsed();
+        self.used += stopwatch.elapsed();
         progress
     }
 

@@ -84,6 +84,7 @@ impl Task {
         };
         let mut received = self.brought(received.map_err(SessionError::Raw)?).await?;
         let epochs = std::mem::take(&mut received.epochs);
+        self.solvers.meter().count_epochs(epochs.len());
         if let Some(permit) = permit {
             permit.raise_to(epochs.len());
         }
@@ -164,6 +165,7 @@ impl Task {
         let whole = |parts: Vec<(u64, Vec<u8>)>| {
             parts.into_iter().flat_map(|(_, bytes)| bytes).collect::<Vec<u8>>()
         };
+        let _admitted = self.solvers.admitted_stream(through - tail + header_end - stream).await;
         let header = whole(self.store.raw_bytes(self.key, stream, header_end).await?);
         let bytes = whole(self.store.raw_bytes(self.key, tail, through).await?);
         let needed = Needed { header: stream..header_end, tail: tail..through };

@@ -65,6 +65,21 @@ impl Batch {
             && self.closed_unix_ms.is_none()
     }
 
+    /// Length of what it stores (bytes).
+    pub(super) fn bytes(&self) -> usize {
+        let snapshot = self.snapshot.iter().map(|snapshot| snapshot.content.len());
+        let raw = self.raw.iter().map(|raw| raw.content.len());
+        self.added_bytes() + snapshot.chain(raw).sum::<usize>()
+    }
+
+    /// Length of the epochs and solutions (bytes), which replace no others.
+    pub(super) fn added_bytes(&self) -> usize {
+        let epochs =
+            self.epochs.iter().map(|epoch| epoch.content.len() + epoch.solution.content.len());
+        let revisions = self.revisions.iter().map(|revision| revision.content.len());
+        epochs.chain(revisions).sum()
+    }
+
     /// The partition of its rows: the day of arrival, if its name has eight digits.
     pub(super) fn partition(&self) -> Option<i32> {
         self.day.filter(|day| DAYS.contains(day)).map(|day| day as i32)

@@ -31,9 +31,11 @@ struct Head {
     status: Option<i16>,
     position_m: [Option<f64>; 3],
     closed_unix_ms: Option<i64>,
+    /// Length of the epochs and solutions that are added (bytes).
+    added_bytes: i64,
 }
 
-const COLUMNS: usize = 10;
+const COLUMNS: usize = 11;
 
 macro_rules! compare_and_set {
     ($owner:literal, $fence:literal, $rows:literal) => {
@@ -50,7 +52,8 @@ macro_rules! compare_and_set {
             "x_m = COALESCE(b.x_m, session_heads.x_m), ",
             "y_m = COALESCE(b.y_m, session_heads.y_m), ",
             "z_m = COALESCE(b.z_m, session_heads.z_m), ",
-            "closed_unix_ms = b.closed_unix_ms FROM (",
+            "closed_unix_ms = b.closed_unix_ms, ",
+            "stored_bytes = session_heads.stored_bytes + b.added_bytes FROM (",
             $rows,
             ") AS b WHERE session_heads.session = b.session ",
             "AND session_heads.last_seq IS NOT DISTINCT FROM b.previous ",
@@ -65,15 +68,16 @@ const POSTGRES: &str = compare_and_set!(
     "$2",
     "SELECT * FROM UNNEST($3::bigint[], $4::bigint[], $5::bigint[], $6::bigint[], $7::bigint[], \
      $8::smallint[], $9::double precision[], $10::double precision[], $11::double precision[], \
-     $12::bigint[]) AS u(session, previous, last_seq, last_gps_time_ns, raw_through, status, x_m, \
-     y_m, z_m, closed_unix_ms)"
+     $12::bigint[], $13::bigint[]) AS u(session, previous, last_seq, last_gps_time_ns, \
+     raw_through, status, x_m, y_m, z_m, closed_unix_ms, added_bytes)"
 );
 const SQLITE: &str = compare_and_set!(
     "?",
     "?",
     "SELECT column1 AS session, column2 AS previous, column3 AS last_seq, \
      column4 AS last_gps_time_ns, column5 AS raw_through, column6 AS status, column7 AS x_m, \
-     column8 AS y_m, column9 AS z_m, column10 AS closed_unix_ms FROM (VALUES {rows})"
+     column8 AS y_m, column9 AS z_m, column10 AS closed_unix_ms, column11 AS added_bytes \
+     FROM (VALUES {rows})"
 );
 
 static SQLITE_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
@@ -95,6 +99,7 @@ impl Head {
             status: last.map(|epoch| epoch.solution.status),
             position_m: position.map_or([None; 3], |solution| solution.position_m),
             closed_unix_ms: batch.closed_unix_ms,
+            added_bytes: batch.added_bytes() as i64,
         }
     }
 }
@@ -124,7 +129,8 @@ pub(super) async fn accepted_sqlite<'a>(
                         .bind(x_m)
                         .bind(y_m)
                         .bind(z_m)
-                        .bind(head.closed_unix_ms);
+                        .bind(head.closed_unix_ms)
+                        .bind(head.added_bytes);
                 }
                 let update = update.bind(owner.fence);
                 let set: Vec<i64> = update.fetch_all(&mut *connection).await?;
@@ -160,6 +166,7 @@ pub(super) async fn accepted_postgres<'a>(
             .bind(axis(1))
             .bind(axis(2))
             .bind(numbers(|head| head.closed_unix_ms))
+            .bind(heads.iter().map(|head| head.added_bytes).collect::<Vec<_>>())
             .fetch_all(&mut *connection)
             .await?;
         let set: BTreeSet<i64> = set.into_iter().collect();

@@ -34,7 +34,7 @@ const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activit
 const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
 const NEXT_FENCE: &str = "UPDATE committer SET node = $1, fence = fence + 1 RETURNING fence";
-const FENCE: &str = "SELECT fence FROM committer";
+const OWNER: &str = "SELECT node, fence FROM committer";
 const HOLDER: &str = "SELECT node FROM committer";
 /// The server ends the connection of a service that has died within this time.
 const LEASE_PATIENCE: Duration = Duration::from_secs(3);
@@ -130,28 +130,37 @@ impl Connector {
 
     /// Becomes the owner of what is committed. With a lease, at the first connection, it gets the
     /// next fence, so that nothing of an earlier holder is committed any more.
-    async fn become_owner(&self, link: &mut Link) -> Result<(), sqlx::Error> {
+    ///
+    /// Returns the name of the node that had the lease since the last connection, if one had: what
+    /// this process has in memory may then be outdated, and it must not commit again.
+    async fn become_owner(&self, link: &mut Link) -> Result<Option<String>, sqlx::Error> {
         let own = self.owner.lock().unwrap_or_else(PoisonError::into_inner).fence;
         let node = self.node.as_deref().unwrap_or_default();
-        let fence: i64 = match (link, self.node.is_some() && own == 0) {
-            (Link::Sqlite(connection), true) => {
-                let _turn = self.turn.lock().await;
-                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await?
-            }
-            (Link::Sqlite(connection), false) => {
-                sqlx::query_scalar(FENCE).fetch_one(connection).await?
-            }
-            (Link::Postgres(connection), true) => {
-                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await?
-            }
-            (Link::Postgres(connection), false) => {
-                sqlx::query_scalar(FENCE).fetch_one(connection).await?
-            }
+        let (holder, stored): (String, i64) = match link {
+            Link::Sqlite(connection) => sqlx::query_as(OWNER).fetch_one(connection).await?,
+            Link::Postgres(connection) => sqlx::query_as(OWNER).fetch_one(connection).await?,
         };
-        let fence = if own == 0 { fence } else { own };
+        let fence = match (&self.node, own) {
+            (Some(_), 0) => self.next_fence(link, node).await?,
+            (Some(_), own) if own != stored => return Ok(Some(holder)),
+            (None, 0) => stored,
+            (_, own) => own,
+        };
         *self.owner.lock().unwrap_or_else(PoisonError::into_inner) =
             Owner { node: node.to_owned(), fence };
-        Ok(())
+        Ok(None)
+    }
+
+    async fn next_fence(&self, link: &mut Link, node: &str) -> Result<i64, sqlx::Error> {
+        match link {
+            Link::Sqlite(connection) => {
+                let _turn = self.turn.lock().await;
+                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await
+            }
+            Link::Postgres(connection) => {
+                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await
+            }
+        }
     }
 
     /// Checks that no other service has the lease on a server.
@@ -193,16 +202,13 @@ impl Connect for Connector {
         self.days.forget(); // Perhaps a partition is missing.
         let connect = async {
             let mut link = self.connected().await?;
-            let holder = self.wait_for_lease(&mut link).await?;
-            if holder.is_none() {
-                self.become_owner(&mut link).await?;
+            if let Some(holder) = self.wait_for_lease(&mut link).await? {
+                return Ok(Err(StoreError::InUse { holder }));
             }
-            Ok((link, holder))
+            let since = self.become_owner(&mut link).await?;
+            Ok(since.map_or(Ok(link), |holder| Err(StoreError::LeaseLost { holder })))
         };
-        match connect.await.map_err(failed)? {
-            (link, None) => Ok(link),
-            (_, Some(holder)) => Err(StoreError::InUse { holder }),
-        }
+        connect.await.map_err(failed)?
     }
 
     async fn probe(&self, link: &mut Link, after_failure: bool) -> Result<(), sqlx::Error> {

@@ -16,6 +16,7 @@
 mod batch;
 mod heads;
 mod link;
+mod meters;
 mod origins;
 mod raw;
 mod rows;
@@ -41,11 +42,14 @@ pub use batch::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
 pub(super) use link::Connector;
+pub(crate) use meters::CommitterMeters;
 
 /// Batches that may wait during a transaction. Further ones wait for a free slot.
 const QUEUE: usize = 1_024;
-/// A transaction takes no further batch once it has this many epochs.
+/// A transaction takes no further batch once it has this many epochs or bytes, so that a slow disk
+/// writes it within the deadline.
 const EPOCHS_PER_TRANSACTION: usize = 4_096;
+const BYTES_PER_TRANSACTION: usize = 8 << 20;
 
 /// Times that a committer keeps.
 #[derive(Clone, Copy, Debug)]
@@ -109,6 +113,7 @@ enum Message {
 pub(super) struct Committer {
     queue: mpsc::Sender<Message>,
     health: watch::Receiver<CommitterHealth>,
+    meters: CommitterMeters,
 }
 
 impl Committer {
@@ -123,8 +128,10 @@ impl Committer {
         let link = connector.connect().await?;
         let (queue, inbox) = mpsc::channel(QUEUE);
         let (sender, health) = watch::channel(CommitterHealth::new());
-        let running = Running { connector, timing, link: Some(link), health: sender };
-        Ok((Self { queue, health }, tokio::spawn(running.run(inbox))))
+        let meters = CommitterMeters::new();
+        let running =
+            Running { connector, timing, link: Some(link), health: sender, meters: meters.clone() };
+        Ok((Self { queue, health, meters }, tokio::spawn(running.run(inbox))))
     }
 
     /// A committer of a store that is only read.
@@ -132,14 +139,15 @@ impl Committer {
         let (queue, _) = mpsc::channel(1);
         let (sender, health) = watch::channel(CommitterHealth::new());
         sender.send_modify(|health| health.state = CommitterState::Stopped);
-        Self { queue, health }
+        Self { queue, health, meters: CommitterMeters::new() }
     }
 
     pub(super) async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         let (reply, answer) = oneshot::channel();
         let request = Message::Commit(Request { batch, reply });
-        self.queue.send(request).await.map_err(|_| StoreError::Closed)?;
-        answer.await.unwrap_or(Err(StoreError::Closed))
+        let ended = || refusal(&self.health());
+        self.queue.send(request).await.map_err(|_| ended())?;
+        answer.await.unwrap_or_else(|_| Err(ended()))
     }
 
     pub(super) async fn stop(&self) {
@@ -147,12 +155,34 @@ impl Committer {
         self.queue.send(Message::Stop).await.ok();
     }
 
+    pub(super) const fn meters(&self) -> &CommitterMeters {
+        &self.meters
+    }
+
+    /// Number of batches that wait for the next transaction.
+    pub(super) fn waiting(&self) -> usize {
+        self.queue.max_capacity() - self.queue.capacity()
+    }
+
     pub(super) fn health(&self) -> CommitterHealth {
         let mut health = self.health.borrow().clone();
-        if self.queue.is_closed() {
+        if self.queue.is_closed() && !health.has_ended() {
             health.state = CommitterState::Stopped;
         }
         health
+    }
+
+    /// Waits until another service turns out to have had the lease. Returns the name of its node.
+    pub(super) async fn lease_lost(&self) -> Arc<str> {
+        let mut health = self.health.clone();
+        let is_lost =
+            |health: &CommitterHealth| matches!(health.state, CommitterState::LeaseLost { .. });
+        if let Ok(lost) = health.wait_for(is_lost).await
+            && let CommitterState::LeaseLost { holder } = &lost.state
+        {
+            return holder.clone();
+        }
+        std::future::pending().await // It was stopped.
     }
 
     /// Waits until commits work.
@@ -173,6 +203,10 @@ impl Committer {
 fn refusal(health: &CommitterHealth) -> StoreError {
     match &health.state {
         CommitterState::Stopped => StoreError::Closed,
+        CommitterState::LeaseLost { holder } => {
+            let why = format!("node {holder} had it meanwhile, and this one starts again").into();
+            StoreError::Down { why }
+        }
         CommitterState::Failed { why } => StoreError::Down { why: why.clone() },
         CommitterState::Working => StoreError::Down { why: "it is slow".into() },
     }
@@ -184,6 +218,7 @@ struct Running<C: Connect> {
     timing: Timing,
     link: Option<C::Link>,
     health: watch::Sender<CommitterHealth>,
+    meters: CommitterMeters,
 }
 
 impl<C: Connect> Running<C> {
@@ -200,7 +235,13 @@ impl<C: Connect> Running<C> {
                 }
             }
         }
-        self.health.send_modify(|health| health.state = CommitterState::Stopped);
+        self.health.send_if_modified(|health| {
+            let ends = !health.has_ended();
+            if ends {
+                health.state = CommitterState::Stopped;
+            }
+            ends
+        });
     }
 
     /// Commits a group of batches and answers each of them.
@@ -228,12 +269,13 @@ impl<C: Connect> Running<C> {
     /// Commits batches, and returns the indices of those that it left out.
     async fn write(&mut self, batches: &[&Batch]) -> Result<Vec<usize>, StoreError> {
         let Some(link) = &mut self.link else { return Err(refusal(&self.health.borrow())) };
-        let committing = AtomicBool::new(false);
+        let (begun, committing) = (Instant::now(), AtomicBool::new(false));
         let writing =
             within(self.timing.deadline, self.connector.write(link, batches, &committing));
         let error = match AssertUnwindSafe(writing).catch_unwind().await {
             Ok(Ok(left_out)) => {
                 self.confirm();
+                self.meters.count(batches, begun.elapsed());
                 return Ok(left_out);
             }
             Ok(Err(error)) => error,
@@ -260,7 +302,7 @@ impl<C: Connect> Running<C> {
     }
 
     /// Opens and probes a connection if none is open, and refuses all batches meanwhile.
-    /// Returns `false` if it is to stop before it succeeds.
+    /// Returns `false` if it is to stop before it succeeds, or if the lease is lost.
     async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
         while self.link.is_none() {
             let connecting = connected(&self.connector, self.timing.deadline, &self.health);
@@ -272,6 +314,12 @@ impl<C: Connect> Running<C> {
                     self.link = Some(link);
                     self.confirm();
                     tracing::info!("the database is connected again");
+                }
+                Err(StoreError::LeaseLost { holder }) => {
+                    tracing::error!(holder, "another service had the database meanwhile");
+                    let lost = CommitterState::LeaseLost { holder: holder.into() };
+                    self.health.send_modify(|health| health.state = lost);
+                    return false;
                 }
                 Err(error) => {
                     let why = error.to_string().into();
@@ -342,16 +390,18 @@ fn accepted(left_out: Vec<usize>) -> Result<(), StoreError> {
 
 /// Takes the messages that wait into the group.
 fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<Request>) {
-    let (mut next, mut epochs) = (Some(first), 0);
+    let (mut next, mut epochs, mut bytes) = (Some(first), 0, 0);
     while let Some(message) = next {
         match message {
             Message::Commit(request) => {
                 epochs += request.batch.epochs.len();
+                bytes += request.batch.bytes();
                 group.push(request);
             }
             Message::Stop => inbox.close(),
         }
-        next = if epochs < EPOCHS_PER_TRANSACTION { inbox.try_recv().ok() } else { None };
+        let has_room = epochs < EPOCHS_PER_TRANSACTION && bytes < BYTES_PER_TRANSACTION;
+        next = if has_room { inbox.try_recv().ok() } else { None };
     }
 }
 

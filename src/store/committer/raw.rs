@@ -155,7 +155,7 @@ pub(super) async fn write_raw_postgres(
             "{INSERT_PIECES}SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], \
              $4::bytea[])"
         );
-        sqlx::query(sqlx::AssertSqlSafe(sql))
+        sqlx::query(&sql)
             .bind(pieces.iter().map(|(session, _)| *session).collect::<Vec<_>>())
             .bind(pieces.iter().map(|(_, raw)| raw.start() as i64).collect::<Vec<_>>())
             .bind(pieces.iter().map(|(_, raw)| raw.position.through as i64).collect::<Vec<_>>())
@@ -167,7 +167,7 @@ pub(super) async fn write_raw_postgres(
     let arrays = arrays.join(", ");
     let sql = format!("{INSERT_STREAMS}SELECT * FROM UNNEST({arrays}){REPLACE_STREAMS}");
     let sessions = rows.streams.iter().map(|(session, _)| *session).collect::<Vec<_>>();
-    let mut upsert = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(sessions);
+    let mut upsert = sqlx::query(&sql).bind(sessions);
     let positions: Vec<_> = rows.streams.iter().map(|(_, position)| columns(position)).collect();
     for column in 0..STREAM_COLUMNS - 1 {
         upsert = upsert.bind(positions.iter().map(|row| row[column]).collect::<Vec<_>>());

@@ -108,6 +108,30 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
     assert_eq!(committer.health().panics, 1);
 }
 
+/// Batches that wait form transactions of some megabytes.
+#[tokio::test]
+async fn a_transaction_has_a_limit_of_bytes() {
+    let (sender, mut inbox) = mpsc::channel(QUEUE);
+    let large = |session| {
+        let content = vec![0; BYTES_PER_TRANSACTION / 4];
+        let snapshot = Some(EncodedSnapshot::new(1, "c0ffee".into(), content));
+        Message::Commit(Request {
+            batch: Batch { snapshot, ..batch(session) },
+            reply: oneshot::channel().0,
+        })
+    };
+    for session in 1..10 {
+        sender.try_send(large(session)).ok().unwrap();
+    }
+    let mut sizes = Vec::new();
+    while let Ok(first) = inbox.try_recv() {
+        let mut group = Vec::new();
+        collect(first, &mut inbox, &mut group);
+        sizes.push(group.len());
+    }
+    assert_eq!(sizes, [4, 4, 1]);
+}
+
 /// While the database is away, batches are refused at once, and the state reports it.
 #[tokio::test]
 async fn batches_are_refused_at_once_while_the_database_is_away() {

@@ -89,7 +89,7 @@ async fn a_file_fills_a_base_and_its_session_is_fixed() {
 #[tokio::test]
 async fn pushed_epochs_give_the_positions_of_a_file() {
     let doors = navigated().await;
-    let service = &doors.service;
+    let service = &doors.caller();
     let by_file = created(&doors, json!({})).await;
     let file = PAIR.base_file(Some(marker()));
     let epochs = epochs_of(&file);

@@ -92,7 +92,12 @@ async fn the_schema_is_a_snapshot_and_true() {
             assert!(ids.insert(id), "{id} twice");
             assert!(operation["responses"]["5XX"].is_object(), "{id} describes no failure");
             let request = Request::builder().method(method.to_uppercase().as_str());
-            let request = request.uri(path.replace("{session}", "ses_0").replace("{seq}", "1"));
+            let request = request.uri(
+                path.replace("{session}", "ses_0")
+                    .replace("{seq}", "1")
+                    .replace("{format}", "pos")
+                    .replace("{job}", "job_0"),
+            );
             let (_, answer) = doors.ask(request.body(Body::empty()).unwrap()).await;
             let code = answer["code"].as_str().unwrap_or_default();
             let absent = ["ROUTE_NOT_FOUND", "METHOD_NOT_ALLOWED"].contains(&code);

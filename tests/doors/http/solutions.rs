@@ -1,6 +1,7 @@
 //! `/v1/sessions/{session}/solutions`.
 
 use axum::http::StatusCode;
+use graphfix::config::Limits;
 use graphfix::contract::convert;
 use graphfix::session::SequencedEpoch;
 use serde_json::{Value, json};
@@ -31,6 +32,28 @@ async fn solutions_are_listed_by_time_status_and_page() {
     assert_eq!(numbers(&within), [2, 3]);
     assert_eq!(numbers(&doors.get(&format!("{path}?status=NONE")).await.1).len(), 5);
     assert_eq!(numbers(&doors.get(&format!("{path}?status=SINGLE")).await.1), [0; 0]);
+}
+
+/// A page that needs more memory than there is ends early, and its token goes on.
+#[tokio::test]
+async fn a_page_ends_before_the_memory_does() {
+    let doors = Doors::with(Limits { request_memory_bytes: 16 << 20, ..Limits::standard() }).await;
+    let session = doors.session().await;
+    for first in [1, 601] {
+        let epochs: Vec<_> = (first..first + 600).map(epoch).collect();
+        let path = format!("/v1/sessions/{session}/epochs");
+        let (status, answer) = doors.post(&path, json!({"epochs": epochs})).await;
+        assert_eq!(status, StatusCode::OK, "{answer}");
+    }
+    let path = format!("/v1/sessions/{session}/solutions?pageSize=10000");
+    let (_, page) = doors.get(&path).await;
+    assert_eq!(numbers(&page), (1..=1024).collect::<Vec<_>>());
+    let token = page["nextPageToken"].as_str().unwrap();
+    let (_, rest) = doors.get(&format!("{path}&pageToken={token}")).await;
+    assert_eq!(numbers(&rest), (1025..=1200).collect::<Vec<_>>());
+    assert_eq!(rest["nextPageToken"], json!(""));
+    let (status, refused) = doors.get(&format!("{path}0")).await;
+    assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "PAGE_SIZE_INVALID"));
 }
 
 /// The latest answer to each epoch unless the query requires another one.

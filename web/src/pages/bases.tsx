@@ -5,13 +5,11 @@ import { useLive } from "../live";
 import { BaseMarkers } from "../map/layers";
 import { Map2d } from "../map/map";
 import { ago, bytes, count, duration, length } from "../time";
-import { Because, Copyable, Empty, Loading, ProblemBox, useTheme } from "../ui";
+import { Because, Copyable, Empty, type Health, Lamp, Loading, ProblemBox, useTheme } from "../ui";
 import { siteOf } from "./site";
 
 /** Age of the newest epoch after which a base counts as silent (s). */
 const SILENT_S = 30;
-
-type Health = "good" | "warn" | "bad" | "idle";
 
 function health(base: Base): { health: Health; words: string } {
   const state = base.feed?.state ?? base.archive?.state;
@@ -25,20 +23,6 @@ function health(base: Base): { health: Health; words: string } {
   if (base.feed && SILENT_S < (base.feed.silentS ?? Infinity)) return { health: "bad", words: "silent" };
   if (!base.archive && SILENT_S < (base.ageS ?? Infinity)) return { health: "warn", words: "silent" };
   return { health: "good", words: base.archive ? "current" : "receiving" };
-}
-
-const WORDS: Record<Health, string> = { good: "Good", warn: "Attention", bad: "Failing", idle: "Idle" };
-
-export function Lamp({ health, words }: { health: Health; words?: string }) {
-  const paths: Record<Health, string> = {
-    good: "M3 8.5 6.5 12 13 4.5", warn: "M8 3v6M8 12v.6", bad: "M4 4l8 8M12 4l-8 8", idle: "M4 8h8",
-  };
-  return (
-    <span class={`health ${health}`}>
-      <svg width="14" height="14" viewBox="0 0 16 16" aria-hidden="true"><path d={paths[health]} fill="none" stroke="currentColor" stroke-width="2.4" stroke-linecap="round" /></svg>
-      {words ?? WORDS[health]}
-    </span>
-  );
 }
 
 export function BasesPage() {

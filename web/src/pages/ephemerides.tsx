@@ -3,8 +3,7 @@ import { type NavigationStatus, navigation } from "../api";
 import { useLive } from "../live";
 import { CONSTELLATIONS, constellationColour } from "../status";
 import { clock, count, duration, unixS, utc } from "../time";
-import { Because, Copyable, Empty, Loading, ProblemBox, useTheme } from "../ui";
-import { Lamp } from "./bases";
+import { Because, Copyable, Empty, Lamp, Loading, ProblemBox, useTheme } from "../ui";
 
 const HOUR = 3600;
 /** The span that the bars show around now (s). */

@@ -4,7 +4,7 @@ import {
   type Base, type Explained, type GpsTime, type Interval, type Series, type Session, type Solution,
   bases, explain, gpsText, series, session,
 } from "../api";
-import { Chart, StatusStrip } from "../chart";
+import { Plots } from "../plots";
 import { useLive } from "../live";
 import { BaseMarkers, BaselineLine, ChosenEpoch, Track, type TrackPoint } from "../map/layers";
 import { Map2d } from "../map/map";
@@ -12,7 +12,8 @@ import type { Layer, LonLat } from "../map/view";
 import { SatelliteTable, SkyLegend, SkyPlot } from "../sky";
 import { LOOKS, type State, colourOf, isDark, lookState, lostAfterS } from "../status";
 import { ago, count, duration, gpsTime, learnLeapSeconds, length, unixS, utc } from "../time";
-import { Badge, Because, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Symbol, sentence, useTheme } from "../ui";
+import { Badge, Because, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Share, Symbol, sentence, useTheme } from "../ui";
+import { Download } from "./download";
 import { siteOf } from "./site";
 
 type Span = "600" | "3600" | "86400" | "all";
@@ -85,7 +86,7 @@ export function SessionPage({ id }: { id: string }) {
             <Why about={about.value} shown={shown} tracks={tracks.value} />
           </div>
           {tracks.problem && <ProblemBox problem={tracks.problem} what="The time series cannot be loaded" />}
-          <Plots tracks={tracks.value} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />
+          <Plots series={tracks.value?.causal} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />
           <Sky shown={shown} />
           <Details about={about.value} solution={newest(shown)} />
         </>
@@ -189,7 +190,7 @@ interface SessionMapProps {
   onPick: (seq: number) => void;
 }
 
-function SessionMap({ tracks, shown, bases, spanKey, onPick }: SessionMapProps) {
+function SessionMap({ id, tracks, shown, bases, spanKey, onPick }: SessionMapProps) {
   const [revision, setRevision] = useState<Revision>("both");
   const causal = useMemo(() => (tracks ? pointsOf(tracks.causal) : []), [tracks]);
   const revised = useMemo(() => (tracks ? pointsOf(tracks.revised) : []), [tracks]);
@@ -234,6 +235,7 @@ function SessionMap({ tracks, shown, bases, spanKey, onPick }: SessionMapProps) 
         <span><i class="oval" />95 % error ellipse</span>
         <span><i class="dashed-ring" />protection level</span>
       </p>
+      <Download session={id} series={tracks?.causal} revision={revision} />
     </section>
   );
 }
@@ -269,62 +271,6 @@ function Why({ about, shown, tracks }: { about: Session; shown: Explained | unde
           )}
         </>
       )}
-    </section>
-  );
-}
-
-function Share({ name, part, colour, hint }: { name: preact.ComponentChildren; part: number; colour?: string; hint?: string }) {
-  const percent = part < 0.01 ? "< 1 %" : `${Math.round(part * 100)} %`;
-  return (
-    <li title={hint}>
-      <span class="share-name">{name}</span>
-      <span class="share-part">{percent}</span>
-      <svg class="share-bar" viewBox="0 0 100 4" preserveAspectRatio="none" aria-hidden="true">
-        <rect width="100" height="4" class="bar-back" />
-        <rect width={Math.max(0.6, part * 100)} height="4" fill={colour ?? "currentColor"} />
-      </svg>
-    </li>
-  );
-}
-
-interface PlotsProps {
-  tracks: Tracks | undefined;
-  selected: number | undefined;
-  onPick: (seq: number) => void;
-  onZoom: (from: GpsTime, to: GpsTime) => void;
-}
-
-const BLUE: [string, string] = ["#6cc4f5", "#0b76b8"];
-const AMBER: [string, string] = ["#f0b429", "#a86400"];
-const ROSE: [string, string] = ["#ff9d9d", "#8c2f39"];
-const GREEN: [string, string] = ["#2bc79b", "#00785a"];
-
-function Plots({ tracks, selected, onPick, onZoom }: PlotsProps) {
-  if (!tracks) return <section class="card"><h2>Over time</h2><Loading what="the time series" /></section>;
-  const { intervals, intervalLengthS, solutions } = tracks.causal;
-  if (intervals.length === 0) return <section class="card"><h2>Over time</h2><p>No epoch in this span of time.</p></section>;
-  const common = { intervals, intervalS: intervalLengthS, selected, onPick, onZoom };
-  const has = (name: "ageS" | "ratio" | "horizontalProtectionM") => intervals.some((interval) => interval[name] !== null);
-  const metres = (v: number) => (Math.abs(v) < 0.1 ? `${+(v * 1000).toPrecision(3)} mm` : Math.abs(v) < 1000 ? `${+v.toPrecision(3)} m` : `${+(v / 1000).toPrecision(3)} km`);
-  const exact = (v: number) => `${v.toFixed(2)} m`;
-  return (
-    <section class="card plots">
-      <div class="card-head">
-        <h2>Over time</h2>
-        <span class="small">{count(solutions)} epochs{intervals.length < solutions && `, thinned to ${count(intervals.length)} intervals of ${duration(intervalLengthS)}: line is the last value, band the extremes`}. Drag to zoom, click to choose an epoch. Times are UTC.</span>
-      </div>
-      <div class="chart"><figcaption><strong>Status</strong><span class="small">higher is better; the bar is the worst of its interval</span></figcaption><StatusStrip {...common} /></div>
-      <Chart {...common} title="Precision" log format={metres} height={160} lines={[
-        ...(has("horizontalProtectionM") ? [{ name: "protection H", colour: ROSE, value: (i: Interval) => i.horizontalProtectionM, dash: [5, 4] }] : []),
-        { name: "σ vertical", colour: AMBER, value: (i) => i.verticalSigmaM },
-        { name: "σ horizontal", colour: BLUE, value: (i) => i.horizontalSigmaM },
-      ]} />
-      <div class="plot-pairs">
-        <Chart {...common} title="Satellites" whole least={4} format={(v) => String(Math.round(v))} lines={[{ name: "used", colour: GREEN, value: (i) => i.satellites }]} />
-        <Chart {...common} title="Height" least={0.5} format={exact} lines={[{ name: "above the ellipsoid", colour: BLUE, value: (i) => i.heightM }]} />
-        {has("ratio") && <Chart {...common} title="Ratio" log format={(v) => String(+v.toPrecision(3))} lines={[{ name: "second-best to best integers", colour: GREEN, value: (i) => i.ratio }]} />}
-        {has("ageS") && <Chart {...common} title="Age of corrections" positive least={2} format={(v) => `${+v.toFixed(1)} s`} lines={[{ name: "base epoch", colour: AMBER, value: (i) => i.ageS }]} />}
-      </div>
     </section>
   );
 }

@@ -2,7 +2,7 @@
 
 use crate::contract::calls::positioning::{Numbered, read_epochs};
 use crate::contract::calls::session_id;
-use crate::contract::{Refusal, Service, v1};
+use crate::contract::{Caller, Refusal, v1};
 use crate::gnss::Observation;
 use crate::refusal::Code;
 use crate::session::{Answers, SequencedEpoch, SessionInfo, Submitted};
@@ -86,7 +86,7 @@ impl Carried for OfEpochs {
 
     fn push(
         &self,
-        service: &Service,
+        caller: &Caller,
         request: v1::StreamRequest,
         answers: &Answers<Submitted>,
     ) -> Result<Option<Push>, Refusal> {
@@ -97,11 +97,11 @@ impl Carried for OfEpochs {
         if epochs.is_empty() {
             return Ok(None);
         }
-        let epochs = read_epochs(&epochs, &service.limits().intake(), Numbered::Yes)?;
+        let epochs = read_epochs(&epochs, &caller.limits().intake(), Numbered::Yes)?;
         let observations: usize = epochs.iter().map(|read| read.epoch.observations.len()).sum();
         let memory = epochs.len() * (size_of::<SequencedEpoch>() + ANSWER_BYTES)
             + observations * size_of::<Observation>();
-        let push = service.sessions().streamed_epochs(epochs, answers)?;
+        let push = caller.sessions().streamed_epochs(epochs, answers)?;
         Ok(Some(Push { push, memory }))
     }
 

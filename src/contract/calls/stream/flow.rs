@@ -9,7 +9,8 @@ use futures::{Stream, StreamExt};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, Sleep, sleep_until, timeout};
 
-use crate::contract::{Lease, Refusal, Service, v1};
+use crate::contract::{Caller, Lease, Refusal, v1};
+use crate::keys::{KeyError, Pass};
 use crate::refusal::{Class, Code};
 use crate::session::{Answers, SessionError, SessionId, SessionInfo, StreamedPush};
 use crate::store::StoredSolution;
@@ -39,7 +40,7 @@ pub(super) trait Carried: Sized + Send + Sync + 'static {
     /// The push of a message; `None` without content.
     fn push(
         &self,
-        service: &Service,
+        caller: &Caller,
         request: Self::Request,
         answers: &Answers<Self::Answer>,
     ) -> Result<Option<Push>, Refusal>;
@@ -92,13 +93,14 @@ enum Event<C: Carried, E> {
     Message(Result<C::Request, E>),
     HalfClosed,
     Answers(Vec<Result<C::Answer, SessionError>>),
+    KeyEnded(KeyError),
     Draining,
     Time,
 }
 
 /// A stream of one session.
 pub(super) struct Flow<C: Carried, I, E> {
-    service: Service,
+    caller: Caller,
     messages: I,
     phase: Phase,
     /// Set by the opening.
@@ -111,6 +113,9 @@ pub(super) struct Flow<C: Carried, I, E> {
     /// Why the stream ends, once everything is answered; `None` if the device closes its side.
     fault: Option<E>,
     drained: Option<Pin<Box<dyn Future<Output = ()> + Send>>>,
+    /// Who sends the stream, and the end of their key.
+    pass: Option<Pass>,
+    key_ended: Option<Pin<Box<dyn Future<Output = KeyError> + Send>>>,
     /// When an announced end comes.
     end: Option<Instant>,
     /// When the last message arrived, and when the last answer was sent.
@@ -128,28 +133,32 @@ where
 {
     /// The answers to `messages`.
     pub(super) fn answers(
-        service: &Service,
+        caller: &Caller,
         messages: I,
     ) -> impl Stream<Item = Result<C::Response, E>> + Send + use<C, I, E> {
-        let limits = service.limits();
+        let limits = caller.limits();
         let count = limits.stream_epochs.min(limits.mailbox_epochs) as u64;
         let window = Amount { count, bytes: limits.stream_bytes as u64 };
         let now = Instant::now();
+        let lease = Lease::current();
+        let pass = lease.as_ref().and_then(Lease::pass).cloned();
         let flow = Self {
             messages,
             phase: Phase::Opening,
             opened: None,
             answers: Answers::new(),
-            ledger: Ledger::new(window, Lease::current()),
+            ledger: Ledger::new(window, lease),
             is_reading: true,
             held: None,
             fault: None,
-            drained: Some(Box::pin(service.drained())),
+            drained: Some(Box::pin(caller.drained())),
+            key_ended: pass.as_ref().map(|pass| Box::pin(pass.ended()) as _),
+            pass,
             end: None,
             heard: now,
             answered: now,
             timer: Box::pin(sleep_until(now + KEEPALIVE)),
-            service: service.clone(),
+            caller: caller.clone(),
             _permit: None,
         };
         futures::stream::unfold(flow, |mut flow| async move { Some((flow.next().await?, flow)) })
@@ -163,9 +172,11 @@ where
                 Ok(()) => self.flow().await,
                 Err(refusal) => Some(Err(refusal.into())),
             },
-            Phase::Ended => None,
+            Phase::Ended => return None,
         };
-        match next {
+        // Also where the stream was not waiting for anything that could happen.
+        let ended = self.pass.as_ref().and_then(|pass| pass.check().err());
+        match ended.map_or(next, |error| Some(Err(Refusal::from(error).into()))) {
             Some(Ok(response)) => {
                 self.answered = Instant::now();
                 Some(Ok(response))
@@ -179,7 +190,7 @@ where
 
     /// Reads the first message and answers it.
     async fn open(&mut self) -> Result<C::Response, E> {
-        let patience = Duration::from_secs(self.service.limits().head_s);
+        let patience = Duration::from_secs(self.caller.limits().head_s);
         let first = timeout(patience, self.messages.next()).await;
         let missing = |message: &str| Refusal::new(Code::InvalidField, message).at("opening");
         let request = match first {
@@ -187,17 +198,17 @@ where
             Ok(None) => return Err(missing("the stream ended before its opening").into()),
             Ok(Some(first)) => first?,
         };
-        if self.service.is_draining() {
+        if self.caller.is_draining() {
             return Err(Refusal::from(SessionError::Draining).into());
         }
         let Opening { session, mut carried, after } = C::open(request)?;
-        self._permit = Some(self.service.stream_permit()?);
-        let info = self.service.sessions().settled(&session).await.map_err(Refusal::from)?;
+        self._permit = Some(self.caller.stream_permit()?);
+        let info = self.caller.sessions().settled(&session).await.map_err(Refusal::from)?;
         if info.closed_unix_ms.is_some() {
             let closed = SessionError::Closed { id: session.to_string() };
             return Err(Refusal::from(closed).into());
         }
-        let mut response = carried.opened(&info, self.service.limits().stream_idle_s as f64)?;
+        let mut response = carried.opened(&info, self.caller.limits().stream_idle_s as f64)?;
         carried.complete(&mut response, self.ledger.credit());
         self.phase = match after.zip(info.durable_through) {
             Some((after, through)) if after < through => Phase::Missed { after, through },
@@ -212,7 +223,7 @@ where
     async fn missed(&mut self, after: u64, through: u64) -> Result<C::Response, E> {
         let (id, carried) = self.opened.as_mut().expect("an open stream has its session");
         self.ledger.keep_page(PAGE * ANSWER_BYTES)?;
-        let page = self.service.sessions().answers_after(id, after, PAGE).await;
+        let page = self.caller.sessions().answers_after(id, after, PAGE).await;
         let solutions = page.map_err(Refusal::from)?.page.items;
         let mut response = C::Response::default();
         for solution in solutions.iter().filter(|solution| solution.seq <= through) {
@@ -241,6 +252,7 @@ where
                     None
                 }
                 Event::Answers(answers) => self.answer(answers),
+                Event::KeyEnded(error) => return Some(Err(Refusal::from(error).into())),
                 Event::Draining => Some(self.announce_end()),
                 Event::Time => self.on_time().await,
             };
@@ -250,8 +262,9 @@ where
         }
     }
 
-    /// Waits for what happens next. Messages come first, so that all that have arrived are
-    /// positioned and answered together.
+    /// Waits for what happens next. The end of the key comes first, as other things may never cease
+    /// to happen; then messages, so that all that have arrived are positioned and answered
+    /// together.
     async fn event(&mut self) -> Event<C, E> {
         let deadline = self.deadline();
         if deadline < self.timer.deadline() || self.timer.is_elapsed() {
@@ -261,6 +274,12 @@ where
     }
 
     fn poll_event(&mut self, context: &mut Context<'_>) -> Poll<Event<C, E>> {
+        if let Some(ended) = &mut self.key_ended
+            && let Poll::Ready(error) = ended.as_mut().poll(context)
+        {
+            self.key_ended = None;
+            return Poll::Ready(Event::KeyEnded(error));
+        }
         if self.is_reading && self.held.is_none() {
             match self.messages.poll_next_unpin(context) {
                 Poll::Ready(Some(message)) => return Poll::Ready(Event::Message(message)),
@@ -282,7 +301,7 @@ where
 
     /// When the timer is needed next.
     fn deadline(&self) -> Instant {
-        let idle = Duration::from_secs(self.service.limits().stream_idle_s);
+        let idle = Duration::from_secs(self.caller.limits().stream_idle_s);
         let is_reading = self.is_reading && self.held.is_none();
         let others = [
             is_reading.then(|| self.heard + idle),
@@ -312,7 +331,7 @@ where
         let amount = Amount { count: C::count(&request), bytes };
         self.ledger.receive(amount)?;
         let (_, carried) = self.opened.as_ref().expect("an open stream has its session");
-        let Some(Push { push, memory }) = carried.push(&self.service, request, &self.answers)?
+        let Some(Push { push, memory }) = carried.push(&self.caller, request, &self.answers)?
         else {
             self.ledger.answer_empty(amount)?;
             return Ok(None);
@@ -331,7 +350,7 @@ where
     /// read.
     async fn post(&mut self, mut push: StreamedPush) {
         let (id, _) = self.opened.as_ref().expect("an open stream has its session");
-        let Err(error) = self.service.sessions().post_streamed(id, &mut push).await else { return };
+        let Err(error) = self.caller.sessions().post_streamed(id, &mut push).await else { return };
         match error.retry_after().filter(|_| error.code().class() == Class::Exhausted) {
             Some(delay) => self.held = Some(Held { push, until: Instant::now() + delay }),
             None => {
@@ -399,7 +418,7 @@ where
     /// Does what is due: ends the stream, tries a push again, or shows that the service is there.
     async fn on_time(&mut self) -> Option<C::Response> {
         let now = Instant::now();
-        let limits = self.service.limits();
+        let limits = self.caller.limits();
         let idle = Duration::from_secs(limits.stream_idle_s);
         if self.end.take_if(|end| *end <= now).is_some() {
             return self.stop(Refusal::from(SessionError::Draining).into());

@@ -11,7 +11,7 @@ mod results;
 
 use futures::Stream;
 
-use crate::contract::{Refusal, Service, v1};
+use crate::contract::{Caller, Refusal, v1};
 
 use epochs::OfEpochs;
 use flow::Flow;
@@ -19,25 +19,25 @@ use raw::OfRaw;
 
 /// The answers to a stream of epochs. The last one is an error if the stream ends with a refusal.
 pub fn epochs<I, E>(
-    service: &Service,
+    caller: &Caller,
     messages: I,
 ) -> impl Stream<Item = Result<v1::StreamResponse, E>> + Send + use<I, E>
 where
     I: Stream<Item = Result<v1::StreamRequest, E>> + Send + Unpin + 'static,
     E: From<Refusal> + Send + 'static,
 {
-    Flow::<OfEpochs, I, E>::answers(service, messages)
+    Flow::<OfEpochs, I, E>::answers(caller, messages)
 }
 
 /// The answers to a stream of raw bytes. The last one is an error if the stream ends with a
 /// refusal.
 pub fn raw<I, E>(
-    service: &Service,
+    caller: &Caller,
     messages: I,
 ) -> impl Stream<Item = Result<v1::StreamRawResponse, E>> + Send + use<I, E>
 where
     I: Stream<Item = Result<v1::StreamRawRequest, E>> + Send + Unpin + 'static,
     E: From<Refusal> + Send + 'static,
 {
-    Flow::<OfRaw, I, E>::answers(service, messages)
+    Flow::<OfRaw, I, E>::answers(caller, messages)
 }

@@ -2,7 +2,7 @@
 
 use crate::contract::calls::raw::{left_out, offset, total};
 use crate::contract::calls::session_id;
-use crate::contract::{Refusal, Service, intake, v1};
+use crate::contract::{Caller, Refusal, intake, v1};
 use crate::gnss::GpsTime;
 use crate::refusal::Code;
 use crate::session::{Answers, RawChunk, RawReceived, SessionInfo};
@@ -79,7 +79,7 @@ impl Carried for OfRaw {
 
     fn push(
         &self,
-        service: &Service,
+        caller: &Caller,
         request: v1::StreamRawRequest,
         answers: &Answers<RawReceived>,
     ) -> Result<Option<Push>, Refusal> {
@@ -93,7 +93,7 @@ impl Carried for OfRaw {
         let memory = CHUNK_BYTES + DECODED * content.len();
         let offset = offset(at, content.len())?;
         let chunk = RawChunk { offset, content, is_end: end, near: self.near };
-        let push = service.sessions().streamed_chunk(chunk, answers)?;
+        let push = caller.sessions().streamed_chunk(chunk, answers)?;
         Ok(Some(Push { push, memory }))
     }
 

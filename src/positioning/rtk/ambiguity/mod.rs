@@ -11,6 +11,7 @@ mod integer_history;
 mod integers;
 mod joint;
 
+pub(crate) use acceptance::refusal;
 pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
 pub(crate) use confirmation::{Confirmation, Verdict};
 pub(crate) use fixed_position::{
@@ -21,3 +22,4 @@ pub(crate) use float::FloatSolution;
 pub(crate) use hold::HoldState;
 pub(crate) use integer_history::{HoldPeriod, IntegerHistory};
 pub(crate) use integers::{IntegerQuestion, IntegerSearch, Resolution, may_be_integer};
+pub(crate) use joint::{Joint, condition};

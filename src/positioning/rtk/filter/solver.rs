@@ -132,7 +132,7 @@ impl RelativeSolver for FilterState {
         };
         let resolution = tracking.resolve(&solved, &setup.options, search, rows);
         let (state, covariance) = (gaussian.state(), gaussian.state_covariance());
-        Ok(Resolved { state, covariance, resolution })
+        Ok(Resolved { state, covariance, has_velocity: true, resolution })
     }
 
     fn epoch<'a>(&'a self, scratch: &'a FilterStateScratch) -> &'a RtkEpoch {

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::config::RtkOptions;
-use crate::gnss::{Enu, LocalFrame, Reason, Solution, Status, Velocity};
+use crate::gnss::{LocalFrame, Reason, Solution, Status, Velocity};
 use crate::graph::Smoother;
 use crate::lambda::Resolver;
 use crate::positioning::factors::VELOCITY;
@@ -11,7 +11,7 @@ use crate::positioning::rtk::ambiguity::{
     EarlierAmbiguity, FixedPosition, FloatSolution, HoldPeriod, IntegerHistory,
     condition_on_known_integers,
 };
-use crate::positioning::rtk::answer::gradient_covariance;
+use crate::positioning::rtk::answer::moved;
 use crate::positioning::rtk::observed::{ArcReference, HeldInteger, STATE};
 
 use super::record::EpochRecord;
@@ -126,21 +126,13 @@ impl<'a> Revision<'a> {
         position: &Vector3<f64>,
         covariance: &Matrix3<f64>,
     ) -> Solution {
-        let mut solution = record.solution.clone();
+        let place = (position, covariance);
+        let mut solution = moved(&record.solution, self.frame, place, self.options);
         let rotation = &self.frame.rotation;
-        let to_ecef = |c: &Matrix3<f64>| rotation.transpose() * c * rotation;
         if let Some(estimate) = &mut solution.estimate {
-            let moved = self.frame.to_ecef(Enu(*position));
-            let mut covariance = *covariance;
-            if let Some(relative) = &mut estimate.relative {
-                relative.baseline_m += moved.0 - estimate.position.0;
-                covariance += gradient_covariance(self.options, relative.baseline_m.norm());
-            }
-            estimate.position = moved;
-            estimate.covariance = to_ecef(&covariance);
             estimate.velocity = Some(Velocity {
                 velocity_m_s: rotation.transpose() * self.velocity.velocity_m_s,
-                covariance: to_ecef(&self.velocity.covariance),
+                covariance: rotation.transpose() * self.velocity.covariance * rotation,
                 ..self.velocity
             });
         }

@@ -110,7 +110,8 @@ impl RelativeSolver for Chain {
             residuals: window_residuals(epochs, &estimate.states, &covariance, rows),
         };
         let resolution = tracking.resolve(&solved, &setup.options, search, rows);
-        Ok(Resolved { state: *state, covariance: *covariances.state(), resolution })
+        let covariance = *covariances.state();
+        Ok(Resolved { state: *state, covariance, has_velocity: true, resolution })
     }
 
     fn epoch<'a>(&'a self, _scratch: &'a ChainScratch) -> &'a RtkEpoch {

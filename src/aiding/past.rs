@@ -1,0 +1,205 @@
+//! Past states of the navigation data, for replay.
+//!
+//! A state is made from a known one near to it, by what differs between the two: the sessions that
+//! a restart restores need many states, which differ by few ephemerides. States share the lists of
+//! the satellites that are the same. A limit bounds the memory of the others.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::mem::size_of;
+use std::sync::{Arc, PoisonError, RwLock};
+
+use tokio::sync::Mutex;
+
+use crate::gnss::{Ephemeris, Navigation, SatelliteId};
+use crate::store::{NavigationDifference, Store, StoreError, StoredCoefficients, StoredEphemeris};
+
+use super::devices::remove_coefficients;
+use super::shared::Shared;
+use super::state::{PushedNavigation, State};
+use super::trust::{Trust, trust};
+
+/// Memory of what the past states do not share (bytes).
+const BYTES_MAX: usize = 64 << 20;
+/// Memory of a state beside that of its lists (bytes).
+const OVERHEAD: usize = 16 << 10;
+/// Memory of an ephemeris, and that of a device's entry in its map (bytes).
+const EPHEMERIS: usize = size_of::<Ephemeris>();
+const ENTRY: usize = 128;
+/// Devices are in this many maps, so that a change of one copies few others.
+const MAPS: usize = 64;
+
+/// The states that replay asked for recently.
+#[derive(Default)]
+pub(super) struct PastStates {
+    /// Locked while the store is read: many sessions restored at once ask for the same push.
+    known: Mutex<Known>,
+}
+
+#[derive(Default)]
+struct Known {
+    /// By push, each with the memory that it does not share.
+    states: BTreeMap<u64, (Arc<PastState>, usize)>,
+    /// The pushes in the order in which their states were made.
+    order: VecDeque<u64>,
+    bytes: usize,
+}
+
+/// The navigation data after a push.
+#[derive(Clone)]
+struct PastState {
+    push: u64,
+    shared: Shared,
+    /// What serves the session of each device alone.
+    devices: [Arc<BTreeMap<Arc<str>, Navigation>>; MAPS],
+}
+
+impl PastStates {
+    /// What served the session of a device after a push. `current` is the state now.
+    ///
+    /// # Errors
+    /// Some of it is no longer stored, or the store fails.
+    pub(super) async fn after(
+        &self,
+        push: u64,
+        device: &str,
+        store: &Store,
+        current: &RwLock<State>,
+    ) -> Result<PushedNavigation, StoreError> {
+        let mut known = self.known.lock().await;
+        if let Some((state, _)) = known.states.get(&push) {
+            return Ok(state.pushed_for(device));
+        }
+        let nearest = known.nearest(push, current);
+        let (state, bytes) = match store.navigation_difference(nearest.push, push).await? {
+            Some(difference) => nearest.changed(push, difference),
+            // Too much is no longer stored of what differs.
+            None => {
+                let state = PastState::of(&State::of(store.navigation_after(push).await?));
+                let ephemerides = state.shared.navigation.len();
+                (state, ephemerides * EPHEMERIS)
+            }
+        };
+        let state = Arc::new(state);
+        known.insert(state.clone(), bytes);
+        Ok(state.pushed_for(device))
+    }
+}
+
+impl Known {
+    /// The known state, or the present one, that is nearest to a push.
+    fn nearest(&mut self, push: u64, current: &RwLock<State>) -> Arc<PastState> {
+        let before = self.states.range(..push).next_back();
+        let after = self.states.range(push..).next();
+        let distance = |state: &Arc<PastState>| state.push.abs_diff(push);
+        let near = before.into_iter().chain(after).map(|(_, (state, _))| state);
+        let near = near.min_by_key(|state| distance(state)).cloned();
+        let current = current.read().unwrap_or_else(PoisonError::into_inner);
+        match near.filter(|near| distance(near) <= current.push.abs_diff(push)) {
+            Some(near) => near,
+            None => {
+                let present = Arc::new(PastState::of(&current));
+                self.insert(present.clone(), 0); // It shares its lists with the present state.
+                present
+            }
+        }
+    }
+
+    /// Adds a state. The oldest ones make room for it.
+    fn insert(&mut self, state: Arc<PastState>, bytes: usize) {
+        let (push, bytes) = (state.push, OVERHEAD + bytes);
+        if self.states.insert(push, (state, bytes)).is_none() {
+            self.order.push_back(push);
+            self.bytes += bytes;
+        }
+        while BYTES_MAX < self.bytes && 1 < self.order.len() {
+            let oldest = self.order.pop_front().and_then(|push| self.states.remove(&push));
+            self.bytes -= oldest.map_or(0, |(_, bytes)| bytes);
+        }
+    }
+}
+
+impl PastState {
+    fn of(state: &State) -> Self {
+        let mut past = Self {
+            push: state.push,
+            shared: state.shared.clone(),
+            devices: std::array::from_fn(|_| Arc::default()),
+        };
+        for (device, own) in state.devices.all() {
+            let map = Arc::make_mut(&mut past.devices[map_of(device)]);
+            map.insert(device.clone(), own.clone());
+        }
+        past
+    }
+
+    fn pushed_for(&self, device: &str) -> PushedNavigation {
+        let own = self.devices[map_of(device)].get(device);
+        let shared = || self.shared.navigation.clone();
+        let navigation = own.map_or_else(shared, |own| Arc::new(self.shared.view(own)));
+        PushedNavigation { push: self.push, navigation }
+    }
+
+    /// The state after another push, and the memory that it does not share with this one.
+    fn changed(&self, push: u64, difference: NavigationDifference) -> (Self, usize) {
+        let NavigationDifference { ended, begun } = difference;
+        let mut state = Self { push, ..self.clone() };
+        let (mut satellites, mut devices) = (BTreeSet::new(), BTreeSet::new());
+        for row in ended.ephemerides.iter().chain(&begun.ephemerides) {
+            match trust(&row.source) {
+                Trust::Device => drop(devices.insert(row.source.clone())),
+                _ => drop(satellites.insert(row.ephemeris.satellite())),
+            }
+        }
+        for StoredEphemeris { ephemeris, source, .. } in ended.ephemerides {
+            match state.own(&source) {
+                Some(own) => drop(own.remove(&ephemeris)),
+                None => state.shared.remove(&[ephemeris]),
+            }
+        }
+        for StoredCoefficients { coefficients, source } in ended.coefficients {
+            match state.own(&source) {
+                Some(own) => remove_coefficients(own, &coefficients),
+                None => state.shared.remove_coefficients(&coefficients),
+            }
+        }
+        for StoredEphemeris { ephemeris, source, stored_unix_ms } in begun.ephemerides {
+            match state.own(&source) {
+                Some(own) => drop(own.insert(ephemeris)),
+                None => state.shared.insert(ephemeris, &source.into(), stored_unix_ms),
+            }
+        }
+        for StoredCoefficients { coefficients, source } in begun.coefficients {
+            match state.own(&source) {
+                Some(own) => drop(own.merge(coefficients)),
+                None => state.shared.insert_coefficients(&coefficients, &source.into()),
+            }
+        }
+        let bytes = state.bytes_of(&satellites, &devices);
+        (state, bytes)
+    }
+
+    /// The data of a device; `None` if the source is not one.
+    fn own(&mut self, source: &str) -> Option<&mut Navigation> {
+        (trust(source) == Trust::Device).then(|| {
+            let map = Arc::make_mut(&mut self.devices[map_of(source)]);
+            map.entry(source.into()).or_default()
+        })
+    }
+
+    /// The memory of the lists of these satellites and devices.
+    fn bytes_of(&self, satellites: &BTreeSet<SatelliteId>, devices: &BTreeSet<String>) -> usize {
+        let of_shared = satellites.iter().map(|satellite| self.shared.navigation.of(*satellite));
+        let of_devices = devices.iter().map(|device| {
+            let map = &self.devices[map_of(device)];
+            map.len() * ENTRY + map.get(&**device).map_or(0, Navigation::len) * EPHEMERIS
+        });
+        of_shared.map(|list| list.len() * EPHEMERIS).chain(of_devices).sum()
+    }
+}
+
+fn map_of(device: &str) -> usize {
+    let mut hasher = DefaultHasher::new();
+    device.hash(&mut hasher);
+    hasher.finish() as usize % MAPS
+}

@@ -1,0 +1,45 @@
+//! When the devices of a load send.
+
+use std::time::Duration;
+
+/// When devices send.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Schedule {
+    /// Interval between the epochs of a device (s).
+    pub(super) interval_s: f64,
+    /// Number of epochs of a device.
+    pub(super) epochs: usize,
+}
+
+impl Schedule {
+    /// `rate_hz` epochs in a second for `duration_s` seconds, at least one.
+    pub(super) fn new(rate_hz: f64, duration_s: u32) -> Self {
+        let epochs = (rate_hz * f64::from(duration_s)).floor().max(1.0);
+        Self { interval_s: 1.0 / rate_hz, epochs: epochs as usize }
+    }
+
+    /// Time from the beginning to an epoch. The devices are spread over the interval by the golden
+    /// ratio, so that any number of them sends evenly.
+    pub(super) fn due(&self, device: usize, epoch: usize) -> Duration {
+        let fraction = device as f64 * 0.618_033_988_749_895 % 1.0;
+        Duration::from_secs_f64(self.interval_s * (epoch as f64 + fraction))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_are_spread_over_the_interval() {
+        let schedule = Schedule::new(0.5, 60);
+        assert_eq!((schedule.interval_s, schedule.epochs), (2.0, 30));
+        let mut first: Vec<_> = (0..100).map(|device| schedule.due(device, 0)).collect();
+        first.sort();
+        let gaps = first.windows(2).map(|pair| (pair[1] - pair[0]).as_secs_f64());
+        let widest = gaps.fold(0.0, f64::max);
+        // The golden ratio leaves gaps of at most 1.7 times the mean (three-distance theorem).
+        assert!(widest < 1.7 * 2.0 / 100.0, "{widest} s");
+        assert_eq!(schedule.due(0, 29), Duration::from_secs(58));
+    }
+}

@@ -1,0 +1,136 @@
+//! `graphfix tenants`: the tenants in a database, which a service may be using.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use clap::{Args, Subcommand};
+
+use crate::app;
+use crate::quotas::{Meters, QuotaError, TenantInfo, TenantQuotas};
+use crate::store::Store;
+use crate::tenant::{Quotas, Tenant};
+
+use super::{Failure, host, keys};
+
+/// Tenants read at a time.
+const PAGE: usize = 1000;
+/// Largest quota.
+const MOST: f64 = 9e15;
+
+/// Sets the quotas of tenants in the service's database, also while it runs, and lists them. A
+/// running service takes a change within a second.
+#[derive(Debug, Args)]
+pub(super) struct TenantsArguments {
+    #[command(subcommand)]
+    act: Act,
+    /// The service's database: sqlite://FILE or postgres://….
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "GRAPHFIX_DATABASE",
+        default_value = "sqlite://graphfix.db",
+        global = true
+    )]
+    database: String,
+}
+
+#[derive(Debug, Subcommand)]
+enum Act {
+    /// Sets all quotas of a tenant: those that are not given end.
+    Set {
+        /// Name of the tenant.
+        #[arg(value_name = "NAME", value_parser = keys::tenant)]
+        tenant: Tenant,
+        /// Sessions that may be stored, open and closed.
+        #[arg(long, value_name = "N")]
+        sessions: Option<u64>,
+        /// Epochs a second, over ten seconds.
+        #[arg(long, value_name = "RATE", value_parser = number)]
+        epochs_per_s: Option<f64>,
+        /// Processor time of the solvers a minute (s), also that of jobs.
+        #[arg(long, value_name = "SECONDS", value_parser = number)]
+        cpu_s_per_minute: Option<f64>,
+        /// Bytes of stored epochs and solutions, approximately.
+        #[arg(long, value_name = "BYTES")]
+        stored_bytes: Option<u64>,
+    },
+    /// Lists all tenants in order of their names, with what they have stored and may use.
+    List,
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "this is not a number".to_owned())?;
+    let is_quota = (0.0..=MOST).contains(&number);
+    is_quota.then_some(number).ok_or_else(|| "a quota is from 0 to 9e15".to_owned())
+}
+
+/// Does one act.
+///
+/// # Errors
+/// The database cannot be opened, or the store fails.
+pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
+    let text = host::block_on(async {
+        let store = Store::open_beside(&arguments.database, &app::random_node()).await?;
+        let done = async {
+            let tenants = TenantQuotas::open(store.clone(), Meters::default()).await?;
+            let done = act(&tenants, arguments.act).await;
+            tenants.close().await;
+            done
+        };
+        let done: Result<String, QuotaError> = done.await;
+        store.close().await;
+        Ok(done?)
+    })?;
+    // An error means that the reader of the pipe has closed it.
+    std::io::stdout().write_all(text.as_bytes()).ok();
+    Ok(())
+}
+
+/// Does one act; returns what to print.
+async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
+    match act {
+        Act::Set { tenant, sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } => {
+            let most = |number: Option<u64>| number.map(|number| number.min(MOST as u64));
+            let (sessions, stored_bytes) = (most(sessions), most(stored_bytes));
+            let quotas = Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes };
+            tenants.set(&tenant, &quotas).await.map(|info| line(&info))
+        }
+        Act::List => {
+            let (mut text, mut after) = (String::new(), String::new());
+            loop {
+                let page = tenants.list(&after, PAGE).await?;
+                let Some(last) = page.last() else { return Ok(text) };
+                after = last.tenant.to_string();
+                text.extend(page.iter().map(line));
+            }
+        }
+    }
+}
+
+/// A tenant as a line. What it uses at present only its service knows.
+fn line(info: &TenantInfo) -> String {
+    let TenantInfo { tenant, quotas, stored, .. } = info;
+    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = quotas;
+    let of = |limit: Option<String>| limit.map_or(String::new(), |limit| format!(" of {limit}"));
+    let limit = |limit: Option<u64>| of(limit.map(|limit| limit.to_string()));
+    let mut line = format!(
+        "{tenant}: {} sessions{}, {} bytes{}",
+        stored.sessions,
+        limit(*sessions),
+        stored.stored_bytes,
+        limit(*stored_bytes)
+    );
+    let rates = [(epochs_per_s, "epochs a second"), (cpu_s_per_minute, "s of processor a minute")];
+    for (rate, unit) in rates {
+        if let Some(rate) = rate {
+            write!(line, ", at most {rate} {unit}").expect("a text takes any text");
+        }
+    }
+    line + "\n"
+}
+
+impl From<QuotaError> for Failure {
+    fn from(error: QuotaError) -> Self {
+        Self::of(error.code(), error)
+    }
+}

@@ -1,0 +1,73 @@
+//! Options of batch jobs: where their files are, and their limits.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+
+/// Options of batch jobs.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JobsConfiguration {
+    /// Folder of the uploaded files and of the results. If absent, `DATABASE.jobs` beside a SQLite
+    /// database; a service on Postgres then takes no jobs.
+    pub folder: Option<PathBuf>,
+    /// Bytes of one uploaded file.
+    pub file_bytes: u64,
+    /// Bytes of one uploaded file after unpacking.
+    pub unpacked_bytes: u64,
+    /// Bytes of all files in the folder together.
+    pub total_bytes: u64,
+    /// Files in one upload.
+    pub files: usize,
+    /// Jobs that wait or run.
+    pub waiting: usize,
+    /// Jobs that run at the same time.
+    pub running: usize,
+    /// Uploads at the same time.
+    pub uploads: usize,
+    /// Time that one job may run (s).
+    pub run_s: u64,
+    /// Time for which a job that has ended is kept, with its files (hours).
+    pub keep_hours: u32,
+}
+
+impl JobsConfiguration {
+    /// Limits for one small machine.
+    pub const fn standard() -> Self {
+        Self {
+            folder: None,
+            file_bytes: 1 << 30,
+            unpacked_bytes: 4 << 30,
+            total_bytes: 16 << 30,
+            files: 16,
+            waiting: 256,
+            running: 1,
+            uploads: 8,
+            run_s: 3600,
+            keep_hours: 168,
+        }
+    }
+
+    /// The name of a limit that is zero and would refuse everything.
+    pub(crate) fn zero(&self) -> Option<&'static str> {
+        let limits = [
+            ("file_bytes", self.file_bytes),
+            ("unpacked_bytes", self.unpacked_bytes),
+            ("total_bytes", self.total_bytes),
+            ("files", self.files as u64),
+            ("waiting", self.waiting as u64),
+            ("running", self.running as u64),
+            ("uploads", self.uploads as u64),
+            ("run_s", self.run_s),
+            ("keep_hours", u64::from(self.keep_hours)),
+        ];
+        limits.into_iter().find(|(_, value)| *value == 0).map(|(name, _)| name)
+    }
+}
+
+// `serde(default)` asks for `Default`. Nothing else uses it.
+impl Default for JobsConfiguration {
+    fn default() -> Self {
+        Self::standard()
+    }
+}

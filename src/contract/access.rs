@@ -1,0 +1,283 @@
+//! Which right each call needs: one table for both doors.
+//!
+//! A door serves nothing that is not in this table, so a call without an entry cannot exist. It
+//! looks a request up by its method and path before it reads anything else of it.
+
+use std::net::IpAddr;
+
+pub(crate) use crate::keys::CsrfToken;
+use crate::keys::{Pass, Right, Rights};
+use crate::refusal::Code;
+
+use super::{Refusal, Service};
+
+/// What a call needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Nothing: health, and what is the same in every service of this version.
+    Nothing,
+    /// A key, whatever its rights.
+    Key,
+    /// A key with one of these rights.
+    OneOf(Rights),
+    /// A key of the operator with one of these rights: what is of all tenants together.
+    OfOperator(Rights),
+}
+
+/// A call, or a page.
+#[derive(Clone, Copy, Debug)]
+pub struct Call {
+    /// Its path on gRPC, without the package of this service; empty if it is of REST only.
+    pub grpc: &'static str,
+    /// Its method and path on REST; empty if it is of gRPC only.
+    pub rest: &'static str,
+    /// What it needs.
+    pub need: Need,
+}
+
+const fn call(grpc: &'static str, rest: &'static str, rights: &[Right]) -> Call {
+    Call { grpc, rest, need: Need::OneOf(Rights::of(rights)) }
+}
+
+const fn page(rest: &'static str) -> Call {
+    Call { grpc: "", rest, need: Need::Nothing }
+}
+
+use Right::{Admin, Device, Operate, Read};
+
+/// Every call and page of both doors.
+pub const CALLS: &[Call] = &[
+    call("Sessions/Create", "POST /v1/sessions", &[Device, Operate]),
+    call("Sessions/Get", "GET /v1/sessions/{session}", &[Device, Read]),
+    call("Sessions/List", "GET /v1/sessions", &[Read]),
+    call("Sessions/Heads", "GET /v1/sessions:heads", &[Read]),
+    call("Sessions/Update", "PATCH /v1/sessions/{session}", &[Operate]),
+    call("Sessions/Reset", "POST /v1/sessions/{session}:reset", &[Device, Operate]),
+    call("Sessions/Close", "DELETE /v1/sessions/{session}", &[Operate]),
+    call("Sessions/Delete", "DELETE /v1/sessions/{session}?purge=true", &[Operate]),
+    call("Positioning/PushEpochs", "POST /v1/sessions/{session}/epochs", &[Device]),
+    call("Positioning/PushRaw", "POST /v1/sessions/{session}/raw", &[Device]),
+    call("Positioning/Stream", "", &[Device]),
+    call("Positioning/StreamRaw", "", &[Device]),
+    call("Positioning/Solve", "POST /v1/sessions/{session}:solve", &[Device, Read]),
+    call("Positioning/SolveOnce", "POST /v1/solve", &[Device, Read]),
+    call("Solutions/List", "GET /v1/sessions/{session}/solutions", &[Read]),
+    call("Solutions/Watch", "GET /v1/sessions/{session}/solutions:watch", &[Read]),
+    call("Solutions/Track", "GET /v1/sessions/{session}/track.{format}", &[Read]),
+    call("Solutions/Series", "GET /v1/sessions/{session}/solutions:series", &[Read]),
+    call("Solutions/Explain", "GET /v1/sessions/{session}/epochs/{seq}", &[Read]),
+    call("Navigation/Push", "POST /v1/navigation", &[Operate]),
+    call("Navigation/Status", "GET /v1/navigation", &[Read]),
+    call("Bases/Create", "POST /v1/bases", &[Operate]),
+    call("Bases/List", "GET /v1/bases", &[Read]),
+    call("Bases/Get", "GET /v1/bases/{base}", &[Read]),
+    call("Bases/Delete", "DELETE /v1/bases/{base}", &[Operate]),
+    call("Bases/PushEpochs", "POST /v1/bases/{base}/epochs", &[Operate]),
+    call("Bases/Upload", "POST /v1/bases/{base}/observations", &[Operate]),
+    call("Jobs/Create", "POST /v1/jobs", &[Operate]),
+    call("Jobs/Get", "GET /v1/jobs/{job}", &[Read]),
+    call("Jobs/Watch", "GET /v1/jobs/{job}/events", &[Read]),
+    call("Jobs/List", "GET /v1/jobs", &[Read]),
+    call("Jobs/Cancel", "DELETE /v1/jobs/{job}", &[Operate]),
+    call("Jobs/Report", "GET /v1/jobs/{job}/report", &[Read]),
+    call("Jobs/Result", "GET /v1/jobs/{job}/result", &[Read]),
+    call("Keys/Create", "POST /v1/keys", &[Admin]),
+    call("Keys/List", "GET /v1/keys", &[Admin]),
+    call("Keys/Revoke", "DELETE /v1/keys/{key}", &[Admin]),
+    call("Tenants/Get", "GET /v1/tenants/{tenant}", &[Read, Admin]),
+    call("Tenants/List", "GET /v1/tenants", &[Read, Admin]),
+    Call {
+        grpc: "Tenants/Set",
+        rest: "PUT /v1/tenants/{tenant}",
+        need: Need::OfOperator(Rights::of(&[Admin])),
+    },
+    page("GET /v1/sign-in"),
+    Call { grpc: "", rest: "POST /v1/sign-in", need: Need::Key },
+    Call { grpc: "", rest: "DELETE /v1/sign-in", need: Need::Key },
+    Call { grpc: "", rest: "GET /metrics", need: Need::OfOperator(Rights::of(&[Read])) },
+    page("GET /healthz"),
+    page("GET /readyz"),
+    page("GET /openapi.json"),
+    page("GET /docs"),
+    page("GET /docs/"),
+    page("GET /docs/{file}"),
+    page("GET /"),
+    page("GET /licences.txt"),
+    page("GET /assets/{file}"),
+    Call { grpc: "/grpc.health.v1.Health/Check", rest: "", need: Need::Nothing },
+    Call { grpc: "/grpc.health.v1.Health/Watch", rest: "", need: Need::Nothing },
+    Call { grpc: REFLECTION, rest: "", need: Need::Key },
+    Call { grpc: REFLECTION_ALPHA, rest: "", need: Need::Key },
+];
+
+const REFLECTION: &str = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo";
+const REFLECTION_ALPHA: &str = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo";
+/// The package of this service on gRPC.
+const PACKAGE: &str = "/graphfix.v1.";
+
+/// What a request brings to show who sends it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Credential<'a> {
+    /// Nothing.
+    None,
+    /// A key, or a text in its place.
+    Key(&'a str),
+    /// The cookie of a browser that is signed in, and the token for changes.
+    Cookie(&'a str, CsrfToken<'a>),
+}
+
+/// What a request is for.
+#[derive(Clone, Debug)]
+pub(crate) enum Target {
+    /// This call.
+    Call(&'static Call),
+    /// A path of calls with these methods, of which the request's is none.
+    OtherMethod(Vec<&'static str>),
+    /// No path of the table.
+    Unknown,
+}
+
+/// The call of a request.
+pub(crate) fn target(method: &str, path: &str) -> Target {
+    if let Some(call) = CALLS.iter().find(|call| has_grpc_path(call, path)) {
+        return Target::Call(call);
+    }
+    let asked = if method == "HEAD" { "GET" } else { method };
+    let mut methods = Vec::new();
+    for call in CALLS {
+        let Some((method, template)) = call.rest.split_once(' ') else { continue };
+        if !has_form(path, template) {
+            continue;
+        }
+        if method == asked {
+            return Target::Call(call);
+        }
+        methods.push(method);
+    }
+    methods.dedup();
+    if methods.is_empty() { Target::Unknown } else { Target::OtherMethod(methods) }
+}
+
+/// Whether this is the path of a call on gRPC.
+fn has_grpc_path(call: &Call, path: &str) -> bool {
+    match call.grpc.starts_with('/') {
+        true => call.grpc == path,
+        false => !call.grpc.is_empty() && path.strip_prefix(PACKAGE) == Some(call.grpc),
+    }
+}
+
+/// Whether a path, as it was sent, has the form of a template. What stands in braces is not empty.
+fn has_form(path: &str, template: &str) -> bool {
+    let template = template.split_once('?').map_or(template, |(path, _)| path);
+    let (mut segments, mut forms) = (path.split('/'), template.split('/'));
+    loop {
+        let (segment, form) = match (segments.next(), forms.next()) {
+            (None, None) => return true,
+            (Some(segment), Some(form)) => (segment, form),
+            _ => return false,
+        };
+        let parts = form
+            .split_once('{')
+            .and_then(|(before, name)| name.split_once('}').map(|(_, after)| (before, after)));
+        let fits = match parts {
+            Some((before, after)) => segment
+                .strip_prefix(before)
+                .and_then(|rest| rest.strip_suffix(after))
+                .is_some_and(|value| !value.is_empty()),
+            None => segment == form,
+        };
+        if !fits {
+            return false;
+        }
+    }
+}
+
+impl Service {
+    /// Who sends a request for this call with this credential; `None` where nobody needs one.
+    ///
+    /// # Errors
+    /// The credential is missing or not in force, or none of its rights is one that the call needs.
+    pub(crate) fn admit(
+        &self,
+        call: &Call,
+        credential: Credential<'_>,
+        peer: Option<IpAddr>,
+    ) -> Result<Option<Pass>, Refusal> {
+        let needed = match call.need {
+            Need::Nothing => return Ok(None),
+            Need::Key => Rights::ALL,
+            Need::OneOf(rights) | Need::OfOperator(rights) => rights,
+        };
+        let pass = match credential {
+            Credential::None => self.keys().admit(None, peer)?,
+            Credential::Key(key) => self.keys().admit(Some(key), peer)?,
+            Credential::Cookie(cookie, token) => self.keys().admit_cookie(cookie, token)?,
+        };
+        if !pass.rights().meets(needed) {
+            let (id, has) = (pass.key().unwrap_or_default(), pass.rights());
+            let needed = needed.names().join(" or ");
+            let message = format!("the key {id} has {has}, and this call needs {needed}");
+            return Err(Refusal::new(Code::RightMissing, message));
+        }
+        if matches!(call.need, Need::OfOperator(_)) && !pass.tenant().is_operator() {
+            let message = "the call is for the operator, and the key is of another tenant";
+            return Err(Refusal::new(Code::OperatorOnly, message));
+        }
+        Ok(Some(pass))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(method: &str, path: &str) -> &'static str {
+        match target(method, path) {
+            Target::Call(call) if call.grpc.is_empty() => call.rest,
+            Target::Call(call) => call.grpc,
+            Target::OtherMethod(_) => "other method",
+            Target::Unknown => "unknown",
+        }
+    }
+
+    #[test]
+    fn a_request_is_found_by_its_method_and_path() {
+        for (method, path, expected) in [
+            ("POST", "/graphfix.v1.Sessions/Create", "Sessions/Create"),
+            ("POST", "/v1/sessions", "Sessions/Create"),
+            ("HEAD", "/v1/sessions/ses_1", "Sessions/Get"),
+            ("POST", "/v1/sessions/ses_1:solve", "Positioning/Solve"),
+            ("POST", "/v1/sessions/a:solve:reset", "Sessions/Reset"),
+            ("GET", "/v1/sessions:heads", "Sessions/Heads"),
+            ("GET", "/v1/sessions/ses_1/solutions:watch", "Solutions/Watch"),
+            ("GET", "/v1/sessions/ses_1/epochs/7", "Solutions/Explain"),
+            ("GET", "/v1/sessions/ses_1/track.kml", "Solutions/Track"),
+            ("GET", "/v1/sessions/ses_1/track.", "unknown"),
+            ("GET", "/", "GET /"),
+            ("GET", "/docs/", "GET /docs/"),
+            ("GET", "/docs/a/b", "unknown"),
+            ("POST", "/v1/sessions/ses_1", "other method"),
+            ("POST", "/v1/sessions/ses_1%3Areset", "other method"),
+            ("PUT", "/v1/sessions", "other method"),
+            ("GET", "/v1/sessions/", "unknown"),
+            ("GET", "//v1/sessions", "unknown"),
+            ("POST", "/v1/sessions/:reset", "other method"),
+            ("GET", "/v1/sessions/a/b", "unknown"),
+            ("POST", "Sessions/Create", "unknown"),
+            ("POST", "", "unknown"),
+        ] {
+            assert_eq!(found(method, path), expected, "{method} {path}");
+        }
+    }
+
+    /// Calls of one method and path need the same, as only the first of them is found.
+    #[test]
+    fn calls_of_one_path_need_the_same() {
+        let path = |call: &Call| call.rest.split('?').next().unwrap_or_default().to_owned();
+        for one in CALLS {
+            for other in CALLS.iter().filter(|other| !path(other).is_empty()) {
+                assert!(path(one) != path(other) || one.need == other.need, "{}", one.rest);
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Who calls: the desks as the caller's tenant sees them.
+//!
+//! Calls have a [`Caller`] and no [`Service`], so none of them reaches what belongs to another
+//! tenant. `tests/tidy` checks it.
+
+use tokio::sync::OwnedSemaphorePermit;
+
+use crate::aiding::TenantNavigation;
+use crate::aiding::bases::{BaseFileLimits, TenantBases};
+use crate::config::Limits;
+use crate::feeds::TenantFeeds;
+use crate::jobs::Jobs;
+use crate::keys::{Keys, Pass};
+use crate::quotas::TenantQuotas;
+use crate::refusal::Code;
+use crate::session::Sessions;
+use crate::tenant::Tenant;
+
+use super::{Lease, Refusal, Service};
+
+/// Who calls, and the service as the caller's tenant sees it.
+#[derive(Clone)]
+pub struct Caller {
+    service: Service,
+    pass: Pass,
+    sessions: Sessions,
+}
+
+impl Service {
+    /// Who has sent the request that the present task serves.
+    ///
+    /// # Errors
+    /// Nobody is known to have sent it: the call is not one that asks for a key, or there is no
+    /// request.
+    pub(crate) fn caller(&self) -> Result<Caller, Refusal> {
+        let pass = Lease::current().and_then(|lease| lease.pass().cloned());
+        let pass = pass.ok_or_else(|| {
+            Refusal::new(Code::KeyRequired, "nobody is known to have sent this request")
+        })?;
+        Ok(self.caller_of(pass))
+    }
+
+    /// Who calls within this process, while nobody needs a key.
+    ///
+    /// # Errors
+    /// The service has keys.
+    pub fn without_key(&self) -> Result<Caller, Refusal> {
+        Ok(self.caller_of(self.keys().admit(None, None)?))
+    }
+
+    fn caller_of(&self, pass: Pass) -> Caller {
+        let sessions = self.sessions().of(pass.tenant());
+        Caller { service: self.clone(), pass, sessions }
+    }
+}
+
+impl Caller {
+    /// The tenant.
+    pub(crate) fn tenant(&self) -> &Tenant {
+        self.pass.tenant()
+    }
+
+    /// Id of the caller's key, for the log; `nobody's key` where none is needed.
+    pub(crate) fn key(&self) -> &str {
+        self.pass.key().unwrap_or("nobody's key")
+    }
+
+    /// Checks that the caller is the operator.
+    ///
+    /// # Errors
+    /// The key is of another tenant.
+    pub(crate) fn check_operator(&self) -> Result<(), Refusal> {
+        match self.tenant().is_operator() {
+            true => Ok(()),
+            false => {
+                let message = "the call is for the operator, and the key is of another tenant";
+                Err(Refusal::new(Code::OperatorOnly, message))
+            }
+        }
+    }
+
+    /// The sessions of the tenant.
+    pub(crate) const fn sessions(&self) -> &Sessions {
+        &self.sessions
+    }
+
+    /// The bases that the tenant sees.
+    pub(crate) fn bases(&self) -> TenantBases<'_> {
+        self.service.bases().of(self.tenant())
+    }
+
+    /// Limits of a file of a base.
+    pub(crate) fn base_file_limits(&self) -> BaseFileLimits {
+        self.service.bases().file_limits()
+    }
+
+    /// The navigation data of the tenant.
+    pub(crate) fn navigation(&self) -> TenantNavigation {
+        self.service.navigation().of(self.tenant())
+    }
+
+    /// The jobs of the tenant.
+    pub(crate) fn jobs(&self) -> Jobs {
+        self.service.jobs().of(self.tenant())
+    }
+
+    /// The keys, each call of which names a tenant.
+    pub(crate) fn keys(&self) -> &Keys {
+        self.service.keys()
+    }
+
+    /// The quotas, each call of which names a tenant, but the list.
+    pub(crate) fn quotas(&self) -> &TenantQuotas {
+        self.service.quotas()
+    }
+
+    /// The streams and archives of the tenant.
+    pub(crate) fn feeds(&self) -> TenantFeeds<'_> {
+        self.service.feeds().of(self.tenant())
+    }
+
+    /// The limits in force.
+    pub(crate) fn limits(&self) -> &Limits {
+        self.service.limits()
+    }
+
+    /// Waits until another uploaded file may be read. The caller keeps the permit while it reads.
+    pub(super) async fn file_reader(&self) -> OwnedSemaphorePermit {
+        self.service.file_reader().await
+    }
+
+    /// The right to another open stream, which it keeps until it ends.
+    ///
+    /// # Errors
+    /// As many are open as allowed.
+    pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+        self.service.stream_permit()
+    }
+
+    /// The right to another open watch, which it keeps until it ends.
+    ///
+    /// # Errors
+    /// As many are open as allowed.
+    pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
+        self.service.watch_permit()
+    }
+
+    /// Whether the service is about to stop.
+    pub(crate) fn is_draining(&self) -> bool {
+        self.service.is_draining()
+    }
+
+    /// Waits until the service is about to stop, or no longer exists.
+    pub(crate) fn drained(&self) -> impl Future<Output = ()> + use<> {
+        self.service.drained()
+    }
+}

@@ -1,0 +1,82 @@
+//! Watches of batch jobs: a job now and at each change, until it has ended.
+//!
+//! The desk wakes a watch when any job changes here. What another process changes is read from the
+//! store at an interval.
+
+use std::time::Duration;
+
+use futures::Stream;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::time::{Instant, sleep, sleep_until};
+
+use crate::contract::{Caller, Lease, Refusal, v1};
+use crate::jobs::{JobError, JobId};
+
+use super::jobs::{job_id, message};
+use super::outlet::{Outlet, outlet};
+
+/// Memory of a watch: its waiting messages (bytes).
+const WATCH_BYTES: usize = 32 << 10;
+/// Interval at which the store is asked for changes of which no one told.
+const ASK: Duration = Duration::from_secs(5);
+/// Shortest interval between two looks into the store.
+const PAUSE: Duration = Duration::from_millis(200);
+/// Time after which an unchanged job is sent again, so that no proxy takes the watch for dead.
+const KEEPALIVE: Duration = Duration::from_secs(15);
+
+/// Watches a job. The first message comes at once, the last one when the job has ended.
+///
+/// # Errors
+/// The job does not exist, the service is stopping, or as many watches are open as allowed.
+pub async fn watch(
+    caller: &Caller,
+    request: v1::GetJobRequest,
+) -> Result<impl Stream<Item = Result<v1::Job, Refusal>> + Send + use<>, Refusal> {
+    let id = job_id(&request.job)?;
+    if caller.is_draining() {
+        return Err(JobError::Draining.into());
+    }
+    let permit = caller.watch_permit()?;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
+    caller.jobs().get(&id).await?;
+    let (outlet, reader) = outlet(caller);
+    Ok(reader.read(run(caller.clone(), id, outlet, permit)))
+}
+
+/// Sends the job until it has ended or the reader has gone.
+async fn run(
+    caller: Caller,
+    id: JobId,
+    outlet: Outlet<v1::Job>,
+    _permit: OwnedSemaphorePermit,
+) -> Result<(), Refusal> {
+    let mut drained = Box::pin(caller.drained());
+    let mut changes = caller.jobs().changes();
+    let (mut sent, mut sent_at) = (None, Instant::now());
+    loop {
+        changes.mark_unchanged();
+        let pause_ends = Instant::now() + PAUSE;
+        let job = caller.jobs().get(&id).await?;
+        let message = message(&caller, &job);
+        if job.state.is_end() {
+            return outlet.send(message).await;
+        }
+        if sent.as_ref() != Some(&message) || KEEPALIVE <= sent_at.elapsed() {
+            outlet.send(message.clone()).await?;
+            (sent, sent_at) = (Some(message), Instant::now());
+        }
+        let changed = async {
+            tokio::select! {
+                // Err: the desk no longer exists, and the service drains.
+                _ = changes.changed() => {}
+                () = sleep(ASK) => {}
+            }
+            sleep_until(pause_ends).await;
+        };
+        tokio::select! {
+            () = changed => {}
+            () = &mut drained => return Err(JobError::Draining.into()),
+            () = outlet.closed() => return Ok(()),
+        }
+    }
+}

@@ -1,0 +1,421 @@
+//! Batch jobs.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::{Stream, StreamExt, stream};
+use tokio::fs::File;
+use tokio::io::AsyncReadExt;
+use tokio::time::timeout;
+
+use crate::contract::{Caller, Lease, Refusal, convert, in_background, texts, v1};
+use crate::formats::rinex::write_navigation;
+use crate::formats::track::TrackFormat;
+use crate::gnss::{Ephemeris, GpsTime, Navigation};
+use crate::jobs::{
+    ArrivingFile, BaseOrigin, Failure, JobError, JobId, JobInfo, JobInput, JobOptions, Part,
+    Report, Upload, UploadedFile,
+};
+use crate::refusal::Code;
+
+use super::{MODE, PROFILE, or_standard, page_size, page_token, utc};
+
+/// Jobs on a page if the request gives no size.
+const PAGE: usize = 100;
+/// The format if the request has none.
+const FORMAT: &str = "pos";
+/// Name of the input that the service adds.
+const OWN_NAVIGATION: &str = "the service's own ephemerides";
+/// Most bytes of an ephemeris in RINEX 3.
+const EPHEMERIS_BYTES: usize = 8 * 81;
+/// Bytes of a result that are read at a time.
+const CHUNK_BYTES: usize = 64 << 10;
+/// Memory of the options and names of an upload (bytes).
+const OPTIONS_BYTES: usize = 64 << 10;
+/// Longest idempotency key.
+const KEY_MAX: usize = 200;
+
+/// Files and options of a job, as they arrive.
+pub struct Arriving {
+    upload: Upload,
+    files: Vec<UploadedFile>,
+    options: Option<v1::JobOptions>,
+}
+
+/// A file that arrives.
+pub struct ArrivingPart {
+    part: Part,
+    name: String,
+    file: ArrivingFile,
+}
+
+/// Begins the upload of a job.
+///
+/// # Errors
+/// The service takes no jobs, or as many as allowed are on their way.
+pub async fn begin(caller: &Caller) -> Result<Arriving, Refusal> {
+    let upload = caller.jobs().upload().await?;
+    Ok(Arriving { upload, files: Vec::new(), options: None })
+}
+
+impl Arriving {
+    /// Begins the file of a part. `name` is its name at the user.
+    ///
+    /// # Errors
+    /// There is no such part, the upload has as many files as allowed, or the disk fails.
+    pub async fn begin(&mut self, part: &str, name: &str) -> Result<ArrivingPart, Refusal> {
+        let part = Part::from_name(part).ok_or_else(|| {
+            let given = texts::brief(part);
+            let message = format!(
+                "there is no part {given:?}; known are rover, navigation, base and options"
+            );
+            Refusal::new(Code::UnknownField, message).at(given)
+        })?;
+        let file = self.upload.begin().await;
+        let file = file.map_err(|error| Refusal::from(error).at(part.name()))?;
+        Ok(ArrivingPart { part, name: texts::brief(name).to_owned(), file })
+    }
+
+    /// Stores a file that has arrived.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub async fn finish(&mut self, arrived: ArrivingPart) -> Result<(), Refusal> {
+        let ArrivingPart { part, name, file } = arrived;
+        let file = file.finish().await?;
+        self.files.push(UploadedFile { part, name, is_own: false, file });
+        Ok(())
+    }
+
+    /// Takes the options.
+    ///
+    /// # Errors
+    /// They are given twice.
+    pub fn options(&mut self, options: v1::JobOptions) -> Result<(), Refusal> {
+        match self.options.replace(options) {
+            None => Ok(()),
+            Some(_) => {
+                let message = "there is more than one part options";
+                Err(Refusal::new(Code::InvalidField, message).at("options"))
+            }
+        }
+    }
+
+    /// Queues the job. Returns it, and whether it is new.
+    ///
+    /// # Errors
+    /// A part is missing, an option does not exist or does not fit, or the idempotency key was used
+    /// for another request.
+    pub async fn submit(
+        mut self,
+        caller: &Caller,
+        idempotency_key: Option<&str>,
+    ) -> Result<(v1::Job, bool), Refusal> {
+        if let Some(key) = idempotency_key {
+            texts::check("Idempotency-Key", key, KEY_MAX)?;
+        }
+        let options = options(self.options.take().unwrap_or_default())?;
+        if !self.files.iter().any(|file| file.part == Part::Navigation) {
+            self.add_own_navigation(caller).await?;
+        }
+        let key = idempotency_key.map(ToOwned::to_owned);
+        let (job, is_new) = caller.jobs().submit(options, self.files, key).await?;
+        Ok((message(caller, &job), is_new))
+    }
+}
+
+impl Arriving {
+    /// Adds the service's own ephemerides as the part `navigation`.
+    ///
+    /// # Errors
+    /// The service has none, or the disk fails.
+    async fn add_own_navigation(&mut self, caller: &Caller) -> Result<(), Refusal> {
+        let mut navigation = Navigation::clone(&caller.navigation().current().navigation);
+        navigation.retain(Ephemeris::is_legacy);
+        if navigation.is_empty() {
+            let message = "the part navigation is missing, and the service has no ephemerides";
+            return Err(Refusal::new(Code::InvalidField, message).at("navigation"));
+        }
+        let bytes = navigation.len() * EPHEMERIS_BYTES;
+        Lease::current().map_or(Ok(()), |lease| lease.reserve(bytes))?;
+        let content = in_background(move || {
+            let mut content = Vec::with_capacity(bytes);
+            write_navigation(&mut content, &navigation).map(|()| content)
+        });
+        let content = content.await?.map_err(|error| {
+            let message = format!("writing the service's ephemerides: {error}");
+            Refusal::new(Code::Internal, message)
+        })?;
+        let mut arriving = self.begin(Part::Navigation.name(), OWN_NAVIGATION).await?;
+        arriving.write(&content).await?;
+        self.finish(arriving).await?;
+        self.files.last_mut().expect("it was added").is_own = true;
+        Ok(())
+    }
+}
+
+/// Creates a job from a stream of messages.
+///
+/// # Errors
+/// The stream breaks off or is silent for too long, bytes belong to no file, or as of
+/// [`Arriving::submit`].
+pub async fn create<E: From<Refusal>>(
+    caller: &Caller,
+    mut messages: impl Stream<Item = Result<v1::CreateJobRequest, E>> + Unpin,
+) -> Result<v1::Job, E> {
+    use v1::create_job_request::Content;
+
+    let silence = Duration::from_secs(caller.limits().body_silence_s);
+    let mut arriving = begin(caller).await?;
+    let (mut open, mut key) = (None::<ArrivingPart>, None);
+    loop {
+        let next = timeout(silence, messages.next()).await.map_err(|_| {
+            let message = format!("no message of the stream for {silence:?}");
+            Refusal::new(Code::BodyTooSlow, message)
+        })?;
+        let Some(message) = next.transpose()? else { break };
+        match message.content {
+            Some(Content::Options(options)) => arriving.options(options)?,
+            Some(Content::IdempotencyKey(text)) => key = Some(text),
+            Some(Content::Part(v1::JobPart { part, name })) => {
+                if let Some(file) = open.take() {
+                    arriving.finish(file).await?;
+                }
+                open = Some(arriving.begin(&part, &name).await?);
+            }
+            Some(Content::Chunk(bytes)) => {
+                let file = open.as_mut().ok_or_else(|| {
+                    let message = "bytes before the part that they belong to";
+                    Refusal::new(Code::InvalidField, message).at("chunk")
+                })?;
+                file.write(&bytes).await?;
+            }
+            None => {}
+        }
+        // The message is on the disk, or kept in few bytes.
+        Lease::current().map_or(Ok(()), |lease| lease.settle(OPTIONS_BYTES))?;
+    }
+    if let Some(file) = open {
+        arriving.finish(file).await?;
+    }
+    Ok(arriving.submit(caller, key.as_deref()).await?.0)
+}
+
+impl ArrivingPart {
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// The file, or all files together, exceed their limit, or the disk fails.
+    pub async fn write(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+        let written = self.file.write(bytes).await;
+        written.map_err(|error| Refusal::from(error).at(self.part.name()))
+    }
+}
+
+fn options(message: v1::JobOptions) -> Result<JobOptions, Refusal> {
+    let near = convert::time(message.near, "options.near")?;
+    let contradiction = |field: &str, other: &str| {
+        let text = format!("{field} and {other} are both given");
+        Err(Refusal::new(Code::InvalidField, text).at(format!("options.{other}")))
+    };
+    let answer = match (message.smoothed, message.batch) {
+        (false, false) => "causal",
+        (true, false) => "smoothed",
+        (false, true) => "batch",
+        (true, true) => return contradiction("smoothed", "batch"),
+    };
+    let base_position = match (message.base_position, message.base_position_from_header) {
+        (None, false) => BaseOrigin::Any,
+        (None, true) => BaseOrigin::FromHeader,
+        (Some(v1::Ecef { x_m, y_m, z_m }), false) => BaseOrigin::Marker([x_m, y_m, z_m]),
+        (Some(_), true) => return contradiction("basePosition", "basePositionFromHeader"),
+    };
+    Ok(JobOptions {
+        mode: or_standard(message.mode, MODE),
+        profile: or_standard(message.profile, PROFILE),
+        overrides: message.overrides,
+        answer: answer.to_owned(),
+        base_position,
+        format: or_standard(message.format, FORMAT),
+        near_ns: near.map(GpsTime::as_ns),
+    })
+}
+
+/// A job.
+///
+/// # Errors
+/// The job does not exist.
+pub async fn get(caller: &Caller, request: v1::GetJobRequest) -> Result<v1::Job, Refusal> {
+    let job = caller.jobs().get(&job_id(&request.job)?).await?;
+    Ok(message(caller, &job))
+}
+
+/// A page of jobs, the newest first.
+///
+/// # Errors
+/// The page token or size is invalid.
+pub async fn list(
+    caller: &Caller,
+    request: v1::ListJobsRequest,
+) -> Result<v1::ListJobsResponse, Refusal> {
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let size = page_size(request.page_size, PAGE);
+    let page = caller.jobs().list(size, page_token(&request.page_token)).await?;
+    Ok(v1::ListJobsResponse {
+        jobs: page.items.iter().map(|job| message(caller, job)).collect(),
+        next_page_token: page.next_page_token.unwrap_or_default(),
+    })
+}
+
+/// Ends a job that waits or runs.
+///
+/// # Errors
+/// The job does not exist.
+pub async fn cancel(caller: &Caller, request: v1::CancelJobRequest) -> Result<v1::Job, Refusal> {
+    let job = caller.jobs().cancel(&job_id(&request.job)?).await?;
+    Ok(message(caller, &job))
+}
+
+/// The report of a job.
+///
+/// # Errors
+/// The job does not exist, has not ended, or has failed or been cancelled.
+pub async fn report(caller: &Caller, request: v1::GetJobRequest) -> Result<v1::JobReport, Refusal> {
+    let job = caller.jobs().ended(&job_id(&request.job)?).await?;
+    let without = || JobError::WithoutResult { id: job.id.to_string(), state: job.state.name() };
+    Ok(report_message(&job.id, job.report.as_ref().ok_or_else(without)?))
+}
+
+/// The result of a job.
+pub struct ResultFile {
+    /// Name for the file of a user.
+    pub name: String,
+    /// Its media type.
+    pub content_type: &'static str,
+    /// Its size (bytes).
+    pub bytes: u64,
+    file: File,
+}
+
+/// Opens the result of a job.
+///
+/// # Errors
+/// The job does not exist, has not ended, or has no result.
+pub async fn result(caller: &Caller, request: v1::GetJobRequest) -> Result<ResultFile, Refusal> {
+    let (job, file) = caller.jobs().result(&job_id(&request.job)?).await?;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(2 * CHUNK_BYTES))?;
+    let format = &*job.request.options.format;
+    Ok(ResultFile {
+        name: format!("{}.{format}", job.id),
+        content_type: TrackFormat::from_name(format).map_or("", TrackFormat::content_type),
+        bytes: job.result.as_ref().map_or(0, |result| result.bytes),
+        file,
+    })
+}
+
+impl ResultFile {
+    /// The bytes, read as fast as the stream is read.
+    pub fn content(self) -> impl Stream<Item = Result<Bytes, Refusal>> + Send {
+        stream::unfold(Some(self.file), |file| async move {
+            let mut file = file?;
+            let mut chunk = Vec::with_capacity(CHUNK_BYTES);
+            match (&mut file).take(CHUNK_BYTES as u64).read_to_end(&mut chunk).await {
+                Ok(0) => None,
+                Ok(_) => Some((Ok(chunk.into()), Some(file))),
+                Err(error) => {
+                    let message = format!("reading the result: {error}");
+                    Some((Err(Refusal::new(Code::JobFilesFailed, message)), None))
+                }
+            }
+        })
+    }
+}
+
+pub(super) fn job_id(text: &str) -> Result<JobId, Refusal> {
+    JobId::parse(text).ok_or_else(|| {
+        let message = format!("there is no job {:?}", texts::brief(text));
+        Refusal::new(Code::JobNotFound, message).at("job")
+    })
+}
+
+/// A job as a message.
+pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
+    let now = caller.jobs().unix_ms();
+    let time = |unix_ms: Option<i64>| unix_ms.map(utc).unwrap_or_default();
+    let input = |input: &JobInput| v1::JobInput {
+        part: input.part.name().to_owned(),
+        name: input.name.clone(),
+        hash: input.hash.clone(),
+        bytes: input.bytes,
+        own: input.is_own,
+    };
+    v1::Job {
+        job: job.id.to_string(),
+        state: job.state.name().to_owned(),
+        options: Some(options_message(&job.request.options)),
+        inputs: job.request.inputs.iter().map(input).collect(),
+        created_utc: utc(job.created_unix_ms),
+        started_utc: time(job.started_unix_ms),
+        ended_utc: time(job.ended_unix_ms),
+        expires_utc: time(job.ended_unix_ms.map(|ended| ended + caller.jobs().kept_ms())),
+        progress: Some(v1::JobProgress {
+            percent: job.percent(),
+            epochs: job.progress.epochs,
+            answered: job.progress.answered,
+            epochs_per_second: job.epochs_per_second(now),
+            remaining_s: job.remaining_s(now),
+        }),
+        result_bytes: job.result.as_ref().map(|result| result.bytes),
+        failure: job.failure.as_ref().map(failure_message),
+    }
+}
+
+fn options_message(options: &JobOptions) -> v1::JobOptions {
+    let base_position = match options.base_position {
+        BaseOrigin::Marker([x_m, y_m, z_m]) => Some(v1::Ecef { x_m, y_m, z_m }),
+        BaseOrigin::Any | BaseOrigin::FromHeader => None,
+    };
+    v1::JobOptions {
+        mode: options.mode.clone(),
+        profile: options.profile.clone(),
+        overrides: options.overrides.clone(),
+        smoothed: options.answer == "smoothed",
+        batch: options.answer == "batch",
+        base_position,
+        base_position_from_header: options.base_position == BaseOrigin::FromHeader,
+        format: options.format.clone(),
+        near: options.near_ns.map(|ns| GpsTime::from_ns(ns).into()),
+    }
+}
+
+fn failure_message(failure: &Failure) -> v1::Refusal {
+    v1::Refusal {
+        code: failure.code.clone(),
+        message: failure.message.clone(),
+        remedy: failure.remedy.clone(),
+        field: failure.field.clone().unwrap_or_default(),
+    }
+}
+
+fn report_message(id: &JobId, report: &Report) -> v1::JobReport {
+    let counts = |counts: &[(String, u64)]| {
+        let count = |(name, epochs): &(String, u64)| v1::JobCount {
+            name: name.clone(),
+            epochs: *epochs,
+            remedy: report.remedies.get(name).cloned().unwrap_or_default(),
+        };
+        counts.iter().map(count).collect()
+    };
+    v1::JobReport {
+        job: id.to_string(),
+        version: report.version.clone(),
+        configuration_hash: report.configuration_hash.clone(),
+        epochs: report.epochs,
+        answered: report.answered,
+        seconds: report.seconds,
+        statuses: counts(&report.statuses),
+        reasons: counts(&report.reasons),
+        provenance: report.provenance.clone(),
+        skipped: report.skipped.clone(),
+    }
+}

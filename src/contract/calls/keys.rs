@@ -1,0 +1,105 @@
+//! API keys of the caller's tenant, and for the operator of all tenants.
+
+use crate::contract::{Caller, Refusal, texts, v1};
+use crate::keys::{Created, KeyInfo, NewKey, Rights};
+use crate::refusal::Code;
+use crate::tenant::Tenant;
+
+use super::{page_size, page_token, utc};
+
+/// Keys on a page if the request gives no size.
+const PAGE: usize = 100;
+/// Longest time for which a key is in force (s): a century.
+const LIFETIME_MAX_S: u64 = 3_153_600_000;
+
+/// Creates a key.
+///
+/// # Errors
+/// A right is unknown, the label or the lifetime is too long, the tenant is another one and the
+/// caller not the operator, there are as many keys as allowed, or the store fails.
+pub async fn create(
+    caller: &Caller,
+    request: v1::CreateKeyRequest,
+) -> Result<v1::CreateKeyResponse, Refusal> {
+    texts::check_label(&request.label)?;
+    let new = NewKey {
+        tenant: tenant(caller, &request.tenant)?,
+        rights: Rights::named(&request.rights)?,
+        label: request.label,
+        lifetime_ms: request.lifetime_s.map(lifetime_ms).transpose()?,
+    };
+    let Created { key, secret } = caller.keys().create(new).await?;
+    let (id, tenant, rights) = (&key.id, &key.tenant, key.rights);
+    tracing::info!(key = id, %tenant, %rights, by = caller.key(), "a key is created");
+    Ok(v1::CreateKeyResponse { key: Some(message(key)), secret: secret.text().to_owned() })
+}
+
+/// A page of keys, the newest first.
+///
+/// # Errors
+/// The page token or size is invalid, the tenant is another one and the caller not the operator, or
+/// the store fails.
+pub async fn list(
+    caller: &Caller,
+    request: v1::ListKeysRequest,
+) -> Result<v1::ListKeysResponse, Refusal> {
+    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let size = page_size(request.page_size, PAGE);
+    let tenant = tenant(caller, &request.tenant)?;
+    let page = caller.keys().list(&tenant, size, page_token(&request.page_token)).await?;
+    Ok(v1::ListKeysResponse {
+        keys: page.items.into_iter().map(message).collect(),
+        next_page_token: page.next_page_token.unwrap_or_default(),
+    })
+}
+
+/// Revokes a key.
+///
+/// # Errors
+/// The tenant has no such key, or the store fails.
+pub async fn revoke(caller: &Caller, request: v1::RevokeKeyRequest) -> Result<v1::Key, Refusal> {
+    texts::check("key", &request.key, texts::NAME_MAX)?;
+    let tenant = Some(caller.tenant()).filter(|tenant| !tenant.is_operator());
+    let key = caller.keys().revoke(tenant, &request.key).await?;
+    tracing::info!(key = key.id, tenant = %key.tenant, by = caller.key(), "a key is revoked");
+    Ok(message(key))
+}
+
+/// The tenant of a name; the caller's if it is empty.
+///
+/// # Errors
+/// It is no name of a tenant, or that of another one, and the caller is not the operator.
+pub(super) fn tenant(caller: &Caller, name: &str) -> Result<Tenant, Refusal> {
+    if name.is_empty() || name == caller.tenant().name() {
+        return Ok(caller.tenant().clone());
+    }
+    caller.check_operator().map_err(|refusal| refusal.at("tenant"))?;
+    Tenant::parse(name).ok_or_else(|| {
+        let message = format!(
+            "{:?} is not a name of 1 to 63 lower-case letters, digits, - and _",
+            texts::brief(name)
+        );
+        Refusal::new(Code::InvalidField, message).at("tenant")
+    })
+}
+
+fn lifetime_ms(seconds: u64) -> Result<i64, Refusal> {
+    if (1..=LIFETIME_MAX_S).contains(&seconds) {
+        return Ok(seconds as i64 * 1000);
+    }
+    let message = format!("{seconds} s is not from 1 to {LIFETIME_MAX_S}");
+    Err(Refusal::new(Code::InvalidField, message).at("lifetimeS"))
+}
+
+fn message(key: KeyInfo) -> v1::Key {
+    v1::Key {
+        key: key.id,
+        label: key.label,
+        tenant: key.tenant.to_string(),
+        rights: key.rights.names().into_iter().map(ToOwned::to_owned).collect(),
+        created_utc: utc(key.created_unix_ms),
+        expires_utc: key.expires_unix_ms.map(utc),
+        revoked_utc: key.revoked_unix_ms.map(utc),
+        last_used_utc: key.last_used_unix_ms.map(utc),
+    }
+}

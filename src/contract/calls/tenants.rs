@@ -1,0 +1,111 @@
+//! Tenants: their quotas, and what they use.
+
+use crate::contract::{Caller, Refusal, texts, v1};
+use crate::quotas::{QuotaError, TenantInfo};
+use crate::refusal::Code;
+use crate::tenant::{Quotas, Tenant};
+
+use super::{page_size, utc};
+
+/// Tenants on a page if the request gives no size.
+const PAGE: usize = 100;
+/// Most tenants on a page.
+const PAGE_LIMIT: usize = 1000;
+
+/// A tenant.
+///
+/// # Errors
+/// It does not exist, or is another one and the caller not the operator, or the store fails.
+pub async fn get(caller: &Caller, request: v1::GetTenantRequest) -> Result<v1::Tenant, Refusal> {
+    let name = request.tenant;
+    let sees = |tenant: &Tenant| tenant == caller.tenant() || caller.tenant().is_operator();
+    let tenant = Tenant::parse(&name).filter(sees).ok_or_else(|| {
+        let name = texts::brief(&name).to_owned();
+        Refusal::from(QuotaError::NotFound { name })
+    })?;
+    Ok(message(caller.quotas().get(&tenant).await?))
+}
+
+/// A page of tenants in order of their names: all, or the caller's.
+///
+/// # Errors
+/// The page token or size is invalid, or the store fails.
+pub async fn list(
+    caller: &Caller,
+    request: v1::ListTenantsRequest,
+) -> Result<v1::ListTenantsResponse, Refusal> {
+    let size = page_size(request.page_size, PAGE);
+    if PAGE_LIMIT < size {
+        let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
+        return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
+    }
+    let after = request.page_token;
+    if !after.is_empty() && Tenant::parse(&after).is_none() {
+        let message = format!("{:?} is not a page token of this list", texts::brief(&after));
+        return Err(Refusal::new(Code::PageTokenInvalid, message).at("pageToken"));
+    }
+    let mut tenants = match caller.tenant().is_operator() {
+        true => caller.quotas().list(&after, size + 1).await?,
+        false if *caller.tenant().name() <= *after => Vec::new(),
+        false => vec![caller.quotas().get(caller.tenant()).await?],
+    };
+    let more = size < tenants.len();
+    tenants.truncate(size);
+    let last = tenants.last().filter(|_| more);
+    Ok(v1::ListTenantsResponse {
+        next_page_token: last.map(|last| last.tenant.to_string()).unwrap_or_default(),
+        tenants: tenants.into_iter().map(message).collect(),
+    })
+}
+
+/// Sets the quotas of a tenant.
+///
+/// # Errors
+/// The caller is not the operator, the name or a quota is invalid, or the store fails.
+pub async fn set(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::Tenant, Refusal> {
+    caller.check_operator()?;
+    let tenant = super::keys::tenant(caller, &request.tenant)?;
+    let quotas = quotas(request.quotas.unwrap_or_default())?;
+    let info = caller.quotas().set(&tenant, &quotas).await?;
+    tracing::info!(%tenant, ?quotas, by = caller.key(), "the quotas of a tenant are set");
+    Ok(message(info))
+}
+
+/// Reads and checks quotas.
+fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
+    let v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = message;
+    let refused = |field: &str, value: &dyn std::fmt::Display| {
+        let message = format!("{value} is not a quota: a number from 0 to 9e15");
+        Err(Refusal::new(Code::InvalidField, message).at(format!("quotas.{field}")))
+    };
+    for (field, value) in [("sessions", sessions), ("storedBytes", stored_bytes)] {
+        if let Some(value) = value.filter(|value| MOST < *value as f64) {
+            return refused(field, &value);
+        }
+    }
+    for (field, value) in [("epochsPerS", epochs_per_s), ("cpuSPerMinute", cpu_s_per_minute)] {
+        if let Some(value) = value.filter(|value| !(0.0..=MOST).contains(value)) {
+            return refused(field, &value);
+        }
+    }
+    Ok(Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes })
+}
+
+/// Largest quota: a number that JSON has exactly.
+const MOST: f64 = 9e15;
+
+fn message(info: TenantInfo) -> v1::Tenant {
+    let TenantInfo { tenant, created_unix_ms, quotas, rates, stored } = info;
+    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = quotas;
+    v1::Tenant {
+        tenant: tenant.to_string(),
+        created_utc: utc(created_unix_ms),
+        quotas: Some(v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes }),
+        used: Some(v1::TenantUse {
+            sessions: stored.sessions,
+            epochs_per_s: rates.epochs_per_s,
+            cpu_s_per_minute: rates.cpu_s_per_minute,
+            stored_bytes: stored.stored_bytes,
+        }),
+    }
+}

@@ -1,0 +1,145 @@
+//! Tracks: a session's stored solutions as the bytes of a file that other programs open.
+
+use bytes::Bytes;
+use futures::{Stream, stream};
+
+use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
+use crate::formats::track::{Revision, TrackFormat, TrackWriter};
+use crate::gnss::LeapSeconds;
+use crate::keys::Pass;
+use crate::refusal::Code;
+use crate::session::SessionId;
+use crate::store::{Page, Revisions, SolutionQuery, StoredSolution};
+
+use super::session_id;
+use super::solutions::SOLUTION_BYTES;
+
+/// Solutions that are read at a time.
+const BATCH: usize = 128;
+/// Memory of a track that is being read: a batch of solutions, their text, and the current line of
+/// the track (bytes).
+const TRACK_BYTES: usize = BATCH * SOLUTION_BYTES + (256 << 10);
+
+/// Names of all formats.
+pub fn formats() -> impl Iterator<Item = &'static str> {
+    TrackFormat::ALL.into_iter().map(TrackFormat::name)
+}
+
+/// The media type of a format's name.
+///
+/// # Errors
+/// There is no such format.
+pub fn content_type(format: &str) -> Result<&'static str, Refusal> {
+    known(format).map(TrackFormat::content_type)
+}
+
+/// The stored solutions of a session as a file, in order of seq and revision. It is read from the
+/// store in batches, as fast as the stream is read.
+///
+/// # Errors
+/// The session or the format does not exist, or a time, the status or the revisions are invalid.
+pub async fn track(
+    caller: &Caller,
+    request: v1::TrackRequest,
+) -> Result<impl Stream<Item = Result<Bytes, Refusal>> + Send + use<>, Refusal> {
+    let id = session_id(&request.session)?;
+    let format = known(&request.format)?;
+    let revisions = convert::revisions(request.revisions)?;
+    if revisions == Revisions::All && !format.has_revisions() {
+        let message = format!(
+            "{} has one row for each epoch; ask for the last or the first revision, or for csv or \
+             geojson",
+            format.name()
+        );
+        return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
+    }
+    let query = SolutionQuery {
+        from: convert::time(request.from, "from")?,
+        to: convert::time(request.to, "to")?,
+        status: convert::status_filter(request.status)?,
+        revisions,
+        page_size: BATCH,
+        page_token: None,
+    };
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(TRACK_BYTES))?;
+    let page = caller.sessions().solutions(&id, &query).await?.page;
+    let comments = comments(&id, revisions);
+    let writer = TrackWriter::of_stored(format, &comments, LeapSeconds::table());
+    let pass = Lease::current().and_then(|lease| lease.pass().cloned());
+    let (caller, step) = (caller.clone(), Step::Begin(page));
+    let track = Track { caller, id, query, writer, step, pass };
+    Ok(stream::unfold(track, |mut track| async move {
+        let bytes = track.next().await.transpose()?;
+        Some((bytes, track))
+    }))
+}
+
+fn known(format: &str) -> Result<TrackFormat, Refusal> {
+    TrackFormat::from_name(format).ok_or_else(|| {
+        let (given, names) = (texts::brief(format), TrackFormat::names());
+        let message = format!("{given:?} is not a format of tracks; known are {names}");
+        Refusal::new(Code::InvalidField, message).at("format")
+    })
+}
+
+/// Lines at the head of a `.pos` file.
+fn comments(id: &SessionId, revisions: Revisions) -> [String; 3] {
+    let revisions = match revisions {
+        Revisions::First => "first",
+        Revisions::Last => "last",
+        Revisions::All | Revisions::Later => "all",
+    };
+    [
+        format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
+        format!("session   : {id}"),
+        format!("revisions : {revisions}"),
+    ]
+}
+
+/// A track that is being read.
+struct Track {
+    caller: Caller,
+    id: SessionId,
+    query: SolutionQuery,
+    writer: TrackWriter,
+    step: Step,
+    /// Who reads it. The end of their key ends the track, too.
+    pass: Option<Pass>,
+}
+
+enum Step {
+    /// Nothing is written; the first page.
+    Begin(Page<StoredSolution>),
+    /// The page of this token is next.
+    Read(String),
+    End,
+}
+
+impl Track {
+    /// The next bytes; `None` at the end. After a refusal there are no more.
+    async fn next(&mut self) -> Result<Option<Bytes>, Refusal> {
+        let mut out = Vec::new();
+        let step = std::mem::replace(&mut self.step, Step::End);
+        self.pass.as_ref().map_or(Ok(()), Pass::check)?;
+        let page = match step {
+            Step::End => return Ok(None),
+            Step::Begin(page) => {
+                self.writer.begin(&mut out);
+                page
+            }
+            Step::Read(token) => {
+                self.query.page_token = Some(token);
+                self.caller.sessions().solutions(&self.id, &self.query).await?.page
+            }
+        };
+        for StoredSolution { seq, revision, solution, .. } in &page.items {
+            let revision = Revision { seq: *seq, revision: *revision };
+            self.writer.push(solution, Some(revision), &mut out);
+        }
+        match page.next_page_token {
+            Some(token) => self.step = Step::Read(token),
+            None => self.writer.finish(&mut out),
+        }
+        Ok(Some(out.into()))
+    }
+}

@@ -1,0 +1,50 @@
+//! Sign-ins of browsers, as the REST door shows them. gRPC has none.
+
+use crate::keys::SignIn;
+
+use super::calls::utc;
+use super::{Lease, Refusal, Service};
+
+/// A browser that is signed in.
+#[derive(Debug)]
+pub(crate) struct SignedIn {
+    /// Id of the key.
+    pub(crate) key: String,
+    /// Rights of the key.
+    pub(crate) rights: Vec<String>,
+    /// Token for changes.
+    pub(crate) csrf_token: String,
+    /// When it ends, RFC 3339.
+    pub(crate) expires_utc: String,
+}
+
+impl Service {
+    /// Signs in the browser that has sent this request with a key; returns the value of its cookie,
+    /// too. `None` where nobody needs a key.
+    ///
+    /// # Errors
+    /// The system has no random bits.
+    pub(crate) fn sign_in(&self) -> Result<Option<(String, SignedIn)>, Refusal> {
+        let lease = Lease::current();
+        let pass = lease.as_ref().and_then(Lease::pass).filter(|pass| pass.key().is_some());
+        let Some(pass) = pass else { return Ok(None) };
+        let (cookie, sign_in) = self.keys().sign_in(pass.clone())?;
+        tracing::info!(key = pass.key(), "a browser signs in");
+        Ok(Some((cookie.text().to_owned(), signed_in(sign_in))))
+    }
+
+    /// The sign-in of a cookie; `None` if it has ended.
+    pub(crate) fn signed_in(&self, cookie: &str) -> Option<SignedIn> {
+        self.keys().signed_in(cookie).map(signed_in)
+    }
+}
+
+fn signed_in(sign_in: SignIn) -> SignedIn {
+    let SignIn { pass, csrf_token, expires_unix_ms } = sign_in;
+    SignedIn {
+        key: pass.key().unwrap_or_default().to_owned(),
+        rights: pass.rights().names().into_iter().map(ToOwned::to_owned).collect(),
+        csrf_token,
+        expires_utc: utc(expires_unix_ms),
+    }
+}

@@ -1,0 +1,115 @@
+//! The formats of solutions by name, and one writer for all of them.
+
+use super::encoder::Encoder;
+use super::{csv, geojson, gpx, kml, nmea, pos};
+use crate::gnss::{LeapSeconds, Solution};
+
+pub(crate) use super::encoder::Revision;
+
+/// A format of solutions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TrackFormat {
+    /// RTKLIB's solution file.
+    Pos,
+    /// Comma-separated values.
+    Csv,
+    /// GeoJSON, RFC 7946.
+    Geojson,
+    /// KML 2.2.
+    Kml,
+    /// GPX 1.1.
+    Gpx,
+    /// NMEA 0183.
+    Nmea,
+}
+
+impl TrackFormat {
+    /// Every format.
+    pub(crate) const ALL: [Self; 6] =
+        [Self::Pos, Self::Csv, Self::Geojson, Self::Kml, Self::Gpx, Self::Nmea];
+
+    /// The name: the ending of a file in this format.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Pos => "pos",
+            Self::Csv => "csv",
+            Self::Geojson => "geojson",
+            Self::Kml => "kml",
+            Self::Gpx => "gpx",
+            Self::Nmea => "nmea",
+        }
+    }
+
+    /// The format of a name.
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+
+    /// All names, for a message: `pos, csv, …`.
+    pub(crate) fn names() -> String {
+        Self::ALL.map(Self::name).join(", ")
+    }
+
+    /// The media type.
+    pub(crate) const fn content_type(self) -> &'static str {
+        match self {
+            Self::Pos | Self::Nmea => "text/plain; charset=utf-8",
+            Self::Csv => "text/csv; charset=utf-8",
+            Self::Geojson => "application/geo+json",
+            Self::Kml => "application/vnd.google-earth.kml+xml",
+            Self::Gpx => "application/gpx+xml",
+        }
+    }
+
+    /// Whether the format can tell the revisions of one epoch apart.
+    pub(crate) const fn has_revisions(self) -> bool {
+        matches!(self, Self::Csv | Self::Geojson)
+    }
+}
+
+/// Turns solutions into the bytes of a file.
+pub(crate) struct TrackWriter(Box<dyn Encoder>);
+
+impl TrackWriter {
+    /// A writer of computed solutions. `comments` stand at the head of a `.pos` file; `leap`
+    /// converts GPS time to UTC.
+    pub(crate) fn of_computed(format: TrackFormat, comments: &[String], leap: LeapSeconds) -> Self {
+        Self::new(format, comments, leap, false)
+    }
+
+    /// A writer of stored solutions, which have numbers and revisions.
+    pub(crate) fn of_stored(format: TrackFormat, comments: &[String], leap: LeapSeconds) -> Self {
+        Self::new(format, comments, leap, true)
+    }
+
+    fn new(format: TrackFormat, comments: &[String], leap: LeapSeconds, is_stored: bool) -> Self {
+        Self(match format {
+            TrackFormat::Pos => Box::new(pos::Rows { comments: comments.to_vec() }),
+            TrackFormat::Csv => Box::new(csv::Rows { is_stored }),
+            TrackFormat::Geojson => Box::new(geojson::Collection::new(leap)),
+            TrackFormat::Kml => Box::new(kml::Kml::new(leap)),
+            TrackFormat::Gpx => Box::new(gpx::Gpx::new(leap)),
+            TrackFormat::Nmea => Box::new(nmea::Nmea::new(leap)),
+        })
+    }
+
+    /// Appends what precedes the first solution.
+    pub(crate) fn begin(&mut self, out: &mut Vec<u8>) {
+        self.0.begin(out);
+    }
+
+    /// Appends one solution. `revision` is that of a stored one.
+    pub(crate) fn push(
+        &mut self,
+        solution: &Solution,
+        revision: Option<Revision>,
+        out: &mut Vec<u8>,
+    ) {
+        self.0.push(solution, revision, out);
+    }
+
+    /// Appends what follows the last solution.
+    pub(crate) fn finish(&mut self, out: &mut Vec<u8>) {
+        self.0.finish(out);
+    }
+}

@@ -1,0 +1,68 @@
+//! `graphfix.v1.Jobs`.
+
+use futures::StreamExt;
+use tonic::{Request, Response, Status, Streaming, async_trait};
+
+use crate::contract::{calls, v1};
+
+use super::status::carry;
+use super::{Answered, Door, v1::jobs_server::Jobs};
+
+#[async_trait]
+impl Jobs for Door {
+    async fn create(
+        &self,
+        request: Request<Streaming<v1::CreateJobRequest>>,
+    ) -> Result<Response<v1::Job>, Status> {
+        Ok(Response::new(calls::jobs::create(&self.0.caller()?, request.into_inner()).await?))
+    }
+
+    async fn get(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {
+        carry(calls::jobs::get(&self.0.caller()?, request.into_inner()).await)
+    }
+
+    async fn list(
+        &self,
+        request: Request<v1::ListJobsRequest>,
+    ) -> Result<Response<v1::ListJobsResponse>, Status> {
+        carry(calls::jobs::list(&self.0.caller()?, request.into_inner()).await)
+    }
+
+    async fn cancel(
+        &self,
+        request: Request<v1::CancelJobRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        carry(calls::jobs::cancel(&self.0.caller()?, request.into_inner()).await)
+    }
+
+    type WatchStream = Answered<v1::Job>;
+
+    async fn watch(
+        &self,
+        request: Request<v1::GetJobRequest>,
+    ) -> Result<Response<Self::WatchStream>, Status> {
+        let messages = calls::job_watch::watch(&self.0.caller()?, request.into_inner()).await?;
+        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+    }
+
+    type ResultStream = Answered<v1::JobResultResponse>;
+
+    async fn result(
+        &self,
+        request: Request<v1::GetJobRequest>,
+    ) -> Result<Response<Self::ResultStream>, Status> {
+        let result = calls::jobs::result(&self.0.caller()?, request.into_inner()).await?;
+        let answered = result.content().map(|content| match content {
+            Ok(content) => Ok(v1::JobResultResponse { content }),
+            Err(refusal) => Err(Status::from(refusal)),
+        });
+        Ok(Response::new(Box::pin(answered)))
+    }
+
+    async fn report(
+        &self,
+        request: Request<v1::GetJobRequest>,
+    ) -> Result<Response<v1::JobReport>, Status> {
+        carry(calls::jobs::report(&self.0.caller()?, request.into_inner()).await)
+    }
+}

@@ -1,0 +1,17 @@
+//! Who calls, for the routes.
+
+use axum::extract::FromRequestParts;
+use axum::http::request::Parts;
+use axum::response::{IntoResponse, Response};
+
+use crate::contract::{Caller, Service};
+
+use super::problem::Refused;
+
+impl FromRequestParts<Service> for Caller {
+    type Rejection = Response;
+
+    async fn from_request_parts(_: &mut Parts, service: &Service) -> Result<Self, Response> {
+        service.caller().map_err(|refusal| Refused(refusal).into_response())
+    }
+}

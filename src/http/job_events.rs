@@ -1,0 +1,44 @@
+//! `/v1/jobs/{job}/events`: server-sent events.
+
+use std::convert::Infallible;
+
+use axum::extract::Path;
+use axum::response::Sse;
+use axum::response::sse::Event;
+use futures::{Stream, StreamExt, stream};
+
+use crate::contract::{Caller, Refusal, calls, v1};
+
+use super::problem::{Problem, Refused};
+use super::watch::RETRY;
+
+/// Sends a job as it changes, as server-sent events.
+///
+/// Each event `job` has the job, the first one at once. The last event is `ended` with the job if
+/// it has ended, or `end` with a problem document that says why the events end before.
+#[utoipa::path(get, operation_id = "jobsWatch",
+    path = "/v1/jobs/{job}/events", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Job, content_type = "text/event-stream"),
+        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+pub(super) async fn events(
+    caller: Caller,
+    Path(job): Path<String>,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
+    let messages = calls::job_watch::watch(&caller, v1::GetJobRequest { job }).await?;
+    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
+    Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
+}
+
+/// A message as an event.
+fn event(message: Result<v1::Job, Refusal>) -> Event {
+    let named = |name: &str| Event::default().event(name);
+    let written = "a message is texts and finite numbers";
+    match message {
+        Ok(job) => {
+            let name = if job.ended_utc.is_empty() { "job" } else { "ended" };
+            named(name).json_data(job).expect(written)
+        }
+        Err(refusal) => named("end").json_data(Problem::of(&refusal)).expect(written),
+    }
+}

@@ -1,0 +1,156 @@
+//! `/v1/jobs`.
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, Request};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures::TryStreamExt;
+
+use crate::contract::{Caller, Refusal, calls, v1};
+use crate::refusal::Code;
+
+use super::body::{StrictQuery, json};
+use super::multipart::Multipart;
+use super::problem::{Problem, Refused};
+use super::sessions::PageQuery;
+
+/// Path of the call that takes uploads.
+pub(super) const PATH: &str = "/v1/jobs";
+/// Header that names a request, so that its repetition creates nothing.
+const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
+/// Name of the part with the options.
+const OPTIONS: &str = "options";
+/// Longest part with options (bytes).
+const OPTIONS_BYTES: usize = 64 << 10;
+
+/// Creates a job from uploaded files.
+///
+/// The body has the parts `rover`, `navigation` (once or several times), `base` (in modes relative
+/// to one) and `options` (JSON). Files are RINEX, CRINEX, UBX, RTCM 3 or Android GnssLogger logs,
+/// plain or gzip; their content decides. With the header `Idempotency-Key` a repetition of the same
+/// request returns the same job, with status 200.
+#[utoipa::path(post, operation_id = "jobsCreate",
+    path = "/v1/jobs", tag = "Jobs",
+    params(("Idempotency-Key" = Option<String>, Header, description = "Names this request")),
+    request_body(content = JobUpload, content_type = "multipart/form-data"),
+    responses((status = 201, body = v1::Job), (status = 200, body = v1::Job),
+        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+pub(super) async fn create(
+    caller: Caller,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<Response, Refused> {
+    let key = headers.get(&IDEMPOTENCY_KEY).map(|key| key.to_str()).transpose();
+    let key = key.map_err(|_| {
+        let message = "Idempotency-Key is not a text of visible ASCII characters";
+        Refusal::new(Code::InvalidField, message).at("Idempotency-Key")
+    })?;
+    let mut parts = Multipart::of(request)?;
+    let mut arriving = calls::jobs::begin(&caller).await?;
+    while let Some(mut part) = parts.next().await? {
+        let name = part.name()?.to_owned();
+        if name == OPTIONS {
+            let content = part.whole(OPTIONS_BYTES).await?;
+            let within = |refusal: Refusal| refusal.within(OPTIONS);
+            arriving.options(json(&content).map_err(within)?)?;
+        } else {
+            let mut file = arriving.begin(&name, &part.file_name()).await?;
+            while let Some(bytes) = part.chunk().await? {
+                file.write(&bytes).await?;
+            }
+            arriving.finish(file).await?;
+        }
+    }
+    let (job, is_new) = arriving.submit(&caller, key).await?;
+    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
+    let location = format!("/v1/jobs/{}", job.job);
+    Ok((status, [(header::LOCATION, location)], Json(job)).into_response())
+}
+
+/// The parts of an upload.
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "it describes the body")]
+pub(super) struct JobUpload {
+    /// Observations of the rover.
+    #[schema(value_type = String, format = Binary)]
+    rover: Vec<u8>,
+    /// Navigation data; the part may be repeated.
+    #[schema(value_type = Vec<String>, format = Binary)]
+    navigation: Vec<Vec<u8>>,
+    /// Observations of the base.
+    #[schema(value_type = Option<String>, format = Binary)]
+    base: Option<Vec<u8>>,
+    /// What to compute.
+    options: Option<v1::JobOptions>,
+}
+
+/// Returns a job with its progress, and why it has failed.
+#[utoipa::path(get, operation_id = "jobsGet",
+    path = "/v1/jobs/{job}", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Job), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn get(caller: Caller, Path(job): Path<String>) -> Result<Json<v1::Job>, Refused> {
+    Ok(Json(calls::jobs::get(&caller, v1::GetJobRequest { job }).await?))
+}
+
+/// Lists jobs, the newest first.
+#[utoipa::path(get, operation_id = "jobsList",
+    path = "/v1/jobs", tag = "Jobs", params(PageQuery),
+    responses((status = 200, body = v1::ListJobsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn list(
+    caller: Caller,
+    StrictQuery(page): StrictQuery<PageQuery>,
+) -> Result<Json<v1::ListJobsResponse>, Refused> {
+    let PageQuery { page_size, page_token } = page;
+    let request = v1::ListJobsRequest { page_size, page_token };
+    Ok(Json(calls::jobs::list(&caller, request).await?))
+}
+
+/// Ends a job that waits or runs. A job that has ended stays as it is.
+#[utoipa::path(delete, operation_id = "jobsCancel",
+    path = "/v1/jobs/{job}", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Job), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn cancel(
+    caller: Caller,
+    Path(job): Path<String>,
+) -> Result<Json<v1::Job>, Refused> {
+    Ok(Json(calls::jobs::cancel(&caller, v1::CancelJobRequest { job }).await?))
+}
+
+/// Returns the file of positions of a job that has succeeded.
+#[utoipa::path(get, operation_id = "jobsResult",
+    path = "/v1/jobs/{job}/result", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, body = String, content_type = "text/plain"),
+        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Response, Refused> {
+    let result = calls::jobs::result(&caller, v1::GetJobRequest { job }).await?;
+    let headers = [
+        (header::CONTENT_TYPE, result.content_type.to_owned()),
+        (header::CONTENT_LENGTH, result.bytes.to_string()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", result.name)),
+    ];
+    let content = result.content().inspect_err(|refusal: &Refusal| {
+        tracing::error!(code = refusal.code.name(), "a result breaks off: {}", refusal.logged());
+    });
+    Ok((headers, Body::from_stream(content)).into_response())
+}
+
+/// Returns the report of a job that has succeeded: epochs, statuses, reasons, what the positions
+/// rest on, and what was skipped of the files.
+#[utoipa::path(get, operation_id = "jobsReport",
+    path = "/v1/jobs/{job}/report", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::JobReport), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn report(
+    caller: Caller,
+    Path(job): Path<String>,
+) -> Result<Json<v1::JobReport>, Refused> {
+    Ok(Json(calls::jobs::report(&caller, v1::GetJobRequest { job }).await?))
+}

@@ -1,0 +1,70 @@
+//! `/v1/keys`.
+
+use axum::Json;
+use axum::extract::Path;
+use axum::http::{HeaderName, HeaderValue, StatusCode};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Caller, calls, v1};
+
+use super::body::{JsonBody, StrictQuery};
+use super::problem::{Problem, Refused};
+use super::sign_in::NO_STORE;
+
+/// The page of the list of keys.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct KeysQuery {
+    /// Most items on the page, 1 to 1000; 100 if absent.
+    page_size: u32,
+    /// `nextPageToken` of the previous answer.
+    page_token: String,
+    /// Name of the tenant; the caller's if absent. Only the operator names another.
+    tenant: String,
+}
+
+/// Creates a key of the caller's tenant; the operator also of another one.
+///
+/// The answer has the secret, which nobody can read again. Once a key exists, every call needs one.
+#[utoipa::path(post, operation_id = "keysCreate",
+    path = "/v1/keys", tag = "Keys",
+    request_body = v1::CreateKeyRequest,
+    responses((status = 201, body = v1::CreateKeyResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn create(
+    caller: Caller,
+    JsonBody(request): JsonBody<v1::CreateKeyRequest>,
+) -> Result<(StatusCode, [(HeaderName, HeaderValue); 1], Json<v1::CreateKeyResponse>), Refused> {
+    let created = calls::keys::create(&caller, request).await?;
+    Ok((StatusCode::CREATED, [NO_STORE], Json(created)))
+}
+
+/// Lists the keys of the caller's tenant, the newest first, also those that are revoked or have
+/// expired; the operator also those of another tenant.
+#[utoipa::path(get, operation_id = "keysList",
+    path = "/v1/keys", tag = "Keys", params(KeysQuery),
+    responses((status = 200, body = v1::ListKeysResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn list(
+    caller: Caller,
+    StrictQuery(query): StrictQuery<KeysQuery>,
+) -> Result<Json<v1::ListKeysResponse>, Refused> {
+    let KeysQuery { page_size, page_token, tenant } = query;
+    let request = v1::ListKeysRequest { page_size, page_token, tenant };
+    Ok(Json(calls::keys::list(&caller, request).await?))
+}
+
+/// Revokes a key. Calls with it are refused, and its open watches end within a second.
+#[utoipa::path(delete, operation_id = "keysRevoke",
+    path = "/v1/keys/{key}", tag = "Keys",
+    params(("key" = String, Path, description = "Its id")),
+    responses((status = 200, body = v1::Key), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn revoke(
+    caller: Caller,
+    Path(key): Path<String>,
+) -> Result<Json<v1::Key>, Refused> {
+    Ok(Json(calls::keys::revoke(&caller, v1::RevokeKeyRequest { key }).await?))
+}

@@ -1,0 +1,58 @@
+//! `/v1/tenants`.
+
+use axum::Json;
+use axum::extract::Path;
+
+use crate::contract::{Caller, Refusal, calls, v1};
+use crate::refusal::Code;
+
+use super::body::{JsonBody, StrictQuery};
+use super::problem::{Problem, Refused};
+use super::sessions::PageQuery;
+
+/// Returns a tenant with its quotas and what it uses: the caller's, and to the operator any.
+#[utoipa::path(get, operation_id = "tenantsGet",
+    path = "/v1/tenants/{tenant}", tag = "Tenants",
+    params(("tenant" = String, Path, description = "Its name")),
+    responses((status = 200, body = v1::Tenant), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn get(
+    caller: Caller,
+    Path(tenant): Path<String>,
+) -> Result<Json<v1::Tenant>, Refused> {
+    Ok(Json(calls::tenants::get(&caller, v1::GetTenantRequest { tenant }).await?))
+}
+
+/// Lists tenants in order of their names: the caller's, and to the operator all.
+#[utoipa::path(get, operation_id = "tenantsList",
+    path = "/v1/tenants", tag = "Tenants", params(PageQuery),
+    responses((status = 200, body = v1::ListTenantsResponse), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn list(
+    caller: Caller,
+    StrictQuery(page): StrictQuery<PageQuery>,
+) -> Result<Json<v1::ListTenantsResponse>, Refused> {
+    let PageQuery { page_size, page_token } = page;
+    let request = v1::ListTenantsRequest { page_size, page_token };
+    Ok(Json(calls::tenants::list(&caller, request).await?))
+}
+
+/// Sets all quotas of a tenant; those that are absent end. For the operator.
+#[utoipa::path(put, operation_id = "tenantsSet",
+    path = "/v1/tenants/{tenant}", tag = "Tenants",
+    params(("tenant" = String, Path, description = "Its name")),
+    request_body = v1::SetTenantRequest,
+    responses((status = 200, body = v1::Tenant), (status = "4XX", body = Problem),
+        (status = "5XX", body = Problem)))]
+pub(super) async fn set(
+    caller: Caller,
+    Path(tenant): Path<String>,
+    JsonBody(request): JsonBody<v1::SetTenantRequest>,
+) -> Result<Json<v1::Tenant>, Refused> {
+    if !request.tenant.is_empty() && request.tenant != tenant {
+        let message = format!("the path names {tenant:?}, the body {:?}", request.tenant);
+        return Err(Refusal::new(Code::InvalidField, message).at("tenant").into());
+    }
+    let request = v1::SetTenantRequest { tenant, ..request };
+    Ok(Json(calls::tenants::set(&caller, request).await?))
+}

@@ -1,0 +1,50 @@
+//! `/v1/sessions/{session}/track.{format}`.
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::Path;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use futures::TryStreamExt;
+
+use crate::contract::{Caller, Refusal, Service, calls};
+
+use super::body::StrictQuery;
+use super::problem::{Problem, Refused};
+use super::solutions::TrackQuery;
+
+/// A route for each format.
+pub(super) fn routes() -> Router<Service> {
+    calls::track::formats().fold(Router::new(), |router, format| {
+        let serve = move |caller, session, query| track(caller, session, query, format);
+        router.route(&format!("/v1/sessions/{{session}}/track.{format}"), get(serve))
+    })
+}
+
+/// Returns the stored solutions of a session as a file that other programs open.
+///
+/// The answer is read from the store while it is sent, so its length is not known before. If the
+/// store fails in between, the connection breaks off, and the file is not complete.
+#[utoipa::path(get, operation_id = "solutionsTrack",
+    path = "/v1/sessions/{session}/track.{format}", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"),
+        ("format" = String, Path, description = "pos, csv, geojson, kml, gpx or nmea"), TrackQuery),
+    responses((status = 200, body = String, content_type = "text/plain"),
+        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+pub(super) async fn track(
+    caller: Caller,
+    Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<TrackQuery>,
+    format: &'static str,
+) -> Result<Response, Refused> {
+    let kind = calls::track::content_type(format)?;
+    let name = format!("attachment; filename=\"{session}.{format}\"");
+    let request = query.request(session, format)?;
+    let content = calls::track::track(&caller, request).await?;
+    let content = content.inspect_err(|refusal: &Refusal| {
+        tracing::error!(code = refusal.code.name(), "a track breaks off: {}", refusal.logged());
+    });
+    let headers = [(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, name)];
+    Ok((headers, Body::from_stream(content)).into_response())
+}

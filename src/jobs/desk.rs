@@ -1,0 +1,232 @@
+//! The desk itself: the methods that the doors call.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::fs::File;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use crate::config::JobsConfiguration;
+use crate::session::BatchLane;
+use crate::store::{NewJob, Page, Store, StoreError};
+use crate::tenant::Tenant;
+
+use super::JobError;
+use super::files::{JobFiles, StoredFile, Upload};
+use super::info::{JobId, JobInfo};
+use super::queue;
+use super::request::{JobInput, JobOptions, JobRequest, Part};
+use super::state::{Desk, folder, named_files};
+
+/// A file of an upload.
+pub struct UploadedFile {
+    /// What it is for.
+    pub part: Part,
+    /// Its name at the user.
+    pub name: String,
+    /// Whether the service has added it.
+    pub is_own: bool,
+    /// The file.
+    pub file: StoredFile,
+}
+
+/// The desk for batch jobs, as one tenant sees it. All clones share the desk.
+#[derive(Clone)]
+pub struct Jobs {
+    desk: Arc<Desk>,
+    tasks: Arc<Mutex<JoinSet<()>>>,
+    tenant: Tenant,
+}
+
+impl Jobs {
+    /// Opens the desk for the operator's jobs, and starts its tasks. Jobs that another start of the
+    /// service has left running are queued again.
+    ///
+    /// # Errors
+    /// The store or the folder cannot be read.
+    pub async fn open(
+        store: Store,
+        lane: BatchLane,
+        limits: JobsConfiguration,
+        node: String,
+    ) -> Result<Self, JobError> {
+        let files = match folder(&limits, &store) {
+            None => None,
+            Some(folder) => {
+                let named = named_files(&store).await?;
+                let files = JobFiles::open(folder, limits.clone(), &named);
+                Some(Arc::new(files.map_err(JobError::disk("opening the folder of jobs"))?))
+            }
+        };
+        let again = store.requeue_jobs().await?;
+        if 0 < again {
+            tracing::info!(jobs = again, "jobs are queued again");
+        }
+        let mut tasks = JoinSet::new();
+        let (running, is_on) = (limits.running, files.is_some());
+        let desk = Arc::new(Desk::new(store, lane, limits, files, node));
+        if is_on {
+            (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
+            tasks.spawn(queue::expire(desk.clone()));
+        }
+        Ok(Self { desk, tasks: Arc::new(Mutex::new(tasks)), tenant: Tenant::operator() })
+    }
+
+    /// The desk for the jobs of a tenant.
+    #[must_use]
+    pub fn of(&self, tenant: &Tenant) -> Self {
+        Self { tenant: tenant.clone(), ..self.clone() }
+    }
+
+    /// Begins an upload of files.
+    ///
+    /// # Errors
+    /// The service takes no jobs, as many uploads or jobs as allowed are on their way, or the store
+    /// fails.
+    pub async fn upload(&self) -> Result<Upload, JobError> {
+        let files = self.desk.files()?;
+        self.check_waiting().await?;
+        files.upload()
+    }
+
+    /// Queues a job for uploaded files. Returns the job, and whether it is new: a repetition with
+    /// the same idempotency key is not.
+    ///
+    /// # Errors
+    /// A part is missing, an option does not exist or does not fit, another request had this
+    /// idempotency key, or the store fails.
+    pub async fn submit(
+        &self,
+        options: JobOptions,
+        uploaded: Vec<UploadedFile>,
+        idempotency_key: Option<String>,
+    ) -> Result<(JobInfo, bool), JobError> {
+        let inputs = uploaded.iter().map(|uploaded| JobInput {
+            part: uploaded.part,
+            name: uploaded.name.clone(),
+            hash: uploaded.file.hash.clone(),
+            bytes: uploaded.file.bytes,
+            is_own: uploaded.is_own,
+        });
+        let request = JobRequest::new(options, inputs.collect());
+        request.plan()?;
+        self.check_waiting().await?;
+        let new = NewJob {
+            tenant: self.tenant.clone(),
+            id: JobId::random().to_string(),
+            request: request.to_json(),
+            request_hash: request.hash(),
+            idempotency_key,
+            created_unix_ms: self.unix_ms(),
+        };
+        let (row, is_new) = self.desk.store.create_job(&new).await?;
+        if row.request_hash != new.request_hash {
+            return Err(JobError::IdempotencyConflict { job: row.id });
+        }
+        self.desk.queued.notify_one();
+        Ok((JobInfo::of(row)?, is_new))
+    }
+
+    /// A job.
+    ///
+    /// # Errors
+    /// No job has this id, or the store fails.
+    pub async fn get(&self, id: &JobId) -> Result<JobInfo, JobError> {
+        let row = self.desk.store.job(&self.tenant, id.as_str()).await?;
+        Ok(JobInfo::of(row.ok_or_else(|| JobError::NotFound { id: id.to_string() })?)?)
+    }
+
+    /// A page of 1 to 1000 jobs, the newest first.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the store fails.
+    pub async fn list(
+        &self,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<JobInfo>, JobError> {
+        let page = self.desk.store.jobs(&self.tenant, page_size, page_token).await?;
+        Ok(page.try_map(JobInfo::of)?)
+    }
+
+    /// Ends a job that waits or runs. A job that has ended stays as it is.
+    ///
+    /// # Errors
+    /// No job has this id, or the store fails.
+    pub async fn cancel(&self, id: &JobId) -> Result<JobInfo, JobError> {
+        let (store, now) = (&self.desk.store, self.unix_ms());
+        if store.cancel_job(&self.tenant, id.as_str(), now).await? {
+            self.desk.stop(id);
+        }
+        self.desk.changed();
+        self.get(id).await
+    }
+
+    /// The number of changes of all jobs. It wakes whoever watches one.
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.desk.changes.subscribe()
+    }
+
+    /// The result of a job: the job, and its file from the first byte.
+    ///
+    /// # Errors
+    /// No job has this id, it has no result, or the store or the disk fails.
+    pub async fn result(&self, id: &JobId) -> Result<(JobInfo, File), JobError> {
+        let job = self.ended(id).await?;
+        let Some(result) = &job.result else {
+            return Err(JobError::WithoutResult { id: id.to_string(), state: job.state.name() });
+        };
+        let file = File::open(self.desk.files()?.result(&result.file)).await;
+        Ok((job, file.map_err(JobError::disk("opening the result"))?))
+    }
+
+    /// A job that has ended.
+    ///
+    /// # Errors
+    /// No job has this id, it has not ended, or the store fails.
+    pub async fn ended(&self, id: &JobId) -> Result<JobInfo, JobError> {
+        let job = self.get(id).await?;
+        match job.state.is_end() {
+            true => Ok(job),
+            false => Err(JobError::NotEnded { id: id.to_string(), state: job.state.name() }),
+        }
+    }
+
+    /// The time of the desk (ms since 1970-01-01 UTC).
+    pub fn unix_ms(&self) -> i64 {
+        self.desk.clock.unix_ms()
+    }
+
+    /// For how long a job that has ended is kept (ms).
+    pub fn kept_ms(&self) -> i64 {
+        i64::from(self.desk.limits.keep_hours) * 3_600_000
+    }
+
+    /// Removes jobs that ended longer ago than they are kept, and files without a job. The desk
+    /// does so every ten minutes.
+    ///
+    /// # Errors
+    /// The store or the disk fails.
+    pub async fn remove_expired(&self) -> Result<(), JobError> {
+        queue::remove_expired(&self.desk).await
+    }
+
+    /// Stops the running jobs, which are queued again at the next start.
+    pub async fn close(&self) {
+        self.desk.stop_all();
+        let mut tasks = {
+            let mut tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
+            std::mem::take(&mut *tasks)
+        };
+        while tasks.join_next().await.is_some() {}
+    }
+
+    async fn check_waiting(&self) -> Result<(), JobError> {
+        if self.desk.is_stopping() {
+            return Err(JobError::Draining);
+        }
+        let limit = self.desk.limits.waiting;
+        let waiting: Result<u64, StoreError> = self.desk.store.waiting_jobs().await;
+        if limit as u64 <= waiting? { Err(JobError::TooMany { limit }) } else { Ok(()) }
+    }
+}

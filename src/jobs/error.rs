@@ -1,0 +1,141 @@
+//! Why the desk refuses a call.
+
+use std::io;
+use std::sync::Arc;
+
+use crate::config::ConfigError;
+use crate::refusal::Code;
+use crate::store::StoreError;
+
+/// Why the desk refuses a call. [`super::Failure`] is why a job has no result.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JobError {
+    /// The service has no folder for the files of jobs.
+    #[error("this service has no folder for jobs")]
+    Off,
+    /// No job has this id.
+    #[error("there is no job {id:?}")]
+    NotFound {
+        /// The id as given.
+        id: String,
+    },
+    /// As many jobs wait as allowed.
+    #[error("{limit} jobs wait or run, as many as allowed")]
+    TooMany {
+        /// Number allowed.
+        limit: usize,
+    },
+    /// As many uploads arrive as allowed.
+    #[error("{limit} uploads arrive, as many as allowed")]
+    TooManyUploads {
+        /// Number allowed.
+        limit: usize,
+    },
+    /// A file is larger than allowed.
+    #[error("the file exceeds {limit} bytes")]
+    FileTooLarge {
+        /// Size allowed (bytes).
+        limit: u64,
+    },
+    /// The upload has more files than allowed.
+    #[error("the upload has more than {limit} files")]
+    TooManyFiles {
+        /// Number allowed.
+        limit: usize,
+    },
+    /// The files of all jobs would exceed their space.
+    #[error("the files of all jobs would exceed {limit} bytes")]
+    SpaceExhausted {
+        /// Size allowed (bytes).
+        limit: u64,
+    },
+    /// An option of the request is missing or wrong.
+    #[error("{message}")]
+    InvalidOption {
+        /// The option.
+        field: &'static str,
+        /// What is wrong.
+        message: String,
+    },
+    /// The mode, profile or an override does not exist.
+    #[error(transparent)]
+    Configuration(#[from] ConfigError),
+    /// The mode is relative to a base, and no base is given.
+    #[error("mode {mode} needs the part base")]
+    BaseRequired {
+        /// Name of the mode.
+        mode: &'static str,
+    },
+    /// Another request had the same idempotency key.
+    #[error("job {job} had the same Idempotency-Key and another content")]
+    IdempotencyConflict {
+        /// Id of that request's job.
+        job: String,
+    },
+    /// The job has not ended.
+    #[error("job {id} is {state}")]
+    NotEnded {
+        /// Id of the job.
+        id: String,
+        /// Name of its state.
+        state: &'static str,
+    },
+    /// The job has ended without a result.
+    #[error("job {id} is {state} and has no result")]
+    WithoutResult {
+        /// Id of the job.
+        id: String,
+        /// Name of its state.
+        state: &'static str,
+    },
+    /// A file of a job cannot be read or written.
+    #[error("{what}: {source}")]
+    Disk {
+        /// What was done.
+        what: &'static str,
+        /// What the system reports.
+        source: Arc<io::Error>,
+    },
+    /// The service is stopping.
+    #[error("the service is stopping")]
+    Draining,
+    /// The store fails.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl JobError {
+    /// Turns an error of the disk into one of the desk.
+    pub(super) fn disk(what: &'static str) -> impl FnOnce(io::Error) -> Self {
+        move |source| Self::Disk { what, source: Arc::new(source) }
+    }
+
+    /// The stable code.
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Off => Code::JobsOff,
+            Self::NotFound { .. } => Code::JobNotFound,
+            Self::TooMany { .. } | Self::TooManyUploads { .. } => Code::TooManyJobs,
+            Self::FileTooLarge { .. } | Self::TooManyFiles { .. } => Code::JobTooLarge,
+            Self::SpaceExhausted { .. } => Code::JobSpaceExhausted,
+            Self::InvalidOption { .. } => Code::InvalidField,
+            Self::Configuration(error) => error.code(),
+            Self::BaseRequired { .. } => Code::BaseRequired,
+            Self::IdempotencyConflict { .. } => Code::IdempotencyConflict,
+            Self::NotEnded { .. } => Code::JobNotEnded,
+            Self::WithoutResult { .. } => Code::JobWithoutResult,
+            Self::Disk { .. } => Code::JobFilesFailed,
+            Self::Draining => Code::Draining,
+            Self::Store(error) => error.code(),
+        }
+    }
+
+    /// The option at fault.
+    pub const fn field(&self) -> Option<&'static str> {
+        match self {
+            Self::InvalidOption { field, .. } => Some(field),
+            Self::BaseRequired { .. } => Some("base"),
+            _ => None,
+        }
+    }
+}

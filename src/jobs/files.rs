@@ -1,0 +1,336 @@
+//! The files of jobs: uploads, named after the hash of their content, and results.
+//!
+//! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
+//! `inputs` and `results` stand in the store. What does not is removed: at the start of the
+//! service, and when jobs expire.
+
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::fs::File;
+use tokio::io::AsyncWriteExt;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::spawn_blocking;
+use uuid::Uuid;
+
+use crate::config::JobsConfiguration;
+
+use super::JobError;
+
+const INCOMING: &str = "incoming";
+const INPUTS: &str = "inputs";
+const RESULTS: &str = "results";
+/// A file that no job names is removed once it is this old: its job may be about to be stored.
+const UNNAMED_FOR: Duration = Duration::from_secs(600);
+
+/// The folder of jobs.
+pub(super) struct JobFiles {
+    folder: PathBuf,
+    limits: JobsConfiguration,
+    /// Bytes of all files.
+    used: AtomicU64,
+    /// Number of uploads that have each input and are not a job yet.
+    held: Mutex<HashMap<String, usize>>,
+    uploads: Arc<Semaphore>,
+}
+
+/// Files that arrive together. One that does not become a job leaves nothing.
+pub struct Upload {
+    files: Arc<JobFiles>,
+    begun: usize,
+    _permit: OwnedSemaphorePermit,
+}
+
+/// A file that arrives.
+pub struct ArrivingFile {
+    files: Arc<JobFiles>,
+    file: File,
+    hasher: blake3::Hasher,
+    leftover: Leftover,
+}
+
+/// A file and its bytes in the quota, both of which are given up on drop.
+struct Leftover {
+    files: Arc<JobFiles>,
+    path: PathBuf,
+    bytes: u64,
+}
+
+/// An uploaded file that is stored. It is kept while this value, or a job, names it.
+pub struct StoredFile {
+    files: Arc<JobFiles>,
+    /// Hash of its bytes, BLAKE3, hexadecimal.
+    pub hash: String,
+    /// Its size (bytes).
+    pub bytes: u64,
+}
+
+impl JobFiles {
+    /// Opens the folder, which is created if absent. `named` are the files that jobs name; others
+    /// are removed.
+    ///
+    /// # Errors
+    /// The folder cannot be read or written.
+    pub(super) fn open(
+        folder: PathBuf,
+        limits: JobsConfiguration,
+        named: &HashSet<String>,
+    ) -> io::Result<Self> {
+        for inside in [INCOMING, INPUTS, RESULTS] {
+            fs::create_dir_all(folder.join(inside))?;
+        }
+        let uploads = Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS)));
+        let (used, held) = (AtomicU64::new(0), Mutex::default());
+        let files = Self { folder, limits, used, held, uploads };
+        for inside in [INCOMING, INPUTS, RESULTS] {
+            for entry in fs::read_dir(files.folder.join(inside))? {
+                files.used.fetch_add(entry?.metadata()?.len(), Ordering::AcqRel);
+            }
+        }
+        files.remove_unnamed(named, Duration::ZERO)?;
+        Ok(files)
+    }
+
+    /// Begins an upload.
+    ///
+    /// # Errors
+    /// As many uploads arrive as allowed.
+    pub(super) fn upload(self: &Arc<Self>) -> Result<Upload, JobError> {
+        let limit = self.limits.uploads;
+        let permit = self.uploads.clone().try_acquire_owned();
+        let permit = permit.map_err(|_| JobError::TooManyUploads { limit })?;
+        Ok(Upload { files: self.clone(), begun: 0, _permit: permit })
+    }
+
+    /// The path of an input.
+    pub(super) fn input(&self, hash: &str) -> PathBuf {
+        self.folder.join(INPUTS).join(hash)
+    }
+
+    /// The path of a result.
+    pub(super) fn result(&self, name: &str) -> PathBuf {
+        self.folder.join(RESULTS).join(name)
+    }
+
+    /// Takes `bytes` of the space of all files.
+    ///
+    /// # Errors
+    /// It has fewer left.
+    pub(super) fn reserve(&self, bytes: u64) -> Result<(), JobError> {
+        let limit = self.limits.total_bytes;
+        let add = |used: u64| used.checked_add(bytes).filter(|used| *used <= limit);
+        let added = self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, add);
+        added.map(drop).map_err(|_| JobError::SpaceExhausted { limit })
+    }
+
+    fn release(&self, bytes: u64) {
+        self.used.fetch_sub(bytes, Ordering::AcqRel);
+    }
+
+    /// Removes a result, and gives its `bytes` up.
+    pub(super) fn remove_result(&self, name: &str, bytes: u64) {
+        // Err: it was not written.
+        fs::remove_file(self.result(name)).ok();
+        self.release(bytes);
+    }
+
+    /// Removes files that no job names once they are older than some minutes.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub(super) fn remove_old(&self, named: &HashSet<String>) -> io::Result<()> {
+        self.remove_unnamed(named, UNNAMED_FOR)
+    }
+
+    fn remove_unnamed(&self, named: &HashSet<String>, age: Duration) -> io::Result<()> {
+        let is_start = age.is_zero();
+        let folders = if is_start { &[INCOMING, INPUTS, RESULTS][..] } else { &[INPUTS, RESULTS] };
+        for inside in folders {
+            for entry in fs::read_dir(self.folder.join(inside))? {
+                let entry = entry?;
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let metadata = entry.metadata()?;
+                let is_old = metadata.modified()?.elapsed().is_ok_and(|since| age <= since);
+                let held = self.held();
+                if !named.contains(&name) && !held.contains_key(&name) && (is_old || is_start) {
+                    fs::remove_file(entry.path())?;
+                    self.release(metadata.len());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn held(&self) -> MutexGuard<'_, HashMap<String, usize>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Upload {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// The upload has as many as allowed, or the disk fails.
+    pub async fn begin(&mut self) -> Result<ArrivingFile, JobError> {
+        let limit = self.files.limits.files;
+        if limit <= self.begun {
+            return Err(JobError::TooManyFiles { limit });
+        }
+        self.begun += 1;
+        let path = self.files.folder.join(INCOMING).join(Uuid::new_v4().simple().to_string());
+        let file = File::create_new(&path).await;
+        let file = file.map_err(JobError::disk("creating the file of an upload"))?;
+        let leftover = Leftover { files: self.files.clone(), path, bytes: 0 };
+        Ok(ArrivingFile {
+            files: self.files.clone(),
+            file,
+            hasher: blake3::Hasher::new(),
+            leftover,
+        })
+    }
+}
+
+impl ArrivingFile {
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// The file, or all files together, exceed their limit, or the disk fails.
+    pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
+        let (more, limit) = (bytes.len() as u64, self.files.limits.file_bytes);
+        if limit < self.leftover.bytes + more {
+            return Err(JobError::FileTooLarge { limit });
+        }
+        self.files.reserve(more)?;
+        self.leftover.bytes += more;
+        self.hasher.update(bytes);
+        let written = self.file.write_all(bytes).await;
+        written.map_err(JobError::disk("writing the file of an upload"))
+    }
+
+    /// Stores the file under its hash. It is on the disk when this returns.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub async fn finish(mut self) -> Result<StoredFile, JobError> {
+        let failed = JobError::disk;
+        self.file.flush().await.map_err(failed("writing the file of an upload"))?;
+        self.file.sync_all().await.map_err(failed("writing the file of an upload"))?;
+        let hash = self.hasher.finalize().to_hex().to_string();
+        let (files, bytes) = (self.files.clone(), self.leftover.bytes);
+        *files.held().entry(hash.clone()).or_default() += 1;
+        let stored = StoredFile { files: files.clone(), hash, bytes };
+        let path = files.input(&stored.hash);
+        let is_new = !path.exists();
+        // Over an equal file, so that its age begins again.
+        let (from, folder) = (self.leftover.path.clone(), files.folder.join(INPUTS));
+        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
+        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
+        renamed.map_err(failed("storing the file of an upload"))?;
+        if is_new {
+            self.leftover.bytes = 0; // It stays.
+        }
+        Ok(stored)
+    }
+}
+
+/// Makes a folder's entries durable.
+pub(super) fn sync(folder: &Path) -> io::Result<()> {
+    fs::File::open(folder)?.sync_all()
+}
+
+impl Drop for Leftover {
+    fn drop(&mut self) {
+        // Err: it is stored under its hash.
+        fs::remove_file(&self.path).ok();
+        self.files.release(self.bytes);
+    }
+}
+
+impl Drop for StoredFile {
+    fn drop(&mut self) {
+        let mut held = self.files.held();
+        if let Some(count) = held.get_mut(&self.hash) {
+            *count -= 1;
+            if *count == 0 {
+                held.remove(&self.hash);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(folder: &Path, total_bytes: u64) -> Arc<JobFiles> {
+        let limits = JobsConfiguration {
+            file_bytes: 100,
+            total_bytes,
+            files: 2,
+            uploads: 1,
+            ..JobsConfiguration::standard()
+        };
+        Arc::new(JobFiles::open(folder.to_owned(), limits, &HashSet::new()).unwrap())
+    }
+
+    async fn stored(upload: &mut Upload, bytes: &[u8]) -> Result<StoredFile, JobError> {
+        let mut file = upload.begin().await?;
+        file.write(bytes).await?;
+        file.finish().await
+    }
+
+    fn count(folder: &Path) -> usize {
+        let inside = [INCOMING, INPUTS, RESULTS].map(|name| fs::read_dir(folder.join(name)));
+        inside.into_iter().map(|entries| entries.unwrap().count()).sum()
+    }
+
+    #[tokio::test]
+    async fn equal_files_are_one_and_limits_leave_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = files(folder.path(), 150);
+        let mut upload = files.upload().unwrap();
+        assert!(matches!(files.upload(), Err(JobError::TooManyUploads { limit: 1 })));
+        let first = stored(&mut upload, &[7; 90]).await.unwrap();
+        let again = stored(&mut upload, &[7; 60]).await.unwrap();
+        assert_ne!(first.hash, again.hash);
+        assert!(matches!(upload.begin().await, Err(JobError::TooManyFiles { limit: 2 })));
+        drop(upload);
+        let mut upload = files.upload().unwrap();
+        // 150 bytes are used.
+        let refused = stored(&mut upload, &[7; 60]).await;
+        assert!(matches!(refused, Err(JobError::SpaceExhausted { limit: 150 })));
+        let refused = stored(&mut upload, &[7; 101]).await;
+        assert!(matches!(refused, Err(JobError::FileTooLarge { limit: 100 })));
+        assert_eq!(count(folder.path()), 2);
+        assert_eq!(files.used.load(Ordering::Acquire), 150);
+    }
+
+    #[tokio::test]
+    async fn a_file_stays_while_it_is_held_or_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = files(folder.path(), 1000);
+        let mut upload = files.upload().unwrap();
+        let held = stored(&mut upload, b"held").await.unwrap();
+        let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
+        drop(upload);
+        let names = HashSet::from([named.clone()]);
+        files.remove_unnamed(&names, Duration::from_nanos(1)).unwrap();
+        assert_eq!(count(folder.path()), 2);
+        drop(held);
+        // Young files stay: their job may be about to be stored.
+        files.remove_old(&HashSet::new()).unwrap();
+        assert_eq!(count(folder.path()), 2);
+        files.remove_unnamed(&names, Duration::from_nanos(1)).unwrap();
+        assert_eq!(count(folder.path()), 1);
+        assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
+        assert_eq!(files.used.load(Ordering::Acquire), 5);
+        let mut twice = files.upload().unwrap();
+        stored(&mut twice, b"named").await.unwrap();
+        assert_eq!((count(folder.path()), files.used.load(Ordering::Acquire)), (1, 5));
+    }
+}

@@ -1,0 +1,107 @@
+//! A job as the doors report it.
+
+use crate::id::{Id, Kind};
+use crate::store::{JobProgress, JobRow, JobState, StoreError};
+
+use super::request::{JobRequest, Part};
+use super::{Failure, Report};
+
+/// What a [`JobId`] is the id of.
+#[derive(Debug)]
+pub struct OfJob;
+
+impl Kind for OfJob {
+    const PREFIX: &str = "job_";
+}
+
+/// The id of a job, `job_` and 32 hexadecimal digits.
+pub type JobId = Id<OfJob>;
+
+/// The result of a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JobResult {
+    /// Name of its file.
+    pub(super) file: String,
+    /// Its size (bytes).
+    pub bytes: u64,
+}
+
+/// A job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobInfo {
+    /// Its id.
+    pub id: JobId,
+    /// What it is doing.
+    pub state: JobState,
+    /// What it was asked for.
+    pub request: JobRequest,
+    /// When it arrived (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// When its present or last run began.
+    pub started_unix_ms: Option<i64>,
+    /// When it ended.
+    pub ended_unix_ms: Option<i64>,
+    /// Number of epochs so far, and of those with a position.
+    pub progress: JobProgress,
+    /// Its result, if it has succeeded.
+    pub result: Option<JobResult>,
+    /// Its report, if it has succeeded.
+    pub report: Option<Report>,
+    /// Why it has failed.
+    pub failure: Option<Failure>,
+}
+
+impl JobInfo {
+    pub(super) fn of(row: JobRow) -> Result<Self, StoreError> {
+        fn parse<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, StoreError> {
+            serde_json::from_str(text)
+                .map_err(|error| StoreError::CorruptText { what: "job", why: error.to_string() })
+        }
+        let id = JobId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
+            what: "job id",
+            why: format!("{:?} is not the id of a job", row.id),
+        })?;
+        Ok(Self {
+            id,
+            state: row.state,
+            request: parse(&row.request)?,
+            created_unix_ms: row.created_unix_ms,
+            started_unix_ms: row.started_unix_ms,
+            ended_unix_ms: row.ended_unix_ms,
+            progress: row.progress,
+            result: row.result.map(|(file, bytes)| JobResult { file, bytes }),
+            report: row.report.as_deref().map(parse).transpose()?,
+            failure: row.failure.as_deref().map(parse).transpose()?,
+        })
+    }
+
+    /// How much of the rover's file is read (%). It is 100 only once the result is stored.
+    pub fn percent(&self) -> f64 {
+        /// The most that a job without result shows.
+        const NOT_DONE: f64 = 99.0;
+        if self.state == JobState::Succeeded {
+            return 100.0;
+        }
+        let total = self.request.input(Part::Rover).map_or(0, |rover| rover.bytes).max(1);
+        (self.progress.read_bytes as f64 / total as f64 * 100.0).min(NOT_DONE)
+    }
+
+    /// Time of the present or last run so far (s).
+    fn elapsed_s(&self, now_unix_ms: i64) -> Option<f64> {
+        let end = self.ended_unix_ms.unwrap_or(now_unix_ms);
+        Some((end - self.started_unix_ms?).max(0) as f64 / 1e3)
+    }
+
+    /// Epochs a second of the present or last run.
+    pub fn epochs_per_second(&self, now_unix_ms: i64) -> Option<f64> {
+        let elapsed_s = self.elapsed_s(now_unix_ms).filter(|elapsed_s| 0.0 < *elapsed_s)?;
+        Some(self.progress.epochs as f64 / elapsed_s)
+    }
+
+    /// Estimated time until a running job ends (s), from the part of the rover's file that is read.
+    pub fn remaining_s(&self, now_unix_ms: i64) -> Option<f64> {
+        let percent = Some(self.percent()).filter(|percent| 0.0 < *percent)?;
+        let elapsed_s = self.elapsed_s(now_unix_ms).filter(|_| self.state == JobState::Running)?;
+        Some(elapsed_s * (100.0 - percent) / percent)
+    }
+}

@@ -1,0 +1,32 @@
+//! The desk for batch jobs: files of a rover, its base and navigation data in, a file of positions
+//! and a report out.
+//!
+//! A job is computed by `recording`, as `graphfix solve` computes files, and gives the same bytes.
+//! The queue is in the store; this desk has its files, and a task for each job that may run at the
+//! same time.
+//!
+//! - **Uploads** stream to files that are named after the hash of their content; equal files are
+//!   one.
+//! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
+//!   pool, in the lane of the lowest share, so that live sessions come first.
+//! - **The end** of a job is written with the fence of its claim. A run that was cancelled, or
+//!   claimed by another, ends nothing: its result is removed.
+//! - **After a restart** jobs that ran are queued again and computed from the beginning.
+
+mod desk;
+mod error;
+mod files;
+mod info;
+mod queue;
+mod report;
+mod request;
+mod run;
+mod state;
+mod turns;
+
+pub use desk::{Jobs, UploadedFile};
+pub use error::JobError;
+pub use files::{ArrivingFile, StoredFile, Upload};
+pub use info::{JobId, JobInfo, JobResult};
+pub use report::{Failure, Report};
+pub use request::{BaseOrigin, JobInput, JobOptions, JobRequest, Part};

@@ -1,0 +1,122 @@
+//! What came of a job: the report of a success, the reason of a failure.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::formats::UnpackError;
+use crate::recording::{Provenance, RecordingError, Tally};
+use crate::refusal::Code;
+
+/// The report of a job that has succeeded.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Version of the program that computed it.
+    pub version: String,
+    /// Hash of the configuration.
+    pub configuration_hash: String,
+    /// Number of epochs.
+    pub epochs: u64,
+    /// Number of them with a position.
+    pub answered: u64,
+    /// Time from the start of the run to its end (s).
+    pub seconds: f64,
+    /// Number of epochs with each status.
+    pub statuses: Vec<(String, u64)>,
+    /// Number of epochs with each reason, by code.
+    pub reasons: Vec<(String, u64)>,
+    /// What the user can do about each reason, by its code.
+    #[serde(default)]
+    pub remedies: BTreeMap<String, String>,
+    /// What the positions rest on; lines that need attention begin with "warning: ".
+    pub provenance: Vec<String>,
+    /// What was skipped of the files.
+    pub skipped: Vec<String>,
+}
+
+/// Why a job has no result.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The stable code.
+    pub code: String,
+    /// What is wrong; of a file, with the line or byte at fault.
+    pub message: String,
+    /// The part of the upload at fault.
+    pub field: Option<String>,
+    /// What the user can do about it.
+    pub remedy: String,
+}
+
+impl Report {
+    /// The report of a run.
+    pub(super) fn of(tally: &Tally, provenance: &Provenance, hash: String, seconds: f64) -> Self {
+        let counted = |counts: &[(&'static str, u64)]| {
+            counts.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect()
+        };
+        let owned = |code: &str, text: &str| (code.to_owned(), text.to_owned());
+        let skipped = provenance.left_out.iter().flat_map(|(name, left_out)| {
+            let text = left_out.to_string();
+            text.lines().map(|line| format!("{name}: {line}")).collect::<Vec<_>>()
+        });
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            configuration_hash: hash,
+            epochs: tally.epochs,
+            answered: tally.answered,
+            seconds,
+            statuses: counted(&tally.statuses),
+            reasons: counted(&tally.reasons),
+            remedies: tally.remedies.iter().map(|(code, text)| owned(code, text)).collect(),
+            provenance: provenance.lines(),
+            skipped: skipped.collect(),
+        }
+    }
+}
+
+impl Failure {
+    pub(super) fn new(code: Code, message: String, field: Option<&str>) -> Self {
+        Self {
+            code: code.name().to_owned(),
+            message,
+            field: field.map(ToOwned::to_owned),
+            remedy: code.remedy().to_owned(),
+        }
+    }
+
+    fn with_remedy(self, remedy: &str) -> Self {
+        Self { remedy: remedy.to_owned(), ..self }
+    }
+
+    /// The failure of a file that is larger, unpacked, than allowed.
+    pub(super) fn of_unpacking(error: UnpackError, part: &str) -> Self {
+        let code = match error {
+            UnpackError::TooLarge { .. } => Code::JobTooLarge,
+            UnpackError::Ratio { .. } => Code::CompressedTooMuch,
+        };
+        Self::new(code, format!("{part}: {error}"), Some(part))
+    }
+
+    /// The failure of a recording. The names of its inputs are those of the parts.
+    pub(super) fn of_recording(error: &RecordingError) -> Self {
+        let new = |code, field| Self::new(code, error.to_string(), field);
+        match error {
+            RecordingError::NotReadable { name, .. } => new(Code::JobFilesFailed, Some(name)),
+            RecordingError::NotUnderstood { name, remedy, .. } => {
+                new(Code::FileNotUnderstood, Some(name)).with_remedy(remedy)
+            }
+            RecordingError::NoReferenceTime { name } => {
+                let remedy = "give near, a time within half a day of the first message";
+                new(Code::NoReferenceTime, Some(name)).with_remedy(remedy)
+            }
+            RecordingError::BasePositionMissing { .. } => {
+                new(Code::BasePositionMissing, Some("base")).with_remedy("give basePosition")
+            }
+            RecordingError::BaseRequired { .. } => new(Code::BaseRequired, Some("base")),
+            RecordingError::NoSuchAnswer { .. } => new(Code::InvalidField, Some("options")),
+            RecordingError::NoEpochs { name } => {
+                let remedy = "give the part rover a file of observations";
+                new(Code::NoEpochs, Some(name)).with_remedy(remedy)
+            }
+        }
+    }
+}

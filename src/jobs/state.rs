@@ -1,0 +1,168 @@
+//! What the desk and the tasks of its queue share.
+
+use std::collections::{HashMap, HashSet};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::{Notify, watch};
+
+use crate::clock::Clock;
+use crate::config::JobsConfiguration;
+use crate::session::BatchLane;
+use crate::store::{JobProgress, Store};
+
+use super::files::JobFiles;
+use super::request::JobRequest;
+use super::turns::TenantTurns;
+use super::{JobError, JobId};
+
+/// The desk.
+pub(super) struct Desk {
+    pub(super) store: Store,
+    pub(super) files: Option<Arc<JobFiles>>,
+    pub(super) limits: JobsConfiguration,
+    pub(super) lane: BatchLane,
+    pub(super) clock: Clock,
+    /// Name of the node, for claims.
+    pub(super) node: String,
+    /// Wakes a task of the queue.
+    pub(super) queued: Notify,
+    /// Number of changes of jobs, for those who watch one.
+    pub(super) changes: watch::Sender<u64>,
+    /// Whether the service is stopping.
+    pub(super) stopping: watch::Sender<bool>,
+    /// Whose job comes next. Locked while one is claimed.
+    pub(super) turns: tokio::sync::Mutex<TenantTurns>,
+    runs: Mutex<HashMap<String, Arc<Running>>>,
+}
+
+/// A run as others see it.
+#[derive(Default)]
+pub(super) struct Running {
+    stop: AtomicBool,
+    epochs: AtomicU64,
+    answered: AtomicU64,
+    read_bytes: AtomicU64,
+}
+
+impl Desk {
+    pub(super) fn new(
+        store: Store,
+        lane: BatchLane,
+        limits: JobsConfiguration,
+        files: Option<Arc<JobFiles>>,
+        node: String,
+    ) -> Self {
+        Self {
+            store,
+            files,
+            limits,
+            lane,
+            clock: Clock::system(),
+            node,
+            queued: Notify::new(),
+            changes: watch::Sender::new(0),
+            stopping: watch::Sender::new(false),
+            turns: tokio::sync::Mutex::default(),
+            runs: Mutex::default(),
+        }
+    }
+
+    /// The folder of jobs.
+    ///
+    /// # Errors
+    /// The service has none.
+    pub(super) fn files(&self) -> Result<&Arc<JobFiles>, JobError> {
+        self.files.as_ref().ok_or(JobError::Off)
+    }
+
+    pub(super) fn is_stopping(&self) -> bool {
+        *self.stopping.borrow()
+    }
+
+    /// Wakes those who watch a job.
+    pub(super) fn changed(&self) {
+        self.changes.send_modify(|changes| *changes += 1);
+    }
+
+    /// Registers a run.
+    pub(super) fn begin(&self, id: &str) -> Arc<Running> {
+        let running = Arc::<Running>::default();
+        self.runs().insert(id.to_owned(), running.clone());
+        if self.is_stopping() {
+            running.stop();
+        }
+        running
+    }
+
+    /// Forgets a run.
+    pub(super) fn end(&self, id: &str) {
+        self.runs().remove(id);
+    }
+
+    /// Stops the run of a job, if this service runs it.
+    pub(super) fn stop(&self, id: &JobId) {
+        if let Some(running) = self.runs().get(id.as_str()) {
+            running.stop();
+        }
+    }
+
+    /// Stops all runs.
+    pub(super) fn stop_all(&self) {
+        self.stopping.send_replace(true);
+        self.runs().values().for_each(|running| running.stop());
+    }
+
+    fn runs(&self) -> MutexGuard<'_, HashMap<String, Arc<Running>>> {
+        self.runs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Running {
+    pub(super) fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+    }
+
+    pub(super) fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+    }
+
+    pub(super) fn set_progress(&self, progress: JobProgress) {
+        self.epochs.store(progress.epochs, Ordering::Release);
+        self.answered.store(progress.answered, Ordering::Release);
+        self.read_bytes.store(progress.read_bytes, Ordering::Release);
+    }
+
+    pub(super) fn progress(&self) -> JobProgress {
+        JobProgress {
+            epochs: self.epochs.load(Ordering::Acquire),
+            answered: self.answered.load(Ordering::Acquire),
+            read_bytes: self.read_bytes.load(Ordering::Acquire),
+        }
+    }
+}
+
+/// The names of all files of jobs.
+///
+/// # Errors
+/// The store fails.
+pub(super) async fn named_files(store: &Store) -> Result<HashSet<String>, JobError> {
+    let mut named = HashSet::new();
+    for (request, result) in store.job_files().await? {
+        named.extend(result);
+        // A request that cannot be read is reported where its job is.
+        let request: Option<JobRequest> = serde_json::from_str(&request).ok();
+        named.extend(request.into_iter().flat_map(|request| request.inputs).map(|i| i.hash));
+    }
+    Ok(named)
+}
+
+/// The folder beside a SQLite database.
+pub(super) fn folder(limits: &JobsConfiguration, store: &Store) -> Option<PathBuf> {
+    limits.folder.clone().or_else(|| {
+        let mut name = store.file()?.into_os_string();
+        name.push(".jobs");
+        Some(name.into())
+    })
+}

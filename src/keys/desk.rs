@@ -1,0 +1,177 @@
+//! The keys of a service: in memory for calls, in the store for changes.
+
+use std::fmt;
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::time::Instant;
+
+use tokio::sync::{Mutex, watch};
+use tokio::task::JoinHandle;
+
+use crate::clock::Clock;
+use crate::store::{Page, Store};
+use crate::tenant::Tenant;
+
+use super::attempts::Attempts;
+use super::register::Register;
+use super::registry::{Created, KeyInfo, KeyRegistry, NewKey};
+use super::sign_ins::{SignIn, SignIns};
+use super::upkeep::{Upkeep, refresh};
+use super::{KeyError, Pass, Secret};
+
+/// The keys of a service. All clones share them.
+#[derive(Clone)]
+pub struct Keys(Arc<Desk>);
+
+struct Desk {
+    store: Store,
+    clock: Clock,
+    registry: KeyRegistry,
+    register: Arc<Register>,
+    attempts: Attempts,
+    sign_ins: SignIns,
+    /// Stops the upkeep, also when the desk is dropped.
+    stop: watch::Sender<bool>,
+    upkeep: Mutex<Option<JoinHandle<()>>>,
+}
+
+/// The token that shows that a page of this service makes a change.
+#[derive(Clone, Copy, Debug)]
+pub enum CsrfToken<'a> {
+    /// The request changes nothing.
+    NotNeeded,
+    /// The token of the request; empty without one.
+    Given(&'a str),
+}
+
+impl Keys {
+    /// Reads all keys, and keeps up with their changes until it is closed or dropped.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub async fn open(store: Store) -> Result<Self, KeyError> {
+        let clock = Clock::system();
+        let register = Arc::new(Register::new());
+        refresh(&store, &register).await?;
+        let (stop, stopped) = watch::channel(false);
+        let upkeep = Upkeep { store: store.clone(), clock: clock.clone(), stopped };
+        let upkeep = tokio::spawn(upkeep.run(register.clone()));
+        Ok(Self(Arc::new(Desk {
+            registry: KeyRegistry::new(store.clone()),
+            store,
+            clock,
+            register,
+            attempts: Attempts::default(),
+            sign_ins: SignIns::default(),
+            stop,
+            upkeep: Mutex::new(Some(upkeep)),
+        })))
+    }
+
+    /// Whether requests need a key.
+    pub fn are_needed(&self) -> bool {
+        self.0.register.is_closed()
+    }
+
+    /// Who sends a request with this key, or without one, from this address.
+    ///
+    /// # Errors
+    /// The key is missing or not in force, or too many wrong ones have come from this address.
+    pub fn admit(&self, key: Option<&str>, peer: Option<IpAddr>) -> Result<Pass, KeyError> {
+        let error = match self.0.register.find(key, self.0.clock.unix_ms()) {
+            Ok(pass) => return Ok(pass),
+            Err(KeyError::Required) => return Err(KeyError::Required),
+            Err(error) => error,
+        };
+        let counted = peer.map_or(Ok(()), |peer| self.0.attempts.count(peer, Instant::now()));
+        if let Err(retry_after) = counted {
+            return Err(KeyError::TooManyAttempts { retry_after });
+        }
+        tracing::info!(code = error.code().name(), ?peer, "{error}");
+        Err(error)
+    }
+
+    /// Who sends a request with this cookie. A change brings the token of the sign-in, too.
+    ///
+    /// # Errors
+    /// The sign-in has ended, or the token is not its own.
+    pub fn admit_cookie(&self, cookie: &str, token: CsrfToken<'_>) -> Result<Pass, KeyError> {
+        let register = &self.0.register;
+        if !register.is_closed() {
+            return register.find(None, self.0.clock.unix_ms());
+        }
+        let sign_in = self.signed_in(cookie).ok_or(KeyError::SignInEnded)?;
+        match token {
+            CsrfToken::NotNeeded => Ok(sign_in.pass),
+            CsrfToken::Given(token) if token == sign_in.csrf_token => Ok(sign_in.pass),
+            CsrfToken::Given(_) => Err(KeyError::CsrfTokenInvalid),
+        }
+    }
+
+    /// Signs a browser in; returns the value of its cookie, too.
+    ///
+    /// # Errors
+    /// The system has no random bits.
+    pub fn sign_in(&self, pass: Pass) -> Result<(Secret, SignIn), KeyError> {
+        self.0.sign_ins.begin(pass, self.0.clock.unix_ms())
+    }
+
+    /// The sign-in of a cookie, while it and its key are in force.
+    pub fn signed_in(&self, cookie: &str) -> Option<SignIn> {
+        self.0.sign_ins.find(cookie, self.0.clock.unix_ms())
+    }
+
+    /// Signs out.
+    pub fn sign_out(&self, cookie: &str) {
+        self.0.sign_ins.end(cookie);
+    }
+
+    /// Creates a key, in force at once.
+    ///
+    /// # Errors
+    /// It has no right, its label is too long, there are as many as allowed, or the store fails.
+    pub async fn create(&self, new: NewKey) -> Result<Created, KeyError> {
+        let created = self.0.registry.create(new).await?;
+        refresh(&self.0.store, &self.0.register).await?;
+        Ok(created)
+    }
+
+    /// A page of the keys of a tenant, the newest first.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the store fails.
+    pub async fn list(
+        &self,
+        tenant: &Tenant,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<KeyInfo>, KeyError> {
+        self.0.registry.list(Some(tenant), page_size, page_token).await
+    }
+
+    /// Revokes a key of a tenant, or of any, at once.
+    ///
+    /// # Errors
+    /// No key of the tenant has this id, or the store fails.
+    pub async fn revoke(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
+        let revoked = self.0.registry.revoke(tenant, id).await?;
+        refresh(&self.0.store, &self.0.register).await?;
+        Ok(revoked)
+    }
+
+    /// Notes the last uses and stops keeping up with changes. When this returns the desk no longer
+    /// uses the store by itself.
+    pub(crate) async fn close(&self) {
+        self.0.stop.send_replace(true);
+        if let Some(upkeep) = self.0.upkeep.lock().await.take() {
+            // Err: it panicked, and is over, too.
+            upkeep.await.ok();
+        }
+    }
+}
+
+impl fmt::Debug for Keys {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Keys").field("are_needed", &self.are_needed()).finish_non_exhaustive()
+    }
+}

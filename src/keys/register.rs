@@ -1,0 +1,359 @@
+//! All keys in memory, by the hash of their secrets.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
+
+use tokio::sync::watch;
+
+use crate::store::KeyRow;
+use crate::tenant::Tenant;
+
+use super::{KeyError, Rights, secret};
+
+/// Of a key that does not expire.
+const NEVER: i64 = i64::MAX;
+
+/// All keys, and what those have who bring none.
+#[derive(Debug)]
+pub(super) struct Register {
+    by_hash: RwLock<HashMap<[u8; 32], Arc<Holder>>>,
+    /// Number of the last change that is here.
+    changed: AtomicI64,
+    /// Whether requests need a key. Never set back.
+    is_closed: AtomicBool,
+    /// Who brings no key, while none is needed.
+    anybody: Arc<Holder>,
+}
+
+/// The holder of a key.
+struct Holder {
+    /// Id of the key; empty for who needs none.
+    id: String,
+    tenant: Tenant,
+    rights: Rights,
+    expires_unix_ms: AtomicI64,
+    state: watch::Sender<State>,
+    last_used_unix_ms: AtomicI64,
+    /// The last use that is stored.
+    noted_unix_ms: AtomicI64,
+}
+
+/// Whether a key is in force. It changes once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    InForce,
+    Expired,
+    Revoked,
+}
+
+/// Who sends a request. All clones are of the same key.
+#[derive(Clone)]
+pub struct Pass(Arc<Holder>);
+
+impl Register {
+    /// Without keys: everybody is the operator.
+    pub(super) fn new() -> Self {
+        Self::of_tenant(&Tenant::operator())
+    }
+
+    /// Without keys: everybody is of this tenant.
+    pub(super) fn of_tenant(tenant: &Tenant) -> Self {
+        let anybody = Holder::new("", tenant, Rights::ALL, NEVER);
+        Self {
+            by_hash: RwLock::default(),
+            changed: AtomicI64::new(0),
+            is_closed: AtomicBool::new(false),
+            anybody: Arc::new(anybody),
+        }
+    }
+
+    /// Number of the last change that is here.
+    pub(super) fn changed(&self) -> i64 {
+        self.changed.load(Ordering::Acquire)
+    }
+
+    /// Whether requests need a key.
+    pub(super) fn is_closed(&self) -> bool {
+        self.is_closed.load(Ordering::Acquire)
+    }
+
+    /// From now on requests need a key.
+    pub(super) fn close(&self) {
+        if !self.is_closed.swap(true, Ordering::AcqRel) {
+            self.anybody.end(State::Expired);
+        }
+    }
+
+    /// Takes changed keys. They may come twice, or an earlier change after a later one.
+    pub(super) fn take(&self, rows: Vec<KeyRow>) {
+        let Some(last) = rows.iter().map(|row| row.changed).max() else { return };
+        let mut by_hash = self.by_hash.write().unwrap_or_else(PoisonError::into_inner);
+        for KeyRow { key, revoked_unix_ms, last_used_unix_ms, .. } in rows {
+            let expires_unix_ms = key.expires_unix_ms.unwrap_or(NEVER);
+            let holder = by_hash.entry(key.secret_sha256).or_insert_with(|| {
+                let rights = Rights::stored(&key.rights);
+                Arc::new(Holder::new(&key.id, &key.tenant, rights, expires_unix_ms))
+            });
+            holder.expires_unix_ms.fetch_min(expires_unix_ms, Ordering::AcqRel);
+            let noted = last_used_unix_ms.unwrap_or(0);
+            holder.noted_unix_ms.fetch_max(noted, Ordering::AcqRel);
+            if revoked_unix_ms.is_some() {
+                holder.end(State::Revoked);
+            }
+        }
+        drop(by_hash);
+        self.changed.fetch_max(last, Ordering::AcqRel);
+        self.close();
+    }
+
+    /// Who brings this text, or none.
+    pub(super) fn find(&self, presented: Option<&str>, unix_ms: i64) -> Result<Pass, KeyError> {
+        if !self.is_closed() {
+            return Ok(Pass(self.anybody.clone()));
+        }
+        let hash = secret::hash(presented.ok_or(KeyError::Required)?).ok_or(KeyError::Invalid)?;
+        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
+        let pass = Pass(by_hash.get(&hash).ok_or(KeyError::Invalid)?.clone());
+        drop(by_hash);
+        pass.check_at(unix_ms)?;
+        Ok(pass)
+    }
+
+    /// Ends the keys that have expired.
+    pub(super) fn expire(&self, unix_ms: i64) {
+        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
+        by_hash.values().for_each(|holder| holder.expire(unix_ms));
+    }
+
+    /// The last uses that are not stored yet.
+    pub(super) fn uses(&self) -> Vec<(String, i64)> {
+        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
+        let holders = by_hash.values();
+        holders.filter_map(|holder| Some((holder.id.clone(), holder.unnoted()?))).collect()
+    }
+
+    /// Notes that uses are stored.
+    pub(super) fn note(&self, uses: &[(String, i64)]) {
+        let uses: HashMap<&str, i64> = uses.iter().map(|(id, ms)| (&**id, *ms)).collect();
+        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
+        for holder in by_hash.values() {
+            if let Some(unix_ms) = uses.get(&*holder.id) {
+                holder.noted_unix_ms.fetch_max(*unix_ms, Ordering::AcqRel);
+            }
+        }
+    }
+}
+
+impl Holder {
+    fn new(id: &str, tenant: &Tenant, rights: Rights, expires_unix_ms: i64) -> Self {
+        Self {
+            id: id.to_owned(),
+            tenant: tenant.clone(),
+            rights,
+            expires_unix_ms: AtomicI64::new(expires_unix_ms),
+            state: watch::Sender::new(State::InForce),
+            last_used_unix_ms: AtomicI64::new(0),
+            noted_unix_ms: AtomicI64::new(0),
+        }
+    }
+
+    /// Ends the key, unless it has ended.
+    fn end(&self, state: State) {
+        self.state.send_if_modified(|present| {
+            let is_in_force = *present == State::InForce;
+            if is_in_force {
+                *present = state;
+            }
+            is_in_force
+        });
+    }
+
+    fn expire(&self, unix_ms: i64) {
+        if self.expires_unix_ms.load(Ordering::Acquire) <= unix_ms {
+            self.end(State::Expired);
+        }
+    }
+
+    /// The last use, if it is not stored yet.
+    fn unnoted(&self) -> Option<i64> {
+        let used = self.last_used_unix_ms.load(Ordering::Acquire);
+        (self.noted_unix_ms.load(Ordering::Acquire) < used).then_some(used)
+    }
+
+    /// Why the key is refused in this state.
+    fn refused(&self, state: State) -> Result<(), KeyError> {
+        let id = self.id.clone();
+        match state {
+            State::InForce => Ok(()),
+            _ if id.is_empty() => Err(KeyError::Required),
+            State::Expired => Err(KeyError::Expired { id }),
+            State::Revoked => Err(KeyError::Revoked { id }),
+        }
+    }
+}
+
+impl Pass {
+    /// Id of the key; `None` where none is needed.
+    pub fn key(&self) -> Option<&str> {
+        Some(&*self.0.id).filter(|id| !id.is_empty())
+    }
+
+    /// For whom the request is.
+    pub fn tenant(&self) -> &Tenant {
+        &self.0.tenant
+    }
+
+    /// What the key allows.
+    pub fn rights(&self) -> Rights {
+        self.0.rights
+    }
+
+    /// Checks that the key is still in force.
+    ///
+    /// # Errors
+    /// It was revoked or has expired, or requests need a key by now.
+    pub(crate) fn check(&self) -> Result<(), KeyError> {
+        let state = *self.0.state.borrow();
+        self.0.refused(state)
+    }
+
+    /// The same at this time (ms since 1970-01-01 UTC).
+    ///
+    /// # Errors
+    /// The same.
+    pub(super) fn check_at(&self, unix_ms: i64) -> Result<(), KeyError> {
+        self.0.expire(unix_ms);
+        self.check()?;
+        self.0.last_used_unix_ms.fetch_max(unix_ms, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Waits until the key is no longer in force, and returns why.
+    pub(crate) fn ended(&self) -> impl Future<Output = KeyError> + Send + use<> {
+        let (mut state, holder) = (self.0.state.subscribe(), self.0.clone());
+        async move {
+            let ended = state.wait_for(|state| *state != State::InForce).await;
+            let state = *ended.expect("the holder has the sender");
+            holder.refused(state).err().unwrap_or(KeyError::Required)
+        }
+    }
+}
+
+impl fmt::Debug for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, tenant, rights, .. } = self;
+        write!(f, "Holder({id:?} of {tenant:?}, {rights})")
+    }
+}
+
+impl fmt::Debug for Pass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures::FutureExt;
+
+    use super::*;
+    use crate::keys::{Right, Secret};
+    use crate::refusal::Code;
+    use crate::store::NewKeyRow;
+
+    fn row(secret: &Secret, changed: i64, expires_unix_ms: Option<i64>) -> KeyRow {
+        let key = NewKeyRow {
+            id: format!("key_{changed}"),
+            tenant: Tenant::operator(),
+            rights: "device".to_owned(),
+            label: String::new(),
+            secret_sha256: secret::hash(secret.text()).unwrap(),
+            created_unix_ms: 0,
+            expires_unix_ms,
+        };
+        KeyRow { key, revoked_unix_ms: None, last_used_unix_ms: None, changed }
+    }
+
+    fn refused(register: &Register, key: Option<&str>, unix_ms: i64) -> Code {
+        register.find(key, unix_ms).unwrap_err().code()
+    }
+
+    /// The first key ends what was open without one.
+    #[test]
+    fn from_the_first_key_on_a_key_is_needed() {
+        let register = Register::new();
+        let before = register.find(Some("any text"), 0).unwrap();
+        assert_eq!((before.key(), before.rights()), (None, Rights::ALL));
+        let mut ended = Box::pin(before.ended());
+        assert!(ended.as_mut().now_or_never().is_none());
+        let secret = Secret::random().unwrap();
+        register.take(vec![row(&secret, 1, None)]);
+        assert_eq!(ended.now_or_never().unwrap().code(), Code::KeyRequired);
+        assert_eq!(refused(&register, None, 0), Code::KeyRequired);
+        assert_eq!(refused(&register, Some("any text"), 0), Code::KeyInvalid);
+        let other = Secret::random().unwrap();
+        assert_eq!(refused(&register, Some(other.text()), 0), Code::KeyInvalid);
+        let pass = register.find(Some(secret.text()), 0).unwrap();
+        assert_eq!((pass.key(), pass.rights()), (Some("key_1"), Rights::of(&[Right::Device])));
+    }
+
+    /// On the millisecond for calls, at the next look for those who wait.
+    #[test]
+    fn a_key_expires() {
+        let (register, secret) = (Register::new(), Secret::random().unwrap());
+        register.take(vec![row(&secret, 1, Some(1000))]);
+        let pass = register.find(Some(secret.text()), 999).unwrap();
+        let mut ended = Box::pin(pass.ended());
+        register.expire(999);
+        assert!(ended.as_mut().now_or_never().is_none());
+        register.expire(1000);
+        assert_eq!(ended.now_or_never().unwrap().code(), Code::KeyExpired);
+        assert_eq!(refused(&register, Some(secret.text()), 1000), Code::KeyExpired);
+        assert_eq!(refused(&register, None, 1000), Code::KeyRequired, "an ended key counts");
+    }
+
+    /// Whatever the order in which changes arrive.
+    #[test]
+    fn a_revocation_stays() {
+        let (register, secret) = (Register::new(), Secret::random().unwrap());
+        let first = row(&secret, 1, None);
+        let mut shorter = KeyRow { changed: 2, ..first.clone() };
+        shorter.key.expires_unix_ms = Some(5000);
+        let revoked = KeyRow { changed: 3, revoked_unix_ms: Some(7), ..shorter.clone() };
+        register.take(vec![first.clone()]);
+        let pass = register.find(Some(secret.text()), 0).unwrap();
+        register.take(vec![shorter]);
+        register.take(vec![first.clone()]);
+        pass.check().unwrap();
+        register.expire(5000);
+        assert_eq!(pass.check().unwrap_err().code(), Code::KeyExpired);
+        let (register, secret) = (Register::new(), Secret::random().unwrap());
+        let hash = secret::hash(secret.text()).unwrap();
+        let of_secret = |row: &KeyRow| {
+            let mut row = row.clone();
+            row.key.secret_sha256 = hash;
+            row
+        };
+        register.take(vec![of_secret(&revoked)]);
+        register.take(vec![of_secret(&first)]);
+        assert_eq!(register.changed(), 3);
+        assert_eq!(refused(&register, Some(secret.text()), 0), Code::KeyRevoked);
+    }
+
+    #[test]
+    fn a_use_is_noted_once() {
+        let (register, secret) = (Register::new(), Secret::random().unwrap());
+        register.take(vec![row(&secret, 1, None)]);
+        assert!(register.uses().is_empty());
+        register.find(Some(secret.text()), 50).unwrap();
+        let uses = register.uses();
+        assert_eq!(uses, [("key_1".to_owned(), 50)]);
+        register.find(Some(secret.text()), 60).unwrap();
+        register.note(&uses);
+        assert_eq!(register.uses(), [("key_1".to_owned(), 60)]);
+        register.note(&register.uses());
+        assert!(register.uses().is_empty());
+    }
+}

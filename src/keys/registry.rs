@@ -1,0 +1,253 @@
+//! Changes of keys in the store. The service and the command line change them here, also beside
+//! each other.
+
+use crate::clock::Clock;
+use crate::store::{KeyRow, NewKeyRow, Page, Store};
+use crate::tenant::Tenant;
+
+use super::{KeyError, KeyId, Rights, Secret, secret};
+
+/// Keys in force of one database. Each service has them in its memory.
+const KEYS: i64 = 65_536;
+/// Characters of a label.
+const LABEL: usize = 200;
+
+/// A key to create.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewKey {
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// What it allows.
+    pub rights: Rights,
+    /// A name for people.
+    pub label: String,
+    /// For how long it is in force (ms); `None` until it is revoked.
+    pub lifetime_ms: Option<i64>,
+}
+
+/// A key as people see it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KeyInfo {
+    /// Public id.
+    pub id: String,
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// What it allows.
+    pub rights: Rights,
+    /// A name for people.
+    pub label: String,
+    /// When it was created (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// When it expires (ms since 1970-01-01 UTC); `None` for never.
+    pub expires_unix_ms: Option<i64>,
+    /// When it was revoked (ms since 1970-01-01 UTC).
+    pub revoked_unix_ms: Option<i64>,
+    /// When it was last used (ms since 1970-01-01 UTC); written once a minute at most.
+    pub last_used_unix_ms: Option<i64>,
+}
+
+/// A new key with its secret, which nobody can read again.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Created {
+    /// The key.
+    pub key: KeyInfo,
+    /// Its secret.
+    pub secret: Secret,
+}
+
+/// The keys in a store.
+#[derive(Clone, Debug)]
+pub struct KeyRegistry {
+    store: Store,
+    clock: Clock,
+    /// Keys that may be in force.
+    most: i64,
+}
+
+impl KeyRegistry {
+    /// The keys in `store`.
+    pub const fn new(store: Store) -> Self {
+        Self { store, clock: Clock::system(), most: KEYS }
+    }
+
+    /// Creates a key.
+    ///
+    /// # Errors
+    /// It has no right, its label is too long, there are as many as allowed, or the store fails.
+    pub async fn create(&self, new: NewKey) -> Result<Created, KeyError> {
+        self.insert(new, None).await
+    }
+
+    /// Creates a key that takes the place of another, with its tenant, rights and label. The other
+    /// one expires after `overlap_ms`, or when it would anyway.
+    ///
+    /// # Errors
+    /// No key has this id, it has ended, or the store fails.
+    pub async fn rotate(
+        &self,
+        id: &str,
+        lifetime_ms: Option<i64>,
+        overlap_ms: i64,
+    ) -> Result<Created, KeyError> {
+        let earlier = self.get(None, id).await?;
+        let now = self.clock.unix_ms();
+        let has_expired = earlier.expires_unix_ms.is_some_and(|expires| expires <= now);
+        if has_expired || earlier.revoked_unix_ms.is_some() {
+            return Err(KeyError::Ended { id: earlier.id });
+        }
+        let KeyInfo { id, tenant, rights, label, .. } = earlier;
+        let new = NewKey { tenant, rights, label, lifetime_ms };
+        self.insert(new, Some((&id, now.saturating_add(overlap_ms)))).await
+    }
+
+    async fn insert(
+        &self,
+        new: NewKey,
+        replaces: Option<(&str, i64)>,
+    ) -> Result<Created, KeyError> {
+        let NewKey { tenant, rights, label, lifetime_ms } = new;
+        if rights == Rights::NONE {
+            return Err(KeyError::NoRights);
+        }
+        let characters = label.chars().count();
+        if LABEL < characters {
+            return Err(KeyError::LabelTooLong { characters, limit: LABEL });
+        }
+        let created_unix_ms = self.clock.unix_ms();
+        if self.most <= self.store.count_keys(created_unix_ms).await? {
+            return Err(KeyError::TooMany { limit: self.most });
+        }
+        let secret = Secret::random()?;
+        let row = NewKeyRow {
+            id: KeyId::random().to_string(),
+            tenant,
+            rights: rights.to_string(),
+            label,
+            secret_sha256: secret::hash(secret.text()).expect("a secret has the form of one"),
+            created_unix_ms,
+            expires_unix_ms: lifetime_ms.map(|ms| created_unix_ms.saturating_add(ms)),
+        };
+        self.store.create_key(&row, replaces).await?;
+        let (revoked_unix_ms, last_used_unix_ms, changed) = (None, None, 0);
+        let row = KeyRow { key: row, revoked_unix_ms, last_used_unix_ms, changed };
+        Ok(Created { key: info(row), secret })
+    }
+
+    /// A key of a tenant, or of any.
+    ///
+    /// # Errors
+    /// No key of the tenant has this id, or the store fails.
+    pub async fn get(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
+        let not_found = || KeyError::NotFound { id: id.to_owned() };
+        let id = KeyId::parse(id).ok_or_else(not_found)?;
+        let found = self.store.key(id.as_str()).await?.map(info);
+        let found = found.filter(|key| tenant.is_none_or(|tenant| key.tenant == *tenant));
+        found.ok_or_else(not_found)
+    }
+
+    /// A page of the keys of a tenant, or of all, the newest first.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the store fails.
+    pub async fn list(
+        &self,
+        tenant: Option<&Tenant>,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<KeyInfo>, KeyError> {
+        let page = self.store.keys(tenant, page_size, page_token).await?;
+        page.try_map(|row| Ok(info(row)))
+    }
+
+    /// Revokes a key of a tenant, or of any. One that is revoked stays as it is.
+    ///
+    /// # Errors
+    /// No key of the tenant has this id, or the store fails.
+    pub async fn revoke(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
+        let key = self.get(tenant, id).await?;
+        self.store.revoke_key(&key.id, self.clock.unix_ms()).await?;
+        self.get(tenant, &key.id).await
+    }
+}
+
+fn info(row: KeyRow) -> KeyInfo {
+    let KeyRow { key, revoked_unix_ms, last_used_unix_ms, .. } = row;
+    let NewKeyRow { id, tenant, label, created_unix_ms, expires_unix_ms, .. } = key;
+    let rights = Rights::stored(&key.rights);
+    KeyInfo {
+        id,
+        tenant,
+        rights,
+        label,
+        created_unix_ms,
+        expires_unix_ms,
+        revoked_unix_ms,
+        last_used_unix_ms,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::keys::Right;
+    use crate::refusal::Code;
+
+    /// A registry of a new database in `folder`, at a time of its own.
+    async fn registry(folder: &tempfile::TempDir) -> KeyRegistry {
+        let url = format!("sqlite://{}", folder.path().join("keys.db").display());
+        let store = Store::open(&url).await.unwrap();
+        KeyRegistry { store, clock: Clock::at(1_000_000), most: 2 }
+    }
+
+    fn new(lifetime_ms: Option<i64>) -> NewKey {
+        let (tenant, label) = (Tenant::operator(), "rover".to_owned());
+        NewKey { tenant, rights: Rights::of(&[Right::Device]), label, lifetime_ms }
+    }
+
+    /// Keys that have ended do not count.
+    #[tokio::test]
+    async fn the_keys_in_force_are_bounded() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        let first = keys.create(new(None)).await.unwrap().key;
+        keys.create(new(Some(1000))).await.unwrap();
+        let refused = async || keys.create(new(None)).await.unwrap_err().code();
+        assert_eq!(refused().await, Code::TooManyKeys);
+        keys.clock.set(1_001_000);
+        let second = keys.create(new(None)).await.unwrap().key;
+        assert_eq!(refused().await, Code::TooManyKeys);
+        keys.revoke(None, &first.id).await.unwrap();
+        keys.rotate(&second.id, None, 0).await.unwrap();
+    }
+
+    /// The replaced key ends after the overlap, and not later than it would anyway.
+    #[tokio::test]
+    async fn a_rotated_key_ends_after_the_overlap() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        let first = keys.create(new(Some(5000))).await.unwrap().key;
+        let second = keys.rotate(&first.id, Some(9000), 7000).await.unwrap().key;
+        assert_eq!((second.rights, &second.label), (first.rights, &first.label));
+        assert_eq!(second.expires_unix_ms, Some(1_009_000));
+        let expires = async |id: &str| keys.get(None, id).await.unwrap().expires_unix_ms;
+        assert_eq!(expires(&first.id).await, Some(1_005_000));
+        keys.revoke(None, &first.id).await.unwrap();
+        keys.rotate(&second.id, None, 2000).await.unwrap();
+        assert_eq!(expires(&second.id).await, Some(1_002_000));
+    }
+
+    #[tokio::test]
+    async fn a_key_of_another_tenant_is_not_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        let key = keys.create(new(None)).await.unwrap().key;
+        let (own, other) = (Tenant::operator(), Tenant::parse("other").unwrap());
+        let revoked = keys.revoke(Some(&other), &key.id).await.unwrap_err();
+        assert_eq!(revoked.code(), Code::KeyNotFound);
+        assert_eq!(keys.get(Some(&own), &key.id).await.unwrap(), key);
+        assert!(keys.list(Some(&other), 10, None).await.unwrap().items.is_empty());
+        let foreign = keys.list(Some(&other), 10, Some(&key.id)).await.unwrap_err();
+        assert_eq!(foreign.code(), Code::PageTokenInvalid);
+        assert_eq!(keys.list(Some(&own), 10, None).await.unwrap().items, [key]);
+    }
+}

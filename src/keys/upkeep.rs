@@ -1,0 +1,89 @@
+//! What a service does for its keys by itself: reads those that others have changed, ends those
+//! that expire, and notes when keys are used.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep, timeout};
+
+use crate::clock::Clock;
+use crate::store::{Store, StoreError};
+
+use super::register::Register;
+
+/// Interval at which changed keys are read, and expired ones ended.
+pub(super) const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
+/// Interval at which uses are noted.
+const NOTE_INTERVAL: Duration = Duration::from_secs(60);
+/// Time that the last note has. What it does not store is lost.
+const LAST_NOTE: Duration = Duration::from_secs(2);
+/// Uses noted in one transaction, so that commits wait for few milliseconds.
+const NOTES: usize = 500;
+
+/// Reads the keys that were changed since the last time.
+pub(super) async fn refresh(store: &Store, register: &Register) -> Result<(), StoreError> {
+    loop {
+        let rows = store.changed_keys(register.changed()).await?;
+        if rows.is_empty() {
+            return Ok(());
+        }
+        register.take(rows);
+    }
+}
+
+/// The task that keeps the keys of a service up to date.
+pub(super) struct Upkeep {
+    pub(super) store: Store,
+    pub(super) clock: Clock,
+    pub(super) stopped: watch::Receiver<bool>,
+}
+
+impl Upkeep {
+    /// Runs until it is stopped, or nobody can stop it any more.
+    pub(super) async fn run(mut self, register: Arc<Register>) {
+        let mut stopped = self.stopped.clone();
+        tokio::select! {
+            _ = stopped.wait_for(|stopped| *stopped) => {}
+            () = self.keep(&register) => {}
+        }
+        if *self.stopped.borrow_and_update() {
+            let noted = timeout(LAST_NOTE, self.note(&register)).await;
+            if !noted.is_ok_and(|noted| noted.is_ok()) {
+                tracing::warn!("the last uses of keys are not stored");
+            }
+        }
+    }
+
+    async fn keep(&self, register: &Register) {
+        let (mut noted, mut is_current) = (Instant::now(), true);
+        loop {
+            sleep(REFRESH_INTERVAL).await;
+            register.expire(self.clock.unix_ms());
+            let was_current = is_current;
+            is_current = match refresh(&self.store, register).await {
+                Ok(()) => true,
+                Err(error) if was_current => {
+                    tracing::warn!(%error, "changes of keys are not read; those known stay");
+                    false
+                }
+                Err(_) => false,
+            };
+            if is_current && NOTE_INTERVAL <= noted.elapsed() {
+                noted = Instant::now();
+                if let Err(error) = self.note(register).await {
+                    tracing::warn!(%error, "the uses of keys are not stored");
+                }
+            }
+        }
+    }
+
+    /// Stores the uses since the last time.
+    async fn note(&self, register: &Register) -> Result<(), StoreError> {
+        for uses in register.uses().chunks(NOTES) {
+            self.store.note_key_uses(uses).await?;
+            register.note(uses);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,198 @@
+//! The quotas of a service: in memory for calls, in the store for changes.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Duration;
+
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, sleep};
+
+use crate::clock::Clock;
+use crate::store::{Store, StoreError, TenantRow, TenantUse};
+use crate::tenant::{Quotas, Tenant};
+
+use super::meter::Rates;
+use super::{Meter, QuotaError};
+
+/// Interval at which changed quotas are read.
+const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
+/// Interval at which the bytes of tenants with a quota of them are counted.
+const COUNT_INTERVAL: Duration = Duration::from_secs(10);
+
+/// The quotas of all tenants. All clones share them.
+#[derive(Clone)]
+pub struct TenantQuotas(Arc<Desk>);
+
+struct Desk {
+    store: Store,
+    clock: Clock,
+    meters: Meters,
+    upkeep: Mutex<Option<JoinHandle<()>>>,
+}
+
+/// The meters of all tenants. All clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct Meters(Arc<Registered>);
+
+#[derive(Debug, Default)]
+struct Registered {
+    by_tenant: RwLock<HashMap<Tenant, Arc<Meter>>>,
+    /// Number of the last change that is here.
+    changed: AtomicI64,
+}
+
+/// A tenant with its quotas and what it uses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TenantInfo {
+    /// The tenant.
+    pub tenant: Tenant,
+    /// When its first key was made, or its quotas were set (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// What it may use.
+    pub quotas: Quotas,
+    /// What it has used recently.
+    pub rates: Rates,
+    /// What it has stored.
+    pub stored: TenantUse,
+}
+
+impl Meters {
+    /// The meter of a tenant.
+    pub fn of(&self, tenant: &Tenant) -> Arc<Meter> {
+        let known = self.0.by_tenant.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(meter) = known.get(tenant) {
+            return meter.clone();
+        }
+        drop(known);
+        let mut by_tenant = self.0.by_tenant.write().unwrap_or_else(PoisonError::into_inner);
+        let new = || Arc::new(Meter::new(tenant.clone()));
+        by_tenant.entry(tenant.clone()).or_insert_with(new).clone()
+    }
+
+    fn with_stored_quota(&self) -> Vec<Arc<Meter>> {
+        let by_tenant = self.0.by_tenant.read().unwrap_or_else(PoisonError::into_inner);
+        let has_quota = |meter: &&Arc<Meter>| meter.quotas().stored_bytes.is_some();
+        by_tenant.values().filter(has_quota).cloned().collect()
+    }
+
+    /// Reads the quotas that were set since the last time.
+    async fn refresh(&self, store: &Store) -> Result<(), StoreError> {
+        for row in store.changed_tenants(self.0.changed.load(Ordering::Acquire)).await? {
+            self.of(&row.tenant).set(row.quotas);
+            self.0.changed.fetch_max(row.changed, Ordering::AcqRel);
+            if row.quotas.stored_bytes.is_some() {
+                let used = store.tenant_use(&row.tenant).await?;
+                self.of(&row.tenant).set_stored(used.stored_bytes);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl TenantQuotas {
+    /// Reads all quotas into `meters`, and keeps up with their changes until it is closed or the
+    /// process ends.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub async fn open(store: Store, meters: Meters) -> Result<Self, StoreError> {
+        meters.refresh(&store).await?;
+        let upkeep = tokio::spawn(keep(store.clone(), meters.clone()));
+        let (clock, upkeep) = (Clock::system(), Mutex::new(Some(upkeep)));
+        Ok(Self(Arc::new(Desk { store, clock, meters, upkeep })))
+    }
+
+    /// Sets the quotas of a tenant, in force at once. The tenant exists from then on.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub async fn set(&self, tenant: &Tenant, quotas: &Quotas) -> Result<TenantInfo, QuotaError> {
+        let Desk { store, clock, meters, .. } = &*self.0;
+        store.set_quotas(tenant, quotas, clock.unix_ms()).await?;
+        meters.refresh(store).await?;
+        self.get(tenant).await
+    }
+
+    /// A tenant.
+    ///
+    /// # Errors
+    /// It does not exist, or the store fails.
+    pub async fn get(&self, tenant: &Tenant) -> Result<TenantInfo, QuotaError> {
+        let row = self.0.store.tenant(tenant).await?;
+        let name = tenant.to_string();
+        self.info(row.ok_or(QuotaError::NotFound { name })?).await
+    }
+
+    /// Up to `count` tenants in order of their names, after this name.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub async fn list(&self, after: &str, count: usize) -> Result<Vec<TenantInfo>, QuotaError> {
+        let mut list = Vec::new();
+        for row in self.0.store.tenants(after, count as i64).await? {
+            list.push(self.info(row).await?);
+        }
+        Ok(list)
+    }
+
+    async fn info(&self, row: TenantRow) -> Result<TenantInfo, QuotaError> {
+        let TenantRow { tenant, created_unix_ms, quotas, .. } = row;
+        let stored = self.0.store.tenant_use(&tenant).await?;
+        let rates = self.0.meters.of(&tenant).rates();
+        Ok(TenantInfo { tenant, created_unix_ms, quotas, rates, stored })
+    }
+
+    /// Stops keeping up with changes. When this returns the desk no longer uses the store by
+    /// itself.
+    pub(crate) async fn close(&self) {
+        let upkeep = self.0.upkeep.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(upkeep) = upkeep {
+            upkeep.abort();
+            // Err: it was stopped, as it should.
+            upkeep.await.ok();
+        }
+    }
+}
+
+impl fmt::Debug for TenantQuotas {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TenantQuotas").finish_non_exhaustive()
+    }
+}
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        if let Some(upkeep) = self.upkeep.get_mut().unwrap_or_else(PoisonError::into_inner) {
+            upkeep.abort();
+        }
+    }
+}
+
+/// Reads changed quotas and counts bytes until it is stopped.
+async fn keep(store: Store, meters: Meters) {
+    let (mut counted, mut is_current) = (Instant::now(), true);
+    loop {
+        sleep(REFRESH_INTERVAL).await;
+        let was_current = is_current;
+        is_current = match meters.refresh(&store).await {
+            Ok(()) => true,
+            Err(error) => {
+                if was_current {
+                    tracing::warn!(%error, "changes of quotas are not read; those known stay");
+                }
+                false
+            }
+        };
+        if is_current && COUNT_INTERVAL <= counted.elapsed() {
+            counted = Instant::now();
+            for meter in meters.with_stored_quota() {
+                match store.tenant_use(meter.tenant()).await {
+                    Ok(used) => meter.set_stored(used.stored_bytes),
+                    Err(error) => tracing::warn!(%error, "the bytes of a tenant are not counted"),
+                }
+            }
+        }
+    }
+}

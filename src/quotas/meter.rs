@@ -1,0 +1,229 @@
+//! What one tenant uses, beside what it may.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::tenant::{Quotas, Tenant};
+
+use super::QuotaError;
+use super::window::Window;
+
+/// Time over which the rate of epochs is averaged (s): as much may come at once.
+pub(super) const EPOCHS_WINDOW_S: f64 = 10.0;
+/// Time over which the time of solvers is summed (s).
+pub(super) const CPU_WINDOW_S: f64 = 60.0;
+/// Delay after which sessions may have been deleted, or their epochs expired.
+const STORED_DELAY: Duration = Duration::from_secs(60);
+
+/// What a tenant uses and may use. All who work for the tenant share it.
+#[derive(Debug)]
+pub struct Meter {
+    tenant: Tenant,
+    begun: Instant,
+    inner: Mutex<Inner>,
+    /// Bytes in the database when they were last counted.
+    stored_bytes: AtomicU64,
+    /// Locked while a session is created, so that their number never exceeds the quota.
+    creating: tokio::sync::Mutex<()>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    quotas: Quotas,
+    epochs: Window,
+    cpu_s: Window,
+    /// Time of solvers that batch jobs have used since the start (s).
+    batch_s: f64,
+}
+
+/// What a tenant has used recently.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Epochs a second, over ten seconds.
+    pub epochs_per_s: f64,
+    /// Time of solvers in the last minute (s).
+    pub cpu_s_per_minute: f64,
+}
+
+impl Meter {
+    pub(super) fn new(tenant: Tenant) -> Self {
+        let (epochs, cpu_s) = (Window::new(EPOCHS_WINDOW_S), Window::new(CPU_WINDOW_S));
+        Self {
+            tenant,
+            begun: Instant::now(),
+            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s, batch_s: 0.0 }),
+            stored_bytes: AtomicU64::new(0),
+            creating: tokio::sync::Mutex::new(()),
+        }
+    }
+
+    /// The tenant.
+    pub const fn tenant(&self) -> &Tenant {
+        &self.tenant
+    }
+
+    /// What it may use.
+    pub fn quotas(&self) -> Quotas {
+        self.lock().quotas
+    }
+
+    pub(super) fn set(&self, quotas: Quotas) {
+        self.lock().quotas = quotas;
+    }
+
+    pub(super) fn set_stored(&self, bytes: u64) {
+        self.stored_bytes.store(bytes, Ordering::Relaxed);
+    }
+
+    /// What it has used recently.
+    pub fn rates(&self) -> Rates {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        Rates {
+            epochs_per_s: inner.epochs.used(now_s) / EPOCHS_WINDOW_S,
+            cpu_s_per_minute: inner.cpu_s.used(now_s) * (60.0 / CPU_WINDOW_S),
+        }
+    }
+
+    /// Admits new epochs: of a tenant that is within its quotas. Their number may exceed what is
+    /// left; then the next ones wait for longer.
+    ///
+    /// # Errors
+    /// The tenant has used what it may.
+    pub fn admit_epochs(&self) -> Result<(), QuotaError> {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        if let Some(limit) = inner.quotas.epochs_per_s {
+            let retry_after = inner.epochs.delay(limit * EPOCHS_WINDOW_S, now_s);
+            if !retry_after.is_zero() {
+                let used = inner.epochs.used(now_s) / EPOCHS_WINDOW_S;
+                return Err(QuotaError::Epochs { used, limit, retry_after });
+            }
+        }
+        if let Some(limit) = inner.quotas.stored_bytes {
+            let used = self.stored_bytes.load(Ordering::Relaxed);
+            if limit <= used {
+                return Err(QuotaError::Stored { used, limit, retry_after: STORED_DELAY });
+            }
+        }
+        inner.check_cpu(now_s)
+    }
+
+    /// Admits a computation that is not stored.
+    ///
+    /// # Errors
+    /// The tenant has used the time of solvers that it may.
+    pub fn admit_computation(&self) -> Result<(), QuotaError> {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        inner.check_cpu(now_s)
+    }
+
+    /// The delay until the tenant may use solvers again; zero if it may now.
+    pub fn computation_delay(&self) -> Duration {
+        match self.admit_computation() {
+            Err(QuotaError::Cpu { retry_after, .. }) => retry_after,
+            _ => Duration::ZERO,
+        }
+    }
+
+    /// Waits until no other session of the tenant is created, and returns the most that there may
+    /// be; none if there is no limit. The next one waits until the guard is dropped.
+    pub async fn creating_session(&self) -> Option<(tokio::sync::MutexGuard<'_, ()>, u64)> {
+        let limit = self.quotas().sessions?;
+        Some((self.creating.lock().await, limit))
+    }
+
+    /// Counts epochs.
+    pub fn count_epochs(&self, epochs: usize) {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        inner.epochs.add(epochs as f64, now_s);
+    }
+
+    /// Counts time of solvers.
+    pub fn count_cpu(&self, time: Duration) {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        inner.cpu_s.add(time.as_secs_f64(), now_s);
+    }
+
+    /// Counts time of solvers of batch jobs.
+    pub fn count_batch(&self, time: Duration) {
+        self.count_cpu(time);
+        self.lock().batch_s += time.as_secs_f64();
+    }
+
+    /// Time of solvers that batch jobs have used since the start (s).
+    pub fn batch_s(&self) -> f64 {
+        self.lock().batch_s
+    }
+
+    fn now_s(&self) -> f64 {
+        self.begun.elapsed().as_secs_f64()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    fn check_cpu(&mut self, now_s: f64) -> Result<(), QuotaError> {
+        let Some(limit) = self.quotas.cpu_s_per_minute else { return Ok(()) };
+        let retry_after = self.cpu_s.delay(limit * (CPU_WINDOW_S / 60.0), now_s);
+        if retry_after.is_zero() {
+            return Ok(());
+        }
+        let used = self.cpu_s.used(now_s) * (60.0 / CPU_WINDOW_S);
+        Err(QuotaError::Cpu { used, limit, retry_after })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refusal::Code;
+
+    fn meter(quotas: Quotas) -> Meter {
+        let meter = Meter::new(Tenant::operator());
+        meter.set(quotas);
+        meter
+    }
+
+    #[test]
+    fn without_quotas_everything_is_admitted() {
+        let meter = meter(Quotas::default());
+        meter.count_epochs(1_000_000);
+        meter.count_cpu(Duration::from_secs(1_000_000));
+        meter.set_stored(u64::MAX);
+        meter.admit_epochs().unwrap();
+        assert_eq!(meter.computation_delay(), Duration::ZERO);
+    }
+
+    #[test]
+    fn each_quota_is_named_with_limit_and_delay() {
+        let refused = |quotas: Quotas| {
+            let meter = meter(quotas);
+            meter.admit_epochs().unwrap();
+            meter.count_epochs(1000);
+            meter.count_cpu(Duration::from_secs(90));
+            meter.set_stored(1000);
+            meter.admit_epochs().unwrap_err()
+        };
+        let none = Quotas::default();
+        for (quotas, code, longest_s) in [
+            (Quotas { epochs_per_s: Some(10.0), ..none }, Code::EpochQuotaExceeded, 20),
+            (Quotas { cpu_s_per_minute: Some(30.0), ..none }, Code::CpuQuotaExceeded, 120),
+            (Quotas { stored_bytes: Some(1000), ..none }, Code::StorageQuotaExceeded, 60),
+        ] {
+            let error = refused(quotas);
+            assert_eq!(error.code(), code);
+            let delay = error.retry_after();
+            assert!(!delay.is_zero() && delay <= Duration::from_secs(longest_s), "{delay:?}");
+        }
+        // What is set later counts at once, and so does its end.
+        let meter = meter(none);
+        meter.count_epochs(1000);
+        meter.set(Quotas { epochs_per_s: Some(10.0), ..none });
+        meter.admit_epochs().unwrap_err();
+        meter.set(none);
+        meter.admit_epochs().unwrap();
+    }
+}

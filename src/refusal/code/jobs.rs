@@ -1,0 +1,40 @@
+//! Codes of batch jobs.
+
+/// Passes on the codes `before` and its own; see `collected` of the table.
+macro_rules! jobs {
+    ($then:ident { $($before:tt)* } $($rest:ident)*) => { $then! { { $($before)*
+
+    // Batch jobs.
+
+    /// The service has no folder for the files of jobs.
+    JobsOff = "JOBS_OFF", Precondition, "let the operator set jobs.folder";
+    /// The job does not exist, or has expired.
+    JobNotFound = "JOB_NOT_FOUND", NotFound, "create a job, or check the id";
+    /// As many jobs wait, or uploads arrive, as allowed.
+    TooManyJobs = "TOO_MANY_JOBS", Exhausted,
+        "send the same request later, or let the operator raise jobs.waiting or jobs.uploads";
+    /// A file of a job exceeds its limit, also unpacked, or there are too many.
+    JobTooLarge = "JOB_TOO_LARGE", TooLarge,
+        "split the recording, or let the operator raise jobs.file_bytes, jobs.unpacked_bytes or \
+         jobs.files";
+    /// The files of all jobs need more space than allowed.
+    JobSpaceExhausted = "JOB_SPACE_EXHAUSTED", Exhausted,
+        "send the same request when older jobs have expired, or let the operator raise \
+         jobs.total_bytes";
+    /// Another request had the same Idempotency-Key.
+    IdempotencyConflict = "IDEMPOTENCY_CONFLICT", Conflict,
+        "send the request with a key of its own";
+    /// The job has not ended.
+    JobNotEnded = "JOB_NOT_ENDED", Precondition, "ask for the job until its state is SUCCEEDED";
+    /// The job has failed or was cancelled.
+    JobWithoutResult = "JOB_WITHOUT_RESULT", Precondition,
+        "read the failure of the job, and create another one";
+    /// A file of a job cannot be read or written.
+    JobFilesFailed = "JOB_FILES_FAILED", Unavailable,
+        "send the same request again; the operator finds the cause in the log";
+    /// The job has run for longer than allowed.
+    JobTooLong = "JOB_TOO_LONG", NoCall,
+        "split the recording, choose another mode, or let the operator raise jobs.run_s";
+
+} $($rest)* } } }
+pub(super) use jobs;

@@ -1,0 +1,33 @@
+//! Meters of the committer.
+
+use std::time::Duration;
+
+use crate::meters::{self, Counter, Histogram};
+
+use super::batch::Batch;
+
+/// What the committer has done since the start. Clones share it.
+#[derive(Clone, Debug)]
+pub(crate) struct CommitterMeters {
+    /// Committed transactions.
+    pub(crate) transactions: Counter,
+    /// Times of these transactions (s).
+    pub(crate) seconds: Histogram,
+    /// Epochs of each of them.
+    pub(crate) epochs: Histogram,
+}
+
+impl CommitterMeters {
+    pub(super) fn new() -> Self {
+        let (transactions, seconds) = (Counter::default(), meters::times());
+        Self { transactions, seconds, epochs: meters::numbers() }
+    }
+
+    /// Counts a transaction.
+    pub(super) fn count(&self, batches: &[&Batch], elapsed: Duration) {
+        let epochs: usize = batches.iter().map(|batch| batch.epochs.len()).sum();
+        self.transactions.inc();
+        self.seconds.observe(elapsed.as_secs_f64());
+        self.epochs.observe(epochs as f64);
+    }
+}

@@ -1,0 +1,63 @@
+//! The time by which the ages of epochs are counted. It follows the clock of the service, but not a
+//! step of it: a clock that is wrong by more than the retention must not remove anything.
+//!
+//! The time is stored. It advances as far as the service has run, a tenth faster if the clock is
+//! ahead, or to the newest epoch of a session that is not ahead of the clock: what receivers of
+//! satellites measured is a witness that the clock is right. It never passes the clock.
+
+use crate::gnss::{GpsTime, LeapSeconds};
+
+use super::pool::{reading, writing};
+use super::{Store, StoreError};
+
+const READ: &str = "SELECT unix_ms, (SELECT MAX(last_gps_time_ns) FROM session_heads \
+    WHERE last_gps_time_ns <= $1) FROM expiry_clock";
+const SET: &str = "UPDATE expiry_clock SET unix_ms = $1 WHERE unix_ms IS NULL OR unix_ms < $1";
+
+impl Store {
+    /// Advances the time by which ages are counted, and returns it (ms since 1970-01-01 UTC). The
+    /// clock says `now`, and the service has run for `elapsed_ms` since the last call.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn advance_expiry_clock(
+        &self,
+        now_unix_ms: i64,
+        elapsed_ms: i64,
+    ) -> Result<i64, StoreError> {
+        let leap = LeapSeconds::table();
+        let now = GpsTime::from_unix_ms(now_unix_ms, &leap);
+        let known: Result<(Option<i64>, Option<i64>), _> = reading!(&self.pool, pool => {
+            sqlx::query_as(READ).bind(now.as_ns()).fetch_one(pool).await
+        });
+        let (counted, newest) =
+            known.map_err(StoreError::database("reading the time of expiry"))?;
+        let newest = newest.map(|ns| GpsTime::from_ns(ns).to_unix_ms(&leap));
+        let counted = advanced(counted.unwrap_or(now_unix_ms), newest, now_unix_ms, elapsed_ms);
+        let set = writing!(&self.pool, pool => {
+            sqlx::query(SET).bind(counted).execute(pool).await.map(drop)
+        });
+        set.map_err(StoreError::database("storing the time of expiry"))?;
+        Ok(counted)
+    }
+}
+
+/// The time `counted`, advanced; all in ms since 1970-01-01 UTC.
+fn advanced(counted: i64, newest_epoch: Option<i64>, now: i64, elapsed_ms: i64) -> i64 {
+    let run = counted.saturating_add(elapsed_ms + elapsed_ms / 10);
+    now.min(newest_epoch.map_or(run, |epoch| run.max(epoch)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_of_the_clock_is_not_followed() {
+        assert_eq!(advanced(1_000, None, 1_500, 500), 1_500);
+        assert_eq!(advanced(1_000, None, 900_000, 500), 1_550, "a tenth faster than it runs");
+        assert_eq!(advanced(1_000, None, 900, 500), 900, "never ahead of the clock");
+        assert_eq!(advanced(1_000, Some(700_000), 900_000, 0), 700_000, "an epoch is a witness");
+        assert_eq!(advanced(1_000, Some(10), 900_000, 0), 1_000, "epochs of an old file are none");
+    }
+}

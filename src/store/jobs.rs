@@ -1,0 +1,472 @@
+//! Batch jobs as rows: the queue, and what came of each.
+//!
+//! A claim raises the job's fence and names its node. Progress and the end of a job are written
+//! only with the fence of its last claim, so a claimant that has lost its job changes nothing.
+
+use crate::tenant::Tenant;
+
+use super::page::rows_asked;
+use super::pool::{Pool, reading, writing};
+use super::{Page, Store, StoreError};
+
+const PAGE_LIMIT: usize = 1_000;
+
+/// Primary key of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct JobKey(i64);
+
+/// What a job is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobState {
+    /// It waits.
+    Queued,
+    /// It is computed.
+    Running,
+    /// Its result is stored.
+    Succeeded,
+    /// It has no result.
+    Failed,
+    /// A user ended it.
+    Cancelled,
+}
+
+impl JobState {
+    const ALL: [Self; 5] =
+        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+
+    /// The name in the API and in the database.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "QUEUED",
+            Self::Running => "RUNNING",
+            Self::Succeeded => "SUCCEEDED",
+            Self::Failed => "FAILED",
+            Self::Cancelled => "CANCELLED",
+        }
+    }
+
+    /// The state of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+
+    /// Whether nothing follows.
+    pub const fn is_end(self) -> bool {
+        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
+    }
+}
+
+/// A job to queue. Its texts are JSON of the desk for jobs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewJob {
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// Public id.
+    pub id: String,
+    /// Options and input files.
+    pub request: String,
+    /// Identifies the content of the request.
+    pub request_hash: String,
+    /// A name that the tenant has given to the request, so that its repetition is no second job.
+    pub idempotency_key: Option<String>,
+    /// When it arrived (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+}
+
+/// How far a job is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct JobProgress {
+    /// Number of epochs.
+    pub epochs: u64,
+    /// Number of them with a position.
+    pub answered: u64,
+    /// Bytes of the rover's file that have been read.
+    pub read_bytes: u64,
+}
+
+/// How a job ends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum JobEnd {
+    /// With a result.
+    Succeeded {
+        /// Name of the result's file.
+        result: String,
+        /// Its size (bytes).
+        bytes: u64,
+        /// The report, JSON.
+        report: String,
+    },
+    /// Without one.
+    Failed {
+        /// Why, JSON.
+        failure: String,
+    },
+}
+
+/// A stored job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JobRow {
+    /// Primary key.
+    pub key: JobKey,
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// Public id.
+    pub id: String,
+    /// What it is doing.
+    pub state: JobState,
+    /// Options and input files.
+    pub request: String,
+    /// Identifies the content of the request.
+    pub request_hash: String,
+    /// When it arrived (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// When its present or last run began.
+    pub started_unix_ms: Option<i64>,
+    /// When it ended.
+    pub ended_unix_ms: Option<i64>,
+    /// Number of claims.
+    pub fence: i64,
+    /// How far it is.
+    pub progress: JobProgress,
+    /// Name and size of the result's file (bytes).
+    pub result: Option<(String, u64)>,
+    /// The report of a success.
+    pub report: Option<String>,
+    /// The reason of a failure.
+    pub failure: Option<String>,
+}
+
+#[derive(sqlx::FromRow)]
+struct RawJob {
+    key: i64,
+    tenant: String,
+    id: String,
+    state: String,
+    request: String,
+    request_hash: String,
+    created_unix_ms: i64,
+    started_unix_ms: Option<i64>,
+    ended_unix_ms: Option<i64>,
+    fence: i64,
+    epochs: i64,
+    answered: i64,
+    read_bytes: i64,
+    result: Option<String>,
+    result_bytes: Option<i64>,
+    report: Option<String>,
+    failure: Option<String>,
+}
+
+impl RawJob {
+    fn parse(self) -> Result<JobRow, StoreError> {
+        let state = JobState::from_name(&self.state).ok_or_else(|| StoreError::CorruptText {
+            what: "job",
+            why: format!("{:?} is not a state", self.state),
+        })?;
+        Ok(JobRow {
+            key: JobKey(self.key),
+            tenant: Tenant::stored(&self.tenant),
+            id: self.id,
+            state,
+            request: self.request,
+            request_hash: self.request_hash,
+            created_unix_ms: self.created_unix_ms,
+            started_unix_ms: self.started_unix_ms,
+            ended_unix_ms: self.ended_unix_ms,
+            fence: self.fence,
+            progress: JobProgress {
+                epochs: self.epochs as u64,
+                answered: self.answered as u64,
+                read_bytes: self.read_bytes as u64,
+            },
+            result: self.result.zip(self.result_bytes.map(|bytes| bytes as u64)),
+            report: self.report,
+            failure: self.failure,
+        })
+    }
+}
+
+/// The columns of [`RawJob`].
+macro_rules! columns {
+    () => {
+        "key, tenant, id, state, request, request_hash, created_unix_ms, started_unix_ms, \
+         ended_unix_ms, fence, epochs, answered, read_bytes, result, result_bytes, report, failure"
+    };
+}
+macro_rules! select_jobs {
+    ($condition:literal) => {
+        concat!("SELECT ", columns!(), " FROM jobs ", $condition)
+    };
+}
+/// Claims the oldest job of a tenant that waits, or whose claimant has been silent.
+macro_rules! claim {
+    ($lock:literal) => {
+        concat!(
+            "UPDATE jobs SET state = 'RUNNING', node = $1, fence = fence + 1, ",
+            "started_unix_ms = $2, heartbeat_unix_ms = $2, epochs = 0, answered = 0, ",
+            "read_bytes = 0 WHERE key = (SELECT key FROM jobs WHERE ended_unix_ms IS NULL ",
+            "AND tenant = $4 AND (state = 'QUEUED' OR heartbeat_unix_ms < $3) ORDER BY key LIMIT 1",
+            $lock,
+            ") RETURNING ",
+            columns!()
+        )
+    };
+}
+
+impl Store {
+    /// Queues a job. Returns it, and whether it is new: a job of the same tenant and idempotency
+    /// key is returned in its place.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn create_job(&self, new: &NewJob) -> Result<(JobRow, bool), StoreError> {
+        let created: Result<Option<RawJob>, _> = writing!(&self.pool, pool => {
+            let sql = concat!(
+                "INSERT INTO jobs (id, state, request, request_hash, request_name, ",
+                "created_unix_ms, tenant) VALUES ($1, 'QUEUED', $2, $3, $4, $5, $6) ",
+                "ON CONFLICT (tenant, request_name) DO NOTHING RETURNING ",
+                columns!()
+            );
+            sqlx::query_as(sql)
+                .bind(&new.id)
+                .bind(&new.request)
+                .bind(&new.request_hash)
+                .bind(&new.idempotency_key)
+                .bind(new.created_unix_ms)
+                .bind(new.tenant.name())
+                .fetch_optional(pool)
+                .await
+        });
+        if let Some(row) = created.map_err(StoreError::database("queueing a job"))? {
+            return Ok((row.parse()?, true));
+        }
+        let before: Result<RawJob, _> = writing!(&self.pool, pool => {
+            let sql = select_jobs!("WHERE tenant = $1 AND request_name = $2");
+            let select = sqlx::query_as(sql).bind(new.tenant.name());
+            select.bind(&new.idempotency_key).fetch_one(pool).await
+        });
+        Ok((before.map_err(StoreError::database("reading a job"))?.parse()?, false))
+    }
+
+    /// The job of a tenant with this id.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn job(&self, tenant: &Tenant, id: &str) -> Result<Option<JobRow>, StoreError> {
+        let row: Result<Option<RawJob>, _> = reading!(&self.pool, pool => {
+            let select = sqlx::query_as(select_jobs!("WHERE id = $1 AND tenant = $2")).bind(id);
+            select.bind(tenant.name()).fetch_optional(pool).await
+        });
+        row.map_err(StoreError::database("reading a job"))?.map(RawJob::parse).transpose()
+    }
+
+    /// A page of the jobs of a tenant, the newest first.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the database fails.
+    pub async fn jobs(
+        &self,
+        tenant: &Tenant,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<JobRow>, StoreError> {
+        let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
+        let before = match page_token {
+            None => i64::MAX,
+            Some(id) => {
+                let row = self.job(tenant, id).await?;
+                row.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?.key.0
+            }
+        };
+        let rows: Result<Vec<RawJob>, _> = reading!(list &self.pool, pool => {
+            let sql = select_jobs!("WHERE tenant = $1 AND key < $2 ORDER BY key DESC LIMIT $3");
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(before);
+            select.bind(rows_asked).fetch_all(pool).await
+        });
+        let rows = rows.map_err(StoreError::database("listing jobs"))?;
+        Page::of(rows, page_size, |row| row.id.clone()).try_map(RawJob::parse)
+    }
+
+    /// Number of jobs that wait or run.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn waiting_jobs(&self) -> Result<u64, StoreError> {
+        let count: Result<i64, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT COUNT(*) FROM jobs WHERE ended_unix_ms IS NULL";
+            sqlx::query_scalar(sql).fetch_one(pool).await
+        });
+        count.map(|count| count as u64).map_err(StoreError::database("counting jobs"))
+    }
+
+    /// The tenants with jobs that wait, or that run without a heartbeat since `silent_unix_ms`.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn tenants_with_jobs(&self, silent_unix_ms: i64) -> Result<Vec<Tenant>, StoreError> {
+        let names: Result<Vec<String>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT DISTINCT tenant FROM jobs WHERE ended_unix_ms IS NULL
+                       AND (state = 'QUEUED' OR heartbeat_unix_ms < $1)";
+            sqlx::query_scalar(sql).bind(silent_unix_ms).fetch_all(pool).await
+        });
+        let names = names.map_err(StoreError::database("reading whose jobs wait"))?;
+        Ok(names.iter().map(|name| Tenant::stored(name)).collect())
+    }
+
+    /// Claims the oldest job of a tenant that waits, or that runs without a heartbeat since
+    /// `silent_unix_ms`.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn claim_job(
+        &self,
+        tenant: &Tenant,
+        node: &str,
+        now_unix_ms: i64,
+        silent_unix_ms: i64,
+    ) -> Result<Option<JobRow>, StoreError> {
+        let sql = match &self.pool {
+            Pool::Sqlite { .. } => claim!(""),
+            Pool::Postgres { .. } => claim!(" FOR UPDATE SKIP LOCKED"),
+        };
+        let row: Result<Option<RawJob>, _> = writing!(&self.pool, pool => {
+            sqlx::query_as(sql)
+                .bind(node)
+                .bind(now_unix_ms)
+                .bind(silent_unix_ms)
+                .bind(tenant.name())
+                .fetch_optional(pool)
+                .await
+        });
+        row.map_err(StoreError::database("claiming a job"))?.map(RawJob::parse).transpose()
+    }
+
+    /// Writes the progress of a claimed job; false if the claim has ended.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn beat_job(
+        &self,
+        key: JobKey,
+        fence: i64,
+        progress: JobProgress,
+        now_unix_ms: i64,
+    ) -> Result<bool, StoreError> {
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "UPDATE jobs SET epochs = $3, answered = $4, read_bytes = $5,
+                       heartbeat_unix_ms = $6
+                       WHERE key = $1 AND fence = $2 AND state = 'RUNNING'";
+            sqlx::query(sql)
+                .bind(key.0)
+                .bind(fence)
+                .bind(progress.epochs as i64)
+                .bind(progress.answered as i64)
+                .bind(progress.read_bytes as i64)
+                .bind(now_unix_ms)
+                .execute(pool)
+                .await
+                .map(|done| done.rows_affected())
+        });
+        changed.map(|rows| rows == 1).map_err(StoreError::database("writing the progress of a job"))
+    }
+
+    /// Ends a claimed job; false if the claim has ended before.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn end_job(
+        &self,
+        key: JobKey,
+        fence: i64,
+        end: &JobEnd,
+        progress: JobProgress,
+        now_unix_ms: i64,
+    ) -> Result<bool, StoreError> {
+        let (state, result, report, failure) = match end {
+            JobEnd::Succeeded { result, bytes, report } => {
+                (JobState::Succeeded, Some((result, *bytes as i64)), Some(report), None)
+            }
+            JobEnd::Failed { failure } => (JobState::Failed, None, None, Some(failure)),
+        };
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "UPDATE jobs SET state = $3, ended_unix_ms = $4, result = $5,
+                       result_bytes = $6, report = $7, failure = $8, epochs = $9, answered = $10,
+                       read_bytes = $11
+                       WHERE key = $1 AND fence = $2 AND state = 'RUNNING'";
+            sqlx::query(sql)
+                .bind(key.0)
+                .bind(fence)
+                .bind(state.name())
+                .bind(now_unix_ms)
+                .bind(result.map(|(name, _)| name))
+                .bind(result.map(|(_, bytes)| bytes))
+                .bind(report)
+                .bind(failure)
+                .bind(progress.epochs as i64)
+                .bind(progress.answered as i64)
+                .bind(progress.read_bytes as i64)
+                .execute(pool)
+                .await
+                .map(|done| done.rows_affected())
+        });
+        changed.map(|rows| rows == 1).map_err(StoreError::database("ending a job"))
+    }
+
+    /// Ends a job of a tenant that waits or runs as cancelled; false if it has ended or does not
+    /// exist. Its claim ends, too.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn cancel_job(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        now_unix_ms: i64,
+    ) -> Result<bool, StoreError> {
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "UPDATE jobs SET state = 'CANCELLED', ended_unix_ms = $2, fence = fence + 1
+                       WHERE id = $1 AND tenant = $3 AND ended_unix_ms IS NULL";
+            let cancel = sqlx::query(sql).bind(id).bind(now_unix_ms).bind(tenant.name());
+            let done = cancel.execute(pool).await;
+            done.map(|done| done.rows_affected())
+        });
+        changed.map(|rows| rows == 1).map_err(StoreError::database("cancelling a job"))
+    }
+
+    /// Queues all running jobs again, at the start of the only service on this database.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn requeue_jobs(&self) -> Result<u64, StoreError> {
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "UPDATE jobs SET state = 'QUEUED', fence = fence + 1
+                       WHERE state = 'RUNNING' AND ended_unix_ms IS NULL";
+            sqlx::query(sql).execute(pool).await.map(|done| done.rows_affected())
+        });
+        changed.map_err(StoreError::database("queueing jobs again"))
+    }
+
+    /// Deletes jobs that ended before a time.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn delete_jobs(&self, ended_before_unix_ms: i64) -> Result<u64, StoreError> {
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "DELETE FROM jobs WHERE ended_unix_ms < $1";
+            let done = sqlx::query(sql).bind(ended_before_unix_ms).execute(pool).await;
+            done.map(|done| done.rows_affected())
+        });
+        changed.map_err(StoreError::database("deleting jobs"))
+    }
+
+    /// Request and result's file of every job.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn job_files(&self) -> Result<Vec<(String, Option<String>)>, StoreError> {
+        let rows: Result<Vec<(String, Option<String>)>, _> = reading!(bulk &self.pool, pool => {
+            sqlx::query_as("SELECT request, result FROM jobs").fetch_all(pool).await
+        });
+        rows.map_err(StoreError::database("reading the files of jobs"))
+    }
+}

@@ -1,0 +1,95 @@
+//! Tenants: to whom sessions, bases, jobs, navigation data and keys belong, and what they may use.
+//!
+//! Whoever reads or changes what belongs to a tenant names the tenant: desks are asked by a handle
+//! of one tenant, and the store's statements have it in their condition. So what belongs to another
+//! tenant is not found, as if it did not exist.
+//!
+//! The operator is a tenant, too: the one of a service without keys, and of all that was stored
+//! before there were tenants. Its bases and navigation data serve all tenants. It has no other way
+//! to what belongs to another tenant than a key of that tenant.
+
+use std::fmt;
+use std::sync::Arc;
+
+/// The name of the operator's tenant.
+pub const OPERATOR: &str = "default";
+/// Longest name (characters).
+const NAME_MAX: usize = 63;
+
+/// A tenant, by its name. Clones share the text.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Tenant(Arc<str>);
+
+impl Tenant {
+    /// The operator's tenant.
+    pub fn operator() -> Self {
+        Self(OPERATOR.into())
+    }
+
+    /// The tenant of a name: 1 to 63 lower-case letters, digits, `-` and `_`, of which the first is
+    /// a letter or digit; `None` for another text.
+    pub fn parse(name: &str) -> Option<Self> {
+        let is_inner = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
+        let is_name = (1..=NAME_MAX).contains(&name.len())
+            && name.bytes().all(|byte| is_inner(byte) || byte == b'-' || byte == b'_')
+            && name.bytes().next().is_some_and(is_inner);
+        is_name.then(|| Self(name.into()))
+    }
+
+    /// The tenant of a name that is stored.
+    pub(crate) fn stored(name: &str) -> Self {
+        Self(name.into())
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether it is the operator's.
+    pub fn is_operator(&self) -> bool {
+        &*self.0 == OPERATOR
+    }
+}
+
+/// What a tenant may use; `None` for no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Quotas {
+    /// Sessions that are stored, open and closed.
+    pub sessions: Option<u64>,
+    /// Epochs a second, over ten seconds.
+    pub epochs_per_s: Option<f64>,
+    /// Processor time of the solvers a minute (s).
+    pub cpu_s_per_minute: Option<f64>,
+    /// Bytes of stored epochs and solutions, approximately.
+    pub stored_bytes: Option<u64>,
+}
+
+impl fmt::Display for Tenant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Debug for Tenant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", &*self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_short_and_plain() {
+        for name in ["default", "a", "7", "acme-2_b", &"x".repeat(63)] {
+            assert_eq!(Tenant::parse(name).unwrap().name(), name);
+        }
+        for text in ["", "-a", "_a", "A", "a b", "a/b", "ä", "a\n", &"x".repeat(64)] {
+            assert_eq!(Tenant::parse(text), None, "{text:?}");
+        }
+        assert!(Tenant::operator().is_operator());
+        assert!(!Tenant::parse("acme").unwrap().is_operator());
+    }
+}

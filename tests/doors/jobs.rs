@@ -1,0 +1,567 @@
+//! `/v1/jobs`: files in, a file of positions and a report out.
+
+use std::io::Write;
+use std::num::NonZero;
+use std::thread::available_parallelism;
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+use futures::{StreamExt, TryStreamExt, stream};
+use graphfix::app;
+use graphfix::config::{JobsConfiguration, ServiceConfiguration};
+use graphfix::contract::v1;
+use graphfix::grpc::v1::jobs_client::JobsClient;
+use graphfix::session::BatchTurn;
+use graphfix::store::{JobEnd, JobProgress, JobState, NewJob, Store};
+use graphfix::tenant::Tenant;
+use serde_json::{Value, json};
+use tokio::time::sleep;
+use tower::ServiceExt;
+
+use crate::support::casters::{BRISK, PATIENCE};
+use crate::support::database::{Database, on_both_databases, on_postgres};
+use crate::support::doors::{Doors, code};
+use crate::support::drive::DRIVE;
+use crate::support::jobs::{BOUNDARY, LONG, MINUTE, body};
+
+on_both_databases!(a_queue_gives_each_job_once, a_request_that_is_repeated_is_one_job);
+
+/// Longer than the interval at which a run stores its progress.
+const HEARTBEAT: Duration = Duration::from_millis(1100);
+
+async fn doors(change: impl FnOnce(&mut JobsConfiguration)) -> Doors {
+    let mut jobs = JobsConfiguration::standard();
+    change(&mut jobs);
+    Doors::with_jobs(jobs).await
+}
+
+/// Sends a body in chunks, as a network would.
+async fn post(doors: &Doors, content: Vec<u8>, headers: &[(&str, &str)]) -> (StatusCode, Value) {
+    let kind = format!("multipart/form-data; boundary={BOUNDARY}");
+    let mut request = Request::post("/v1/jobs").header("content-type", kind);
+    for (name, value) in headers {
+        request = request.header(*name, *value);
+    }
+    let chunks: Vec<_> = content.chunks(60_000).map(<[u8]>::to_vec).collect();
+    let chunks = stream::iter(chunks.into_iter().map(Ok::<_, std::io::Error>));
+    doors.ask(request.body(Body::from_stream(chunks)).unwrap()).await
+}
+
+pub(super) async fn created(doors: &Doors, content: Vec<u8>) -> String {
+    let (status, job) = post(doors, content, &[]).await;
+    assert_eq!(status, StatusCode::CREATED, "{job}");
+    job["job"].as_str().unwrap().to_owned()
+}
+
+/// The job once it has ended.
+async fn ended(doors: &Doors, job: &str) -> Value {
+    let is_end = |job: &Value| !["QUEUED", "RUNNING"].contains(&job["state"].as_str().unwrap());
+    doors.until(&format!("/v1/jobs/{job}"), is_end).await
+}
+
+async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
+    let request = Request::get(path).body(Body::empty()).unwrap();
+    let response = doors.router.clone().oneshot(request).await.unwrap();
+    let status = response.status();
+    (status, axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap().to_vec())
+}
+
+/// All turns of batch jobs: no job computes until they are dropped.
+pub(super) async fn all_turns(doors: &Doors) -> Vec<BatchTurn> {
+    let lane = doors.service.sessions().batch_lane();
+    let threads = available_parallelism().map_or(1, NonZero::get);
+    // One thread is left to others.
+    let turns = stream::iter(1..threads.max(2));
+    let operator = Tenant::operator();
+    turns.then(|_| lane.turn(&operator)).collect().await
+}
+
+/// Lets a job compute a turn at a time until its progress is seen. It stays there while the turns
+/// are held.
+pub(super) async fn held_midway(doors: &Doors, job: &str) -> (Vec<BatchTurn>, Value) {
+    for _ in 0..60 {
+        let turns = all_turns(doors).await;
+        sleep(HEARTBEAT).await;
+        let (_, job) = doors.get(&format!("/v1/jobs/{job}")).await;
+        if job["progress"]["epochs"].as_u64().is_some_and(|epochs| 0 < epochs) {
+            return (turns, job);
+        }
+    }
+    panic!("the job {job} does not run");
+}
+
+/// Number of files in the folder of jobs.
+fn files(doors: &Doors) -> usize {
+    let folder = doors.folder().join("test.db.jobs");
+    let inside = ["incoming", "inputs", "results"].map(|name| folder.join(name));
+    inside.iter().map(|folder| std::fs::read_dir(folder).unwrap().count()).sum()
+}
+
+#[tokio::test]
+async fn a_job_gives_the_bytes_of_solve() {
+    let doors = doors(|_| {}).await;
+    for (options, arguments, format) in [
+        (json!({}), &["--mode", "spp"][..], "pos"),
+        (
+            json!({"mode": "rtk-fgo", "smoothed": true, "format": "csv"}),
+            &["--mode", "rtk-fgo", "--smoothed"],
+            "csv",
+        ),
+        (
+            json!({"mode": "fgo", "batch": true, "format": "kml", "profile": "static",
+                "overrides": {"elevation_mask_deg": "12"}}),
+            &[
+                "--mode",
+                "fgo",
+                "--window",
+                "batch",
+                "--profile",
+                "static",
+                "--set",
+                "elevation_mask_deg=12",
+            ],
+            "kml",
+        ),
+    ] {
+        let job = created(&doors, MINUTE.body(&options)).await;
+        let ended = ended(&doors, &job).await;
+        assert_eq!(ended["state"], "SUCCEEDED", "{ended}");
+        assert_eq!(ended["progress"]["percent"], 100.0);
+        assert_eq!(ended["progress"]["epochs"], 61);
+        let (status, result) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
+        assert_eq!(status, StatusCode::OK);
+        assert_eq!(result, MINUTE.solved(arguments, format), "{options}");
+        assert_eq!(ended["resultBytes"], result.len());
+    }
+    let (_, list) = doors.get("/v1/jobs?pageSize=2").await;
+    assert_eq!(list["jobs"].as_array().unwrap().len(), 2, "{list}");
+    let token = list["nextPageToken"].as_str().unwrap();
+    let (_, rest) = doors.get(&format!("/v1/jobs?pageToken={token}")).await;
+    assert_eq!(rest["jobs"][0]["options"]["mode"], "spp", "{rest}");
+    // Three results, and the files of all three jobs once.
+    assert_eq!(files(&doors), 3 + 3);
+    assert_eq!(doors.service.budget().used(), 0);
+}
+
+#[tokio::test]
+async fn a_report_states_what_the_positions_rest_on() {
+    let doors = doors(|_| {}).await;
+    let marker = json!({"xM": -2_414_266.9, "yM": 5_386_768.9, "zM": 2_407_460.0});
+    let options = json!({"mode": "rtk-ekf", "basePosition": marker, "format": "geojson"});
+    let job = created(&doors, MINUTE.body(&options)).await;
+    let done = ended(&doors, &job).await;
+    assert_eq!(done["options"]["basePosition"], marker, "{done}");
+    assert_eq!(done["inputs"][0]["part"], "rover");
+    assert_eq!(done["inputs"][0]["name"], "a.file");
+    assert_eq!(done["inputs"][0]["bytes"], MINUTE.rover.len());
+    let (status, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
+    assert_eq!((status, &report["epochs"]), (StatusCode::OK, &json!(61)), "{report}");
+    let counted = report["statuses"].as_array().unwrap().iter();
+    assert_eq!(counted.map(|count| count["epochs"].as_u64().unwrap()).sum::<u64>(), 61);
+    let reasons = report["reasons"].as_array().unwrap();
+    let has_remedy = |reason: &Value| !reason["remedy"].as_str().unwrap().is_empty();
+    assert!(!reasons.is_empty() && reasons.iter().all(has_remedy), "{report}");
+    let lines = report["provenance"].to_string();
+    assert!(lines.contains("marker at -2414266.9000") && lines.contains("as given"), "{lines}");
+
+    // The same by the other door.
+    let mut client = JobsClient::new(doors.router.clone());
+    let request = v1::GetJobRequest { job: job.clone() };
+    let by_grpc = client.get(request.clone()).await.unwrap().into_inner();
+    assert_eq!(serde_json::to_value(&by_grpc).unwrap(), done);
+    let by_grpc = client.report(request.clone()).await.unwrap().into_inner();
+    assert_eq!(serde_json::to_value(&by_grpc).unwrap(), report);
+    let stream = client.result(request).await.unwrap().into_inner();
+    let chunks: Vec<_> = stream.map(|m| m.map(|m| m.content)).try_collect().await.unwrap();
+    let (_, by_rest) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
+    assert_eq!(chunks.concat(), by_rest);
+    let listed = client.list(v1::ListJobsRequest::default()).await.unwrap().into_inner();
+    assert_eq!(listed.jobs.len(), 1);
+    let cancelled = client.cancel(v1::CancelJobRequest { job }).await.unwrap().into_inner();
+    assert_eq!(cancelled.state, "SUCCEEDED", "an ended job stays as it is");
+}
+
+/// An upload by messages is the same request as one by parts.
+#[tokio::test]
+async fn grpc_creates_the_same_job() {
+    use v1::create_job_request::Content;
+    let doors = doors(|_| {}).await;
+    let named = [("idempotency-key", "both doors")];
+    let (status, by_rest) = post(&doors, MINUTE.body(&json!({"mode": "ekf"})), &named).await;
+    assert_eq!(status, StatusCode::CREATED, "{by_rest}");
+    let message = |content| v1::CreateJobRequest { content: Some(content) };
+    let file = |part: &str, content: &[u8]| {
+        let (part, name) = (part.to_owned(), "a.file".to_owned());
+        let begin = message(Content::Part(v1::JobPart { part, name }));
+        let chunks = content.chunks(50_000).map(|chunk| Content::Chunk(chunk.to_vec()));
+        std::iter::once(begin).chain(chunks.map(message)).collect::<Vec<_>>()
+    };
+    let mut messages = vec![message(Content::IdempotencyKey("both doors".to_owned()))];
+    messages.extend(file("rover", &MINUTE.rover));
+    let options = v1::JobOptions { mode: "ekf".to_owned(), ..Default::default() };
+    messages.push(message(Content::Options(options)));
+    messages.extend(file("navigation", &MINUTE.navigation));
+    messages.extend(file("base", &MINUTE.base));
+    let mut client = JobsClient::new(doors.router.clone());
+    let by_grpc = client.create(stream::iter(messages)).await.unwrap().into_inner();
+    assert_eq!(by_grpc.job, by_rest["job"]);
+    let done = ended(&doors, &by_grpc.job).await;
+    assert_eq!(done["state"], "SUCCEEDED", "{done}");
+
+    let early = vec![message(Content::Chunk(vec![1, 2, 3]))];
+    let refused = client.create(stream::iter(early)).await.unwrap_err();
+    assert!(refused.message().contains("bytes before the part"), "{refused}");
+    let without = vec![message(Content::Options(v1::JobOptions::default()))];
+    let refused = client.create(stream::iter(without)).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");
+    assert_eq!(doors.service.budget().used(), 0);
+}
+
+#[tokio::test]
+async fn inputs_are_told_by_their_content() {
+    let doors = doors(|_| {}).await;
+    let gzip = |content: &[u8]| {
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), Default::default());
+        packer.write_all(content).unwrap();
+        packer.finish().unwrap()
+    };
+    let (rover, navigation) = (gzip(&MINUTE.rover), gzip(&MINUTE.navigation));
+    let packed = body(&[("options", b"{}"), ("navigation", &navigation), ("rover", &rover)]);
+    let packed = created(&doors, packed).await;
+    let plain = created(&doors, MINUTE.body(&json!({}))).await;
+    for job in [&packed, &plain] {
+        assert_eq!(ended(&doors, job).await["state"], "SUCCEEDED");
+    }
+    let result = async |job: &str| bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await.1;
+    assert_eq!(result(&packed).await, result(&plain).await);
+}
+
+#[tokio::test]
+async fn a_repeated_request_is_the_same_job() {
+    let doors = doors(|_| {}).await;
+    let named = [("idempotency-key", "tuesday")];
+    let (status, first) = post(&doors, MINUTE.body(&json!({})), &named).await;
+    assert_eq!(status, StatusCode::CREATED, "{first}");
+    let (status, again) = post(&doors, MINUTE.body(&json!({})), &named).await;
+    assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]));
+    let (status, refused) = post(&doors, MINUTE.body(&json!({"mode": "ekf"})), &named).await;
+    assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "IDEMPOTENCY_CONFLICT"));
+    let (_, list) = doors.get("/v1/jobs").await;
+    assert_eq!(list["jobs"].as_array().unwrap().len(), 1, "{list}");
+}
+
+#[tokio::test]
+async fn what_is_no_job_is_refused_and_leaves_nothing() {
+    let doors = doors(|limits| {
+        limits.file_bytes = 300_000;
+        limits.files = 3;
+    })
+    .await;
+    let (rover, navigation) = (&MINUTE.rover[..], &MINUTE.navigation[..]);
+    let with = |options: &str| {
+        body(&[("rover", rover), ("navigation", navigation), ("options", options.as_bytes())])
+    };
+    let large = vec![b'x'; 300_001];
+    let mut cut = with("{}");
+    cut.truncate(cut.len() / 2);
+    let mut headless = format!("--{BOUNDARY}\r\nContent-Disposition: form-data; ").into_bytes();
+    headless.resize(3 << 20, b'x');
+    for (content, status, expected, field) in [
+        (body(&[("navigation", navigation)]), 400, "INVALID_FIELD", Some("rover")),
+        (body(&[("rover", rover)]), 400, "INVALID_FIELD", Some("navigation")),
+        (body(&[("rover", rover), ("truth", rover)]), 400, "UNKNOWN_FIELD", Some("truth")),
+        (
+            body(&[("rover", rover), ("rover", rover), ("navigation", navigation)]),
+            400,
+            "INVALID_FIELD",
+            Some("rover"),
+        ),
+        (
+            body(&[("rover", b""), ("navigation", b""), ("base", b""), ("base", b"")]),
+            413,
+            "JOB_TOO_LARGE",
+            Some("base"),
+        ),
+        (body(&[("rover", &large)]), 413, "JOB_TOO_LARGE", Some("rover")),
+        (with("{\"mode\": \"ppp\"}"), 400, "UNKNOWN_MODE", Some("options.mode")),
+        (with("{\"mode\": \"rtk-fgo\"}"), 400, "BASE_REQUIRED", Some("base")),
+        (with("{\"format\": \"shp\"}"), 400, "INVALID_FIELD", Some("options.format")),
+        (with("{\"batch\": true}"), 400, "INVALID_FIELD", Some("options.batch")),
+        (
+            with("{\"mode\": \"fgo\", \"batch\": true, \"smoothed\": true}"),
+            400,
+            "INVALID_FIELD",
+            Some("options.batch"),
+        ),
+        (
+            with("{\"overrides\": {\"window\": \"3\"}}"),
+            400,
+            "UNKNOWN_OPTION",
+            Some("options.overrides.window"),
+        ),
+        (with("{\"modus\": \"fgo\"}"), 400, "UNKNOWN_FIELD", Some("options.modus")),
+        (with("{"), 400, "MALFORMED_BODY", Some("options")),
+        (with(&" ".repeat(70_000)), 413, "JOB_TOO_LARGE", Some("options")),
+        (cut, 400, "MALFORMED_BODY", None),
+        (headless, 400, "MALFORMED_BODY", None),
+        (b"no boundary".to_vec(), 400, "MALFORMED_BODY", None),
+    ] {
+        let (answered, problem) = post(&doors, content, &[]).await;
+        let got = (answered.as_u16(), code(&problem), problem["field"].as_str());
+        assert_eq!(got, (status, expected, field), "{problem}");
+    }
+    let (status, problem) = doors.post("/v1/jobs", json!({})).await;
+    assert_eq!((status.as_u16(), code(&problem)), (415, "UNSUPPORTED_MEDIA_TYPE"));
+    assert_eq!(doors.get("/v1/jobs").await.1["jobs"], json!([]));
+    let job = format!("/v1/jobs/job_{}", "0".repeat(32));
+    for path in [&job, &format!("{job}/result"), "/v1/jobs/ses_1"] {
+        let (status, problem) = doors.get(path).await;
+        assert_eq!((status.as_u16(), code(&problem)), (404, "JOB_NOT_FOUND"), "{path}");
+    }
+    doors.service.jobs().remove_expired().await.unwrap();
+    // Files of refused uploads that were complete are removed once they are old, or at a restart.
+    let doors = doors.restarted().await;
+    assert_eq!(files(&doors), 0);
+    assert_eq!(doors.service.budget().used(), 0);
+}
+
+#[tokio::test]
+async fn a_failed_job_states_code_part_and_remedy() {
+    let doors = doors(|limits| limits.unpacked_bytes = 50_000_000).await;
+    let (rover, navigation) = (&MINUTE.rover[..], &MINUTE.navigation[..]);
+    let lines = format!("{:80}\n", "").repeat(400_000);
+    let bomb_after = |good: &[u8]| {
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+        packer.write_all(good).unwrap();
+        packer.write_all(lines.as_bytes()).unwrap();
+        let bomb = packer.finish().unwrap();
+        assert!(bomb.len() < lines.len() / 200, "{} bytes", bomb.len());
+        bomb
+    };
+    let cut = &rover[..rover.len() / 2];
+    let header = &rover[..rover.windows(13).position(|w| w == b"END OF HEADER").unwrap() + 14];
+    let (rover_bomb, navigation_bomb) = (bomb_after(header), bomb_after(navigation));
+    for (parts, expected, field) in [
+        (
+            [("rover", &b"no observations"[..]), ("navigation", navigation)],
+            "FILE_NOT_UNDERSTOOD",
+            "rover",
+        ),
+        (
+            [("rover", rover), ("navigation", b"no ephemerides")],
+            "FILE_NOT_UNDERSTOOD",
+            "navigation",
+        ),
+        ([("rover", &rover_bomb[..]), ("navigation", navigation)], "COMPRESSED_TOO_MUCH", "rover"),
+        (
+            [("rover", rover), ("navigation", &navigation_bomb[..])],
+            "COMPRESSED_TOO_MUCH",
+            "navigation",
+        ),
+        ([("rover", header), ("navigation", navigation)], "NO_EPOCHS", "rover"),
+    ] {
+        let job = created(&doors, body(&parts)).await;
+        let ended = ended(&doors, &job).await;
+        let failure = &ended["failure"];
+        assert_eq!(ended["state"], "FAILED", "{ended}");
+        assert_eq!((&failure["code"], &failure["field"]), (&json!(expected), &json!(field)));
+        assert!(!failure["remedy"].as_str().unwrap().is_empty(), "{failure}");
+        for call in ["result", "report"] {
+            let (status, problem) = doors.get(&format!("/v1/jobs/{job}/{call}")).await;
+            assert_eq!((status.as_u16(), code(&problem)), (409, "JOB_WITHOUT_RESULT"));
+        }
+    }
+    // Half a file gives its good half.
+    let job = created(&doors, body(&[("rover", cut), ("navigation", navigation)])).await;
+    let half = ended(&doors, &job).await;
+    assert_eq!(half["state"], "SUCCEEDED", "{half}");
+    assert!(half["progress"]["epochs"].as_u64().unwrap() < 61, "{half}");
+}
+
+#[tokio::test]
+async fn space_and_number_of_jobs_are_limited() {
+    let size = (MINUTE.rover.len() + MINUTE.navigation.len() + MINUTE.base.len()) as u64;
+    let small = doors(|limits| limits.total_bytes = size + 100).await;
+    let job = created(&small, MINUTE.body(&json!({}))).await;
+    let failed = ended(&small, &job).await;
+    assert_eq!(failed["failure"]["code"], "JOB_SPACE_EXHAUSTED", "{failed}");
+    let content = body(&[("rover", &LONG.rover[..]), ("navigation", &LONG.navigation)]);
+    let (status, refused) = post(&small, content, &[]).await;
+    assert_eq!((status.as_u16(), code(&refused)), (429, "JOB_SPACE_EXHAUSTED"), "{refused}");
+    assert!(refused["retryAfterMs"].is_u64(), "{refused}");
+
+    let short = doors(|limits| limits.run_s = 0).await;
+    let job = created(&short, MINUTE.body(&json!({}))).await;
+    let failed = ended(&short, &job).await;
+    assert_eq!(failed["failure"]["code"], "JOB_TOO_LONG", "{failed}");
+
+    let full = doors(|limits| limits.waiting = 1).await;
+    let turns = all_turns(&full).await;
+    let first = created(&full, LONG.body(&json!({"mode": "rtk-fgo"}))).await;
+    let (status, refused) = post(&full, MINUTE.body(&json!({})), &[]).await;
+    assert_eq!((status.as_u16(), code(&refused)), (429, "TOO_MANY_JOBS"), "{refused}");
+    full.send("DELETE", &format!("/v1/jobs/{first}"), json!({})).await;
+    drop(turns);
+    created(&full, MINUTE.body(&json!({}))).await;
+}
+
+#[tokio::test]
+async fn a_cancelled_job_ends_and_makes_room() {
+    let doors = doors(|_| {}).await;
+    let long = created(&doors, LONG.body(&json!({"mode": "rtk-fgo"}))).await;
+    let waiting = created(&doors, LONG.body(&json!({"mode": "rtk-ekf"}))).await;
+    let last = created(&doors, MINUTE.body(&json!({}))).await;
+    let (turns, running) = held_midway(&doors, &long).await;
+    assert_eq!(running["state"], "RUNNING");
+    assert!(running["progress"]["remainingS"].as_f64().is_some(), "{running}");
+    assert!(running["progress"]["percent"].as_f64().unwrap() < 100.0, "{running}");
+    let (status, problem) = doors.get(&format!("/v1/jobs/{long}/result")).await;
+    assert_eq!((status.as_u16(), code(&problem)), (409, "JOB_NOT_ENDED"));
+    for job in [&waiting, &long] {
+        let (status, ended) = doors.send("DELETE", &format!("/v1/jobs/{job}"), json!({})).await;
+        assert_eq!((status, &ended["state"]), (StatusCode::OK, &json!("CANCELLED")), "{ended}");
+    }
+    drop(turns);
+    // The one behind runs, so the cancelled ones have given their turn up.
+    assert_eq!(ended(&doors, &last).await["state"], "SUCCEEDED");
+    for job in [&waiting, &long] {
+        assert_eq!(ended(&doors, job).await["state"], "CANCELLED");
+    }
+}
+
+#[tokio::test]
+async fn a_job_that_a_restart_interrupts_begins_again() {
+    let first = doors(|_| {}).await;
+    let job = created(&first, LONG.body(&json!({"mode": "rtk-ekf"}))).await;
+    let (turns, running) = held_midway(&first, &job).await;
+    assert_eq!(running["state"], "RUNNING");
+    // A run that waits for its turn sees that the service stops when it has it.
+    let stopped = async {
+        sleep(HEARTBEAT).await;
+        drop(turns);
+    };
+    let (second, ()) = tokio::join!(first.restarted(), stopped);
+    let done = ended(&second, &job).await;
+    assert_eq!((&done["state"], &done["progress"]["epochs"]), (&json!("SUCCEEDED"), &json!(301)));
+    let (_, result) = bytes_of(&second, &format!("/v1/jobs/{job}/result")).await;
+    assert_eq!(result, LONG.solved(&["--mode", "rtk-ekf"], "pos"));
+    assert_eq!(files(&second), 4, "the result of the first run is left");
+}
+
+#[tokio::test]
+async fn an_ended_job_expires_with_its_files() {
+    let doors = doors(|limits| limits.keep_hours = 0).await;
+    let job = created(&doors, MINUTE.body(&json!({}))).await;
+    assert!(ended(&doors, &job).await["expiresUtc"].as_str().unwrap().ends_with('Z'));
+    let expired = async || {
+        doors.service.jobs().remove_expired().await.unwrap();
+        doors.get(&format!("/v1/jobs/{job}")).await.0
+    };
+    crate::support::wait::until("expired", expired, |status| *status == StatusCode::NOT_FOUND)
+        .await;
+    let doors = doors.restarted().await;
+    assert_eq!(files(&doors), 0);
+}
+
+/// A server's database has no folder beside it.
+#[tokio::test]
+async fn without_a_folder_no_job_is_taken() {
+    on_postgres(async |database| {
+        let configuration =
+            ServiceConfiguration { database: database.url, ..ServiceConfiguration::standard() };
+        let app = app::open(&configuration, PATIENCE, BRISK).await.unwrap();
+        let refused = app.service().jobs().upload().await.err().unwrap();
+        assert_eq!(refused.code().name(), "JOBS_OFF", "{refused}");
+        app.close().await;
+    })
+    .await;
+}
+
+/// The service's own ephemerides stand in for the part that is missing.
+#[tokio::test]
+async fn without_navigation_data_the_service_gives_its_own() {
+    let doors = doors(|_| {}).await;
+    let alone = || body(&[("rover", &MINUTE.rover[..])]);
+    let (status, refused) = post(&doors, alone(), &[]).await;
+    let got = (status.as_u16(), code(&refused), refused["field"].as_str());
+    assert_eq!(got, (400, "INVALID_FIELD", Some("navigation")), "{refused}");
+    let (status, _) = doors.upload("/v1/navigation", MINUTE.navigation.clone()).await;
+    assert_eq!(status, StatusCode::OK);
+    let named = [("idempotency-key", "alone")];
+    let (status, first) = post(&doors, alone(), &named).await;
+    assert_eq!(status, StatusCode::CREATED, "{first}");
+    let job = first["job"].as_str().unwrap();
+    let done = ended(&doors, job).await;
+    assert_eq!((&done["state"], &done["inputs"][1]["own"]), (&json!("SUCCEEDED"), &json!(true)));
+    assert_eq!(done["inputs"][0]["own"], false);
+    let (_, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
+    let said = report["provenance"].to_string();
+    assert!(said.contains("navigation: the service's own ephemerides"), "{said}");
+    let (_, own) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
+    assert_eq!(own, MINUTE.solved(&[], "pos"), "the same ephemerides");
+    // Other ephemerides since then make no other request of it.
+    doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
+    let (status, again) = post(&doors, alone(), &named).await;
+    assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
+}
+
+fn new_job(id: &str, key: Option<&str>) -> NewJob {
+    NewJob {
+        tenant: Tenant::operator(),
+        id: id.to_owned(),
+        request: "{}".to_owned(),
+        request_hash: "c0ffee".to_owned(),
+        idempotency_key: key.map(ToOwned::to_owned),
+        created_unix_ms: 0,
+    }
+}
+
+async fn a_queue_gives_each_job_once(database: Database) {
+    let (store, tenant): (Store, _) = (database.store().await, Tenant::operator());
+    for id in ["one", "two", "three"] {
+        assert!(store.create_job(&new_job(id, None)).await.unwrap().1);
+    }
+    let claim = async |now| store.claim_job(&tenant, "node", now, now - 100).await.unwrap();
+    let (a, b) = tokio::join!(claim(1000), claim(1000));
+    let (first, second) = (a.unwrap(), b.unwrap());
+    assert_ne!(first.id, second.id);
+    let third = claim(1000).await.unwrap();
+    assert!(claim(1000).await.is_none());
+    let progress = JobProgress { epochs: 7, answered: 5, read_bytes: 11 };
+    assert!(store.beat_job(first.key, first.fence, progress, 1150).await.unwrap());
+    assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().progress, progress);
+    assert_eq!(store.waiting_jobs().await.unwrap(), 3);
+
+    // The second and the third are silent; the first has a younger heartbeat.
+    let again = [claim(1200).await.unwrap(), claim(1200).await.unwrap()];
+    assert!(claim(1200).await.is_none());
+    assert_eq!(again.each_ref().map(|row| row.fence), [2, 2]);
+    assert!(!store.beat_job(second.key, second.fence, progress, 1200).await.unwrap());
+    let succeeded = JobEnd::Succeeded { result: "r".to_owned(), bytes: 3, report: "{}".to_owned() };
+    for (row, is_ended) in [(&third, false), (&again[1], true), (&again[1], false)] {
+        let ended = store.end_job(row.key, row.fence, &succeeded, progress, 1300).await.unwrap();
+        assert_eq!(ended, is_ended, "{row:?}");
+    }
+    // A cancelled job takes no end.
+    assert!(store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
+    assert!(!store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
+    assert!(!store.end_job(first.key, first.fence, &succeeded, progress, 1300).await.unwrap());
+    assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().state, JobState::Cancelled);
+    assert_eq!(store.requeue_jobs().await.unwrap(), 1);
+    let page = store.jobs(&tenant, 2, None).await.unwrap();
+    assert_eq!(page.items.len(), 2);
+    let rest = store.jobs(&tenant, 2, page.next_page_token.as_deref()).await.unwrap();
+    assert_eq!((rest.items.len(), rest.next_page_token), (1, None));
+    assert_eq!(store.delete_jobs(1301).await.unwrap(), 2);
+    assert_eq!(store.job_files().await.unwrap(), [("{}".to_owned(), None)]);
+    store.close().await;
+}
+
+async fn a_request_that_is_repeated_is_one_job(database: Database) {
+    let store = database.store().await;
+    let create = async |id: &str| store.create_job(&new_job(id, Some("key"))).await.unwrap();
+    let (a, b) = tokio::join!(create("one"), create("two"));
+    assert_eq!((a.0.id == b.0.id, a.1 != b.1), (true, true), "{a:?} {b:?}");
+    store.close().await;
+}

@@ -1,0 +1,135 @@
+//! `/metrics`: what it counts, in a format that others read, and under names that the alert rules
+//! and the dashboard for Grafana use.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+use serde_json::json;
+use tower::ServiceExt;
+
+use crate::support::doors::{Doors, epoch};
+use crate::support::python;
+
+async fn page(doors: &Doors) -> String {
+    let request = Request::get("/metrics").body(Body::empty()).unwrap();
+    let response = doors.router.clone().oneshot(request).await.unwrap();
+    assert_eq!(response.status(), StatusCode::OK);
+    let kind = response.headers()["content-type"].to_str().unwrap();
+    assert!(kind.starts_with("application/openmetrics-text; version=1.0.0"), "{kind}");
+    let body = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
+    String::from_utf8(body.to_vec()).unwrap()
+}
+
+/// Values of the lines by their name and labels, without the label of the node.
+fn values(page: &str) -> BTreeMap<String, f64> {
+    let lines = page.lines().filter(|line| !line.starts_with('#'));
+    let value = |line: &str| {
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        (without_node(name), value.parse().unwrap())
+    };
+    lines.map(value).collect()
+}
+
+fn without_node(name: &str) -> String {
+    let Some((name, labels)) = name.split_once('{') else { return name.to_owned() };
+    let labels = labels.trim_end_matches('}').split(',').filter(|l| !l.starts_with("node="));
+    let labels: Vec<&str> = labels.collect();
+    if labels.is_empty() { name.to_owned() } else { format!("{name}{{{}}}", labels.join(",")) }
+}
+
+#[tokio::test]
+async fn epochs_stages_commits_and_requests_are_counted() {
+    let doors = Doors::open().await;
+    let before = values(&page(&doors).await);
+    assert_eq!(before["graphfix_epochs_total{status=\"NONE\"}"], 0.0);
+    let session = doors.session().await;
+    let push = json!({ "epochs": [epoch(1), epoch(2), epoch(2)] });
+    doors.post(&format!("/v1/sessions/{session}/epochs"), push).await;
+    doors.get("/v1/nothing").await;
+    let after = values(&page(&doors).await);
+    let rise = |name: &str| after[name] - before.get(name).unwrap_or(&0.0);
+    for (name, expected) in [
+        ("graphfix_epochs_total{status=\"NONE\"}", 2.0),
+        ("graphfix_epochs_total{status=\"FIXED\"}", 0.0),
+        ("graphfix_stage_seconds_count{stage=\"waiting\"}", 1.0),
+        ("graphfix_stage_seconds_count{stage=\"solving\"}", 1.0),
+        ("graphfix_stage_seconds_count{stage=\"committing\"}", 1.0),
+        ("graphfix_commits_total", 1.0),
+        ("graphfix_commit_epochs_sum", 2.0),
+        ("graphfix_requests_total{door=\"rest\",outcome=\"refused\"}", 1.0),
+        ("graphfix_requests_total{door=\"rest\",outcome=\"failed\"}", 0.0),
+        ("graphfix_restores_total", 1.0),
+        ("graphfix_sessions_in_memory", 1.0),
+    ] {
+        assert_eq!(rise(name), expected, "{name}");
+    }
+    // The session, the push and the first page of metrics itself.
+    assert_eq!(rise("graphfix_requests_total{door=\"rest\",outcome=\"answered\"}"), 3.0);
+    assert_eq!(after["graphfix_committer_working"], 1.0);
+    assert!(after["process_resident_memory_bytes"] > 1e6);
+    assert!(after["graphfix_stage_seconds_sum{stage=\"committing\"}"] > 0.0);
+}
+
+/// The parser of Prometheus's own Python client takes the page.
+#[tokio::test]
+async fn a_foreign_parser_reads_the_page() {
+    let Some(python) = python::with("prometheus_client") else { return };
+    let doors = Doors::open().await;
+    let script = "import sys\n\
+                  from prometheus_client.openmetrics.parser import text_string_to_metric_families\n\
+                  families = list(text_string_to_metric_families(sys.stdin.read()))\n\
+                  print(' '.join(sorted(family.name for family in families)))";
+    let mut command = Command::new(python);
+    command.args(["-c", script]).stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut child = command.stderr(Stdio::inherit()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(page(&doors).await.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success());
+    let names = String::from_utf8(output.stdout).unwrap();
+    for name in ["graphfix_build", "graphfix_epochs", "graphfix_stage_seconds", "process_cpu"] {
+        assert!(names.split_whitespace().any(|found| found.starts_with(name)), "{names}");
+    }
+}
+
+/// Names of meters in a text: those of this service, and those of the process.
+fn named(text: &str) -> BTreeSet<String> {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+    let is_meter = |word: &&str| word.starts_with("graphfix_") || word.starts_with("process_");
+    words.filter(is_meter).map(str::to_owned).collect()
+}
+
+#[tokio::test]
+async fn rules_and_dashboard_name_what_is_there() {
+    let doors = Doors::open().await;
+    doors.session().await;
+    let push = json!({ "epochs": [epoch(1)] });
+    let session = doors.session().await;
+    doors.post(&format!("/v1/sessions/{session}/epochs"), push).await;
+    let lines = page(&doors).await;
+    let there: BTreeSet<String> = values(&lines)
+        .into_keys()
+        .map(|name| name.split('{').next().unwrap_or_default().to_owned())
+        .collect();
+    let rules = include_str!("../../docs/alerts.yml");
+    let dashboard = include_str!("../../docs/grafana.json");
+    for (text, least) in [(rules, 10), (dashboard, 25)] {
+        let named = named(text);
+        assert!(least <= named.len(), "{named:?}");
+        let missing: Vec<_> = named.difference(&there).collect();
+        assert!(missing.is_empty(), "{missing:?} are not on the page");
+    }
+    // Every rule has its section, and the operator's manual explains every meter.
+    let manual = include_str!("../../docs/operations.md");
+    for rule in rules.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")) {
+        assert!(manual.contains(&format!("### {rule}\n")), "{rule} has no section");
+        let link = format!("docs/operations.md#{}", rule.to_lowercase());
+        assert!(rules.contains(&link), "{link}");
+    }
+    for name in there.iter().filter(|name| !name.ends_with("_sum") && !name.ends_with("_count")) {
+        let name = name.trim_end_matches("_bucket");
+        assert!(manual.contains(&format!("`{name}`")), "{name} is not explained");
+    }
+}

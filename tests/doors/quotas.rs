@@ -1,0 +1,155 @@
+//! Quotas of tenants: refused by code, limit and delay, in force at once, counted by tenant.
+
+use std::process::Command;
+
+use axum::http::StatusCode;
+use graphfix::contract::v1;
+use graphfix::grpc::code_of;
+use graphfix::grpc::v1::sessions_client::SessionsClient;
+use serde_json::{Value, json};
+use tonic::Code as Status;
+use tonic::service::interceptor::InterceptedService;
+use tonic_types::StatusExt;
+
+use crate::support::database::{Database, on_both_databases};
+use crate::support::doors::{Doors, epoch};
+use crate::support::wait::until;
+
+use super::tenants::world::{Key, asked, get, key_of, operator, session};
+
+on_both_databases!(
+    a_tenant_has_no_more_sessions_than_its_quota,
+    epochs_are_refused_by_each_quota,
+    the_operator_sets_quotas_beside_the_service,
+);
+
+async fn set(doors: &Doors, operator: &Key, tenant: &str, quotas: Value) {
+    let path = format!("/v1/tenants/{tenant}");
+    let (status, answer) = asked(doors, operator, "PUT", &path, json!({"quotas": quotas})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    for (name, quota) in answer["quotas"].as_object().unwrap() {
+        assert_eq!(quota, &quotas[name], "{name}");
+    }
+}
+
+async fn a_tenant_has_no_more_sessions_than_its_quota(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let (a, b) =
+        (key_of(&doors, &operator, "a", "").await, key_of(&doors, &operator, "b", "").await);
+    set(&doors, &operator, "a", json!({"sessions": 2})).await;
+    let first = session(&doors, &a, json!({})).await;
+    session(&doors, &a, json!({})).await;
+    let (status, refused) = asked(&doors, &a, "POST", "/v1/sessions", json!({})).await;
+    assert_eq!(status, StatusCode::TOO_MANY_REQUESTS);
+    assert_eq!(refused["code"], "SESSION_QUOTA_EXCEEDED");
+    assert!(refused["detail"].as_str().unwrap().contains("quota is 2"), "{refused}");
+    assert!(refused["retryAfterMs"].is_u64(), "{refused}");
+    let secret = a.secret.clone();
+    let bearer = move |mut request: tonic::Request<()>| {
+        request.metadata_mut().insert("authorization", format!("Bearer {secret}").parse().unwrap());
+        Ok(request)
+    };
+    let wire = InterceptedService::new(doors.router.clone(), bearer);
+    let create = v1::CreateSessionRequest::default();
+    let status = SessionsClient::new(wire).create(create).await.unwrap_err();
+    assert_eq!(status.code(), Status::ResourceExhausted);
+    assert_eq!(code_of(&status).as_deref(), Some("SESSION_QUOTA_EXCEEDED"));
+    assert!(status.get_error_details().retry_info().is_some());
+    session(&doors, &b, json!({})).await;
+
+    let doors = doors.restarted().await;
+    let (status, _) = asked(&doors, &a, "POST", "/v1/sessions", json!({})).await;
+    assert_eq!(status, StatusCode::TOO_MANY_REQUESTS, "the quota is stored");
+    let purge = format!("/v1/sessions/{first}?purge=true");
+    assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
+    session(&doors, &a, json!({})).await;
+    assert_eq!(get(&doors, &a, "/v1/tenants/a").await["used"]["sessions"], 2);
+    doors.close().await;
+}
+
+async fn epochs_are_refused_by_each_quota(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let (a, b) =
+        (key_of(&doors, &operator, "a", "").await, key_of(&doors, &operator, "b", "").await);
+    let (of_a, of_b) = (session(&doors, &a, json!({})).await, session(&doors, &b, json!({})).await);
+    let mut seq = 0;
+    let mut push = async |key: &Key, session: &str| {
+        seq += 1;
+        let path = format!("/v1/sessions/{session}/epochs");
+        let (status, answer) =
+            asked(&doors, key, "POST", &path, json!({"epochs": [epoch(seq)]})).await;
+        let code = answer["code"].as_str().unwrap_or_default().to_owned();
+        assert_eq!(status == StatusCode::TOO_MANY_REQUESTS, answer["retryAfterMs"].is_u64());
+        (status, code)
+    };
+    let taken = (StatusCode::OK, String::new());
+    assert_eq!(push(&a, &of_a).await, taken);
+    for (quotas, code) in [
+        (json!({"epochsPerS": 0.0}), "EPOCH_QUOTA_EXCEEDED"),
+        (json!({"cpuSPerMinute": 0.0}), "CPU_QUOTA_EXCEEDED"),
+        (json!({"storedBytes": 1}), "STORAGE_QUOTA_EXCEEDED"),
+    ] {
+        set(&doors, &operator, "a", quotas).await;
+        let refused = (StatusCode::TOO_MANY_REQUESTS, code.to_owned());
+        assert_eq!(push(&a, &of_a).await, refused);
+        assert_eq!(push(&b, &of_b).await, taken, "of another tenant");
+        let raw = format!("/v1/sessions/{of_a}/raw?offset=0");
+        let answer = super::tenants::world::uploaded(&doors, &a, &raw, &[0xb5, 0x62]).await;
+        assert_eq!(answer.refusal.unwrap().0, code);
+        let solve = json!({"mode": "spp"});
+        let path = format!("/v1/sessions/{of_a}:solve");
+        let (status, answer) = asked(&doors, &a, "POST", &path, solve).await;
+        let is_of_cpu = code == "CPU_QUOTA_EXCEEDED";
+        assert_eq!(status == StatusCode::TOO_MANY_REQUESTS, is_of_cpu, "{answer}");
+        set(&doors, &operator, "a", json!({})).await;
+        assert_eq!(push(&a, &of_a).await, taken);
+    }
+    let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
+    assert!(0.0 < used["cpuSPerMinute"].as_f64().unwrap(), "{used}");
+    assert!(used["storedBytes"].as_u64().unwrap() > 100, "{used}");
+    let purge = format!("/v1/sessions/{of_a}?purge=true");
+    assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
+    let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
+    assert_eq!(used["storedBytes"].as_u64().unwrap_or(0), 0, "{used}");
+    doors.close().await;
+}
+
+async fn the_operator_sets_quotas_beside_the_service(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let a = key_of(&doors, &operator, "a", "").await;
+    key_of(&doors, &operator, "b", "").await;
+    let tenants = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        command.args(["tenants", "--database", &database.url]).args(arguments).output().unwrap()
+    };
+    let set = tenants(&["set", "a", "--sessions", "0", "--epochs-per-s", "2.5"]);
+    assert!(set.status.success(), "{set:?}");
+    let create = async || asked(&doors, &a, "POST", "/v1/sessions", json!({})).await.0;
+    until("in force", create, |status| *status == StatusCode::TOO_MANY_REQUESTS).await;
+    let listed = String::from_utf8(tenants(&["list"]).stdout).unwrap();
+    let names: Vec<&str> = listed.lines().map(|line| line.split(':').next().unwrap()).collect();
+    assert_eq!(names, ["a", "b", "default"]);
+    assert!(listed.contains("of 0") && listed.contains("2.5 epochs a second"), "{listed}");
+    assert!(!tenants(&["set", "no/name"]).status.success());
+    assert!(!tenants(&["set", "a", "--epochs-per-s", "-1"]).status.success());
+
+    let names = async |key: &Key, path: &str| {
+        let page = get(&doors, key, path).await;
+        let tenants = page["tenants"].as_array().unwrap().clone();
+        tenants.iter().map(|t| t["tenant"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&operator, "/v1/tenants?pageSize=2").await, ["a", "b"]);
+    assert_eq!(names(&operator, "/v1/tenants?pageToken=b").await, ["default"]);
+    assert_eq!(names(&a, "/v1/tenants").await, ["a"]);
+    for (key, name) in [(&a, "b"), (&operator, "nobody")] {
+        let path = format!("/v1/tenants/{name}");
+        let (status, answer) = asked(&doors, key, "GET", &path, Value::Null).await;
+        assert_eq!((status, &answer["code"]), (StatusCode::NOT_FOUND, &json!("TENANT_NOT_FOUND")));
+    }
+    let negative = json!({"quotas": {"epochsPerS": -1.0}});
+    let (status, answer) = asked(&doors, &operator, "PUT", "/v1/tenants/a", negative).await;
+    assert_eq!((status, &answer["field"]), (StatusCode::BAD_REQUEST, &json!("quotas.epochsPerS")));
+}

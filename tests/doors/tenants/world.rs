@@ -1,0 +1,218 @@
+//! A service with tenants, and what one of them has.
+
+use std::collections::BTreeMap;
+
+use axum::body::Body;
+use axum::http::{Request, StatusCode, header};
+use graphfix::aiding::bases::BaseId;
+use graphfix::grpc::code_of;
+use graphfix::jobs::JobId;
+use graphfix::keys::KeyId;
+use graphfix::session::SessionId;
+use http_body_util::BodyExt;
+use serde_json::{Value, json};
+use tonic::Status;
+use tonic_types::StatusExt;
+use tower::ServiceExt;
+
+use crate::support::doors::{Doors, epoch};
+use crate::support::jobs::MINUTE;
+use crate::support::wait::until;
+
+use super::cases::{Things, posted_job};
+
+/// In every text that the tenant gives, and in no other.
+pub(in crate::doors) const MARK: &str = "mark-of-the-other-tenant";
+/// The name of the request of the tenant's job.
+const REQUEST: &str = "nightly";
+
+/// A key of a tenant.
+#[derive(Clone)]
+pub(in crate::doors) struct Key {
+    pub(in crate::doors) id: String,
+    pub(in crate::doors) secret: String,
+}
+
+/// The answer to a request, as far as it does not change by itself.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::doors) struct Answer {
+    pub(in crate::doors) status: StatusCode,
+    /// The code and details of a refusal.
+    pub(in crate::doors) refusal: Option<(String, BTreeMap<String, String>)>,
+    pub(in crate::doors) text: String,
+}
+
+/// Sends a request with a key.
+pub(in crate::doors) async fn sent(doors: &Doors, key: &Key, mut request: Request<Body>) -> Answer {
+    let bearer = format!("Bearer {}", key.secret).parse().unwrap();
+    request.headers_mut().insert(header::AUTHORIZATION, bearer);
+    let response = doors.router.clone().oneshot(request).await.unwrap();
+    let (parts, body) = response.into_parts();
+    let collected = body.collect().await.unwrap();
+    let trailers = collected.trailers().cloned().unwrap_or_default();
+    let text = String::from_utf8_lossy(&collected.to_bytes()).into_owned();
+    let status = Status::from_header_map(&parts.headers);
+    let status = status.or_else(|| Status::from_header_map(&trailers));
+    if let Some(status) = status.filter(|status| status.code() != tonic::Code::Ok) {
+        let details = status.get_details_error_info().map(|info| info.metadata);
+        let details = details.unwrap_or_default().into_iter().collect();
+        let code = code_of(&status).unwrap_or_default();
+        let text = text + status.message();
+        return Answer { status: parts.status, refusal: Some((code, details)), text };
+    }
+    let problem: Value = serde_json::from_str(&text).unwrap_or_default();
+    let refusal = problem["code"].as_str().map(|code| (code.to_owned(), BTreeMap::new()));
+    Answer { status: parts.status, refusal, text }
+}
+
+pub(in crate::doors) async fn asked(
+    doors: &Doors,
+    key: &Key,
+    method: &str,
+    path: &str,
+    body: Value,
+) -> (StatusCode, Value) {
+    let request = Request::builder().method(method).uri(path);
+    let request = request.header("content-type", "application/json");
+    let Answer { status, text, .. } =
+        sent(doors, key, request.body(Body::from(body.to_string())).unwrap()).await;
+    (status, serde_json::from_str(&text).unwrap_or(Value::String(text)))
+}
+
+pub(in crate::doors) async fn get(doors: &Doors, key: &Key, path: &str) -> Value {
+    let (status, answer) = asked(doors, key, "GET", path, Value::Null).await;
+    assert_eq!(status, StatusCode::OK, "{path}: {answer}");
+    answer
+}
+
+pub(in crate::doors) async fn uploaded(
+    doors: &Doors,
+    key: &Key,
+    path: &str,
+    content: &[u8],
+) -> Answer {
+    let request = Request::post(path).header("content-type", "application/octet-stream");
+    sent(doors, key, request.body(Body::from(content.to_vec())).unwrap()).await
+}
+
+/// A key with all rights of the operator, the first of the service.
+pub(in crate::doors) async fn operator(doors: &Doors) -> Key {
+    let none = Key { id: String::new(), secret: String::new() };
+    let rights = json!({"rights": ["device", "read", "operate", "admin"]});
+    created_key(asked(doors, &none, "POST", "/v1/keys", rights).await)
+}
+
+/// A key with all rights of a tenant.
+pub(in crate::doors) async fn key_of(
+    doors: &Doors,
+    operator: &Key,
+    tenant: &str,
+    label: &str,
+) -> Key {
+    let rights = ["device", "read", "operate", "admin"];
+    let new = json!({"rights": rights, "tenant": tenant, "label": label});
+    created_key(asked(doors, operator, "POST", "/v1/keys", new).await)
+}
+
+fn created_key((status, answer): (StatusCode, Value)) -> Key {
+    assert_eq!(status, StatusCode::CREATED, "{answer}");
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    Key { id: text(&answer["key"]["key"]), secret: text(&answer["secret"]) }
+}
+
+pub(in crate::doors) async fn session(doors: &Doors, key: &Key, new: Value) -> String {
+    let (status, session) = asked(doors, key, "POST", "/v1/sessions", new).await;
+    assert_eq!(status, StatusCode::CREATED, "{session}");
+    session["session"].as_str().unwrap().to_owned()
+}
+
+pub(in crate::doors) async fn base(doors: &Doors, key: &Key, new: Value) -> String {
+    let (status, base) = asked(doors, key, "POST", "/v1/bases", new).await;
+    assert_eq!(status, StatusCode::CREATED, "{base}");
+    base["base"].as_str().unwrap().to_owned()
+}
+
+/// A marker on the ground.
+pub(in crate::doors) fn marker() -> Value {
+    json!({"xM": -2_414_266.9, "yM": 5_386_768.9, "zM": 2_407_460.0})
+}
+
+/// Lets a tenant have something of everything.
+pub(in crate::doors) async fn furnished(doors: &Doors, key: &Key, tenant: &str) -> Things {
+    let uploaded = uploaded(doors, key, "/v1/navigation", &MINUTE.navigation).await;
+    assert_eq!(uploaded.status, StatusCode::OK, "{}", uploaded.text);
+    let session = session(doors, key, json!({"label": MARK})).await;
+    let push = json!({"epochs": [epoch(1), epoch(2), epoch(3)]});
+    let path = format!("/v1/sessions/{session}/epochs");
+    let (status, answer) = asked(doors, key, "POST", &path, push).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let base = base(doors, key, json!({"label": MARK, "marker": marker()})).await;
+    let push = json!({"epochs": [epoch(1), epoch(2)]});
+    let (status, answer) =
+        asked(doors, key, "POST", &format!("/v1/bases/{base}/epochs"), push).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let posted = sent(doors, key, posted_job(REQUEST)).await;
+    assert_eq!(posted.status, StatusCode::CREATED, "{}", posted.text);
+    let job: Value = serde_json::from_str(&posted.text).unwrap();
+    let job = job["job"].as_str().unwrap().to_owned();
+    let state = async || get(doors, key, &format!("/v1/jobs/{job}")).await["state"].clone();
+    until("the job", state, |state| *state == "SUCCEEDED").await;
+    let (tenant, request) = (tenant.to_owned(), REQUEST.to_owned());
+    Things { session, base, job, key: key.id.clone(), tenant, request }
+}
+
+/// Things that nobody has.
+pub(in crate::doors) fn absent() -> Things {
+    Things {
+        session: SessionId::random().to_string(),
+        base: BaseId::random().to_string(),
+        job: JobId::random().to_string(),
+        key: KeyId::random().to_string(),
+        tenant: "nobody".to_owned(),
+        request: "another".to_owned(),
+    }
+}
+
+/// Everything that a tenant sees of what it has, without what changes with time.
+pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec<(String, Value)> {
+    let Things { session, base, job, .. } = of;
+    let (session, job) = (format!("/v1/sessions/{session}"), format!("/v1/jobs/{job}"));
+    let paths = [
+        "/v1/sessions".to_owned(),
+        "/v1/sessions:heads".to_owned(),
+        session.clone(),
+        format!("{session}/solutions?revisions=all"),
+        format!("{session}/solutions:series"),
+        format!("{session}/epochs/1"),
+        format!("{session}/track.csv"),
+        "/v1/bases".to_owned(),
+        format!("/v1/bases/{base}"),
+        "/v1/jobs".to_owned(),
+        job.clone(),
+        format!("{job}/report"),
+        format!("{job}/result"),
+        "/v1/keys".to_owned(),
+        "/v1/navigation".to_owned(),
+    ];
+    let mut seen = Vec::new();
+    for path in paths {
+        let mut answer = get(doors, key, &path).await;
+        settle(&mut answer);
+        seen.push((path, answer));
+    }
+    seen
+}
+
+/// Removes what changes with time.
+fn settle(value: &mut Value) {
+    match value {
+        Value::Object(fields) => {
+            for passing in ["ageS", "nowUtc", "lastUsedUtc"] {
+                fields.remove(passing);
+            }
+            fields.values_mut().for_each(settle);
+        }
+        Value::Array(items) => items.iter_mut().for_each(settle),
+        _ => {}
+    }
+}

@@ -1,0 +1,76 @@
+//! Batch jobs through `kill -9`, as curl uploads them: none is lost, none has two results.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::support::database::{Database, on_both_databases};
+use crate::support::jobs::LONG;
+use crate::support::server::{Server, free_port, opened};
+use crate::support::wait::until;
+
+on_both_databases!(jobs_outlive_kill_9);
+
+fn curl(arguments: &[&str]) -> Option<Vec<u8>> {
+    let output = Command::new("curl").args(["--silent", "--fail"]).args(arguments).output();
+    let output = output.expect("curl is installed");
+    output.status.success().then_some(output.stdout)
+}
+
+fn json(arguments: &[&str]) -> Value {
+    curl(arguments).and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
+}
+
+/// A service whose jobs are in `folder`, once it answers.
+async fn started(database: &Database, folder: &Path, port: u16) -> Server {
+    let configuration = folder.join("graphfix.toml");
+    let jobs = folder.join("jobs");
+    std::fs::write(&configuration, format!("[jobs]\nfolder = \"{}\"\n", jobs.display())).unwrap();
+    let server = Server::start_with(&database.url, port, |command| {
+        command.arg("--config").arg(&configuration);
+    });
+    opened(&server.channel(), None).await;
+    server
+}
+
+async fn jobs_outlive_kill_9(database: Database) {
+    let folder = tempfile::tempdir().unwrap();
+    let [rover, navigation, base] = LONG.write(folder.path());
+    let port = free_port();
+    let url = format!("http://127.0.0.1:{port}/v1/jobs");
+    let mut server = started(&database, folder.path(), port).await;
+    let file = |part: &str, path: &Path| format!("{part}=@{}", path.display());
+    let parts = [file("rover", &rover), file("navigation", &navigation), file("base", &base)];
+    let create = |mode: &str| {
+        let options = format!("options={{\"mode\": \"{mode}\"}}");
+        let [rover, navigation, base] = &parts;
+        let job = json(&["-F", rover, "-F", navigation, "-F", base, "-F", &options, &url]);
+        job["job"].as_str().unwrap_or_else(|| panic!("{job}")).to_owned()
+    };
+    let jobs = [create("rtk-ekf"), create("spp")];
+    let first = format!("{url}/{}", jobs[0]);
+    for kill in 0..2 {
+        let runs = |job: &Value| job["progress"]["epochs"].as_u64().is_some_and(|e| 0 < e);
+        until("running", async || json(&[&first]), runs).await;
+        server.kill();
+        eprintln!("kill {kill}");
+        server = started(&database, folder.path(), port).await;
+    }
+    for (job, mode) in jobs.iter().zip(["rtk-ekf", "spp"]) {
+        let path = format!("{url}/{job}");
+        let ended = until(
+            "ended",
+            async || json(&[&path]),
+            |job: &Value| {
+                job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
+            },
+        );
+        let ended = ended.await;
+        assert_eq!(ended["state"], "SUCCEEDED", "{ended}");
+        let result = curl(&[&format!("{path}/result")]).unwrap();
+        assert_eq!(result, LONG.solved(&["--mode", mode], "pos"));
+    }
+    let results = std::fs::read_dir(folder.path().join("jobs/results")).unwrap().count();
+    assert_eq!(results, 2, "results of interrupted runs are left");
+}

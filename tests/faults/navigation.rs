@@ -1,0 +1,102 @@
+//! The navigation data in memory are those that are stored, whatever becomes of a push; and replay
+//! gets what was in force.
+
+use futures::poll;
+use graphfix::aiding::{AidingDesk, AidingLimits, UPLOAD, device};
+use graphfix::gnss::{Ephemeris, KlobucharCoefficients, Navigation};
+
+use crate::support::database::{Database, on_both_databases};
+use crate::support::drive::DRIVE;
+use crate::support::wait::until;
+
+on_both_databases!(
+    past_navigation_data_are_those_that_were_in_force,
+    a_push_whose_caller_has_gone_is_known,
+    a_push_that_was_not_confirmed_becomes_known,
+);
+
+const OPERATOR: &str = "https://archive.example/brdc.rnx";
+const BASE: &str = "base ntrip://caster.example/BASE";
+
+async fn desk(database: &Database) -> AidingDesk {
+    AidingDesk::open(database.store().await, AidingLimits::service()).await.unwrap()
+}
+
+/// Ephemerides of some satellites, later than those of the drive by so much that those of different
+/// numbers do not contradict each other, and with every fourth number coefficients.
+fn later(number: u32) -> Navigation {
+    let mut later = Navigation::default();
+    for (index, (_, list)) in DRIVE.navigation.satellites().enumerate() {
+        let Ephemeris::Keplerian(mut orbit) = list[0].clone() else { continue };
+        if index as u32 % 5 == number % 5 {
+            let shift_s = 20_000.0 * f64::from(number);
+            (orbit.toe, orbit.toc) = (orbit.toe + shift_s, orbit.toc + shift_s);
+            later.insert(Ephemeris::Keplerian(orbit));
+        }
+    }
+    if number.is_multiple_of(4) {
+        let alpha = [1e-8 * f64::from(number), 0.0, 0.0, 0.0];
+        later.klobuchar_gps = Some(KlobucharCoefficients { alpha, beta: [9e4, 0.0, 0.0, 0.0] });
+    }
+    later
+}
+
+/// A desk that begins anew gets the data after each push, in any order of pushes, as they were for
+/// a device with data of its own and for one without.
+async fn past_navigation_data_are_those_that_were_in_force(database: Database) {
+    let (live, devices) = (desk(&database).await, [device("A"), device("B"), device("none")]);
+    let mut expected = Vec::new();
+    let sources = [&*devices[0], UPLOAD, &*devices[1], OPERATOR, &*devices[0], &*devices[1], BASE];
+    for (round, source) in (0..60).zip(sources.into_iter().cycle()) {
+        live.navigation.push(later(round / 2), source).await.unwrap();
+        let current = devices.each_ref().map(|device| live.navigation.current_for(device));
+        if expected.len() < current[0].push as usize {
+            expected.push(current);
+        }
+    }
+    assert!(20 < expected.len(), "{}", expected.len());
+    let own = expected.iter().filter(|[a, _, none]| a.navigation != none.navigation).count();
+    assert!(3 < own, "a device had data of its own after {own} pushes");
+    let again = desk(&database).await;
+    let count = expected.len();
+    for index in (0..2 * count).map(|index| index * 17 % count) {
+        for (device, then) in devices.iter().zip(&expected[index]) {
+            let known = again.navigation.after(then.push, device).await.unwrap();
+            assert_eq!(known.push, then.push);
+            assert!(known.navigation == then.navigation, "{device} after push {}", then.push);
+        }
+    }
+}
+
+/// The caller goes at any moment of a push: what is stored is also in memory.
+async fn a_push_whose_caller_has_gone_is_known(database: Database) {
+    let live = desk(&database).await;
+    for polls in 1..30 {
+        {
+            let mut push = Box::pin(live.navigation.push(later(polls), OPERATOR));
+            for _ in 0..polls * polls {
+                if poll!(&mut push).is_ready() {
+                    break;
+                }
+                tokio::task::yield_now().await;
+            }
+        }
+        let stored = desk(&database).await.navigation.current().push;
+        let known = async || live.navigation.current().push;
+        until("the stored push is known", known, |known| stored <= *known).await;
+    }
+    let known = async || live.navigation.current();
+    let stored = desk(&database).await.navigation.current();
+    until("all is known", known, |known| known.navigation == stored.navigation).await;
+}
+
+/// Another desk on the same database stores a push as if its commit had not been confirmed.
+async fn a_push_that_was_not_confirmed_becomes_known(database: Database) {
+    let (live, other) = (desk(&database).await, desk(&database).await);
+    live.navigation.push(later(1), OPERATOR).await.unwrap();
+    other.navigation.push(later(2), OPERATOR).await.unwrap();
+    live.navigation.push(later(3), OPERATOR).await.unwrap();
+    let (known, stored) = (live.navigation.current(), desk(&database).await.navigation.current());
+    assert_eq!((known.push, known.navigation.len()), (3, stored.navigation.len()));
+    assert!(known.navigation == stored.navigation);
+}

@@ -1,0 +1,9 @@
+/** The formats of tracks. */
+export const FORMATS = [
+  { format: "pos", name: ".pos", meaning: "RTKLIB's solution file" },
+  { format: "csv", name: "CSV", meaning: "every value of a solution, with its reasons" },
+  { format: "geojson", name: "GeoJSON", meaning: "points with properties and the track as lines, for maps" },
+  { format: "kml", name: "KML", meaning: "points and track coloured by status, for Google Earth" },
+  { format: "gpx", name: "GPX", meaning: "one track, for GPS programs" },
+  { format: "nmea", name: "NMEA", meaning: "GGA, RMC, VTG and GST of each epoch" },
+];
