@@ -10,6 +10,7 @@ mod graph_table;
 mod integrity_options;
 mod integrity_table;
 mod jobs;
+mod limits;
 mod option_specification;
 mod option_table;
 mod positioning;
@@ -25,13 +26,13 @@ pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use integrity_options::IntegrityOptions;
 pub use jobs::JobsConfiguration;
+pub use limits::{IntakeLimits, Limits};
 pub use option_table::OptionEntry;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
 pub use service::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, FetchConfiguration,
-    IntakeLimits, Limits, LogConfiguration, NavigationConfiguration, NetworkConfiguration,
-    ServiceConfiguration,
+    LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
 pub(crate) use service::{RETENTION_MAX_DAYS, ServiceConfigurationError};
