@@ -5,16 +5,14 @@ use std::io::Write as _;
 
 use clap::{Args, Subcommand};
 
-use crate::app;
 use crate::clock::Clock;
 use crate::contract::calls::utc;
 use crate::keys::{Created, KeyError, KeyInfo, KeyRegistry, NewKey, Rights};
 use crate::refusal::Code;
-use crate::store::Store;
 use crate::tenant::{OPERATOR, Tenant};
 
-use super::Failure;
-use super::host;
+use super::database::DatabaseArgument;
+use super::{Failure, host};
 
 const MS_PER_HOUR: i64 = 3_600_000;
 const MS_PER_DAY: i64 = 24 * MS_PER_HOUR;
@@ -30,15 +28,8 @@ const HOURS_MAX: u32 = 24 * DAYS_MAX;
 pub(super) struct KeysArguments {
     #[command(subcommand)]
     act: Act,
-    /// The service's database: sqlite://FILE or postgres://….
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "GRAPHFIX_DATABASE",
-        default_value = "sqlite://graphfix.db",
-        global = true
-    )]
-    database: String,
+    #[command(flatten)]
+    database: DatabaseArgument,
 }
 
 #[derive(Debug, Subcommand)]
@@ -103,7 +94,7 @@ fn hours() -> clap::builder::RangedI64ValueParser<u32> {
 /// The database cannot be opened, or the act is refused.
 pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
     let text = host::block_on(async {
-        let store = Store::open_beside(&arguments.database, &app::random_node()).await?;
+        let store = arguments.database.open().await?;
         let registry = KeyRegistry::new(store.clone());
         let done = act(&registry, arguments.act).await;
         store.close().await;

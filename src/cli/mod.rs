@@ -8,6 +8,7 @@ mod cargo;
 mod compare;
 mod config;
 mod connection;
+mod database;
 mod demo;
 mod device_stream;
 mod evaluate;

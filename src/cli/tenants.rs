@@ -5,11 +5,10 @@ use std::io::Write as _;
 
 use clap::{Args, Subcommand};
 
-use crate::app;
 use crate::quotas::{Meters, QuotaError, TenantInfo, TenantQuotas};
-use crate::store::Store;
 use crate::tenant::{Quotas, Tenant};
 
+use super::database::DatabaseArgument;
 use super::{Failure, host, keys};
 
 /// Tenants read at a time.
@@ -23,15 +22,8 @@ const MOST: f64 = 9e15;
 pub(super) struct TenantsArguments {
     #[command(subcommand)]
     act: Act,
-    /// The service's database: sqlite://FILE or postgres://….
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "GRAPHFIX_DATABASE",
-        default_value = "sqlite://graphfix.db",
-        global = true
-    )]
-    database: String,
+    #[command(flatten)]
+    database: DatabaseArgument,
 }
 
 #[derive(Debug, Subcommand)]
@@ -70,7 +62,7 @@ fn number(text: &str) -> Result<f64, String> {
 /// The database cannot be opened, or the store fails.
 pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
     let text = host::block_on(async {
-        let store = Store::open_beside(&arguments.database, &app::random_node()).await?;
+        let store = arguments.database.open().await?;
         let done = async {
             let tenants = TenantQuotas::open(store.clone(), Meters::default()).await?;
             let done = act(&tenants, arguments.act).await;
