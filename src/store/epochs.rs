@@ -222,40 +222,15 @@ impl Store {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::sync::Arc;
 
-    use crate::gnss::{GpsTime, Solution};
-    use crate::store::{
-        BaseChoice, Batch, EncodedEpoch, Expired, Revisions, SessionSettings, SolutionQuery,
-    };
+    use crate::store::sample::{answer, session, store};
+    use crate::store::{EncodedEpoch, Expired, Revisions, SolutionQuery};
 
     use super::*;
 
-    fn answer(seq: u64, revision: u32) -> StoredSolution {
-        let solution = Solution::none(GpsTime::from_week_seconds(2300, seq as f64), vec![]);
-        let (version, configuration_hash) = ("0.1.0".into(), "c0ffee".into());
-        StoredSolution { seq, revision, solution, version, configuration_hash }
-    }
-
     /// A session with three chains of epochs, the first two of 16.
     async fn chains(store: &Store) -> SessionKey {
-        let settings = SessionSettings {
-            label: String::new(),
-            mode: "spp".to_owned(),
-            profile: "general".to_owned(),
-            overrides: BTreeMap::new(),
-            configuration: BTreeMap::new(),
-            configuration_hash: "c0ffee".into(),
-            base: BaseChoice::None,
-            antenna: None,
-            retention_days: None,
-        };
-        let key = store
-            .create_session(&crate::tenant::Tenant::operator(), "one", &settings, 0)
-            .await
-            .unwrap()
-            .key;
         let mut epochs: Vec<EncodedEpoch> = Vec::new();
         for seq in 1..=40 {
             let answer = answer(seq, 0);
@@ -263,13 +238,7 @@ mod tests {
             let last = epochs.last().map(EncodedEpoch::reference);
             epochs.push(EncodedEpoch::new(epoch, &answer, 0, None, last));
         }
-        store.commit(Batch { epochs, ..Batch::new(key, None) }).await.unwrap();
-        key
-    }
-
-    async fn store(folder: &tempfile::TempDir) -> Store {
-        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
-        Store::open(&url).await.unwrap()
+        session(store, epochs).await
     }
 
     /// Rows are read, then expire, and then their chains are read: they are not found. Those of a

@@ -35,6 +35,8 @@ mod page;
 mod pool;
 mod raw;
 mod retention;
+#[cfg(test)]
+mod sample;
 mod sessions;
 mod snapshots;
 mod solutions;

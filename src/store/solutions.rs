@@ -389,51 +389,25 @@ fn parse_token(token: &str) -> Option<(i64, i32)> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use crate::gnss::Epoch;
-    use crate::store::{BaseChoice, Batch, EncodedEpoch, SessionSettings};
+    use crate::store::EncodedEpoch;
+    use crate::store::sample::{answer, session, store};
 
     use super::*;
 
-    /// A session with this many epochs without a position.
-    async fn session(store: &Store, epochs: u64) -> SessionKey {
-        let settings = SessionSettings {
-            label: String::new(),
-            mode: "spp".to_owned(),
-            profile: "general".to_owned(),
-            overrides: BTreeMap::new(),
-            configuration: BTreeMap::new(),
-            configuration_hash: "c0ffee".into(),
-            base: BaseChoice::None,
-            antenna: None,
-            retention_days: None,
-        };
-        let key = store
-            .create_session(&crate::tenant::Tenant::operator(), "one", &settings, 0)
-            .await
-            .unwrap()
-            .key;
-        let encoded = |seq: u64| {
-            let time = GpsTime::from_week_seconds(2300, seq as f64);
-            let solution = Solution::none(time, vec![]);
-            let (version, configuration_hash) = ("0.1.0".into(), "c0ffee".into());
-            let answer = StoredSolution { seq, revision: 0, solution, version, configuration_hash };
-            EncodedEpoch::new(Arc::new(Epoch::new(time)), &answer, 0, None, None)
-        };
-        let epochs = (1..=epochs).map(encoded).collect();
-        store.commit(Batch { epochs, ..Batch::new(key, None) }).await.unwrap();
-        key
+    /// An epoch without a position.
+    fn encoded(seq: u64) -> EncodedEpoch {
+        let answer = answer(seq, 0);
+        EncodedEpoch::new(Arc::new(Epoch::new(answer.solution.time)), &answer, 0, None, None)
     }
 
     /// A list for a status that no epoch has reads some thousand epochs a page, not the session.
     #[tokio::test]
     async fn a_page_looks_through_some_epochs_only() {
         let folder = tempfile::tempdir().unwrap();
-        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
-        let store = Store::open(&url).await.unwrap();
+        let store = store(&folder).await;
         let scanned = SCANNED_EPOCHS as u64;
-        let key = session(&store, scanned + 100).await;
+        let key = session(&store, (1..=scanned + 100).map(encoded).collect()).await;
         let mut query = SolutionQuery {
             from: None,
             to: None,
