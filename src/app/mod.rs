@@ -170,16 +170,24 @@ impl App {
     /// `limits.drain_s` are cut off; they were not acknowledged.
     pub async fn close(self) {
         let limit = Duration::from_secs(self.service.limits().drain_s);
-        if timeout(limit, self.service.sessions().drain()).await.is_err() {
-            tracing::warn!(seconds = limit.as_secs(), "epochs were still positioned; cut off");
-        }
-        if timeout(limit, self.service.jobs().close()).await.is_err() {
-            tracing::warn!(seconds = limit.as_secs(), "a job still runs; it begins again later");
-        }
-        self.service.feeds().close().await;
-        self.service.keys().close().await;
-        self.service.quotas().close().await;
+        let service = &self.service;
+        end_within(limit, service.sessions().drain(), "epochs were still positioned; cut off")
+            .await;
+        end_within(limit, service.jobs().close(), "a job still runs; it begins again later").await;
+        let feeds = async {
+            service.feeds().close().await;
+            service.keys().close().await;
+            service.quotas().close().await;
+        };
+        end_within(limit, feeds, "tasks beside the requests still run; cut off").await;
         self.store.close().await;
+    }
+}
+
+/// Waits until a part of the service has ended, and warns if it takes longer than `limit`.
+async fn end_within(limit: Duration, ending: impl Future<Output = ()>, otherwise: &str) {
+    if timeout(limit, ending).await.is_err() {
+        tracing::warn!(seconds = limit.as_secs(), "{otherwise}");
     }
 }
 

@@ -49,6 +49,7 @@ use std::sync::Arc;
 
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 pub use antennas::AntennaName;
 pub(crate) use bases::NewBaseRow;
@@ -81,6 +82,7 @@ pub use tenants::{TenantRow, TenantUse};
 use committer::{Committer, Connector, Timing};
 use database::Database;
 use days::Days;
+use deadline::DEADLINE;
 use lease::FileLease;
 use pool::{Pool, reading};
 
@@ -248,15 +250,21 @@ impl Store {
         Ok(number.map(|seq| seq as u64))
     }
 
-    /// Commits the batches that wait, then closes the database. Later calls fail.
+    /// Commits the batches that wait, then closes the database. Later calls fail. Connections that
+    /// are not returned within the deadline of a statement are left to the end of the process.
     pub async fn close(&self) {
         self.committer.stop().await;
         if let Some(task) = self.task.lock().await.take() {
             // A panic of the committer has already failed the calls that waited for it.
             task.await.ok();
         }
-        self.key_pool.close().await;
-        self.pool.close().await;
+        let closing = async {
+            self.key_pool.close().await;
+            self.pool.close().await;
+        };
+        if timeout(DEADLINE, closing).await.is_err() {
+            tracing::warn!("connections to the database were still in use; left open");
+        }
         if let Some(lease) = &self.lease {
             lease.end();
         }
