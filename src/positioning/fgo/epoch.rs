@@ -24,8 +24,6 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 const PHASE_WEIGHT_MIN: f64 = 0.1;
 /// Kernel of odometry, since wheels slip: Huber's, 95 % efficient under normal errors.
 const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
-/// Kernel of the paper's Doppler velocity, on the norm of its three rows (GraphGNSSLib).
-const DOPPLER_VELOCITY_KERNEL: Kernel = Kernel::huber(1.0);
 /// Index of the clock in [`POSITION_AND_CLOCK`].
 const CLOCK_INDEX: usize = 3;
 /// Iterations of reweighted least squares for the step of the phase clock.
@@ -260,12 +258,7 @@ impl Factors {
         }
         match &self.tie {
             None => {}
-            Some(Tie::DopplerVelocity(factor)) => {
-                let links = [0, 1, 2].map(|axis| factor.linearize(axis, state, next));
-                let norm = links.iter().map(|link| link.residual * link.residual).sum::<f64>();
-                let weight = system.weigh(norm.sqrt(), &DOPPLER_VELOCITY_KERNEL);
-                links.iter().for_each(|link| system.add_link_weighted(k, link, weight));
-            }
+            Some(Tie::DopplerVelocity(factor)) => factor.add_to(k, estimate, system),
             Some(Tie::Motion(motion, clock)) => {
                 motion.add_to(k, estimate, system);
                 let kernel = if self.phase_clock.is_some() { student() } else { Kernel::QUADRATIC };

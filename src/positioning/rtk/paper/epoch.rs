@@ -4,9 +4,9 @@ use nalgebra::{Matrix3, SVector, Vector3};
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
-use crate::graph::{Estimate, Kernel, Link, Phase, Prior, Problem, Row, System};
+use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, System};
 use crate::positioning::differencing::{SingleDifference, SingleDifferences};
-use crate::positioning::factors::{Line, Sight};
+use crate::positioning::factors::{DopplerVelocityFactor, Line, Sight};
 use crate::positioning::measurements::receiver_weights;
 use crate::positioning::velocity::VelocityEstimator;
 use crate::snapshot::{snapshot_fields, state_fields};
@@ -17,7 +17,7 @@ pub(crate) const STATE: usize = 3;
 /// The state of one epoch.
 pub(crate) type State = SVector<f64, STATE>;
 
-/// Kernel of pseudoranges, and of the norm of the three rows of a Doppler velocity (GraphGNSSLib).
+/// Kernel of pseudoranges (GraphGNSSLib).
 const KERNEL: Kernel = Kernel::huber(1.0);
 
 /// A difference of two receivers and two satellites, (15) and (16).
@@ -52,36 +52,6 @@ impl DoubleDifference {
     }
 }
 
-/// From the previous epoch: (11) and (12), r = ((p₊ − p)/Δt − v) / σ.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Tie {
-    /// v, local, from the Doppler of the earlier epoch (m/s).
-    pub(crate) velocity_m_s: Vector3<f64>,
-    /// Δt (s).
-    pub(crate) interval_s: f64,
-    /// 1/σ (s/m).
-    pub(crate) inverse_sigma: f64,
-}
-
-impl Tie {
-    fn add_to(&self, k: usize, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
-        let (state, next) = (&estimate.states[k], &estimate.states[k + 1]);
-        let pace = self.inverse_sigma / self.interval_s;
-        let whitened = (next - state) * pace - self.velocity_m_s * self.inverse_sigma;
-        let weight = system.weigh(whitened.norm(), &KERNEL);
-        for axis in 0..STATE {
-            let link = Link {
-                residual: whitened[axis],
-                columns: [axis],
-                jacobian: [-pace],
-                next_columns: [axis],
-                next_jacobian: [pace],
-            };
-            system.add_link_weighted(k, &link, weight);
-        }
-    }
-}
-
 /// One epoch.
 #[derive(Debug)]
 pub(crate) struct PaperEpoch {
@@ -89,7 +59,8 @@ pub(crate) struct PaperEpoch {
     pub(crate) sights: Vec<Sight>,
     pub(crate) ranges: Vec<DoubleDifference>,
     pub(crate) phases: Vec<DoubleDifference>,
-    pub(crate) tie: Option<Tie>,
+    /// From the previous epoch.
+    pub(crate) tie: Option<DopplerVelocityFactor>,
 }
 
 snapshot_fields!(DoubleDifference {
@@ -100,7 +71,6 @@ snapshot_fields!(DoubleDifference {
     wavelength_m,
     signal
 });
-snapshot_fields!(Tie { velocity_m_s, interval_s, inverse_sigma });
 state_fields!(PaperEpoch { time, sights, ranges, phases, tie } checked by is_whole);
 
 impl PaperEpoch {
@@ -278,20 +248,5 @@ mod tests {
             let slope = row(at + step).residual - row(at - step).residual;
             assert!((row(at).jacobian[axis] - slope).abs() < 1e-6);
         }
-    }
-
-    /// East 3 m in 2 s against 1 m/s over 0.5 m/s: 1; its derivative −1 and 1.
-    #[test]
-    fn a_tie_worked_by_hand() {
-        let tie = Tie { velocity_m_s: Vector3::x(), interval_s: 2.0, inverse_sigma: 2.0 };
-        let mut estimate = Estimate::new();
-        estimate.states = vec![Vector3::zeros(), Vector3::new(3.0, 0.0, 0.0)];
-        let mut system = System::new(crate::graph::BorderLife::WholeChain);
-        system.reset(2, 0);
-        tie.add_to(0, &estimate, &mut system);
-        assert!((system.cost() - 0.5).abs() < 1e-12, "{}", system.cost());
-        assert_eq!(system.diagonal[0][(0, 0)], 1.0);
-        assert_eq!(system.coupling[0][(0, 0)], -1.0);
-        assert_eq!(system.gradient[1][0], 1.0);
     }
 }

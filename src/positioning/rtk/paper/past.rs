@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use nalgebra::Matrix3;
 
 use crate::config::RtkOptions;
-use crate::gnss::{GpsTime, LocalFrame, Reason, Solution, Status};
-use crate::positioning::rtk::answer::moved;
+use crate::gnss::{GpsTime, LocalFrame, Solution, Status};
+use crate::positioning::rtk::answer::{keeps_from_fixing, moved};
 use crate::snapshot::state_fields;
 
 use super::epoch::{PaperEpoch, State};
@@ -103,7 +103,7 @@ fn revised(
         Err(_) => (position, covariance),
     };
     let mut solution = moved(solution, frame, place, options);
-    solution.reasons.retain(|reason| !is_of_integers(reason));
+    solution.reasons.retain(|reason| !keeps_from_fixing(reason));
     let estimate = solution.estimate.as_mut();
     let relative = estimate.and_then(|estimate| estimate.relative.as_mut());
     if let Some(relative) = relative {
@@ -115,15 +115,4 @@ fn revised(
     solution.status = if resolution.outcome.is_ok() { Status::Fixed } else { Status::Float };
     solution.reasons.extend(resolution.outcome.err().filter(|_| options.resolve));
     solution
-}
-
-/// Whether a reason says why an epoch has no integers.
-fn is_of_integers(reason: &Reason) -> bool {
-    matches!(
-        reason,
-        Reason::RatioBelowThreshold { .. }
-            | Reason::SuccessRateTooLow { .. }
-            | Reason::FixRejected
-            | Reason::TooFewCommonSatellites { .. }
-    )
 }

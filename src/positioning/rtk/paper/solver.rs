@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, Solution};
 use crate::graph::{BorderLife, Elimination, Estimate, System, Workspace};
 use crate::positioning::engine::EpochInputs;
-use crate::positioning::factors::{DopplerFactor, VELOCITY};
+use crate::positioning::factors::{DopplerFactor, DopplerVelocityFactor, VELOCITY};
 use crate::positioning::fgo::SlidingWindow;
 use crate::positioning::rtk::ambiguity::Resolution;
 use crate::positioning::rtk::observed::{RtkEpoch, State as RtkState};
@@ -15,7 +15,7 @@ use crate::positioning::setup::Setup;
 use crate::positioning::velocity::VelocityEstimator;
 
 use super::chain::{PaperChain, solved, starting_prior};
-use super::epoch::{PaperEpoch, Rows, STATE, State, Tie, doppler_velocity};
+use super::epoch::{PaperEpoch, Rows, STATE, State, doppler_velocity};
 use super::integers::PaperIntegers;
 use super::past::{Known, PaperPast};
 
@@ -179,7 +179,7 @@ impl PaperChain {
         if let (Some(last), Some(velocity_m_s)) = (self.epochs.last(), self.velocity_m_s) {
             let interval_s = new.time - last.time;
             let inverse_sigma = options.graph.doppler_velocity_sigma_m_s.recip();
-            epoch.tie = Some(Tie { velocity_m_s, interval_s, inverse_sigma });
+            epoch.tie = Some(DopplerVelocityFactor { velocity_m_s, interval_s, inverse_sigma });
         }
         let guess: State = new.guess.fixed_rows::<STATE>(0).into_owned();
         let velocity = doppler_velocity(&self.frame, &guess, differences, options, estimator);

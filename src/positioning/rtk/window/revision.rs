@@ -11,7 +11,7 @@ use crate::positioning::rtk::ambiguity::{
     EarlierAmbiguity, FixedPosition, FloatSolution, HoldPeriod, IntegerHistory,
     condition_on_known_integers,
 };
-use crate::positioning::rtk::answer::moved;
+use crate::positioning::rtk::answer::{keeps_from_fixing, moved};
 use crate::positioning::rtk::observed::{ArcReference, HeldInteger, STATE};
 
 use super::record::EpochRecord;
@@ -152,16 +152,4 @@ fn contradicts(integers: &IntegerHistory, record: &EpochRecord, period: u32) -> 
             differences.is_some_and(|(own, other)| own != other)
         })
     })
-}
-
-/// Whether a reason says why an epoch is not fixed.
-fn keeps_from_fixing(reason: &Reason) -> bool {
-    matches!(
-        reason,
-        Reason::RatioBelowThreshold { .. }
-            | Reason::SuccessRateTooLow { .. }
-            | Reason::FixRejected
-            | Reason::FixImprecise { .. }
-            | Reason::TooFewCommonSatellites { .. }
-    )
 }
