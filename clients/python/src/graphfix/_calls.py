@@ -106,6 +106,23 @@ class Calls:
                 raise TypeError(f"{type(response)} in place of {answer}")
             return response
 
+    def pages(
+        self,
+        method: Any,
+        request: Callable[[str], object],
+        answer: type[ResponseT],
+        *,
+        session: str | None = None,
+    ) -> Iterator[ResponseT]:
+        """All pages of a list; `request` takes the token of a page, empty for the first."""
+        token = ""
+        while True:
+            page = self.once(method, request(token), answer, session=session)
+            yield page
+            token = getattr(page, "next_page_token")  # noqa: B009 (lists alone have it)
+            if not token:
+                return
+
     def _until_connected(self) -> None:
         """Waits for the service, so that a call that takes effect once is not lost on the way."""
         try:

@@ -138,28 +138,24 @@ class Client:
 
     def sessions(self, *, page_size: int = 100) -> Iterator[SessionInfo]:
         """All sessions with their configurations, the newest first."""
-        token = ""
-        while True:
-            request = ListSessionsRequest(page_size=page_size, page_token=token)
-            page = self._calls.once(self._calls.sessions.List, request, ListSessionsResponse)
-            yield from page.sessions
-            token = page.next_page_token
-            if not token:
-                return
+
+        def request(token: str) -> ListSessionsRequest:
+            return ListSessionsRequest(page_size=page_size, page_token=token)
+
+        pages = self._calls.pages(self._calls.sessions.List, request, ListSessionsResponse)
+        return (item for page in pages for item in page.sessions)
 
     def heads(self, *, page_size: int = 1000) -> Iterator[SessionHead]:
         """Latest status and position of all sessions, the newest first: a fleet at a glance.
 
         Positions are latitude and longitude (degrees) and height above the ellipsoid (m).
         """
-        token = ""
-        while True:
-            request = ListHeadsRequest(page_size=page_size, page_token=token)
-            page = self._calls.once(self._calls.sessions.Heads, request, ListHeadsResponse)
-            yield from page.heads
-            token = page.next_page_token
-            if not token:
-                return
+
+        def request(token: str) -> ListHeadsRequest:
+            return ListHeadsRequest(page_size=page_size, page_token=token)
+
+        pages = self._calls.pages(self._calls.sessions.Heads, request, ListHeadsResponse)
+        return (item for page in pages for item in page.heads)
 
     def solve_once(self, request: SolveOnceRequest) -> Sequence[Solution]:
         """Positions one or a few epochs without a session; nothing is stored."""
@@ -191,14 +187,12 @@ class Client:
 
     def bases(self, *, page_size: int = 100) -> Iterator[Base]:
         """All bases with their health, in order of id."""
-        token = ""
-        while True:
-            request = ListBasesRequest(page_size=page_size, page_token=token)
-            page = self._calls.once(self._calls.bases.List, request, ListBasesResponse)
-            yield from page.bases
-            token = page.next_page_token
-            if not token:
-                return
+
+        def request(token: str) -> ListBasesRequest:
+            return ListBasesRequest(page_size=page_size, page_token=token)
+
+        pages = self._calls.pages(self._calls.bases.List, request, ListBasesResponse)
+        return (item for page in pages for item in page.bases)
 
     def upload_base(self, base: str, content: bytes) -> UploadBaseResponse:
         """Uploads a RINEX observation file of a base, plain or gzip."""

@@ -227,8 +227,8 @@ class Session:
         `start` and `end` are the first and last time tag (GPS time). Revision 0 is the immediate
         answer, revision 1 the smoothed one: `last` gives the newest of each epoch.
         """
-        token = ""
-        while True:
+
+        def request(token: str) -> ListSolutionsRequest:
             request = ListSolutionsRequest(
                 session=self.id,
                 to=end,
@@ -240,12 +240,11 @@ class Session:
             if start is not None:
                 # `from` is a keyword of Python.
                 getattr(request, "from").CopyFrom(start)
-            method = self._calls.solutions.List
-            page = self._calls.once(method, request, ListSolutionsResponse, session=self.id)
-            yield from page.solutions
-            token = page.next_page_token
-            if not token:
-                return
+            return request
+
+        method = self._calls.solutions.List
+        pages = self._calls.pages(method, request, ListSolutionsResponse, session=self.id)
+        return (solution for page in pages for solution in page.solutions)
 
     def watch(
         self,
