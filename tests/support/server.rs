@@ -3,12 +3,16 @@
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 use graphfix::contract::v1;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
 use tonic::transport::{Channel, Endpoint};
 
 use super::wait::until;
+
+/// Longest time without a byte of an answer.
+const ANSWER: Duration = Duration::from_secs(30);
 
 /// A `graphfix serve` of its own, killed when dropped.
 pub(crate) struct Server {
@@ -72,9 +76,17 @@ pub(crate) fn replayed(
     (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
 }
 
+/// A connection that waits for an answer for some time only. A port that nobody listens on may
+/// connect to itself.
+fn connected(port: u16) -> std::io::Result<TcpStream> {
+    let stream = TcpStream::connect(("127.0.0.1", port))?;
+    stream.set_read_timeout(Some(ANSWER))?;
+    Ok(stream)
+}
+
 /// The HTTP status of a page.
 pub(crate) fn status_of(port: u16, path: &str) -> u16 {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    let mut stream = connected(port).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();
@@ -88,7 +100,7 @@ pub(crate) fn get_with(
     path: &str,
     authorization: &str,
 ) -> std::io::Result<(u16, String)> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    let mut stream = connected(port)?;
     let head = format!("Host: localhost\r\nAuthorization: {authorization}\r\nConnection: close");
     write!(stream, "GET {path} HTTP/1.1\r\n{head}\r\n\r\n")?;
     let mut answer = String::new();
