@@ -46,7 +46,7 @@ mod tests {
 
     #[test]
     fn computing_counts() {
-        let (stopwatch, begun) = (Stopwatch::started(), Instant::now());
+        let (begun, stopwatch) = (Instant::now(), Stopwatch::started());
         let mut sum = 0.0_f64;
         while stopwatch.elapsed() < Duration::from_millis(5) {
             sum = std::hint::black_box(sum + 1.0);

@@ -131,7 +131,7 @@ pub(crate) enum Credential<'a> {
 pub(crate) enum Target {
     /// This call.
     Call(&'static Call),
-    /// A path of calls with these methods, of which the request's is none.
+    /// The path has calls, with these methods, but none with that of the request.
     OtherMethod(Vec<&'static str>),
     /// No path of the table.
     Unknown,

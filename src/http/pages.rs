@@ -39,7 +39,7 @@ pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
     Json(openapi::document())
 }
 
-/// The answer to a path that has the form of a call or page, and is none.
+/// The answer to a path that looks like that of a call or a page, but does not exist.
 pub(super) async fn no_route(uri: Uri) -> Refused {
     Refusal::new(Code::RouteNotFound, format!("there is no {}", uri.path())).into()
 }

@@ -55,7 +55,7 @@ impl Rights {
     /// The rights of these names.
     ///
     /// # Errors
-    /// A name is not that of a right, or there is none.
+    /// A name is not that of a right, or the list is empty.
     pub fn named(names: &[impl AsRef<str>]) -> Result<Self, KeyError> {
         let mut rights = Self::NONE;
         for (index, name) in names.iter().map(AsRef::as_ref).enumerate() {

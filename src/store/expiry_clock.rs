@@ -58,6 +58,10 @@ mod tests {
         assert_eq!(advanced(1_000, None, 900_000, 500), 1_550, "a tenth faster than it runs");
         assert_eq!(advanced(1_000, None, 900, 500), 900, "never ahead of the clock");
         assert_eq!(advanced(1_000, Some(700_000), 900_000, 0), 700_000, "an epoch is a witness");
-        assert_eq!(advanced(1_000, Some(10), 900_000, 0), 1_000, "epochs of an old file are none");
+        assert_eq!(
+            advanced(1_000, Some(10), 900_000, 0),
+            1_000,
+            "an old file's epochs are not a witness"
+        );
     }
 }

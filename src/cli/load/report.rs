@@ -116,7 +116,7 @@ impl Report {
     }
 }
 
-/// The quantile of sorted values, without interpolation; 0 if there are none.
+/// The quantile of sorted values, without interpolation; 0 for an empty list.
 fn quantile(sorted: &[f32], share: f64) -> f32 {
     let index = (sorted.len() as f64 * share).ceil() as usize;
     sorted.get(index.saturating_sub(1)).copied().unwrap_or(0.0)
