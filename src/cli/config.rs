@@ -49,7 +49,7 @@ impl From<OptionEntry> for OptionView {
 
 /// Prints the options in force with these arguments.
 pub(crate) fn run(arguments: &ConfigArguments) -> Result<(), Failure> {
-    let options = arguments.options.options()?;
+    let options = arguments.options.options(false)?;
     let text = if arguments.json { json(&options) } else { table(&options) };
     // An error means that the reader of the pipe has closed it.
     std::io::stdout().write_all(text.as_bytes()).ok();

@@ -13,7 +13,8 @@ use crate::evaluation::{
     Criteria, ErrorStatistics, Expected, Judgement, MatchedReport, Report, Truth, judge,
 };
 use crate::formats::observations::{Observations, Recognised};
-use crate::formats::{decompress, pos, truth};
+use crate::formats::track::read_positions;
+use crate::formats::{decompress, truth};
 use crate::gnss::{Ecef, Enu, Epoch, Geodetic, GpsTime, Navigation};
 use crate::refusal::Code;
 
@@ -21,7 +22,7 @@ use crate::refusal::Code;
 /// covariance.
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArguments {
-    /// Solution: RTKLIB .pos.
+    /// Solution: RTKLIB .pos, or CSV of Graphfix.
     #[arg(long, value_name = "FILE")]
     solution: PathBuf,
     /// Truth: CSV of gps_week,tow,lat_deg,lon_deg,height_m or gps_week,tow,x_m,y_m,z_m.
@@ -98,7 +99,7 @@ struct Answer<'a> {
 
 /// Judges the file and prints the report.
 pub(crate) fn run(arguments: &EvaluateArguments) -> Result<(), Failure> {
-    let solution = pos::read(open(&arguments.solution)?)
+    let solution = read_positions(open(&arguments.solution)?)
         .map_err(|error| unreadable(&arguments.solution, &error))?;
     if !solution.unreadable.is_empty() {
         eprintln!(

@@ -89,6 +89,9 @@ impl From<RecordingError> for Failure {
             RecordingError::NoReferenceTime { .. } => {
                 return Self::of(Code::NoReferenceTime, &error);
             }
+            RecordingError::NavigationRequired { .. } => {
+                (Code::NavigationRequired, "add --nav FILE: RINEX navigation data of that day")
+            }
             RecordingError::BasePositionMissing { .. } => {
                 (Code::BasePositionMissing, "give --base-position X,Y,Z")
             }

@@ -10,9 +10,9 @@ use super::Failure;
 /// The arguments that make [`PositioningOptions`].
 #[derive(Clone, Debug, Args)]
 pub(crate) struct OptionArguments {
-    /// Estimator: spp, ekf, fgo, rtk-ekf or rtk-fgo.
-    #[arg(long, value_name = "MODE", default_value = "spp")]
-    pub(crate) mode: String,
+    /// Estimator: spp, ekf, fgo, rtk-ekf or rtk-fgo. Default: fgo, with a base rtk-fgo.
+    #[arg(long, value_name = "MODE")]
+    pub(crate) mode: Option<String>,
     /// Profile (set of defaults): general, urban-vehicle, static, phone or paper.
     #[arg(long, value_name = "NAME", default_value = "general")]
     pub(crate) profile: String,
@@ -22,10 +22,11 @@ pub(crate) struct OptionArguments {
 }
 
 impl OptionArguments {
-    /// The options given.
-    pub(crate) fn options(&self) -> Result<PositioningOptions, Failure> {
-        let mut options =
-            PositioningOptions::new(Mode::parse(&self.mode)?, Profile::parse(&self.profile)?);
+    /// The options given, for a recording with or without a base.
+    pub(crate) fn options(&self, has_base: bool) -> Result<PositioningOptions, Failure> {
+        let best = if has_base { Mode::RtkFgo } else { Mode::Fgo };
+        let mode = self.mode.as_deref().map_or(Ok(best), Mode::parse)?;
+        let mut options = PositioningOptions::new(mode, Profile::parse(&self.profile)?);
         for (key, value) in assignments(&self.set)? {
             options.set(key, value)?;
         }
@@ -55,7 +56,15 @@ mod tests {
 
     fn options(mode: &str, set: &[&str]) -> Result<PositioningOptions, Failure> {
         let set = set.iter().map(|s| (*s).to_owned()).collect();
-        OptionArguments { mode: mode.to_owned(), profile: "general".to_owned(), set }.options()
+        let mode = Some(mode.to_owned());
+        OptionArguments { mode, profile: "general".to_owned(), set }.options(false)
+    }
+
+    #[test]
+    fn the_default_is_the_best_that_the_files_allow() {
+        let none = OptionArguments { mode: None, profile: "general".to_owned(), set: Vec::new() };
+        let mode = |has_base| none.options(has_base).unwrap().mode;
+        assert_eq!([false, true].map(mode), [Mode::Fgo, Mode::RtkFgo]);
     }
 
     #[test]

@@ -16,8 +16,9 @@ pub(crate) struct RecordingArguments {
     /// recognised by their content.
     #[arg(long, value_name = "FILE")]
     pub(crate) rover: PathBuf,
-    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides; may be repeated.
-    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides; may be repeated. Default: the
+    /// ephemerides in the UBX or RTCM 3 data of rover and base.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
     nav: Vec<PathBuf>,
     /// Phase centres of antennas (ANTEX); headers and messages name the antennas of rover and base.
     #[arg(long, value_name = "FILE")]
@@ -59,6 +60,11 @@ fn base_position(text: &str) -> Result<BasePosition, String> {
 }
 
 impl RecordingArguments {
+    /// Whether a base is named.
+    pub(crate) const fn has_base(&self) -> bool {
+        self.base.is_some()
+    }
+
     /// The inputs that they name.
     pub(crate) fn inputs(&self) -> RecordingInputs {
         let input = |path: &PathBuf| files::input(path);

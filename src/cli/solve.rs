@@ -41,9 +41,10 @@ pub(crate) struct SolveArguments {
     /// Write the smoothed solution of each epoch, computed when the epoch leaves the window.
     #[arg(long)]
     smoothed: bool,
-    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx or .nmea.
+    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx or .nmea. Default: the
+    /// rover's file with .pos in place of its ending, if there is no such file yet.
     #[arg(long, value_name = "FILE")]
-    output: PathBuf,
+    output: Option<PathBuf>,
 }
 
 /// Runs the command; prints the summary on standard output.
@@ -54,18 +55,20 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let comments = comments_of(&options);
     let mut solutions = Solutions::open(&inputs, options, arguments.answer_kind())?;
     let leap_seconds = solutions.leap_seconds();
-    let mut output = create(&arguments.output, &comments, leap_seconds)?;
+    let path = arguments.output()?;
+    let mut output = create(&path, &comments, leap_seconds)?;
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
     for solution in &mut solutions {
         let solution = solution.inspect_err(|_| progress.clear())?;
-        output.write(&solution).map_err(|error| unwritable(&arguments.output, &error))?;
+        output.write(&solution).map_err(|error| unwritable(&path, &error))?;
         tally.add(&solution);
         progress.show(&tally);
     }
-    output.finish().map_err(|error| unwritable(&arguments.output, &error))?;
+    output.finish().map_err(|error| unwritable(&path, &error))?;
     progress.clear();
-    let summary = summary(&tally, &solutions.provenance(), began.elapsed());
+    let mut summary = summary(&tally, &solutions.provenance(), began.elapsed());
+    summary += &format!("written to {}\n", path.display());
     // Err: standard output is closed.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
@@ -74,7 +77,7 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
 impl SolveArguments {
     /// The options given, with `--window`.
     fn options(&self) -> Result<PositioningOptions, Failure> {
-        let mut options = self.options.options()?;
+        let mut options = self.options.options(self.recording.has_base())?;
         if !options.mode.has_window() && (self.window.is_some() || self.smoothed) {
             let message = format!("mode {} has no window", options.mode.name());
             return Err(Failure::new(Code::Usage, message, "add --mode fgo"));
@@ -85,6 +88,19 @@ impl SolveArguments {
         Ok(options)
     }
 
+    /// The file to write. Only a file that is named is replaced.
+    fn output(&self) -> Result<PathBuf, Failure> {
+        if let Some(named) = &self.output {
+            return Ok(named.clone());
+        }
+        let path = beside(&self.recording.rover);
+        if path.exists() {
+            let message = format!("{} exists", path.display());
+            return Err(Failure::new(Code::FileNotWritable, message, "name a file by --output"));
+        }
+        Ok(path)
+    }
+
     fn answer_kind(&self) -> AnswerKind {
         match (self.window.as_deref(), self.smoothed) {
             (Some(BATCH), _) => AnswerKind::Batch,
@@ -92,6 +108,13 @@ impl SolveArguments {
             (_, false) => AnswerKind::Causal,
         }
     }
+}
+
+/// The file beside a rover's observations, with `.pos` in place of the ending (and of `.gz`).
+fn beside(rover: &Path) -> PathBuf {
+    let packed = rover.extension().is_some_and(|ending| ending == "gz");
+    let named = if packed { rover.with_extension("") } else { rover.to_owned() };
+    named.with_extension("pos")
 }
 
 pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
@@ -188,6 +211,15 @@ mod tests {
         let fixed = ["solve", "--rover", "r", "--nav", "n", "--output", "o.pos", "--mode", mode];
         let line = Line::try_parse_from(fixed.iter().chain(further)).unwrap();
         line.solve.options().err().map(|failure| failure.code())
+    }
+
+    #[test]
+    fn the_output_stands_beside_the_rover() {
+        for (rover, output) in
+            [("a/r.obs", "a/r.pos"), ("r.24o.gz", "r.pos"), ("log.ubx", "log.pos"), ("r", "r.pos")]
+        {
+            assert_eq!(beside(Path::new(rover)), Path::new(output));
+        }
     }
 
     #[test]

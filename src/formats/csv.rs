@@ -23,14 +23,19 @@
 //!
 //! Unknown values are empty fields. Of stored solutions two more columns stand in front: `seq`, the
 //! number of the epoch, and `revision`. All revisions of an epoch can be in one file.
+//!
+//! The positions of such files are read, too.
 
-use std::io::Write;
+use std::io::{BufRead, Write};
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
 use super::encoder::{Encoder, Revision};
-use crate::gnss::{LocalFrame, RelativeEstimate, Solution, SolutionEstimate, Velocity};
+use super::pos::{PosError, PosFile, PosRow, quality};
+use crate::gnss::{
+    Ecef, GpsTime, LocalFrame, RelativeEstimate, Solution, SolutionEstimate, Status, Velocity,
+};
 
 const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
      var_e_m2,var_n_m2,var_u_m2,cov_en_m2,cov_eu_m2,cov_nu_m2,ve_m_s,vn_m_s,vu_m_s,\
@@ -38,6 +43,11 @@ const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_
      clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
      satellite_list,baseline_e_m,baseline_n_m,baseline_u_m,age_s,ambiguities,\
      fixed_ambiguities,ratio,success_rate,fix_probability,reasons,hpl_m,vpl_m";
+/// Titles that stand in front in files of stored solutions.
+const STORED_COLUMNS: &str = "seq,revision,";
+/// Number of columns from `gps_week` to `cov_nu_m2`, which are read, and place of `satellites`.
+const READ_COLUMNS: usize = 15;
+const SATELLITES_COLUMN: usize = 32;
 /// Number of columns between `status` and `reasons`.
 const ESTIMATE_COLUMNS: usize = 40;
 /// Number of columns from `baseline_e_m` to `fix_probability`.
@@ -54,7 +64,7 @@ pub(super) struct Rows {
 impl Encoder for Rows {
     fn begin(&mut self, out: &mut Vec<u8>) {
         if self.is_stored {
-            out.extend_from_slice(b"seq,revision,");
+            out.extend_from_slice(STORED_COLUMNS.as_bytes());
         }
         out.extend_from_slice(COLUMNS.as_bytes());
         out.push(b'\n');
@@ -94,6 +104,74 @@ impl Encoder for Rows {
     }
 
     fn finish(&mut self, _: &mut Vec<u8>) {}
+}
+
+/// Whether a line has the titles of such a file. Files of other versions may have other columns
+/// behind those that are read.
+pub(super) fn has_titles(line: &[u8]) -> bool {
+    std::str::from_utf8(line).is_ok_and(|line| is_stored(line).is_some())
+}
+
+/// Whether number and revision stand in front, if the line has the titles.
+fn is_stored(line: &str) -> Option<bool> {
+    let stored = line.strip_prefix(STORED_COLUMNS);
+    let titles = stored.unwrap_or(line).trim_end().split(',').take(READ_COLUMNS);
+    titles.eq(COLUMNS.split(',').take(READ_COLUMNS)).then_some(stored.is_some())
+}
+
+/// Reads the positions of a file; rows that cannot be read are left out and listed. Of several
+/// revisions of an epoch the last one counts.
+///
+/// # Errors
+/// The input cannot be read.
+pub(super) fn read(mut input: impl BufRead) -> Result<PosFile, PosError> {
+    let mut file = PosFile { rows: Vec::new(), unreadable: Vec::new() };
+    let (mut bytes, mut number, mut has_revisions) = (Vec::new(), 0, false);
+    loop {
+        bytes.clear();
+        if input.read_until(b'\n', &mut bytes)? == 0 {
+            return Ok(file);
+        }
+        number += 1;
+        let text = String::from_utf8_lossy(&bytes);
+        let line = text.trim_end();
+        if let Some(is_stored) = is_stored(line) {
+            has_revisions = is_stored;
+            continue;
+        }
+        match read_row(line, has_revisions) {
+            Some(Some(row)) => {
+                file.rows.pop_if(|last| has_revisions && last.time == row.time);
+                file.rows.push(row);
+            }
+            Some(None) => {}
+            None => file.unreadable.push(number),
+        }
+    }
+}
+
+/// The position of a line; `None` if it cannot be read, `Some(None)` if it has no position.
+fn read_row(line: &str, has_revision: bool) -> Option<Option<PosRow>> {
+    let first = if has_revision { 2 } else { 0 };
+    // The reasons, which may have commas, stand behind.
+    let fields: Vec<&str> = line.split(',').skip(first).take(SATELLITES_COLUMN + 1).collect();
+    let number =
+        |column: usize| fields.get(column)?.parse::<f64>().ok().filter(|value| value.is_finite());
+    let week = fields.first()?.parse::<u16>().ok()?;
+    let time = GpsTime::from_week_seconds(i32::from(week), number(1)?);
+    let status = Status::ALL.into_iter().find(|status| Some(&status.name()) == fields.get(2))?;
+    let Some(quality) = quality(status) else { return Some(None) };
+    let position = Ecef(Vector3::new(number(3)?, number(4)?, number(5)?));
+    let [ee, nn, uu, en, eu, nu] = [9, 10, 11, 12, 13, 14].map(number);
+    let local = Matrix3::new(ee?, en?, eu?, en?, nn?, nu?, eu?, nu?, uu?);
+    let frame = LocalFrame::at(position).rotation;
+    Some(Some(PosRow {
+        time,
+        position,
+        quality: i64::from(quality),
+        satellites: fields.get(SATELLITES_COLUMN).and_then(|field| field.parse().ok()),
+        covariance: Some(frame.transpose() * local * frame),
+    }))
 }
 
 fn push_estimate(line: &mut Vec<u8>, estimate: &SolutionEstimate) {
@@ -184,8 +262,6 @@ fn push_field(line: &mut Vec<u8>, value: f64, decimals: usize) {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::formats::encoder::{sample, text_of};
     use crate::gnss::{Dops, Ecef, GpsTime, Protection, Provenance, Reason, Status};
@@ -279,5 +355,31 @@ mod tests {
         assert!(titles.starts_with("seq,revision,gps_week,"), "{titles}");
         assert!(row.starts_with("7,1,2051,46702.000,FIXED,"), "{row}");
         assert_eq!(row.split(',').count(), titles.split(',').count());
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let nothing = Solution::none(GpsTime::from_week_seconds(2300, 101.0), Vec::new());
+        let original = solution(None);
+        let text = text_of(&mut Rows { is_stored: false }, &[original.clone(), nothing]);
+        let file = read(text.as_bytes()).unwrap();
+        assert!(file.unreadable.is_empty());
+        let [row] = &file.rows[..] else { panic!("{:?}", file.rows) };
+        let estimate = original.estimate.unwrap();
+        assert_eq!((row.time, row.quality, row.satellites), (original.time, 5, Some(2)));
+        assert!(row.position.distance_m(estimate.position) < 1e-9);
+        assert!((row.covariance.unwrap() - estimate.covariance).amax() < 1e-9);
+    }
+
+    /// Of two revisions the later one counts; a broken row is listed.
+    #[test]
+    fn revisions_and_broken_rows() {
+        let text = text_of(&mut Rows { is_stored: false }, &[solution(None)]);
+        let (titles, row) = text.trim_end().split_once('\n').unwrap();
+        let moved = row.replace("6378147.0000", "6378148.0000");
+        let stored = format!("seq,revision,{titles}\n7,0,{row}\n7,1,{moved}\n8,0,2300,oops\n");
+        let file = read(stored.as_bytes()).unwrap();
+        let rows: Vec<f64> = file.rows.iter().map(|row| row.position.0.x).collect();
+        assert_eq!((rows, file.unreadable), (vec![6_378_148.0], vec![4]));
     }
 }

@@ -1,6 +1,9 @@
 //! The formats of solutions by name, and one writer for all of them.
 
+use std::io::BufRead;
+
 use super::encoder::Encoder;
+use super::pos::{PosError, PosFile};
 use super::{csv, geojson, gpx, kml, nmea, pos};
 use crate::gnss::{LeapSeconds, Solution};
 
@@ -112,4 +115,14 @@ impl TrackWriter {
     pub(crate) fn finish(&mut self, out: &mut Vec<u8>) {
         self.0.finish(out);
     }
+}
+
+/// Reads the positions of a solution file, `.pos` or CSV by its content.
+///
+/// # Errors
+/// The input cannot be read, or has coordinates or times that would be evaluated wrongly.
+pub(crate) fn read_positions(mut input: impl BufRead) -> Result<PosFile, PosError> {
+    let first = input.fill_buf()?;
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    if csv::has_titles(line) { csv::read(input) } else { pos::read(input) }
 }

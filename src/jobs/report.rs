@@ -108,6 +108,9 @@ impl Failure {
                 let remedy = "give near, a time within half a day of the first message";
                 new(Code::NoReferenceTime, Some(name)).with_remedy(remedy)
             }
+            RecordingError::NavigationRequired { .. } => {
+                new(Code::NavigationRequired, Some("navigation"))
+            }
             RecordingError::BasePositionMissing { .. } => {
                 new(Code::BasePositionMissing, Some("base")).with_remedy("give basePosition")
             }

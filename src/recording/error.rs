@@ -29,6 +29,12 @@ pub enum RecordingError {
         /// The file.
         name: String,
     },
+    /// No navigation data are named, and neither rover nor base can hold any.
+    #[error("no navigation data are named, and {name} holds none")]
+    NavigationRequired {
+        /// The rover's file.
+        name: String,
+    },
     /// No source gives the base's position.
     #[error("{reason}")]
     BasePositionMissing {

@@ -36,13 +36,14 @@ pub(super) struct NavigationFiles<'a> {
 }
 
 impl<'a> NavigationFiles<'a> {
-    /// Reads the navigation data of `inputs`. `observations` help to date data without a GPS week.
+    /// Reads the navigation data of `inputs`; without any, those that the receivers of
+    /// `observations` have decoded. `observations` help to date data without a GPS week.
     ///
     /// # Errors
-    /// A file cannot be read or dated.
+    /// A file cannot be read or dated, or there are no navigation data.
     pub(super) fn read(
         inputs: &'a [Input],
-        observations: &[&Input],
+        observations: &[&'a Input],
         given: Option<TimeReference>,
     ) -> Result<Self, RecordingError> {
         let mut dating = Dating { given, found: None };
@@ -55,7 +56,7 @@ impl<'a> NavigationFiles<'a> {
         }
         let mut files = Self { navigation: Navigation::default(), left_out: Vec::new(), dating };
         let mut undated = Vec::new();
-        for input in inputs {
+        for input in navigation_of(inputs, observations)? {
             let is_receiver_data = input.format()? == FileFormat::Receiver;
             let reference = if is_receiver_data { files.dating.of(input)? } else { None };
             if is_receiver_data && reference.is_none() {
@@ -89,6 +90,28 @@ impl<'a> NavigationFiles<'a> {
         self.navigation.merge(navigation);
         self.left_out.push((input.name(), left_out));
         Ok(())
+    }
+}
+
+/// The files with navigation data: those named, else the receiver data among the observations.
+fn navigation_of<'a>(
+    inputs: &'a [Input],
+    observations: &[&'a Input],
+) -> Result<Vec<&'a Input>, RecordingError> {
+    if !inputs.is_empty() {
+        return Ok(inputs.iter().collect());
+    }
+    let mut own = Vec::new();
+    for input in observations {
+        if input.format()? == FileFormat::Receiver {
+            own.push(*input);
+        }
+    }
+    match (own.is_empty(), observations.first()) {
+        (true, Some(rover)) => {
+            Err(RecordingError::NavigationRequired { name: rover.name().to_owned() })
+        }
+        _ => Ok(own),
     }
 }
 

@@ -17,7 +17,8 @@ use super::{AnswerKind, ApproximatePosition, BasePosition, Input, Provenance, Re
 pub struct RecordingInputs {
     /// Observations of the rover: RINEX, CRINEX, UBX, RTCM 3 or an Android GnssLogger log.
     pub rover: Input,
-    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides.
+    /// Navigation data: RINEX, or UBX or RTCM 3 with ephemerides. Without any, those that the
+    /// receivers of rover and base have decoded.
     pub navigation: Vec<Input>,
     /// Observations of the base, for modes relative to one.
     pub base: Option<Input>,

@@ -580,6 +580,7 @@ fn refused_commands() -> Vec<(&'static str, Code)> {
         ("solve", Code::Usage),
         ("solve --rover none.obs --nav none.nav --output a.pos", Code::FileNotReadable),
         ("solve --rover text.obs --nav text.obs --output a.pos", Code::FileNotUnderstood),
+        ("solve --rover text.obs", Code::NavigationRequired),
         ("evaluate --solution text.obs --truth text.obs", Code::FileMalformed),
         ("simulate --scenario clean --seed 1 --output /dev/null/x", Code::FileNotWritable),
     ]

@@ -10,6 +10,10 @@ macro_rules! sources {
     TooManyEphemerides = "TOO_MANY_EPHEMERIDES", TooLarge,
         "push a shorter span, or let the operator raise limits.ephemerides_per_satellite";
 
+    /// A recording has no navigation data, and its observations hold none.
+    NavigationRequired = "NAVIGATION_REQUIRED", Malformed,
+        "name RINEX navigation data of that day, or a receiver's log with ephemerides";
+
     // Bases.
 
     /// The base does not exist.
