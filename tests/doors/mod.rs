@@ -10,6 +10,7 @@ mod compare;
 mod errors;
 mod feeds;
 mod grpc;
+mod guides;
 mod http;
 mod job_events;
 mod jobs;
