@@ -152,6 +152,13 @@ impl Lease {
         budget.0.used.fetch_sub(before.saturating_sub(bytes), Ordering::AcqRel);
     }
 
+    /// Whether memory is short: a stream then reads no further message before the one on its way is
+    /// answered.
+    pub(crate) fn is_short(&self) -> bool {
+        let budget = &self.0.budget;
+        budget.total() / 2 < budget.used()
+    }
+
     /// Reserves memory for bytes of a stream's body that have arrived.
     ///
     /// # Errors

@@ -56,6 +56,19 @@ fn field(status: &Status) -> String {
     info.metadata.get("field").cloned().unwrap_or_default()
 }
 
+/// Where the memory of all requests is short, a stream reads on as its epochs are answered. It does
+/// not end, as the device would send everything again.
+#[tokio::test]
+async fn a_stream_waits_where_memory_is_short() {
+    let doors = Doors::with(Limits { request_memory_bytes: 512 << 10, ..Limits::standard() }).await;
+    let session = doors.session().await;
+    let (mut flow, _) = opened(&doors, opening(&session, v1::Answers::Summary)).await;
+    for e in &DRIVE.epochs[..250] {
+        flow.push(vec![convert::epoch_message(e.seq, &e.epoch)]).await;
+    }
+    assert_eq!(flow.until_durable(250).await.len(), 250);
+}
+
 /// Epochs in many messages, in flight together: the answers are those of PushEpochs, and are
 /// stored. The stream ends when the device closes its side.
 #[tokio::test]

@@ -280,7 +280,7 @@ where
             self.key_ended = None;
             return Poll::Ready(Event::KeyEnded(error));
         }
-        if self.is_reading && self.held.is_none() {
+        if self.reads_on() {
             match self.messages.poll_next_unpin(context) {
                 Poll::Ready(Some(message)) => return Poll::Ready(Event::Message(message)),
                 Poll::Ready(None) => return Poll::Ready(Event::HalfClosed),
@@ -299,12 +299,16 @@ where
         self.timer.as_mut().poll(context).map(|()| Event::Time)
     }
 
+    /// Whether the next message is read now.
+    fn reads_on(&self) -> bool {
+        self.is_reading && self.held.is_none() && self.ledger.has_room()
+    }
+
     /// When the timer is needed next.
     fn deadline(&self) -> Instant {
         let idle = Duration::from_secs(self.caller.limits().stream_idle_s);
-        let is_reading = self.is_reading && self.held.is_none();
         let others = [
-            is_reading.then(|| self.heard + idle),
+            self.reads_on().then(|| self.heard + idle),
             self.held.as_ref().map(|held| held.until),
             self.end,
         ];
@@ -428,7 +432,7 @@ where
             self.post(held.push).await;
             return None;
         }
-        if self.is_reading && self.held.is_none() && self.heard + idle <= now {
+        if self.reads_on() && self.heard + idle <= now {
             let message = format!("no message for {} s", limits.stream_idle_s);
             return self.stop(Refusal::new(Code::StreamIdle, message).into());
         }

@@ -122,6 +122,12 @@ impl Ledger {
         self.on_its_way.is_empty()
     }
 
+    /// Whether another message may be read. While memory is short, a stream waits for its answers
+    /// instead of exhausting the memory, which would end it.
+    pub(super) fn has_room(&self) -> bool {
+        self.on_its_way.is_empty() || !self.lease.as_ref().is_some_and(Lease::is_short)
+    }
+
     /// What may have been received in all.
     pub(super) fn credit(&self) -> Amount {
         let mut credit = self.answered;
