@@ -40,6 +40,7 @@
 //! | [`reception`] | a receiver's stream of bytes into epochs and navigation data |
 //! | [`store`] | the database |
 //! | [`clock`] | the system clock |
+//! | [`tls`] | the certificate of the service, and what clients trust |
 //! | [`keys`] | API keys: who may call what |
 //! | [`aiding`] | ephemerides and base stations, for all sessions |
 //! | [`feeds`] | casters and archives, which fill `aiding` |
@@ -84,6 +85,8 @@ pub mod store;
 
 pub mod clock;
 mod meters;
+
+pub mod tls;
 
 pub mod keys;
 pub mod quotas;

@@ -9,6 +9,7 @@ use crate::jobs::JobError;
 use crate::keys::KeyError;
 use crate::refusal::Code;
 use crate::store::StoreError;
+use crate::tls::TlsError;
 
 /// Why a service does not open, or stops.
 #[derive(Debug, thiserror::Error)]
@@ -31,6 +32,12 @@ pub enum AppError {
     /// Others can reach the address, and anybody could call without a key.
     #[error("refusing to listen on {0}: without a key only this machine may be served")]
     NotLoopback(SocketAddr),
+    /// Others can reach the address, and could read keys on their way.
+    #[error("refusing to listen on {0} without TLS: keys could be read on their way")]
+    NotEncrypted(SocketAddr),
+    /// The certificate of the service.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The operator's calibrations of antennas.
     #[error("{}: {reason}", path.display())]
     Antex {
@@ -51,6 +58,8 @@ impl AppError {
             Self::Jobs(error) => error.code(),
             Self::Keys(error) => error.code(),
             Self::NotLoopback(_) => Code::ListenNotLoopback,
+            Self::NotEncrypted(_) => Code::ListenNotEncrypted,
+            Self::Tls(error) => error.code(),
             Self::Antex { .. } => Code::AntexInvalid,
         }
     }

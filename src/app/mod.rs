@@ -37,6 +37,7 @@ use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
+use crate::tls::ServerTls;
 
 pub use error::AppError;
 
@@ -53,8 +54,8 @@ pub struct App {
 /// and `feed_options` apply to the connections to other hosts.
 ///
 /// # Errors
-/// The database or the ANTEX file cannot be read, or an address of a source is invalid or not
-/// allowed.
+/// The database, the certificate or the ANTEX file cannot be read, or an address of a source is
+/// invalid or not allowed.
 pub async fn open(
     configuration: &ServiceConfiguration,
     time_limits: TimeLimits,
@@ -62,6 +63,7 @@ pub async fn open(
 ) -> Result<App, AppError> {
     let ServiceConfiguration { database, fetch, navigation, bases, antennas, limits, .. } =
         configuration;
+    let tls = ServerTls::open(&configuration.tls)?;
     let catalogue = antenna_catalogue(antennas)?;
     let sources = navigation_sources(navigation)?;
     let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
@@ -84,7 +86,8 @@ pub async fn open(
     let keys = Keys::open(store.clone()).await?;
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
-    Ok(App { store, service: service.named(node).with_hosts(&configuration.hosts) })
+    let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
+    Ok(App { store, service })
 }
 
 /// Opens the database as its only service, and logs the settings on which durability depends.
@@ -123,18 +126,24 @@ impl App {
     }
 
     /// Checks that the service may listen on an address: beyond loopback only if requests need a
-    /// key.
+    /// key, and with TLS, unless something before it has TLS (`plaintext`).
     ///
     /// # Errors
-    /// [`AppError::NotLoopback`].
-    pub fn check_address(&self, address: SocketAddr) -> Result<(), AppError> {
+    /// [`AppError::NotLoopback`], [`AppError::NotEncrypted`].
+    pub fn check_address(&self, address: SocketAddr, plaintext: bool) -> Result<(), AppError> {
         if address.ip().is_loopback() {
             return Ok(());
         }
         if !self.service.keys().are_needed() {
             return Err(AppError::NotLoopback(address));
         }
-        tracing::warn!(%address, "no TLS: let a proxy bring it, or keys can be read on their way");
+        match (self.service.tls(), plaintext) {
+            (Some(_), _) => {}
+            (None, true) => {
+                tracing::warn!(%address, "no TLS: what is before the port must have it");
+            }
+            (None, false) => return Err(AppError::NotEncrypted(address)),
+        }
         Ok(())
     }
 

@@ -4,6 +4,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use hyper::Uri;
+use hyper_util::rt::TokioIo;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code as GrpcCode, Status};
@@ -20,6 +22,7 @@ use crate::refusal::Code;
 
 use super::Failure;
 use super::bearer::Bearer;
+use super::trust::{TrustArguments, address, tls_failure};
 
 const FIRST_DELAY: Duration = Duration::from_millis(100);
 const LONGEST_DELAY: Duration = Duration::from_secs(5);
@@ -70,12 +73,19 @@ impl Connection {
     /// bring `key`; it connects when it is first used.
     ///
     /// # Errors
-    /// `server` is not an address, or `key` not a key.
-    pub(super) fn to(server: &str, key: Option<&str>, patience: Duration) -> Result<Self, Failure> {
-        let endpoint = Endpoint::from_shared(server.to_owned()).map_err(|error| {
-            let message = format!("--server {server:?}: {error}");
-            Failure::new(Code::Usage, message, "write an address such as http://127.0.0.1:8080")
-        })?;
+    /// `server` is not an address, `key` not a key, or a file of `trust` cannot be used.
+    pub(super) fn to(
+        server: &str,
+        key: Option<&str>,
+        trust: &TrustArguments,
+        patience: Duration,
+    ) -> Result<Self, Failure> {
+        let invalid = |error: String| {
+            Failure::new(Code::Usage, format!("--server: {error}"), Code::Usage.remedy())
+        };
+        let url = address(server).map_err(invalid)?;
+        let endpoint = Endpoint::from_shared(server.to_owned());
+        let endpoint = endpoint.map_err(|error| invalid(error.to_string()))?;
         let endpoint = endpoint
             .connect_timeout(Duration::from_secs(5))
             .timeout(Duration::from_secs(60))
@@ -85,8 +95,16 @@ impl Connection {
             .initial_stream_window_size(4 << 20)
             .initial_connection_window_size(8 << 20)
             .tcp_nodelay(true);
-        let channel = InterceptedService::new(endpoint.connect_lazy(), Bearer::of(key)?);
-        Ok(Self { channel, patience })
+        let tls = trust.client(b"h2")?;
+        let connector = tower::service_fn(move |_: Uri| {
+            let (tls, url) = (tls.clone(), url.clone());
+            async move {
+                let name = url.is_tls.then_some(&*url.host);
+                tls.connect((&url.host, url.port), name).await.map(TokioIo::new)
+            }
+        });
+        let channel = endpoint.connect_with_connector_lazy(connector);
+        Ok(Self { channel: InterceptedService::new(channel, Bearer::of(key)?), patience })
     }
 
     /// Pushes a navigation file; returns the number of new ephemerides.
@@ -261,6 +279,9 @@ impl Retry {
         };
         // A refusal without a delay, such as an exceeded limit, is permanent.
         let since = *self.since.get_or_insert_with(Instant::now);
+        if let Some(refused) = tls_failure(status) {
+            return Err(refused);
+        }
         if asked.is_none() && (!passing || self.patience < since.elapsed()) {
             return Err(failure(status));
         }

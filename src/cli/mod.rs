@@ -14,6 +14,7 @@ mod device_stream;
 mod evaluate;
 mod failure;
 mod files;
+mod health;
 mod host;
 mod keys;
 mod load;
@@ -27,6 +28,7 @@ mod solve;
 mod stream;
 mod stream_raw;
 mod tenants;
+mod trust;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -56,6 +58,7 @@ enum Command {
     Serve(Box<serve::ServeArguments>),
     Stream(Box<stream::StreamArguments>),
     Load(load::LoadArguments),
+    Health(health::HealthArguments),
     Replay(replay::ReplayArguments),
     Keys(keys::KeysArguments),
     Tenants(tenants::TenantsArguments),
@@ -73,6 +76,7 @@ impl Command {
             Self::Serve(arguments) => serve::run(*arguments),
             Self::Stream(arguments) => stream::run(*arguments),
             Self::Load(arguments) => load::run(arguments),
+            Self::Health(arguments) => health::run(&arguments),
             Self::Replay(arguments) => replay::run(&arguments),
             Self::Keys(arguments) => keys::run(arguments),
             Self::Tenants(arguments) => tenants::run(arguments),

@@ -20,10 +20,24 @@ pub(super) struct ServeArguments {
     /// TOML file; its missing keys have their defaults, and the other arguments override it.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
-    /// Address and port; beyond loopback only once a key exists (graphfix keys create), and behind
-    /// a proxy that brings TLS. Default: 127.0.0.1:8080.
+    /// Address and port; beyond loopback only once a key exists (graphfix keys create), and with
+    /// TLS. Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
+    /// Certificate of the service (PEM), behind it those up to its authority. With it the port
+    /// takes TLS only. New contents are used within seconds, without a restart. Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CERTIFICATE")]
+    tls_certificate: Option<PathBuf>,
+    /// Private key of the certificate (PEM), without a password.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_KEY")]
+    tls_key: Option<PathBuf>,
+    /// Authorities of clients (PEM): each client then needs a certificate that one of them has
+    /// signed, besides its key. Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CLIENT_CA")]
+    tls_client_ca: Option<PathBuf>,
+    /// Listen beyond loopback without TLS, because a proxy or balancer before the service has it.
+    #[arg(long, env = "GRAPHFIX_PLAINTEXT")]
+    plaintext: bool,
     /// Name or address under which clients call the service, beside localhost; may be repeated.
     #[arg(long, value_name = "NAME", env = "GRAPHFIX_HOSTS", value_delimiter = ',')]
     host: Vec<String>,
@@ -70,6 +84,11 @@ impl ServeArguments {
             }
         };
         configuration.listen = self.listen.unwrap_or(configuration.listen);
+        configuration.plaintext |= self.plaintext;
+        let tls = &mut configuration.tls;
+        tls.certificate_file = self.tls_certificate.or(tls.certificate_file.take());
+        tls.key_file = self.tls_key.or(tls.key_file.take());
+        tls.client_ca_file = self.tls_client_ca.or(tls.client_ca_file.take());
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
         configuration.database = self.database.unwrap_or(configuration.database);
@@ -90,8 +109,8 @@ impl ServeArguments {
 /// Runs the service.
 ///
 /// # Errors
-/// The configuration is refused, the address is in use, others can reach it and no key exists, or
-/// the database cannot be opened or was another service's meanwhile.
+/// The configuration is refused, the address is in use, others can reach it without a key or TLS,
+/// or the database cannot be opened or was another service's meanwhile.
 pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
     let configuration = arguments.configuration()?;
     host::start_log(&configuration)?;
@@ -105,9 +124,10 @@ async fn serve(configuration: ServiceConfiguration) -> Result<(), Failure> {
     })?;
     let opened = app::open(&configuration, TimeLimits::standard(), FeedOptions::standard());
     let app = opened.await?;
-    app.check_address(configuration.listen)?;
+    app.check_address(configuration.listen, configuration.plaintext)?;
     let address = listener.local_addr().unwrap_or(configuration.listen);
-    tracing::info!(%address, "serving gRPC and REST; see http://{address}/");
+    let scheme = if configuration.tls.certificate_file.is_some() { "https" } else { "http" };
+    tracing::info!(%address, "serving gRPC and REST; see {scheme}://{address}/");
     app.serve(listener, host::interrupted()).await?;
     tracing::info!("stopped; everything acknowledged is stored");
     Ok(())

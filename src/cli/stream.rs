@@ -24,6 +24,7 @@ use super::files::{self, StartTime};
 use super::host;
 use super::progress::{Progress, Speed, parse_speed};
 use super::stream_raw::Bytestream;
+use super::trust::TrustArguments;
 
 /// Epochs of one message at full speed.
 const BATCH: usize = 16;
@@ -35,13 +36,15 @@ pub(super) struct StreamArguments {
     /// of a receiver (UBX, RTCM 3) and of an Android GnssLogger log are sent unchanged.
     #[arg(long, value_name = "FILE")]
     rover: PathBuf,
-    /// The service.
+    /// The service; https:// for TLS.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
     server: String,
     /// Key of the service, with the right device. In the environment other users of this machine do
     /// not see it.
     #[arg(long, value_name = "KEY", env = "GRAPHFIX_KEY", hide_env_values = true)]
     key: Option<String>,
+    #[command(flatten)]
+    trust: TrustArguments,
     /// Navigation files to push first; the key then needs the right operate, too.
     #[arg(long, value_name = "FILE")]
     nav: Vec<PathBuf>,
@@ -83,7 +86,8 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     let is_raw = format != FileFormat::Rinex;
     let mut rover = if is_raw { None } else { Some(Rover::open(&arguments.rover)?) };
     let patience = Duration::from_secs(arguments.patience);
-    let connection = Connection::to(&arguments.server, arguments.key.as_deref(), patience)?;
+    let StreamArguments { server, key, trust, .. } = &arguments;
+    let connection = Connection::to(server, key.as_deref(), trust, patience)?;
     for path in &arguments.nav {
         let new = connection.push_navigation(path).await?;
         eprintln!("{}: {new} new ephemerides", path.display());

@@ -17,6 +17,7 @@ mod positioning;
 mod rtk_options;
 mod rtk_table;
 mod service;
+mod tls;
 
 pub use choices::{BandSet, Beyond, ConstellationSet, Mode, Profile};
 pub(crate) use choices::{
@@ -36,3 +37,4 @@ pub use service::{
     LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
 pub(crate) use service::{RETENTION_MAX_DAYS, ServiceConfigurationError};
+pub use tls::TlsConfiguration;

@@ -13,6 +13,7 @@ use crate::refusal::Code;
 
 use super::jobs::JobsConfiguration;
 use super::limits::Limits;
+use super::tls::TlsConfiguration;
 
 /// Shortest interval between requests (s): ephemerides change once an hour, and archives serve
 /// everybody.
@@ -25,8 +26,14 @@ pub(crate) const RETENTION_MAX_DAYS: u32 = 36_500;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ServiceConfiguration {
-    /// Address and port to listen on; beyond loopback only once a key exists.
+    /// Address and port to listen on; beyond loopback only once a key exists, and with TLS or
+    /// `plaintext`.
     pub listen: SocketAddr,
+    /// Whether the port may be reached from beyond this machine without TLS, since a proxy or
+    /// balancer before it has TLS.
+    pub plaintext: bool,
+    /// TLS of the port.
+    pub tls: TlsConfiguration,
     /// Name of this node in the log, in answers, and to another service on the same database.
     /// Empty: the name of the host and a random mark.
     pub node: String,
@@ -188,6 +195,8 @@ impl ServiceConfiguration {
     pub fn standard() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            plaintext: false,
+            tls: TlsConfiguration::default(),
             node: String::new(),
             hosts: Vec::new(),
             database: "sqlite://graphfix.db".to_owned(),
@@ -225,6 +234,9 @@ impl ServiceConfiguration {
         if 100 < self.node.len() || !self.node.chars().all(|c| c.is_ascii_graphic()) {
             let why = "node must have at most 100 visible ASCII characters and no space";
             return Err(ServiceConfigurationError::Malformed(why.to_owned()));
+        }
+        if let Some(missing) = self.tls.missing() {
+            return Err(ServiceConfigurationError::Malformed(missing.to_owned()));
         }
         if self.navigation.archive_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::ArchiveInterval);

@@ -99,6 +99,14 @@ impl Service {
         let seconds = "Time from a request to the head of its answer";
         registry.register_with_unit("request", seconds, Unit::Seconds, meters.seconds.clone());
         registry.register("connections", "Open connections", meters.connections.clone());
+        let tls = self.tls().map(|tls| tls.meters().clone()).unwrap_or_default();
+        let help = "End of the certificate (Unix time), 0 without TLS";
+        let expiry = tls.expiry_s.clone();
+        registry.register_with_unit("tls_certificate_expiry", help, Unit::Seconds, expiry);
+        let help = "1 while invalid files prevent the renewal of the certificate, otherwise 0";
+        registry.register("tls_renewal_failed", help, tls.renewal_failed.clone());
+        let help = "TLS handshakes that failed";
+        registry.register("tls_handshakes_failed", help, tls.failed_handshakes.clone());
         let (streams, watches) = self.open_streams();
         page.gauge("streams", "Open streams of devices", streams as f64);
         page.gauge("watches", "Open watches of solutions", watches as f64);

@@ -12,6 +12,7 @@ use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
+use crate::tls::ServerTls;
 
 use super::{Budget, Refusal, RequestMeters};
 
@@ -41,6 +42,8 @@ struct Desks {
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
     meters: RequestMeters,
+    /// TLS of the port; `None` if it is not encrypted.
+    tls: Option<ServerTls>,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
     /// Limits the open watches.
@@ -75,6 +78,7 @@ impl Service {
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
             meters: RequestMeters::new(),
+            tls: None,
             streams,
             watches,
         }))
@@ -97,6 +101,18 @@ impl Service {
     pub fn with_hosts(mut self, hosts: &[String]) -> Self {
         Arc::make_mut(&mut self.0).hosts = hosts.into();
         self
+    }
+
+    /// The service with a port that is encrypted, unless `tls` is `None`.
+    #[must_use]
+    pub(crate) fn with_tls(mut self, tls: Option<ServerTls>) -> Self {
+        Arc::make_mut(&mut self.0).tls = tls;
+        self
+    }
+
+    /// TLS of the port; `None` if it is not encrypted.
+    pub(crate) fn tls(&self) -> Option<&ServerTls> {
+        self.0.tls.as_ref()
     }
 
     /// Whether the operator lists this host name of the service.

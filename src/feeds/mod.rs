@@ -35,9 +35,10 @@ mod web;
 
 pub use address::FetchPolicy;
 
+pub use crate::tls::Connection;
 pub use archive::ArchiveTemplate;
 pub(crate) use backoff::Backoff;
-pub use connection::{Connection, Connector, TimeLimits};
+pub use connection::{Connector, TimeLimits};
 pub use desk::Feeds;
 pub use error::FetchError;
 pub(crate) use health::BaseArchiveHealth;

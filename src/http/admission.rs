@@ -3,6 +3,7 @@
 //!
 //! Memory comes last: a request that is refused uses none, and nothing of its body is read.
 
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -30,6 +31,8 @@ use super::sign_in;
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
 /// Header of an answer with the request's id. The log has the same id.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// `Strict-Transport-Security` (RFC 6797): for a year, of this name alone.
+const TLS_ONLY: &str = "max-age=31536000";
 /// `Content-Security-Policy` of answers that are not pages: nothing may be loaded or framed.
 const NO_CONTENT: &str = "default-src 'none'; frame-ancestors 'none'";
 /// `Content-Security-Policy` of the pages of `/docs`, which load nothing from other hosts.
@@ -44,6 +47,7 @@ pub(super) async fn admit(
     next: Next,
 ) -> Response {
     let (is_grpc, begun) = (is_grpc(request.headers()), Instant::now());
+    let is_named = is_named(&service, &request);
     let target = target(request.method().as_str(), request.uri().path());
     let mut response = match admitted(&service, &target, request, is_grpc) {
         Ok((request, lease)) => {
@@ -62,7 +66,18 @@ pub(super) async fn admit(
     if let Ok(node) = HeaderValue::from_str(service.node()) {
         response.headers_mut().insert(NODE, node);
     }
-    if is_grpc { response } else { with_security_headers(response) }
+    if is_grpc { response } else { with_security_headers(response, is_named) }
+}
+
+/// Whether a request came with TLS and names the service by a name of its own: browsers may then
+/// remember that this name has TLS. Addresses and `localhost` are shared with other services.
+fn is_named(service: &Service, request: &Request) -> bool {
+    let is_encrypted = request.extensions().get().is_some_and(|peer: &Peer| peer.is_encrypted);
+    let name = host(request.uri(), request.headers()).map(name_of).unwrap_or_default();
+    is_encrypted
+        && service.is_listed_host(name)
+        && !name.eq_ignore_ascii_case("localhost")
+        && address_of(name).is_none()
 }
 
 /// How a request went, as far as the head of its answer tells.
@@ -101,7 +116,7 @@ fn admitted(
             return Err(Refusal::new(Code::RouteNotFound, message));
         }
     };
-    let peer = request.extensions().get().map(|Peer(address)| *address);
+    let peer = request.extensions().get().map(|Peer { address, .. }| *address);
     let pass = service.admit(call, credential(&request), peer)?;
     let lease = service.budget().lease(pass)?;
     metered(service, request, lease, is_grpc)
@@ -158,13 +173,12 @@ fn answer(refusal: Refusal, is_grpc: bool) -> Response {
 /// origin. Otherwise a web page could resolve its own host name to this machine and so reach the
 /// service (DNS rebinding).
 fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), Refusal> {
-    let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
-    let host = uri.authority().map(|authority| authority.as_str()).or(text(header::HOST));
+    let host = host(uri, headers);
     if let Some(host) = host.filter(|host| !is_own(service, host)) {
         let message = format!("the request names the host {:?}", brief(host));
         return Err(Refusal::new(Code::HostRefused, message));
     }
-    let Some(origin) = text(header::ORIGIN) else { return Ok(()) };
+    let Some(origin) = text(headers, header::ORIGIN) else { return Ok(()) };
     let (_, from) = origin.split_once("://").unwrap_or(("", origin));
     let is_same = host.is_some_and(|host| host.eq_ignore_ascii_case(from));
     if is_same || service.is_listed_host(name_of(from)) {
@@ -174,14 +188,27 @@ fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), R
     Err(Refusal::new(Code::OriginRefused, message))
 }
 
+/// The host that a request names, with its port.
+fn host<'a>(uri: &'a Uri, headers: &'a HeaderMap) -> Option<&'a str> {
+    uri.authority().map(|authority| authority.as_str()).or(text(headers, header::HOST))
+}
+
+/// The text of a header; one that is not ASCII fits nothing.
+fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name).map(|value| value.to_str().unwrap_or("?"))
+}
+
 /// Whether a host is `localhost`, a loopback address, or a name that the operator lists.
 fn is_own(service: &Service, host: &str) -> bool {
     let name = name_of(host);
-    let address = name.trim_start_matches('[').trim_end_matches(']');
-    let address: Option<std::net::IpAddr> = address.parse().ok();
     name.eq_ignore_ascii_case("localhost")
-        || address.is_some_and(|address| address.is_loopback())
+        || address_of(name).is_some_and(|address| address.is_loopback())
         || service.is_listed_host(name)
+}
+
+/// The address that a host's name is; `None` if it is another name.
+fn address_of(name: &str) -> Option<IpAddr> {
+    name.trim_start_matches('[').trim_end_matches(']').parse().ok()
 }
 
 /// The host without its port.
@@ -236,8 +263,8 @@ fn refusal_error(refusal: Refusal) -> BoxError {
 }
 
 /// Adds a `Content-Security-Policy` where there is no stricter one, and forbids browsers to guess
-/// the content type.
-fn with_security_headers(mut response: Response) -> Response {
+/// the content type; where a name of the service was called with TLS, to call it without.
+fn with_security_headers(mut response: Response, is_named: bool) -> Response {
     let headers = response.headers_mut();
     let kind = headers.get(header::CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();
     let is_page = [&b"text/html"[..], b"text/css", b"text/javascript", b"application/javascript"]
@@ -246,5 +273,8 @@ fn with_security_headers(mut response: Response) -> Response {
     let policy = HeaderValue::from_static(if is_page { OWN_CONTENT } else { NO_CONTENT });
     headers.entry(header::CONTENT_SECURITY_POLICY).or_insert(policy);
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    if is_named {
+        headers.insert(header::STRICT_TRANSPORT_SECURITY, HeaderValue::from_static(TLS_ONLY));
+    }
     response
 }

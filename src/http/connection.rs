@@ -17,7 +17,7 @@ use hyper::service::service_fn;
 use hyper::{Request, Version};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
-use tokio::net::TcpStream;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep, sleep_until};
 use tower::ServiceExt;
@@ -41,9 +41,13 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(5);
 /// Time that a connection has for its shutdown.
 const END_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The address at the other end of a request's connection.
+/// The other end of a request's connection.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Peer(pub(super) IpAddr);
+pub(super) struct Peer {
+    pub(super) address: IpAddr,
+    /// Whether the connection has TLS.
+    pub(super) is_encrypted: bool,
+}
 
 /// How long a connection waits for its peer.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +125,7 @@ impl Drop for Running {
 
 /// Serves the requests of `stream` until it ends, its peer is too slow, or `stopping` is true.
 pub(super) async fn serve_connection(
-    (stream, peer): (TcpStream, Peer),
+    (stream, peer): (impl AsyncRead + AsyncWrite + Send + Unpin + 'static, Peer),
     router: Router,
     patience: ConnectionPatience,
     mut stopping: watch::Receiver<bool>,
@@ -249,8 +253,12 @@ impl<I: Write + Unpin> Write for Watched<I> {
         outcome
     }
 
+    // With TLS a write fills the buffer of the encryption, and a flush waits for the peer. Without,
+    // a flush is ready at once; it comes after the writes, so it hides none that is pending.
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.io).poll_flush(context)
+        let outcome = Pin::new(&mut self.io).poll_flush(context);
+        self.note(&outcome);
+        outcome
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {

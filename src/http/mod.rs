@@ -6,6 +6,7 @@ mod body;
 mod caller;
 mod connection;
 mod dashboard;
+mod handshake;
 mod job_events;
 mod jobs;
 mod json_extent;

@@ -9,6 +9,9 @@ use utoipa::ToSchema;
 use crate::contract::Refusal;
 use crate::refusal::{Class, Code};
 
+/// Content type of a problem document.
+const KIND: &str = "application/problem+json";
+
 /// A refusal as an RFC 9457 problem document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
@@ -94,6 +97,28 @@ impl Problem {
             retry_after_ms: refusal.retry_after.map(|delay| delay.as_millis() as u64),
         }
     }
+
+    /// The document of a refusal as the last answer of HTTP/1.1 on a connection, for connections
+    /// whose requests are not read.
+    pub(super) fn closing_answer(refusal: &Refusal) -> String {
+        let status = http_status(refusal.code.class());
+        let body =
+            serde_json::to_string(&Self::of(refusal)).expect("a problem is texts and numbers");
+        let retry_after = match retry_after_s(refusal) {
+            Some(seconds) => format!("retry-after: {seconds}\r\n"),
+            None => String::new(),
+        };
+        format!(
+            "HTTP/1.1 {status}\r\ncontent-type: {KIND}\r\ncontent-length: {}\r\n\
+             {retry_after}connection: close\r\n\r\n{body}",
+            body.len(),
+        )
+    }
+}
+
+/// The delay before the next attempt, in whole seconds.
+fn retry_after_s(refusal: &Refusal) -> Option<u64> {
+    refusal.retry_after.map(|delay| delay.as_millis().div_ceil(1000) as u64)
 }
 
 /// The document with its status, and `Retry-After` in whole seconds if there is a delay. Failures
@@ -106,14 +131,12 @@ impl IntoResponse for Refused {
         }
         let status = http_status(refusal.code.class());
         let mut response = (status, Json(Problem::of(&refusal))).into_response();
-        let kind = HeaderValue::from_static("application/problem+json");
-        response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(KIND));
         if refusal.code.class() == Class::Unauthenticated {
             let challenge = HeaderValue::from_static(challenge(refusal.code));
             response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
         }
-        if let Some(delay) = refusal.retry_after {
-            let seconds = delay.as_millis().div_ceil(1000) as u64;
+        if let Some(seconds) = retry_after_s(&refusal) {
             response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
         }
         response

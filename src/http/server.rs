@@ -1,10 +1,13 @@
 //! The listening port: accepts connections, serves both doors, and drains when the service stops.
 
 use std::any::Any;
+use std::convert::Infallible;
 use std::future::Future;
 use std::io::Write;
+use std::net::IpAddr;
 use std::time::Duration;
 
+use axum::Router;
 use axum::response::{IntoResponse, Response};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
@@ -12,8 +15,10 @@ use tokio::task::JoinSet;
 
 use crate::contract::{Refusal, Service};
 use crate::refusal::Code;
+use crate::tls::ServerTls;
 
 use super::connection::{ConnectionPatience, Peer, serve_connection};
+use super::handshake;
 use super::problem::{Problem, Refused};
 use super::router;
 use super::seats::Seats;
@@ -44,10 +49,17 @@ pub async fn serve(
             tokio::time::sleep(notice).await;
         }
     };
+    let renewed = async {
+        match service.tls() {
+            Some(tls) => tls.follow_files().await,
+            None => std::future::pending::<Infallible>().await,
+        }
+    };
     let mut connections = JoinSet::new();
     tokio::select! {
         () = accept(listener, service, &mut connections, is_stopping) => {}
         () = announced => {}
+        never = renewed => match never {},
     }
     stopping.send_replace(true);
     let ended = async { while connections.join_next().await.is_some() {} };
@@ -90,30 +102,52 @@ async fn accept(
             Ok(seat) => {
                 // Err: the connection is lost already.
                 stream.set_nodelay(true).ok();
-                let connection = (stream, Peer(peer.ip()));
-                let served =
-                    serve_connection(connection, router.clone(), patience, is_stopping.clone());
+                let tls = service.tls().cloned();
+                let served = serve_stream(
+                    (stream, peer.ip()),
+                    tls,
+                    router.clone(),
+                    patience,
+                    is_stopping.clone(),
+                );
                 connections.spawn(async move {
                     let _seat = seat;
                     served.await;
                 });
             }
+            // A peer with TLS reads nothing before its handshake.
+            Err(_) if service.tls().is_some() => drop(stream),
             Err(refusal) => refuse(stream, &refusal),
         }
     }
 }
 
+/// Serves an accepted connection, after its handshake if the port has TLS.
+async fn serve_stream(
+    (stream, address): (TcpStream, IpAddr),
+    tls: Option<ServerTls>,
+    router: Router,
+    patience: ConnectionPatience,
+    mut is_stopping: watch::Receiver<bool>,
+) {
+    let Some(tls) = tls else {
+        let peer = Peer { address, is_encrypted: false };
+        return serve_connection((stream, peer), router, patience, is_stopping).await;
+    };
+    let agreed = tokio::select! {
+        agreed = handshake::agree(stream, &tls, patience.head) => agreed,
+        // Err: the server has ended, too.
+        _ = is_stopping.wait_for(|stopping| *stopping) => None,
+    };
+    if let Some(stream) = agreed {
+        let peer = Peer { address, is_encrypted: true };
+        serve_connection((stream, peer), router, patience, is_stopping).await;
+    }
+}
+
 /// Answers a refused connection without waiting: what the socket's buffer does not take is lost.
 fn refuse(stream: TcpStream, refusal: &Refusal) {
-    let problem = Problem::of(refusal);
-    let retry_after_s = refusal.retry_after.map_or(1, |delay| delay.as_millis().div_ceil(1000));
-    let body = serde_json::to_string(&problem).expect("a problem is texts and numbers");
-    let answer = format!(
-        "HTTP/1.1 {} Too Many Requests\r\ncontent-type: application/problem+json\r\n\
-         content-length: {}\r\nretry-after: {retry_after_s}\r\nconnection: close\r\n\r\n{body}",
-        problem.status,
-        body.len(),
-    );
+    let answer = Problem::closing_answer(refusal);
     // Err: the peer has ended the connection. A peer with HTTP/2 sees only that it ends.
     stream.into_std().and_then(|mut stream| stream.write(answer.as_bytes())).ok();
 }
@@ -128,7 +162,6 @@ pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
 
 #[cfg(test)]
 mod tests {
-    use axum::Router;
     use axum::body::Body;
     use axum::http::{Request, StatusCode};
     use axum::routing::get;

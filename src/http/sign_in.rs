@@ -3,14 +3,15 @@
 //! The cookie is out of reach of scripts (`HttpOnly`), and browsers send it from this service's own
 //! pages only (`SameSite=Strict`). A change needs a token, too, which a page reads here.
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::contract::{Service, SignedIn};
 
+use super::connection::Peer;
 use super::problem::{Problem, Refused};
 
 /// How long a browser keeps the cookie (s). The service ends a sign-in by itself.
@@ -68,9 +69,10 @@ pub(super) async fn get(
 pub(super) async fn create(
     State(service): State<Service>,
     headers: HeaderMap,
+    peer: Option<Extension<Peer>>,
 ) -> Result<(StatusCode, SetCookie, Json<SignInState>), Refused> {
     let (cookie, signed_in) = service.sign_in()?.unzip();
-    let set = set_cookie(&headers, cookie.as_deref());
+    let set = set_cookie(has_tls(&headers, peer.as_deref()), cookie.as_deref());
     Ok((StatusCode::CREATED, set, Json(state(&service, signed_in))))
 }
 
@@ -81,11 +83,13 @@ pub(super) async fn create(
 pub(super) async fn delete(
     State(service): State<Service>,
     headers: HeaderMap,
+    peer: Option<Extension<Peer>>,
 ) -> (SetCookie, Json<SignInState>) {
     if let Some(cookie) = cookie(&headers) {
         service.keys().sign_out(cookie);
     }
-    (set_cookie(&headers, None), Json(state(&service, None)))
+    let set = set_cookie(has_tls(&headers, peer.as_deref()), None);
+    (set, Json(state(&service, None)))
 }
 
 fn state(service: &Service, signed_in: Option<SignedIn>) -> SignInState {
@@ -113,11 +117,16 @@ pub(super) fn cookie(headers: &HeaderMap) -> Option<&str> {
     named.find(|(name, _)| *name == COOKIE).map(|(_, value)| value)
 }
 
+/// Whether the browser has TLS: to this service, or to a proxy that says so.
+fn has_tls(headers: &HeaderMap, peer: Option<&Peer>) -> bool {
+    let by_proxy = headers.get(FORWARDED_PROTO).is_some_and(|proto| proto.as_bytes() == b"https");
+    by_proxy || peer.is_some_and(|peer| peer.is_encrypted)
+}
+
 /// Sets the cookie, or removes it, and keeps the answer out of the memory of browsers and proxies.
-/// Where a proxy says that the browser has TLS, the cookie never goes without it.
-fn set_cookie(headers: &HeaderMap, cookie: Option<&str>) -> SetCookie {
+/// Where the browser has TLS, the cookie never goes without it.
+fn set_cookie(has_tls: bool, cookie: Option<&str>) -> SetCookie {
     let (value, lifetime_s) = cookie.map_or(("", 0), |cookie| (cookie, LIFETIME_S));
-    let has_tls = headers.get(FORWARDED_PROTO).is_some_and(|proto| proto.as_bytes() == b"https");
     let secure = if has_tls { "; Secure" } else { "" };
     let text = format!(
         "{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={lifetime_s}{secure}"

@@ -34,6 +34,7 @@ mod storage;
 mod store;
 mod streams;
 mod tenants;
+mod tls;
 mod tracks;
 mod upgrade;
 mod watches;

@@ -102,7 +102,7 @@ async fn a_service_with_keys_listens_to_others() {
     let port = free_port();
     let everywhere = format!("--listen=0.0.0.0:{port}");
     let server = Server::start_with(&database.url, port, |command| {
-        command.arg(everywhere);
+        command.arg(everywhere).arg("--plaintext");
     });
     let ask = async |key: &str| get_with(port, "/v1/sessions", &format!("Bearer {key}"));
     let right = until("served", async || ask(&secret).await, |answer| answer.is_ok()).await;

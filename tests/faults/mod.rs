@@ -6,6 +6,7 @@ mod crash;
 mod database;
 mod disk;
 mod forged;
+mod handshakes;
 mod hostile;
 mod jobs;
 mod lease;

@@ -20,4 +20,5 @@ pub(crate) mod server;
 pub(crate) mod sessions;
 pub(crate) mod snapshot;
 pub(crate) mod streams;
+pub(crate) mod tls;
 pub(crate) mod wait;

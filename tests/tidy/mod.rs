@@ -27,6 +27,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("meters", &[]),
     ("clock", &["gnss"]),
     ("config", &["gnss", "refusal"]),
+    ("tls", &["gnss", "refusal", "meters", "clock", "config"]),
     ("snapshot", &[]),
     ("graph", &["snapshot"]),
     ("lambda", &[]),
@@ -54,7 +55,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "store",
         ],
     ),
-    ("feeds", &["gnss", "tenant", "refusal", "clock", "formats", "aiding"]),
+    ("feeds", &["gnss", "tenant", "refusal", "clock", "tls", "formats", "aiding"]),
     ("recording", &["gnss", "config", "snapshot", "formats", "positioning"]),
     (
         "session",
@@ -108,15 +109,16 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "session",
             "keys",
             "quotas",
+            "tls",
         ],
     ),
     ("grpc", &["refusal", "contract"]),
-    ("http", &["refusal", "meters", "contract", "grpc"]),
+    ("http", &["refusal", "meters", "tls", "contract", "grpc"]),
     (
         "app",
         &[
             "gnss", "refusal", "config", "formats", "store", "aiding", "feeds", "jobs", "session",
-            "contract", "http", "keys", "quotas",
+            "contract", "http", "keys", "quotas", "tls",
         ],
     ),
     (
@@ -141,6 +143,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "contract",
             "grpc",
             "app",
+            "tls",
         ],
     ),
 ];

@@ -25,6 +25,7 @@ use self::table::Table;
 use super::Failure;
 use super::connection::Connection;
 use super::host;
+use super::trust::TrustArguments;
 
 /// The port that is tried first.
 const PORT: u16 = 8080;
@@ -92,7 +93,8 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
 
 /// Drives the fleet and shows its errors; then it drives on until interrupted, or exits.
 async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
-    let connection = Connection::to(server, None, Duration::from_secs(10))?;
+    let trust = TrustArguments::default();
+    let connection = Connection::to(server, None, &trust, Duration::from_secs(10))?;
     let start = start(arguments);
     let live_s = if arguments.exit { 0.0 } else { LIVE_S };
     let duration_s = f64::from(arguments.duration);

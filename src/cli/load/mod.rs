@@ -26,6 +26,7 @@ use self::traffic::Traffic;
 use super::Failure;
 use super::connection::Connection;
 use super::host;
+use super::trust::TrustArguments;
 
 /// Streams of one connection; the service allows some more, which the other calls use.
 const STREAMS_PER_CONNECTION: usize = 100;
@@ -40,12 +41,14 @@ const AT_ONCE: usize = 32;
 /// All devices observe one simulated drive, each from another second of it on.
 #[derive(Clone, Debug, Args)]
 pub(super) struct LoadArguments {
-    /// The service.
+    /// The service; https:// for TLS.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
     server: String,
     /// Key of the service, with the rights device, read and operate.
     #[arg(long, value_name = "KEY", env = "GRAPHFIX_KEY", hide_env_values = true)]
     key: Option<String>,
+    #[command(flatten)]
+    trust: TrustArguments,
     /// Number of devices.
     #[arg(long, value_name = "N")]
     #[arg(value_parser = value_parser!(u32).range(1..=100_000))]
@@ -149,8 +152,8 @@ fn connections(arguments: &LoadArguments) -> Result<Vec<Connection>, Failure> {
         return Err(Failure::new(Code::Usage, message, remedy));
     }
     let patience = Duration::from_secs(arguments.patience);
-    let key = arguments.key.as_deref();
-    (0..count).map(|_| Connection::to(&arguments.server, key, patience)).collect()
+    let LoadArguments { server, key, trust, .. } = arguments;
+    (0..count).map(|_| Connection::to(server, key.as_deref(), trust, patience)).collect()
 }
 
 /// Creates the sessions.

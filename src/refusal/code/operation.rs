@@ -25,6 +25,18 @@ macro_rules! operation {
     /// Others can reach the address to listen on, and the database has no key.
     ListenNotLoopback = "LISTEN_NOT_LOOPBACK", NoCall,
         "create a key first (graphfix keys create), or listen on 127.0.0.1 or [::1]";
+    /// Others can reach the address to listen on, and nothing encrypts what they send.
+    ListenNotEncrypted = "LISTEN_NOT_ENCRYPTED", NoCall,
+        "give --tls-certificate and --tls-key, or --plaintext if a proxy before it has TLS";
+    /// A PEM file of certificates, or of a key, cannot be read.
+    TlsFileInvalid = "TLS_FILE_INVALID", NoCall,
+        "name PEM files: certificates, the own one first, and its key without a password";
+    /// The private key is not that of the certificate.
+    TlsKeyMismatch = "TLS_KEY_MISMATCH", NoCall,
+        "name the key that the certificate was requested with";
+    /// The certificate has expired, or is not valid yet.
+    TlsCertificateExpired = "TLS_CERTIFICATE_EXPIRED", NoCall,
+        "renew the certificate, or correct the clock of this machine";
     /// The port is taken, or the process may not open it.
     AddressUnavailable = "ADDRESS_UNAVAILABLE", NoCall,
         "choose another address with --listen, or let the process open this one";
@@ -106,6 +118,9 @@ macro_rules! operation {
     /// The service does not answer.
     ServiceUnreachable = "SERVICE_UNREACHABLE", NoCall,
         "check that the service runs and --server names it";
+    /// The service answers, but is not ready for requests.
+    ServiceNotReady = "SERVICE_NOT_READY", NoCall,
+        "wait, or look at the problems that the message names";
     /// The service refuses with a code that this program does not know; the message begins with it.
     ServiceRefused = "SERVICE_REFUSED", NoCall, "do what the service says";
     /// A load was not answered completely, or the store lacks what was acknowledged.

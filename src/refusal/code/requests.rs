@@ -37,6 +37,8 @@ macro_rules! requests {
     /// As many connections are open as allowed, in all or from one address.
     TooManyConnections = "TOO_MANY_CONNECTIONS", Exhausted,
         "use one connection for many requests, or let the operator raise limits.connections";
+    /// The request is not encrypted, and the port takes TLS only.
+    TlsRequired = "TLS_REQUIRED", Malformed, "begin the address with https://";
     /// The request names a host that is not this service, as a web page of another host can.
     HostRefused = "HOST_REFUSED", Forbidden,
         "name the service by localhost or its address, or let the operator list the name in hosts";

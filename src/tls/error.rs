@@ -1,0 +1,62 @@
+//! Why a certificate is not used, or a connection not encrypted.
+
+use std::path::PathBuf;
+
+use crate::refusal::Code;
+
+/// Why a certificate is not used, or a connection not encrypted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TlsError {
+    /// A file cannot be read, or does not contain what it should.
+    #[error("{}: {why}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The private key is not that of the certificate.
+    #[error("{}: this is not the private key of {}", key.display(), certificate.display())]
+    KeyMismatch {
+        /// The file of the key.
+        key: PathBuf,
+        /// The file of the certificate.
+        certificate: PathBuf,
+    },
+    /// The certificate has expired.
+    #[error("{}: the certificate has expired at {not_after}", file.display())]
+    Expired {
+        /// The file of the certificate.
+        file: PathBuf,
+        /// Date and time of its end.
+        not_after: String,
+    },
+    /// The certificate is not valid yet.
+    #[error("{}: the certificate is not valid before {not_before}", file.display())]
+    NotYetValid {
+        /// The file of the certificate.
+        file: PathBuf,
+        /// Date and time of its begin.
+        not_before: String,
+    },
+    /// A handshake with a service failed.
+    #[error("{host}: {why}")]
+    Handshake {
+        /// Name or address of the service.
+        host: String,
+        /// Why one of the two refuses the other.
+        why: String,
+    },
+}
+
+impl TlsError {
+    /// The stable code.
+    pub(crate) const fn code(&self) -> Code {
+        match self {
+            Self::File { .. } => Code::TlsFileInvalid,
+            Self::KeyMismatch { .. } => Code::TlsKeyMismatch,
+            Self::Expired { .. } | Self::NotYetValid { .. } => Code::TlsCertificateExpired,
+            Self::Handshake { .. } => Code::TlsFailed,
+        }
+    }
+}
