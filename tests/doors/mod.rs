@@ -12,6 +12,7 @@ mod feeds;
 mod grpc;
 mod guides;
 mod http;
+mod image;
 mod job_events;
 mod jobs;
 mod keys;
