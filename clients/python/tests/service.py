@@ -8,6 +8,7 @@ import socket
 import subprocess
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
 from pathlib import Path
 
 PROGRAM = os.environ.get("GRAPHFIX_PROGRAM", "graphfix")
@@ -18,7 +19,9 @@ START_S = 60
 class Service:
     """A service on a database of its own, which outlives its process."""
 
-    def __init__(self, folder: Path, limits: dict[str, int] | None = None) -> None:
+    def __init__(
+        self, folder: Path, limits: dict[str, int] | None = None, more: Sequence[str] = ()
+    ) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
@@ -27,12 +30,14 @@ class Service:
         self._configuration = folder / "graphfix.toml"
         lines = [f"{name} = {value}" for name, value in (limits or {}).items()]
         self._configuration.write_text("\n".join(["[limits]", *lines, ""]))
+        self._more = more
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         """Starts the process; it need not be ready yet."""
         arguments = ["serve", "--log", "error", "--config", str(self._configuration)]
         arguments += ["--listen", f"127.0.0.1:{self.port}", "--database", self.database]
+        arguments += self._more
         self._process = subprocess.Popen([PROGRAM, *arguments], stdin=subprocess.DEVNULL)
 
     def is_ready(self) -> bool:
