@@ -43,6 +43,12 @@ pub enum AidingError {
         /// Id of the base.
         id: String,
     },
+    /// Another request had the same name.
+    #[error("a request of this name has created base {id}, and had another content")]
+    RequestConflict {
+        /// Id of the base.
+        id: String,
+    },
     /// The base is the operator's, and another tenant wants to change it.
     #[error("base {id} is the operator's")]
     BaseOfOperator {
@@ -101,6 +107,7 @@ impl AidingError {
             Self::TooManyBases { .. } => Code::TooManyBases,
             Self::LabelTooLong { .. } => Code::LabelTooLong,
             Self::BaseInUse { .. } => Code::BaseInUse,
+            Self::RequestConflict { .. } => Code::IdempotencyConflict,
             Self::BaseOfOperator { .. } => Code::BaseOfOperator,
             Self::BasePositionMissing { .. } => Code::BasePositionMissing,
             Self::BasePositionRefused { .. } => Code::BasePositionRefused,

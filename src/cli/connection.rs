@@ -10,6 +10,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code as GrpcCode, Status};
 use tonic_types::StatusExt;
+use uuid::Uuid;
 
 use crate::contract::v1;
 use crate::grpc::v1::bases_client::BasesClient;
@@ -207,6 +208,8 @@ impl Connection {
     ) -> Result<v1::Session, Failure> {
         let mut client = SessionsClient::new(self.channel.clone());
         let mut retry = self.retry();
+        // So that an attempt whose answer is lost opens no session of its own.
+        let new = v1::CreateSessionRequest { request_id: Uuid::new_v4().to_string(), ..new };
         loop {
             let answer = match existing {
                 Some(id) => client.get(v1::GetSessionRequest { session: id.to_owned() }).await,

@@ -14,6 +14,7 @@ use crate::refusal::Code;
 use crate::session::{EpochRefusal, SessionError};
 use crate::store::StoreError;
 
+use super::refusal::spread;
 use super::{Lease, Refusal};
 
 impl From<ConfigError> for Refusal {
@@ -114,7 +115,7 @@ impl From<KeyError> for Refusal {
             _ => None,
         };
         let delay = match error {
-            KeyError::TooManyAttempts { retry_after } => Some(retry_after),
+            KeyError::TooManyAttempts { retry_after } => Some(spread(retry_after)),
             _ => None,
         };
         let refusal = Self::new(error.code(), error.to_string()).retry_after(delay);
@@ -126,9 +127,11 @@ impl From<QuotaError> for Refusal {
     fn from(error: QuotaError) -> Self {
         match error {
             QuotaError::Store(error) => error.into(),
+            QuotaError::Changed { .. } => Self::new(error.code(), error.to_string()).at("etag"),
             QuotaError::NotFound { .. } => Self::new(error.code(), error.to_string()).at("tenant"),
             error => {
-                Self::new(error.code(), error.to_string()).retry_after(Some(error.retry_after()))
+                let delay = spread(error.retry_after());
+                Self::new(error.code(), error.to_string()).retry_after(Some(delay))
             }
         }
     }
@@ -144,6 +147,7 @@ impl From<AidingError> for Refusal {
             | AidingError::BaseOfOperator { .. }
             | AidingError::BasePositionMissing { .. }
             | AidingError::BasePositionRefused { .. } => Some("base"),
+            AidingError::RequestConflict { .. } => Some("requestId"),
             AidingError::AntennaUnknown { .. } => Some("antenna"),
             AidingError::TooManyEphemerides { .. }
             | AidingError::TooManyBases { .. }
@@ -207,6 +211,8 @@ impl From<SessionError> for Refusal {
             | SessionError::Closed { .. }
             | SessionError::TooManyArcs { .. }
             | SessionError::Empty { .. } => Some("session"),
+            SessionError::RequestConflict { .. } => Some("requestId"),
+            SessionError::Changed { .. } => Some("etag"),
             SessionError::NoSuchEpoch { .. } => Some("seq"),
             SessionError::TooManyPoints { .. } => Some("points"),
             SessionError::LabelTooLong { .. } => Some("label"),

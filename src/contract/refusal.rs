@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use crate::refusal::{Class, Code};
+use crate::refusal::Code;
 
 /// The shortest delay before a request is sent again that was refused for want of capacity, or
 /// because the service cannot serve now.
@@ -35,8 +35,7 @@ impl Refusal {
     pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
         let (field, line, byte_offset) = (None, None, None);
-        let is_passing = matches!(code.class(), Class::Exhausted | Class::Unavailable);
-        let retry_after = is_passing.then(delay);
+        let retry_after = code.class().is_passing().then(|| spread(RETRY_AFTER));
         Self { code, message, field, line, byte_offset, retry_after, cause: None }
     }
 
@@ -109,12 +108,11 @@ impl Refusal {
     }
 }
 
-/// A random delay from `RETRY_AFTER` to twice as long, so that refused clients do not return
-/// together.
-fn delay() -> Duration {
+/// A random delay from `shortest` to twice as long, so that refused clients do not return together.
+pub(super) fn spread(shortest: Duration) -> Duration {
     // The quality of these random bits does not matter.
     let fraction = f64::from(Uuid::new_v4().as_fields().0) / f64::from(u32::MAX);
-    RETRY_AFTER.mul_f64(1.0 + fraction)
+    shortest.mul_f64(1.0 + fraction)
 }
 
 #[cfg(test)]
@@ -126,8 +124,7 @@ mod tests {
     fn what_time_cures_asks_for_a_delay() {
         for code in Code::ALL {
             let refusal = Refusal::new(*code, "no");
-            let is_passing = matches!(code.class(), Class::Exhausted | Class::Unavailable);
-            assert_eq!(refusal.retry_after.is_some(), is_passing, "{code}");
+            assert_eq!(refusal.retry_after.is_some(), code.class().is_passing(), "{code}");
             assert!(refusal.retry_after.is_none_or(|d| d <= 2 * RETRY_AFTER && RETRY_AFTER <= d));
         }
         let refused = || Refusal::new(Code::MailboxFull, "full");

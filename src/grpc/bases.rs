@@ -13,7 +13,8 @@ impl Bases for Door {
         &self,
         request: Request<v1::CreateBaseRequest>,
     ) -> Result<Response<v1::Base>, Status> {
-        carry(calls::bases::create(&self.0.caller()?, request.into_inner()).await)
+        let created = calls::bases::create(&self.0.caller()?, request.into_inner()).await;
+        carry(created.map(|(base, _)| base))
     }
 
     async fn get(

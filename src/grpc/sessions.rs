@@ -13,7 +13,8 @@ impl Sessions for Door {
         &self,
         request: Request<v1::CreateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        carry(calls::sessions::create(&self.0.caller()?, request.into_inner()).await)
+        let created = calls::sessions::create(&self.0.caller()?, request.into_inner()).await;
+        carry(created.map(|(session, _)| session))
     }
 
     async fn get(

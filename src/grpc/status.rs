@@ -17,13 +17,13 @@ const DOMAIN: &str = "graphfix";
 /// The gRPC status of a class.
 pub const fn grpc_code(class: Class) -> GrpcCode {
     match class {
-        Class::Malformed | Class::MediaType => GrpcCode::InvalidArgument,
         // Clients repeat what is exhausted, and time does not make a request smaller.
-        Class::TooLarge => GrpcCode::OutOfRange,
+        Class::Malformed | Class::MediaType | Class::TooLarge => GrpcCode::InvalidArgument,
         Class::Exhausted => GrpcCode::ResourceExhausted,
         Class::NotFound => GrpcCode::NotFound,
         Class::Route | Class::Method => GrpcCode::Unimplemented,
         Class::Conflict => GrpcCode::AlreadyExists,
+        Class::Changed => GrpcCode::Aborted,
         Class::Precondition => GrpcCode::FailedPrecondition,
         Class::Unavailable => GrpcCode::Unavailable,
         Class::Unauthenticated => GrpcCode::Unauthenticated,
@@ -46,7 +46,10 @@ pub(crate) fn to_status(refusal: &Refusal) -> Status {
     if is_failure && refusal.code != Code::Draining {
         tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
     }
-    let mut metadata = HashMap::from([("remedy".to_owned(), refusal.code.remedy().to_owned())]);
+    let mut metadata = HashMap::from([
+        ("remedy".to_owned(), refusal.code.remedy().to_owned()),
+        ("link".to_owned(), refusal.code.link()),
+    ]);
     let at_fault = [
         ("field", refusal.field.clone()),
         ("line", refusal.line.map(|line| line.to_string())),
@@ -98,6 +101,7 @@ mod tests {
         let details = status.get_error_details();
         assert_eq!(details.error_info().unwrap().reason, "MAILBOX_FULL");
         assert_eq!(details.error_info().unwrap().metadata["field"], "epochs");
+        assert_eq!(details.error_info().unwrap().metadata["link"], "/docs/errors#MAILBOX_FULL");
         assert_eq!(details.retry_info().unwrap().retry_delay, Some(Duration::from_millis(250)));
         assert_eq!(details.bad_request().unwrap().field_violations[0].field, "epochs");
     }

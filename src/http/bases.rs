@@ -8,28 +8,39 @@ use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::{JsonBody, RawBody, StrictQuery};
-use super::problem::{Problem, Refused};
+use super::conditions::{IdempotencyKey, Location, created, location};
+use super::problem::Refused;
 use super::sessions::PageQuery;
 
 /// Creates a base.
+///
+/// With the header `Idempotency-Key`, or `requestId` in the body, a repetition of the same request
+/// returns the same base, with status 200.
 #[utoipa::path(post, operation_id = "basesCreate",
     path = "/v1/bases", tag = "Bases",
+    params(("Idempotency-Key" = Option<String>, Header, description = "Names this request")),
     request_body = v1::CreateBaseRequest,
-    responses((status = 201, body = v1::Base), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses(
+        (status = 201, description = "The base", body = v1::Base,
+            headers(("Location" = String, description = "Path of the base"))),
+        (status = 200, description = "The base, which this request has created before",
+            body = v1::Base),
+        Refused))]
 pub(super) async fn create(
     caller: Caller,
-    JsonBody(request): JsonBody<v1::CreateBaseRequest>,
-) -> Result<(StatusCode, Json<v1::Base>), Refused> {
-    Ok((StatusCode::CREATED, Json(calls::bases::create(&caller, request).await?)))
+    key: IdempotencyKey,
+    JsonBody(mut request): JsonBody<v1::CreateBaseRequest>,
+) -> Result<(StatusCode, Location, Json<v1::Base>), Refused> {
+    request.request_id = key.or(request.request_id)?;
+    let (base, is_new) = calls::bases::create(&caller, request).await?;
+    Ok((created(is_new), location("/v1/bases", &base.base), Json(base)))
 }
 
 /// Returns a base with its health.
 #[utoipa::path(get, operation_id = "basesGet",
     path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Base), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The base", body = v1::Base), Refused))]
 pub(super) async fn get(
     caller: Caller,
     Path(base): Path<String>,
@@ -40,8 +51,8 @@ pub(super) async fn get(
 /// Lists bases with their health, in order of id.
 #[utoipa::path(get, operation_id = "basesList",
     path = "/v1/bases", tag = "Bases", params(PageQuery),
-    responses((status = 200, body = v1::ListBasesResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of bases",
+        body = v1::ListBasesResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
     StrictQuery(page): StrictQuery<PageQuery>,
@@ -55,8 +66,8 @@ pub(super) async fn list(
 #[utoipa::path(delete, operation_id = "basesDelete",
     path = "/v1/bases/{base}", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::DeleteBaseResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The base is deleted",
+        body = v1::DeleteBaseResponse), Refused))]
 pub(super) async fn delete(
     caller: Caller,
     Path(base): Path<String>,
@@ -73,8 +84,8 @@ pub(super) async fn delete(
     path = "/v1/bases/{base}/epochs", tag = "Bases",
     params(("base" = String, Path, description = "Its id")),
     request_body = v1::PushBaseEpochsRequest,
-    responses((status = 200, body = v1::PushBaseEpochsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The outcome of each epoch",
+        body = v1::PushBaseEpochsResponse), Refused))]
 pub(super) async fn push_epochs(
     caller: Caller,
     Path(base): Path<String>,
@@ -95,8 +106,8 @@ pub(super) async fn push_epochs(
     params(("base" = String, Path, description = "Its id")),
     request_body(content = String, content_type = "application/octet-stream",
         description = "RINEX 2.10 to 4.0x observations or CRINEX, plain or gzip"),
-    responses((status = 200, body = v1::UploadBaseResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "What the file brought",
+        body = v1::UploadBaseResponse), Refused))]
 pub(super) async fn upload(
     caller: Caller,
     Path(base): Path<String>,

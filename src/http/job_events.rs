@@ -19,8 +19,9 @@ use super::watch::RETRY;
 #[utoipa::path(get, operation_id = "jobsWatch",
     path = "/v1/jobs/{job}/events", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Job, content_type = "text/event-stream"),
-        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "Events with the job",
+        body = v1::Job, content_type = "text/event-stream"),
+        Refused))]
 pub(super) async fn events(
     caller: Caller,
     Path(job): Path<String>,

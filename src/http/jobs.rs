@@ -3,22 +3,20 @@
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, Request};
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::TryStreamExt;
 
 use crate::contract::{Caller, Refusal, calls, v1};
-use crate::refusal::Code;
 
 use super::body::{StrictQuery, json};
+use super::conditions::{IdempotencyKey, Location, created, location};
 use super::multipart::Multipart;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 use super::sessions::PageQuery;
 
 /// Path of the call that takes uploads.
 pub(super) const PATH: &str = "/v1/jobs";
-/// Header that names a request, so that its repetition creates nothing.
-const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 /// Name of the part with the options.
 const OPTIONS: &str = "options";
 /// Longest part with options (bytes).
@@ -34,18 +32,17 @@ const OPTIONS_BYTES: usize = 64 << 10;
     path = "/v1/jobs", tag = "Jobs",
     params(("Idempotency-Key" = Option<String>, Header, description = "Names this request")),
     request_body(content = JobUpload, content_type = "multipart/form-data"),
-    responses((status = 201, body = v1::Job), (status = 200, body = v1::Job),
-        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+    responses(
+        (status = 201, description = "The job", body = v1::Job,
+            headers(("Location" = String, description = "Path of the job"))),
+        (status = 200, description = "The job, which this request has created before",
+            body = v1::Job),
+        Refused))]
 pub(super) async fn create(
     caller: Caller,
-    headers: HeaderMap,
+    IdempotencyKey(key): IdempotencyKey,
     request: Request,
-) -> Result<Response, Refused> {
-    let key = headers.get(&IDEMPOTENCY_KEY).map(|key| key.to_str()).transpose();
-    let key = key.map_err(|_| {
-        let message = "Idempotency-Key is not a text of visible ASCII characters";
-        Refusal::new(Code::InvalidField, message).at("Idempotency-Key")
-    })?;
+) -> Result<(StatusCode, Location, Json<v1::Job>), Refused> {
     let mut parts = Multipart::of(request)?;
     let mut arriving = calls::jobs::begin(&caller).await?;
     while let Some(mut part) = parts.next().await? {
@@ -62,10 +59,8 @@ pub(super) async fn create(
             arriving.finish(file).await?;
         }
     }
-    let (job, is_new) = arriving.submit(&caller, key).await?;
-    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
-    let location = format!("/v1/jobs/{}", job.job);
-    Ok((status, [(header::LOCATION, location)], Json(job)).into_response())
+    let (job, is_new) = arriving.submit(&caller, key.as_deref()).await?;
+    Ok((created(is_new), location(PATH, &job.job), Json(job)))
 }
 
 /// The parts of an upload.
@@ -89,8 +84,7 @@ pub(super) struct JobUpload {
 #[utoipa::path(get, operation_id = "jobsGet",
     path = "/v1/jobs/{job}", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Job), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The job", body = v1::Job), Refused))]
 pub(super) async fn get(caller: Caller, Path(job): Path<String>) -> Result<Json<v1::Job>, Refused> {
     Ok(Json(calls::jobs::get(&caller, v1::GetJobRequest { job }).await?))
 }
@@ -98,8 +92,8 @@ pub(super) async fn get(caller: Caller, Path(job): Path<String>) -> Result<Json<
 /// Lists jobs, the newest first.
 #[utoipa::path(get, operation_id = "jobsList",
     path = "/v1/jobs", tag = "Jobs", params(PageQuery),
-    responses((status = 200, body = v1::ListJobsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of jobs",
+        body = v1::ListJobsResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
     StrictQuery(page): StrictQuery<PageQuery>,
@@ -113,8 +107,7 @@ pub(super) async fn list(
 #[utoipa::path(delete, operation_id = "jobsCancel",
     path = "/v1/jobs/{job}", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Job), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The job", body = v1::Job), Refused))]
 pub(super) async fn cancel(
     caller: Caller,
     Path(job): Path<String>,
@@ -126,8 +119,9 @@ pub(super) async fn cancel(
 #[utoipa::path(get, operation_id = "jobsResult",
     path = "/v1/jobs/{job}/result", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, body = String, content_type = "text/plain"),
-        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The file of positions",
+        body = String, content_type = "text/plain"),
+        Refused))]
 pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Response, Refused> {
     let result = calls::jobs::result(&caller, v1::GetJobRequest { job }).await?;
     let headers = [
@@ -146,8 +140,7 @@ pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Re
 #[utoipa::path(get, operation_id = "jobsReport",
     path = "/v1/jobs/{job}/report", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::JobReport), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The report", body = v1::JobReport), Refused))]
 pub(super) async fn report(
     caller: Caller,
     Path(job): Path<String>,

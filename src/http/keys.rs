@@ -2,15 +2,16 @@
 
 use axum::Json;
 use axum::extract::Path;
-use axum::http::{HeaderName, HeaderValue, StatusCode};
+use axum::http::StatusCode;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use crate::contract::{Caller, calls, v1};
 
 use super::body::{JsonBody, StrictQuery};
-use super::problem::{Problem, Refused};
-use super::sign_in::NO_STORE;
+use super::conditions::{Location, location};
+use super::problem::Refused;
+use super::sign_in::{NO_STORE, NoStore};
 
 /// The page of the list of keys.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -31,22 +32,23 @@ pub(super) struct KeysQuery {
 #[utoipa::path(post, operation_id = "keysCreate",
     path = "/v1/keys", tag = "Keys",
     request_body = v1::CreateKeyRequest,
-    responses((status = 201, body = v1::CreateKeyResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 201, description = "The key with its secret", body = v1::CreateKeyResponse,
+        headers(("Location" = String, description = "Path of the key"))), Refused))]
 pub(super) async fn create(
     caller: Caller,
     JsonBody(request): JsonBody<v1::CreateKeyRequest>,
-) -> Result<(StatusCode, [(HeaderName, HeaderValue); 1], Json<v1::CreateKeyResponse>), Refused> {
+) -> Result<(StatusCode, Location, NoStore, Json<v1::CreateKeyResponse>), Refused> {
     let created = calls::keys::create(&caller, request).await?;
-    Ok((StatusCode::CREATED, [NO_STORE], Json(created)))
+    let id = created.key.as_ref().map_or("", |key| &key.key);
+    Ok((StatusCode::CREATED, location("/v1/keys", id), [NO_STORE], Json(created)))
 }
 
 /// Lists the keys of the caller's tenant, the newest first, also those that are revoked or have
 /// expired; the operator also those of another tenant.
 #[utoipa::path(get, operation_id = "keysList",
     path = "/v1/keys", tag = "Keys", params(KeysQuery),
-    responses((status = 200, body = v1::ListKeysResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of keys",
+        body = v1::ListKeysResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
     StrictQuery(query): StrictQuery<KeysQuery>,
@@ -60,8 +62,7 @@ pub(super) async fn list(
 #[utoipa::path(delete, operation_id = "keysRevoke",
     path = "/v1/keys/{key}", tag = "Keys",
     params(("key" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Key), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The key", body = v1::Key), Refused))]
 pub(super) async fn revoke(
     caller: Caller,
     Path(key): Path<String>,

@@ -4,8 +4,10 @@ mod admission;
 mod bases;
 mod body;
 mod caller;
+mod conditions;
 mod connection;
 mod dashboard;
+mod error_page;
 mod handshake;
 mod job_events;
 mod jobs;
@@ -99,6 +101,7 @@ fn controls() -> Router<Service> {
         .route("/readyz", get(pages::ready))
         .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::schema))
+        .route("/docs/errors", get(error_page::errors))
 }
 
 /// Calls that bring epochs, bytes or files.

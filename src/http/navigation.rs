@@ -5,16 +5,16 @@ use axum::Json;
 use crate::contract::{Caller, calls, v1};
 
 use super::body::RawBody;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 
 /// Takes a RINEX navigation file, plain or gzip. Its content is durable before the answer.
 #[utoipa::path(post, operation_id = "navigationPush",
     path = "/v1/navigation", tag = "Navigation",
     request_body(content = String, content_type = "application/octet-stream",
         description = "RINEX 2.10 to 4.0x navigation, plain or gzip"),
-    responses((status = 200, body = v1::PushNavigationResponse),
-        (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "What the file brought",
+        body = v1::PushNavigationResponse),
+        Refused))]
 pub(super) async fn push(
     caller: Caller,
     RawBody(content): RawBody,
@@ -26,9 +26,8 @@ pub(super) async fn push(
 /// Lists the satellites with usable ephemerides, and the time that these cover.
 #[utoipa::path(get, operation_id = "navigationStatus",
     path = "/v1/navigation", tag = "Navigation",
-    responses((status = 200, body = v1::NavigationStatusResponse),
-        (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "What is covered", body = v1::NavigationStatusResponse),
+        Refused))]
 pub(super) async fn status(caller: Caller) -> Result<Json<v1::NavigationStatusResponse>, Refused> {
     Ok(Json(calls::navigation::status(&caller)))
 }

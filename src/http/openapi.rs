@@ -1,14 +1,28 @@
 //! The REST door as OpenAPI 3.1.
 
 use utoipa::OpenApi;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::security::{
+    ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme,
+};
 
+use crate::contract::access::{CALLS, Call, Need};
+
+use super::problem::Problem;
 use super::{
     bases, job_events, jobs, keys, navigation, positioning, raw, sessions, sign_in, solutions,
     tenants, track, watch,
 };
 
+/// Names of the ways to show who calls.
+const KEY: &str = "key";
+const SIGN_IN: &str = "signIn";
+const CSRF_TOKEN: &str = "csrfToken";
+
 #[derive(OpenApi)]
 #[openapi(
+    components(schemas(Problem)),
     info(
         title = "Graphfix",
         description = "GNSS positioning: raw observations in, stored positions out. Every call has \
@@ -75,5 +89,76 @@ struct Rest;
 
 /// The document at `/openapi.json`.
 pub fn document() -> utoipa::openapi::OpenApi {
-    Rest::openapi()
+    let mut document = Rest::openapi();
+    let components = document.components.get_or_insert_default();
+    let named = |(name, scheme): (&str, SecurityScheme)| (name.to_owned(), RefOr::T(scheme));
+    components.security_schemes.extend(schemes().map(named));
+    for (path, item) in &mut document.paths.paths {
+        for (method, operation) in operations(item) {
+            let is_this = |call: &&Call| {
+                let rest = call.rest.split('?').next().unwrap_or_default();
+                rest.split_once(' ') == Some((method, path))
+            };
+            // A path that the table lacks is not served.
+            if let Some(call) = CALLS.iter().find(is_this) {
+                secure(operation, method, call.need);
+            }
+        }
+    }
+    document
+}
+
+/// The operations of a path with their methods.
+fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut Operation)> {
+    let of_methods = [
+        ("GET", &mut item.get),
+        ("PUT", &mut item.put),
+        ("POST", &mut item.post),
+        ("PATCH", &mut item.patch),
+        ("DELETE", &mut item.delete),
+    ];
+    of_methods.into_iter().filter_map(|(method, operation)| Some((method, operation.as_mut()?)))
+}
+
+/// The ways to show who calls.
+fn schemes() -> impl Iterator<Item = (&'static str, SecurityScheme)> {
+    let key = HttpBuilder::new()
+        .scheme(HttpAuthScheme::Bearer)
+        .description(Some("An API key. A service that has no key yet takes calls without one."));
+    let cookie = "The cookie of a browser that is signed in; see /v1/sign-in.";
+    let token = "csrfToken of the sign-in, with each change that is made by its cookie.";
+    let cookie = ApiKeyValue::with_description(super::sign_in::COOKIE, cookie);
+    let token = ApiKeyValue::with_description(super::sign_in::CSRF.as_str(), token);
+    [
+        (KEY, SecurityScheme::Http(key.build())),
+        (SIGN_IN, SecurityScheme::ApiKey(ApiKey::Cookie(cookie))),
+        (CSRF_TOKEN, SecurityScheme::ApiKey(ApiKey::Header(token))),
+    ]
+    .into_iter()
+}
+
+/// Adds to an operation what it needs of a key.
+fn secure(operation: &mut Operation, method: &str, need: Need) {
+    let rights = match need {
+        Need::Nothing => {
+            operation.security = Some(Vec::new());
+            return;
+        }
+        Need::Key => "Needs a key.".to_owned(),
+        Need::OneOf(rights) => format!("Needs the right {}.", rights.names().join(" or ")),
+        Need::OfOperator(rights) => {
+            format!("Needs the right {}, and is for the operator.", rights.names().join(" or "))
+        }
+    };
+    let scopes = || std::iter::empty::<&str>();
+    let mut sign_in = SecurityRequirement::new(SIGN_IN, scopes());
+    if method != "GET" {
+        sign_in = sign_in.add(CSRF_TOKEN, scopes());
+    }
+    operation.security = Some(vec![SecurityRequirement::new(KEY, scopes()), sign_in]);
+    let before = operation.description.take().filter(|text| !text.is_empty());
+    operation.description = Some(match before {
+        Some(text) => format!("{text}\n\n{rights}"),
+        None => rights,
+    });
 }

@@ -8,7 +8,7 @@ use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::JsonBody;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 use super::sessions::{self, named};
 
 /// Positions the epochs of a push in their order. Acknowledged epochs are durable.
@@ -21,8 +21,8 @@ use super::sessions::{self, named};
     path = "/v1/sessions/{session}/epochs", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::PushEpochsRequest,
-    responses((status = 200, body = v1::PushEpochsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The outcome of each epoch",
+        body = v1::PushEpochsResponse), Refused))]
 pub(super) async fn push_epochs(
     caller: Caller,
     Path(session): Path<String>,
@@ -54,8 +54,7 @@ pub(super) async fn act(caller: Caller, Path(target): Path<String>, request: Req
     path = "/v1/sessions/{session}:solve", tag = "Positioning",
     params(("session" = String, Path, description = "Its id")),
     request_body = v1::SolveRequest,
-    responses((status = 200, body = v1::SolveResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The solution", body = v1::SolveResponse), Refused))]
 async fn solve(
     caller: Caller,
     session: String,
@@ -70,8 +69,8 @@ async fn solve(
 #[utoipa::path(post, operation_id = "positioningSolveOnce",
     path = "/v1/solve", tag = "Positioning",
     request_body = v1::SolveOnceRequest,
-    responses((status = 200, body = v1::SolveOnceResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The solution of each epoch",
+        body = v1::SolveOnceResponse), Refused))]
 pub(super) async fn solve_once(
     caller: Caller,
     JsonBody(request): JsonBody<v1::SolveOnceRequest>,

@@ -1,22 +1,26 @@
 //! Refusals as RFC 9457 problem documents.
 
+use std::collections::BTreeMap;
+
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use utoipa::openapi::schema::{ObjectBuilder, Type};
+use utoipa::openapi::{ContentBuilder, HeaderBuilder, Ref, RefOr, ResponseBuilder};
+use utoipa::{IntoResponses, ToSchema};
 
 use crate::contract::Refusal;
 use crate::refusal::{Class, Code};
 
-/// Content type of a problem document.
-const KIND: &str = "application/problem+json";
+/// Media type of the documents.
+const CONTENT_TYPE: &str = "application/problem+json";
 
 /// A refusal as an RFC 9457 problem document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "camelCase")]
 pub struct Problem {
-    /// `urn:graphfix:error:` followed by the code.
+    /// Where this service explains the code: `/docs/errors#` followed by the code.
     #[serde(rename = "type")]
     pub kind: String,
     /// The code as words.
@@ -53,6 +57,32 @@ impl From<Refusal> for Refused {
     }
 }
 
+/// The refusals of a call in the OpenAPI document.
+impl IntoResponses for Refused {
+    fn responses() -> BTreeMap<String, RefOr<utoipa::openapi::Response>> {
+        let refusals = [
+            ("4XX", "Refused; statuses 408 and 429 pass with time."),
+            ("5XX", "Failed, or not ready; status 503 passes with time."),
+        ];
+        let response = |description: &str| {
+            let schema = Ref::from_schema_name("Problem");
+            let whole_seconds = ObjectBuilder::new().schema_type(Type::Integer);
+            let retry_after = HeaderBuilder::new()
+                .schema(Some(whole_seconds))
+                .description(Some("With statuses 429 and 503: the delay (s)."));
+            ResponseBuilder::new()
+                .description(description)
+                .content(CONTENT_TYPE, ContentBuilder::new().schema(Some(schema)).build())
+                .header("Retry-After", retry_after.build())
+                .build()
+        };
+        let named = |(statuses, description): (&str, &str)| {
+            (statuses.to_owned(), RefOr::T(response(description)))
+        };
+        refusals.into_iter().map(named).collect()
+    }
+}
+
 /// The HTTP status of a class.
 pub const fn http_status(class: Class) -> StatusCode {
     match class {
@@ -62,6 +92,7 @@ pub const fn http_status(class: Class) -> StatusCode {
         Class::NotFound | Class::Route => StatusCode::NOT_FOUND,
         Class::Method => StatusCode::METHOD_NOT_ALLOWED,
         Class::Conflict | Class::Precondition => StatusCode::CONFLICT,
+        Class::Changed => StatusCode::PRECONDITION_FAILED,
         Class::Exhausted => StatusCode::TOO_MANY_REQUESTS,
         Class::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
         Class::Unauthenticated => StatusCode::UNAUTHORIZED,
@@ -85,7 +116,7 @@ impl Problem {
         let code = refusal.code.name();
         let words = code.to_lowercase().replace('_', " ");
         Self {
-            kind: format!("urn:graphfix:error:{code}"),
+            kind: refusal.code.link(),
             title: words,
             status: http_status(refusal.code.class()).as_u16(),
             detail: refusal.message.clone(),
@@ -131,7 +162,8 @@ impl IntoResponse for Refused {
         }
         let status = http_status(refusal.code.class());
         let mut response = (status, Json(Problem::of(&refusal))).into_response();
-        response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(KIND));
+        let kind = HeaderValue::from_static(CONTENT_TYPE);
+        response.headers_mut().insert(header::CONTENT_TYPE, kind);
         if refusal.code.class() == Class::Unauthenticated {
             let challenge = HeaderValue::from_static(challenge(refusal.code));
             response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);

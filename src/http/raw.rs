@@ -8,7 +8,7 @@ use utoipa::IntoParams;
 use crate::contract::{Caller, Refusal, calls, intake, v1};
 
 use super::body::{RawBody, StrictQuery};
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 
 /// Position of a chunk in its stream.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -35,8 +35,8 @@ pub(super) struct RawQuery {
     params(("session" = String, Path, description = "Its id"), RawQuery),
     request_body(content = String, content_type = "application/octet-stream",
         description = "Bytes of the stream"),
-    responses((status = 200, body = v1::PushRawResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "How far the stream is stored, and what it brought",
+        body = v1::PushRawResponse), Refused))]
 pub(super) async fn push(
     caller: Caller,
     Path(session): Path<String>,

@@ -10,7 +10,8 @@ use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
-use super::problem::{Problem, Refused};
+use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, location};
+use super::problem::Refused;
 
 /// The page of a list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -33,37 +34,51 @@ pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
 }
 
 /// Opens a session. Returns it with the configuration in force.
+///
+/// With the header `Idempotency-Key`, or `requestId` in the body, a repetition of the same request
+/// returns the same session, with status 200.
 #[utoipa::path(post, operation_id = "sessionsCreate",
     path = "/v1/sessions", tag = "Sessions",
+    params(("Idempotency-Key" = Option<String>, Header, description = "Names this request")),
     request_body = v1::CreateSessionRequest,
-    responses((status = 201, body = v1::Session), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses(
+        (status = 201, description = "The session", body = v1::Session, headers(
+            ("Location" = String, description = "Path of the session"),
+            ("ETag" = String, description = "Etag of its settings"))),
+        (status = 200, description = "The session, which this request has opened before",
+            body = v1::Session),
+        Refused))]
 pub(super) async fn create(
     caller: Caller,
-    JsonBody(request): JsonBody<v1::CreateSessionRequest>,
-) -> Result<(StatusCode, Json<v1::Session>), Refused> {
-    Ok((StatusCode::CREATED, Json(calls::sessions::create(&caller, request).await?)))
+    key: IdempotencyKey,
+    JsonBody(mut request): JsonBody<v1::CreateSessionRequest>,
+) -> Result<(StatusCode, Location, ETag, Json<v1::Session>), Refused> {
+    request.request_id = key.or(request.request_id)?;
+    let (session, is_new) = calls::sessions::create(&caller, request).await?;
+    let place = location("/v1/sessions", &session.session);
+    Ok((created(is_new), place, etag(&session.etag), Json(session)))
 }
 
 /// Returns a session with the configuration in force.
 #[utoipa::path(get, operation_id = "sessionsGet",
     path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The session", body = v1::Session, headers(
+        ("ETag" = String, description = "Etag of its settings"))), Refused))]
 pub(super) async fn get(
     caller: Caller,
     Path(session): Path<String>,
-) -> Result<Json<v1::Session>, Refused> {
+) -> Result<(ETag, Json<v1::Session>), Refused> {
     let request = v1::GetSessionRequest { session };
-    Ok(Json(calls::sessions::get(&caller, request).await?))
+    let session = calls::sessions::get(&caller, request).await?;
+    Ok((etag(&session.etag), Json(session)))
 }
 
 /// Lists sessions, the newest first.
 #[utoipa::path(get, operation_id = "sessionsList",
     path = "/v1/sessions", tag = "Sessions", params(PageQuery),
-    responses((status = 200, body = v1::ListSessionsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of sessions",
+        body = v1::ListSessionsResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
     StrictQuery(page): StrictQuery<PageQuery>,
@@ -88,8 +103,8 @@ pub(super) struct HeadsQuery {
 /// configurations, so that a fleet fits into few pages.
 #[utoipa::path(get, operation_id = "sessionsHeads",
     path = "/v1/sessions:heads", tag = "Sessions", params(HeadsQuery),
-    responses((status = 200, body = v1::ListHeadsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of heads",
+        body = v1::ListHeadsResponse), Refused))]
 pub(super) async fn heads(
     caller: Caller,
     StrictQuery(page): StrictQuery<HeadsQuery>,
@@ -101,20 +116,26 @@ pub(super) async fn heads(
 
 /// Changes the given fields and no others. The epochs that follow are positioned with the new
 /// configuration.
+///
+/// With the header `If-Match`, or `etag` in the body, the change is refused (`ETAG_MISMATCH`) if
+/// somebody has changed the session since.
 #[utoipa::path(patch, operation_id = "sessionsUpdate",
     path = "/v1/sessions/{session}", tag = "Sessions",
-    params(("session" = String, Path, description = "Its id")),
+    params(("session" = String, Path, description = "Its id"),
+        ("If-Match" = Option<String>, Header, description = "Its etag in quotes, as it was read")),
     request_body = v1::UpdateSessionRequest,
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The session with its changes", body = v1::Session,
+        headers(("ETag" = String, description = "Etag of its settings"))), Refused))]
 pub(super) async fn update(
     caller: Caller,
     Path(session): Path<String>,
-    JsonBody(request): JsonBody<v1::UpdateSessionRequest>,
-) -> Result<Json<v1::Session>, Refused> {
-    let session = named(session, &request.session)?;
-    let request = v1::UpdateSessionRequest { session, ..request };
-    Ok(Json(calls::sessions::update(&caller, request).await?))
+    if_match: IfMatch,
+    JsonBody(mut request): JsonBody<v1::UpdateSessionRequest>,
+) -> Result<(ETag, Json<v1::Session>), Refused> {
+    request.session = named(session, &request.session)?;
+    request.etag = if_match.or(request.etag)?;
+    let session = calls::sessions::update(&caller, request).await?;
+    Ok((etag(&session.etag), Json(session)))
 }
 
 /// Begins a new arc of a session: its next epoch may have any time, and its estimator starts again.
@@ -122,8 +143,7 @@ pub(super) async fn update(
 #[utoipa::path(post, operation_id = "sessionsReset",
     path = "/v1/sessions/{session}:reset", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The session", body = v1::Session), Refused))]
 pub(super) async fn reset(caller: Caller, session: String) -> Result<Json<v1::Session>, Refused> {
     let request = v1::ResetSessionRequest { session };
     Ok(Json(calls::sessions::reset(&caller, request).await?))
@@ -142,8 +162,8 @@ pub(super) struct CloseQuery {
 #[utoipa::path(delete, operation_id = "sessionsClose",
     path = "/v1/sessions/{session}", tag = "Sessions",
     params(("session" = String, Path, description = "Its id"), CloseQuery),
-    responses((status = 200, body = v1::Session), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The session as it is now, or was",
+        body = v1::Session), Refused))]
 pub(super) async fn close(
     caller: Caller,
     Path(session): Path<String>,

@@ -12,16 +12,19 @@ use utoipa::ToSchema;
 use crate::contract::{Service, SignedIn};
 
 use super::connection::Peer;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 
 /// How long a browser keeps the cookie (s). The service ends a sign-in by itself.
 const LIFETIME_S: u32 = 12 * 3600;
 /// Name of the cookie.
-const COOKIE: &str = "graphfix_sign_in";
+pub(super) const COOKIE: &str = "graphfix_sign_in";
 /// Header with the token that a change needs, if a cookie is in place of a key.
 pub(super) const CSRF: HeaderName = HeaderName::from_static("x-graphfix-csrf");
 /// Header of a proxy that says how the browser has reached it.
 const FORWARDED_PROTO: &str = "x-forwarded-proto";
+
+/// The header of an answer with something secret.
+pub(super) type NoStore = [(HeaderName, HeaderValue); 1];
 
 /// What is secret is not for the memory of browsers and proxies.
 pub(super) const NO_STORE: (HeaderName, HeaderValue) =
@@ -51,12 +54,12 @@ type SetCookie = [(HeaderName, HeaderValue); 2];
 
 /// Tells whether this browser is signed in.
 #[utoipa::path(get, operation_id = "signInGet", path = "/v1/sign-in", tag = "Sign-in",
-    responses((status = 200, body = SignInState), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "Whether the browser is signed in",
+        body = SignInState), Refused))]
 pub(super) async fn get(
     State(service): State<Service>,
     headers: HeaderMap,
-) -> ([(HeaderName, HeaderValue); 1], Json<SignInState>) {
+) -> (NoStore, Json<SignInState>) {
     let signed_in = cookie(&headers).and_then(|cookie| service.signed_in(cookie));
     ([NO_STORE], Json(state(&service, signed_in)))
 }
@@ -64,8 +67,8 @@ pub(super) async fn get(
 /// Exchanges the key of this request (`authorization: Bearer`) for a cookie, which lasts twelve
 /// hours, or as long as the key.
 #[utoipa::path(post, operation_id = "signInCreate", path = "/v1/sign-in", tag = "Sign-in",
-    responses((status = 201, body = SignInState), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 201, description = "The sign-in, with its cookie",
+        body = SignInState), Refused))]
 pub(super) async fn create(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -78,8 +81,8 @@ pub(super) async fn create(
 
 /// Signs out: the cookie is worth nothing from now on.
 #[utoipa::path(delete, operation_id = "signInDelete", path = "/v1/sign-in", tag = "Sign-in",
-    responses((status = 200, body = SignInState), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The browser is signed out",
+        body = SignInState), Refused))]
 pub(super) async fn delete(
     State(service): State<Service>,
     headers: HeaderMap,

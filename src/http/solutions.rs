@@ -9,7 +9,7 @@ use crate::contract::{Caller, Refusal, calls, intake, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 
 /// The solutions to list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -34,8 +34,8 @@ pub(super) struct SolutionsQuery {
 #[utoipa::path(get, operation_id = "solutionsList",
     path = "/v1/sessions/{session}/solutions", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SolutionsQuery),
-    responses((status = 200, body = v1::ListSolutionsResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "A page of solutions",
+        body = v1::ListSolutionsResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
     Path(session): Path<String>,
@@ -112,8 +112,8 @@ pub(super) struct SeriesParameters {
 #[utoipa::path(get, operation_id = "solutionsSeries",
     path = "/v1/sessions/{session}/solutions:series", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SeriesParameters),
-    responses((status = 200, body = v1::SolutionSeriesResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The time series",
+        body = v1::SolutionSeriesResponse), Refused))]
 pub(super) async fn series(
     caller: Caller,
     Path(session): Path<String>,
@@ -136,8 +136,7 @@ pub(super) async fn series(
     path = "/v1/sessions/{session}/epochs/{seq}", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"),
         ("seq" = String, Path, description = "Number of the epoch, or `last`")),
-    responses((status = 200, body = v1::ExplainEpochResponse), (status = "4XX", body = Problem),
-        (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The epoch", body = v1::ExplainEpochResponse), Refused))]
 pub(super) async fn explain(
     caller: Caller,
     Path((session, seq)): Path<(String, String)>,

@@ -11,7 +11,7 @@ use futures::TryStreamExt;
 use crate::contract::{Caller, Refusal, Service, calls};
 
 use super::body::StrictQuery;
-use super::problem::{Problem, Refused};
+use super::problem::Refused;
 use super::solutions::TrackQuery;
 
 /// A route for each format.
@@ -30,8 +30,8 @@ pub(super) fn routes() -> Router<Service> {
     path = "/v1/sessions/{session}/track.{format}", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"),
         ("format" = String, Path, description = "pos, csv, geojson, kml, gpx or nmea"), TrackQuery),
-    responses((status = 200, body = String, content_type = "text/plain"),
-        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "The file", body = String, content_type = "text/plain"),
+        Refused))]
 pub(super) async fn track(
     caller: Caller,
     Path(session): Path<String>,

@@ -47,8 +47,9 @@ pub(super) struct WatchQuery {
 #[utoipa::path(get, operation_id = "solutionsWatch",
     path = "/v1/sessions/{session}/solutions:watch", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), WatchQuery),
-    responses((status = 200, body = v1::WatchSolutionsResponse, content_type = "text/event-stream"),
-        (status = "4XX", body = Problem), (status = "5XX", body = Problem)))]
+    responses((status = 200, description = "Events with solutions",
+        body = v1::WatchSolutionsResponse, content_type = "text/event-stream"),
+        Refused))]
 pub(super) async fn watch(
     caller: Caller,
     Path(session): Path<String>,

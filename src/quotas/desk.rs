@@ -50,6 +50,8 @@ pub struct TenantInfo {
     pub tenant: Tenant,
     /// When its first key was made, or its quotas were set (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
+    /// Number of the last change of its quotas; 0 if they were never set.
+    pub changed: i64,
     /// What it may use.
     pub quotas: Quotas,
     /// What it has used recently.
@@ -104,13 +106,21 @@ impl TenantQuotas {
         Ok(Self(Arc::new(Desk { store, clock, meters, upkeep })))
     }
 
-    /// Sets the quotas of a tenant, in force at once. The tenant exists from then on.
+    /// Sets the quotas of a tenant, in force at once. The tenant exists from then on. `changed` is
+    /// the number of its last change as the caller knows it; `None` for any.
     ///
     /// # Errors
-    /// The store fails.
-    pub async fn set(&self, tenant: &Tenant, quotas: &Quotas) -> Result<TenantInfo, QuotaError> {
+    /// The tenant has changed since, or the store fails.
+    pub async fn set(
+        &self,
+        tenant: &Tenant,
+        quotas: &Quotas,
+        changed: Option<i64>,
+    ) -> Result<TenantInfo, QuotaError> {
         let Desk { store, clock, meters, .. } = &*self.0;
-        store.set_quotas(tenant, quotas, clock.unix_ms()).await?;
+        if !store.set_quotas(tenant, quotas, clock.unix_ms(), changed).await? {
+            return Err(QuotaError::Changed { name: tenant.to_string() });
+        }
         meters.refresh(store).await?;
         self.get(tenant).await
     }
@@ -138,10 +148,10 @@ impl TenantQuotas {
     }
 
     async fn info(&self, row: TenantRow) -> Result<TenantInfo, QuotaError> {
-        let TenantRow { tenant, created_unix_ms, quotas, .. } = row;
+        let TenantRow { tenant, created_unix_ms, quotas, changed } = row;
         let stored = self.0.store.tenant_use(&tenant).await?;
         let rates = self.0.meters.of(&tenant).rates();
-        Ok(TenantInfo { tenant, created_unix_ms, quotas, rates, stored })
+        Ok(TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored })
     }
 
     /// Stops keeping up with changes. When this returns the desk no longer uses the store by

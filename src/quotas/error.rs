@@ -56,6 +56,12 @@ pub enum QuotaError {
         /// The name as given.
         name: String,
     },
+    /// The quotas have changed since the caller read them.
+    #[error("tenant {name} has another etag: somebody has set its quotas")]
+    Changed {
+        /// Its name.
+        name: String,
+    },
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -70,6 +76,7 @@ impl QuotaError {
             Self::Cpu { .. } => Code::CpuQuotaExceeded,
             Self::Stored { .. } => Code::StorageQuotaExceeded,
             Self::NotFound { .. } => Code::TenantNotFound,
+            Self::Changed { .. } => Code::EtagMismatch,
             Self::Store(error) => error.code(),
         }
     }
@@ -81,7 +88,7 @@ impl QuotaError {
             | Self::Epochs { retry_after, .. }
             | Self::Cpu { retry_after, .. }
             | Self::Stored { retry_after, .. } => *retry_after,
-            Self::NotFound { .. } | Self::Store(_) => Duration::ZERO,
+            Self::NotFound { .. } | Self::Changed { .. } | Self::Store(_) => Duration::ZERO,
         }
     }
 }

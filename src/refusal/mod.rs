@@ -1,7 +1,8 @@
 //! Stable codes of refusals and failures, each with its class and its remedy, defined once.
 //!
 //! An error of any module has a [`Code`]. The doors turn the code's [`Class`] into a status. Users
-//! find the table in `docs/errors.md`. A command may give the remedy in terms of its own arguments.
+//! find the table in `docs/errors.md`, and at `/docs/errors` of a service. A command may give the
+//! remedy in terms of its own arguments.
 
 mod code;
 
@@ -24,6 +25,8 @@ pub enum Class {
     Method,
     /// The request contradicts stored data.
     Conflict,
+    /// What is stored has changed since the caller read it.
+    Changed,
     /// The session or base is not in a state to serve the request.
     Precondition,
     /// The request needs a key that is in force.
@@ -41,4 +44,33 @@ pub enum Class {
     /// No request is refused with it. It appears in the health of a stream or archive, in the log,
     /// or when a command ends.
     NoCall,
+}
+
+impl Class {
+    /// Whether the same request may be sent again unchanged, as users read it; empty if no request
+    /// is refused with it.
+    pub const fn retry(self) -> &'static str {
+        match self {
+            Self::Malformed
+            | Self::MediaType
+            | Self::TooLarge
+            | Self::NotFound
+            | Self::Route
+            | Self::Method
+            | Self::Conflict
+            | Self::Changed
+            | Self::Precondition
+            | Self::Unauthenticated
+            | Self::Forbidden => "no",
+            Self::Timeout => "yes",
+            Self::Exhausted | Self::Unavailable => "after the delay",
+            Self::Internal => "once",
+            Self::NoCall => "",
+        }
+    }
+
+    /// Whether time cures it: such a refusal has a delay.
+    pub const fn is_passing(self) -> bool {
+        matches!(self, Self::Exhausted | Self::Unavailable)
+    }
 }

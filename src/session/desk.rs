@@ -12,11 +12,10 @@ use tokio::task::JoinSet;
 use crate::aiding::{AidingDesk, rover_source};
 use crate::clock::Clock;
 use crate::quotas::{Meter, Meters};
-use crate::store::{SessionRow, SessionSettings, Store};
+use crate::store::{SessionRow, Store};
 use crate::tenant::Tenant;
 
 use super::answers::Reply;
-use super::configuration::settings;
 use super::counters::Counters;
 use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
@@ -25,8 +24,8 @@ use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
 use super::tasks::{Handle, Start, Tasks};
 use super::{
-    NewSession, Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId,
-    SessionInfo, SessionLimits, SessionUpdate, Submitted,
+    Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
+    SessionLimits, Submitted,
 };
 
 /// Number of locks for starting and closing sessions. A session's id selects its lock.
@@ -110,71 +109,6 @@ impl Sessions {
     #[must_use]
     pub fn of(&self, tenant: &Tenant) -> Self {
         Self { desk: self.desk.clone(), meter: self.desk.meters.of(tenant) }
-    }
-
-    /// Creates a session and stores it.
-    ///
-    /// # Errors
-    /// A configuration, base or antenna does not exist, the label is too long, or the store fails.
-    pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
-        self.check_label(&new.label)?;
-        self.check_retention(new.retention_days)?;
-        let base = self.base_names(new.base)?;
-        let antenna = self.antenna_name(&new.antenna).await?;
-        let NewSession { label, mode, profile, overrides, retention_days, .. } = new;
-        let settings = settings(label, mode, profile, overrides, base, antenna)?;
-        let settings = SessionSettings { retention_days, ..settings };
-        let id = SessionId::random();
-        let store = &self.desk.store;
-        let _creating = self.admit_session().await?;
-        let row = store.create_session(self.tenant(), id.as_str(), &settings, self.unix_ms());
-        let row = row.await?;
-        self.info(id, row)
-    }
-
-    /// Changes the label, configuration or base of a session. Epochs sent after this call returns
-    /// are positioned with the new configuration; epochs already in the mailbox may be, too.
-    ///
-    /// # Errors
-    /// No session has this id, the session is closed, or a configuration, base or antenna does not
-    /// exist.
-    pub async fn update(
-        &self,
-        id: &SessionId,
-        update: SessionUpdate,
-    ) -> Result<SessionInfo, SessionError> {
-        if let Some(label) = &update.label {
-            self.check_label(label)?;
-        }
-        self.check_retention(update.retention_days)?;
-        let _starting = self.starting(id).lock().await;
-        let mut row = self.open_row(id).await?;
-        let mut overrides = row.settings.overrides;
-        overrides.retain(|name, _| !update.clear_overrides.contains(name));
-        overrides.extend(update.overrides);
-        let base = match update.base {
-            None => row.settings.base,
-            Some(base) => self.base_names(base)?,
-        };
-        let antenna = match update.antenna {
-            None => row.settings.antenna,
-            Some(antenna) => self.antenna_name(&antenna).await?,
-        };
-        let retention_days = update.retention_days.or(row.settings.retention_days);
-        let settings = settings(
-            update.label.unwrap_or(row.settings.label),
-            update.mode.unwrap_or(row.settings.mode),
-            update.profile.unwrap_or(row.settings.profile),
-            overrides,
-            base,
-            antenna,
-        )?;
-        row.settings = SessionSettings { retention_days, ..settings };
-        self.desk.store.update_session(row.key, &row.settings).await?;
-        if let Some(handle) = self.tasks().own(id, self.tenant()) {
-            handle.outdated.store(true, Ordering::Release);
-        }
-        self.info(id.clone(), row)
     }
 
     /// Begins a new arc of a session, after the epochs that wait: its next epoch may have any time,
@@ -353,7 +287,7 @@ impl Sessions {
         self.desk.clock.unix_ms()
     }
 
-    async fn open_row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
+    pub(super) async fn open_row(&self, id: &SessionId) -> Result<SessionRow, SessionError> {
         let row = self.row(id).await?;
         match row.closed_unix_ms {
             None => Ok(row),

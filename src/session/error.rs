@@ -23,6 +23,18 @@ pub enum SessionError {
         /// The id as given.
         id: String,
     },
+    /// Another request had the same name.
+    #[error("a request of this name has created session {id}, and had another content")]
+    RequestConflict {
+        /// Id of the session.
+        id: String,
+    },
+    /// The session has changed since the caller read it.
+    #[error("session {id} has another etag: somebody has changed it")]
+    Changed {
+        /// Id of the session.
+        id: String,
+    },
     /// The session is closed and takes no more epochs.
     #[error("session {id} is closed")]
     Closed {
@@ -235,6 +247,8 @@ impl SessionError {
     pub fn code(&self) -> Code {
         match self {
             Self::NotFound { .. } => Code::SessionNotFound,
+            Self::RequestConflict { .. } => Code::IdempotencyConflict,
+            Self::Changed { .. } => Code::EtagMismatch,
             Self::Closed { .. } => Code::SessionClosed,
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
@@ -274,8 +288,8 @@ impl SessionError {
             Self::MailboxFull { retry_after, .. }
             | Self::Overloaded { retry_after, .. }
             | Self::TooManyActive { retry_after, .. } => *retry_after,
-            // A quota is a tenant's own, and says when it allows more.
-            Self::Quota(error) => return Some(error.retry_after()),
+            // A quota says when it allows more.
+            Self::Quota(error) => error.retry_after(),
             Self::Draining | Self::Interrupted => UNAVAILABLE,
             Self::Store(error) if matches!(error.code().class(), Class::Unavailable) => UNAVAILABLE,
             _ => return None,

@@ -6,10 +6,13 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::OptionEntry;
 use crate::id::{Id, Kind};
-use crate::store::{AntennaName, Page, SessionRow, StoredSolution};
+use crate::store::{AntennaName, Page, SessionRow, SessionSettings, StoredSolution};
 
 use super::SessionError;
 use super::configuration::entries;
+
+/// Hexadecimal digits of an etag: 64 bits.
+const ETAG_DIGITS: usize = 16;
 
 /// Marks an [`Id`] as a session's; its text begins with `ses_`.
 pub enum SessionKind {}
@@ -59,6 +62,8 @@ pub struct SessionUpdate {
     pub antenna: Option<String>,
     /// For how long epochs are kept from now on (days); 0 for ever.
     pub retention_days: Option<u32>,
+    /// The etag of the session as the caller knows it; `None` for any.
+    pub etag: Option<String>,
 }
 
 /// A stored session.
@@ -78,6 +83,8 @@ pub struct SessionInfo {
     pub configuration: Vec<OptionEntry>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
+    /// Names the present settings.
+    pub etag: String,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
     /// When it was closed (ms since 1970-01-01 UTC); `None` while it is open.
@@ -105,7 +112,9 @@ impl SessionInfo {
         retention_days: u32,
     ) -> Result<Self, SessionError> {
         let configuration = entries(&row.settings);
+        let etag = etag_of(&row.settings);
         Ok(Self {
+            etag,
             id,
             label: row.settings.label,
             mode: row.settings.mode,
@@ -123,6 +132,21 @@ impl SessionInfo {
             oldest_available: oldest_available(row.removed_through),
         })
     }
+}
+
+/// The name of settings: others have another one.
+pub(super) fn etag_of(settings: &SessionSettings) -> String {
+    let SessionSettings { label, mode, profile, overrides, base, antenna, .. } = settings;
+    let ids: Vec<&str> = match base {
+        BaseChoice::None | BaseChoice::Nearest => Vec::new(),
+        BaseChoice::One(base) => vec![&base.id],
+        BaseChoice::NearestOf(bases) => bases.iter().map(|base| &*base.id).collect(),
+    };
+    let choice = (ids, matches!(base, BaseChoice::Nearest), matches!(base, BaseChoice::One(_)));
+    let antenna = antenna.as_ref().map(|antenna| (&antenna.name, &*antenna.calibration));
+    let all = (label, mode, profile, overrides, choice, antenna, settings.retention_days);
+    let text = serde_json::to_string(&all).expect("texts and numbers are JSON");
+    blake3::hash(text.as_bytes()).to_hex()[..ETAG_DIGITS].to_owned()
 }
 
 /// The number below which all epochs are removed.

@@ -87,6 +87,7 @@ mod answers;
 mod antenna;
 mod base_selection;
 mod batch;
+mod changing;
 mod checks;
 mod closing;
 mod computation;

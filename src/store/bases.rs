@@ -10,7 +10,7 @@ use super::antennas::calibration_hash;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
-use super::{BaseFeed, Store, StoreError};
+use super::{BaseFeed, NamedRequest, Store, StoreError};
 
 /// Primary key of a base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -111,6 +111,8 @@ pub(crate) struct NewBaseRow<'a> {
     pub(crate) archive: Option<&'a str>,
     /// When it is created (ms since 1970-01-01 UTC).
     pub(crate) created_unix_ms: i64,
+    /// The named request that creates it.
+    pub(crate) request: Option<&'a NamedRequest>,
 }
 
 /// A stored base.
@@ -132,6 +134,8 @@ pub struct BaseRow {
     pub feed: Option<BaseFeed>,
     /// The address of the archive's files that fill it.
     pub archive: Option<String>,
+    /// The named request that created it.
+    pub request: Option<NamedRequest>,
 }
 
 /// An encoded epoch of a base.
@@ -245,9 +249,9 @@ const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
 /// Does nothing if an open session uses the base.
-const DELETE: &str =
-    "UPDATE bases SET deleted_unix_ms = $2, archive = NULL WHERE key = $1 AND NOT EXISTS
-    (SELECT 1 FROM sessions WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
+const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, request_name = NULL
+    WHERE key = $1 AND NOT EXISTS (SELECT 1 FROM sessions
+    WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
     AND NOT EXISTS (SELECT 1 FROM session_bases JOIN sessions ON sessions.key = session
     WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
 
@@ -272,8 +276,35 @@ macro_rules! site {
     }};
 }
 
-/// Key, id, label, time of creation (ms), address of the archive and tenant of a base.
-type NamedRow = (i64, String, String, i64, Option<String>, String);
+#[derive(sqlx::FromRow)]
+struct RawBase {
+    key: i64,
+    id: String,
+    label: String,
+    created_unix_ms: i64,
+    archive: Option<String>,
+    tenant: String,
+    request_name: Option<String>,
+    request_hash: Option<String>,
+}
+
+impl RawBase {
+    /// The base without its sites and its feed.
+    fn parse(self) -> BaseRow {
+        let request = self.request_name.zip(self.request_hash);
+        BaseRow {
+            key: BaseKey(self.key),
+            tenant: Tenant::stored(&self.tenant),
+            id: self.id,
+            label: self.label,
+            created_unix_ms: self.created_unix_ms,
+            sites: Vec::new(),
+            feed: None,
+            archive: self.archive,
+            request: request.map(|(name, hash)| NamedRequest { name, hash }),
+        }
+    }
+}
 
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
@@ -284,15 +315,18 @@ impl Store {
     /// # Errors
     /// The database fails. An existing id is such a failure.
     pub(crate) async fn create_base(&self, new: &NewBaseRow<'_>) -> Result<BaseKey, StoreError> {
-        let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms } = *new;
+        let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms, request } = *new;
         self.keep_calibration_of(site).await?;
         let created = writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
-                let sql = "INSERT INTO bases (id, label, created_unix_ms, archive, tenant)
-                           VALUES ($1, $2, $3, $4, $5) RETURNING key";
+                let sql = "INSERT INTO bases (id, label, created_unix_ms, archive, tenant,
+                                              request_name, request_hash)
+                           VALUES ($1, $2, $3, $4, $5, $6, $7) RETURNING key";
                 let insert = sqlx::query_as(sql).bind(id).bind(label).bind(created_unix_ms);
                 let insert = insert.bind(archive).bind(tenant.name());
+                let insert = insert.bind(request.map(|request| &*request.name));
+                let insert = insert.bind(request.map(|request| &*request.hash));
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 let key = BaseKey(key);
                 if let Some(site) = site {
@@ -315,9 +349,9 @@ impl Store {
     /// The database fails, or a row is corrupt.
     pub(crate) async fn bases(&self) -> Result<Vec<BaseRow>, StoreError> {
         let failed = "reading bases";
-        let rows: Result<Vec<NamedRow>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key, id, label, created_unix_ms, archive, tenant FROM bases
-                       WHERE deleted_unix_ms IS NULL ORDER BY key";
+        let rows: Result<Vec<RawBase>, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT key, id, label, created_unix_ms, archive, tenant, request_name,
+                              request_hash FROM bases WHERE deleted_unix_ms IS NULL ORDER BY key";
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let sites: Result<Vec<RawSite>, _> = reading!(&self.pool, pool => {
@@ -325,15 +359,11 @@ impl Store {
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let kept = self.calibrations().await?;
-        let base = |(key, id, label, created_unix_ms, archive, tenant): NamedRow| {
-            let (key, sites, tenant) = (BaseKey(key), Vec::new(), Tenant::stored(&tenant));
-            BaseRow { key, tenant, id, label, created_unix_ms, sites, feed: None, archive }
-        };
         let feeds: Result<Vec<RawFeed>, _> = reading!(&self.pool, pool => {
             sqlx::query_as("SELECT * FROM base_feeds").fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database(failed))?;
-        let mut bases: Vec<BaseRow> = rows.into_iter().map(base).collect();
+        let mut bases: Vec<BaseRow> = rows.into_iter().map(RawBase::parse).collect();
         for site in sites.map_err(StoreError::database(failed))? {
             if let Ok(index) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
                 bases[index].sites.push(site.parse(&kept)?);

@@ -35,7 +35,8 @@ impl Store {
         unix_ms: i64,
     ) -> Result<(), StoreError> {
         let deleted = writing!(&self.pool, pool => {
-            let sql = "UPDATE sessions SET deleted_unix_ms = $2 WHERE key = $1";
+            let sql = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL
+                       WHERE key = $1";
             sqlx::query(sql).bind(session.0).bind(unix_ms).execute(pool).await.map(drop)
         });
         deleted.map_err(StoreError::database("deleting a session"))

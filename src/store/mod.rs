@@ -30,6 +30,7 @@ mod health;
 mod jobs;
 mod keys;
 mod lease;
+mod named_requests;
 mod navigation;
 mod page;
 mod pool;
@@ -66,6 +67,8 @@ pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use jobs::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob};
 pub use keys::{KeyRow, NewKeyRow};
+pub(crate) use named_requests::Created;
+pub use named_requests::NamedRequest;
 pub use navigation::{
     NavigationChange, NavigationDifference, NavigationRows, StoredCoefficients, StoredEphemeris,
     StoredNavigation,

@@ -7,7 +7,7 @@ use crate::tenant::Tenant;
 
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{AntennaName, BaseChoice, BaseKey, BaseName, Page, Store, StoreError};
+use super::{AntennaName, BaseChoice, BaseKey, BaseName, NamedRequest, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 /// In the column of a session's choice of bases: the nearest of several.
@@ -213,6 +213,22 @@ impl Store {
         settings: &SessionSettings,
         created_unix_ms: i64,
     ) -> Result<SessionRow, StoreError> {
+        let created = self.create_session_once(tenant, id, settings, created_unix_ms, None);
+        Ok(created.await?.expect("only a named request can meet another of its name"))
+    }
+
+    /// The same by a request with a name; `None` if another of this name has created one.
+    ///
+    /// # Errors
+    /// The same.
+    pub(crate) async fn create_session_once(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        settings: &SessionSettings,
+        created_unix_ms: i64,
+        request: Option<&NamedRequest>,
+    ) -> Result<Option<SessionRow>, StoreError> {
         self.store_configuration(settings).await?;
         let key = writing!(&self.pool, pool => {
             let inserted = async {
@@ -220,9 +236,11 @@ impl Store {
                 let insert = sqlx::query_as(
                     "INSERT INTO sessions (id, label, mode, profile, overrides, configuration,
                                            configuration_hash, created_unix_ms, base, base_choice,
-                                           antenna, calibration, retention_days, tenant)
-                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14)
-                     RETURNING key",
+                                           antenna, calibration, retention_days, tenant,
+                                           request_name, request_hash)
+                     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14,
+                             $15, $16)
+                     ON CONFLICT (tenant, request_name) DO NOTHING RETURNING key",
                 )
                 .bind(id)
                 .bind(&settings.label)
@@ -237,18 +255,21 @@ impl Store {
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.name))
                 .bind(settings.antenna.as_ref().map(|antenna| &*antenna.calibration))
                 .bind(settings.retention_days.map(i64::from))
-                .bind(tenant.name());
-                let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
+                .bind(tenant.name())
+                .bind(request.map(|request| &*request.name))
+                .bind(request.map(|request| &*request.hash));
+                let key: Option<(i64,)> = insert.fetch_optional(&mut *transaction).await?;
+                let Some((key,)) = key else { return Ok(None) };
                 insert_candidates!(transaction, key, &settings.base);
                 let head = "INSERT INTO session_heads (session, owner, fence) VALUES ($1, '', 0)";
                 sqlx::query(head).bind(key).execute(&mut *transaction).await?;
                 transaction.commit().await?;
-                Ok::<i64, sqlx::Error>(key)
+                Ok::<Option<i64>, sqlx::Error>(Some(key))
             };
             inserted.await
         });
         let key = key.map_err(StoreError::database("storing a session"))?;
-        Ok(SessionRow {
+        Ok(key.map(|key| SessionRow {
             key: SessionKey(key),
             id: id.to_owned(),
             tenant: tenant.clone(),
@@ -258,7 +279,7 @@ impl Store {
             last_seq: None,
             raw_through: None,
             removed_through: None,
-        })
+        }))
     }
 
     /// The session of a tenant with this id.

@@ -71,7 +71,8 @@ macro_rules! select_tenants {
 }
 
 impl Store {
-    /// Sets the quotas of a tenant, which exists from then on.
+    /// Sets the quotas of a tenant, which exists from then on. Returns `false` if the number of its
+    /// last change is not `expected`, if one is given.
     ///
     /// # Errors
     /// The database fails.
@@ -80,12 +81,21 @@ impl Store {
         tenant: &Tenant,
         quotas: &Quotas,
         unix_ms: i64,
-    ) -> Result<(), StoreError> {
+        expected: Option<i64>,
+    ) -> Result<bool, StoreError> {
         let set = writing!(&self.pool, pool => {
             let set = async {
                 let mut transaction = pool.begin().await?;
                 let number: i64 =
                     sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
+                if let Some(expected) = expected {
+                    let present = "SELECT changed FROM tenants WHERE name = $1";
+                    let present = sqlx::query_scalar(present).bind(tenant.name());
+                    let present: Option<i64> = present.fetch_optional(&mut *transaction).await?;
+                    if present != Some(expected) {
+                        return Ok(false);
+                    }
+                }
                 let set = sqlx::query(SET)
                     .bind(tenant.name())
                     .bind(unix_ms)
@@ -95,7 +105,8 @@ impl Store {
                     .bind(quotas.stored_bytes.map(|bytes| bytes as i64))
                     .bind(number);
                 set.execute(&mut *transaction).await?;
-                transaction.commit().await
+                transaction.commit().await?;
+                Ok::<bool, sqlx::Error>(true)
             };
             set.await
         });

@@ -94,7 +94,7 @@ async fn session(doors: &Doors, base: &str) -> String {
         base: base.to_owned(),
         ..Default::default()
     };
-    calls::sessions::create(&doors.caller(), new).await.unwrap().session
+    calls::sessions::create(&doors.caller(), new).await.unwrap().0.session
 }
 
 /// Positions some of the rover's epochs.

@@ -101,6 +101,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::JobTooLarge, "tests/doors/jobs.rs"),
     (Code::JobSpaceExhausted, "tests/doors/jobs.rs"),
     (Code::IdempotencyConflict, "tests/doors/jobs.rs"),
+    (Code::EtagMismatch, "tests/doors/repeats.rs"),
     (Code::JobNotEnded, "tests/doors/jobs.rs"),
     (Code::JobWithoutResult, "tests/doors/jobs.rs"),
     (Code::JobTooLong, "tests/doors/jobs.rs"),
@@ -142,13 +143,29 @@ fn the_document_and_the_table_are_one_set() {
         };
         let remedy = code.remedy();
         let (http, grpc) = (http_status(code.class()).as_u16(), grpc_code(code.class()));
+        let (cause, retry) = (code.cause(), code.class().retry());
         let expected = match code.class() {
-            Class::NoCall => format!("| {remedy} |"),
-            _ => format!("| {remedy} | {http} | {grpc:?} |"),
+            Class::NoCall => format!("| `{code}` | {cause} | {remedy} |"),
+            _ => format!("| `{code}` | {cause} | {remedy} | {retry} | {http} | {grpc:?} |"),
         };
-        assert!(row.contains(&expected), "{code}: {expected:?} is not in {row:?}");
+        assert!(row.starts_with(&expected), "{code}: {expected:?} is not in {row:?}");
     }
     assert_eq!(rows.len(), Code::ALL.len(), "docs/errors.md has a row that is no code");
+}
+
+/// An answer's `type` leads to the entry of its code.
+#[tokio::test]
+async fn a_problem_links_to_its_code() {
+    let doors = Doors::open().await;
+    let (_, problem) = doors.get("/v1/sessions/ses_0").await;
+    let (page, entry) = problem["type"].as_str().unwrap().split_once('#').unwrap();
+    let (status, page) = doors.get(page).await;
+    assert_eq!(status, 200);
+    let page = page.as_str().unwrap();
+    assert!(page.contains(&format!("<h2 id=\"{entry}\">")), "{problem}");
+    for code in Code::ALL {
+        assert!(page.contains(&format!("id=\"{code}\"")), "{code} is not on the page");
+    }
 }
 
 /// Every module takes its codes from the table; none writes a code as text.
@@ -489,7 +506,9 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
         seen.insert(expected.name());
         let right = (expected.name(), http_status(expected.class()).as_u16(), field);
         let given = (code(answer), status, answer["field"].as_str().unwrap_or(""));
-        if right != given || answer["remedy"] != expected.remedy() {
+        let has_texts =
+            answer["remedy"] == expected.remedy() && answer["type"] == expected.link().as_str();
+        if right != given || !has_texts {
             wrong.push(format!("{what}: {right:?} expected, {answer}"));
         }
     };

@@ -60,7 +60,7 @@ async fn session_of(doors: &Doors, base: &str, mode: &str, options: &[(&str, &st
         base: base.to_owned(),
         ..Default::default()
     };
-    calls::sessions::create(&doors.caller(), new).await.unwrap().session
+    calls::sessions::create(&doors.caller(), new).await.unwrap().0.session
 }
 
 fn second(solution: &v1::Solution) -> f64 {

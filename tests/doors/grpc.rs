@@ -94,7 +94,7 @@ async fn a_message_too_large_is_refused_packed_and_plain() {
         }
         let request = v1::PushNavigationRequest { content: vec![b' '; 1_000_000].into() };
         let status = client.push(request).await.unwrap_err();
-        assert_eq!(status.code(), Code::OutOfRange, "packed {packed}: {status}");
+        assert_eq!(status.code(), Code::InvalidArgument, "packed {packed}: {status}");
         let code = graphfix::grpc::code_of(&status);
         assert_eq!(code.as_deref(), Some("BODY_TOO_LARGE"), "packed {packed}");
     }

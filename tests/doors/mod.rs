@@ -26,6 +26,7 @@ mod odometry;
 mod operator_keys;
 mod quotas;
 mod raw;
+mod repeats;
 mod retention;
 mod session_antennas;
 mod sessions;

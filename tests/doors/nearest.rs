@@ -473,7 +473,7 @@ async fn both_doors_take_the_nearest_base() {
 
     let base = "nearest".to_owned();
     let new = v1::CreateSessionRequest { mode: "rtk-fgo".into(), base, ..Default::default() };
-    let session = calls::sessions::create(&doors.caller(), new).await.unwrap();
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().0;
     assert_eq!((session.base.as_str(), session.bases.len()), ("nearest", 0));
     let push = v1::PushEpochsRequest { session: session.session, epochs: rover() };
     let answer = calls::positioning::push_epochs(&doors.caller(), push).await.unwrap();

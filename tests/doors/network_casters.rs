@@ -55,7 +55,7 @@ async fn a_caster_is_told_where_the_rover_is() {
     assert!(told.is_err(), "a place is told that nobody knows: {told:?}");
 
     let new = v1::CreateSessionRequest { mode: "rtk-fgo".to_owned(), base, ..Default::default() };
-    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().session;
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().0.session;
     for batch in PAIR.rover[..40].chunks(20) {
         let epochs = batch.iter().map(|e| convert::epoch_message(e.seq, &e.epoch)).collect();
         let push = v1::PushEpochsRequest { session: session.clone(), epochs };

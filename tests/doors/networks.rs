@@ -47,7 +47,7 @@ async fn nearest(doors: &Doors) -> String {
         base: "nearest".to_owned(),
         ..Default::default()
     };
-    calls::sessions::create(&doors.caller(), new).await.unwrap().session
+    calls::sessions::create(&doors.caller(), new).await.unwrap().0.session
 }
 
 fn bases_of(solutions: &[v1::Solution]) -> Vec<String> {

@@ -569,7 +569,7 @@ async fn a_device_needs_nothing_but_its_bytes() {
     let Some(stream) = log(600_000) else { return };
     let doors = Doors::open().await;
     let new = v1::CreateSessionRequest { mode: "fgo".into(), ..Default::default() };
-    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().session;
+    let session = calls::sessions::create(&doors.caller(), new).await.unwrap().0.session;
     let (mut offset, mut errors_m) = (0, Vec::new());
     // The receiver's own RTK position in the data set.
     let (latitude_rad, longitude_rad) =

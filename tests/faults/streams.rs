@@ -109,7 +109,7 @@ async fn no_epoch_is_stored_behind_a_commit_that_failed() {
             create,
         )
         .await;
-        let session = session.unwrap().session;
+        let session = session.unwrap().0.session;
         let mut seq = 0;
         for mode in [Mode::CutBeforeCommit, Mode::CutAfterCommit].into_iter().cycle().take(4) {
             let resume = async || {

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use crate::clock::unix_ms;
 use crate::gnss::{Ecef, GpsTime};
 use crate::positioning::BASE_LATER_S;
-use crate::store::{BaseFeed, BaseName};
+use crate::store::{BaseFeed, BaseName, NamedRequest};
 use crate::tenant::Tenant;
 
 use super::archive_requests::ArchiveRequests;
@@ -20,6 +20,8 @@ pub(super) struct BaseDescription {
     pub(super) created_unix_ms: i64,
     pub(super) feed: Option<BaseFeed>,
     pub(super) archive: Option<String>,
+    /// The named request that created it.
+    pub(super) request: Option<NamedRequest>,
 }
 
 /// A base with its epochs and what its rovers request.
@@ -69,7 +71,7 @@ impl Base {
     }
 
     pub(super) fn info(&self) -> BaseInfo {
-        let BaseDescription { name, tenant, label, created_unix_ms, feed, archive } =
+        let BaseDescription { name, tenant, label, created_unix_ms, feed, archive, .. } =
             &self.description;
         let stored = self.stored();
         let span = stored.epochs.front().zip(stored.epochs.back());

@@ -6,7 +6,9 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, GpsTime};
-use crate::store::{BaseFeed, BaseKey, BaseName, BaseUse, NewBaseRow, Store, StoreError};
+use crate::store::{
+    BaseFeed, BaseKey, BaseName, BaseUse, NamedRequest, NewBaseRow, Store, StoreError,
+};
 use crate::tenant::Tenant;
 
 use super::base::{Base, BaseDescription};
@@ -57,6 +59,7 @@ impl BaseBroker {
                 created_unix_ms: row.created_unix_ms,
                 feed: row.feed,
                 archive: row.archive,
+                request: row.request,
             };
             let stored = BaseEpochs::new(row.sites, epochs, stored_unix_ms);
             bases.insert(id, Arc::new(Base::new(description, stored)));
@@ -72,24 +75,36 @@ impl BaseBroker {
     /// There are as many bases as allowed, the label is too long, the antenna is not calibrated, or
     /// the store fails.
     pub async fn create(&self, new: NewBase) -> Result<BaseInfo, AidingError> {
-        self.create_for(&Tenant::operator(), new).await
+        Ok(self.create_for(&Tenant::operator(), new, None).await?.0)
     }
 
-    /// The same for a tenant.
+    /// The same for a tenant. Returns the base, and whether it is new: a repetition of a named
+    /// request returns what the first one has created.
     ///
     /// # Errors
-    /// The same.
+    /// The same; or another request had this name.
     pub(super) async fn create_for(
         &self,
         tenant: &Tenant,
         mut new: NewBase,
-    ) -> Result<BaseInfo, AidingError> {
+        request: Option<NamedRequest>,
+    ) -> Result<(BaseInfo, bool), AidingError> {
+        let _creating = self.creating.lock().await;
+        if let Some(request) = &request
+            && let Some(base) = self.created_by(tenant, &request.name)
+        {
+            let is_same = base.description.request.as_ref() == Some(request);
+            let id = base.name().id.to_string();
+            return match is_same {
+                true => Ok((base.info(), false)),
+                false => Err(AidingError::RequestConflict { id }),
+            };
+        }
         let (length, limit) = (new.label.chars().count(), self.limits.label_characters);
         if limit < length {
             return Err(AidingError::LabelTooLong { length, limit });
         }
         new.site = new.site.map(|site| self.antennas.of_new_base(&site)).transpose()?;
-        let _creating = self.creating.lock().await;
         let limit = self.limits.bases;
         if limit <= self.read().len() {
             return Err(AidingError::TooManyBases { limit });
@@ -103,6 +118,7 @@ impl BaseBroker {
             feed: new.feed.as_ref(),
             archive: new.archive.as_deref(),
             created_unix_ms: now,
+            request: request.as_ref(),
         };
         let key = self.store.create_base(&row).await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
@@ -113,10 +129,20 @@ impl BaseBroker {
             created_unix_ms: now,
             feed: new.feed,
             archive: new.archive,
+            request,
         };
         let base = Arc::new(Base::new(description, BaseEpochs::new(sites, Vec::new(), None)));
         self.write().insert(id, base.clone());
-        Ok(base.info())
+        Ok((base.info(), true))
+    }
+
+    /// The base that a tenant's request of this name has created.
+    fn created_by(&self, tenant: &Tenant, request: &str) -> Option<Arc<Base>> {
+        let is_it = |base: &&Arc<Base>| {
+            let BaseDescription { tenant: of, request: by, .. } = &base.description;
+            of == tenant && by.as_ref().is_some_and(|by| by.name == request)
+        };
+        self.read().values().find(is_it).cloned()
     }
 
     /// A base with its health.

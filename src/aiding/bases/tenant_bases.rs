@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use crate::aiding::AidingError;
 use crate::gnss::{BaseSite, Epoch};
-use crate::store::{BaseName, StoredBaseEpoch};
+use crate::store::{BaseName, NamedRequest, StoredBaseEpoch};
 use crate::tenant::Tenant;
 
 use super::base::Base;
@@ -32,12 +32,17 @@ impl BaseBroker {
 }
 
 impl TenantBases<'_> {
-    /// Creates a base of the tenant.
+    /// Creates a base of the tenant. Returns it, and whether it is new: a repetition of a named
+    /// request returns what the first one has created.
     ///
     /// # Errors
-    /// As [`BaseBroker::create`].
-    pub async fn create(&self, new: NewBase) -> Result<BaseInfo, AidingError> {
-        self.broker.create_for(self.tenant, new).await
+    /// As [`BaseBroker::create`]; or another request had this name.
+    pub async fn create(
+        &self,
+        new: NewBase,
+        request: Option<NamedRequest>,
+    ) -> Result<(BaseInfo, bool), AidingError> {
+        self.broker.create_for(self.tenant, new, request).await
     }
 
     /// A base with its health.

@@ -1,5 +1,7 @@
 //! Base stations.
 
+use std::mem;
+
 use crate::aiding::bases::{
     BaseEpochRefusal, BaseFile, BaseId, BaseInfo, BasePositionCheck, BasePositionVerdict, BasePush,
     CommittedEpoch, NewBase,
@@ -14,7 +16,7 @@ use crate::refusal::Code;
 use super::feeds;
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, skipped_entry};
-use super::{base_id, page_size, page_token, utc};
+use super::{base_id, named_request, page_size, page_token, utc};
 
 /// Bases on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -26,12 +28,17 @@ const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
 /// Longest distance between antenna and marker along each axis (m).
 const DELTA_MAX_M: f64 = 1000.0;
 
-/// Creates a base.
+/// Creates a base. Returns it, and whether it is new: a repetition of a named request returns what
+/// the first one has created.
 ///
 /// # Errors
-/// The position, stream or archive is invalid, there are as many bases as allowed, or the store
-/// fails.
-pub async fn create(caller: &Caller, request: v1::CreateBaseRequest) -> Result<v1::Base, Refusal> {
+/// The position, stream or archive is invalid, there are as many bases as allowed, another request
+/// had this name, or the store fails.
+pub async fn create(
+    caller: &Caller,
+    mut request: v1::CreateBaseRequest,
+) -> Result<(v1::Base, bool), Refusal> {
+    let named = named_request(mem::take(&mut request.request_id), &request)?;
     texts::check_label(&request.label)?;
     texts::check("antenna", &request.antenna, texts::ANTENNA_MAX)?;
     let site = site(&request)?;
@@ -42,8 +49,8 @@ pub async fn create(caller: &Caller, request: v1::CreateBaseRequest) -> Result<v
     let feed = request.ntrip.map(|source| feeds::source(caller, source)).transpose()?;
     let archive = request.archive.map(|source| feeds::archive(caller, source)).transpose()?;
     let new = NewBase { label: request.label, site, feed, archive };
-    let created = caller.bases().create(new).await?;
-    if let Some(id) = BaseId::parse(&created.name.id) {
+    let (created, is_new) = caller.bases().create(new, named).await?;
+    if let Some(id) = BaseId::parse(&created.name.id).filter(|_| is_new) {
         if let Some(feed) = &created.feed {
             caller.feeds().start(&id, feed)?;
         }
@@ -51,7 +58,7 @@ pub async fn create(caller: &Caller, request: v1::CreateBaseRequest) -> Result<v
             caller.feeds().fill(&id, archive)?;
         }
     }
-    Ok(message(caller, &created))
+    Ok((message(caller, &created), is_new))
 }
 
 /// A base with its health.

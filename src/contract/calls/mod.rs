@@ -18,12 +18,15 @@ pub mod track;
 mod upload;
 pub mod watch;
 
+use prost::Message;
+
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::refusal::Code;
 use crate::session::SessionId;
+use crate::store::NamedRequest;
 
-use super::texts::brief;
+use super::texts::{self, brief};
 use super::{Caller, Refusal};
 
 /// The mode if the request has none.
@@ -80,6 +83,14 @@ fn or_standard(text: String, standard: &str) -> String {
 
 fn page_token(token: &str) -> Option<&str> {
     Some(token).filter(|token| !token.is_empty())
+}
+
+/// The name of a request that creates something, with the hash of its content; `None` without a
+/// name. `content` is the request without its name.
+fn named_request<M: Message>(name: String, content: &M) -> Result<Option<NamedRequest>, Refusal> {
+    texts::check("requestId", &name, texts::NAME_MAX)?;
+    let hash = || blake3::hash(&content.encode_to_vec()).to_hex().to_string();
+    Ok((!name.is_empty()).then(|| NamedRequest { name, hash: hash() }))
 }
 
 /// The page size of a request, or the call's standard size if it is zero.

@@ -1,5 +1,7 @@
 //! Sessions.
 
+use std::mem;
+
 use crate::aiding::bases::BaseChoice;
 use crate::clock::gps_time;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
@@ -7,7 +9,8 @@ use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 
 use super::{
-    MODE, NEAREST, PROFILE, base_choice, or_standard, page_size, page_token, session_id, utc,
+    MODE, NEAREST, PROFILE, base_choice, named_request, or_standard, page_size, page_token,
+    session_id, utc,
 };
 
 /// Sessions on a page if the request gives no size.
@@ -19,14 +22,16 @@ const HEADS_MAX: usize = 10_000;
 /// Memory of a head, its message and its JSON (bytes).
 const HEAD_BYTES: usize = 1024;
 
-/// Opens a session.
+/// Opens a session. Returns it, and whether it is new: a repetition of a named request returns what
+/// the first one has opened.
 ///
 /// # Errors
-/// The configuration does not exist, or the store fails.
+/// The configuration does not exist, another request had this name, or the store fails.
 pub async fn create(
     caller: &Caller,
-    request: v1::CreateSessionRequest,
-) -> Result<v1::Session, Refusal> {
+    mut request: v1::CreateSessionRequest,
+) -> Result<(v1::Session, bool), Refusal> {
+    let named = named_request(mem::take(&mut request.request_id), &request)?;
     texts::check_label(&request.label)?;
     texts::check_names([("mode", &*request.mode), ("profile", &*request.profile)])?;
     texts::check_overrides(&request.overrides)?;
@@ -40,7 +45,8 @@ pub async fn create(
         antenna: request.antenna,
         retention_days: request.retention_days,
     };
-    Ok(message(caller.sessions().create(new).await?))
+    let (session, is_new) = caller.sessions().create_once(new, named).await?;
+    Ok((message(session), is_new))
 }
 
 /// A session.
@@ -93,7 +99,7 @@ pub async fn heads(
 /// Changes the given fields of a session.
 ///
 /// # Errors
-/// The session does not exist or is closed, or the configuration does not exist.
+/// The session does not exist, is closed or has another etag, or the configuration does not exist.
 pub async fn update(
     caller: &Caller,
     request: v1::UpdateSessionRequest,
@@ -120,6 +126,7 @@ pub async fn update(
         base,
         antenna: request.antenna,
         retention_days: request.retention_days,
+        etag: Some(request.etag).filter(|etag| !etag.is_empty()),
     };
     Ok(message(caller.sessions().update(&id, update).await?))
 }
@@ -212,5 +219,6 @@ fn message(info: SessionInfo) -> v1::Session {
         antenna_calibration: antenna_calibration.to_string(),
         retention_days: info.retention_days,
         oldest_available_seq: info.oldest_available,
+        etag: info.etag,
     }
 }

@@ -66,9 +66,22 @@ pub async fn set(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::T
     caller.check_operator()?;
     let tenant = super::keys::tenant(caller, &request.tenant)?;
     let quotas = quotas(request.quotas.unwrap_or_default())?;
-    let info = caller.quotas().set(&tenant, &quotas).await?;
+    let changed = changed(&request.etag)?;
+    let info = caller.quotas().set(&tenant, &quotas, changed).await?;
     tracing::info!(%tenant, ?quotas, by = caller.key(), "the quotas of a tenant are set");
     Ok(message(info))
+}
+
+/// The number of the last change that an etag names; `None` for any.
+fn changed(etag: &str) -> Result<Option<i64>, Refusal> {
+    if etag.is_empty() {
+        return Ok(None);
+    }
+    let number = etag.parse().map_err(|_| {
+        let message = format!("{:?} is not the etag of a tenant", texts::brief(etag));
+        Refusal::new(Code::EtagMismatch, message).at("etag")
+    });
+    number.map(Some)
 }
 
 /// Reads and checks quotas.
@@ -95,7 +108,7 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
 const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {
-    let TenantInfo { tenant, created_unix_ms, quotas, rates, stored } = info;
+    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored } = info;
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = quotas;
     v1::Tenant {
         tenant: tenant.to_string(),
@@ -107,5 +120,6 @@ fn message(info: TenantInfo) -> v1::Tenant {
             cpu_s_per_minute: rates.cpu_s_per_minute,
             stored_bytes: stored.stored_bytes,
         }),
+        etag: changed.to_string(),
     }
 }

@@ -21,7 +21,7 @@ macro_rules! jobs {
     JobSpaceExhausted = "JOB_SPACE_EXHAUSTED", Exhausted,
         "send the same request when older jobs have expired, or let the operator raise \
          jobs.total_bytes";
-    /// Another request had the same Idempotency-Key.
+    /// Another request had the same Idempotency-Key, or requestId.
     IdempotencyConflict = "IDEMPOTENCY_CONFLICT", Conflict,
         "send the request with a key of its own";
     /// The job has not ended.

@@ -14,11 +14,14 @@ use sources::sources;
 
 /// Declares the codes with their name, class and remedy.
 macro_rules! codes {
-    ($($(#[$doc:meta])* $variant:ident = $name:literal, $class:ident, $remedy:literal;)+) => {
+    ($(
+        $(#[doc = $cause:literal])+
+        $variant:ident = $name:literal, $class:ident, $remedy:literal;
+    )+) => {
         /// Stable code of a refusal or failure.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Code {
-            $($(#[$doc])* $variant,)+
+            $($(#[doc = $cause])+ $variant,)+
         }
 
         impl Code {
@@ -36,6 +39,13 @@ macro_rules! codes {
             pub const fn class(self) -> super::Class {
                 match self {
                     $(Self::$variant => super::Class::$class,)+
+                }
+            }
+
+            /// What is wrong, without the values at fault.
+            pub fn cause(self) -> &'static str {
+                match self {
+                    $(Self::$variant => concat!($($cause),+).trim_start(),)+
                 }
             }
 
@@ -58,6 +68,13 @@ macro_rules! collected {
 }
 
 collected! { {} requests sources jobs operation }
+
+impl Code {
+    /// Where a service explains the code, as a path of its REST door.
+    pub fn link(self) -> String {
+        format!("/docs/errors#{}", self.name())
+    }
+}
 
 impl fmt::Display for Code {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -52,6 +52,9 @@ macro_rules! requests {
     /// The page token does not come from an answer to this call.
     PageTokenInvalid = "PAGE_TOKEN_INVALID", Malformed,
         "send nextPageToken of the previous answer, unchanged";
+    /// What the request changes has changed since its sender read it.
+    EtagMismatch = "ETAG_MISMATCH", Changed,
+        "read it again, and send the change with its new etag";
     /// The page size is out of range.
     PageSizeInvalid = "PAGE_SIZE_INVALID", Malformed,
         "ask for a page size in the range that the message names";

@@ -102,7 +102,7 @@ async fn pushed_epochs_give_the_positions_of_a_file() {
         antenna_delta_hen_m: site.antenna_delta_hen_m,
         ..Default::default()
     };
-    let by_push = calls::bases::create(service, new).await.unwrap().base;
+    let by_push = calls::bases::create(service, new).await.unwrap().0.base;
     let push = v1::PushBaseEpochsRequest { base: by_push.clone(), epochs };
     let pushed = calls::bases::push_epochs(service, push).await.unwrap();
     let numbers: Vec<_> = pushed.results.iter().filter_map(|result| result.number).collect();
@@ -110,7 +110,7 @@ async fn pushed_epochs_give_the_positions_of_a_file() {
     let mut positions = Vec::new();
     for base in [by_file, by_push] {
         let new = v1::CreateSessionRequest { mode: "rtk-fgo".into(), base, ..Default::default() };
-        let session = calls::sessions::create(service, new).await.unwrap().session;
+        let session = calls::sessions::create(service, new).await.unwrap().0.session;
         let push = v1::PushEpochsRequest { session, epochs: rover(60) };
         let answer = calls::positioning::push_epochs(service, push).await.unwrap();
         let of = |result: v1::EpochResult| result.solution.unwrap().position.unwrap().ecef.unwrap();

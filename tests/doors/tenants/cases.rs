@@ -112,7 +112,9 @@ fn sessions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
     let none = Value::Null;
     Some(match call.grpc {
         "Sessions/Create" => {
-            [json!({"mode": "rtk-fgo", "base": base}), json!({"mode": "rtk-fgo", "bases": [base]})]
+            let named = json!({"requestId": of.request});
+            let relative = json!({"mode": "rtk-fgo", "base": base});
+            [relative, json!({"mode": "rtk-fgo", "bases": [base]}), named]
                 .into_iter()
                 .flat_map(|new| {
                     both!(call, v1::CreateSessionRequest, "/v1/sessions", new.clone(), new)
@@ -243,7 +245,7 @@ fn bases(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
     let none = Value::Null;
     Some(match call.grpc {
         "Bases/Create" => {
-            let new = json!({"label": "own"});
+            let new = json!({"label": "own", "requestId": of.request});
             both!(call, v1::CreateBaseRequest, "/v1/bases", new.clone(), new)
         }
         "Bases/List" => both!(call, v1::ListBasesRequest, "/v1/bases", json!({}), none),

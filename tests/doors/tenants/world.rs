@@ -23,7 +23,7 @@ use super::cases::{Things, posted_job};
 
 /// In every text that the tenant gives, and in no other.
 pub(in crate::doors) const MARK: &str = "mark-of-the-other-tenant";
-/// The name of the request of the tenant's job.
+/// The name of the requests of the tenant's session, base and job.
 const REQUEST: &str = "nightly";
 
 /// A key of a tenant.
@@ -141,12 +141,13 @@ pub(in crate::doors) fn marker() -> Value {
 pub(in crate::doors) async fn furnished(doors: &Doors, key: &Key, tenant: &str) -> Things {
     let uploaded = uploaded(doors, key, "/v1/navigation", &MINUTE.navigation).await;
     assert_eq!(uploaded.status, StatusCode::OK, "{}", uploaded.text);
-    let session = session(doors, key, json!({"label": MARK})).await;
+    let session = session(doors, key, json!({"label": MARK, "requestId": REQUEST})).await;
     let push = json!({"epochs": [epoch(1), epoch(2), epoch(3)]});
     let path = format!("/v1/sessions/{session}/epochs");
     let (status, answer) = asked(doors, key, "POST", &path, push).await;
     assert_eq!(status, StatusCode::OK, "{answer}");
-    let base = base(doors, key, json!({"label": MARK, "marker": marker()})).await;
+    let new = json!({"label": MARK, "marker": marker(), "requestId": REQUEST});
+    let base = base(doors, key, new).await;
     let push = json!({"epochs": [epoch(1), epoch(2)]});
     let (status, answer) =
         asked(doors, key, "POST", &format!("/v1/bases/{base}/epochs"), push).await;

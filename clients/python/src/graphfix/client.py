@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from uuid import uuid4
 
 from ._calls import Calls, Tls
 from .session import Session
@@ -125,9 +126,9 @@ class Client:
             bases=bases,
             antenna=antenna,
             retention_days=retention_days,
+            request_id=str(uuid4()),
         )
-        method = self._calls.sessions.Create
-        info = self._calls.once(method, request, SessionInfo, is_repeatable=False)
+        info = self._calls.once(self._calls.sessions.Create, request, SessionInfo)
         return Session(self._calls, info)
 
     def session(self, session: str) -> Session:
@@ -178,8 +179,10 @@ class Client:
 
     def create_base(self, request: CreateBaseRequest | None = None) -> Base:
         """Creates a base station; without position, it takes that of the first file."""
-        request = CreateBaseRequest() if request is None else request
-        return self._calls.once(self._calls.bases.Create, request, Base, is_repeatable=False)
+        named = CreateBaseRequest(request_id=str(uuid4()))
+        if request is not None:
+            named.MergeFrom(request)
+        return self._calls.once(self._calls.bases.Create, named, Base)
 
     def base(self, base: str) -> Base:
         """A base with its health."""

@@ -1,0 +1,120 @@
+//! Creates sessions, and changes their settings.
+
+use std::sync::atomic::Ordering;
+
+use crate::store::{Created, NamedRequest, SessionSettings};
+
+use super::configuration::settings;
+use super::desk::Sessions;
+use super::info::etag_of;
+use super::{NewSession, SessionError, SessionId, SessionInfo, SessionUpdate};
+
+impl Sessions {
+    /// Creates a session and stores it.
+    ///
+    /// # Errors
+    /// A configuration, base or antenna does not exist, the label is too long, or the store fails.
+    pub async fn create(&self, new: NewSession) -> Result<SessionInfo, SessionError> {
+        Ok(self.create_once(new, None).await?.0)
+    }
+
+    /// The same by a request that may have a name. Returns the session, and whether it is new: a
+    /// repetition of a named request returns what the first one has created.
+    ///
+    /// # Errors
+    /// The same; or another request had this name.
+    pub async fn create_once(
+        &self,
+        new: NewSession,
+        request: Option<NamedRequest>,
+    ) -> Result<(SessionInfo, bool), SessionError> {
+        if let Some(request) = &request
+            && let Some(before) = self.created_by(request).await?
+        {
+            return Ok((before, false));
+        }
+        self.check_label(&new.label)?;
+        self.check_retention(new.retention_days)?;
+        let base = self.base_names(new.base)?;
+        let antenna = self.antenna_name(&new.antenna).await?;
+        let NewSession { label, mode, profile, overrides, retention_days, .. } = new;
+        let settings = settings(label, mode, profile, overrides, base, antenna)?;
+        let settings = SessionSettings { retention_days, ..settings };
+        let id = SessionId::random();
+        let (store, named) = (self.store(), request.as_ref());
+        let _creating = self.admit_session().await?;
+        let (tenant, now) = (self.tenant(), self.unix_ms());
+        let row = store.create_session_once(tenant, id.as_str(), &settings, now, named);
+        if let Some(row) = row.await? {
+            return Ok((self.info(id, row)?, true));
+        }
+        // Another call of this name was quicker.
+        let before = match named {
+            Some(request) => self.created_by(request).await?,
+            None => None,
+        };
+        Ok((before.ok_or(SessionError::Interrupted)?, false))
+    }
+
+    /// The session that a request of this name has created.
+    async fn created_by(
+        &self,
+        request: &NamedRequest,
+    ) -> Result<Option<SessionInfo>, SessionError> {
+        let created = self.store().session_created_by(self.tenant(), &request.name).await?;
+        let Some(Created { id, hash }) = created else { return Ok(None) };
+        if hash != request.hash {
+            return Err(SessionError::RequestConflict { id });
+        }
+        let id = SessionId::parse(&id).ok_or(SessionError::NotFound { id })?;
+        self.get(&id).await.map(Some)
+    }
+
+    /// Changes the label, configuration or base of a session. Epochs sent after this call returns
+    /// are positioned with the new configuration; epochs already in the mailbox may be, too.
+    ///
+    /// # Errors
+    /// No session has this id, the session is closed, it has another etag than the one given, or a
+    /// configuration, base or antenna does not exist.
+    pub async fn update(
+        &self,
+        id: &SessionId,
+        update: SessionUpdate,
+    ) -> Result<SessionInfo, SessionError> {
+        if let Some(label) = &update.label {
+            self.check_label(label)?;
+        }
+        self.check_retention(update.retention_days)?;
+        let _starting = self.starting(id).lock().await;
+        let mut row = self.open_row(id).await?;
+        if update.etag.is_some_and(|etag| etag != etag_of(&row.settings)) {
+            return Err(SessionError::Changed { id: id.to_string() });
+        }
+        let mut overrides = row.settings.overrides;
+        overrides.retain(|name, _| !update.clear_overrides.contains(name));
+        overrides.extend(update.overrides);
+        let base = match update.base {
+            None => row.settings.base,
+            Some(base) => self.base_names(base)?,
+        };
+        let antenna = match update.antenna {
+            None => row.settings.antenna,
+            Some(antenna) => self.antenna_name(&antenna).await?,
+        };
+        let retention_days = update.retention_days.or(row.settings.retention_days);
+        let settings = settings(
+            update.label.unwrap_or(row.settings.label),
+            update.mode.unwrap_or(row.settings.mode),
+            update.profile.unwrap_or(row.settings.profile),
+            overrides,
+            base,
+            antenna,
+        )?;
+        row.settings = SessionSettings { retention_days, ..settings };
+        self.store().update_session(row.key, &row.settings).await?;
+        if let Some(handle) = self.tasks().own(id, self.tenant()) {
+            handle.outdated.store(true, Ordering::Release);
+        }
+        self.info(id.clone(), row)
+    }
+}
