@@ -9,8 +9,8 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, RawBody, StrictQuery};
 use super::conditions::{IdempotencyKey, Location, created, location};
+use super::lists::PageQuery;
 use super::problem::Refused;
-use super::sessions::PageQuery;
 
 /// Creates a base.
 ///

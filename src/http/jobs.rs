@@ -6,14 +6,16 @@ use axum::extract::{Path, Request};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::TryStreamExt;
+use serde::Deserialize;
+use utoipa::IntoParams;
 
 use crate::contract::{Caller, Refusal, calls, v1};
 
 use super::body::{StrictQuery, json};
 use super::conditions::{IdempotencyKey, Location, created, location};
+use super::lists::order;
 use super::multipart::Multipart;
 use super::problem::Refused;
-use super::sessions::PageQuery;
 
 /// Path of the call that takes uploads.
 pub(super) const PATH: &str = "/v1/jobs";
@@ -89,17 +91,34 @@ pub(super) async fn get(caller: Caller, Path(job): Path<String>) -> Result<Json<
     Ok(Json(calls::jobs::get(&caller, v1::GetJobRequest { job }).await?))
 }
 
-/// Lists jobs, the newest first.
+/// Which jobs to list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct JobsQuery {
+    /// Most items on the page, 1 to 1000; 100 if absent.
+    #[param(minimum = 0, maximum = 1000)]
+    page_size: u32,
+    /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
+    /// its request.
+    page_token: String,
+    /// Only those of this state, such as `RUNNING`.
+    state: String,
+    /// `NEWEST_FIRST` (if absent) or `OLDEST_FIRST`.
+    order: Option<String>,
+}
+
+/// Lists jobs, the newest first unless asked otherwise.
 #[utoipa::path(get, operation_id = "jobsList",
-    path = "/v1/jobs", tag = "Jobs", params(PageQuery),
+    path = "/v1/jobs", tag = "Jobs", params(JobsQuery),
     responses((status = 200, description = "A page of jobs",
         body = v1::ListJobsResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
-    StrictQuery(page): StrictQuery<PageQuery>,
+    StrictQuery(query): StrictQuery<JobsQuery>,
 ) -> Result<Json<v1::ListJobsResponse>, Refused> {
-    let PageQuery { page_size, page_token } = page;
-    let request = v1::ListJobsRequest { page_size, page_token };
+    let JobsQuery { page_size, page_token, state, order: by } = query;
+    let request = v1::ListJobsRequest { page_size, page_token, state, order: order(by)? };
     Ok(Json(calls::jobs::list(&caller, request).await?))
 }
 

@@ -13,6 +13,7 @@ mod job_events;
 mod jobs;
 mod json_extent;
 mod keys;
+mod lists;
 mod metered;
 mod multipart;
 mod navigation;

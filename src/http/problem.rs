@@ -140,7 +140,7 @@ impl Problem {
             None => String::new(),
         };
         format!(
-            "HTTP/1.1 {status}\r\ncontent-type: {KIND}\r\ncontent-length: {}\r\n\
+            "HTTP/1.1 {status}\r\ncontent-type: {CONTENT_TYPE}\r\ncontent-length: {}\r\n\
              {retry_after}connection: close\r\n\r\n{body}",
             body.len(),
         )

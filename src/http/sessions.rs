@@ -11,18 +11,8 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
 use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, location};
+use super::lists::{order, view};
 use super::problem::Refused;
-
-/// The page of a list.
-#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
-#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub(super) struct PageQuery {
-    /// Most items on the page, 1 to 1000; 100 if absent.
-    pub(super) page_size: u32,
-    /// `nextPageToken` of the previous answer.
-    pub(super) page_token: String,
-}
 
 /// The session of the path. A session in the body must be the same.
 pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
@@ -74,29 +64,69 @@ pub(super) async fn get(
     Ok((etag(&session.etag), Json(session)))
 }
 
-/// Lists sessions, the newest first.
+/// Which sessions to list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct SessionsQuery {
+    /// Most items on the page, 1 to 1000; 100 if absent.
+    #[param(minimum = 0, maximum = 1000)]
+    page_size: u32,
+    /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
+    /// its request.
+    page_token: String,
+    /// `FULL` (if absent), or `BASIC`: without `configuration`.
+    view: Option<String>,
+    /// Only closed sessions, or only open ones; all if absent.
+    closed: Option<bool>,
+    /// Only those of this mode.
+    mode: String,
+    /// Only those with exactly this label.
+    label: String,
+    /// `NEWEST_FIRST` (if absent) or `OLDEST_FIRST`.
+    order: Option<String>,
+}
+
+/// Lists sessions, the newest first unless asked otherwise.
 #[utoipa::path(get, operation_id = "sessionsList",
-    path = "/v1/sessions", tag = "Sessions", params(PageQuery),
+    path = "/v1/sessions", tag = "Sessions", params(SessionsQuery),
     responses((status = 200, description = "A page of sessions",
         body = v1::ListSessionsResponse), Refused))]
 pub(super) async fn list(
     caller: Caller,
-    StrictQuery(page): StrictQuery<PageQuery>,
+    StrictQuery(query): StrictQuery<SessionsQuery>,
 ) -> Result<Json<v1::ListSessionsResponse>, Refused> {
-    let PageQuery { page_size, page_token } = page;
-    let request = v1::ListSessionsRequest { page_size, page_token };
+    let request = v1::ListSessionsRequest {
+        page_size: query.page_size,
+        page_token: query.page_token,
+        view: view(query.view)?,
+        closed: query.closed,
+        mode: query.mode,
+        label: query.label,
+        order: order(query.order)?,
+    };
     Ok(Json(calls::sessions::list(&caller, request).await?))
 }
 
-/// The page of a list of heads.
+/// Which heads to list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct HeadsQuery {
     /// Most heads on the page, 1 to 10000; 1000 if absent.
-    pub(super) page_size: u32,
-    /// `nextPageToken` of the previous answer.
-    pub(super) page_token: String,
+    #[param(minimum = 0, maximum = 10_000)]
+    page_size: u32,
+    /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
+    /// its request.
+    page_token: String,
+    /// Only those of closed sessions, or only of open ones; all if absent.
+    closed: Option<bool>,
+    /// Only those of this mode.
+    mode: String,
+    /// Only those with exactly this label.
+    label: String,
+    /// `NEWEST_FIRST` (if absent) or `OLDEST_FIRST`.
+    order: Option<String>,
 }
 
 /// Lists the latest status and position of sessions, the newest session first. Without the
@@ -107,10 +137,16 @@ pub(super) struct HeadsQuery {
         body = v1::ListHeadsResponse), Refused))]
 pub(super) async fn heads(
     caller: Caller,
-    StrictQuery(page): StrictQuery<HeadsQuery>,
+    StrictQuery(query): StrictQuery<HeadsQuery>,
 ) -> Result<Json<v1::ListHeadsResponse>, Refused> {
-    let HeadsQuery { page_size, page_token } = page;
-    let request = v1::ListHeadsRequest { page_size, page_token };
+    let request = v1::ListHeadsRequest {
+        page_size: query.page_size,
+        page_token: query.page_token,
+        closed: query.closed,
+        mode: query.mode,
+        label: query.label,
+        order: order(query.order)?,
+    };
     Ok(Json(calls::sessions::heads(&caller, request).await?))
 }
 

@@ -9,6 +9,7 @@ use crate::contract::{Caller, Refusal, calls, intake, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
+use super::lists::view;
 use super::problem::Refused;
 
 /// The solutions to list.
@@ -25,9 +26,14 @@ pub(super) struct SolutionsQuery {
     /// The revisions of each epoch: `last` (if absent), `first` or `all`.
     revisions: Option<String>,
     /// Most solutions on the page, 1 to 10000; 1000 if absent.
+    #[param(minimum = 0, maximum = 10_000)]
     page_size: u32,
-    /// `nextPageToken` of the previous answer.
+    /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
+    /// its request.
     page_token: String,
+    /// `FULL` (if absent), or `BASIC`: without `velocity`, `clock`, `dops`, `satellitesUsed` and
+    /// `provenance`, two thirds of the bytes.
+    view: Option<String>,
 }
 
 /// Lists stored solutions of a session in order of seq and revision.
@@ -49,6 +55,7 @@ pub(super) async fn list(
         revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
         page_size: query.page_size,
         page_token: query.page_token,
+        view: view(query.view)?,
     };
     Ok(Json(calls::solutions::list(&caller, request).await?))
 }
@@ -103,7 +110,8 @@ pub(super) struct SeriesParameters {
     points: u32,
     /// The revision of each epoch: `last` (if absent) or `first`.
     revisions: Option<String>,
-    /// `nextPageToken` of the previous answer. The other parameters must be those of its request.
+    /// `nextPageToken` of the previous answer. The other parameters must be those of its request,
+    /// or `from` and `to` those of its answer.
     page_token: String,
 }
 

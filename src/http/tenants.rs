@@ -8,8 +8,8 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
 use super::conditions::{ETag, IfMatch, etag};
+use super::lists::PageQuery;
 use super::problem::Refused;
-use super::sessions::PageQuery;
 
 /// Returns a tenant with its quotas and what it uses: the caller's, and to the operator any.
 #[utoipa::path(get, operation_id = "tenantsGet",

@@ -8,7 +8,7 @@ use tokio::task::JoinSet;
 
 use crate::config::JobsConfiguration;
 use crate::session::BatchLane;
-use crate::store::{NewJob, Page, Store, StoreError};
+use crate::store::{JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
 use super::JobError;
@@ -136,16 +136,18 @@ impl Jobs {
         Ok(JobInfo::of(row.ok_or_else(|| JobError::NotFound { id: id.to_string() })?)?)
     }
 
-    /// A page of 1 to 1000 jobs, the newest first.
+    /// A page of 1 to 1000 jobs: those of this state, or all; the oldest or the newest first.
     ///
     /// # Errors
     /// The page token or size is invalid, or the store fails.
     pub async fn list(
         &self,
+        (state, oldest_first): (Option<JobState>, bool),
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<JobInfo>, JobError> {
-        let page = self.desk.store.jobs(&self.tenant, page_size, page_token).await?;
+        let filter = (state, oldest_first);
+        let page = self.desk.store.jobs(&self.tenant, filter, page_size, page_token).await?;
         Ok(page.try_map(JobInfo::of)?)
     }
 

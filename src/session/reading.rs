@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::store::{Page, SessionHead, SolutionQuery, StoreError};
+use crate::store::{Page, SessionFilter, SessionHead, SolutionQuery, StoreError};
 
 use super::desk::Sessions;
 use super::info::oldest_available;
@@ -23,16 +23,17 @@ impl Sessions {
         self.solvers().batch_lane(self.meters().clone())
     }
 
-    /// A page of 1 to 1000 sessions, the newest first.
+    /// A page of 1 to 1000 sessions.
     ///
     /// # Errors
     /// The page token or size is invalid, or the store fails.
     pub async fn list(
         &self,
+        filter: &SessionFilter,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionInfo>, SessionError> {
-        let page = self.store().sessions(self.tenant(), page_size, page_token).await?;
+        let page = self.store().sessions(self.tenant(), filter, page_size, page_token).await?;
         page.try_map(|row| {
             let id = SessionId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
                 what: "session id",
@@ -42,16 +43,17 @@ impl Sessions {
         })
     }
 
-    /// A page of 1 to 10 000 heads, the newest session first, with the clock of the service.
+    /// A page of 1 to 10 000 heads, with the clock of the service.
     ///
     /// # Errors
     /// The page token or size is invalid, or the store fails.
     pub async fn heads(
         &self,
+        filter: &SessionFilter,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<(Page<SessionHead>, i64), SessionError> {
-        let page = self.store().heads(self.tenant(), page_size, page_token).await?;
+        let page = self.store().heads(self.tenant(), filter, page_size, page_token).await?;
         Ok((page, self.clock().unix_ms()))
     }
 

@@ -6,7 +6,8 @@ use crate::tenant::Tenant;
 use super::codec::status_number;
 use super::page::rows_asked;
 use super::pool::reading;
-use super::{Page, SessionKey, Store, StoreError};
+use super::session_filter::condition;
+use super::{Page, SessionFilter, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
 
@@ -76,6 +77,20 @@ impl RawHead {
     }
 }
 
+/// The columns of [`RawHead`] of a page.
+macro_rules! select_heads {
+    ($order:ident) => {
+        concat!(
+            "SELECT s.id AS id, s.label AS label, s.mode AS mode, ",
+            "s.created_unix_ms AS created_unix_ms, h.closed_unix_ms AS closed_unix_ms, ",
+            "h.last_seq AS last_seq, h.last_gps_time_ns AS last_gps_time_ns, ",
+            "CAST(h.status AS BIGINT) AS status, h.x_m AS x_m, h.y_m AS y_m, h.z_m AS z_m ",
+            "FROM sessions s JOIN session_heads h ON h.session = s.key ",
+            condition!($order)
+        )
+    };
+}
+
 /// The time of an epoch that is not removed, of those between two numbers.
 macro_rules! time_of {
     ($order:literal) => {
@@ -89,36 +104,33 @@ macro_rules! time_of {
 }
 
 impl Store {
-    /// A page of the heads of a tenant, the newest session first.
+    /// A page of the heads of a tenant.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
     pub(crate) async fn heads(
         &self,
         tenant: &Tenant,
+        filter: &SessionFilter,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionHead>, StoreError> {
         let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
-        let before = match page_token {
-            None => i64::MAX,
+        let beside = match page_token {
+            None => filter.start(),
             Some(id) => {
                 let key = self.key_of(tenant, id).await?;
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
         let rows: Result<Vec<RawHead>, _> = reading!(list &self.pool, pool => {
-            let sql = "SELECT s.id AS id, s.label AS label, s.mode AS mode,
-                              s.created_unix_ms AS created_unix_ms,
-                              h.closed_unix_ms AS closed_unix_ms, h.last_seq AS last_seq,
-                              h.last_gps_time_ns AS last_gps_time_ns,
-                              CAST(h.status AS BIGINT) AS status,
-                              h.x_m AS x_m, h.y_m AS y_m, h.z_m AS z_m
-                       FROM sessions s JOIN session_heads h ON h.session = s.key
-                       WHERE s.tenant = $1 AND s.key < $2 AND s.deleted_unix_ms IS NULL
-                       ORDER BY s.key DESC LIMIT $3";
-            let select = sqlx::query_as(sql).bind(tenant.name()).bind(before);
-            select.bind(rows_asked).fetch_all(pool).await
+            let sql = match filter.oldest_first {
+                true => select_heads!(oldest_first),
+                false => select_heads!(newest_first),
+            };
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
+            let select = select.bind(filter.closed_column()).bind(&filter.mode);
+            select.bind(&filter.label).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing the heads of sessions"))?;
         Page::of(rows, page_size, |row| row.id.clone()).try_map(RawHead::parse)

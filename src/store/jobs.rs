@@ -260,28 +260,44 @@ impl Store {
         row.map_err(StoreError::database("reading a job"))?.map(RawJob::parse).transpose()
     }
 
-    /// A page of the jobs of a tenant, the newest first.
+    /// A page of the jobs of a tenant: those of this state, or all.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
     pub async fn jobs(
         &self,
         tenant: &Tenant,
+        (state, oldest_first): (Option<JobState>, bool),
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<JobRow>, StoreError> {
         let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
-        let before = match page_token {
-            None => i64::MAX,
+        let beside = match page_token {
+            None => {
+                if oldest_first {
+                    i64::MIN
+                } else {
+                    i64::MAX
+                }
+            }
             Some(id) => {
                 let row = self.job(tenant, id).await?;
                 row.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?.key.0
             }
         };
         let rows: Result<Vec<RawJob>, _> = reading!(list &self.pool, pool => {
-            let sql = select_jobs!("WHERE tenant = $1 AND key < $2 ORDER BY key DESC LIMIT $3");
-            let select = sqlx::query_as(sql).bind(tenant.name()).bind(before);
-            select.bind(rows_asked).fetch_all(pool).await
+            let sql = match oldest_first {
+                true => select_jobs!(
+                    "WHERE tenant = $1 AND $2 < key AND ($4 = '' OR state = $4) \
+                     ORDER BY key LIMIT $3"
+                ),
+                false => select_jobs!(
+                    "WHERE tenant = $1 AND key < $2 AND ($4 = '' OR state = $4) \
+                     ORDER BY key DESC LIMIT $3"
+                ),
+            };
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
+            select.bind(state.map_or("", JobState::name)).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing jobs"))?;
         Page::of(rows, page_size, |row| row.id.clone()).try_map(RawJob::parse)

@@ -38,6 +38,7 @@ mod raw;
 mod retention;
 #[cfg(test)]
 mod sample;
+mod session_filter;
 mod sessions;
 mod snapshots;
 mod solutions;
@@ -77,6 +78,7 @@ pub(crate) use navigation::{OWNER_PREFIX, owner_of};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;
+pub use session_filter::SessionFilter;
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredSolution};

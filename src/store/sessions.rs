@@ -7,7 +7,11 @@ use crate::tenant::Tenant;
 
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{AntennaName, BaseChoice, BaseKey, BaseName, NamedRequest, Page, Store, StoreError};
+use super::session_filter::condition;
+use super::{
+    AntennaName, BaseChoice, BaseKey, BaseName, NamedRequest, Page, SessionFilter, Store,
+    StoreError,
+};
 
 const PAGE_LIMIT: usize = 1_000;
 /// In the column of a session's choice of bases: the nearest of several.
@@ -188,15 +192,15 @@ macro_rules! insert_candidates {
 
 /// The columns of [`RawSession`], up to the condition.
 macro_rules! select_sessions {
-    ($condition:literal) => {
+    ($($condition:tt)+) => {
         concat!(
-            "SELECT key, id, tenant, label, mode, profile, overrides, configuration, ",
-            "configuration_hash, created_unix_ms, session_heads.closed_unix_ms AS closed_unix_ms, ",
+            "SELECT s.key AS key, id, tenant, label, mode, profile, overrides, configuration, ",
+            "configuration_hash, created_unix_ms, h.closed_unix_ms AS closed_unix_ms, ",
             "last_seq, raw_through, removed_through, retention_days, ",
-            "base, (SELECT id FROM bases WHERE bases.key = sessions.base) AS base_id, ",
+            "base, (SELECT id FROM bases WHERE bases.key = s.base) AS base_id, ",
             "base_choice, antenna, calibration ",
-            "FROM sessions JOIN session_heads ON session_heads.session = sessions.key ",
-            $condition
+            "FROM sessions s JOIN session_heads h ON h.session = s.key ",
+            $($condition)+
         )
     };
 }
@@ -307,7 +311,7 @@ impl Store {
     async fn session_of(&self, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
         let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
             let sql = select_sessions!(
-                "WHERE id = $1 AND ($2 = '' OR tenant = $2) AND deleted_unix_ms IS NULL"
+                "WHERE id = $1 AND ($2 = '' OR tenant = $2) AND s.deleted_unix_ms IS NULL"
             );
             sqlx::query_as(sql).bind(id).bind(tenant).fetch_optional(pool).await
         });
@@ -345,40 +349,38 @@ impl Store {
         rows.map_err(StoreError::database("reading a session's bases"))
     }
 
-    /// A page of the sessions of a tenant, the newest first.
+    /// A page of the sessions of a tenant.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
     pub(crate) async fn sessions(
         &self,
         tenant: &Tenant,
+        filter: &SessionFilter,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionRow>, StoreError> {
         let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
-        let before = match page_token {
-            None => i64::MAX,
+        let beside = match page_token {
+            None => filter.start(),
             Some(id) => {
                 let key = self.key_of(tenant, id).await?;
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
         let rows: Result<Vec<RawSession>, _> = reading!(&self.pool, pool => {
-            let sql = select_sessions!(
-                "WHERE tenant = $1 AND key < $2 AND deleted_unix_ms IS NULL \
-                 ORDER BY key DESC LIMIT $3"
-            );
-            sqlx::query_as(sql)
-                .bind(tenant.name())
-                .bind(before)
-                .bind(rows_asked)
-                .fetch_all(pool)
-                .await
+            let sql = match filter.oldest_first {
+                true => select_sessions!(condition!(oldest_first)),
+                false => select_sessions!(condition!(newest_first)),
+            };
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
+            let select = select.bind(filter.closed_column()).bind(&filter.mode);
+            select.bind(&filter.label).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing sessions"))?;
         let keys = rows.last().zip(rows.first()).map(|(last, first)| (last.key, first.key));
         let candidates = match keys {
-            Some((from, to)) => self.candidates(from, to).await?,
+            Some((one, other)) => self.candidates(one.min(other), one.max(other)).await?,
             None => Vec::new(),
         };
         Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))

@@ -45,7 +45,8 @@ async fn python_and_curl_read_the_same_solution() {
 
     let stubs = folder.path().join("stubs");
     fs::create_dir(&stubs).unwrap();
-    let names = ["observation", "solution", "sessions", "positioning", "solutions", "navigation"];
+    let names =
+        ["lists", "observation", "solution", "sessions", "positioning", "solutions", "navigation"];
     let proto = Path::new(env!("CARGO_MANIFEST_DIR")).join("proto");
     let mut generate = Command::new(&python);
     generate.args(["-m", "grpc_tools.protoc", "-I"]).arg(&proto);

@@ -139,6 +139,16 @@ async fn a_job_gives_the_bytes_of_solve() {
     let token = list["nextPageToken"].as_str().unwrap();
     let (_, rest) = doors.get(&format!("/v1/jobs?pageToken={token}")).await;
     assert_eq!(rest["jobs"][0]["options"]["mode"], "spp", "{rest}");
+    for (query, expected) in
+        [("state=SUCCEEDED&order=OLDEST_FIRST", 3), ("state=QUEUED", 0), ("state=RUNNING", 0)]
+    {
+        let (_, list) = doors.get(&format!("/v1/jobs?{query}")).await;
+        assert_eq!(list["jobs"].as_array().unwrap().len(), expected, "{list}");
+    }
+    let (_, oldest) = doors.get("/v1/jobs?pageSize=1&order=OLDEST_FIRST").await;
+    assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][0]["job"]);
+    let (status, refused) = doors.get("/v1/jobs?state=DONE").await;
+    assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
     // Three results, and the files of all three jobs once.
     assert_eq!(files(&doors), 3 + 3);
     assert_eq!(doors.service.budget().used(), 0);
@@ -549,9 +559,10 @@ async fn a_queue_gives_each_job_once(database: Database) {
     assert!(!store.end_job(first.key, first.fence, &succeeded, progress, 1300).await.unwrap());
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().state, JobState::Cancelled);
     assert_eq!(store.requeue_jobs().await.unwrap(), 1);
-    let page = store.jobs(&tenant, 2, None).await.unwrap();
+    let page = store.jobs(&tenant, (None, false), 2, None).await.unwrap();
     assert_eq!(page.items.len(), 2);
-    let rest = store.jobs(&tenant, 2, page.next_page_token.as_deref()).await.unwrap();
+    let rest =
+        store.jobs(&tenant, (None, false), 2, page.next_page_token.as_deref()).await.unwrap();
     assert_eq!((rest.items.len(), rest.next_page_token), (1, None));
     assert_eq!(store.delete_jobs(1301).await.unwrap(), 2);
     assert_eq!(store.job_files().await.unwrap(), [("{}".to_owned(), None)]);

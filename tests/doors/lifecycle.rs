@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::gnss::Solution;
 use graphfix::session::{Recomputation, SequencedEpoch, SessionId, Sessions};
-use graphfix::store::Store;
+use graphfix::store::{SessionFilter, Store};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use tokio::runtime::Runtime;
@@ -245,7 +245,8 @@ impl World {
 
     /// Compares what is stored with the model.
     async fn check(&self) {
-        let listed = self.sessions.list(1_000, None).await.unwrap().items;
+        let listed =
+            self.sessions.list(&SessionFilter::default(), 1_000, None).await.unwrap().items;
         let listed: Vec<&SessionId> = listed.iter().rev().map(|info| &info.id).collect();
         let live: Vec<&Life> = self.lives.iter().filter(|life| !life.deleted).collect();
         assert_eq!(listed, live.iter().map(|life| &life.id).collect::<Vec<_>>());

@@ -17,7 +17,7 @@ use graphfix::session::{
     SessionUpdate, Sessions, SolveRequest,
 };
 use graphfix::simulation::{Motion, Scenario, Simulator};
-use graphfix::store::StoredSolution;
+use graphfix::store::{SessionFilter, StoredSolution};
 use serde_json::{Value, json};
 
 use crate::support::database::{Database, on_both_databases, whole_session};
@@ -402,11 +402,14 @@ async fn candidates_in_use_stay(database: Database) {
     let label = SessionUpdate { label: Some("x".to_owned()), ..SessionUpdate::default() };
     let info = desk.sessions.update(&session, label).await.unwrap();
     assert_eq!(info.base.try_map(|id| BaseId::parse(&id).ok_or(())).unwrap(), both);
-    assert_eq!(desk.sessions.list(10, None).await.unwrap().items.len(), 1);
+    assert_eq!(
+        desk.sessions.list(&SessionFilter::default(), 10, None).await.unwrap().items.len(),
+        1
+    );
     let change = |base| SessionUpdate { base: Some(base), ..SessionUpdate::default() };
     let one = change(BaseChoice::One(east.clone()));
     desk.sessions.update(&session, one).await.unwrap();
-    let list = desk.sessions.list(10, None).await.unwrap().items;
+    let list = desk.sessions.list(&SessionFilter::default(), 10, None).await.unwrap().items;
     assert_eq!(list[0].base, BaseChoice::One(east.as_str().into()));
     assert_eq!(refused(&west).await, None);
     assert_eq!(refused(&east).await, Some("BASE_IN_USE"));

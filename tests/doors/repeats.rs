@@ -97,7 +97,7 @@ async fn repetitions_at_once_create_one_session() {
 
 async fn a_named_request_creates_one_base(database: Database) {
     let doors = Doors::on(&database.url).await;
-    let marker = json!({"xM": 4e6, "yM": 3e6, "zM": 4e6});
+    let marker = json!({"xM": 4_033_460.75, "yM": 23_538.02, "zM": 4_924_318.39});
     let (list, new) = ("/v1/bases", json!({"label": "roof", "marker": marker}));
     let named = ("idempotency-key", "roof");
     let (status, headers, first) = sent(&doors, ("POST", list), named, new.clone()).await;

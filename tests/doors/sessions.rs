@@ -13,7 +13,7 @@ use graphfix::session::{
     Burst, EpochOutcome, EpochRefusal, NewSession, Recomputation, SequencedEpoch, SessionError,
     SessionId, SessionLimits, SessionUpdate, Sessions, SolveRequest,
 };
-use graphfix::store::{Revisions, SolutionQuery, Store, StoredSolution};
+use graphfix::store::{Revisions, SessionFilter, SolutionQuery, Store, StoredSolution};
 
 use crate::support::data;
 use crate::support::database::{Database, on_both_databases, whole_session};
@@ -290,7 +290,7 @@ async fn a_deleted_session_leaves_nothing(database: Database) {
         sessions.solutions(&id, &whole_session()).await.unwrap_err().code(),
     ];
     assert_eq!(codes, [Code::SessionNotFound; 4]);
-    let listed = sessions.list(10, None).await.unwrap().items;
+    let listed = sessions.list(&SessionFilter::default(), 10, None).await.unwrap().items;
     assert_eq!(listed.into_iter().map(|info| info.id).collect::<Vec<_>>(), slice::from_ref(&other));
     sessions.drain().await;
     let restarted = desk(&store).await;
@@ -533,7 +533,7 @@ async fn sessions_are_listed_in_pages(database: Database) {
     let mut listed = Vec::new();
     let mut token = None;
     loop {
-        let page = sessions.list(2, token.as_deref()).await.unwrap();
+        let page = sessions.list(&SessionFilter::default(), 2, token.as_deref()).await.unwrap();
         assert!(page.items.len() <= 2);
         listed.extend(page.items.into_iter().map(|info| info.id));
         token = page.next_page_token;
@@ -543,8 +543,14 @@ async fn sessions_are_listed_in_pages(database: Database) {
     }
     assert_eq!(listed, newest_first);
     let code = |error: SessionError| error.code().name();
-    assert_eq!(sessions.list(2, Some("x")).await.map_err(code), Err("PAGE_TOKEN_INVALID"));
-    assert_eq!(sessions.list(0, None).await.map_err(code), Err("PAGE_SIZE_INVALID"));
+    assert_eq!(
+        sessions.list(&SessionFilter::default(), 2, Some("x")).await.map_err(code),
+        Err("PAGE_TOKEN_INVALID")
+    );
+    assert_eq!(
+        sessions.list(&SessionFilter::default(), 0, None).await.map_err(code),
+        Err("PAGE_SIZE_INVALID")
+    );
 }
 
 async fn configurations_that_do_not_exist_are_refused(database: Database) {
@@ -664,7 +670,7 @@ async fn sessions_with_options_of_another_version_are_listed(database: Database)
     let update = r#"UPDATE sessions SET configuration = '{"elevation_mask_deg":"17","of_later":"1"}'
                     WHERE key = 1"#;
     database.execute(update).await;
-    let listed = sessions.list(10, None).await.unwrap().items;
+    let listed = sessions.list(&SessionFilter::default(), 10, None).await.unwrap().items;
     let ids: Vec<_> = listed.iter().map(|session| session.id.clone()).collect();
     assert_eq!(ids, [other, id]);
     let names = |session: &graphfix::session::SessionInfo| {

@@ -7,7 +7,7 @@ use std::path::Path;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::gnss::{Reason, SatelliteId, Solution};
 use graphfix::session::{Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions};
-use graphfix::store::{Store, StoredSolution};
+use graphfix::store::{SessionFilter, Store, StoredSolution};
 use sqlx::migrate::Migrator;
 use sqlx::{Connection, PgConnection, SqliteConnection};
 
@@ -193,7 +193,7 @@ async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Databas
     let store = database.store().await;
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     let sessions = Sessions::open(store.clone(), aiding, SessionLimits::service());
-    let listed = sessions.list(10, None).await.unwrap().items;
+    let listed = sessions.list(&SessionFilter::default(), 10, None).await.unwrap().items;
     assert_eq!(listed.iter().map(|info| &info.id).collect::<Vec<_>>(), [&closed, &open]);
     assert_eq!(listed[0].closed_unix_ms, Some(1_700_000_009_000));
     for info in &listed {

@@ -14,9 +14,10 @@ use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
+use super::paging::Pages;
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, skipped_entry};
-use super::{base_id, named_request, page_size, page_token, utc};
+use super::{base_id, named_request, page_size, utc};
 
 /// Bases on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -76,26 +77,22 @@ pub async fn get(caller: &Caller, request: v1::GetBaseRequest) -> Result<v1::Bas
 /// The page token or size is invalid.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListBasesRequest,
+    mut request: v1::ListBasesRequest,
 ) -> Result<v1::ListBasesResponse, Refusal> {
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
-    let size = page_size(request.page_size, PAGE);
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Bases/List", &request, &token)?;
     if PAGE_LIMIT < size {
         let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
         return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
     }
-    let after = page_token(&request.page_token);
-    if let Some(token) = after.filter(|token| base_id(token).is_err()) {
-        let message = format!("{token:?} is not a page token of this list");
-        return Err(Refusal::new(Code::PageTokenInvalid, message).at("pageToken"));
-    }
     let mut bases = caller.bases().list().await;
-    bases.retain(|base| after.is_none_or(|after| after < &*base.name.id));
+    bases.retain(|base| pages.after().is_none_or(|after| after < &*base.name.id));
     let more = size < bases.len();
     bases.truncate(size);
     let last = bases.last().filter(|_| more);
     Ok(v1::ListBasesResponse {
-        next_page_token: last.map(|base| base.name.id.to_string()).unwrap_or_default(),
+        next_page_token: pages.token(last.map(|base| base.name.id.to_string())),
         bases: bases.iter().map(|base| message(caller, base)).collect(),
         networks: caller.feeds().networks().iter().map(feeds::network_message).collect(),
     })

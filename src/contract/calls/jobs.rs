@@ -1,5 +1,6 @@
 //! Batch jobs.
 
+use std::mem;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -17,8 +18,10 @@ use crate::jobs::{
     Report, Upload, UploadedFile,
 };
 use crate::refusal::Code;
+use crate::store::JobState;
 
-use super::{MODE, PROFILE, or_standard, page_size, page_token, utc};
+use super::paging::Pages;
+use super::{MODE, PROFILE, oldest_first, or_standard, page_size, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -250,21 +253,34 @@ pub async fn get(caller: &Caller, request: v1::GetJobRequest) -> Result<v1::Job,
     Ok(message(caller, &job))
 }
 
-/// A page of jobs, the newest first.
+/// A page of jobs.
 ///
 /// # Errors
-/// The page token or size is invalid.
+/// The page token or size, the state or the order is invalid.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListJobsRequest,
+    mut request: v1::ListJobsRequest,
 ) -> Result<v1::ListJobsResponse, Refusal> {
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
-    let size = page_size(request.page_size, PAGE);
-    let page = caller.jobs().list(size, page_token(&request.page_token)).await?;
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Jobs/List", &request, &token)?;
+    let filter = (state(&request.state)?, oldest_first(request.order)?);
+    let page = caller.jobs().list(filter, size, pages.after()).await?;
     Ok(v1::ListJobsResponse {
         jobs: page.items.iter().map(|job| message(caller, job)).collect(),
-        next_page_token: page.next_page_token.unwrap_or_default(),
+        next_page_token: pages.token(page.next_page_token),
     })
+}
+
+/// The state that a list asks for; none if the name is empty.
+fn state(name: &str) -> Result<Option<JobState>, Refusal> {
+    let known = || {
+        JobState::from_name(name).ok_or_else(|| {
+            let message = format!("{:?} is not the state of a job", texts::brief(name));
+            Refusal::new(Code::InvalidField, message).at("state")
+        })
+    };
+    if name.is_empty() { Ok(None) } else { known().map(Some) }
 }
 
 /// Ends a job that waits or runs.

@@ -1,11 +1,14 @@
 //! API keys of the caller's tenant, and for the operator of all tenants.
 
+use std::mem;
+
 use crate::contract::{Caller, Refusal, texts, v1};
 use crate::keys::{Created, KeyInfo, NewKey, Rights};
 use crate::refusal::Code;
 use crate::tenant::Tenant;
 
-use super::{page_size, page_token, utc};
+use super::paging::Pages;
+use super::{page_size, utc};
 
 /// Keys on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -41,15 +44,16 @@ pub async fn create(
 /// the store fails.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListKeysRequest,
+    mut request: v1::ListKeysRequest,
 ) -> Result<v1::ListKeysResponse, Refusal> {
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
-    let size = page_size(request.page_size, PAGE);
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
     let tenant = tenant(caller, &request.tenant)?;
-    let page = caller.keys().list(&tenant, size, page_token(&request.page_token)).await?;
+    let pages = Pages::of("Keys/List", &request, &token)?;
+    let page = caller.keys().list(&tenant, size, pages.after()).await?;
     Ok(v1::ListKeysResponse {
         keys: page.items.into_iter().map(message).collect(),
-        next_page_token: page.next_page_token.unwrap_or_default(),
+        next_page_token: pages.token(page.next_page_token),
     })
 }
 

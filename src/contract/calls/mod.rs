@@ -8,6 +8,7 @@ pub mod jobs;
 pub mod keys;
 pub mod navigation;
 mod outlet;
+mod paging;
 pub mod positioning;
 pub mod raw;
 pub mod sessions;
@@ -27,7 +28,7 @@ use crate::session::SessionId;
 use crate::store::NamedRequest;
 
 use super::texts::{self, brief};
-use super::{Caller, Refusal};
+use super::{Caller, Refusal, v1};
 
 /// The mode if the request has none.
 const MODE: &str = "spp";
@@ -81,8 +82,28 @@ fn or_standard(text: String, standard: &str) -> String {
     if text.is_empty() { standard.to_owned() } else { text }
 }
 
-fn page_token(token: &str) -> Option<&str> {
-    Some(token).filter(|token| !token.is_empty())
+/// Whether a list begins with the oldest.
+fn oldest_first(order: i32) -> Result<bool, Refusal> {
+    match v1::Order::try_from(order) {
+        Ok(v1::Order::Unspecified | v1::Order::NewestFirst) => Ok(false),
+        Ok(v1::Order::OldestFirst) => Ok(true),
+        Err(_) => {
+            let message = format!("{order} is not an order of a list");
+            Err(Refusal::new(Code::InvalidField, message).at("order"))
+        }
+    }
+}
+
+/// Whether the items of a list have their large fields.
+fn is_full(view: i32) -> Result<bool, Refusal> {
+    match v1::View::try_from(view) {
+        Ok(v1::View::Unspecified | v1::View::Full) => Ok(true),
+        Ok(v1::View::Basic) => Ok(false),
+        Err(_) => {
+            let message = format!("{view} is not a view of a list");
+            Err(Refusal::new(Code::InvalidField, message).at("view"))
+        }
+    }
 }
 
 /// The name of a request that creates something, with the hash of its content; `None` without a

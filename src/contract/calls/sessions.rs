@@ -7,10 +7,12 @@ use crate::clock::gps_time;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
+use crate::store::SessionFilter;
 
+use super::paging::Pages;
 use super::{
-    MODE, NEAREST, PROFILE, base_choice, named_request, or_standard, page_size, page_token,
-    session_id, utc,
+    MODE, NEAREST, PROFILE, base_choice, is_full, named_request, oldest_first, or_standard,
+    page_size, session_id, utc,
 };
 
 /// Sessions on a page if the request gives no size.
@@ -58,40 +60,60 @@ pub async fn get(caller: &Caller, request: v1::GetSessionRequest) -> Result<v1::
     Ok(message(caller.sessions().get(&id).await?))
 }
 
-/// A page of sessions, the newest first.
+/// A page of sessions.
 ///
 /// # Errors
-/// The page token or size is invalid.
+/// The page token or size, or what is asked for is invalid.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListSessionsRequest,
+    mut request: v1::ListSessionsRequest,
 ) -> Result<v1::ListSessionsResponse, Refusal> {
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
-    let size = page_size(request.page_size, PAGE);
-    let page = caller.sessions().list(size, page_token(&request.page_token)).await?;
-    Ok(v1::ListSessionsResponse {
-        sessions: page.items.into_iter().map(message).collect(),
-        next_page_token: page.next_page_token.unwrap_or_default(),
-    })
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Sessions/List", &request, &token)?;
+    let is_full = is_full(request.view)?;
+    let v1::ListSessionsRequest { closed, mode, label, order, .. } = request;
+    let filter = filter(closed, mode, label, order)?;
+    let page = caller.sessions().list(&filter, size, pages.after()).await?;
+    let mut sessions: Vec<_> = page.items.into_iter().map(message).collect();
+    if !is_full {
+        sessions.iter_mut().for_each(|session| session.configuration.clear());
+    }
+    Ok(v1::ListSessionsResponse { sessions, next_page_token: pages.token(page.next_page_token) })
 }
 
-/// A page of heads, the newest session first.
+/// Which sessions a list has.
+fn filter(
+    closed: Option<bool>,
+    mode: String,
+    label: String,
+    order: i32,
+) -> Result<SessionFilter, Refusal> {
+    texts::check_names([("mode", &*mode), ("label", &*label)])?;
+    let oldest_first = oldest_first(order)?;
+    Ok(SessionFilter { is_closed: closed, mode, label, oldest_first })
+}
+
+/// A page of heads.
 ///
 /// # Errors
-/// The page token or size is invalid.
+/// The page token or size, or what is asked for is invalid.
 pub async fn heads(
     caller: &Caller,
-    request: v1::ListHeadsRequest,
+    mut request: v1::ListHeadsRequest,
 ) -> Result<v1::ListHeadsResponse, Refusal> {
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
-    let size = page_size(request.page_size, HEADS);
+    let size = page_size(mem::take(&mut request.page_size), HEADS);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Sessions/Heads", &request, &token)?;
+    let v1::ListHeadsRequest { closed, mode, label, order, .. } = request;
+    let filter = filter(closed, mode, label, order)?;
     let reserved = Lease::current();
     reserved.as_ref().map_or(Ok(()), |lease| lease.reserve(size.min(HEADS_MAX) * HEAD_BYTES))?;
-    let (page, now_ms) = caller.sessions().heads(size, page_token(&request.page_token)).await?;
+    let (page, now_ms) = caller.sessions().heads(&filter, size, pages.after()).await?;
     let now = gps_time(now_ms);
     Ok(v1::ListHeadsResponse {
         heads: page.items.into_iter().map(|head| head_message(head, now)).collect(),
-        next_page_token: page.next_page_token.unwrap_or_default(),
+        next_page_token: pages.token(page.next_page_token),
         now_utc: utc(now_ms),
     })
 }

@@ -1,6 +1,8 @@
 //! Stored solutions.
 
-use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
+use std::mem;
+
+use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::gnss::{LeapSeconds, Observation};
 use crate::refusal::Code;
 use crate::session::{
@@ -9,7 +11,8 @@ use crate::session::{
 };
 use crate::store::{Revisions, SolutionQuery};
 
-use super::{page_size, page_token, session_id};
+use super::paging::Pages;
+use super::{is_full, page_size, session_id};
 
 /// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
@@ -30,31 +33,47 @@ const BATCH_BYTES: usize = 4 << 20;
 /// The session does not exist, or the page token, size, time or status is invalid.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListSolutionsRequest,
+    mut request: v1::ListSolutionsRequest,
 ) -> Result<v1::ListSolutionsResponse, Refusal> {
     let id = session_id(&request.session)?;
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Solutions/List", &request, &token)?;
+    let is_full = is_full(request.view)?;
     let query = SolutionQuery {
         from: convert::time(request.from, "from")?,
         to: convert::time(request.to, "to")?,
         status: convert::status_filter(request.status)?,
         revisions: convert::revisions(request.revisions)?,
-        page_size: page_size(request.page_size, PAGE),
-        page_token: page_token(&request.page_token).map(ToOwned::to_owned),
+        page_size: size,
+        page_token: pages.after().map(ToOwned::to_owned),
     };
-    read(caller, &id, query).await
+    let (mut page, next) = read(caller, &id, query).await?;
+    if !is_full {
+        page.solutions.iter_mut().for_each(shorten);
+    }
+    page.next_page_token = pages.token(next);
+    Ok(page)
+}
+
+/// Leaves out what a solution of the view BASIC does not have.
+fn shorten(solution: &mut v1::Solution) {
+    let whole = mem::take(solution);
+    let (velocity, clock, dops, provenance, satellites_used) = Default::default();
+    *solution = v1::Solution { velocity, clock, dops, provenance, satellites_used, ..whole };
 }
 
 /// Reads a page in portions, each after memory is reserved for it. The page ends early if no more
-/// memory is free, or if the store has looked through many epochs that do not match.
+/// memory is free, or if the store has looked through many epochs that do not match. Returns also
+/// where the next page begins.
 async fn read(
     caller: &Caller,
     id: &SessionId,
     mut query: SolutionQuery,
-) -> Result<v1::ListSolutionsResponse, Refusal> {
+) -> Result<(v1::ListSolutionsResponse, Option<String>), Refusal> {
     query.check().map_err(SessionError::from)?;
     let (mut left, lease) = (query.page_size, Lease::current());
-    let mut whole = v1::ListSolutionsResponse::default();
+    let (mut whole, mut next) = (v1::ListSolutionsResponse::default(), None);
     while 0 < left {
         query.page_size = left.min(PORTION);
         let bytes = query.page_size * SOLUTION_BYTES;
@@ -67,7 +86,7 @@ async fn read(
             caller.sessions().solutions(id, &query).await?;
         whole.solutions.extend(page.items.iter().map(convert::stored));
         whole.oldest_available_seq = oldest_available;
-        whole.next_page_token = page.next_page_token.clone().unwrap_or_default();
+        next = page.next_page_token.clone();
         let is_full = page.items.len() == query.page_size;
         if !is_full || page.next_page_token.is_none() {
             break;
@@ -75,7 +94,7 @@ async fn read(
         left -= query.page_size;
         query.page_token = page.next_page_token;
     }
-    Ok(whole)
+    Ok((whole, next))
 }
 
 /// A page of the time series of a session's solutions.
@@ -84,21 +103,24 @@ async fn read(
 /// The session does not exist, or a time, the number of points or the page token is invalid.
 pub async fn series(
     caller: &Caller,
-    request: v1::SolutionSeriesRequest,
+    mut request: v1::SolutionSeriesRequest,
 ) -> Result<v1::SolutionSeriesResponse, Refusal> {
     let id = session_id(&request.session)?;
-    texts::check("pageToken", &request.page_token, texts::NAME_MAX)?;
+    let token = mem::take(&mut request.page_token);
+    // The span may be given with the second page, so that an epoch that arrives does not move it.
+    let (from, to) = (request.from.take(), request.to.take());
+    let pages = Pages::of("Solutions/Series", &request, &token)?;
     let revisions = convert::revisions(request.revisions)?;
     if revisions == Revisions::All {
         let message = "a series has one revision of each epoch, last or first";
         return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
     }
     let query = SeriesQuery {
-        from: convert::time(request.from, "from")?,
-        to: convert::time(request.to, "to")?,
+        from: convert::time(from, "from")?,
+        to: convert::time(to, "to")?,
         points: page_size(request.points, POINTS),
         revisions,
-        page_token: page_token(&request.page_token).map(ToOwned::to_owned),
+        page_token: pages.after().map(ToOwned::to_owned),
     };
     let bytes = BATCH_BYTES + query.points.min(SERIES_POINTS) * INTERVAL_BYTES;
     Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
@@ -122,13 +144,16 @@ pub async fn series(
         solutions,
         reasons: reasons.collect(),
         intervals: intervals.map(|(index, interval)| interval_message(*index, interval)).collect(),
-        next_page_token: series.next_page_token.unwrap_or_default(),
+        next_page_token: pages.token(series.next_page_token),
     })
 }
 
 fn interval_message(index: u32, interval: &Interval) -> v1::SeriesInterval {
-    let range =
-        |range: Option<Range>| range.map(|Range { min, max, last }| v1::Range { min, max, last });
+    let range = |range: Option<Range>| {
+        let Range { min, max, last } = range?;
+        let is_finite = [min, max, last].iter().all(|value| value.is_finite());
+        is_finite.then_some(v1::Range { min, max, last })
+    };
     let (seq, time) = interval.last;
     let (worst, best) = interval.statuses;
     v1::SeriesInterval {

@@ -1,10 +1,13 @@
 //! Tenants: their quotas, and what they use.
 
+use std::mem;
+
 use crate::contract::{Caller, Refusal, texts, v1};
 use crate::quotas::{QuotaError, TenantInfo};
 use crate::refusal::Code;
 use crate::tenant::{Quotas, Tenant};
 
+use super::paging::Pages;
 use super::{page_size, utc};
 
 /// Tenants on a page if the request gives no size.
@@ -32,28 +35,26 @@ pub async fn get(caller: &Caller, request: v1::GetTenantRequest) -> Result<v1::T
 /// The page token or size is invalid, or the store fails.
 pub async fn list(
     caller: &Caller,
-    request: v1::ListTenantsRequest,
+    mut request: v1::ListTenantsRequest,
 ) -> Result<v1::ListTenantsResponse, Refusal> {
-    let size = page_size(request.page_size, PAGE);
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Tenants/List", &request, &token)?;
     if PAGE_LIMIT < size {
         let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
         return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
     }
-    let after = request.page_token;
-    if !after.is_empty() && Tenant::parse(&after).is_none() {
-        let message = format!("{:?} is not a page token of this list", texts::brief(&after));
-        return Err(Refusal::new(Code::PageTokenInvalid, message).at("pageToken"));
-    }
+    let after = pages.after().unwrap_or_default();
     let mut tenants = match caller.tenant().is_operator() {
-        true => caller.quotas().list(&after, size + 1).await?,
-        false if *caller.tenant().name() <= *after => Vec::new(),
+        true => caller.quotas().list(after, size + 1).await?,
+        false if caller.tenant().name() <= after => Vec::new(),
         false => vec![caller.quotas().get(caller.tenant()).await?],
     };
     let more = size < tenants.len();
     tenants.truncate(size);
     let last = tenants.last().filter(|_| more);
     Ok(v1::ListTenantsResponse {
-        next_page_token: last.map(|last| last.tenant.to_string()).unwrap_or_default(),
+        next_page_token: pages.token(last.map(|last| last.tenant.to_string())),
         tenants: tenants.into_iter().map(message).collect(),
     })
 }

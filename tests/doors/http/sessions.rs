@@ -61,6 +61,58 @@ async fn sessions_are_listed_page_by_page() {
     assert_eq!(second["nextPageToken"], "");
 }
 
+/// A list shows what is asked for, in pages of their own, and its view leaves the options out.
+#[tokio::test]
+async fn a_list_has_what_is_asked_for() {
+    let doors = Doors::open().await;
+    let mut ids = Vec::new();
+    for (label, mode) in [("a", "spp"), ("b", "fgo"), ("a", "fgo"), ("a", "fgo")] {
+        let new = json!({"label": label, "mode": mode});
+        let (_, session) = doors.post("/v1/sessions", new).await;
+        ids.push(session["session"].as_str().unwrap().to_owned());
+    }
+    doors.send("DELETE", &format!("/v1/sessions/{}", ids[0]), json!({})).await;
+    let listed = async |list: &str, path: &str| {
+        let (status, page) = doors.get(path).await;
+        assert_eq!(status, StatusCode::OK, "{path}: {page}");
+        let items = page[list].as_array().unwrap();
+        let index = |item: &serde_json::Value| ids.iter().position(|id| item["session"] == **id);
+        items.iter().map(|item| index(item).unwrap()).collect::<Vec<_>>()
+    };
+    for (query, expected) in [
+        ("order=OLDEST_FIRST", vec![0, 1, 2, 3]),
+        ("order=NEWEST_FIRST", vec![3, 2, 1, 0]),
+        ("closed=true", vec![0]),
+        ("closed=false", vec![3, 2, 1]),
+        ("mode=fgo&label=a", vec![3, 2]),
+        ("label=", vec![3, 2, 1, 0]),
+        ("mode=ekf", vec![]),
+    ] {
+        for (list, path) in [("sessions", "/v1/sessions"), ("heads", "/v1/sessions:heads")] {
+            assert_eq!(listed(list, &format!("{path}?{query}")).await, expected, "{path} {query}");
+        }
+    }
+    let oldest = "/v1/sessions?pageSize=1&order=OLDEST_FIRST&closed=false";
+    let (_, page) = doors.get(&format!("{oldest}&view=BASIC")).await;
+    assert_eq!(page["sessions"][0]["configuration"], json!([]));
+    assert_eq!(page["sessions"][0]["mode"], "fgo");
+    let token = page["nextPageToken"].as_str().unwrap();
+    let next = format!("{oldest}&view=BASIC&pageToken={token}");
+    assert_eq!(listed("sessions", &next).await, [2]);
+    let (_, page) = doors.get(oldest).await;
+    assert!(20 < page["sessions"][0]["configuration"].as_array().unwrap().len());
+    for query in [
+        format!("pageToken={token}"),
+        "view=basic".to_owned(),
+        "order=NEWEST".to_owned(),
+        "closed=1".to_owned(),
+        "pageSize=1001".to_owned(),
+    ] {
+        let (status, refused) = doors.get(&format!("/v1/sessions?{query}")).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{query}: {refused}");
+    }
+}
+
 /// Heads have the last epoch and the latest position, the newest session first.
 #[tokio::test]
 async fn heads_show_the_last_epoch() {

@@ -28,6 +28,12 @@ async fn solutions_are_listed_by_time_status_and_page() {
     let (_, second) = doors.get(&format!("{path}?pageSize=3&pageToken={token}")).await;
     assert_eq!((numbers(&second), &second["nextPageToken"]), (vec![4, 5], &json!("")));
 
+    let (_, basic) = doors.get(&format!("{path}?pageSize=3&view=BASIC")).await;
+    assert_eq!(numbers(&basic), [1, 2, 3]);
+    let (whole, short) = (&first["solutions"][0], &basic["solutions"][0]);
+    assert_eq!((&short["status"], &short["reasons"]), (&whole["status"], &whole["reasons"]));
+    assert!(whole["provenance"].is_object() && short["provenance"].is_null(), "{short}");
+
     let (_, within) = doors.get(&format!("{path}?from=2051:46703&to=2051:46704.5")).await;
     assert_eq!(numbers(&within), [2, 3]);
     assert_eq!(numbers(&doors.get(&format!("{path}?status=NONE")).await.1).len(), 5);

@@ -1,0 +1,44 @@
+//! Parameters that lists have in common.
+
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use crate::contract::{Refusal, v1};
+use crate::refusal::Code;
+
+/// The page of a list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct PageQuery {
+    /// Most items on the page, 1 to 1000; 100 if absent.
+    #[param(minimum = 0, maximum = 1000)]
+    pub(super) page_size: u32,
+    /// `nextPageToken` of the previous answer.
+    pub(super) page_token: String,
+}
+
+/// How much of each item a list has, by its name.
+pub(super) fn view(name: Option<String>) -> Result<i32, Refusal> {
+    let known = |name: &str| v1::View::from_str_name(&format!("VIEW_{name}"));
+    named("view", name, known, "BASIC or FULL")
+}
+
+/// The order of a list, by its name.
+pub(super) fn order(name: Option<String>) -> Result<i32, Refusal> {
+    let known = |name: &str| v1::Order::from_str_name(&format!("ORDER_{name}"));
+    named("order", name, known, "NEWEST_FIRST or OLDEST_FIRST")
+}
+
+/// The number of a choice by its name; zero without one.
+fn named<E: Into<i32>>(
+    field: &str,
+    name: Option<String>,
+    known: impl Fn(&str) -> Option<E>,
+    choices: &str,
+) -> Result<i32, Refusal> {
+    let Some(name) = name else { return Ok(0) };
+    known(&name)
+        .map(Into::into)
+        .ok_or_else(|| Refusal::new(Code::InvalidField, format!("it is {choices}")).at(field))
+}
