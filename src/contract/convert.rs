@@ -155,7 +155,8 @@ fn relative(relative: &RelativeEstimate) -> v1::Relative {
         age_s: relative.age_s,
         ambiguities: count(relative.ambiguities),
         fixed_ambiguities: count(relative.fixed_ambiguities),
-        ratio: relative.ratio,
+        // Of integers that fit exactly it is infinite, and JSON has no such number.
+        ratio: relative.ratio.filter(|ratio| ratio.is_finite()),
         success_rate: relative.success_rate,
         fix_probability: relative.fix_probability,
     }
@@ -213,6 +214,11 @@ pub(crate) fn geodetic(position: Ecef) -> v1::Geodetic {
     }
 }
 
+/// The frame of positions from satellites alone.
+const BROADCAST_FRAME: &str = "WGS84";
+/// The frame of positions relative to a base.
+const BASE_FRAME: &str = "BASE";
+
 fn position(estimate: &SolutionEstimate) -> v1::Position {
     let Ecef(p) = estimate.position;
     let frame = LocalFrame::at(estimate.position);
@@ -221,6 +227,7 @@ fn position(estimate: &SolutionEstimate) -> v1::Position {
         geodetic: Some(geodetic(estimate.position)),
         covariance_ecef_m2: Some(covariance(&estimate.covariance)),
         covariance_enu_m2: Some(covariance(&frame.covariance_to_enu(&estimate.covariance))),
+        frame: if estimate.relative.is_some() { BASE_FRAME } else { BROADCAST_FRAME }.to_owned(),
     }
 }
 

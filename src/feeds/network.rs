@@ -330,7 +330,7 @@ async fn base_of(
     if let Some((base, ..)) = known {
         return Ok(base);
     }
-    let new = NewBase { label, site: None, feed: Some(feed.clone()), archive: None };
+    let new = NewBase { label, feed: Some(feed.clone()), ..NewBase::default() };
     let created = bases.create(new).await?;
     Ok(BaseId::parse(&created.name.id).expect("a base's name is an id"))
 }

@@ -9,6 +9,7 @@ mod base;
 pub mod constants;
 mod coordinates;
 mod ephemeris;
+mod frame;
 mod navigation;
 mod observation;
 mod odometry;
@@ -24,6 +25,7 @@ pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{
     Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
 };
+pub use frame::CoordinateFrame;
 pub use navigation::{KlobucharCoefficients, Navigation, NeQuickCoefficients};
 pub(crate) use observation::Meters;
 pub use observation::{Cycles, Epoch, Observation};

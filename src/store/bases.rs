@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::gnss::{AntennaCalibration, BaseSite, Ecef, Epoch, GpsTime, PositionSource};
+use crate::gnss::{
+    AntennaCalibration, BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource,
+};
 use crate::tenant::Tenant;
 
 use super::antennas::calibration_hash;
@@ -113,6 +115,8 @@ pub(crate) struct NewBaseRow<'a> {
     pub(crate) created_unix_ms: i64,
     /// The named request that creates it.
     pub(crate) request: Option<&'a NamedRequest>,
+    /// The frame of its coordinates, if it is known.
+    pub(crate) frame: Option<CoordinateFrame>,
 }
 
 /// A stored base.
@@ -136,6 +140,8 @@ pub struct BaseRow {
     pub archive: Option<String>,
     /// The named request that created it.
     pub request: Option<NamedRequest>,
+    /// The frame of its coordinates, if it is known.
+    pub frame: Option<CoordinateFrame>,
 }
 
 /// An encoded epoch of a base.
@@ -286,13 +292,20 @@ struct RawBase {
     tenant: String,
     request_name: Option<String>,
     request_hash: Option<String>,
+    frame: Option<String>,
+    frame_epoch_year: Option<f64>,
 }
 
 impl RawBase {
     /// The base without its sites and its feed.
-    fn parse(self) -> BaseRow {
+    fn parse(self) -> Result<BaseRow, StoreError> {
+        let frame = self.frame.map(|name| {
+            let why = format!("{name:?} is not a known frame");
+            let known = CoordinateFrame::named(&name, self.frame_epoch_year);
+            known.ok_or(StoreError::CorruptText { what: "base", why })
+        });
         let request = self.request_name.zip(self.request_hash);
-        BaseRow {
+        Ok(BaseRow {
             key: BaseKey(self.key),
             tenant: Tenant::stored(&self.tenant),
             id: self.id,
@@ -302,7 +315,8 @@ impl RawBase {
             feed: None,
             archive: self.archive,
             request: request.map(|(name, hash)| NamedRequest { name, hash }),
-        }
+            frame: frame.transpose()?,
+        })
     }
 }
 
@@ -315,18 +329,22 @@ impl Store {
     /// # Errors
     /// The database fails. An existing id is such a failure.
     pub(crate) async fn create_base(&self, new: &NewBaseRow<'_>) -> Result<BaseKey, StoreError> {
-        let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms, request } = *new;
+        let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms, .. } = *new;
+        let NewBaseRow { request, frame, .. } = *new;
         self.keep_calibration_of(site).await?;
         let created = writing!(&self.pool, pool => {
             let created = async {
                 let mut transaction = pool.begin().await?;
                 let sql = "INSERT INTO bases (id, label, created_unix_ms, archive, tenant,
-                                              request_name, request_hash)
-                           VALUES ($1, $2, $3, $4, $5, $6, $7) RETURNING key";
+                                              request_name, request_hash, frame,
+                                              frame_epoch_year)
+                           VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9) RETURNING key";
                 let insert = sqlx::query_as(sql).bind(id).bind(label).bind(created_unix_ms);
                 let insert = insert.bind(archive).bind(tenant.name());
                 let insert = insert.bind(request.map(|request| &*request.name));
                 let insert = insert.bind(request.map(|request| &*request.hash));
+                let insert = insert.bind(frame.map(|frame| frame.name));
+                let insert = insert.bind(frame.and_then(|frame| frame.epoch_year));
                 let (key,): (i64,) = insert.fetch_one(&mut *transaction).await?;
                 let key = BaseKey(key);
                 if let Some(site) = site {
@@ -351,7 +369,8 @@ impl Store {
         let failed = "reading bases";
         let rows: Result<Vec<RawBase>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT key, id, label, created_unix_ms, archive, tenant, request_name,
-                              request_hash FROM bases WHERE deleted_unix_ms IS NULL ORDER BY key";
+                              request_hash, frame, frame_epoch_year
+                       FROM bases WHERE deleted_unix_ms IS NULL ORDER BY key";
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let sites: Result<Vec<RawSite>, _> = reading!(&self.pool, pool => {
@@ -363,7 +382,8 @@ impl Store {
             sqlx::query_as("SELECT * FROM base_feeds").fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database(failed))?;
-        let mut bases: Vec<BaseRow> = rows.into_iter().map(RawBase::parse).collect();
+        let mut bases: Vec<BaseRow> =
+            rows.into_iter().map(RawBase::parse).collect::<Result<_, _>>()?;
         for site in sites.map_err(StoreError::database(failed))? {
             if let Ok(index) = bases.binary_search_by_key(&site.base, |base| base.key.0) {
                 bases[index].sites.push(site.parse(&kept)?);

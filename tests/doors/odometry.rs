@@ -187,7 +187,7 @@ async fn both_doors_carry_odometry() {
         let request: v1::SolveOnceRequest = serde_json::from_value(body).unwrap();
         let mut client = PositioningClient::new(doors.router.clone());
         let grpc = client.solve_once(request).await.unwrap().into_inner();
-        let grpc = grpc.solutions[9].position.unwrap().ecef.unwrap();
+        let grpc = grpc.solutions[9].position.clone().unwrap().ecef.unwrap();
         assert_eq!([grpc.x_m, grpc.y_m, grpc.z_m], [own.x, own.y, own.z], "{mode:?}");
     }
 }

@@ -55,7 +55,7 @@ impl Pair {
             calibration: None,
             source: PositionSource::Given,
         };
-        NewBase { label: "base".to_owned(), site: Some(site), feed: None, archive: None }
+        NewBase { label: "base".to_owned(), site: Some(site), ..NewBase::default() }
     }
 
     /// The base's observations at another position, at this distance from the origin, and that

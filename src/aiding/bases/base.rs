@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::clock::unix_ms;
-use crate::gnss::{Ecef, GpsTime};
+use crate::gnss::{CoordinateFrame, Ecef, GpsTime};
 use crate::positioning::BASE_LATER_S;
 use crate::store::{BaseFeed, BaseName, NamedRequest};
 use crate::tenant::Tenant;
@@ -22,6 +22,8 @@ pub(super) struct BaseDescription {
     pub(super) archive: Option<String>,
     /// The named request that created it.
     pub(super) request: Option<NamedRequest>,
+    /// The frame of its coordinates, if it is known.
+    pub(super) frame: Option<CoordinateFrame>,
 }
 
 /// A base with its epochs and what its rovers request.
@@ -82,6 +84,7 @@ impl Base {
             created_unix_ms: *created_unix_ms,
             feed: feed.clone(),
             archive: archive.clone(),
+            frame: self.description.frame,
             site: stored.site().cloned(),
             epochs: stored.epochs.len(),
             span: span.map(|(oldest, newest)| (oldest.time, newest.time)),

@@ -60,6 +60,7 @@ impl BaseBroker {
                 feed: row.feed,
                 archive: row.archive,
                 request: row.request,
+                frame: row.frame,
             };
             let stored = BaseEpochs::new(row.sites, epochs, stored_unix_ms);
             bases.insert(id, Arc::new(Base::new(description, stored)));
@@ -119,6 +120,7 @@ impl BaseBroker {
             archive: new.archive.as_deref(),
             created_unix_ms: now,
             request: request.as_ref(),
+            frame: new.frame,
         };
         let key = self.store.create_base(&row).await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
@@ -130,6 +132,7 @@ impl BaseBroker {
             feed: new.feed,
             archive: new.archive,
             request,
+            frame: new.frame,
         };
         let base = Arc::new(Base::new(description, BaseEpochs::new(sites, Vec::new(), None)));
         self.write().insert(id, base.clone());

@@ -41,7 +41,7 @@ mod pushing;
 mod tenant_bases;
 mod view;
 
-use crate::gnss::{BaseSite, GpsTime};
+use crate::gnss::{BaseSite, CoordinateFrame, GpsTime};
 use crate::id::{Id, Kind};
 use crate::refusal::Code;
 use crate::store::BaseName;
@@ -80,6 +80,8 @@ pub struct NewBase {
     pub feed: Option<BaseFeed>,
     /// The address of the archive's files that fill it, with placeholders for their time.
     pub archive: Option<String>,
+    /// The frame of its coordinates, if it is known.
+    pub frame: Option<CoordinateFrame>,
 }
 
 /// A base with its health.
@@ -97,6 +99,8 @@ pub struct BaseInfo {
     pub feed: Option<BaseFeed>,
     /// The address of the archive's files that fill it.
     pub archive: Option<String>,
+    /// The frame of its coordinates, if it is known.
+    pub frame: Option<CoordinateFrame>,
     /// Position and antenna at the newest epoch; `None` while unknown.
     pub site: Option<BaseSite>,
     /// Number of stored epochs.

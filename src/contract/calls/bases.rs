@@ -10,7 +10,7 @@ use crate::clock::unix_ms;
 use crate::contract::reason::reason;
 use crate::contract::{Caller, Refusal, convert, texts, v1};
 use crate::formats::unpack_within;
-use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, PositionSource, Reason};
+use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
@@ -26,6 +26,8 @@ const PAGE_LIMIT: usize = 1000;
 /// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
+/// Epochs that coordinates of a base can have (decimal years).
+const EPOCH_YEARS: std::ops::RangeInclusive<f64> = 1980.0..=2100.0;
 /// Longest distance between antenna and marker along each axis (m).
 const DELTA_MAX_M: f64 = 1000.0;
 
@@ -49,7 +51,8 @@ pub async fn create(
     }
     let feed = request.ntrip.map(|source| feeds::source(caller, source)).transpose()?;
     let archive = request.archive.map(|source| feeds::archive(caller, source)).transpose()?;
-    let new = NewBase { label: request.label, site, feed, archive };
+    let frame = frame(&request.frame, request.frame_epoch_year)?;
+    let new = NewBase { label: request.label, site, feed, archive, frame };
     let (created, is_new) = caller.bases().create(new, named).await?;
     if let Some(id) = BaseId::parse(&created.name.id).filter(|_| is_new) {
         if let Some(feed) = &created.feed {
@@ -168,6 +171,28 @@ pub async fn upload(
     })
 }
 
+/// Reads and checks the frame of a base's coordinates; `None` if it is unknown.
+fn frame(name: &str, epoch_year: Option<f64>) -> Result<Option<CoordinateFrame>, Refusal> {
+    let refused =
+        |field: &str, message: String| Err(Refusal::new(Code::InvalidField, message).at(field));
+    if let Some(year) = epoch_year {
+        if name.is_empty() {
+            return refused("frameEpochYear", "the epoch needs a frame".to_owned());
+        }
+        if !EPOCH_YEARS.contains(&year) {
+            return refused("frameEpochYear", format!("{year} is not a year from 1980 to 2100"));
+        }
+    }
+    match CoordinateFrame::named(name, epoch_year) {
+        None if name.is_empty() => Ok(None),
+        None => {
+            let (given, known) = (texts::brief(name), CoordinateFrame::NAMES.join(", "));
+            refused("frame", format!("{given:?} is not a known frame; known are {known}"))
+        }
+        frame => Ok(frame),
+    }
+}
+
 /// Reads and checks the position of a new base; `None` if its files or stream will give it.
 fn site(request: &v1::CreateBaseRequest) -> Result<Option<BaseSite>, Refusal> {
     let refused =
@@ -263,6 +288,8 @@ fn message(caller: &Caller, info: &BaseInfo) -> v1::Base {
             distance_m: info.check.distance_m(),
             verdict: verdict_text(info.check.verdict()).to_owned(),
         }),
+        frame: info.frame.map(|frame| frame.name.to_owned()).unwrap_or_default(),
+        frame_epoch_year: info.frame.and_then(|frame| frame.epoch_year),
     }
 }
 

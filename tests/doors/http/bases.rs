@@ -80,6 +80,7 @@ async fn a_file_fills_a_base_and_its_session_is_fixed() {
         (&json!("FIXED"), &json!(base))
     );
     assert_eq!(last["provenance"]["base"]["time"], last["time"]);
+    assert_eq!(last["position"]["frame"], "BASE");
 
     let (status, refused) = doors.send("DELETE", &format!("/v1/bases/{base}"), json!({})).await;
     assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "BASE_IN_USE"));
@@ -118,6 +119,30 @@ async fn pushed_epochs_give_the_positions_of_a_file() {
     }
     assert_eq!(positions[0].len(), 60);
     assert_eq!(positions[0], positions[1]);
+}
+
+/// A base has the frame that its creator states, also after a restart, or none.
+#[tokio::test]
+async fn a_base_states_its_frame_or_that_it_is_unknown() {
+    let doors = Doors::open().await;
+    let marker = json!({"xM": 4_033_460.75, "yM": 23_538.02, "zM": 4_924_318.39});
+    let new = json!({"marker": marker, "frame": "ETRF2000", "frameEpochYear": 2010.5});
+    let (stated, unknown) = (created(&doors, new).await, created(&doors, json!({})).await);
+    let doors = doors.restarted().await;
+    for (base, frame, year) in [(stated, "ETRF2000", json!(2010.5)), (unknown, "", Value::Null)] {
+        let (_, base) = doors.get(&format!("/v1/bases/{base}")).await;
+        assert_eq!((&base["frame"], &base["frameEpochYear"]), (&json!(frame), &year));
+    }
+    for (request, field) in [
+        (json!({"frame": "ETRS89"}), "frame"),
+        (json!({"frame": "itrf2020"}), "frame"),
+        (json!({"frame": "ITRF2020", "frameEpochYear": 20.1}), "frameEpochYear"),
+        (json!({"frameEpochYear": 2020.0}), "frameEpochYear"),
+    ] {
+        let (status, answer) = doors.post("/v1/bases", request).await;
+        assert_eq!((status, code(&answer)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
+        assert_eq!(answer["field"], field, "{answer}");
+    }
 }
 
 #[tokio::test]
