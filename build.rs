@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let as_name = "#[serde(with = \"crate::contract::json::status\")]
-        #[schema(value_type = String, example = \"SINGLE\")]";
+        #[schema(value_type = String, example = \"SINGLE\", default = json!(\"UNSPECIFIED\"))]";
     let as_object = "#[serde(with = \"crate::contract::json::values\")]
         #[schema(value_type = Object)]";
     build

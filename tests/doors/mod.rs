@@ -13,6 +13,7 @@ mod grpc;
 mod guides;
 mod http;
 mod image;
+mod interface;
 mod job_events;
 mod jobs;
 mod keys;

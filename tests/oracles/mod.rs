@@ -3,6 +3,7 @@
 mod evaluation;
 mod gnss_logger;
 mod models;
+mod openapi;
 mod rtcm;
 mod tracks;
 mod ubx;
