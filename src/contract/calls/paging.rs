@@ -47,7 +47,7 @@ impl Pages {
         self.after.as_deref()
     }
 
-    /// The token of the page that comes after this; empty if there is none.
+    /// The token of the next page; empty after the last one.
     pub(super) fn token(&self, next: Option<String>) -> String {
         let Some(next) = next else { return String::new() };
         URL_SAFE_NO_PAD.encode([&self.tag, next.as_bytes()].concat())
