@@ -39,6 +39,23 @@ fn tried(guide: &str) -> String {
     printed
 }
 
+/// What the guides name in capitals is a reason or a status of the program.
+#[test]
+fn the_reasons_of_the_guides_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let vocabulary = std::fs::read_to_string(root.join("src/gnss/solution.rs")).unwrap();
+    for guide in std::fs::read_dir(root.join("docs/guides")).unwrap() {
+        let text = std::fs::read_to_string(guide.unwrap().path()).unwrap();
+        let is_name = |word: &&str| {
+            3 < word.len() && word.bytes().all(|byte| byte.is_ascii_uppercase() || byte == b'_')
+        };
+        // Every second part stands between back quotes.
+        for name in text.split('`').skip(1).step_by(2).filter(is_name) {
+            assert!(vocabulary.contains(&format!("\"{name}\"")), "{name}");
+        }
+    }
+}
+
 #[test]
 fn a_surveyor_positions_files() {
     let printed = tried("surveyor.md");
