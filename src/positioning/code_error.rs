@@ -61,20 +61,55 @@ pub(super) struct Evaluated {
     pub(super) direct: f64,
 }
 
+/// The likelihood of one pseudorange, prepared for many residuals.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Likelihood {
+    /// 1/σ (1/m).
+    per_sigma_m: f64,
+    /// σ/λ.
+    ratio: f64,
+    /// (1 − ε)·(1 − π)·N(0; 0, σ²) (1/m).
+    direct: f64,
+    /// (1 − ε)·π/λ (1/m).
+    late: f64,
+}
+
 impl CodeError {
+    /// The likelihood with the constants of this error model.
+    pub(super) fn likelihood(&self) -> Likelihood {
+        let (known, per_sigma_m) = (1.0 - FAULT_SHARE, self.sigma_m.recip());
+        Likelihood {
+            per_sigma_m,
+            ratio: self.sigma_m / EXTRA_PATH_M,
+            direct: known * (1.0 - self.reflected) * per_sigma_m * NORMAL_PEAK,
+            late: known * self.reflected / EXTRA_PATH_M,
+        }
+    }
+
+    /// See [`Likelihood::evaluate`].
+    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
+        self.likelihood().evaluate(s_m)
+    }
+
+    /// See [`Likelihood::density`].
+    pub(super) fn density(&self, s_m: f64) -> f64 {
+        self.likelihood().density(s_m)
+    }
+}
+
+impl Likelihood {
     /// The likelihood at s = measured − modelled (m), with slope and curvatures of J.
     ///
     /// The curvature of the expectation's bound is that of a known identification. The one of J is
     /// smaller by the missing information: Louis (1982), *Finding the observed information matrix
     /// when using the EM algorithm*, (3.2).
     pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
-        let (per_m, ratio) = (self.sigma_m.recip(), self.sigma_m / EXTRA_PATH_M);
-        let z = s_m * per_m;
-        let (direct, late, hazard) = self.joint_densities(z, ratio);
+        let (per_m, z) = (self.per_sigma_m, s_m * self.per_sigma_m);
+        let (direct, late, hazard) = self.joint_densities(z);
         let density = direct + late + FAULT_DENSITY;
         let per_density = density.recip();
         let (direct, late) = (direct * per_density, late * per_density);
-        let u = z - ratio;
+        let u = z - self.ratio;
         let (on_direct, on_late) = (z * per_m, EXTRA_PATH_M.recip() - hazard * per_m);
         let slope = direct * on_direct + late * on_late;
         let curvature = (direct + late * hazard * (u + hazard)) * per_m * per_m;
@@ -85,17 +120,14 @@ impl CodeError {
 
     /// p(s) alone (1/m), at s = measured − modelled (m).
     pub(super) fn density(&self, s_m: f64) -> f64 {
-        let z = s_m * self.sigma_m.recip();
-        let (direct, late, _) = self.joint_densities(z, self.sigma_m / EXTRA_PATH_M);
+        let (direct, late, _) = self.joint_densities(s_m * self.per_sigma_m);
         direct + late + FAULT_DENSITY
     }
 
-    /// (1 − ε)·(1 − π)·N and (1 − ε)·π·E (1/m), and h; at z = s/σ, with r = σ/λ.
-    fn joint_densities(&self, z: f64, ratio: f64) -> (f64, f64, f64) {
-        let (normal, late, hazard) = parts(z, ratio);
-        let known = 1.0 - FAULT_SHARE;
-        let direct = known * (1.0 - self.reflected) * normal * self.sigma_m.recip() * NORMAL_PEAK;
-        (direct, known * self.reflected * late / EXTRA_PATH_M, hazard)
+    /// (1 − ε)·(1 − π)·N and (1 − ε)·π·E (1/m), and h; at z = s/σ.
+    fn joint_densities(&self, z: f64) -> (f64, f64, f64) {
+        let (normal, late, hazard) = parts(z, self.ratio);
+        (self.direct * normal, self.late * late, hazard)
     }
 }
 

@@ -15,7 +15,7 @@
 //! receiver (docs/estimation.md). i is the standard deviation of the ionosphere's model beyond the
 //! smallest one of the epoch: a common error goes into the clock.
 
-use std::f64::consts::{FRAC_1_SQRT_2, LN_10};
+use std::f64::consts::LN_10;
 
 use crate::gnss::{Constellation, SatelliteId};
 use crate::positioning::Measurement;
@@ -130,15 +130,17 @@ impl CodeNoise {
 
     /// Updates with the residuals of an epoch, each with the weight `share` of an independent one.
     pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[CodeResidual]) {
+        let models: Vec<_> = residuals.iter().map(|r| AnyLevel::of(&r.signal)).collect();
         for (constellation, evidence) in Constellation::ALL.into_iter().zip(&mut self.evidence) {
             evidence.fade(kept(interval_s), no_evidence);
-            let own = || residuals.iter().filter(|r| r.satellite.constellation == constellation);
-            if own().next().is_some() {
+            let all = residuals.iter().zip(&models);
+            let own = all.filter(|(r, _)| r.satellite.constellation == constellation);
+            if own.clone().next().is_some() {
                 evidence.update(|index| {
-                    let level = level_db_hz(index);
-                    let density =
-                        |r: &CodeResidual| error_at(level, &r.signal).density(r.residual_m);
-                    share * log_product(own().map(density))
+                    let level = Level::of(level_db_hz(index));
+                    let densities =
+                        own.clone().map(|(r, model)| model.error(&level).density(r.residual_m));
+                    share * log_product(densities)
                 });
             }
         }
@@ -194,18 +196,56 @@ pub(in crate::positioning) fn error_before_learning(signal: &Signal) -> CodeErro
 
 /// Error model for S₀ = `level_db_hz`.
 fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
-    let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;
-    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - level_db_hz;
-    let reflected = (1.0 + (above_db / LOGISTIC_DB).exp()).recip();
-    let noise_m = NOISE_M * (-above_db * (LN_10 / 20.0)).exp();
-    // The mask excludes elevations below some degrees; 0.1 is 6°.
-    let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
-    let squares =
-        [FLOOR_M, FRAC_1_SQRT_2 * low_m, noise_m, ionosphere_m].map(|sigma| sigma * sigma);
-    CodeError {
-        sigma_m: squares.iter().sum::<f64>().sqrt(),
-        reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
+    AnyLevel::of(signal).error(&Level::of(level_db_hz))
+}
+
+/// The factors that a level S₀ contributes to all signals.
+struct Level {
+    /// 10^(S₀/10).
+    noise: f64,
+    /// e^(−S₀/3 dB).
+    odds: f64,
+}
+
+impl Level {
+    fn of(level_db_hz: f64) -> Self {
+        let (noise, odds) = factors(level_db_hz);
+        Self { noise: noise.recip(), odds: odds.recip() }
     }
+}
+
+/// The noise of a signal as a function of the level.
+struct AnyLevel {
+    /// The part of σ² that does not depend on the level (m²).
+    quiet_m2: f64,
+    /// (4 m)²·10^(−S/10) (m²).
+    noise_m2: f64,
+    /// e^(S/3 dB).
+    odds: f64,
+}
+
+impl AnyLevel {
+    fn of(signal: &Signal) -> Self {
+        let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;
+        let (noise, odds) = factors(cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ));
+        // The mask excludes elevations below some degrees; 0.1 is 6°.
+        let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
+        let quiet_m2 = FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + ionosphere_m * ionosphere_m;
+        Self { quiet_m2, noise_m2: NOISE_M * NOISE_M * noise, odds }
+    }
+
+    fn error(&self, level: &Level) -> CodeError {
+        let reflected = (1.0 + self.odds * level.odds).recip();
+        CodeError {
+            sigma_m: (self.quiet_m2 + self.noise_m2 * level.noise).sqrt(),
+            reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
+        }
+    }
+}
+
+/// 10^(−S/10) and e^(S/3 dB).
+fn factors(cn0_db_hz: f64) -> (f64, f64) {
+    ((-cn0_db_hz * (LN_10 / 10.0)).exp(), (cn0_db_hz / LOGISTIC_DB).exp())
 }
 
 #[cfg(test)]

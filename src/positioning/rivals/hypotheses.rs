@@ -21,18 +21,12 @@
 //! the trajectory itself, are refined by expectation maximisation. The draws depend on the time of
 //! the epoch only, so that a replay makes the same ones.
 
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{Matrix4, Vector3, Vector4};
 
-use crate::gnss::{Constellation, SatelliteId};
-use crate::positioning::code_error::{CodeError, log_product};
+use crate::gnss::Constellation;
 use crate::positioning::draws::Draws;
-use crate::snapshot::snapshot_fields;
 
-/// Position and a clock for each constellation.
-const UNKNOWNS: usize = 3 + Constellation::COUNT;
-/// An offset (m): position, local, and clocks by constellation.
-type Unknowns = SVector<f64, UNKNOWNS>;
-type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+use super::evidence::{Evidence, Knowledge, Noise, Normal, Offset, Pooled, UNKNOWNS, Unknowns};
 
 /// Number of subsets drawn. If half of the satellites are direct, at least one subset of four is
 /// all direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
@@ -41,78 +35,13 @@ const SUBSETS: usize = 40;
 const DRAWS_MAX: usize = 60;
 /// Number of candidates that are refined.
 const REFINED: usize = 2;
-/// Most iterations of a refinement, and the length of a step that ends it (m).
-const ITERATIONS_MAX: usize = 12;
-const LAST_STEP_M: f64 = 0.3;
-/// Longest step (m): farther away the quadratic approximation of the cost is invalid.
-const STEP_MAX_M: f64 = 30.0;
 /// Distances up to which two positions count as the same: horizontal, and vertical, where positions
 /// are half as precise (m).
 const DISTINCT_M: (f64, f64) = (8.0, 16.0);
+/// Keeps unknowns that no residual determines at zero (1/m²).
+const WEAK: f64 = 1e-10;
 /// Largest horizontal and largest vertical offset of a candidate (m).
 const REACH_M: f64 = 1e3;
-/// Cost of the prior's noise: odds of 20 : 1 that what was learnt about the receiver holds (nats).
-const UNLEARNT_COST: f64 = 3.0;
-/// Scale of T (m).
-const SETTLED_M: f64 = 10.0;
-
-/// The residual of one satellite over a few seconds: a term of the cost.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Pooled {
-    pub(crate) satellite: SatelliteId,
-    /// g = ∂ρ/∂p, local east, north, up.
-    pub(crate) slope: Vector3<f64>,
-    /// s: median of measured − modelled (m).
-    pub(crate) residual_m: f64,
-    pub(crate) error: CodeError,
-    /// Its error model before anything was learnt about the receiver.
-    pub(crate) before_learning: CodeError,
-    /// κ: independent fraction of the information, the same for all residuals of a pool.
-    pub(crate) independent: f64,
-}
-
-snapshot_fields!(Pooled { satellite, slope, residual_m, error, before_learning, independent });
-
-/// Prior knowledge of the clocks and the trajectory.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Knowledge {
-    /// β: standard deviation of inter-system biases (m); infinite while they are unknown.
-    pub(crate) bias_sigma_m: f64,
-    /// a: 0 at a start … 1 for a trajectory that has been accepted for a while.
-    pub(crate) settled: f64,
-}
-
-/// A hypothesis (d, c) with its cost.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Offset {
-    x: Unknowns,
-    cost: f64,
-    noise: Noise,
-}
-
-/// The noise of pseudoranges in a hypothesis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Noise {
-    Learnt,
-    BeforeLearning,
-}
-
-impl Offset {
-    /// d: offset of the position, local east, north, up (m).
-    pub(crate) fn position_m(&self) -> Vector3<f64> {
-        self.x.fixed_rows::<3>(0).into_owned()
-    }
-
-    /// c: offset of a constellation's clock (m).
-    pub(crate) fn clock_m(&self, constellation: Constellation) -> f64 {
-        self.x[3 + constellation.index()]
-    }
-
-    /// Whether it holds with the noise before anything was learnt about the receiver.
-    pub(crate) fn is_before_learning(&self) -> bool {
-        self.noise == Noise::BeforeLearning
-    }
-}
 
 /// Whether two positions this far apart count as different.
 fn are_distinct(by_m: &Vector3<f64>) -> bool {
@@ -135,256 +64,198 @@ pub(crate) enum Rivalry {
     },
 }
 
-/// Residuals and prior knowledge.
-struct Evidence<'a> {
-    pool: &'a [Pooled],
-    noise: Noise,
-    knowledge: Knowledge,
-    /// Constellations that have residuals.
-    present: [bool; Constellation::COUNT],
-}
-
 /// Searches for the likeliest position that is distinct from the trajectory. The search is skipped
 /// if no position can have log odds of `least`. `seed` determines the draws.
 pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
-    let mut present = [false; Constellation::COUNT];
-    pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
-    let of_noise = |noise| Evidence { pool, noise, knowledge, present };
-    let learnt = of_noise(Noise::Learnt);
-    if learnt.satellites() < 3 + learnt.clocks() + 1 {
+    let learnt = Evidence::new(pool, Noise::Learnt, knowledge);
+    if satellites(pool) < 3 + clocks(&learnt) + 1 {
         return Rivalry::Undetermined;
     }
     let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
-    let other = has_learnt.then(|| of_noise(Noise::BeforeLearning));
+    let other = has_learnt.then(|| Evidence::new(pool, Noise::BeforeLearning, knowledge));
     let least_cost = other.iter().map(Evidence::least_cost).fold(learnt.least_cost(), f64::min);
-    let by_learnt = learnt.stands().cost;
-    if by_learnt - least_cost < least {
+    let by_learnt = learnt.stands();
+    if by_learnt.cost() - least_cost < least {
         return Rivalry::Unrivalled;
     }
-    let stands_cost = other.iter().map(|other| other.stands().cost).fold(by_learnt, f64::min);
+    let by_other = other.as_ref().map(|other| (other, other.stands()));
+    let costs = by_other.iter().map(|(_, stands)| stands.cost());
+    let stands_cost = costs.fold(by_learnt.cost(), f64::min);
     if stands_cost - least_cost < least {
         return Rivalry::Unrivalled;
     }
-    let evidences = std::iter::once(&learnt).chain(&other);
-    let rivals = evidences.filter_map(|evidence| evidence.best_elsewhere(seed));
-    match rivals.min_by(|a, b| a.cost.total_cmp(&b.cost)) {
-        Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost },
+    let by_noise = std::iter::once((&learnt, by_learnt)).chain(by_other);
+    let rivals = by_noise.filter_map(|(evidence, stands)| best_elsewhere(evidence, &stands, seed));
+    match rivals.min_by(|a, b| a.cost().total_cmp(&b.cost())) {
+        Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost() },
         None => Rivalry::Unrivalled,
     }
 }
 
-impl Evidence<'_> {
-    /// The trajectory itself, with the clocks that fit it best.
-    fn stands(&self) -> Offset {
-        self.refine(Unknowns::zeros(), false)
-    }
+/// The likeliest distinct position, given the clocks that fit the trajectory best.
+fn best_elsewhere(evidence: &Evidence<'_>, stands: &Offset, seed: u64) -> Option<Offset> {
+    let from_subsets = Search::new(evidence, seed).candidates().into_iter();
+    // A candidate that comes near the trajectory would end where the start at the trajectory does.
+    let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_distinct));
+    let near = [evidence.refine(stands)];
+    let elsewhere = far.chain(near).filter(|offset| are_distinct(&offset.position_m()));
+    elsewhere.min_by(|a, b| a.cost().total_cmp(&b.cost()))
+}
 
-    /// The likeliest distinct position.
-    fn best_elsewhere(&self, seed: u64) -> Option<Offset> {
-        let starts = self.candidates(seed).into_iter().chain([self.stands().x]);
-        let refined = starts.map(|x| self.refine(x, true));
-        let elsewhere = refined.filter(|offset| are_distinct(&offset.position_m()));
-        elsewhere.min_by(|a, b| a.cost.total_cmp(&b.cost))
-    }
+fn satellites(pool: &[Pooled]) -> usize {
+    let mut satellites: Vec<_> = pool.iter().map(|pooled| pooled.satellite).collect();
+    satellites.sort_unstable();
+    satellites.dedup();
+    satellites.len()
+}
 
-    fn error(&self, pooled: &Pooled) -> CodeError {
-        match self.noise {
-            Noise::Learnt => pooled.error,
-            Noise::BeforeLearning => pooled.before_learning,
+/// Number of clocks that a subset must determine.
+fn clocks(evidence: &Evidence<'_>) -> usize {
+    if evidence.shares_clock() { 1 } else { evidence.present().count() }
+}
+
+/// Random minimal subsets of the residuals, and their positions.
+struct Search<'a> {
+    evidence: &'a Evidence<'a>,
+    /// Sums of the probabilities that residuals are of direct signals, up to each of them.
+    directs: Vec<f64>,
+    draws: Draws,
+    /// The residuals drawn last.
+    subset: Vec<usize>,
+    /// The residuals of a constellation (m).
+    own_m: Vec<f64>,
+}
+
+impl<'a> Search<'a> {
+    fn new(evidence: &'a Evidence<'a>, seed: u64) -> Self {
+        let count = evidence.pool().len();
+        let mut directs = Vec::with_capacity(count);
+        let mut sum = 0.0;
+        for pooled in evidence.pool() {
+            sum += 1.0 - evidence.error(pooled).reflected;
+            directs.push(sum);
         }
+        let (subset, own_m) = (Vec::with_capacity(UNKNOWNS), Vec::with_capacity(count));
+        Self { evidence, directs, draws: Draws::new(seed), subset, own_m }
     }
 
-    fn satellites(&self) -> usize {
-        let mut satellites: Vec<_> = self.pool.iter().map(|pooled| pooled.satellite).collect();
-        satellites.sort_unstable();
-        satellites.dedup();
-        satellites.len()
-    }
-
-    /// Whether inter-system biases are known, so that a subset determines one clock for all
-    /// constellations.
-    fn shares_clock(&self) -> bool {
-        self.knowledge.bias_sigma_m.is_finite()
-    }
-
-    /// Number of clocks that a subset must determine.
-    fn clocks(&self) -> usize {
-        if self.shares_clock() { 1 } else { self.present.iter().filter(|p| **p).count() }
-    }
-
-    fn mean_clock_m(&self, x: &Unknowns) -> f64 {
-        let clocks = (0..Constellation::COUNT).filter(|i| self.present[*i]).map(|i| x[3 + i]);
-        let (sum, count) = clocks.fold((0.0, 0.0), |(sum, n), clock| (sum + clock, n + 1.0));
-        sum / count
-    }
-
-    fn residual_m(pooled: &Pooled, x: &Unknowns) -> f64 {
-        let Pooled { slope, .. } = pooled;
-        let along_m = slope.x * x[0] + slope.y * x[1] + slope.z * x[2];
-        pooled.residual_m - along_m - x[3 + pooled.satellite.constellation.index()]
-    }
-
-    fn cost(&self, x: &Unknowns) -> f64 {
-        let Knowledge { bias_sigma_m, settled } = self.knowledge;
-        let mean_m = self.mean_clock_m(x);
-        let present = (0..Constellation::COUNT).filter(|i| self.present[*i]);
-        let biases = present.map(|i| 0.5 * ((x[3 + i] - mean_m) / bias_sigma_m).powi(2));
-        let student = |square: f64| 2.0 * (square / (3.0 * SETTLED_M * SETTLED_M)).ln_1p();
-        let moved = student(x[0] * x[0] + x[1] * x[1]) + student(x[2] * x[2]);
-        self.loss(|p| Self::residual_m(p, x)) + biases.sum::<f64>() + settled * moved
-    }
-
-    /// A lower bound of all costs: the cost of a position that leaves no residual.
-    fn least_cost(&self) -> f64 {
-        self.loss(|_| 0.0)
-    }
-
-    /// Σ κ·J of these residuals (m), and the cost of the noise.
-    fn loss(&self, residual_m: impl Fn(&Pooled) -> f64) -> f64 {
-        let pools = self.pool.chunk_by(|a, b| a.independent == b.independent);
-        let density = |p: &Pooled| self.error(p).density(residual_m(p));
-        let losses = pools.map(|pool| -pool[0].independent * log_product(pool.iter().map(density)));
-        let of_noise = if self.noise == Noise::Learnt { 0.0 } else { UNLEARNT_COST };
-        losses.sum::<f64>() + of_noise
-    }
-
-    fn offset(&self, x: Unknowns) -> Offset {
-        Offset { x, cost: self.cost(&x), noise: self.noise }
-    }
-
-    /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
-    /// only.
-    fn refine(&self, mut x: Unknowns, moves: bool) -> Offset {
-        for _ in 0..ITERATIONS_MAX {
-            let (normal, right) = self.normal_equations(&x, moves);
-            let Some(factor) = normal.cholesky() else { break };
-            let step = factor.solve(&right);
-            let length_m = step.amax();
-            x += step * (STEP_MAX_M / length_m).min(1.0);
-            if length_m < LAST_STEP_M {
-                break;
-            }
-        }
-        self.offset(x)
-    }
-
-    /// Lower triangle of the normal equations of a step from `x`, and their right side.
-    fn normal_equations(&self, x: &Unknowns, moves: bool) -> (Normal, Unknowns) {
-        // WEAK keeps unknowns that no residual determines where they are. HELD fixes the position
-        // if it does not move, and the clocks of absent constellations.
-        const WEAK: f64 = 1e-9;
-        const HELD: f64 = 1e12;
-        let bias_sigma_m = self.knowledge.bias_sigma_m;
-        let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
-        (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
-        let (mean_m, tie) = (self.mean_clock_m(x), bias_sigma_m.powi(-2));
-        for i in 0..Constellation::COUNT {
-            let c = 3 + i;
-            normal[(c, c)] = if self.present[i] { WEAK + tie } else { HELD };
-            right[c] = if self.present[i] { -tie * (x[c] - mean_m) } else { 0.0 };
-        }
-        for pooled in self.pool {
-            let at = self.error(pooled).evaluate(Self::residual_m(pooled, x));
-            let (slope, curvature) =
-                (pooled.independent * at.slope, pooled.independent * at.curvature);
-            let c = 3 + pooled.satellite.constellation.index();
-            normal[(c, c)] += curvature;
-            right[c] += slope;
-            for i in (0..3).filter(|_| moves) {
-                right[i] += slope * pooled.slope[i];
-                normal[(c, i)] += curvature * pooled.slope[i];
-                for j in 0..=i {
-                    normal[(i, j)] += curvature * pooled.slope[i] * pooled.slope[j];
-                }
-            }
-        }
-        (normal, right)
-    }
-
-    /// The best distinct positions of the drawn subsets, best first.
-    fn candidates(&self, seed: u64) -> Vec<Unknowns> {
-        let (mut draws, mut subset) = (Draws::new(seed), Vec::with_capacity(UNKNOWNS));
-        let mut found = Vec::with_capacity(SUBSETS);
+    /// The best positions of the drawn subsets that are distinct from the trajectory and from each
+    /// other, best first.
+    fn candidates(&mut self) -> Vec<Offset> {
+        let mut best: Vec<Offset> = Vec::with_capacity(REFINED + 1);
         for _ in 0..SUBSETS {
-            self.draw_subset(&mut draws, &mut subset);
-            found.extend(self.solve_subset(&subset).map(|x| self.offset(x)));
-        }
-        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut distinct: Vec<Offset> = Vec::with_capacity(REFINED);
-        for offset in found {
-            let apart = |other: &Offset| are_distinct(&(other.position_m() - offset.position_m()));
-            if distinct.len() < REFINED && distinct.iter().all(apart) {
-                distinct.push(offset);
+            self.draw();
+            let Some(x) = self.solved() else { continue };
+            let enough = best.get(REFINED - 1).map_or(f64::INFINITY, Offset::cost);
+            if let Some(offset) = self.evidence.offset_below(x, enough) {
+                keep_best(&mut best, offset);
             }
         }
-        distinct.into_iter().map(|offset| offset.x).collect()
+        best
     }
 
     /// Draws residuals of different satellites until they determine a position and their clocks.
-    fn draw_subset(&self, draws: &mut Draws, subset: &mut Vec<usize>) {
-        let total: f64 = self.pool.iter().map(|pooled| 1.0 - self.error(pooled).reflected).sum();
+    fn draw(&mut self) {
+        let (pool, shares_clock) = (self.evidence.pool(), self.evidence.shares_clock());
+        let total = self.directs.last().copied().unwrap_or(0.0);
         let mut drawn = [false; Constellation::COUNT];
-        subset.clear();
+        self.subset.clear();
         for _ in 0..DRAWS_MAX {
-            let clocks = if self.shares_clock() { 1 } else { drawn.iter().filter(|d| **d).count() };
-            if !subset.is_empty() && 3 + clocks <= subset.len() {
+            let clocks = if shares_clock { 1 } else { drawn.iter().filter(|d| **d).count() };
+            if !self.subset.is_empty() && 3 + clocks <= self.subset.len() {
                 break;
             }
-            let mut left = draws.unit() * total;
-            let reached = |pooled: &Pooled| {
-                left -= 1.0 - self.error(pooled).reflected;
-                left < 0.0
-            };
-            let index = self.pool.iter().position(reached).unwrap_or(self.pool.len() - 1);
-            let satellite = self.pool[index].satellite;
-            if subset.iter().all(|other: &usize| self.pool[*other].satellite != satellite) {
-                subset.push(index);
+            let reached = self.draws.unit() * total;
+            let index = self.directs.partition_point(|sum| *sum <= reached).min(pool.len() - 1);
+            let satellite = pool[index].satellite;
+            if self.subset.iter().all(|other| pool[*other].satellite != satellite) {
+                self.subset.push(index);
                 drawn[satellite.constellation.index()] = true;
             }
         }
     }
 
-    /// The offset that leaves no residual in a subset. A clock that the subset does not determine
-    /// is set to the lower tercile of its constellation's residuals, because reflections are late.
-    fn solve_subset(&self, subset: &[usize]) -> Option<Unknowns> {
-        let (mut normal, mut right) = (Normal::identity() * 1e-10, Unknowns::zeros());
-        let mut drawn = [self.shares_clock(); Constellation::COUNT];
-        for index in subset {
-            let Pooled { satellite, slope, residual_m, .. } = &self.pool[*index];
-            let system = if self.shares_clock() { 0 } else { satellite.constellation.index() };
-            drawn[system] = true;
-            let mut row = Unknowns::zeros();
-            row.fixed_rows_mut::<3>(0).copy_from(slope);
-            row[3 + system] = 1.0;
-            normal += row * row.transpose();
-            right += row * *residual_m;
-        }
-        let mut x = normal.cholesky()?.solve(&right);
-        if !(x[0].hypot(x[1]) < REACH_M && x[2].abs() < REACH_M) {
+    /// The offset that leaves no residual in the subset, if its position is distinct from the
+    /// trajectory and within reach.
+    fn solved(&mut self) -> Option<Unknowns> {
+        let shares_clock = self.evidence.shares_clock();
+        let (mut x, drawn) = match shares_clock {
+            true => (self.with_one_clock()?, [true; Constellation::COUNT]),
+            false => self.with_own_clocks()?,
+        };
+        let by_m = x.fixed_rows::<3>(0).into_owned();
+        let is_near = by_m.xy().norm() < REACH_M && by_m.z.abs() < REACH_M;
+        if !is_near || !are_distinct(&by_m) {
             return None;
         }
-        if self.shares_clock() {
-            let clock_m = x[3];
-            x.rows_mut(3, Constellation::COUNT).fill(clock_m);
-        }
-        for system in (0..Constellation::COUNT).filter(|i| self.present[*i] && !drawn[*i]) {
-            let of = |p: &&Pooled| p.satellite.constellation.index() == system;
-            let mut own: Vec<f64> = self
-                .pool
-                .iter()
-                .filter(of)
-                .map(|p| Self::residual_m(p, &x) + x[3 + system])
-                .collect();
-            let third = own.len() / 3;
-            x[3 + system] = *own.select_nth_unstable_by(third, f64::total_cmp).1;
+        for system in self.evidence.present().filter(|system| !drawn[*system]) {
+            x[3 + system] = self.late_clock_m(system, &x);
         }
         Some(x)
     }
+
+    /// Position and one clock for all constellations.
+    fn with_one_clock(&self) -> Option<Unknowns> {
+        let (mut normal, mut right) = (Matrix4::identity() * WEAK, Vector4::zeros());
+        for index in &self.subset {
+            let Pooled { slope, residual_m, .. } = &self.evidence.pool()[*index];
+            let row = slope.push(1.0);
+            normal += row * row.transpose();
+            right += row * *residual_m;
+        }
+        let solved = normal.cholesky()?.solve(&right);
+        let mut x = Unknowns::repeat(solved.w);
+        x.fixed_rows_mut::<3>(0).copy_from(&solved.xyz());
+        Some(x)
+    }
+
+    /// Position and the clocks of the drawn constellations, and which these are.
+    fn with_own_clocks(&self) -> Option<(Unknowns, [bool; Constellation::COUNT])> {
+        let (mut normal, mut right) = (Normal::identity() * WEAK, Unknowns::zeros());
+        let mut drawn = [false; Constellation::COUNT];
+        for index in &self.subset {
+            let Pooled { satellite, slope, residual_m, .. } = &self.evidence.pool()[*index];
+            let clock = 3 + satellite.constellation.index();
+            drawn[clock - 3] = true;
+            for i in 0..3 {
+                right[i] += slope[i] * residual_m;
+                normal[(clock, i)] += slope[i];
+                (0..=i).for_each(|j| normal[(i, j)] += slope[i] * slope[j]);
+            }
+            normal[(clock, clock)] += 1.0;
+            right[clock] += residual_m;
+        }
+        Some((normal.cholesky()?.solve(&right), drawn))
+    }
+
+    /// The lower tercile of the clock by a constellation's residuals at the position of `x` (m),
+    /// because reflections are late.
+    fn late_clock_m(&mut self, system: usize, x: &Unknowns) -> f64 {
+        let of = |p: &&Pooled| p.satellite.constellation.index() == system;
+        let own = self.evidence.pool().iter().filter(of);
+        self.own_m.clear();
+        self.own_m.extend(own.map(|p| p.left_m(x) + x[3 + system]));
+        let third = self.own_m.len() / 3;
+        *self.own_m.select_nth_unstable_by(third, f64::total_cmp).1
+    }
+}
+
+/// Adds a candidate to the best ones, unless a better one is at the same position.
+fn keep_best(best: &mut Vec<Offset>, new: Offset) {
+    let same = |other: &Offset| !are_distinct(&(other.position_m() - new.position_m()));
+    if best.iter().any(|other| same(other) && other.cost() <= new.cost()) {
+        return;
+    }
+    best.retain(|other| !same(other));
+    let place = best.partition_point(|other| other.cost() <= new.cost());
+    best.insert(place, new);
+    best.truncate(REFINED);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::positioning::code_error::CodeError;
 
     const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3 };
     const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };

@@ -3,8 +3,10 @@
 //! [`rivalry`] searches pooled residuals for the likeliest other position. [`Watch`] decides when
 //! to search and when to move.
 
+mod evidence;
 mod hypotheses;
 mod watch;
 
-pub(crate) use hypotheses::{Knowledge, Offset, Pooled, Rivalry, rivalry};
+pub(crate) use evidence::{Knowledge, Offset, Pooled};
+pub(crate) use hypotheses::{Rivalry, rivalry};
 pub(crate) use watch::{POOL_S, Verdict, Watch};

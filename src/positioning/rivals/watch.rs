@@ -13,7 +13,8 @@
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;
 
-use super::hypotheses::{self, Knowledge, Offset, Pooled, Rivalry};
+use super::evidence::{Knowledge, Offset, Pooled};
+use super::hypotheses::{self, Rivalry};
 
 /// Interval between two searches (s).
 const SEARCH_S: f64 = 2.0;

@@ -1,0 +1,301 @@
+//! What pooled residuals say of a hypothesis: its cost, and how to minimise it (see
+//! [`hypotheses`](super::hypotheses)).
+
+use std::ops::Range;
+
+use nalgebra::{SMatrix, SVector, Vector3};
+
+use crate::gnss::{Constellation, SatelliteId};
+use crate::positioning::code_error::{CodeError, Likelihood};
+use crate::snapshot::snapshot_fields;
+
+/// Position and a clock for each constellation.
+pub(super) const UNKNOWNS: usize = 3 + Constellation::COUNT;
+/// An offset (m): position, local, and clocks by constellation.
+pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
+pub(super) type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+
+/// Most iterations of a refinement, and the length of a step that ends it (m).
+const ITERATIONS_MAX: usize = 12;
+const LAST_STEP_M: f64 = 0.3;
+/// Longest step (m): farther away the quadratic approximation of the cost is invalid.
+const STEP_MAX_M: f64 = 30.0;
+/// Cost of the prior's noise: odds of 20 : 1 that what was learnt about the receiver holds (nats).
+const UNLEARNT_COST: f64 = 3.0;
+/// Scale of T (m).
+const SETTLED_M: f64 = 10.0;
+/// Residuals of one logarithm. No density is below 0.02/400 m, so their product is at least 10⁻⁵².
+const OF_ONE_LOGARITHM: usize = 12;
+
+/// The residual of one satellite over a few seconds: a term of the cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pooled {
+    pub(crate) satellite: SatelliteId,
+    /// g = ∂ρ/∂p, local east, north, up.
+    pub(crate) slope: Vector3<f64>,
+    /// s: median of measured − modelled (m).
+    pub(crate) residual_m: f64,
+    pub(crate) error: CodeError,
+    /// Its error model before anything was learnt about the receiver.
+    pub(crate) before_learning: CodeError,
+    /// κ: independent fraction of the information, the same for all residuals of a pool.
+    pub(crate) independent: f64,
+}
+
+snapshot_fields!(Pooled { satellite, slope, residual_m, error, before_learning, independent });
+
+impl Pooled {
+    /// What the offset `x` leaves of it (m).
+    pub(super) fn left_m(&self, x: &Unknowns) -> f64 {
+        let along_m = self.slope.x * x[0] + self.slope.y * x[1] + self.slope.z * x[2];
+        self.residual_m - along_m - x[3 + self.satellite.constellation.index()]
+    }
+}
+
+/// Prior knowledge of the clocks and the trajectory.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Knowledge {
+    /// β: standard deviation of inter-system biases (m); infinite while they are unknown.
+    pub(crate) bias_sigma_m: f64,
+    /// a: 0 at a start … 1 for a trajectory that has been accepted for a while.
+    pub(crate) settled: f64,
+}
+
+/// A hypothesis (d, c) with its cost.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Offset {
+    x: Unknowns,
+    cost: f64,
+    noise: Noise,
+}
+
+/// The noise of pseudoranges in a hypothesis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Noise {
+    Learnt,
+    BeforeLearning,
+}
+
+impl Offset {
+    /// d: offset of the position, local east, north, up (m).
+    pub(crate) fn position_m(&self) -> Vector3<f64> {
+        position_m(&self.x)
+    }
+
+    /// c: offset of a constellation's clock (m).
+    pub(crate) fn clock_m(&self, constellation: Constellation) -> f64 {
+        self.x[3 + constellation.index()]
+    }
+
+    /// Whether it holds with the noise before anything was learnt about the receiver.
+    pub(crate) fn is_before_learning(&self) -> bool {
+        self.noise == Noise::BeforeLearning
+    }
+
+    /// −ln of its likelihood, up to a constant (nats).
+    pub(super) fn cost(&self) -> f64 {
+        self.cost
+    }
+}
+
+fn position_m(x: &Unknowns) -> Vector3<f64> {
+    x.fixed_rows::<3>(0).into_owned()
+}
+
+/// Residuals of one pool whose densities share a logarithm.
+struct Terms {
+    of: Range<usize>,
+    /// κ.
+    independent: f64,
+    /// Σ κ·J without residuals.
+    least: f64,
+}
+
+/// Residuals and prior knowledge.
+pub(super) struct Evidence<'a> {
+    pool: &'a [Pooled],
+    noise: Noise,
+    knowledge: Knowledge,
+    /// Constellations that have residuals.
+    present: [bool; Constellation::COUNT],
+    /// Error model of each residual.
+    likelihoods: Vec<Likelihood>,
+    terms: Vec<Terms>,
+}
+
+impl<'a> Evidence<'a> {
+    pub(super) fn new(pool: &'a [Pooled], noise: Noise, knowledge: Knowledge) -> Self {
+        let mut present = [false; Constellation::COUNT];
+        pool.iter().for_each(|pooled| present[pooled.satellite.constellation.index()] = true);
+        let likelihoods: Vec<_> =
+            pool.iter().map(|pooled| error_by(noise, pooled).likelihood()).collect();
+        let (mut terms, mut start) = (Vec::with_capacity(pool.len() / 8 + 3), 0);
+        for equal in pool.chunk_by(|a, b| a.independent == b.independent) {
+            for part in equal.chunks(OF_ONE_LOGARITHM) {
+                let (of, independent) = (start..start + part.len(), part[0].independent);
+                let densities = likelihoods[of.clone()].iter().map(|error| error.density(0.0));
+                let least = -independent * densities.product::<f64>().ln();
+                start = of.end;
+                terms.push(Terms { of, independent, least });
+            }
+        }
+        Self { pool, noise, knowledge, present, likelihoods, terms }
+    }
+
+    pub(super) fn pool(&self) -> &'a [Pooled] {
+        self.pool
+    }
+
+    /// Indices of the constellations that have residuals.
+    pub(super) fn present(&self) -> impl Iterator<Item = usize> {
+        (0..Constellation::COUNT).filter(|system| self.present[*system])
+    }
+
+    pub(super) fn error(&self, pooled: &Pooled) -> CodeError {
+        error_by(self.noise, pooled)
+    }
+
+    /// Whether inter-system biases are known, so that a subset determines one clock for all
+    /// constellations.
+    pub(super) fn shares_clock(&self) -> bool {
+        self.knowledge.bias_sigma_m.is_finite()
+    }
+
+    /// The trajectory itself, with the clocks that fit it best.
+    pub(super) fn stands(&self) -> Offset {
+        let mut x = Unknowns::zeros();
+        self.descend(&mut x, false, |_| true);
+        self.offset(x)
+    }
+
+    /// Minimises the cost from `offset` by expectation maximisation.
+    pub(super) fn refine(&self, offset: &Offset) -> Offset {
+        let mut x = offset.x;
+        self.descend(&mut x, true, |_| true);
+        self.offset(x)
+    }
+
+    /// The same, as long as all positions on the way are `accepted`.
+    pub(super) fn refine_while(
+        &self,
+        offset: Offset,
+        accepted: impl Fn(&Vector3<f64>) -> bool,
+    ) -> Option<Offset> {
+        let mut x = offset.x;
+        self.descend(&mut x, true, accepted).then(|| self.offset(x))
+    }
+
+    /// A lower bound of all costs: the cost of a position that leaves no residual.
+    pub(super) fn least_cost(&self) -> f64 {
+        self.terms.iter().map(|terms| terms.least).sum::<f64>() + self.cost_of_noise()
+    }
+
+    /// The hypothesis `x`, if it costs less than `enough`.
+    pub(super) fn offset_below(&self, x: Unknowns, enough: f64) -> Option<Offset> {
+        let mut cost = self.least_cost() + self.prior_cost(&x);
+        for terms in &self.terms {
+            if enough <= cost {
+                return None;
+            }
+            cost += self.loss(terms, &x) - terms.least;
+        }
+        (cost < enough).then_some(Offset { x, cost, noise: self.noise })
+    }
+
+    fn offset(&self, x: Unknowns) -> Offset {
+        let losses = self.terms.iter().map(|terms| self.loss(terms, &x));
+        let cost = losses.sum::<f64>() + self.cost_of_noise() + self.prior_cost(&x);
+        Offset { x, cost, noise: self.noise }
+    }
+
+    fn cost_of_noise(&self) -> f64 {
+        if self.noise == Noise::Learnt { 0.0 } else { UNLEARNT_COST }
+    }
+
+    /// Σ κ·J.
+    fn loss(&self, terms: &Terms, x: &Unknowns) -> f64 {
+        let own = self.pool[terms.of.clone()].iter().zip(&self.likelihoods[terms.of.clone()]);
+        let densities = own.map(|(pooled, error)| error.density(pooled.left_m(x)));
+        -terms.independent * densities.product::<f64>().ln()
+    }
+
+    /// Cost of the clocks and of the distance from the trajectory.
+    fn prior_cost(&self, x: &Unknowns) -> f64 {
+        let Knowledge { bias_sigma_m, settled } = self.knowledge;
+        let mean_m = self.mean_clock_m(x);
+        let biases = self.present().map(|i| 0.5 * ((x[3 + i] - mean_m) / bias_sigma_m).powi(2));
+        let student = |square: f64| 2.0 * (square / (3.0 * SETTLED_M * SETTLED_M)).ln_1p();
+        let moved = student(x[0] * x[0] + x[1] * x[1]) + student(x[2] * x[2]);
+        biases.sum::<f64>() + settled * moved
+    }
+
+    fn mean_clock_m(&self, x: &Unknowns) -> f64 {
+        let clocks = self.present().map(|i| x[3 + i]);
+        let (sum, count) = clocks.fold((0.0, 0.0), |(sum, n), clock| (sum + clock, n + 1.0));
+        sum / count
+    }
+
+    /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
+    /// only. Ends early, with false, at a position that is not `accepted`.
+    fn descend(
+        &self,
+        x: &mut Unknowns,
+        moves: bool,
+        accepted: impl Fn(&Vector3<f64>) -> bool,
+    ) -> bool {
+        for _ in 0..ITERATIONS_MAX {
+            let (normal, right) = self.normal_equations(x, moves);
+            let Some(factor) = normal.cholesky() else { break };
+            let step = factor.solve(&right);
+            let length_m = step.amax();
+            *x += step * (STEP_MAX_M / length_m).min(1.0);
+            if !accepted(&position_m(x)) {
+                return false;
+            }
+            if length_m < LAST_STEP_M {
+                break;
+            }
+        }
+        true
+    }
+
+    /// Lower triangle of the normal equations of a step from `x`, and their right side.
+    fn normal_equations(&self, x: &Unknowns, moves: bool) -> (Normal, Unknowns) {
+        // WEAK keeps unknowns that no residual determines where they are. HELD fixes the position
+        // if it does not move, and the clocks of absent constellations.
+        const WEAK: f64 = 1e-9;
+        const HELD: f64 = 1e12;
+        let bias_sigma_m = self.knowledge.bias_sigma_m;
+        let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
+        (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
+        let (mean_m, tie) = (self.mean_clock_m(x), bias_sigma_m.powi(-2));
+        for i in 0..Constellation::COUNT {
+            let c = 3 + i;
+            normal[(c, c)] = if self.present[i] { WEAK + tie } else { HELD };
+            right[c] = if self.present[i] { -tie * (x[c] - mean_m) } else { 0.0 };
+        }
+        for (pooled, error) in self.pool.iter().zip(&self.likelihoods) {
+            let at = error.evaluate(pooled.left_m(x));
+            let (slope, curvature) =
+                (pooled.independent * at.slope, pooled.independent * at.curvature);
+            let c = 3 + pooled.satellite.constellation.index();
+            normal[(c, c)] += curvature;
+            right[c] += slope;
+            for i in (0..3).filter(|_| moves) {
+                right[i] += slope * pooled.slope[i];
+                normal[(c, i)] += curvature * pooled.slope[i];
+                for j in 0..=i {
+                    normal[(i, j)] += curvature * pooled.slope[i] * pooled.slope[j];
+                }
+            }
+        }
+        (normal, right)
+    }
+}
+
+fn error_by(noise: Noise, pooled: &Pooled) -> CodeError {
+    match noise {
+        Noise::Learnt => pooled.error,
+        Noise::BeforeLearning => pooled.before_learning,
+    }
+}
