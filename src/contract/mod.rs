@@ -29,7 +29,6 @@ pub(crate) use budget::{Lease, check_ratio};
 pub use caller::Caller;
 pub(crate) use extent::{Extent, extent_of};
 pub(crate) use hang_up::finished;
-pub(crate) use readiness::Readiness;
 pub use refusal::Refusal;
 pub(crate) use request_meters::{Outcome, RequestMeters};
 pub use service::Service;
