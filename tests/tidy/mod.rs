@@ -27,7 +27,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("meters", &[]),
     ("clock", &["gnss"]),
     ("config", &["gnss", "refusal"]),
-    ("tls", &["gnss", "refusal", "meters", "clock", "config"]),
+    ("tls", &["refusal", "meters", "clock", "config"]),
     ("snapshot", &[]),
     ("graph", &["snapshot"]),
     ("lambda", &[]),
