@@ -5,6 +5,7 @@
 //! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
 pub mod access;
+mod audit;
 mod budget;
 mod caller;
 pub mod calls;
@@ -18,6 +19,7 @@ mod origin;
 mod readiness;
 pub(crate) mod reason;
 mod refusal;
+mod refused_acts;
 mod request_meters;
 mod service;
 mod sign_in;

@@ -35,7 +35,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("formats", &["gnss", "refusal"]),
     ("simulation", &["gnss", "models"]),
     ("positioning", &["gnss", "config", "snapshot", "graph", "lambda", "models"]),
-    ("store", &["gnss", "tenant", "refusal", "meters", "config"]),
+    ("store", &["gnss", "id", "tenant", "refusal", "meters", "config"]),
     ("keys", &["id", "tenant", "refusal", "clock", "store"]),
     ("quotas", &["tenant", "refusal", "clock", "store"]),
     ("reception", &["gnss", "refusal", "formats"]),
