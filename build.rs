@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 
-const SERVICES: [&str; 8] = [
+const SERVICES: [&str; 9] = [
     "proto/graphfix/v1/sessions.proto",
     "proto/graphfix/v1/positioning.proto",
     "proto/graphfix/v1/solutions.proto",
@@ -15,6 +15,7 @@ const SERVICES: [&str; 8] = [
     "proto/graphfix/v1/jobs.proto",
     "proto/graphfix/v1/keys.proto",
     "proto/graphfix/v1/tenants.proto",
+    "proto/graphfix/v1/audit.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
 /// Names of messages of gRPC's streams, which HTTP does not have, begin with this.

@@ -7,7 +7,7 @@ use std::net::IpAddr;
 
 use divan::Bencher;
 use graphfix::keys::{Keys, NewKey, Right, Rights};
-use graphfix::store::Store;
+use graphfix::store::{Author, COMMAND_LINE, Store};
 use graphfix::tenant::Tenant;
 
 fn main() {
@@ -23,12 +23,18 @@ fn right_key(bencher: Bencher<'_, '_>, others: usize) {
     let (keys, secret) = runtime.block_on(async {
         let store = Store::open(&url).await.expect("the folder is writable");
         let keys = Keys::open(store).await.expect("the store is new");
+        let author = Author {
+            actor: COMMAND_LINE.to_owned(),
+            tenant: Tenant::operator(),
+            request: String::new(),
+            node: String::new(),
+        };
         let mut secret = None;
         for _ in 0..=others {
             let (tenant, label) = (Tenant::operator(), String::new());
             let rights = Rights::of(&[Right::Device]);
             let new = NewKey { tenant, rights, label, lifetime_ms: None };
-            secret = Some(keys.create(new).await.expect("there is room").secret);
+            secret = Some(keys.create(new, &author).await.expect("there is room").secret);
         }
         (keys, secret.expect("one was created"))
     });

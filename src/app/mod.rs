@@ -202,9 +202,13 @@ async fn end_within(limit: Duration, ending: impl Future<Output = ()>, otherwise
 
 /// A name for a node: the host's name and a random suffix.
 pub(crate) fn random_node() -> String {
-    let host = rustix::system::uname();
     let mark = Uuid::new_v4().simple().to_string();
-    format!("{}-{}", host.nodename().to_string_lossy(), &mark[..6])
+    format!("{}-{}", host_name(), &mark[..6])
+}
+
+/// The name of this host.
+pub(crate) fn host_name() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
 }
 
 /// The calibrations of the operator's file; none without one.
@@ -276,6 +280,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         observations_per_epoch: limits.observations_per_epoch,
         future_s: limits.future_s,
         retention_days: limits.retention_days,
+        audit_days: limits.audit_days,
         solve_window_epochs: limits.solve_window_epochs,
         solve_time: Duration::from_secs(limits.solve_s),
         live_solutions: limits.live_solutions,

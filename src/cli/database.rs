@@ -3,7 +3,8 @@
 use clap::Args;
 
 use crate::app;
-use crate::store::Store;
+use crate::store::{Author, COMMAND_LINE, Store};
+use crate::tenant::Tenant;
 
 use super::Failure;
 
@@ -29,4 +30,10 @@ impl DatabaseArgument {
     pub(super) async fn open(&self) -> Result<Store, Failure> {
         Ok(Store::open_beside(&self.database, &app::random_node()).await?)
     }
+}
+
+/// Who works by a command, for the audit log.
+pub(super) fn author() -> Author {
+    let (actor, tenant) = (COMMAND_LINE.to_owned(), Tenant::operator());
+    Author { actor, tenant, request: String::new(), node: app::host_name() }
 }

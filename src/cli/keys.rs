@@ -9,9 +9,10 @@ use crate::clock::Clock;
 use crate::contract::calls::utc;
 use crate::keys::{Created, KeyError, KeyInfo, KeyRegistry, NewKey, Rights};
 use crate::refusal::Code;
+use crate::store::{AuditEntry, AuditFilter, Store};
 use crate::tenant::{OPERATOR, Tenant};
 
-use super::database::DatabaseArgument;
+use super::database::{DatabaseArgument, author};
 use super::{Failure, host};
 
 const MS_PER_HOUR: i64 = 3_600_000;
@@ -53,6 +54,16 @@ enum Act {
     },
     /// Lists all keys, the newest first, without their secrets.
     List,
+    /// Lists entries of the audit log, the newest first: who has changed keys, tenants, bases and
+    /// sessions, and who was refused.
+    Audit {
+        /// Only those of this tenant.
+        #[arg(long, value_name = "NAME", value_parser = tenant)]
+        tenant: Option<Tenant>,
+        /// Most entries.
+        #[arg(long, value_name = "N", default_value_t = 100)]
+        count: usize,
+    },
     /// Revokes a key: calls with it are refused, and its open streams end.
     Revoke {
         /// Id of the key.
@@ -95,8 +106,7 @@ fn hours() -> clap::builder::RangedI64ValueParser<u32> {
 pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
     let text = host::block_on(async {
         let store = arguments.database.open().await?;
-        let registry = KeyRegistry::new(store.clone());
-        let done = act(&registry, arguments.act).await;
+        let done = act(&store, arguments.act).await;
         store.close().await;
         Ok(done?)
     })?;
@@ -106,22 +116,27 @@ pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
 }
 
 /// Does one act; returns what to print.
-async fn act(keys: &KeyRegistry, act: Act) -> Result<String, KeyError> {
+async fn act(store: &Store, act: Act) -> Result<String, KeyError> {
+    let keys = KeyRegistry::new(store.clone());
     let lifetime_ms = |days: Option<u32>| days.map(|days| i64::from(days) * MS_PER_DAY);
     match act {
         Act::Create { rights, label, tenant, days } => {
             let rights = Rights::named(&rights)?;
             let lifetime_ms = lifetime_ms(days);
-            keys.create(NewKey { tenant, rights, label, lifetime_ms }).await.map(shown)
+            let new = NewKey { tenant, rights, label, lifetime_ms };
+            keys.create(new, &author()).await.map(shown)
         }
-        Act::List => list(keys).await,
+        Act::List => list(&keys).await,
+        Act::Audit { tenant, count } => audit(store, tenant, count).await,
         Act::Revoke { key } => {
-            let key = keys.revoke(None, &key).await?;
+            let key = keys.revoke(None, &key, &author()).await?;
             Ok(format!("{} is revoked\n", key.id))
         }
         Act::Rotate { key, overlap, days } => {
             let overlap_ms = i64::from(overlap) * MS_PER_HOUR;
-            keys.rotate(&key, lifetime_ms(days), overlap_ms).await.map(shown)
+            let author = author();
+            let rotated = keys.rotate(&key, lifetime_ms(days), overlap_ms, &author);
+            rotated.await.map(shown)
         }
     }
 }
@@ -160,6 +175,31 @@ async fn list(keys: &KeyRegistry) -> Result<String, KeyError> {
             return Ok(text);
         }
     }
+}
+
+/// The newest entries of the audit log.
+async fn audit(
+    store: &Store,
+    tenant: Option<Tenant>,
+    mut count: usize,
+) -> Result<String, KeyError> {
+    let filter = AuditFilter { tenant, ..AuditFilter::all() };
+    let (mut text, mut token) = (String::new(), None);
+    while 0 < count {
+        let page = store.audit(&filter, count.min(PAGE), token.as_deref()).await?;
+        count -= page.items.len();
+        for entry in &page.items {
+            let AuditEntry { tenant, author, call, object, outcome, change, .. } = entry;
+            let (utc, actor) = (utc(entry.unix_ms), &author.actor);
+            writeln!(text, "{utc} {tenant} {actor} {call} {outcome} [{object}] {change}")
+                .expect("a text takes any text");
+        }
+        token = page.next_page_token;
+        if token.is_none() {
+            break;
+        }
+    }
+    Ok(text)
 }
 
 /// Whether a key is in force, and until when.

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use crate::quotas::{Meters, QuotaError, TenantInfo, TenantQuotas};
 use crate::tenant::{Quotas, Tenant};
 
-use super::database::DatabaseArgument;
+use super::database::{DatabaseArgument, author};
 use super::{Failure, host, keys};
 
 /// Tenants read at a time.
@@ -85,7 +85,8 @@ async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
             let most = |number: Option<u64>| number.map(|number| number.min(MOST as u64));
             let (sessions, stored_bytes) = (most(sessions), most(stored_bytes));
             let quotas = Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes };
-            tenants.set(&tenant, &quotas, None).await.map(|info| line(&info))
+            let info = tenants.set(&tenant, &quotas, None, &author()).await?;
+            Ok(line(&info))
         }
         Act::List => {
             let (mut text, mut after) = (String::new(), String::new());

@@ -35,6 +35,8 @@ pub struct Limits {
     /// For how long epochs and solutions are kept (days), unless a session names a time of its own;
     /// 0 for ever.
     pub retention_days: u32,
+    /// For how long entries of the audit log are kept (days); 0 for ever.
+    pub audit_days: u32,
     /// Epochs in the window of `Solve` and `SolveOnce`.
     pub solve_window_epochs: usize,
     /// Time that one `Solve` or `SolveOnce` may compute (s).
@@ -108,6 +110,7 @@ impl Limits {
             observations_per_epoch: 512,
             future_s: 86_400,
             retention_days: 90,
+            audit_days: 400,
             solve_window_epochs: 300,
             solve_s: 5,
             active_sessions: 4096,

@@ -248,9 +248,13 @@ impl ServiceConfiguration {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
         let limits = &self.limits;
-        if RETENTION_MAX_DAYS < limits.retention_days {
-            let why = format!("limits.retention_days must be at most {RETENTION_MAX_DAYS}");
-            return Err(ServiceConfigurationError::Malformed(why));
+        for (name, days) in
+            [("retention_days", limits.retention_days), ("audit_days", limits.audit_days)]
+        {
+            if RETENTION_MAX_DAYS < days {
+                let why = format!("limits.{name} must be at most {RETENTION_MAX_DAYS}");
+                return Err(ServiceConfigurationError::Malformed(why));
+            }
         }
         match limits.zero() {
             Some(name) => Err(ServiceConfigurationError::ZeroLimit(name)),
@@ -325,6 +329,9 @@ mod tests {
         for (days, allowed) in [(0, true), (36_500, true), (36_501, false)] {
             let mut configuration = ServiceConfiguration::standard();
             configuration.limits.retention_days = days;
+            assert_eq!(configuration.check().is_ok(), allowed, "{days}");
+            let mut configuration = ServiceConfiguration::standard();
+            configuration.limits.audit_days = days;
             assert_eq!(configuration.check().is_ok(), allowed, "{days}");
         }
     }

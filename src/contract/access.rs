@@ -5,8 +5,8 @@
 
 use std::net::IpAddr;
 
-pub(crate) use crate::keys::CsrfToken;
-use crate::keys::{Pass, Right, Rights};
+pub(crate) use crate::keys::{CsrfToken, Pass};
+use crate::keys::{Right, Rights};
 use crate::refusal::Code;
 
 use super::{Refusal, Service};
@@ -33,14 +33,27 @@ pub struct Call {
     pub rest: &'static str,
     /// What it needs.
     pub need: Need,
+    /// Its name in the audit log, if it is an administrative act.
+    pub act: Option<&'static str>,
+}
+
+impl Call {
+    const fn new(grpc: &'static str, rest: &'static str, need: Need) -> Self {
+        Self { grpc, rest, need, act: None }
+    }
+
+    /// The same as an administrative act.
+    const fn act(self, act: &'static str) -> Self {
+        Self { act: Some(act), ..self }
+    }
 }
 
 const fn call(grpc: &'static str, rest: &'static str, rights: &[Right]) -> Call {
-    Call { grpc, rest, need: Need::OneOf(Rights::of(rights)) }
+    Call::new(grpc, rest, Need::OneOf(Rights::of(rights)))
 }
 
 const fn page(rest: &'static str) -> Call {
-    Call { grpc: "", rest, need: Need::Nothing }
+    Call::new("", rest, Need::Nothing)
 }
 
 use Right::{Admin, Device, Operate, Read};
@@ -51,10 +64,12 @@ pub const CALLS: &[Call] = &[
     call("Sessions/Get", "GET /v1/sessions/{session}", &[Device, Read]),
     call("Sessions/List", "GET /v1/sessions", &[Read]),
     call("Sessions/Heads", "GET /v1/sessions:heads", &[Read]),
-    call("Sessions/Update", "PATCH /v1/sessions/{session}", &[Operate]),
-    call("Sessions/Reset", "POST /v1/sessions/{session}:reset", &[Device, Operate]),
-    call("Sessions/Close", "DELETE /v1/sessions/{session}", &[Operate]),
-    call("Sessions/Delete", "DELETE /v1/sessions/{session}?purge=true", &[Operate]),
+    call("Sessions/Update", "PATCH /v1/sessions/{session}", &[Operate]).act("Sessions.Update"),
+    call("Sessions/Reset", "POST /v1/sessions/{session}:reset", &[Device, Operate])
+        .act("Sessions.Reset"),
+    call("Sessions/Close", "DELETE /v1/sessions/{session}", &[Operate]).act("Sessions.Close"),
+    call("Sessions/Delete", "DELETE /v1/sessions/{session}?purge=true", &[Operate])
+        .act("Sessions.Delete"),
     call("Positioning/PushEpochs", "POST /v1/sessions/{session}/epochs", &[Device]),
     call("Positioning/PushRaw", "POST /v1/sessions/{session}/raw", &[Device]),
     call("Positioning/Stream", "", &[Device]),
@@ -66,12 +81,12 @@ pub const CALLS: &[Call] = &[
     call("Solutions/Track", "GET /v1/sessions/{session}/track.{format}", &[Read]),
     call("Solutions/Series", "GET /v1/sessions/{session}/solutions:series", &[Read]),
     call("Solutions/Explain", "GET /v1/sessions/{session}/epochs/{seq}", &[Read]),
-    call("Navigation/Push", "POST /v1/navigation", &[Operate]),
+    call("Navigation/Push", "POST /v1/navigation", &[Operate]).act("Navigation.Push"),
     call("Navigation/Status", "GET /v1/navigation", &[Read]),
-    call("Bases/Create", "POST /v1/bases", &[Operate]),
+    call("Bases/Create", "POST /v1/bases", &[Operate]).act("Bases.Create"),
     call("Bases/List", "GET /v1/bases", &[Read]),
     call("Bases/Get", "GET /v1/bases/{base}", &[Read]),
-    call("Bases/Delete", "DELETE /v1/bases/{base}", &[Operate]),
+    call("Bases/Delete", "DELETE /v1/bases/{base}", &[Operate]).act("Bases.Delete"),
     call("Bases/PushEpochs", "POST /v1/bases/{base}/epochs", &[Operate]),
     call("Bases/Upload", "POST /v1/bases/{base}/observations", &[Operate]),
     call("Jobs/Create", "POST /v1/jobs", &[Operate]),
@@ -81,20 +96,18 @@ pub const CALLS: &[Call] = &[
     call("Jobs/Cancel", "DELETE /v1/jobs/{job}", &[Operate]),
     call("Jobs/Report", "GET /v1/jobs/{job}/report", &[Read]),
     call("Jobs/Result", "GET /v1/jobs/{job}/result", &[Read]),
-    call("Keys/Create", "POST /v1/keys", &[Admin]),
+    call("Keys/Create", "POST /v1/keys", &[Admin]).act("Keys.Create"),
     call("Keys/List", "GET /v1/keys", &[Admin]),
-    call("Keys/Revoke", "DELETE /v1/keys/{key}", &[Admin]),
+    call("Keys/Revoke", "DELETE /v1/keys/{key}", &[Admin]).act("Keys.Revoke"),
     call("Tenants/Get", "GET /v1/tenants/{tenant}", &[Read, Admin]),
     call("Tenants/List", "GET /v1/tenants", &[Read, Admin]),
-    Call {
-        grpc: "Tenants/Set",
-        rest: "PUT /v1/tenants/{tenant}",
-        need: Need::OfOperator(Rights::of(&[Admin])),
-    },
+    Call::new("Tenants/Set", "PUT /v1/tenants/{tenant}", Need::OfOperator(Rights::of(&[Admin])))
+        .act("Tenants.Set"),
+    call("Audit/List", "GET /v1/audit", &[Admin]),
     page("GET /v1/sign-in"),
-    Call { grpc: "", rest: "POST /v1/sign-in", need: Need::Key },
-    Call { grpc: "", rest: "DELETE /v1/sign-in", need: Need::Key },
-    Call { grpc: "", rest: "GET /metrics", need: Need::OfOperator(Rights::of(&[Read])) },
+    Call::new("", "POST /v1/sign-in", Need::Key),
+    Call::new("", "DELETE /v1/sign-in", Need::Key),
+    Call::new("", "GET /metrics", Need::OfOperator(Rights::of(&[Read]))),
     page("GET /healthz"),
     page("GET /readyz"),
     page("GET /openapi.json"),
@@ -104,10 +117,10 @@ pub const CALLS: &[Call] = &[
     page("GET /"),
     page("GET /licences.txt"),
     page("GET /assets/{file}"),
-    Call { grpc: "/grpc.health.v1.Health/Check", rest: "", need: Need::Nothing },
-    Call { grpc: "/grpc.health.v1.Health/Watch", rest: "", need: Need::Nothing },
-    Call { grpc: REFLECTION, rest: "", need: Need::Key },
-    Call { grpc: REFLECTION_ALPHA, rest: "", need: Need::Key },
+    Call::new("/grpc.health.v1.Health/Check", "", Need::Nothing),
+    Call::new("/grpc.health.v1.Health/Watch", "", Need::Nothing),
+    Call::new(REFLECTION, "", Need::Key),
+    Call::new(REFLECTION_ALPHA, "", Need::Key),
 ];
 
 const REFLECTION: &str = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo";

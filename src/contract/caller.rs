@@ -7,6 +7,7 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use crate::aiding::TenantNavigation;
 use crate::aiding::bases::{BaseFileLimits, TenantBases};
+use crate::clock::unix_ms;
 use crate::config::Limits;
 use crate::feeds::TenantFeeds;
 use crate::jobs::Jobs;
@@ -14,8 +15,10 @@ use crate::keys::{Keys, Pass};
 use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
+use crate::store::{Act, AuditEntry, AuditFilter, Author, Page, StoreError};
 use crate::tenant::Tenant;
 
+use super::audit::{ADMINISTRATIVE, author_of};
 use super::{Lease, Refusal, Service};
 
 /// Who calls, and the service as the caller's tenant sees it.
@@ -153,5 +156,58 @@ impl Caller {
     /// Waits until the service is about to stop, or no longer exists.
     pub(crate) fn drained(&self) -> impl Future<Output = ()> + use<> {
         self.service.drained()
+    }
+
+    /// The caller as the author of what this request does.
+    pub(super) fn author(&self) -> Author {
+        let request = Lease::current().map(|lease| lease.request_id().to_string());
+        author_of(&self.pass, request.unwrap_or_default(), self.service.node())
+    }
+
+    /// The same, if the caller administers the service; `None` for a device.
+    pub(super) fn administrator(&self) -> Option<Author> {
+        self.pass.rights().meets(ADMINISTRATIVE).then(|| self.author())
+    }
+
+    /// The outcome of an act on this object. If it is refused, an entry says so.
+    pub(super) async fn noted<T>(
+        &self,
+        call: &'static str,
+        object: &str,
+        outcome: Result<T, Refusal>,
+    ) -> Result<T, Refusal> {
+        if let Err(refusal) = &outcome
+            && let Some(author) = self.administrator()
+        {
+            let entry = self.service.refused_act(author, call, object, refusal);
+            self.service.note_refused(entry).await;
+        }
+        outcome
+    }
+
+    /// Writes the entry of an act that is done, for acts of several transactions.
+    ///
+    /// # Errors
+    /// The store fails. The act is done, and may be done again.
+    pub(super) async fn note(&self, call: &'static str, change: String) -> Result<(), StoreError> {
+        let act = Act { call, tenant: self.tenant(), object: "", change };
+        self.service.sessions().store().note(&self.author().does(act, unix_ms())).await
+    }
+
+    /// A page of the audit log: of the caller's tenant, and for the operator of the filter's, or of
+    /// all.
+    ///
+    /// # Errors
+    /// The page token or size is invalid, or the store fails.
+    pub(super) async fn audit(
+        &self,
+        filter: AuditFilter,
+        page_size: usize,
+        page_token: Option<&str>,
+    ) -> Result<Page<AuditEntry>, StoreError> {
+        let own = Some(self.tenant().clone()).filter(|tenant| !tenant.is_operator());
+        let tenant = own.clone().or(filter.tenant);
+        let filter = AuditFilter { tenant, reader: own, ..filter };
+        self.service.sessions().store().audit(&filter, page_size, page_token).await
     }
 }

@@ -5,6 +5,7 @@
 //! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
 pub mod access;
+mod audit;
 mod budget;
 mod caller;
 pub mod calls;
@@ -18,6 +19,7 @@ mod origin;
 mod readiness;
 pub(crate) mod reason;
 mod refusal;
+mod refused_acts;
 mod request_meters;
 mod service;
 mod sign_in;
@@ -29,7 +31,6 @@ pub(crate) use budget::{Lease, check_ratio};
 pub use caller::Caller;
 pub(crate) use extent::{Extent, extent_of};
 pub(crate) use hang_up::finished;
-pub(crate) use readiness::Readiness;
 pub use refusal::Refusal;
 pub(crate) use request_meters::{Outcome, RequestMeters};
 pub use service::Service;

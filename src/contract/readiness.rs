@@ -8,6 +8,7 @@ use serde::Serialize;
 use crate::store::{CommitterHealth, CommitterState, Store};
 
 use super::Service;
+use super::refusal::{RETRY_AFTER, spread};
 
 /// Longest time without a confirmation by the database. An idle committer asks every two seconds,
 /// and a commit has a deadline of five.
@@ -21,6 +22,9 @@ pub(crate) struct Readiness {
     pub node: String,
     /// Whether requests are accepted and epochs can be committed.
     pub ready: bool,
+    /// The delay before another attempt makes sense (ms), at random; absent if ready.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retry_after_ms: Option<u64>,
     /// What prevents it; empty if ready.
     pub problems: Vec<String>,
     /// What needs the operator, although the service can do its work.
@@ -73,9 +77,11 @@ impl Service {
         if let Err(error) = store.check_reads().await {
             problems.push(error.to_string());
         }
+        let retry_after = (!problems.is_empty()).then(|| spread(RETRY_AFTER));
         Readiness {
             node: self.node().to_owned(),
             ready: problems.is_empty(),
+            retry_after_ms: retry_after.map(|delay| delay.as_millis() as u64),
             problems,
             warnings: self.sessions().clock_ahead().map(clock_warning).into_iter().collect(),
             draining,

@@ -8,7 +8,7 @@ use crate::refusal::Code;
 
 /// The shortest delay before a request is sent again that was refused for want of capacity, or
 /// because the service cannot serve now.
-const RETRY_AFTER: Duration = Duration::from_millis(500);
+pub(super) const RETRY_AFTER: Duration = Duration::from_millis(500);
 
 /// Why a request, or one epoch of it, is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -14,6 +14,7 @@ use crate::refusal::Code;
 use crate::session::Sessions;
 use crate::tls::ServerTls;
 
+use super::refused_acts::RefusedActs;
 use super::{Budget, Refusal, RequestMeters};
 
 /// Uploaded files that are read at the same time. More would take processor time from the
@@ -42,6 +43,8 @@ struct Desks {
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
     meters: RequestMeters,
+    /// Entries of refused calls in the audit log.
+    refused_acts: Arc<RefusedActs>,
     /// TLS of the port; `None` if it is not encrypted.
     tls: Option<ServerTls>,
     /// Limits the open streams.
@@ -78,6 +81,7 @@ impl Service {
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
             meters: RequestMeters::new(),
+            refused_acts: Arc::default(),
             tls: None,
             streams,
             watches,
@@ -128,6 +132,11 @@ impl Service {
     /// Meters of the requests and connections of both doors.
     pub(crate) fn meters(&self) -> &RequestMeters {
         &self.0.meters
+    }
+
+    /// Entries of refused calls in the audit log.
+    pub(super) fn refused_acts(&self) -> &RefusedActs {
+        &self.0.refused_acts
     }
 
     /// Number of open streams, and of open watches.

@@ -37,5 +37,5 @@ pub use solution::{
     BaseEpochIssue, Dops, EphemerisIssue, Protection, Provenance, Reason, RelativeEstimate,
     Solution, SolutionEstimate, Status, Velocity,
 };
-pub(crate) use time::{CivilTime, days_from_civil, wrap_half_week};
+pub(crate) use time::{CivilTime, wrap_half_week};
 pub use time::{GpsTime, LeapSeconds, TimeScale};

@@ -342,7 +342,7 @@ impl LeapSeconds {
 }
 
 /// Days from 1970-01-01 in the proleptic Gregorian calendar (Hinnant 2013, `days_from_civil`).
-pub(crate) fn days_from_civil(year: i32, month: u8, day: u8) -> i64 {
+fn days_from_civil(year: i32, month: u8, day: u8) -> i64 {
     let shifted_year = i64::from(year) - i64::from(month <= 2);
     let era = shifted_year.div_euclid(400);
     let year_of_era = shifted_year.rem_euclid(400);

@@ -1,6 +1,7 @@
 //! The gRPC door. One file per service; the calls are in `contract`.
 
 mod admission;
+mod audit;
 mod bases;
 mod codec;
 mod frame;

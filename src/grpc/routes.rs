@@ -16,6 +16,7 @@ use tonic_health::server::HealthReporter;
 use crate::contract::Service;
 
 use super::admission::MessageLimits;
+use super::v1::audit_server::AuditServer;
 use super::v1::bases_server::BasesServer;
 use super::v1::jobs_server::JobsServer;
 use super::v1::keys_server::KeysServer;
@@ -65,6 +66,7 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(JobsServer))
         .add_service(limited!(KeysServer))
         .add_service(limited!(TenantsServer))
+        .add_service(limited!(AuditServer))
         .into_axum_router()
         .reset_fallback()
         .layer(middleware::from_fn_with_state(limits, serve))
@@ -79,7 +81,7 @@ async fn serve(State(limits): State<MessageLimits>, request: Request, next: Next
 
 /// Reports each second whether the services, and the whole, are serving, until the service drains.
 async fn report_health(service: Service, health: HealthReporter) {
-    const NAMES: [&str; 9] = [
+    const NAMES: [&str; 10] = [
         "",
         "graphfix.v1.Sessions",
         "graphfix.v1.Positioning",
@@ -89,6 +91,7 @@ async fn report_health(service: Service, health: HealthReporter) {
         "graphfix.v1.Jobs",
         "graphfix.v1.Keys",
         "graphfix.v1.Tenants",
+        "graphfix.v1.Audit",
     ];
     let report = async |status| {
         for name in NAMES {

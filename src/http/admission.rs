@@ -16,7 +16,7 @@ use axum::response::{IntoResponse, Response};
 use tonic::Code as Status;
 use uuid::fmt::Hyphenated;
 
-use crate::contract::access::{Credential, CsrfToken, Target, target};
+use crate::contract::access::{Credential, CsrfToken, Pass, Target, target};
 use crate::contract::{Lease, Outcome, Refusal, Service};
 use crate::grpc;
 use crate::refusal::Code;
@@ -49,7 +49,16 @@ pub(super) async fn admit(
     let (is_grpc, begun) = (is_grpc(request.headers()), Instant::now());
     let is_named = is_named(&service, &request);
     let target = target(request.method().as_str(), request.uri().path());
-    let mut response = match admitted(&service, &target, request, is_grpc) {
+    let admitted = match checked(&service, &target, &request) {
+        Ok(pass) => leased(&service, request, pass, is_grpc),
+        Err(refusal) => {
+            let entry = service.refused_request(&target, credential(&request), &refusal);
+            // Boxed, so that requests that are not refused need no memory for it.
+            Box::pin(service.note_refused(entry)).await;
+            Err(refusal)
+        }
+    };
+    let mut response = match admitted {
         Ok((request, lease)) => {
             let mut response = lease.clone().scope(next.run(request)).await;
             let id = lease.request_id();
@@ -96,13 +105,9 @@ fn outcome(response: &Response) -> Outcome {
     }
 }
 
-/// The request with its lease, if everything about it but its body is right.
-fn admitted(
-    service: &Service,
-    target: &Target,
-    request: Request,
-    is_grpc: bool,
-) -> Result<(Request, Lease), Refusal> {
+/// Who sends a request, if everything about it but its body is right; `None` where nobody needs a
+/// key.
+fn checked(service: &Service, target: &Target, request: &Request) -> Result<Option<Pass>, Refusal> {
     let (method, path) = (request.method(), request.uri().path());
     check_host(service, request.uri(), request.headers())?;
     let call = match target {
@@ -117,7 +122,16 @@ fn admitted(
         }
     };
     let peer = request.extensions().get().map(|Peer { address, .. }| *address);
-    let pass = service.admit(call, credential(&request), peer)?;
+    service.admit(call, credential(request), peer)
+}
+
+/// The request with its lease.
+fn leased(
+    service: &Service,
+    request: Request,
+    pass: Option<Pass>,
+    is_grpc: bool,
+) -> Result<(Request, Lease), Refusal> {
     let lease = service.budget().lease(pass)?;
     metered(service, request, lease, is_grpc)
 }

@@ -1,6 +1,7 @@
 //! The REST door, and the port that both doors share. The router is in this file.
 
 mod admission;
+mod audit;
 mod bases;
 mod body;
 mod caller;
@@ -97,6 +98,7 @@ fn controls() -> Router<Service> {
         .route("/v1/keys/{key}", delete(keys::revoke))
         .route("/v1/tenants", get(tenants::list))
         .route("/v1/tenants/{tenant}", get(tenants::get).put(tenants::set))
+        .route("/v1/audit", get(audit::list))
         .route("/v1/sign-in", get(sign_in::get).post(sign_in::create).delete(sign_in::delete))
         .route("/healthz", get(pages::live))
         .route("/readyz", get(pages::ready))

@@ -11,8 +11,8 @@ use crate::contract::access::{CALLS, Call, Need};
 
 use super::problem::Problem;
 use super::{
-    bases, job_events, jobs, keys, navigation, positioning, raw, sessions, sign_in, solutions,
-    tenants, track, watch,
+    audit, bases, job_events, jobs, keys, navigation, positioning, raw, sessions, sign_in,
+    solutions, tenants, track, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -40,6 +40,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         (name = "Bases", description = "Base stations, which sessions relative to one name"),
         (name = "Keys", description = "API keys: who may call what"),
         (name = "Tenants", description = "What each tenant may use, and what it uses"),
+        (name = "Audit", description = "Who has administered the service, and who was refused"),
         (name = "Sign-in", description = "A cookie for a browser in place of a key"),
     ),
     paths(
@@ -80,6 +81,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         tenants::get,
         tenants::list,
         tenants::set,
+        audit::list,
         sign_in::get,
         sign_in::create,
         sign_in::delete,

@@ -2,27 +2,27 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderName, StatusCode, Uri, header};
+use axum::http::{HeaderName, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
 
-use crate::contract::{Readiness, Refusal, Service};
+use crate::contract::{Refusal, Service};
 use crate::refusal::Code;
 
 use super::openapi;
-use super::problem::Refused;
+use super::problem::{Refused, whole_seconds};
 
 /// `GET /healthz`: 200 while the process runs.
 pub(super) async fn live() -> &'static str {
     "ok\n"
 }
 
-/// `GET /readyz`: 200 while epochs can be taken and committed, otherwise 503. The body says why.
-pub(super) async fn ready(State(service): State<Service>) -> (StatusCode, Json<Readiness>) {
+/// `GET /readyz`: 200 while epochs can be taken and committed, otherwise 503 with `Retry-After`.
+/// The body says why.
+pub(super) async fn ready(State(service): State<Service>) -> Response {
     let readiness = service.readiness().await;
-    let status = match readiness.ready {
-        true => StatusCode::OK,
-        false => StatusCode::SERVICE_UNAVAILABLE,
-    };
-    (status, Json(readiness))
+    let Some(delay_ms) = readiness.retry_after_ms else { return Json(readiness).into_response() };
+    let retry_after = [(header::RETRY_AFTER, HeaderValue::from(whole_seconds(delay_ms)))];
+    (StatusCode::SERVICE_UNAVAILABLE, retry_after, Json(readiness)).into_response()
 }
 
 /// `GET /metrics`: what the service has done and uses, in the text format of OpenMetrics 1.0, which

@@ -149,7 +149,12 @@ impl Problem {
 
 /// The delay before the next attempt, in whole seconds.
 fn retry_after_s(refusal: &Refusal) -> Option<u64> {
-    refusal.retry_after.map(|delay| delay.as_millis().div_ceil(1000) as u64)
+    refusal.retry_after.map(|delay| whole_seconds(delay.as_millis() as u64))
+}
+
+/// A delay (ms) as `Retry-After` has it (s).
+pub(super) const fn whole_seconds(delay_ms: u64) -> u64 {
+    delay_ms.div_ceil(1000)
 }
 
 /// The document with its status, and `Retry-After` in whole seconds if there is a delay. Failures

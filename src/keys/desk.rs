@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, watch};
 use tokio::task::JoinHandle;
 
 use crate::clock::Clock;
-use crate::store::{Page, Store};
+use crate::store::{Author, Page, Store};
 use crate::tenant::Tenant;
 
 use super::attempts::Attempts;
@@ -91,6 +91,11 @@ impl Keys {
         Err(error)
     }
 
+    /// The key of this text, whether it is in force or not; `None` if it never existed.
+    pub(crate) fn known(&self, key: &str) -> Option<Pass> {
+        self.0.register.known(key)
+    }
+
     /// Who sends a request with this cookie. A change brings the token of the sign-in, too.
     ///
     /// # Errors
@@ -126,12 +131,12 @@ impl Keys {
         self.0.sign_ins.end(cookie);
     }
 
-    /// Creates a key, in force at once.
+    /// Creates a key, in force at once, as an act of `author`.
     ///
     /// # Errors
     /// It has no right, its label is too long, there are as many as allowed, or the store fails.
-    pub async fn create(&self, new: NewKey) -> Result<Created, KeyError> {
-        let created = self.0.registry.create(new).await?;
+    pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
+        let created = self.0.registry.create(new, author).await?;
         refresh(&self.0.store, &self.0.register).await?;
         Ok(created)
     }
@@ -149,12 +154,17 @@ impl Keys {
         self.0.registry.list(Some(tenant), page_size, page_token).await
     }
 
-    /// Revokes a key of a tenant, or of any, at once.
+    /// Revokes a key of a tenant, or of any, at once, as an act of `author`.
     ///
     /// # Errors
     /// No key of the tenant has this id, or the store fails.
-    pub async fn revoke(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
-        let revoked = self.0.registry.revoke(tenant, id).await?;
+    pub async fn revoke(
+        &self,
+        tenant: Option<&Tenant>,
+        id: &str,
+        author: &Author,
+    ) -> Result<KeyInfo, KeyError> {
+        let revoked = self.0.registry.revoke(tenant, id, author).await?;
         refresh(&self.0.store, &self.0.register).await?;
         Ok(revoked)
     }

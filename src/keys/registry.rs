@@ -2,7 +2,7 @@
 //! each other.
 
 use crate::clock::Clock;
-use crate::store::{KeyRow, NewKeyRow, Page, Store};
+use crate::store::{Act, Author, KeyRow, NewKeyRow, Page, Store};
 use crate::tenant::Tenant;
 
 use super::{KeyError, KeyId, Rights, Secret, secret};
@@ -70,12 +70,12 @@ impl KeyRegistry {
         Self { store, clock: Clock::system(), most: KEYS }
     }
 
-    /// Creates a key.
+    /// Creates a key, as an act of `author`.
     ///
     /// # Errors
     /// It has no right, its label is too long, there are as many as allowed, or the store fails.
-    pub async fn create(&self, new: NewKey) -> Result<Created, KeyError> {
-        self.insert(new, None).await
+    pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
+        self.insert(new, None, author).await
     }
 
     /// Creates a key that takes the place of another, with its tenant, rights and label. The other
@@ -88,6 +88,7 @@ impl KeyRegistry {
         id: &str,
         lifetime_ms: Option<i64>,
         overlap_ms: i64,
+        author: &Author,
     ) -> Result<Created, KeyError> {
         let earlier = self.get(None, id).await?;
         let now = self.clock.unix_ms();
@@ -97,13 +98,14 @@ impl KeyRegistry {
         }
         let KeyInfo { id, tenant, rights, label, .. } = earlier;
         let new = NewKey { tenant, rights, label, lifetime_ms };
-        self.insert(new, Some((&id, now.saturating_add(overlap_ms)))).await
+        self.insert(new, Some((&id, now.saturating_add(overlap_ms))), author).await
     }
 
     async fn insert(
         &self,
         new: NewKey,
         replaces: Option<(&str, i64)>,
+        author: &Author,
     ) -> Result<Created, KeyError> {
         let NewKey { tenant, rights, label, lifetime_ms } = new;
         if rights == Rights::NONE {
@@ -127,7 +129,10 @@ impl KeyRegistry {
             created_unix_ms,
             expires_unix_ms: lifetime_ms.map(|ms| created_unix_ms.saturating_add(ms)),
         };
-        self.store.create_key(&row, replaces).await?;
+        let call = if replaces.is_some() { "Keys.Rotate" } else { "Keys.Create" };
+        let change = described(&row, replaces.map(|(earlier, _)| earlier));
+        let act = Act { call, tenant: &row.tenant, object: &row.id, change };
+        self.store.create_key(&row, replaces, &author.does(act, created_unix_ms)).await?;
         let (revoked_unix_ms, last_used_unix_ms, changed) = (None, None, 0);
         let row = KeyRow { key: row, revoked_unix_ms, last_used_unix_ms, changed };
         Ok(Created { key: info(row), secret })
@@ -159,15 +164,33 @@ impl KeyRegistry {
         page.try_map(|row| Ok(info(row)))
     }
 
-    /// Revokes a key of a tenant, or of any. One that is revoked stays as it is.
+    /// Revokes a key of a tenant, or of any, as an act of `author`. One that is revoked stays as it
+    /// is.
     ///
     /// # Errors
     /// No key of the tenant has this id, or the store fails.
-    pub async fn revoke(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
+    pub async fn revoke(
+        &self,
+        tenant: Option<&Tenant>,
+        id: &str,
+        author: &Author,
+    ) -> Result<KeyInfo, KeyError> {
         let key = self.get(tenant, id).await?;
-        self.store.revoke_key(&key.id, self.clock.unix_ms()).await?;
+        let (now, change) = (self.clock.unix_ms(), format!("label {:?}", key.label));
+        let act = Act { call: "Keys.Revoke", tenant: &key.tenant, object: &key.id, change };
+        self.store.revoke_key(&key.id, now, &author.does(act, now)).await?;
         self.get(tenant, &key.id).await
     }
+}
+
+/// What the audit log says of a new key.
+fn described(new: &NewKeyRow, replaces: Option<&str>) -> String {
+    let end = match new.expires_unix_ms {
+        Some(ms) => format!("for {} s", (ms - new.created_unix_ms) / 1000),
+        None => "until it is revoked".to_owned(),
+    };
+    let earlier = replaces.map_or_else(String::new, |key| format!(", in place of {key}"));
+    format!("rights {}, label {:?}, {end}{earlier}", new.rights, new.label)
 }
 
 fn info(row: KeyRow) -> KeyInfo {
@@ -199,6 +222,11 @@ mod tests {
         KeyRegistry { store, clock: Clock::at(1_000_000), most: 2 }
     }
 
+    fn author() -> Author {
+        let (actor, tenant) = ("key_1".to_owned(), Tenant::operator());
+        Author { actor, tenant, request: String::new(), node: "here".to_owned() }
+    }
+
     fn new(lifetime_ms: Option<i64>) -> NewKey {
         let (tenant, label) = (Tenant::operator(), "rover".to_owned());
         NewKey { tenant, rights: Rights::of(&[Right::Device]), label, lifetime_ms }
@@ -209,15 +237,15 @@ mod tests {
     async fn the_keys_in_force_are_bounded() {
         let folder = tempfile::tempdir().unwrap();
         let keys = registry(&folder).await;
-        let first = keys.create(new(None)).await.unwrap().key;
-        keys.create(new(Some(1000))).await.unwrap();
-        let refused = async || keys.create(new(None)).await.unwrap_err().code();
+        let first = keys.create(new(None), &author()).await.unwrap().key;
+        keys.create(new(Some(1000)), &author()).await.unwrap();
+        let refused = async || keys.create(new(None), &author()).await.unwrap_err().code();
         assert_eq!(refused().await, Code::TooManyKeys);
         keys.clock.set(1_001_000);
-        let second = keys.create(new(None)).await.unwrap().key;
+        let second = keys.create(new(None), &author()).await.unwrap().key;
         assert_eq!(refused().await, Code::TooManyKeys);
-        keys.revoke(None, &first.id).await.unwrap();
-        keys.rotate(&second.id, None, 0).await.unwrap();
+        keys.revoke(None, &first.id, &author()).await.unwrap();
+        keys.rotate(&second.id, None, 0, &author()).await.unwrap();
     }
 
     /// The replaced key ends after the overlap, and not later than it would anyway.
@@ -225,14 +253,14 @@ mod tests {
     async fn a_rotated_key_ends_after_the_overlap() {
         let folder = tempfile::tempdir().unwrap();
         let keys = registry(&folder).await;
-        let first = keys.create(new(Some(5000))).await.unwrap().key;
-        let second = keys.rotate(&first.id, Some(9000), 7000).await.unwrap().key;
+        let first = keys.create(new(Some(5000)), &author()).await.unwrap().key;
+        let second = keys.rotate(&first.id, Some(9000), 7000, &author()).await.unwrap().key;
         assert_eq!((second.rights, &second.label), (first.rights, &first.label));
         assert_eq!(second.expires_unix_ms, Some(1_009_000));
         let expires = async |id: &str| keys.get(None, id).await.unwrap().expires_unix_ms;
         assert_eq!(expires(&first.id).await, Some(1_005_000));
-        keys.revoke(None, &first.id).await.unwrap();
-        keys.rotate(&second.id, None, 2000).await.unwrap();
+        keys.revoke(None, &first.id, &author()).await.unwrap();
+        keys.rotate(&second.id, None, 2000, &author()).await.unwrap();
         assert_eq!(expires(&second.id).await, Some(1_002_000));
     }
 
@@ -240,9 +268,9 @@ mod tests {
     async fn a_key_of_another_tenant_is_not_found() {
         let folder = tempfile::tempdir().unwrap();
         let keys = registry(&folder).await;
-        let key = keys.create(new(None)).await.unwrap().key;
+        let key = keys.create(new(None), &author()).await.unwrap().key;
         let (own, other) = (Tenant::operator(), Tenant::parse("other").unwrap());
-        let revoked = keys.revoke(Some(&other), &key.id).await.unwrap_err();
+        let revoked = keys.revoke(Some(&other), &key.id, &author()).await.unwrap_err();
         assert_eq!(revoked.code(), Code::KeyNotFound);
         assert_eq!(keys.get(Some(&own), &key.id).await.unwrap(), key);
         assert!(keys.list(Some(&other), 10, None).await.unwrap().items.is_empty());

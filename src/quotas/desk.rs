@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
 
 use crate::clock::Clock;
-use crate::store::{Store, StoreError, TenantRow, TenantUse};
+use crate::store::{Author, Store, StoreError, TenantRow, TenantUse};
 use crate::tenant::{Quotas, Tenant};
 
 use super::meter::Rates;
@@ -106,8 +106,8 @@ impl TenantQuotas {
         Ok(Self(Arc::new(Desk { store, clock, meters, upkeep })))
     }
 
-    /// Sets the quotas of a tenant, in force at once. The tenant exists from then on. `changed` is
-    /// the number of its last change as the caller knows it; `None` for any.
+    /// Sets the quotas of a tenant, in force at once, as an act of `author`. The tenant exists from
+    /// then on. `changed` is the number of its last change as the caller knows it; `None` for any.
     ///
     /// # Errors
     /// The tenant has changed since, or the store fails.
@@ -116,9 +116,10 @@ impl TenantQuotas {
         tenant: &Tenant,
         quotas: &Quotas,
         changed: Option<i64>,
+        author: &Author,
     ) -> Result<TenantInfo, QuotaError> {
         let Desk { store, clock, meters, .. } = &*self.0;
-        if !store.set_quotas(tenant, quotas, clock.unix_ms(), changed).await? {
+        if !store.set_quotas(tenant, quotas, clock.unix_ms(), changed, author).await? {
             return Err(QuotaError::Changed { name: tenant.to_string() });
         }
         meters.refresh(store).await?;

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use crate::store::{Created, NamedRequest, SessionSettings};
+use crate::store::{Author, Created, NamedRequest, SessionSettings};
 
 use super::configuration::settings;
 use super::desk::Sessions;
@@ -81,6 +81,19 @@ impl Sessions {
         id: &SessionId,
         update: SessionUpdate,
     ) -> Result<SessionInfo, SessionError> {
+        self.update_by(id, update, None).await
+    }
+
+    /// The same as an act of `author`.
+    ///
+    /// # Errors
+    /// The same.
+    pub(crate) async fn update_by(
+        &self,
+        id: &SessionId,
+        update: SessionUpdate,
+        author: Option<&Author>,
+    ) -> Result<SessionInfo, SessionError> {
         if let Some(label) = &update.label {
             self.check_label(label)?;
         }
@@ -90,6 +103,7 @@ impl Sessions {
         if update.etag.is_some_and(|etag| etag != etag_of(&row.settings)) {
             return Err(SessionError::Changed { id: id.to_string() });
         }
+        let before = row.settings.clone();
         let mut overrides = row.settings.overrides;
         overrides.retain(|name, _| !update.clear_overrides.contains(name));
         overrides.extend(update.overrides);
@@ -111,10 +125,39 @@ impl Sessions {
             antenna,
         )?;
         row.settings = SessionSettings { retention_days, ..settings };
-        self.store().update_session(row.key, &row.settings).await?;
+        let entry = author.map(|author| {
+            self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
+        });
+        self.store().update_session(row.key, &row.settings, entry.as_deref()).await?;
         if let Some(handle) = self.tasks().own(id, self.tenant()) {
             handle.outdated.store(true, Ordering::Release);
         }
         self.info(id.clone(), row)
     }
+}
+
+/// What the audit log says of changed settings.
+fn changes(before: &SessionSettings, now: &SessionSettings) -> String {
+    let mut changes = Vec::new();
+    let days = |days: Option<u32>| days.map_or("the service's".to_owned(), |days| days.to_string());
+    for (name, before, now) in [
+        ("label", format!("{:?}", before.label), format!("{:?}", now.label)),
+        ("mode", before.mode.clone(), now.mode.clone()),
+        ("profile", before.profile.clone(), now.profile.clone()),
+        ("retentionDays", days(before.retention_days), days(now.retention_days)),
+    ] {
+        if before != now {
+            changes.push(format!("{name} {before} → {now}"));
+        }
+    }
+    for (name, is_changed) in [
+        ("overrides", before.overrides != now.overrides),
+        ("base", before.base != now.base),
+        ("antenna", before.antenna != now.antenna),
+    ] {
+        if is_changed {
+            changes.push(name.to_owned());
+        }
+    }
+    if changes.is_empty() { "as before".to_owned() } else { changes.join(", ") }
 }

@@ -2,6 +2,8 @@
 
 use tokio::sync::oneshot;
 
+use crate::store::{Act, AuditEntry, Author};
+
 use super::desk::Sessions;
 use super::task::Message;
 use super::tasks::Start;
@@ -16,9 +18,22 @@ impl Sessions {
     /// No session has this id, the service is stopping, or the store fails. The session then stays
     /// open.
     pub async fn close(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        self.close_by(id, None).await
+    }
+
+    /// The same as an act of `author`.
+    ///
+    /// # Errors
+    /// The same.
+    pub(crate) async fn close_by(
+        &self,
+        id: &SessionId,
+        author: Option<&Author>,
+    ) -> Result<SessionInfo, SessionError> {
+        let entry = author.map(|author| self.entry(author, "Sessions.Close", id, String::new()));
         let (desk, session) = (self.clone(), id.clone());
         // In its own task, so that the session is closed even if the caller disconnects.
-        let closing = tokio::spawn(async move { desk.close_whole(&session).await });
+        let closing = tokio::spawn(async move { desk.close_whole(&session, entry).await });
         closing.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await
     }
@@ -29,13 +44,43 @@ impl Sessions {
     /// # Errors
     /// No session has this id, the service is stopping, or the store fails; it may then be closed.
     pub async fn delete(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
-        let (info, row) = (self.close(id).await?, self.row(id).await?);
-        self.store().delete_session(row.key, self.unix_ms()).await?;
+        self.delete_by(id, None).await
+    }
+
+    /// The same as an act of `author`.
+    ///
+    /// # Errors
+    /// The same.
+    pub(crate) async fn delete_by(
+        &self,
+        id: &SessionId,
+        author: Option<&Author>,
+    ) -> Result<SessionInfo, SessionError> {
+        let (info, row) = (self.close_by(id, author).await?, self.row(id).await?);
+        let change = format!("label {:?}", info.label);
+        let entry = author.map(|author| self.entry(author, "Sessions.Delete", id, change));
+        self.store().delete_session(row.key, self.unix_ms(), entry.as_deref()).await?;
         self.deleted().notify_one();
         Ok(info)
     }
 
-    async fn close_whole(&self, id: &SessionId) -> Result<(), SessionError> {
+    /// The entry in the audit log of an act on a session of the tenant.
+    pub(super) fn entry(
+        &self,
+        author: &Author,
+        call: &'static str,
+        id: &SessionId,
+        change: String,
+    ) -> Box<AuditEntry> {
+        let act = Act { call, tenant: self.tenant(), object: id.as_str(), change };
+        Box::new(author.does(act, self.unix_ms()))
+    }
+
+    async fn close_whole(
+        &self,
+        id: &SessionId,
+        entry: Option<Box<AuditEntry>>,
+    ) -> Result<(), SessionError> {
         let _starting = self.starting(id).lock().await;
         let row = self.row(id).await?;
         if row.closed_unix_ms.is_some() {
@@ -47,7 +92,7 @@ impl Sessions {
         // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
         let (reply, answer) = oneshot::channel();
-        let last = Message::Close { unix_ms: self.unix_ms(), reply };
+        let last = Message::Close { unix_ms: self.unix_ms(), entry, reply };
         handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
         drop(handle);
         answer.await.unwrap_or(Err(SessionError::Interrupted))

@@ -12,7 +12,7 @@ use tokio::task::JoinSet;
 use crate::aiding::{AidingDesk, rover_source};
 use crate::clock::Clock;
 use crate::quotas::{Meter, Meters};
-use crate::store::{SessionRow, Store};
+use crate::store::{Author, SessionRow, Store};
 use crate::tenant::Tenant;
 
 use super::answers::Reply;
@@ -83,7 +83,7 @@ impl Sessions {
         let tasks = Tasks::new(limits.parked_bytes);
         let (deleted, mut removal) = (Arc::new(Notify::new()), JoinSet::new());
         removal.spawn(remove_deleted(store.clone(), deleted.clone()));
-        let expiry = Expiry::new(store.clone(), clock.clone(), limits.retention_days);
+        let expiry = Expiry::new(store.clone(), clock.clone(), &limits);
         let expiry = Arc::new(expiry);
         removal.spawn(expiry.clone().remove_hourly());
         let desk = Desk {
@@ -117,8 +117,21 @@ impl Sessions {
     /// # Errors
     /// No session has this id, it is closed, or the store fails; nothing is then changed.
     pub async fn reset(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
+        self.reset_by(id, None).await
+    }
+
+    /// The same as an act of `author`.
+    ///
+    /// # Errors
+    /// The same.
+    pub(crate) async fn reset_by(
+        &self,
+        id: &SessionId,
+        author: Option<&Author>,
+    ) -> Result<SessionInfo, SessionError> {
+        let entry = author.map(|author| self.entry(author, "Sessions.Reset", id, String::new()));
         let (reply, answer) = oneshot::channel();
-        let message = Message::Reset { unix_ms: self.unix_ms(), permit: None, reply };
+        let message = Message::Reset { unix_ms: self.unix_ms(), entry, permit: None, reply };
         self.send(id, &mut Some(message), 1).await?;
         answer.await.unwrap_or(Err(SessionError::Interrupted))?;
         self.get(id).await

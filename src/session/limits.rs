@@ -22,6 +22,8 @@ pub struct SessionLimits {
     pub future_s: u64,
     /// For how long epochs are kept of sessions that name no time of their own (days); 0 for ever.
     pub retention_days: u32,
+    /// For how long entries of the audit log are kept (days); 0 for ever.
+    pub audit_days: u32,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
     /// Bytes of the encoded states of parked sessions in memory. Beyond it the least recently
@@ -55,6 +57,7 @@ impl SessionLimits {
             observations_per_epoch: 512,
             future_s: 86_400,
             retention_days: 90,
+            audit_days: 400,
             active_sessions: 4_096,
             parked_bytes: 512 << 20,
             candidate_bases: 32,

@@ -1,4 +1,5 @@
-//! Frees the space of deleted sessions and of epochs older than their retention, in the background.
+//! Frees the space of deleted sessions, of epochs older than their retention, and of old entries of
+//! the audit log, in the background.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -10,8 +11,12 @@ use tokio::time::sleep;
 use crate::clock::{Clock, day_of};
 use crate::store::{Store, StoreError};
 
+use super::SessionLimits;
+
 /// Epochs removed in one transaction, so that commits wait for few milliseconds.
 const EPOCHS_PER_STEP: usize = 500;
+/// Entries of the audit log removed in one transaction.
+const ENTRIES_PER_STEP: usize = 500;
 /// Between transactions, for those of others.
 const PAUSE: Duration = Duration::from_millis(20);
 const RETRY: Duration = Duration::from_secs(10);
@@ -19,7 +24,8 @@ const RETRY: Duration = Duration::from_secs(10);
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(3_600);
 /// A clock that is ahead of the time of the ages by more than this has been set, or the service did
 /// not run (ms).
-const STEP_MS: i64 = 86_400_000;
+const STEP_MS: i64 = MS_PER_DAY;
+const MS_PER_DAY: i64 = 86_400_000;
 
 /// Removes what deleted sessions have stored, whenever it is woken; first what is left from before.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
@@ -35,12 +41,14 @@ pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
     }
 }
 
-/// Removes epochs that are older than their retention.
+/// Removes epochs that are older than their retention, and old entries of the audit log.
 pub(super) struct Expiry {
     store: Store,
     clock: Clock,
     /// Retention of sessions without one of their own (days).
     retention_days: u32,
+    /// Retention of the audit log (days).
+    audit_days: u32,
     /// The clock's [`Clock::elapsed_ms`] when ages were last counted. Locked during a removal.
     counted_ms: tokio::sync::Mutex<i64>,
     /// Time by which the clock was ahead of the time of the ages then (ms).
@@ -48,9 +56,11 @@ pub(super) struct Expiry {
 }
 
 impl Expiry {
-    pub(super) fn new(store: Store, clock: Clock, retention_days: u32) -> Self {
+    pub(super) fn new(store: Store, clock: Clock, limits: &SessionLimits) -> Self {
         let counted_ms = tokio::sync::Mutex::new(clock.elapsed_ms());
-        Self { store, clock, retention_days, counted_ms, ahead_ms: AtomicI64::new(0) }
+        let SessionLimits { retention_days, audit_days, .. } = *limits;
+        let ahead_ms = AtomicI64::new(0);
+        Self { store, clock, retention_days, audit_days, counted_ms, ahead_ms }
     }
 
     /// Removes them once an hour.
@@ -85,7 +95,20 @@ impl Expiry {
                 }
             }
         }
+        self.remove_audit(today).await?;
         while store.release_pages().await? {
+            sleep(PAUSE).await;
+        }
+        Ok(())
+    }
+
+    /// Removes the entries of the audit log that are older than its retention on this day.
+    async fn remove_audit(&self, today: i64) -> Result<(), StoreError> {
+        if self.audit_days == 0 {
+            return Ok(());
+        }
+        let oldest_ms = MS_PER_DAY * (today - i64::from(self.audit_days));
+        while self.store.remove_audit_before(oldest_ms, ENTRIES_PER_STEP).await? {
             sleep(PAUSE).await;
         }
         Ok(())

@@ -9,10 +9,11 @@ use crate::gnss::{
 use crate::tenant::Tenant;
 
 use super::antennas::calibration_hash;
+use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
-use super::{BaseFeed, NamedRequest, Store, StoreError};
+use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
 /// Primary key of a base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -260,7 +261,6 @@ const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, req
     WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
     AND NOT EXISTS (SELECT 1 FROM session_bases JOIN sessions ON sessions.key = session
     WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
-
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 
 /// Binds a site after its base.
@@ -324,11 +324,15 @@ impl RawBase {
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
 impl Store {
-    /// Stores a new base of a tenant.
+    /// Stores a new base of a tenant, and notes it.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
-    pub(crate) async fn create_base(&self, new: &NewBaseRow<'_>) -> Result<BaseKey, StoreError> {
+    pub(crate) async fn create_base(
+        &self,
+        new: &NewBaseRow<'_>,
+        entry: Option<&AuditEntry>,
+    ) -> Result<BaseKey, StoreError> {
         let NewBaseRow { tenant, id, label, site, feed, archive, created_unix_ms, .. } = *new;
         let NewBaseRow { request, frame, .. } = *new;
         self.keep_calibration_of(site).await?;
@@ -353,6 +357,7 @@ impl Store {
                 if let Some(feed) = feed {
                     feed!(key, feed).execute(&mut *transaction).await?;
                 }
+                note!(transaction, entry);
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
             };
@@ -472,6 +477,7 @@ impl Store {
         &self,
         base: BaseKey,
         unix_ms: i64,
+        entry: Option<&AuditEntry>,
     ) -> Result<bool, StoreError> {
         let deleted = writing!(&self.pool, pool => {
             let deleted = async {
@@ -482,6 +488,7 @@ impl Store {
                     sqlx::query(DELETE_FEED).bind(base.0).execute(&mut *transaction).await?;
                     let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
                     forget.execute(&mut *transaction).await?;
+                    note!(transaction, entry);
                 }
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(rows == 1)

@@ -1,8 +1,10 @@
 //! Deletes sessions: at once for whoever asks, and piece by piece on the disk.
 
+use super::audit::note;
 use super::pool::{reading, writing};
-use super::{SessionKey, Store, StoreError};
+use super::{AuditEntry, SessionKey, Store, StoreError};
 
+const DELETE: &str = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL WHERE key = $1";
 /// Number of the epoch up to which a step removes epochs.
 const LAST_OF_STEP: &str =
     "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
@@ -25,7 +27,7 @@ const FORGET: &str =
 
 impl Store {
     /// Deletes a closed session: it is not found any more. [`Self::remove_deleted`] frees its
-    /// space.
+    /// space. Notes it with `entry`.
     ///
     /// # Errors
     /// The database fails.
@@ -33,11 +35,17 @@ impl Store {
         &self,
         session: SessionKey,
         unix_ms: i64,
+        entry: Option<&AuditEntry>,
     ) -> Result<(), StoreError> {
         let deleted = writing!(&self.pool, pool => {
-            let sql = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL
-                       WHERE key = $1";
-            sqlx::query(sql).bind(session.0).bind(unix_ms).execute(pool).await.map(drop)
+            let delete = async {
+                let mut transaction = pool.begin().await?;
+                let delete = sqlx::query(DELETE).bind(session.0).bind(unix_ms);
+                delete.execute(&mut *transaction).await?;
+                note!(transaction, entry);
+                transaction.commit().await
+            };
+            delete.await
         });
         deleted.map_err(StoreError::database("deleting a session"))
     }

@@ -5,9 +5,10 @@
 
 use crate::tenant::Tenant;
 
+use super::audit::note;
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{Page, Store, StoreError};
+use super::{AuditEntry, Page, Store, StoreError};
 
 const PAGE_LIMIT: usize = 1_000;
 /// Keys read at a time.
@@ -123,7 +124,8 @@ macro_rules! insert {
 
 impl Store {
     /// Stores a new key, and its tenant if that is new. If it takes the place of an earlier one,
-    /// that expires at this time (ms since 1970-01-01 UTC), or when it would anyway.
+    /// that expires at this time (ms since 1970-01-01 UTC), or when it would anyway. `entry` is the
+    /// act's in the audit log.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
@@ -131,6 +133,7 @@ impl Store {
         &self,
         new: &NewKeyRow,
         replaces: Option<(&str, i64)>,
+        entry: &AuditEntry,
     ) -> Result<(), StoreError> {
         let created = writing!(&self.pool, pool => {
             let create = async {
@@ -144,6 +147,7 @@ impl Store {
                     let expire = sqlx::query(EXPIRE).bind(expires_unix_ms).bind(number);
                     expire.bind(earlier).execute(&mut *transaction).await?;
                 }
+                note!(transaction, entry);
                 transaction.commit().await
             };
             create.await
@@ -151,18 +155,25 @@ impl Store {
         created.map_err(StoreError::database("storing a key"))
     }
 
-    /// Revokes a key. One that is revoked stays as it is.
+    /// Revokes a key. One that is revoked stays as it is. `entry` is the act's in the audit log.
     ///
     /// # Errors
     /// The database fails.
-    pub(crate) async fn revoke_key(&self, id: &str, unix_ms: i64) -> Result<(), StoreError> {
+    pub(crate) async fn revoke_key(
+        &self,
+        id: &str,
+        unix_ms: i64,
+        entry: &AuditEntry,
+    ) -> Result<(), StoreError> {
         let revoked = writing!(&self.pool, pool => {
             let revoke = async {
                 let mut transaction = pool.begin().await?;
                 let number: i64 =
                     sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
                 let revoke = sqlx::query(REVOKE).bind(unix_ms).bind(number).bind(id);
-                revoke.execute(&mut *transaction).await?;
+                if revoke.execute(&mut *transaction).await?.rows_affected() == 1 {
+                    note!(transaction, entry);
+                }
                 transaction.commit().await
             };
             revoke.await

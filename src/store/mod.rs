@@ -1,5 +1,5 @@
-//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions, navigation data and keys,
-//! in SQLite or Postgres.
+//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions, navigation data, keys and
+//! the audit log, in SQLite or Postgres.
 //!
 //! [`Store`] has the pool of either database. Where possible, one text of SQL with `$1` serves
 //! both, and both give the same answers. The schema is in `migrations/`, embedded in the program,
@@ -13,6 +13,7 @@
 //! in one transaction, and answers each session when the transaction is committed.
 
 mod antennas;
+mod audit;
 mod bases;
 mod chain;
 mod codec;
@@ -54,6 +55,9 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 pub use antennas::AntennaName;
+pub use audit::{
+    Act, AuditEntry, AuditFilter, Author, BY_OPERATOR, COMMAND_LINE, DONE, LOOPBACK, UNKNOWN,
+};
 pub(crate) use bases::NewBaseRow;
 pub use bases::{BaseChange, BaseChoice, BaseKey, BaseName, BaseRow, BaseUse, StoredBaseEpoch};
 pub use codec::CodecError;

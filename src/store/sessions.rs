@@ -5,12 +5,13 @@ use std::sync::Arc;
 
 use crate::tenant::Tenant;
 
+use super::audit::note;
 use super::page::rows_asked;
 use super::pool::{reading, writing};
 use super::session_filter::condition;
 use super::{
-    AntennaName, BaseChoice, BaseKey, BaseName, NamedRequest, Page, SessionFilter, Store,
-    StoreError,
+    AntennaName, AuditEntry, BaseChoice, BaseKey, BaseName, NamedRequest, Page, SessionFilter,
+    Store, StoreError,
 };
 
 const PAGE_LIMIT: usize = 1_000;
@@ -386,7 +387,7 @@ impl Store {
         Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))
     }
 
-    /// Replaces a session's settings.
+    /// Replaces a session's settings, and notes it.
     ///
     /// # Errors
     /// The database fails.
@@ -394,6 +395,7 @@ impl Store {
         &self,
         key: SessionKey,
         settings: &SessionSettings,
+        entry: Option<&AuditEntry>,
     ) -> Result<(), StoreError> {
         self.store_configuration(settings).await?;
         let updated = writing!(&self.pool, pool => {
@@ -422,6 +424,7 @@ impl Store {
                 let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
                 clear.execute(&mut *transaction).await?;
                 insert_candidates!(transaction, key.0, &settings.base);
+                note!(transaction, entry);
                 transaction.commit().await
             };
             updated.await

@@ -5,8 +5,9 @@
 
 use crate::tenant::{Quotas, Tenant};
 
+use super::audit::note;
 use super::pool::{reading, writing};
-use super::{Store, StoreError};
+use super::{Act, Author, Store, StoreError};
 
 /// Counts a change up. As the first statement of a transaction it lets others wait until the end.
 const COUNT_UP: &str = "UPDATE tenant_changes SET number = number + 1 RETURNING number";
@@ -71,8 +72,8 @@ macro_rules! select_tenants {
 }
 
 impl Store {
-    /// Sets the quotas of a tenant, which exists from then on. Returns `false` if the number of its
-    /// last change is not `expected`, if one is given.
+    /// Sets the quotas of a tenant, which exists from then on, as an act of `author`. Returns
+    /// `false` if the number of its last change is not `expected`, if one is given.
     ///
     /// # Errors
     /// The database fails.
@@ -82,19 +83,20 @@ impl Store {
         quotas: &Quotas,
         unix_ms: i64,
         expected: Option<i64>,
+        author: &Author,
     ) -> Result<bool, StoreError> {
         let set = writing!(&self.pool, pool => {
             let set = async {
                 let mut transaction = pool.begin().await?;
                 let number: i64 =
                     sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
-                if let Some(expected) = expected {
-                    let present = "SELECT changed FROM tenants WHERE name = $1";
-                    let present = sqlx::query_scalar(present).bind(tenant.name());
-                    let present: Option<i64> = present.fetch_optional(&mut *transaction).await?;
-                    if present != Some(expected) {
-                        return Ok(false);
-                    }
+                let present = sqlx::query_as(select_tenants!("WHERE name = $1"));
+                let present: Option<RawTenant> =
+                    present.bind(tenant.name()).fetch_optional(&mut *transaction).await?;
+                let present = present.map(RawTenant::parse);
+                let changed = present.as_ref().map(|row| row.changed);
+                if expected.is_some() && changed != expected {
+                    return Ok(false);
                 }
                 let set = sqlx::query(SET)
                     .bind(tenant.name())
@@ -105,6 +107,10 @@ impl Store {
                     .bind(quotas.stored_bytes.map(|bytes| bytes as i64))
                     .bind(number);
                 set.execute(&mut *transaction).await?;
+                let before = present.map(|row| row.quotas).unwrap_or_default();
+                let (object, change) = (tenant.name(), quotas.changes_since(&before));
+                let act = Act { call: "Tenants.Set", tenant, object, change };
+                note!(transaction, &author.does(act, unix_ms));
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(true)
             };

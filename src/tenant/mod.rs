@@ -65,6 +65,26 @@ pub struct Quotas {
     pub stored_bytes: Option<u64>,
 }
 
+impl Quotas {
+    /// What differs from the quotas before, for people: each quota with its value before and now.
+    pub(crate) fn changes_since(&self, before: &Self) -> String {
+        let count = |quota: Option<u64>| quota.map(|quota| quota.to_string());
+        let rate = |quota: Option<f64>| quota.map(|quota| quota.to_string());
+        let quotas = [
+            ("sessions", count(before.sessions), count(self.sessions)),
+            ("epochsPerS", rate(before.epochs_per_s), rate(self.epochs_per_s)),
+            ("cpuSPerMinute", rate(before.cpu_s_per_minute), rate(self.cpu_s_per_minute)),
+            ("storedBytes", count(before.stored_bytes), count(self.stored_bytes)),
+        ];
+        let shown = |quota: Option<String>| quota.unwrap_or_else(|| "none".to_owned());
+        let changed = quotas.into_iter().filter(|(_, before, now)| before != now);
+        let changes: Vec<String> = changed
+            .map(|(name, before, now)| format!("{name} {} → {}", shown(before), shown(now)))
+            .collect();
+        if changes.is_empty() { "as before".to_owned() } else { changes.join(", ") }
+    }
+}
+
 impl fmt::Display for Tenant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
@@ -91,5 +111,16 @@ mod tests {
         }
         assert!(Tenant::operator().is_operator());
         assert!(!Tenant::parse("acme").unwrap().is_operator());
+    }
+
+    #[test]
+    fn changed_quotas_are_named_with_both_values() {
+        let none = Quotas::default();
+        let some = Quotas { sessions: Some(10), epochs_per_s: Some(2.5), ..none };
+        assert_eq!(some.changes_since(&none), "sessions none → 10, epochsPerS none → 2.5");
+        let other = Quotas { sessions: Some(0), epochs_per_s: Some(2.5), ..none };
+        assert_eq!(other.changes_since(&some), "sessions 10 → 0");
+        assert_eq!(none.changes_since(&other), "sessions 0 → none, epochsPerS 2.5 → none");
+        assert_eq!(some.changes_since(&some), "as before");
     }
 }

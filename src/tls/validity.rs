@@ -1,18 +1,11 @@
-//! The time for which a certificate is valid.
-//!
-//! Sources: RFC 5280, section 4.1 (the fields and their order); ITU-T X.690 (DER). Nothing else of
-//! the certificate is read here; rustls checks it.
+//! The time for which a certificate is valid (RFC 5280, section 4.1.2.5). Nothing else of the
+//! certificate is used here; rustls checks it.
 
 use std::fmt;
 
-use crate::gnss::days_from_civil;
-
-const INTEGER: u8 = 0x02;
-const UTC_TIME: u8 = 0x17;
-const GENERALIZED_TIME: u8 = 0x18;
-const SEQUENCE: u8 = 0x30;
-/// `version [0] EXPLICIT`, which certificates of version 1 do not have.
-const VERSION: u8 = 0xa0;
+use x509_cert::Certificate;
+use x509_cert::der::{DateTime, Decode};
+use x509_cert::time::Time;
 
 /// The time for which a certificate is valid.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,85 +19,61 @@ pub(super) struct Validity {
 pub(super) struct Moment {
     /// Since 1970-01-01 UTC (s).
     pub(super) unix_s: i64,
-    /// Year, month, day, hour, minute and second.
-    digits: [i32; 6],
+    date: DateTime,
 }
 
 impl fmt::Display for Moment {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [year, month, day, hour, minute, second] = self.digits;
+        let date = &self.date;
+        let (year, month, day) = (date.year(), date.month(), date.day());
+        let (hour, minute, second) = (date.hour(), date.minutes(), date.seconds());
         write!(f, "{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC")
     }
 }
 
 /// The validity of a certificate in DER; `None` if it cannot be read.
 pub(super) fn validity(certificate: &[u8]) -> Option<Validity> {
-    let (certificate, _) = element(certificate, SEQUENCE)?;
-    let (signed, _) = element(certificate, SEQUENCE)?;
-    let after_version = element(signed, VERSION).map_or(signed, |(_, rest)| rest);
-    let (_, after_serial) = element(after_version, INTEGER)?;
-    let (_, after_algorithm) = element(after_serial, SEQUENCE)?;
-    let (_, after_issuer) = element(after_algorithm, SEQUENCE)?;
-    let (times, _) = element(after_issuer, SEQUENCE)?;
-    let (not_before, rest) = moment(times)?;
-    let (not_after, _) = moment(rest)?;
+    let validity = Certificate::from_der(certificate).ok()?.tbs_certificate.validity;
+    let (not_before, not_after) = (moment(&validity.not_before)?, moment(&validity.not_after)?);
     Some(Validity { not_before, not_after })
 }
 
-/// Content of the element that `input` begins with, if it has this tag, and what follows it.
-fn element(input: &[u8], tag: u8) -> Option<(&[u8], &[u8])> {
-    let (_, rest) = input.split_first().filter(|(first, _)| **first == tag)?;
-    let (&length, rest) = rest.split_first()?;
-    if length < 0x80 {
-        return rest.split_at_checked(usize::from(length));
-    }
-    // The long form: the number of octets that have the length. A certificate is below 16 MB.
-    let (octets, rest) =
-        rest.split_at_checked(usize::from(length - 0x80)).filter(|_| length < 0x84)?;
-    let length = octets.iter().fold(0, |sum, octet| sum << 8 | usize::from(*octet));
-    rest.split_at_checked(length)
-}
-
-/// The time that `input` begins with: `YYMMDDhhmmssZ` from 1950 to 2049, or with four digits of the
-/// year.
-fn moment(input: &[u8]) -> Option<(Moment, &[u8])> {
-    let (text, rest, digits_of_year) = match element(input, UTC_TIME) {
-        Some((text, rest)) => (text, rest, 2),
-        None => element(input, GENERALIZED_TIME).map(|(text, rest)| (text, rest, 4))?,
-    };
-    let text = std::str::from_utf8(text).ok()?.strip_suffix('Z')?;
-    if text.len() != digits_of_year + 10 || !text.bytes().all(|byte| byte.is_ascii_digit()) {
-        return None;
-    }
-    let (year, others) = text.split_at(digits_of_year);
-    let mut digits = [year.parse().ok()?, 0, 0, 0, 0, 0];
-    if digits_of_year == 2 {
-        digits[0] += if digits[0] < 50 { 2000 } else { 1900 };
-    }
-    for (index, value) in digits[1..].iter_mut().enumerate() {
-        *value = others[2 * index..2 * index + 2].parse().ok()?;
-    }
-    let [year, month, day, hour, minute, second] = digits;
-    let days = days_from_civil(year, u8::try_from(month).ok()?, u8::try_from(day).ok()?);
-    let unix_s = days * 86_400 + i64::from(hour * 3600 + minute * 60 + second);
-    Some((Moment { unix_s, digits }, rest))
+fn moment(time: &Time) -> Option<Moment> {
+    let date = time.to_date_time();
+    let unix_s = i64::try_from(date.unix_duration().as_secs()).ok()?;
+    Some(Moment { unix_s, date })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// An element with this content.
+    const INTEGER: u8 = 0x02;
+    const BIT_STRING: u8 = 0x03;
+    const OBJECT_IDENTIFIER: u8 = 0x06;
+    const UTC_TIME: u8 = 0x17;
+    const GENERALIZED_TIME: u8 = 0x18;
+    const SEQUENCE: u8 = 0x30;
+    /// `version [0] EXPLICIT`, which certificates of version 1 do not have.
+    const VERSION: u8 = 0xa0;
+
+    /// An element with this content (ITU-T X.690, section 8.1: the length in its shortest form).
     fn der(tag: u8, content: &[u8]) -> Vec<u8> {
-        let length = u16::try_from(content.len()).unwrap().to_be_bytes();
-        [&[tag, 0x82][..], &length, content].concat()
+        let length = u8::try_from(content.len()).unwrap();
+        let head = if length < 0x80 { vec![tag, length] } else { vec![tag, 0x81, length] };
+        [&head[..], content].concat()
     }
 
+    /// A certificate without names, with a key and a signature of one byte (RFC 5280, section 4.1).
     fn certificate(version: &[u8], not_before: Vec<u8>, not_after: Vec<u8>) -> Vec<u8> {
-        let (serial, name) = (der(INTEGER, &[7]), der(SEQUENCE, &[0; 300]));
-        let times = der(SEQUENCE, &[not_before, not_after].concat());
-        let signed = [version, &serial, &name, &name, &times, &name].concat();
-        der(SEQUENCE, &[der(SEQUENCE, &signed), name].concat())
+        let (serial, name) = (der(INTEGER, &[7]), der(SEQUENCE, &[]));
+        // id-Ed25519 (RFC 8410).
+        let algorithm = der(SEQUENCE, &der(OBJECT_IDENTIFIER, &[0x2b, 0x65, 0x70]));
+        let (times, bits) =
+            (der(SEQUENCE, &[not_before, not_after].concat()), der(BIT_STRING, &[0, 9]));
+        let key = der(SEQUENCE, &[&algorithm[..], &bits].concat());
+        let signed = [version, &serial, &algorithm, &name, &times, &name, &key].concat();
+        der(SEQUENCE, &[der(SEQUENCE, &signed), algorithm, bits].concat())
     }
 
     /// `date -u -d '1999-12-31 23:59:59' +%s` and `date -u -d '2050-02-28 12:00:01' +%s`.

@@ -2,6 +2,7 @@
 //! command line, and the store below them.
 
 mod archives;
+mod audit;
 mod base_files;
 mod base_positions;
 mod bases;

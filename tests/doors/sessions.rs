@@ -61,6 +61,7 @@ fn limits() -> SessionLimits {
         observations_per_epoch: 8,
         future_s: 86_400,
         retention_days: 0,
+        audit_days: 400,
         active_sessions: 64,
         parked_bytes: 1 << 20,
         candidate_bases: 2,

@@ -7,7 +7,7 @@ use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, Ecef, GpsTime};
 use crate::store::{
-    BaseFeed, BaseKey, BaseName, BaseUse, NamedRequest, NewBaseRow, Store, StoreError,
+    Act, Author, BaseFeed, BaseKey, BaseName, BaseUse, NamedRequest, NewBaseRow, Store, StoreError,
 };
 use crate::tenant::Tenant;
 
@@ -76,11 +76,11 @@ impl BaseBroker {
     /// There are as many bases as allowed, the label is too long, the antenna is not calibrated, or
     /// the store fails.
     pub async fn create(&self, new: NewBase) -> Result<BaseInfo, AidingError> {
-        Ok(self.create_for(&Tenant::operator(), new, None).await?.0)
+        Ok(self.create_for(&Tenant::operator(), new, None, None).await?.0)
     }
 
-    /// The same for a tenant. Returns the base, and whether it is new: a repetition of a named
-    /// request returns what the first one has created.
+    /// The same for a tenant, as an act of `author`. Returns the base, and whether it is new: a
+    /// repetition of a named request returns what the first one has created.
     ///
     /// # Errors
     /// The same; or another request had this name.
@@ -89,6 +89,7 @@ impl BaseBroker {
         tenant: &Tenant,
         mut new: NewBase,
         request: Option<NamedRequest>,
+        author: Option<&Author>,
     ) -> Result<(BaseInfo, bool), AidingError> {
         let _creating = self.creating.lock().await;
         if let Some(request) = &request
@@ -122,7 +123,11 @@ impl BaseBroker {
             request: request.as_ref(),
             frame: new.frame,
         };
-        let key = self.store.create_base(&row).await?;
+        let entry = author.map(|author| {
+            let (object, change) = (id.as_str(), described(&row));
+            author.does(Act { call: "Bases.Create", tenant, object, change }, now)
+        });
+        let key = self.store.create_base(&row, entry.as_ref()).await?;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
         let description = BaseDescription {
             name: BaseName { key, id: id.as_str().into() },
@@ -288,9 +293,27 @@ impl BaseBroker {
     /// # Errors
     /// No base has this id, an open session uses it, or the store fails.
     pub async fn delete(&self, id: &BaseId) -> Result<(), AidingError> {
+        self.delete_by(id, None).await
+    }
+
+    /// The same as an act of `author`.
+    ///
+    /// # Errors
+    /// The same.
+    pub(super) async fn delete_by(
+        &self,
+        id: &BaseId,
+        author: Option<&Author>,
+    ) -> Result<(), AidingError> {
         let base = self.base(id)?;
         let _turn = base.pushing.lock().await;
-        if !self.store.delete_base(base.name().key, unix_ms()).await? {
+        let BaseDescription { tenant, label, .. } = &base.description;
+        let now = unix_ms();
+        let entry = author.map(|author| {
+            let (object, change) = (id.as_str(), format!("label {label:?}"));
+            author.does(Act { call: "Bases.Delete", tenant, object, change }, now)
+        });
+        if !self.store.delete_base(base.name().key, now, entry.as_ref()).await? {
             return Err(AidingError::BaseInUse { id: id.to_string() });
         }
         self.write().remove(id);
@@ -378,5 +401,43 @@ impl BaseBroker {
 
     fn write(&self) -> RwLockWriteGuard<'_, BTreeMap<BaseId, Arc<Base>>> {
         self.bases.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What the audit log says of a new base: without the user and password at a caster, and of an
+/// archive without the path, which may have a token.
+fn described(new: &NewBaseRow<'_>) -> String {
+    let mut text = format!("label {:?}", new.label);
+    if let Some(BaseFeed { caster, mountpoint, .. }) = new.feed {
+        text += &format!(", caster {} stream {mountpoint:?}", host_of(caster));
+    }
+    if let Some(template) = new.archive {
+        text += &format!(", archive {}", host_of(template));
+    }
+    text
+}
+
+/// Scheme, host and port of an address.
+fn host_of(address: &str) -> String {
+    let (scheme, rest) = address.split_once("://").unwrap_or(("", address));
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    let host = authority.rsplit('@').next().unwrap_or_default();
+    if scheme.is_empty() { host.to_owned() } else { format!("{scheme}://{host}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_shown_without_what_may_be_secret() {
+        for (address, shown) in [
+            ("ntrip://caster.example.org:2101", "ntrip://caster.example.org:2101"),
+            ("https://user:word@files.example.org/{yyyy}?token=x", "https://files.example.org"),
+            ("https://[2001:db8::1]:8443?token=x@y", "https://[2001:db8::1]:8443"),
+            ("caster.example.org", "caster.example.org"),
+        ] {
+            assert_eq!(host_of(address), shown);
+        }
     }
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use crate::aiding::AidingError;
 use crate::gnss::{BaseSite, Epoch};
-use crate::store::{BaseName, NamedRequest, StoredBaseEpoch};
+use crate::store::{Author, BaseName, NamedRequest, StoredBaseEpoch};
 use crate::tenant::Tenant;
 
 use super::base::Base;
@@ -32,8 +32,8 @@ impl BaseBroker {
 }
 
 impl TenantBases<'_> {
-    /// Creates a base of the tenant. Returns it, and whether it is new: a repetition of a named
-    /// request returns what the first one has created.
+    /// Creates a base of the tenant, as an act of `author`. Returns it, and whether it is new: a
+    /// repetition of a named request returns what the first one has created.
     ///
     /// # Errors
     /// As [`BaseBroker::create`]; or another request had this name.
@@ -41,8 +41,9 @@ impl TenantBases<'_> {
         &self,
         new: NewBase,
         request: Option<NamedRequest>,
+        author: &Author,
     ) -> Result<(BaseInfo, bool), AidingError> {
-        self.broker.create_for(self.tenant, new, request).await
+        self.broker.create_for(self.tenant, new, request, Some(author)).await
     }
 
     /// A base with its health.
@@ -72,13 +73,13 @@ impl TenantBases<'_> {
         self.broker.candidates_that(|base| self.may_use(base))
     }
 
-    /// Deletes a base of the tenant.
+    /// Deletes a base of the tenant, as an act of `author`.
     ///
     /// # Errors
     /// The tenant has no base with this id, an open session uses it, or the store fails.
-    pub async fn delete(&self, id: &BaseId) -> Result<(), AidingError> {
+    pub async fn delete(&self, id: &BaseId, author: &Author) -> Result<(), AidingError> {
         self.check_own(id)?;
-        self.broker.delete(id).await
+        self.broker.delete_by(id, Some(author)).await
     }
 
     /// Stores epochs of a base of the tenant.

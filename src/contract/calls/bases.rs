@@ -39,6 +39,13 @@ const DELTA_MAX_M: f64 = 1000.0;
 /// had this name, or the store fails.
 pub async fn create(
     caller: &Caller,
+    request: v1::CreateBaseRequest,
+) -> Result<(v1::Base, bool), Refusal> {
+    caller.noted("Bases.Create", "", created(caller, request).await).await
+}
+
+async fn created(
+    caller: &Caller,
     mut request: v1::CreateBaseRequest,
 ) -> Result<(v1::Base, bool), Refusal> {
     let named = named_request(mem::take(&mut request.request_id), &request)?;
@@ -53,7 +60,7 @@ pub async fn create(
     let archive = request.archive.map(|source| feeds::archive(caller, source)).transpose()?;
     let frame = frame(&request.frame, request.frame_epoch_year)?;
     let new = NewBase { label: request.label, site, feed, archive, frame };
-    let (created, is_new) = caller.bases().create(new, named).await?;
+    let (created, is_new) = caller.bases().create(new, named, &caller.author()).await?;
     if let Some(id) = BaseId::parse(&created.name.id).filter(|_| is_new) {
         if let Some(feed) = &created.feed {
             caller.feeds().start(&id, feed)?;
@@ -109,8 +116,12 @@ pub async fn delete(
     caller: &Caller,
     request: v1::DeleteBaseRequest,
 ) -> Result<v1::DeleteBaseResponse, Refusal> {
-    let id = base_id(&request.base)?;
-    caller.bases().delete(&id).await?;
+    caller.noted("Bases.Delete", &request.base, deleted(caller, &request.base).await).await
+}
+
+async fn deleted(caller: &Caller, base: &str) -> Result<v1::DeleteBaseResponse, Refusal> {
+    let id = base_id(base)?;
+    caller.bases().delete(&id, &caller.author()).await?;
     caller.feeds().stop(&id);
     Ok(v1::DeleteBaseResponse {})
 }

@@ -24,6 +24,13 @@ pub async fn create(
     caller: &Caller,
     request: v1::CreateKeyRequest,
 ) -> Result<v1::CreateKeyResponse, Refusal> {
+    caller.noted("Keys.Create", "", created(caller, request).await).await
+}
+
+async fn created(
+    caller: &Caller,
+    request: v1::CreateKeyRequest,
+) -> Result<v1::CreateKeyResponse, Refusal> {
     texts::check_label(&request.label)?;
     let new = NewKey {
         tenant: tenant(caller, &request.tenant)?,
@@ -31,7 +38,7 @@ pub async fn create(
         label: request.label,
         lifetime_ms: request.lifetime_s.map(lifetime_ms).transpose()?,
     };
-    let Created { key, secret } = caller.keys().create(new).await?;
+    let Created { key, secret } = caller.keys().create(new, &caller.author()).await?;
     let (id, tenant, rights) = (&key.id, &key.tenant, key.rights);
     tracing::info!(key = id, %tenant, %rights, by = caller.key(), "a key is created");
     Ok(v1::CreateKeyResponse { key: Some(message(key)), secret: secret.text().to_owned() })
@@ -62,9 +69,13 @@ pub async fn list(
 /// # Errors
 /// The tenant has no such key, or the store fails.
 pub async fn revoke(caller: &Caller, request: v1::RevokeKeyRequest) -> Result<v1::Key, Refusal> {
+    caller.noted("Keys.Revoke", &request.key, revoked(caller, &request).await).await
+}
+
+async fn revoked(caller: &Caller, request: &v1::RevokeKeyRequest) -> Result<v1::Key, Refusal> {
     texts::check("key", &request.key, texts::NAME_MAX)?;
     let tenant = Some(caller.tenant()).filter(|tenant| !tenant.is_operator());
-    let key = caller.keys().revoke(tenant, &request.key).await?;
+    let key = caller.keys().revoke(tenant, &request.key, &caller.author()).await?;
     tracing::info!(key = key.id, tenant = %key.tenant, by = caller.key(), "a key is revoked");
     Ok(message(key))
 }

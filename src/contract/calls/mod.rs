@@ -1,6 +1,7 @@
 //! The calls: one file per service, one function per call, from a request to an answer or a
 //! refusal.
 
+pub mod audit;
 pub mod bases;
 mod feeds;
 pub mod job_watch;
@@ -121,21 +122,91 @@ const fn page_size(asked: u32, standard: usize) -> usize {
 
 /// A system time (ms since 1970-01-01 UTC, without leap seconds) as RFC 3339.
 pub(crate) fn utc(unix_ms: i64) -> String {
-    const EPOCH: CivilTime =
-        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
-    let leap = LeapSeconds::table();
-    // GPS time has no leap seconds, as the system clock.
-    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &leap).expect("the date exists");
+    let start = unix_epoch();
     let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
-        .to_civil(TimeScale::Gps, &leap);
+        .to_civil(TimeScale::Gps, &LeapSeconds::table());
     let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
     let ms = nanosecond / 1_000_000;
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
 }
 
+/// 1970-01-01, in GPS time, which has no leap seconds, as the system clock.
+fn unix_epoch() -> GpsTime {
+    const EPOCH: CivilTime =
+        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
+    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &LeapSeconds::table());
+    start.expect("the date exists")
+}
+
+/// The system time of a text of RFC 3339 in UTC, such as `2026-11-24T01:30:00Z` (ms since
+/// 1970-01-01 UTC).
+///
+/// # Errors
+/// It is another text.
+fn unix_ms(field: &str, text: &str) -> Result<i64, Refusal> {
+    parsed_utc(text).ok_or_else(|| {
+        let message = format!("{:?} is not a time such as 2026-11-24T01:30:00Z", brief(text));
+        Refusal::new(Code::InvalidField, message).at(field)
+    })
+}
+
+fn parsed_utc(text: &str) -> Option<i64> {
+    let (date, time) = text.strip_suffix('Z')?.split_once('T')?;
+    let (time, fraction) = time.split_once('.').unwrap_or((time, "0"));
+    let [year, month, day] = numbers(date, '-', [4, 2, 2])?;
+    let [hour, minute, second] = numbers(time, ':', [2, 2, 2])?;
+    let is_fraction = (1..=9).contains(&fraction.len()) && is_digits(fraction);
+    let ms: i64 = format!("{fraction:0<3}").get(..3).filter(|_| is_fraction)?.parse().ok()?;
+    let (year, month, day) = (i32::try_from(year).ok()?, month as u8, day as u8);
+    let (hour, minute, second) = (hour as u8, minute as u8, second as u8);
+    let civil = CivilTime { year, month, day, hour, minute, second, nanosecond: 0 };
+    let since = GpsTime::from_civil(&civil, TimeScale::Gps, &LeapSeconds::table())?;
+    let epoch = unix_epoch();
+    Some((since.as_ns() - epoch.as_ns()) / 1_000_000 + ms)
+}
+
+/// Three numbers of as many digits each.
+fn numbers(text: &str, separator: char, digits: [usize; 3]) -> Option<[u32; 3]> {
+    let mut parts = text.split(separator);
+    let mut numbers = [0; 3];
+    for (number, digits) in numbers.iter_mut().zip(digits) {
+        let part = parts.next().filter(|part| part.len() == digits && is_digits(part))?;
+        *number = part.parse().ok()?;
+    }
+    parts.next().is_none().then_some(numbers)
+}
+
+fn is_digits(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn system_time_is_read_as_it_is_written() {
+        for unix_ms in [0, 1_556_456_281_250, 4_102_444_799_999, -1] {
+            assert_eq!(parsed_utc(&utc(unix_ms)), Some(unix_ms));
+        }
+        // date -u -d 2024-02-29T23:59:59Z +%s gives 1709251199.
+        assert_eq!(parsed_utc("2024-02-29T23:59:59Z"), Some(1_709_251_199_000));
+        assert_eq!(parsed_utc("2024-02-29T23:59:59.0509Z"), Some(1_709_251_199_050));
+        for other in [
+            "",
+            "2024-02-29",
+            "2023-02-29T00:00:00Z",
+            "2024-02-29T24:00:00Z",
+            "2024-02-29T00:00:00",
+            "2024-02-29T00:00:00+01:00",
+            "2024-02-29T00:00:00.Z",
+            "2024-2-29T00:00:00Z",
+            "2024-02-29T00:00:-1Z",
+            "２024-02-29T00:00:00Z",
+        ] {
+            assert_eq!(parsed_utc(other), None, "{other:?}");
+        }
+    }
 
     #[test]
     fn system_time_is_written_as_it_is() {

@@ -18,6 +18,13 @@ pub async fn push(
     caller: &Caller,
     request: v1::PushNavigationRequest,
 ) -> Result<v1::PushNavigationResponse, Refusal> {
+    caller.noted("Navigation.Push", "", pushed(caller, request).await).await
+}
+
+async fn pushed(
+    caller: &Caller,
+    request: v1::PushNavigationRequest,
+) -> Result<v1::PushNavigationResponse, Refusal> {
     let limits = caller.limits();
     let (bytes_max, most) = (limits.decompressed_bytes, limits.ephemerides_per_satellite);
     let read = move || {
@@ -26,6 +33,8 @@ pub async fn push(
     };
     let (navigation, skipped) = read_file(caller, most * MEMORY_OF_NUMBER, read).await?;
     let counts = caller.navigation().push(navigation).await?;
+    let change = format!("{} ephemerides, {} of them new", counts.received, counts.new);
+    caller.note("Navigation.Push", change).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,
         new_ephemerides: counts.new as u64,

@@ -126,6 +126,14 @@ pub async fn update(
     caller: &Caller,
     request: v1::UpdateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
+    let session = request.session.clone();
+    caller.noted("Sessions.Update", &session, updated(caller, request).await).await
+}
+
+async fn updated(
+    caller: &Caller,
+    request: v1::UpdateSessionRequest,
+) -> Result<v1::Session, Refusal> {
     let id = session_id(&request.session)?;
     request.label.iter().try_for_each(|label| texts::check_label(label))?;
     let names = [("mode", &request.mode), ("profile", &request.profile)];
@@ -150,7 +158,8 @@ pub async fn update(
         retention_days: request.retention_days,
         etag: Some(request.etag).filter(|etag| !etag.is_empty()),
     };
-    Ok(message(caller.sessions().update(&id, update).await?))
+    let author = caller.administrator();
+    Ok(message(caller.sessions().update_by(&id, update, author.as_ref()).await?))
 }
 
 /// Begins a new arc of a session.
@@ -161,8 +170,11 @@ pub async fn reset(
     caller: &Caller,
     request: v1::ResetSessionRequest,
 ) -> Result<v1::Session, Refusal> {
-    let id = session_id(&request.session)?;
-    Ok(message(caller.sessions().reset(&id).await?))
+    let act = async {
+        let (id, author) = (session_id(&request.session)?, caller.administrator());
+        Ok(message(caller.sessions().reset_by(&id, author.as_ref()).await?))
+    };
+    caller.noted("Sessions.Reset", &request.session, act.await).await
 }
 
 /// Closes a session.
@@ -173,8 +185,11 @@ pub async fn close(
     caller: &Caller,
     request: v1::CloseSessionRequest,
 ) -> Result<v1::Session, Refusal> {
-    let id = session_id(&request.session)?;
-    Ok(message(caller.sessions().close(&id).await?))
+    let act = async {
+        let (id, author) = (session_id(&request.session)?, caller.administrator());
+        Ok(message(caller.sessions().close_by(&id, author.as_ref()).await?))
+    };
+    caller.noted("Sessions.Close", &request.session, act.await).await
 }
 
 /// Deletes a session with all that it has stored.
@@ -185,8 +200,11 @@ pub async fn delete(
     caller: &Caller,
     request: v1::DeleteSessionRequest,
 ) -> Result<v1::Session, Refusal> {
-    let id = session_id(&request.session)?;
-    Ok(message(caller.sessions().delete(&id).await?))
+    let act = async {
+        let (id, author) = (session_id(&request.session)?, caller.administrator());
+        Ok(message(caller.sessions().delete_by(&id, author.as_ref()).await?))
+    };
+    caller.noted("Sessions.Delete", &request.session, act.await).await
 }
 
 fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {

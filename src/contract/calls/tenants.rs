@@ -64,11 +64,16 @@ pub async fn list(
 /// # Errors
 /// The caller is not the operator, the name or a quota is invalid, or the store fails.
 pub async fn set(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::Tenant, Refusal> {
+    let name = request.tenant.clone();
+    caller.noted("Tenants.Set", &name, done(caller, request).await).await
+}
+
+async fn done(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::Tenant, Refusal> {
     caller.check_operator()?;
     let tenant = super::keys::tenant(caller, &request.tenant)?;
     let quotas = quotas(request.quotas.unwrap_or_default())?;
     let changed = changed(&request.etag)?;
-    let info = caller.quotas().set(&tenant, &quotas, changed).await?;
+    let info = caller.quotas().set(&tenant, &quotas, changed, &caller.author()).await?;
     tracing::info!(%tenant, ?quotas, by = caller.key(), "the quotas of a tenant are set");
     Ok(message(info))
 }

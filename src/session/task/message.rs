@@ -8,6 +8,7 @@ use tokio::sync::oneshot;
 
 use crate::session::answers::Reply;
 use crate::session::{RawChunk, RawReceived, SequencedEpoch, SessionError, Submitted};
+use crate::store::AuditEntry;
 
 /// A message in the mailbox.
 pub(in crate::session) enum Message {
@@ -18,12 +19,19 @@ pub(in crate::session) enum Message {
     /// Begins a new arc at this time (ms since 1970-01-01 UTC).
     Reset {
         unix_ms: i64,
+        /// That of the act in the audit log.
+        entry: Option<Box<AuditEntry>>,
         /// Set when the message is sent.
         permit: Option<MailboxPermit>,
         reply: oneshot::Sender<Result<(), SessionError>>,
     },
     /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
-    Close { unix_ms: i64, reply: oneshot::Sender<Result<(), SessionError>> },
+    Close {
+        unix_ms: i64,
+        /// That of the act in the audit log.
+        entry: Option<Box<AuditEntry>>,
+        reply: oneshot::Sender<Result<(), SessionError>>,
+    },
 }
 
 /// A push in the mailbox.

@@ -18,8 +18,8 @@ use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
 use crate::clock::Clock;
 use crate::positioning::Scratch;
 use crate::store::{
-    ArcStart, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError, StoredEpoch,
-    StoredSolution,
+    ArcStart, AuditEntry, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError,
+    StoredEpoch, StoredSolution,
 };
 use crate::tenant::Tenant;
 
@@ -133,14 +133,14 @@ impl Task {
                     drop(permit);
                     reply.send(answer);
                 }
-                Some(Message::Reset { unix_ms, permit, reply }) => {
-                    let answer = Box::pin(self.reset(&mut active, unix_ms)).await;
+                Some(Message::Reset { unix_ms, entry, permit, reply }) => {
+                    let answer = Box::pin(self.reset(&mut active, unix_ms, entry)).await;
                     drop(permit);
                     reply.send(answer).ok(); // Err: the client hung up.
                 }
-                Some(Message::Close { unix_ms, reply }) => {
+                Some(Message::Close { unix_ms, entry, reply }) => {
                     // Err: the caller has gone; the session is closed all the same.
-                    reply.send(self.close(&mut active, unix_ms).await).ok();
+                    reply.send(self.close(&mut active, unix_ms, entry).await).ok();
                     return;
                 }
                 Some(Message::Submission(_)) | None => {}
@@ -150,7 +150,12 @@ impl Task {
     }
 
     /// Stores the last revisions of the epochs in the window, and that a new arc begins.
-    async fn reset(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
+    async fn reset(
+        &self,
+        active: &mut Option<Active>,
+        unix_ms: i64,
+        entry: Option<Box<AuditEntry>>,
+    ) -> Result<(), SessionError> {
         let current = self.activate(active).await?;
         let Some(after_seq) = current.last_seq() else { return Ok(()) };
         if ARCS <= self.store.arcs(self.key).await?.len() {
@@ -166,9 +171,9 @@ impl Task {
         };
         let (state, revised, snapshot) = self.solvers.estimate(Lane::RealTime, work).await?;
         let revisions = revised.iter().map(EncodedSolution::new).collect();
-        let arc = Some(ArcStart { after_seq, unix_ms });
+        let arc = Some(Box::new(ArcStart { after_seq, unix_ms }));
         let batch = self.batch(Some(after_seq));
-        let batch = Batch { revisions, snapshot, keeps_snapshot, arc, ..batch };
+        let batch = Batch { revisions, snapshot, keeps_snapshot, arc, entry, ..batch };
         let stored = self.store.commit(batch).await;
         // An arc is not seen in the last number, so an unconfirmed one is read from the store.
         stored.inspect_err(|_| *active = None)?;
@@ -182,7 +187,12 @@ impl Task {
     }
 
     /// Stores the last revisions of the epochs in the window, and that the session is closed.
-    async fn close(&self, active: &mut Option<Active>, unix_ms: i64) -> Result<(), SessionError> {
+    async fn close(
+        &self,
+        active: &mut Option<Active>,
+        unix_ms: i64,
+        entry: Option<Box<AuditEntry>>,
+    ) -> Result<(), SessionError> {
         let mut state = (*self.activate(active).await?.committed).clone();
         let previous = state.last_seq();
         let revised =
@@ -190,7 +200,7 @@ impl Task {
         let revisions = revised.iter().map(EncodedSolution::new).collect();
         let closed_unix_ms = Some(unix_ms);
         let batch = self.batch(previous);
-        self.store.commit(Batch { revisions, closed_unix_ms, ..batch }).await?;
+        self.store.commit(Batch { revisions, closed_unix_ms, entry, ..batch }).await?;
         self.live.publish(self.key, &revised);
         self.live.publish_closed(self.key);
         Ok(())

@@ -8,7 +8,7 @@ use crate::store::codec::{
     Distances, SolutionSummary, encode_epoch, encode_relative_epoch, encode_revision,
     encode_solution, solution_columns, solution_summary, status_number,
 };
-use crate::store::{BaseUse, RawChange, SessionKey, StoredSolution};
+use crate::store::{AuditEntry, BaseUse, RawChange, SessionKey, StoredSolution};
 
 /// From 1970-01-01 to 9999-12-31.
 const DAYS: std::ops::RangeInclusive<i64> = 0..=2_932_896;
@@ -33,9 +33,11 @@ pub struct Batch {
     /// The chunk of raw bytes from which the epochs were decoded.
     pub raw: Option<Box<RawChange>>,
     /// Begins a new arc of the session.
-    pub arc: Option<ArcStart>,
+    pub arc: Option<Box<ArcStart>>,
     /// Closes the session at this time (ms since 1970-01-01 UTC), if it is open.
     pub closed_unix_ms: Option<i64>,
+    /// The entry in the audit log of the act that is committed.
+    pub entry: Option<Box<AuditEntry>>,
 }
 
 impl Batch {
@@ -52,6 +54,7 @@ impl Batch {
             raw: None,
             arc: None,
             closed_unix_ms: None,
+            entry: None,
         }
     }
 

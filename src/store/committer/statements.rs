@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use sqlx::{PgConnection, SqliteConnection};
 
 use crate::gnss::{GpsTime, LeapSeconds};
+use crate::store::audit::note;
 
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 use super::origins::OriginKeys;
@@ -211,6 +212,7 @@ macro_rules! write_changes {
                 close.execute(&mut *$transaction).await?;
                 sqlx::query(FORGET_ALL_RAW).bind(session).execute(&mut *$transaction).await?;
             }
+            note!($transaction, batch.entry.as_deref());
         }
     };
 }

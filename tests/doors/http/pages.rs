@@ -5,6 +5,7 @@ use std::io::Read;
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode};
 use graphfix::formats::decompress;
+use serde_json::Value;
 use tower::ServiceExt;
 
 use crate::support::doors::{Doors, code};
@@ -13,9 +14,21 @@ use crate::support::snapshot;
 #[tokio::test]
 async fn readiness_ends_when_the_service_drains() {
     let doors = Doors::open().await;
-    assert_eq!(doors.get("/readyz").await.0, StatusCode::OK);
+    let (status, answer) = doors.get("/readyz").await;
+    assert_eq!((status, answer.get("retryAfterMs")), (StatusCode::OK, None), "{answer}");
     doors.service.drain();
-    assert_eq!(doors.get("/readyz").await.0, StatusCode::SERVICE_UNAVAILABLE);
+    let mut delays = Vec::new();
+    for _ in 0..20 {
+        let request = Request::get("/readyz").body(Body::empty()).unwrap();
+        let response = doors.router.clone().oneshot(request).await.unwrap();
+        assert_eq!(response.status(), StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(response.headers()["retry-after"], "1", "whole seconds");
+        let body = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
+        let answer: Value = serde_json::from_slice(&body).unwrap();
+        delays.push(answer["retryAfterMs"].as_u64().unwrap());
+    }
+    assert!(delays.iter().all(|ms| (500..=1000).contains(ms)), "{delays:?}");
+    assert!(delays.iter().any(|ms| *ms != delays[0]), "clients do not return together");
     assert_eq!(doors.get("/healthz").await.0, StatusCode::OK);
 }
 

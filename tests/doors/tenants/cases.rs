@@ -100,6 +100,7 @@ pub(super) fn case(call: &Call, of: &Things) -> Case {
         "Keys" => keys(call, of),
         "Navigation" => navigation(call),
         "Tenants" => tenants(call, of),
+        "Audit" => audit(call, of),
         _ => return others(call),
     };
     Case::Requests(requests.unwrap_or_else(|| panic!("no case for {name}")))
@@ -366,6 +367,24 @@ fn tenants(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         }
         _ => return None,
     })
+}
+
+fn audit(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
+    let none = Value::Null;
+    let mut requests = both!(call, v1::ListAuditRequest, "/v1/audit", json!({}), none);
+    let Things { session, base, key, tenant, .. } = of;
+    for (field, value) in [
+        ("tenant", tenant),
+        ("actor", key),
+        ("object", session),
+        ("object", base),
+        ("object", tenant),
+        ("pageToken", key),
+    ] {
+        let path = format!("/v1/audit?{field}={value}");
+        requests.extend(both!(call, v1::ListAuditRequest, path, json!({field: value}), none));
+    }
+    Some(requests)
 }
 
 fn navigation(call: &Call) -> Option<Vec<Request<Body>>> {

@@ -193,6 +193,7 @@ pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec
         format!("{job}/report"),
         format!("{job}/result"),
         "/v1/keys".to_owned(),
+        "/v1/audit".to_owned(),
         "/v1/navigation".to_owned(),
     ];
     let mut seen = Vec::new();

@@ -1,0 +1,69 @@
+//! The audit log.
+
+use std::mem;
+
+use crate::contract::{Caller, Refusal, texts, v1};
+use crate::store::{AuditEntry, AuditFilter};
+
+use super::paging::Pages;
+use super::{oldest_first, page_size, unix_ms, utc};
+
+/// Entries on a page if the request gives no size.
+const PAGE: usize = 100;
+
+/// A page of entries: those of the caller's tenant, and for the operator those of all.
+///
+/// # Errors
+/// The page token or size, or what is asked for is invalid, the tenant is another one and the
+/// caller not the operator, or the store fails.
+pub async fn list(
+    caller: &Caller,
+    mut request: v1::ListAuditRequest,
+) -> Result<v1::ListAuditResponse, Refusal> {
+    let size = page_size(mem::take(&mut request.page_size), PAGE);
+    let token = mem::take(&mut request.page_token);
+    let pages = Pages::of("Audit/List", &request, &token)?;
+    let page = caller.audit(filter(caller, request)?, size, pages.after()).await?;
+    Ok(v1::ListAuditResponse {
+        entries: page.items.into_iter().map(message).collect(),
+        next_page_token: pages.token(page.next_page_token),
+    })
+}
+
+/// Which entries a list has.
+fn filter(caller: &Caller, request: v1::ListAuditRequest) -> Result<AuditFilter, Refusal> {
+    let v1::ListAuditRequest { tenant, actor, call, object, from_utc, to_utc, .. } = request;
+    texts::check_names([("actor", &*actor), ("call", &*call), ("object", &*object)])?;
+    let is_named = !tenant.is_empty();
+    let tenant = super::keys::tenant(caller, &tenant)?;
+    let time = |field: &str, text: &str, otherwise: i64| match text {
+        "" => Ok(otherwise),
+        text => unix_ms(field, text),
+    };
+    Ok(AuditFilter {
+        tenant: is_named.then_some(tenant),
+        actor,
+        call,
+        object,
+        is_refused: request.refused,
+        span: time("fromUtc", &from_utc, i64::MIN)?..time("toUtc", &to_utc, i64::MAX)?,
+        oldest_first: oldest_first(request.order)?,
+        ..AuditFilter::all()
+    })
+}
+
+fn message(entry: AuditEntry) -> v1::AuditEntry {
+    let AuditEntry { id, unix_ms, tenant, author, call, object, outcome, change } = entry;
+    v1::AuditEntry {
+        entry: id,
+        created_utc: utc(unix_ms),
+        tenant: tenant.to_string(),
+        actor: author.actor,
+        call,
+        object,
+        outcome,
+        request: author.request,
+        node: author.node,
+        change,
+    }
+}
