@@ -9,6 +9,7 @@ mod clients;
 mod compare;
 mod errors;
 mod feeds;
+mod frames;
 mod grpc;
 mod guides;
 mod http;
