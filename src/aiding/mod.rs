@@ -31,10 +31,10 @@ pub(crate) use trust::{OF_BASE, rover_source, tenant_source};
 
 use std::sync::Arc;
 
-use crate::gnss::AntennaCatalogue;
+use crate::gnss::{AntennaCatalogue, Geoid};
 use crate::store::Store;
 
-/// Both brokers, and the calibrations of antennas. All clones share them.
+/// Both brokers, the calibrations of antennas, and the table of the geoid. All clones share them.
 #[derive(Clone)]
 pub struct AidingDesk {
     /// Broadcast ephemerides.
@@ -43,6 +43,8 @@ pub struct AidingDesk {
     pub bases: BaseBroker,
     /// Calibrations of antennas.
     pub antennas: Antennas,
+    /// The operator's table of the geoid's heights.
+    pub geoid: Option<Arc<Geoid>>,
 }
 
 impl AidingDesk {
@@ -74,6 +76,12 @@ impl AidingDesk {
                 }
             }
         }
-        Ok(Self { navigation, bases, antennas })
+        Ok(Self { navigation, bases, antennas, geoid: None })
+    }
+
+    /// The desk with a table of the geoid's heights.
+    #[must_use]
+    pub fn with_geoid(self, geoid: Option<Arc<Geoid>>) -> Self {
+        Self { geoid, ..self }
     }
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use crate::aiding::AidingError;
 use crate::feeds::FetchError;
+use crate::formats::geoid::GeoidError;
 use crate::jobs::JobError;
 use crate::keys::KeyError;
 use crate::refusal::Code;
@@ -46,6 +47,14 @@ pub enum AppError {
         /// The error in it.
         reason: String,
     },
+    /// The operator's table of the geoid.
+    #[error("{}: {error}", path.display())]
+    Geoid {
+        /// The file.
+        path: PathBuf,
+        /// The error in it.
+        error: GeoidError,
+    },
 }
 
 impl AppError {
@@ -61,6 +70,7 @@ impl AppError {
             Self::NotEncrypted(_) => Code::ListenNotEncrypted,
             Self::Tls(error) => error.code(),
             Self::Antex { .. } => Code::AntexInvalid,
+            Self::Geoid { .. } => Code::GeoidInvalid,
         }
     }
 }

@@ -10,6 +10,7 @@ use std::future::Future;
 use std::io::BufReader;
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
+use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use std::thread::available_parallelism;
 use std::time::Duration;
@@ -29,8 +30,8 @@ use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
     NetworkRequest, TimeLimits,
 };
-use crate::formats::{antex, decompress};
-use crate::gnss::AntennaCatalogue;
+use crate::formats::{antex, decompress, geoid};
+use crate::gnss::{AntennaCatalogue, Geoid};
 use crate::http;
 use crate::jobs::Jobs;
 use crate::keys::Keys;
@@ -54,8 +55,8 @@ pub struct App {
 /// and `feed_options` apply to the connections to other hosts.
 ///
 /// # Errors
-/// The database, the certificate or the ANTEX file cannot be read, or an address of a source is
-/// invalid or not allowed.
+/// The database, the certificate, the ANTEX file or the table of the geoid cannot be read, or an
+/// address of a source is invalid or not allowed.
 pub async fn open(
     configuration: &ServiceConfiguration,
     time_limits: TimeLimits,
@@ -65,6 +66,7 @@ pub async fn open(
         configuration;
     let tls = ServerTls::open(&configuration.tls)?;
     let catalogue = antenna_catalogue(antennas)?;
+    let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
     let sources = navigation_sources(navigation)?;
     let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
     let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
@@ -77,12 +79,13 @@ pub async fn open(
     };
     let store = open_alone(database, &node).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
+    let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
     let feeds = Feeds::open(connector, aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
-    let jobs = Jobs::open(store.clone(), lane, jobs, node.clone()).await?;
+    let jobs = Jobs::open(store.clone(), lane, jobs, node.clone(), geoid).await?;
     let keys = Keys::open(store.clone()).await?;
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
@@ -217,6 +220,17 @@ fn antenna_catalogue(configuration: &AntennasConfiguration) -> Result<AntennaCat
     let invalid = |reason: String| AppError::Antex { path: path.clone(), reason };
     let file = File::open(path).map_err(|error| invalid(error.to_string()))?;
     antex::read(decompress(BufReader::new(file))).map_err(|error| invalid(error.to_string()))
+}
+
+/// Reads a table of the geoid's heights.
+///
+/// # Errors
+/// The file cannot be read, or is no such table.
+pub(crate) fn geoid_table(path: &Path) -> Result<Arc<Geoid>, AppError> {
+    let read = File::open(path)
+        .map_err(geoid::GeoidError::from)
+        .and_then(|file| geoid::read(decompress(BufReader::new(file))));
+    read.map(Arc::new).map_err(|error| AppError::Geoid { path: path.to_owned(), error })
 }
 
 fn navigation_sources(

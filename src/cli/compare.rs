@@ -18,7 +18,7 @@ use crate::refusal::Code;
 
 use super::Failure;
 use super::evaluate::Triple;
-use super::option_arguments::assignments;
+use super::option_arguments::{assignments, check_as_computed};
 use super::recording::RecordingArguments;
 
 /// Largest number of methods of one report: more lines cannot be distinguished in a plot.
@@ -88,6 +88,7 @@ impl FromStr for MethodName {
 
 /// Runs the command; prints the first table on standard output.
 pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
+    check_as_computed(&arguments.set)?;
     let inputs = arguments.recording.inputs();
     let truth = arguments.truth(&inputs)?;
     if arguments.output.extension().is_none_or(|ending| ending != "html") {

@@ -96,6 +96,10 @@ impl From<RecordingError> for Failure {
                 (Code::BasePositionMissing, "give --base-position X,Y,Z")
             }
             RecordingError::BaseRequired { .. } => (Code::Usage, "add --base FILE"),
+            RecordingError::FrameUnavailable { .. } => {
+                let remedy = "state the base's frame, as by --base-frame ETRF2000";
+                (Code::FrameUnavailable, remedy)
+            }
             RecordingError::NoSuchAnswer { .. } => {
                 (Code::Usage, "name a mode with a window, as fgo")
             }

@@ -49,7 +49,7 @@ struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Solve(solve::SolveArguments),
+    Solve(Box<solve::SolveArguments>),
     Compare(Box<compare::CompareArguments>),
     Config(config::ConfigArguments),
     Evaluate(Box<evaluate::EvaluateArguments>),

@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::config::{Mode, PositioningOptions, Profile};
+use crate::config::{Mode, OutputOptions, PositioningOptions, Profile};
 use crate::refusal::Code;
 
 use super::Failure;
@@ -50,6 +50,23 @@ pub(crate) fn assignments(set: &[String]) -> Result<Vec<(&str, &str)>, Failure> 
     Ok(all)
 }
 
+/// Refuses options of what is given out, for a command that gives positions as they are computed.
+///
+/// # Errors
+/// Such an option is set.
+pub(crate) fn check_as_computed(set: &[String]) -> Result<(), Failure> {
+    let values =
+        assignments(set)?.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned()));
+    match OutputOptions::of_values(&values.collect())? == OutputOptions::as_computed() {
+        true => Ok(()),
+        false => {
+            let message = "positions are compared as they are computed";
+            let remedy = "leave out --set frame, base_frame and geoid";
+            Err(Failure::new(Code::Usage, message, remedy))
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -71,6 +88,15 @@ mod tests {
     fn overrides_apply_in_order() {
         let options = options("spp", &["cn0_mask_db_hz=20", "cn0_mask_db_hz=25"]).unwrap();
         assert_eq!(options.cn0_mask_db_hz, 25.0);
+    }
+
+    #[test]
+    fn what_is_given_out_is_not_compared() {
+        let check = |set: &str| check_as_computed(&[set.to_owned()]).map_err(|f| f.code());
+        assert_eq!(check("velocity=on"), Ok(()));
+        assert_eq!(check("frame=native"), Ok(()));
+        assert_eq!(check("frame=ETRS89"), Err(Code::Usage));
+        assert_eq!(check("geoid=on"), Err(Code::Usage));
     }
 
     #[test]

@@ -10,13 +10,13 @@ use clap::Args;
 use crate::aiding::bases::BaseChoice;
 use crate::app;
 use crate::config::Limits;
-use crate::gnss::{AntennaCatalogue, Status};
+use crate::gnss::{AntennaCatalogue, Presentation, Status};
 use crate::refusal::Code;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
 
 use super::Failure;
 use super::host;
-use super::option_arguments::assignments;
+use super::option_arguments::{assignments, check_as_computed};
 use super::solve::{create, unwritable};
 
 /// Computes a stored session again from its epochs and the navigation data of that time.
@@ -79,6 +79,7 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
 impl ReplayArguments {
     /// The options that differ from the session's, if any.
     fn change(&self) -> Result<Option<SolveRequest>, Failure> {
+        check_as_computed(&self.set)?;
         let mut overrides = BTreeMap::new();
         for (key, value) in assignments(&self.set)? {
             overrides.insert(key.to_owned(), value.to_owned());
@@ -123,7 +124,8 @@ async fn write(arguments: &ReplayArguments, mut again: Recomputation) -> Result<
                 format!("session   : {}", arguments.session),
                 format!("options   : {}", again.configuration_hash()),
             ];
-            Some((path, create(path, &comments, again.leap_seconds())?))
+            let plain = Presentation::default();
+            Some((path, create(path, &comments, again.leap_seconds(), plain)?))
         }
         None => None,
     };

@@ -62,6 +62,10 @@ pub(super) struct ServeArguments {
     /// Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_ANTEX")]
     antex: Option<PathBuf>,
+    /// Table of the geoid's heights (PGM of GeographicLib, GTX or ISG), for sessions and jobs with
+    /// the option geoid. Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_GEOID_FILE")]
+    geoid: Option<PathBuf>,
     /// Filter of the log, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
@@ -95,6 +99,7 @@ impl ServeArguments {
         configuration.fetch.hosts.extend(self.fetch_host);
         configuration.fetch.private_addresses |= self.fetch_private;
         configuration.navigation.archives.extend(self.nav_archive);
+        configuration.geoid_file = self.geoid.or(configuration.geoid_file);
         configuration.antennas.antex = self.antex.or(configuration.antennas.antex);
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;

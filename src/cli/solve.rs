@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 
+use crate::app;
 use crate::config::PositioningOptions;
 use crate::formats::track::TrackFormat;
-use crate::gnss::LeapSeconds;
+use crate::gnss::{LeapSeconds, Presentation};
 use crate::recording::{AnswerKind, Provenance, SolutionWriter, Solutions, Tally, comments_of};
 use crate::refusal::Code;
 
@@ -41,6 +42,16 @@ pub(crate) struct SolveArguments {
     /// Write the smoothed solution of each epoch, computed when the epoch leaves the window.
     #[arg(long)]
     smoothed: bool,
+    /// Frame of the positions: native (WGS 84, or the base's frame) or ETRS89.
+    #[arg(long, value_name = "FRAME")]
+    frame: Option<String>,
+    /// Frame and epoch of the base's coordinates, as ETRF2000 or ITRF2014@2010.0.
+    #[arg(long, value_name = "FRAME[@YEAR]", requires = "base")]
+    base_frame: Option<String>,
+    /// Table of the geoid's heights (PGM of GeographicLib, GTX or ISG, also packed with gzip):
+    /// heights above the geoid are written, too.
+    #[arg(long, value_name = "FILE")]
+    geoid: Option<PathBuf>,
     /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx or .nmea. Default: the
     /// rover's file with .pos in place of its ending, if there is no such file yet.
     #[arg(long, value_name = "FILE")]
@@ -51,18 +62,19 @@ pub(crate) struct SolveArguments {
 pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let began = Instant::now();
     let options = arguments.options()?;
+    let presentation = arguments.presentation(&options)?;
     let inputs = arguments.recording.inputs();
     let comments = comments_of(&options);
     let mut solutions = Solutions::open(&inputs, options, arguments.answer_kind())?;
     let leap_seconds = solutions.leap_seconds();
     let path = arguments.output()?;
-    let mut output = create(&path, &comments, leap_seconds)?;
+    let mut output = create(&path, &comments, leap_seconds, presentation)?;
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
     for solution in &mut solutions {
         let solution = solution.inspect_err(|_| progress.clear())?;
-        output.write(&solution).map_err(|error| unwritable(&path, &error))?;
-        tally.add(&solution);
+        let foreign = output.write(&solution).map_err(|error| unwritable(&path, &error))?;
+        tally.add(&solution, foreign);
         progress.show(&tally);
     }
     output.finish().map_err(|error| unwritable(&path, &error))?;
@@ -85,7 +97,24 @@ impl SolveArguments {
         if let Some(window) = self.window.as_deref().filter(|window| *window != BATCH) {
             options.set("window_s", window)?;
         }
+        for (name, value) in [("frame", &self.frame), ("base_frame", &self.base_frame)] {
+            value.as_ref().map_or(Ok(()), |value| options.set(name, value))?;
+        }
+        options.output.geoid |= self.geoid.is_some();
         Ok(options)
+    }
+
+    /// How solutions are written.
+    fn presentation(&self, options: &PositioningOptions) -> Result<Presentation, Failure> {
+        let table = |path: &PathBuf| {
+            app::geoid_table(path).map_err(|error| Failure::of(error.code(), error))
+        };
+        let geoid = self.geoid.as_ref().map(table).transpose()?;
+        if options.output.geoid && geoid.is_none() {
+            let message = "no table of the geoid is named";
+            return Err(Failure::new(Code::GeoidMissing, message, "add --geoid FILE"));
+        }
+        Ok(options.output.presentation(geoid.as_ref()))
     }
 
     /// The file to write. Only a file that is named is replaced.
@@ -127,6 +156,7 @@ pub(super) fn create(
     path: &Path,
     comments: &[String],
     leap: LeapSeconds,
+    presentation: Presentation,
 ) -> Result<SolutionWriter<BufWriter<File>>, Failure> {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
     let format = TrackFormat::from_name(ending).ok_or_else(|| {
@@ -136,7 +166,7 @@ pub(super) fn create(
     })?;
     let file = File::create(path)
         .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
-        .and_then(|file| SolutionWriter::new(file, format, comments, leap));
+        .and_then(|file| SolutionWriter::new(file, format, comments, leap, presentation));
     file.map_err(|error| unwritable(path, &error))
 }
 
@@ -220,6 +250,20 @@ mod tests {
         {
             assert_eq!(beside(Path::new(rover)), Path::new(output));
         }
+    }
+
+    #[test]
+    fn a_frame_and_a_geoid_are_options() {
+        assert_eq!(code("fgo", &["--frame", "ETRS89"]), None);
+        assert_eq!(code("fgo", &["--frame", "WGS84"]), Some(Code::InvalidOptionValue));
+        let based = ["--base", "b", "--base-frame"];
+        assert_eq!(code("rtk-fgo", &[&based[..], &["ITRF2014@2010"]].concat()), None);
+        let unknown = [&based[..], &["LOCAL"]].concat();
+        assert_eq!(code("rtk-fgo", &unknown), Some(Code::InvalidOptionValue));
+        let line = ["solve", "--rover", "r", "--set", "geoid=on"];
+        let solve = Line::try_parse_from(line).unwrap().solve;
+        let failure = solve.presentation(&solve.options().unwrap()).unwrap_err();
+        assert_eq!(failure.code(), Code::GeoidMissing);
     }
 
     #[test]

@@ -64,6 +64,16 @@ named_choice! {
 }
 
 named_choice! {
+    /// The frame of the positions that are given out.
+    OutputFrame {
+        /// As computed: relative to a base in the base's frame, others in WGS 84 as broadcast.
+        Native = "native",
+        /// The ETRS89, in its realisation ETRF2000.
+        Etrs89 = "ETRS89",
+    }
+}
+
+named_choice! {
     /// A robust kernel; formulas in `graph::kernel`.
     KernelLaw {
         /// No robust kernel: least squares.

@@ -13,13 +13,15 @@ mod jobs;
 mod limits;
 mod option_specification;
 mod option_table;
+mod output_options;
+mod output_table;
 mod positioning;
 mod rtk_options;
 mod rtk_table;
 mod service;
 mod tls;
 
-pub use choices::{BandSet, Beyond, ConstellationSet, Mode, Profile};
+pub use choices::{BandSet, Beyond, ConstellationSet, Mode, OutputFrame, Profile};
 pub(crate) use choices::{
     DopplerUse, IonosphereModel, KernelLaw, TroposphereMapping, TroposphereModel, WeightModel,
 };
@@ -29,6 +31,7 @@ pub use integrity_options::IntegrityOptions;
 pub use jobs::JobsConfiguration;
 pub use limits::{IntakeLimits, Limits};
 pub use option_table::OptionEntry;
+pub use output_options::OutputOptions;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;

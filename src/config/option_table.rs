@@ -1,15 +1,18 @@
 //! The table of positioning options: name, unit, meaning and accepted values of each.
 
+use std::collections::BTreeMap;
+
 use crate::gnss::SatelliteId;
 use crate::gnss::constants::SECONDS_PER_HOUR;
 
 use super::graph_table::GRAPH_TABLE;
 use super::integrity_table::INTEGRITY_TABLE;
 use super::option_specification::{OptionSpecification, number, switch, switch_text};
+use super::output_table::OUTPUT_TABLE;
 use super::rtk_table::RTK_TABLE;
 use super::{
-    BandSet, ConfigError, ConstellationSet, IonosphereModel, Mode, PositioningOptions,
-    TroposphereMapping, TroposphereModel, WeightModel,
+    BandSet, ConfigError, ConstellationSet, IonosphereModel, Mode, OutputOptions,
+    PositioningOptions, Profile, TroposphereMapping, TroposphereModel, WeightModel,
 };
 
 /// One option with its value in force.
@@ -214,6 +217,20 @@ impl PositioningOptions {
 
     /// Every option of the mode, with default, value in force, unit and meaning.
     pub fn entries(&self) -> Vec<OptionEntry> {
+        self.entries_of(&[self.estimation_tables().as_slice(), &[OUTPUT_TABLE]].concat())
+    }
+
+    /// The tables of the options that the mode's estimator reads.
+    fn estimation_tables(&self) -> [&'static [OptionSpecification]; 4] {
+        let (graph, rtk): (&[OptionSpecification], &[OptionSpecification]) = match self.mode {
+            Mode::Spp => (&[], &[]),
+            Mode::Ekf | Mode::Fgo => (GRAPH_TABLE, &[]),
+            Mode::RtkEkf | Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
+        };
+        [TABLE, INTEGRITY_TABLE, graph, rtk]
+    }
+
+    fn entries_of(&self, tables: &[&'static [OptionSpecification]]) -> Vec<OptionEntry> {
         let defaults = Self::new(self.mode, self.profile);
         let entry = |option: &OptionSpecification| OptionEntry {
             name: option.name,
@@ -223,23 +240,36 @@ impl PositioningOptions {
             meaning: option.meaning,
             allowed: option.allowed,
         };
-        let (graph, rtk): (&[OptionSpecification], &[OptionSpecification]) = match self.mode {
-            Mode::Spp => (&[], &[]),
-            Mode::Ekf | Mode::Fgo => (GRAPH_TABLE, &[]),
-            Mode::RtkEkf | Mode::RtkFgo => (GRAPH_TABLE, RTK_TABLE),
-        };
-        TABLE.iter().chain(INTEGRITY_TABLE).chain(graph).chain(rtk).map(entry).collect()
+        tables.iter().flat_map(|table| table.iter()).map(entry).collect()
     }
 
-    /// BLAKE3 hash of the mode and of every value in force, in hexadecimal. Equal estimators have
-    /// equal hashes, whichever profile and overrides led to them.
+    /// BLAKE3 hash of the mode and of every value in force that its estimator reads, in
+    /// hexadecimal. Equal estimators have equal hashes, whichever profile and overrides led to
+    /// them.
     pub fn configuration_hash(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("mode={}\n", self.mode.name()).as_bytes());
-        for entry in self.entries() {
+        for entry in self.entries_of(&self.estimation_tables()) {
             hasher.update(format!("{}={}\n", entry.name, entry.value).as_bytes());
         }
         hasher.finalize().to_hex().to_string()
+    }
+}
+
+impl OutputOptions {
+    /// The options among stored values of a configuration; those that are not among them are as
+    /// computed.
+    ///
+    /// # Errors
+    /// A value no longer exists.
+    pub fn of_values(values: &BTreeMap<String, String>) -> Result<Self, ConfigError> {
+        let mut options = PositioningOptions::new(Mode::Spp, Profile::General);
+        for option in OUTPUT_TABLE {
+            if let Some(value) = values.get(option.name) {
+                options.set(option.name, value)?;
+            }
+        }
+        Ok(options.output)
     }
 }
 
@@ -251,7 +281,8 @@ fn missing_feature(key: &str, value: &str) -> Option<&'static str> {
 
 /// The options of all modes, in the order they are listed.
 fn all() -> impl Iterator<Item = &'static OptionSpecification> {
-    TABLE.iter().chain(INTEGRITY_TABLE).chain(GRAPH_TABLE).chain(RTK_TABLE)
+    let estimation = TABLE.iter().chain(INTEGRITY_TABLE).chain(GRAPH_TABLE).chain(RTK_TABLE);
+    estimation.chain(OUTPUT_TABLE)
 }
 
 /// The option name with the smallest edit distance to `key`; the first of equals.
@@ -294,7 +325,6 @@ fn parse_satellites(text: &str) -> Option<Vec<SatelliteId>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Profile;
     use super::*;
     use crate::refusal::Code;
 

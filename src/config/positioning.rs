@@ -4,8 +4,8 @@ use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Band, Constellation, SatelliteId};
 
 use super::{
-    BandSet, ConstellationSet, GraphOptions, IntegrityOptions, IonosphereModel, Mode, Profile,
-    RtkOptions, TroposphereMapping, TroposphereModel, WeightModel,
+    BandSet, ConstellationSet, GraphOptions, IntegrityOptions, IonosphereModel, Mode,
+    OutputOptions, Profile, RtkOptions, TroposphereMapping, TroposphereModel, WeightModel,
 };
 
 /// C/N0 to which the options' standard deviations refer (dB-Hz): at 22 dB-Hz they are tenfold.
@@ -71,6 +71,8 @@ pub struct PositioningOptions {
     pub rtk: RtkOptions,
     /// Options of protection levels.
     pub integrity: IntegrityOptions,
+    /// Options of what is given out, which no estimator reads.
+    pub output: OutputOptions,
 }
 
 impl PositioningOptions {
@@ -144,6 +146,7 @@ impl PositioningOptions {
             graph: GraphOptions::new(Profile::General),
             rtk: RtkOptions::new(Profile::General),
             integrity: IntegrityOptions::new(),
+            output: OutputOptions::as_computed(),
         }
     }
 }
@@ -159,6 +162,24 @@ mod tests {
         assert_ne!(general.configuration_hash(), fixed.configuration_hash());
         fixed.set("elevation_mask_deg", "15").unwrap();
         assert_eq!(general.configuration_hash(), fixed.configuration_hash());
+    }
+
+    /// What is given out changes nothing that is computed, so it has no part in the hash.
+    #[test]
+    fn what_is_given_out_is_not_hashed() {
+        let plain = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let mut options = plain.clone();
+        for (name, value) in
+            [("frame", "ETRS89"), ("base_frame", "ETRF2014@2020.5"), ("geoid", "on")]
+        {
+            options.set(name, value).unwrap();
+            assert!(options.entries().iter().any(|e| e.name == name && e.value == value));
+        }
+        assert_ne!(options, plain);
+        assert_eq!(options.configuration_hash(), plain.configuration_hash());
+        for (name, value) in [("frame", "WGS84"), ("base_frame", "LOCAL"), ("geoid", "yes")] {
+            assert!(options.set(name, value).is_err(), "{name}={value}");
+        }
     }
 
     #[test]

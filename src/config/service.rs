@@ -52,6 +52,9 @@ pub struct ServiceConfiguration {
     pub bases: BasesConfiguration,
     /// Phase centres of antennas.
     pub antennas: AntennasConfiguration,
+    /// Table of the geoid's heights: PGM of GeographicLib, GTX or ISG, plain or gzip. Sessions and
+    /// jobs with the option `geoid` state heights above it.
+    pub geoid_file: Option<PathBuf>,
     /// Batch jobs.
     pub jobs: JobsConfiguration,
     /// Limits on what the service accepts.
@@ -213,6 +216,7 @@ impl ServiceConfiguration {
             },
             bases: BasesConfiguration { networks: Vec::new(), table_interval_s: 3600, idle_s: 300 },
             antennas: AntennasConfiguration { antex: None },
+            geoid_file: None,
             jobs: JobsConfiguration::standard(),
             limits: Limits::standard(),
         }

@@ -5,8 +5,8 @@
 
 use tokio::sync::OwnedSemaphorePermit;
 
-use crate::aiding::TenantNavigation;
 use crate::aiding::bases::{BaseFileLimits, TenantBases};
+use crate::aiding::{AidingDesk, TenantNavigation};
 use crate::clock::unix_ms;
 use crate::config::Limits;
 use crate::feeds::TenantFeeds;
@@ -115,6 +115,12 @@ impl Caller {
     /// The quotas, each call of which names a tenant, but the list.
     pub(crate) fn quotas(&self) -> &TenantQuotas {
         self.service.quotas()
+    }
+
+    /// Frames of bases by their id, and the table of the geoid: what solutions are presented with.
+    /// A solution names the base that it rests on, so this tells nothing of other bases.
+    pub(super) fn aiding(&self) -> &AidingDesk {
+        self.service.aiding()
     }
 
     /// The streams and archives of the tenant.

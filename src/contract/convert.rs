@@ -4,15 +4,15 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::config::IntakeLimits;
 use crate::gnss::{
-    Ecef, Epoch, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame, Provenance,
-    RelativeEstimate, Solution, SolutionEstimate, Status,
+    Ecef, Epoch, FrameRefusal, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame,
+    Presented, Provenance, RelativeEstimate, SolutionEstimate, Status,
 };
 use crate::refusal::Code;
 use crate::store::{Revisions, StoredSolution};
 
 use super::intake::{self, RawObservation, RawOdometry};
 use super::reason::reason;
-use super::{Refusal, v1};
+use super::{Presenter, Refusal, v1};
 
 /// The values of a solution's row that are not part of the solution.
 #[derive(Clone, Copy, Debug)]
@@ -116,7 +116,8 @@ fn odometry_message(odometry: &Odometry) -> v1::Odometry {
 }
 
 /// A solution as a message.
-pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
+pub fn solution(presented: &Presented<'_>, stored: Stored<'_>) -> v1::Solution {
+    let solution = &presented.solution;
     let estimate = solution.estimate.as_ref();
     v1::Solution {
         seq: stored.seq,
@@ -124,19 +125,31 @@ pub fn solution(solution: &Solution, stored: Stored<'_>) -> v1::Solution {
         time: Some(solution.time.into()),
         time_utc: solution.time.to_rfc3339(&LeapSeconds::table()),
         status: status(solution.status).into(),
-        position: estimate.map(position),
+        position: estimate.map(|estimate| position(estimate, presented)),
         velocity: estimate.and_then(velocity),
         clock: estimate.map(clock),
         dops: estimate.and_then(dops),
         satellites_used: estimate
             .map(|e| e.satellites_used.iter().map(ToString::to_string).collect())
             .unwrap_or_default(),
-        reasons: solution.reasons.iter().map(reason).collect(),
+        reasons: reasons(presented),
         provenance: Some(provenance(&solution.provenance, stored)),
         relative: estimate.and_then(|e| e.relative.as_ref()).map(relative),
         horizontal_protection_m: solution.protection.map(|levels| levels.horizontal_m),
         vertical_protection_m: solution.protection.map(|levels| levels.vertical_m),
     }
+}
+
+/// What limits the solution, and why its position is not in the frame that is asked for.
+fn reasons(presented: &Presented<'_>) -> Vec<v1::Reason> {
+    let foreign = |refusal: FrameRefusal| v1::Reason {
+        code: FrameRefusal::CODE.to_owned(),
+        message: refusal.to_string(),
+        remedy: refusal.remedy().to_owned(),
+        values: None,
+    };
+    let reasons = presented.solution.reasons.iter().map(reason);
+    reasons.chain(presented.refusal.map(foreign)).collect()
 }
 
 /// The dilutions of precision; absent if the satellites used do not determine a position alone.
@@ -214,12 +227,7 @@ pub(crate) fn geodetic(position: Ecef) -> v1::Geodetic {
     }
 }
 
-/// The frame of positions from satellites alone.
-const BROADCAST_FRAME: &str = "WGS84";
-/// The frame of positions relative to a base.
-const BASE_FRAME: &str = "BASE";
-
-fn position(estimate: &SolutionEstimate) -> v1::Position {
+fn position(estimate: &SolutionEstimate, presented: &Presented<'_>) -> v1::Position {
     let Ecef(p) = estimate.position;
     let frame = LocalFrame::at(estimate.position);
     v1::Position {
@@ -227,7 +235,9 @@ fn position(estimate: &SolutionEstimate) -> v1::Position {
         geodetic: Some(geodetic(estimate.position)),
         covariance_ecef_m2: Some(covariance(&estimate.covariance)),
         covariance_enu_m2: Some(covariance(&frame.covariance_to_enu(&estimate.covariance))),
-        frame: if estimate.relative.is_some() { BASE_FRAME } else { BROADCAST_FRAME }.to_owned(),
+        frame: presented.frame.to_owned(),
+        frame_epoch_year: presented.epoch_year,
+        orthometric_height_m: presented.orthometric_height_m(),
     }
 }
 
@@ -289,14 +299,14 @@ fn provenance(provenance: &Provenance, stored: Stored<'_>) -> v1::Provenance {
 }
 
 /// A stored solution as a message.
-pub fn stored(row: &StoredSolution) -> v1::Solution {
+pub fn stored(row: &StoredSolution, presenter: &Presenter<'_>) -> v1::Solution {
     let stored = Stored {
         seq: row.seq,
         revision: row.revision,
         configuration_hash: &row.configuration_hash,
         version: &row.version,
     };
-    solution(&row.solution, stored)
+    solution(&presenter.present(&row.solution), stored)
 }
 
 /// The refusal of one epoch as a message.

@@ -204,6 +204,8 @@ impl From<SessionError> for Refusal {
             }
             SessionError::RawGap { .. } => Some("offset"),
             SessionError::BaseRequired { .. } => Some("base"),
+            SessionError::Frame(_) => Some("overrides.frame"),
+            SessionError::GeoidMissing => Some("overrides.geoid"),
             SessionError::TooManyCandidates { .. } | SessionError::BaseNamedTwice { .. } => {
                 Some("bases")
             }
@@ -248,6 +250,8 @@ impl From<JobError> for Refusal {
             JobError::IdempotencyConflict { .. } => Some("Idempotency-Key"),
             JobError::InvalidOption { field, .. } => Some(field),
             JobError::BaseRequired { .. } => Some("base"),
+            JobError::Frame(_) => Some("options.overrides.frame"),
+            JobError::GeoidMissing => Some("options.overrides.geoid"),
             JobError::Off
             | JobError::TooMany { .. }
             | JobError::TooManyUploads { .. }

@@ -191,6 +191,11 @@ impl Service {
         &self.0.aiding.bases
     }
 
+    /// The desks for ephemerides and base stations, and the table of the geoid.
+    pub(super) fn aiding(&self) -> &AidingDesk {
+        &self.0.aiding
+    }
+
     /// The desk for streams and archives.
     pub fn feeds(&self) -> &Feeds {
         &self.0.feeds

@@ -21,6 +21,9 @@
 //! | `reasons` | what limits the solution, separated by `; `, in quotes |
 //! | `hpl_m`, `vpl_m` | horizontal and vertical protection levels (m) |
 //!
+//! Where a session asks for them, further columns stand at the end: `frame` and `frame_epoch_year`
+//! of the position, and `orthometric_height_m`, its height above the geoid (m).
+//!
 //! Unknown values are empty fields. Of stored solutions two more columns stand in front: `seq`, the
 //! number of the epoch, and `revision`. All revisions of an epoch can be in one file.
 //!
@@ -31,10 +34,11 @@ use std::io::{BufRead, Write};
 use nalgebra::{Matrix3, Vector3};
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
-use super::encoder::{Encoder, Revision};
+use super::encoder::{Additions, Encoder, Revision};
 use super::pos::{PosError, PosFile, PosRow, quality};
 use crate::gnss::{
-    Ecef, GpsTime, LocalFrame, RelativeEstimate, Solution, SolutionEstimate, Status, Velocity,
+    Ecef, FrameRefusal, GpsTime, LocalFrame, Presented, RelativeEstimate, SolutionEstimate, Status,
+    Velocity,
 };
 
 const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
@@ -45,6 +49,9 @@ const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_
      fixed_ambiguities,ratio,success_rate,fix_probability,reasons,hpl_m,vpl_m";
 /// Titles that stand in front in files of stored solutions.
 const STORED_COLUMNS: &str = "seq,revision,";
+/// Titles that stand behind if they are asked for.
+const FRAME_COLUMNS: &str = ",frame,frame_epoch_year";
+const GEOID_COLUMN: &str = ",orthometric_height_m";
 /// Number of columns from `gps_week` to `cov_nu_m2`, which are read, and place of `satellites`.
 const READ_COLUMNS: usize = 15;
 const SATELLITES_COLUMN: usize = 32;
@@ -57,21 +64,26 @@ const VELOCITY_COLUMNS: usize = 9;
 
 /// Writes CSV rows.
 pub(super) struct Rows {
-    /// Whether the solutions are stored ones, with number and revision.
-    pub(super) is_stored: bool,
+    pub(super) additions: Additions,
 }
 
 impl Encoder for Rows {
     fn begin(&mut self, out: &mut Vec<u8>) {
-        if self.is_stored {
-            out.extend_from_slice(STORED_COLUMNS.as_bytes());
+        let Additions { is_stored, has_frame, has_geoid } = self.additions;
+        for (is_there, titles) in [
+            (is_stored, STORED_COLUMNS),
+            (true, COLUMNS),
+            (has_frame, FRAME_COLUMNS),
+            (has_geoid, GEOID_COLUMN),
+        ] {
+            out.extend_from_slice(if is_there { titles.as_bytes() } else { b"" });
         }
-        out.extend_from_slice(COLUMNS.as_bytes());
         out.push(b'\n');
     }
 
-    fn push(&mut self, solution: &Solution, revision: Option<Revision>, line: &mut Vec<u8>) {
-        if self.is_stored {
+    fn push(&mut self, presented: &Presented<'_>, revision: Option<Revision>, line: &mut Vec<u8>) {
+        let solution = &presented.solution;
+        if self.additions.is_stored {
             match revision {
                 Some(Revision { seq, revision }) => {
                     push_integer(line, seq as i64, 0);
@@ -92,7 +104,7 @@ impl Encoder for Rows {
             None => line.extend_from_slice(&[b','; ESTIMATE_COLUMNS]),
         }
         line.push(b',');
-        push_reasons(line, solution);
+        push_reasons(line, presented);
         match &solution.protection {
             Some(levels) => {
                 push_field(line, levels.horizontal_m, 2);
@@ -100,6 +112,7 @@ impl Encoder for Rows {
             }
             None => line.extend_from_slice(b",,"),
         }
+        push_reference(line, presented, self.additions);
         line.push(b'\n');
     }
 
@@ -241,17 +254,37 @@ fn push_covariance(line: &mut Vec<u8>, covariance: &Matrix3<f64>) {
     }
 }
 
-fn push_reasons(line: &mut Vec<u8>, solution: &Solution) {
-    if solution.reasons.is_empty() {
-        return;
+fn push_reasons(line: &mut Vec<u8>, presented: &Presented<'_>) {
+    let reasons = presented.solution.reasons.iter().map(ToString::to_string);
+    let foreign = |refusal| format!("{}{{{refusal}}}", FrameRefusal::CODE);
+    let mut before = "\"";
+    for reason in reasons.chain(presented.refusal.map(foreign)) {
+        line.extend_from_slice(before.as_bytes());
+        line.extend_from_slice(reason.replace('"', "\"\"").as_bytes());
+        before = "; ";
     }
-    line.push(b'"');
-    for (index, reason) in solution.reasons.iter().enumerate() {
-        let before = if index == 0 { "" } else { "; " };
-        let text = format!("{before}{reason}").replace('"', "\"\"");
-        line.extend_from_slice(text.as_bytes());
+    if before != "\"" {
+        line.push(b'"');
     }
-    line.push(b'"');
+}
+
+/// Appends the frame of the position and its height above the geoid, if they are asked for.
+fn push_reference(line: &mut Vec<u8>, presented: &Presented<'_>, additions: Additions) {
+    let has_position = presented.solution.estimate.is_some();
+    if additions.has_frame {
+        line.push(b',');
+        line.extend_from_slice(if has_position { presented.frame.as_bytes() } else { b"" });
+        match presented.epoch_year.filter(|_| has_position) {
+            Some(year) => push_field(line, year, 4),
+            None => line.push(b','),
+        }
+    }
+    if additions.has_geoid {
+        match presented.orthometric_height_m() {
+            Some(height_m) => push_field(line, height_m, 4),
+            None => line.push(b','),
+        }
+    }
 }
 
 /// Appends a comma and a number.
@@ -263,8 +296,8 @@ fn push_field(line: &mut Vec<u8>, value: f64, decimals: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::encoder::{sample, text_of};
-    use crate::gnss::{Dops, Ecef, GpsTime, Protection, Provenance, Reason, Status};
+    use crate::formats::encoder::{REFERRED, referred, sample, text_of, text_of_presented};
+    use crate::gnss::{Dops, Ecef, GpsTime, Protection, Provenance, Reason, Solution, Status};
 
     fn solution(velocity: Option<Velocity>) -> Solution {
         let time = GpsTime::from_week_seconds(2300, 100.0);
@@ -296,8 +329,33 @@ mod tests {
     }
 
     fn rows(solutions: &[Solution]) -> Vec<String> {
-        let text = text_of(&mut Rows { is_stored: false }, solutions);
+        let text = text_of(&mut Rows { additions: Additions::default() }, solutions);
         text.lines().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn what_is_asked_for_stands_at_the_end() {
+        let (solution, nothing) =
+            (sample(Status::Fixed), Solution::none(GpsTime::EPOCH, Vec::new()));
+        let foreign = Presented {
+            refusal: Some(FrameRefusal::Unknown),
+            frame: "BASE",
+            epoch_year: None,
+            ..referred(&solution)
+        };
+        let all = [referred(&solution), referred(&nothing), foreign];
+        let text = text_of_presented(&mut Rows { additions: REFERRED }, &all);
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].ends_with(",vpl_m,frame,frame_epoch_year,orthometric_height_m"));
+        assert!(lines[1].ends_with(",,,ETRF2000,2019.5000,453.1000"), "{}", lines[1]);
+        assert!(lines[2].ends_with(",,,,,"), "{}", lines[2]);
+        let reason = "\"FRAME_UNAVAILABLE{the frame of the base's coordinates is unknown}\"";
+        let end = format!("{reason},,,BASE,,453.1000");
+        assert!(lines[3].ends_with(&end), "{}", lines[3]);
+        let columns = |line: &str| line.split(',').count();
+        assert!(lines.iter().all(|line| columns(line) == columns(lines[0])), "{text}");
+        let read = read(text.as_bytes()).unwrap();
+        assert_eq!((read.rows.len(), read.unreadable.len()), (2, 0));
     }
 
     #[test]
@@ -345,11 +403,12 @@ mod tests {
 
     #[test]
     fn stored_solutions_have_number_and_revision() {
-        let mut rows = Rows { is_stored: true };
+        let mut rows = Rows { additions: Additions { is_stored: true, ..Additions::default() } };
         let mut out = Vec::new();
         rows.begin(&mut out);
         let solution = sample(Status::Fixed);
-        rows.push(&solution, Some(Revision { seq: 7, revision: 1 }), &mut out);
+        let presented = Presented::as_computed(&solution);
+        rows.push(&presented, Some(Revision { seq: 7, revision: 1 }), &mut out);
         let text = String::from_utf8(out).unwrap();
         let (titles, row) = text.split_once('\n').unwrap();
         assert!(titles.starts_with("seq,revision,gps_week,"), "{titles}");
@@ -361,7 +420,8 @@ mod tests {
     fn what_is_written_reads_back() {
         let nothing = Solution::none(GpsTime::from_week_seconds(2300, 101.0), Vec::new());
         let original = solution(None);
-        let text = text_of(&mut Rows { is_stored: false }, &[original.clone(), nothing]);
+        let text =
+            text_of(&mut Rows { additions: Additions::default() }, &[original.clone(), nothing]);
         let file = read(text.as_bytes()).unwrap();
         assert!(file.unreadable.is_empty());
         let [row] = &file.rows[..] else { panic!("{:?}", file.rows) };
@@ -374,7 +434,7 @@ mod tests {
     /// Of two revisions the later one counts; a broken row is listed.
     #[test]
     fn revisions_and_broken_rows() {
-        let text = text_of(&mut Rows { is_stored: false }, &[solution(None)]);
+        let text = text_of(&mut Rows { additions: Additions::default() }, &[solution(None)]);
         let (titles, row) = text.trim_end().split_once('\n').unwrap();
         let moved = row.replace("6378147.0000", "6378148.0000");
         let stored = format!("seq,revision,{titles}\n7,0,{row}\n7,1,{moved}\n8,0,2300,oops\n");

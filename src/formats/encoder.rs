@@ -1,6 +1,6 @@
 //! What the formats of solutions have in common: each turns one solution after another into bytes.
 
-use crate::gnss::Solution;
+use crate::gnss::{Presentation, Presented};
 
 /// Number and revision of a stored solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,30 +20,56 @@ pub(crate) trait Encoder: Send {
     fn begin(&mut self, out: &mut Vec<u8>);
 
     /// Appends one solution. `revision` is that of a stored one.
-    fn push(&mut self, solution: &Solution, revision: Option<Revision>, out: &mut Vec<u8>);
+    fn push(&mut self, presented: &Presented<'_>, revision: Option<Revision>, out: &mut Vec<u8>);
 
     /// Appends what follows the last solution.
     fn finish(&mut self, out: &mut Vec<u8>);
 }
 
+/// What solutions have beside what every solution has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Additions {
+    /// Number and revision, since they are stored ones.
+    pub(super) is_stored: bool,
+    /// The frame of the position, since one was asked for.
+    pub(super) has_frame: bool,
+    /// The height above the geoid.
+    pub(super) has_geoid: bool,
+}
+
+impl Additions {
+    /// What solutions of this presentation have.
+    pub(super) const fn new(presentation: &Presentation, is_stored: bool) -> Self {
+        let Presentation { etrs89: has_frame, geoid, .. } = presentation;
+        Self { is_stored, has_frame: *has_frame, has_geoid: geoid.is_some() }
+    }
+}
+
+/// All solutions as one text, as they are computed. For tests.
+#[cfg(test)]
+pub(super) fn text_of(encoder: &mut dyn Encoder, solutions: &[crate::gnss::Solution]) -> String {
+    let presented: Vec<_> = solutions.iter().map(Presented::as_computed).collect();
+    text_of_presented(encoder, &presented)
+}
+
 /// All solutions as one text. For tests.
 #[cfg(test)]
-pub(super) fn text_of(encoder: &mut dyn Encoder, solutions: &[Solution]) -> String {
+pub(super) fn text_of_presented(encoder: &mut dyn Encoder, all: &[Presented<'_>]) -> String {
     let mut out = Vec::new();
     encoder.begin(&mut out);
-    solutions.iter().for_each(|solution| encoder.push(solution, None, &mut out));
+    all.iter().for_each(|presented| encoder.push(presented, None, &mut out));
     encoder.finish(&mut out);
     String::from_utf8(out).expect("every format is text")
 }
 
 /// A position at 47° 17.11399' N, 8° 33.91590' E, 499.6 m, at 2019-04-28T12:58:04 UTC. For tests.
 #[cfg(test)]
-pub(super) fn sample(status: crate::gnss::Status) -> Solution {
+pub(super) fn sample(status: crate::gnss::Status) -> crate::gnss::Solution {
     use nalgebra::{Matrix3, Vector3};
 
     use crate::gnss::{
-        Dops, Geodetic, GpsTime, LocalFrame, Provenance, RelativeEstimate, SolutionEstimate,
-        Status, Velocity,
+        Dops, Geodetic, GpsTime, LocalFrame, Provenance, RelativeEstimate, Solution,
+        SolutionEstimate, Status, Velocity,
     };
 
     let time = GpsTime::from_week_seconds(2051, 46_702.0);
@@ -86,3 +112,16 @@ pub(super) fn sample(status: crate::gnss::Status) -> Solution {
         provenance: Provenance::default(),
     }
 }
+
+/// The same solution in ETRF2000 of 2019.5, with the geoid 46.5 m above the ellipsoid. For tests.
+#[cfg(test)]
+pub(super) fn referred(solution: &crate::gnss::Solution) -> Presented<'_> {
+    let geoid_height_m = Some(46.5).filter(|_| solution.estimate.is_some());
+    let (frame, epoch_year) = ("ETRF2000", Some(2019.5));
+    Presented { frame, epoch_year, geoid_height_m, ..Presented::as_computed(solution) }
+}
+
+/// What such solutions have. For tests.
+#[cfg(test)]
+pub(super) const REFERRED: Additions =
+    Additions { is_stored: false, has_frame: true, has_geoid: true };

@@ -3,15 +3,17 @@
 //! Coordinates are longitude and latitude (degrees) and ellipsoidal height (m) on WGS 84. A point
 //! has the properties `time` (UTC), `gpsWeek`, `tow` (s), `status`, `satellites`, `sdEastM`,
 //! `sdNorthM`, `sdUpM`, and, where known, `speedMS`, the protection levels `horizontalProtectionM`
-//! and `verticalProtectionM` (m), and `reasons`. The track ends where an epoch has no position,
-//! and after [`POINTS_PER_LINE`] points, so that writing needs little memory.
+//! and `verticalProtectionM` (m), `reasons`, and where a session asks for them `frame`,
+//! `frameEpochYear` and `orthometricHeightM`, the height above the geoid (m). The track ends where
+//! an epoch has no position, and after [`POINTS_PER_LINE`] points, so that writing needs little
+//! memory.
 //!
 //! A stored solution also has `seq` and `revision`. Each listed revision of an epoch is a point;
 //! the track goes through the first of them.
 
 use super::decimal::{push_fixed, push_integer, push_seconds};
-use super::encoder::{Encoder, Revision};
-use crate::gnss::{LeapSeconds, LocalFrame, Solution, SolutionEstimate};
+use super::encoder::{Additions, Encoder, Revision};
+use crate::gnss::{FrameRefusal, LeapSeconds, LocalFrame, Presented, Solution, SolutionEstimate};
 
 /// Largest number of points in one line of the track.
 pub(super) const POINTS_PER_LINE: usize = 1000;
@@ -19,6 +21,7 @@ pub(super) const POINTS_PER_LINE: usize = 1000;
 /// Writes one feature collection.
 pub(super) struct Collection {
     leap: LeapSeconds,
+    additions: Additions,
     /// Coordinates of the current line of the track, as text.
     track: Vec<u8>,
     points_of_track: usize,
@@ -29,8 +32,8 @@ pub(super) struct Collection {
 
 impl Collection {
     /// `leap` converts GPS time to UTC.
-    pub(super) const fn new(leap: LeapSeconds) -> Self {
-        Self { leap, track: Vec::new(), points_of_track: 0, features: 0, last_seq: None }
+    pub(super) const fn new(leap: LeapSeconds, additions: Additions) -> Self {
+        Self { leap, additions, track: Vec::new(), points_of_track: 0, features: 0, last_seq: None }
     }
 
     fn begin_feature(&mut self, geometry: &str, out: &mut Vec<u8>) {
@@ -71,7 +74,8 @@ impl Encoder for Collection {
     }
 
     /// Appends one point; a solution without position ends the current line of the track.
-    fn push(&mut self, solution: &Solution, revision: Option<Revision>, out: &mut Vec<u8>) {
+    fn push(&mut self, presented: &Presented<'_>, revision: Option<Revision>, out: &mut Vec<u8>) {
+        let solution = &presented.solution;
         let seq = revision.map(|revision| revision.seq);
         let is_repeated = seq.is_some() && seq == self.last_seq;
         self.last_seq = seq;
@@ -85,6 +89,8 @@ impl Encoder for Collection {
             self.extend_track(&out[start..]);
         }
         push_properties(out, solution, estimate, revision, &self.leap);
+        push_reference(out, presented, self.additions);
+        out.extend_from_slice(b"}}");
         if POINTS_PER_LINE <= self.points_of_track {
             self.end_track(true, out);
         }
@@ -143,11 +149,26 @@ fn push_properties(
         push_number(out, "horizontalProtectionM", levels.horizontal_m);
         push_number(out, "verticalProtectionM", levels.vertical_m);
     }
-    if !solution.reasons.is_empty() {
-        let codes: Vec<_> = solution.reasons.iter().map(|r| format!("\"{}\"", r.code())).collect();
-        out.extend_from_slice(format!(",\"reasons\":[{}]", codes.join(",")).as_bytes());
+}
+
+/// Appends the reasons, and where they are asked for the frame of the position and its height above
+/// the geoid.
+fn push_reference(out: &mut Vec<u8>, presented: &Presented<'_>, additions: Additions) {
+    let codes = presented.solution.reasons.iter().map(|reason| reason.code());
+    let codes: Vec<_> = codes.chain(presented.refusal.map(|_| FrameRefusal::CODE)).collect();
+    if !codes.is_empty() {
+        let text = format!(",\"reasons\":[\"{}\"]", codes.join("\",\""));
+        out.extend_from_slice(text.as_bytes());
     }
-    out.extend_from_slice(b"}}");
+    if additions.has_frame {
+        out.extend_from_slice(format!(",\"frame\":\"{}\"", presented.frame).as_bytes());
+    }
+    if let Some(year) = presented.epoch_year {
+        push_number(out, "frameEpochYear", year);
+    }
+    if let Some(height_m) = presented.orthometric_height_m() {
+        push_number(out, "orthometricHeightM", height_m);
+    }
 }
 
 /// Appends a member with a number; JSON has no NaN, so other values become `null`.
@@ -167,7 +188,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
-    use crate::formats::encoder::text_of;
+    use crate::formats::encoder::{REFERRED, referred, text_of, text_of_presented};
     use crate::gnss::{Dops, Geodetic, GpsTime, Provenance, Reason, Status};
 
     fn solution(index: usize) -> Solution {
@@ -194,7 +215,8 @@ mod tests {
     }
 
     fn features(solutions: &[Solution]) -> Vec<Value> {
-        let text = text_of(&mut Collection::new(LeapSeconds::table()), solutions);
+        let text =
+            text_of(&mut Collection::new(LeapSeconds::table(), Additions::default()), solutions);
         let document: Value = serde_json::from_str(&text).unwrap();
         document["features"].as_array().unwrap().clone()
     }
@@ -215,6 +237,25 @@ mod tests {
         });
         assert_eq!(all[0]["properties"], expected);
         assert_eq!(all[0]["geometry"]["coordinates"], serde_json::json!([0.01, 10.0, 5.0]));
+    }
+
+    /// RFC 7946: the height of a coordinate is above the ellipsoid.
+    #[test]
+    fn what_is_asked_for_is_a_property() {
+        let solution = solution(1);
+        let mut collection = Collection::new(LeapSeconds::table(), REFERRED);
+        let presented = Presented { refusal: Some(FrameRefusal::Outside), ..referred(&solution) };
+        let text = text_of_presented(&mut collection, &[presented]);
+        let document: Value = serde_json::from_str(&text).unwrap();
+        let feature = &document["features"][0];
+        let of = |name: &str| feature["properties"][name].clone();
+        assert_eq!(of("frame"), "ETRF2000");
+        assert_eq!(
+            (of("frameEpochYear"), of("orthometricHeightM")),
+            (2019.5.into(), (-41.5).into())
+        );
+        assert_eq!(of("reasons"), serde_json::json!(["NO_REDUNDANCY", "FRAME_UNAVAILABLE"]));
+        assert_eq!(feature["geometry"]["coordinates"][2], 5.0);
     }
 
     #[test]
@@ -244,12 +285,13 @@ mod tests {
     /// Two revisions of an epoch are two points, and one point of the track.
     #[test]
     fn the_track_has_each_epoch_once() {
-        let mut collection = Collection::new(LeapSeconds::table());
+        let mut collection = Collection::new(LeapSeconds::table(), Additions::default());
         let mut out = Vec::new();
         collection.begin(&mut out);
         for (seq, revision) in [(1, 0), (1, 1), (2, 0), (2, 1)] {
             let solution = solution(2 * seq as usize + revision as usize);
-            collection.push(&solution, Some(Revision { seq, revision }), &mut out);
+            let presented = Presented::as_computed(&solution);
+            collection.push(&presented, Some(Revision { seq, revision }), &mut out);
         }
         collection.finish(&mut out);
         let document: Value = serde_json::from_slice(&out).unwrap();

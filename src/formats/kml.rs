@@ -1,9 +1,9 @@
 //! Solutions as KML 2.2: a point for each position, and the track as lines, coloured by status.
 //!
 //! Coordinates are longitude and latitude (degrees) and the height above the **ellipsoid** (m), WGS
-//! 84. KML's own heights are above the sea, and Graphfix has no geoid model; therefore all features
-//! are clamped to the ground. A point has its UTC time, its status as name, and time tag, number of
-//! satellites and standard deviations in its description.
+//! 84. KML's own heights are above the sea; therefore all features are clamped to the ground. A
+//! point has its UTC time, its status as name, and time tag, number of satellites and standard
+//! deviations in its description.
 //!
 //! A line ends where the status changes, where an epoch has no position, and after
 //! [`POINTS_PER_LINE`] points. Where the status changes the next line begins at the last point, so
@@ -13,7 +13,7 @@
 
 use super::decimal::push_fixed;
 use super::encoder::{Encoder, Revision};
-use crate::gnss::{LeapSeconds, LocalFrame, Solution, SolutionEstimate, Status};
+use crate::gnss::{LeapSeconds, LocalFrame, Presented, Solution, SolutionEstimate, Status};
 
 /// Largest number of points in one line of the track.
 const POINTS_PER_LINE: usize = 1000;
@@ -77,7 +77,8 @@ impl Encoder for Kml {
         }
     }
 
-    fn push(&mut self, solution: &Solution, _: Option<Revision>, out: &mut Vec<u8>) {
+    fn push(&mut self, presented: &Presented<'_>, _: Option<Revision>, out: &mut Vec<u8>) {
+        let solution = &presented.solution;
         let Some(estimate) = &solution.estimate else { return self.end_line(false, out) };
         let mut coordinates = Vec::new();
         push_coordinates(&mut coordinates, estimate);

@@ -6,6 +6,7 @@ mod broadcast;
 mod csv;
 mod decimal;
 mod encoder;
+pub mod geoid;
 mod geojson;
 pub mod gnss_logger;
 mod gpx;

@@ -3,8 +3,10 @@
 //! - Times are UTC, of the receiver's time tag rounded to the millisecond; the leap second is
 //!   second 60.
 //! - Angles have seven decimals of a minute (0.2 mm), more than older receivers write.
-//! - GGA: the altitude is the height above the **ellipsoid** and the geoid separation is empty,
-//!   because Graphfix has no geoid model. A reader that adds both gets the ellipsoidal height.
+//! - GGA: without a table of the geoid, the altitude is the height above the **ellipsoid** and the
+//!   geoid separation is empty. With one, the altitude is the height above the **geoid**, and the
+//!   separation the height of the geoid above the ellipsoid. A reader that adds both gets the
+//!   ellipsoidal height in each case.
 //! - Quality of GGA: 4 fixed, 5 float, 1 other positions, 0 none. Mode of RMC and VTG: R, F, A, N.
 //! - GST: the rms of the ranges is empty; then 1σ of the error ellipse's axes, the direction of its
 //!   major axis from north, and 1σ of latitude, longitude and height.
@@ -19,7 +21,8 @@ use nalgebra::Matrix3;
 use super::decimal::push_fixed;
 use super::encoder::{Encoder, Revision};
 use crate::gnss::{
-    CivilTime, GpsTime, LeapSeconds, LocalFrame, Solution, SolutionEstimate, Status, TimeScale,
+    CivilTime, GpsTime, LeapSeconds, LocalFrame, Presented, Solution, SolutionEstimate, Status,
+    TimeScale,
 };
 
 /// Talker of the combined solution of several constellations.
@@ -66,7 +69,8 @@ impl Nmea {
         write!(out, "*{checksum:02X}\r\n").expect("a Vec<u8> takes every byte");
     }
 
-    fn gga(&mut self, solution: &Solution, utc: &CivilTime, out: &mut Vec<u8>) {
+    fn gga(&mut self, presented: &Presented<'_>, utc: &CivilTime, out: &mut Vec<u8>) {
+        let solution = &presented.solution;
         let sentence = self.start("GGA");
         push_time(sentence, utc);
         push_place(sentence, solution.estimate.as_ref());
@@ -76,8 +80,13 @@ impl Nmea {
                 push_text(sentence, &format!(",{:02},", estimate.satellites_used.len()));
                 push_fixed(sentence, estimate.dops.hdop, 1, 0);
                 sentence.push(b',');
-                push_fixed(sentence, estimate.position.to_geodetic().height_m, 3, 0);
-                push_text(sentence, ",M,,M,");
+                let height_m = estimate.position.to_geodetic().height_m;
+                push_fixed(sentence, presented.orthometric_height_m().unwrap_or(height_m), 3, 0);
+                push_text(sentence, ",M,");
+                if let Some(geoid_height_m) = presented.geoid_height_m {
+                    push_fixed(sentence, geoid_height_m, 3, 0);
+                }
+                push_text(sentence, ",M,");
                 if let Some(relative) = &estimate.relative {
                     push_fixed(sentence, relative.age_s, 1, 0);
                 }
@@ -158,11 +167,12 @@ impl Nmea {
 impl Encoder for Nmea {
     fn begin(&mut self, _: &mut Vec<u8>) {}
 
-    fn push(&mut self, solution: &Solution, _: Option<Revision>, out: &mut Vec<u8>) {
+    fn push(&mut self, presented: &Presented<'_>, _: Option<Revision>, out: &mut Vec<u8>) {
+        let solution = &presented.solution;
         let ns = solution.time.as_ns();
         let rounded = GpsTime::from_ns((ns + NS_PER_MS / 2).div_euclid(NS_PER_MS) * NS_PER_MS);
         let utc = rounded.to_civil(TimeScale::Utc, &self.leap);
-        self.gga(solution, &utc, out);
+        self.gga(presented, &utc, out);
         self.rmc(solution, &utc, out);
         self.vtg(solution, out);
         self.gst(solution, &utc, out);
@@ -254,7 +264,7 @@ fn push_angle(out: &mut Vec<u8>, degrees: f64, digits: usize, letters: [char; 2]
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::encoder::{sample, text_of};
+    use crate::formats::encoder::{referred, sample, text_of, text_of_presented};
 
     fn sentences(solution: Solution) -> Vec<String> {
         let text = text_of(&mut Nmea::new(LeapSeconds::table()), &[solution]);
@@ -288,6 +298,23 @@ mod tests {
         assert!(vtg.ends_with("*35"), "{vtg}");
         // 82 bytes are the most that NMEA 0183 allows, with the two of the line's end.
         assert!(gga.len() + 2 <= 82, "{}", gga.len() + 2);
+    }
+
+    /// 499.6 m above the ellipsoid, and the geoid 46.5 m: 453.1 m above the geoid. A table without
+    /// a height there leaves the separation empty.
+    #[test]
+    fn the_geoid_separates_two_heights() {
+        let solution = sample(Status::Fixed);
+        let gga = |presented: &Presented<'_>| {
+            let all = std::slice::from_ref(presented);
+            let text = text_of_presented(&mut Nmea::new(LeapSeconds::table()), all);
+            let line = text.lines().next().unwrap();
+            line.split(',').skip(9).map(str::to_owned).collect::<Vec<_>>()
+        };
+        let with = referred(&solution);
+        assert_eq!(gga(&with)[..5], ["453.100", "M", "46.500", "M", "1.5"]);
+        let without = Presented { geoid_height_m: None, ..with };
+        assert_eq!(gga(&without)[..5], ["499.600", "M", "", "M", "1.5"]);
     }
 
     #[test]

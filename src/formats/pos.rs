@@ -12,7 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::decimal::{push_fixed, push_integer, push_seconds};
 use super::encoder::{Encoder, Revision};
 use crate::gnss::{
-    CivilTime, Ecef, Geodetic, GpsTime, LeapSeconds, LocalFrame, Solution, Status, TimeScale,
+    CivilTime, Ecef, Geodetic, GpsTime, LeapSeconds, LocalFrame, Presented, Solution, Status,
+    TimeScale,
 };
 
 const COLUMNS: &str = "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   \
@@ -48,7 +49,8 @@ impl Encoder for Rows {
         out.extend_from_slice(format!("%\n{CONVENTIONS}\n{COLUMNS}\n").as_bytes());
     }
 
-    fn push(&mut self, solution: &Solution, _: Option<Revision>, line: &mut Vec<u8>) {
+    fn push(&mut self, presented: &Presented<'_>, _: Option<Revision>, line: &mut Vec<u8>) {
+        let solution = &presented.solution;
         let (Some(quality), Some(estimate)) = (quality(solution.status), &solution.estimate) else {
             return;
         };

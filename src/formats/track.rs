@@ -2,10 +2,10 @@
 
 use std::io::BufRead;
 
-use super::encoder::Encoder;
+use super::encoder::{Additions, Encoder};
 use super::pos::{PosError, PosFile};
 use super::{csv, geojson, gpx, kml, nmea, pos};
-use crate::gnss::{LeapSeconds, Solution};
+use crate::gnss::{LeapSeconds, Presentation, Presented};
 
 pub(crate) use super::encoder::Revision;
 
@@ -64,6 +64,11 @@ impl TrackFormat {
         }
     }
 
+    /// Whether the format can tell in which frame a position is.
+    pub(crate) const fn has_frames(self) -> bool {
+        matches!(self, Self::Csv | Self::Geojson)
+    }
+
     /// Whether the format can tell the revisions of one epoch apart.
     pub(crate) const fn has_revisions(self) -> bool {
         matches!(self, Self::Csv | Self::Geojson)
@@ -71,49 +76,73 @@ impl TrackFormat {
 }
 
 /// Turns solutions into the bytes of a file.
-pub(crate) struct TrackWriter(Box<dyn Encoder>);
+pub(crate) struct TrackWriter {
+    format: TrackFormat,
+    encoder: Box<dyn Encoder>,
+}
 
 impl TrackWriter {
-    /// A writer of computed solutions. `comments` stand at the head of a `.pos` file; `leap`
-    /// converts GPS time to UTC.
-    pub(crate) fn of_computed(format: TrackFormat, comments: &[String], leap: LeapSeconds) -> Self {
-        Self::new(format, comments, leap, false)
+    /// A writer of computed solutions that are presented so. `comments` stand at the head of a
+    /// `.pos` file; `leap` converts GPS time to UTC.
+    pub(crate) fn of_computed(
+        format: TrackFormat,
+        comments: &[String],
+        leap: LeapSeconds,
+        presentation: &Presentation,
+    ) -> Self {
+        Self::new(format, comments, leap, Additions::new(presentation, false))
     }
 
     /// A writer of stored solutions, which have numbers and revisions.
-    pub(crate) fn of_stored(format: TrackFormat, comments: &[String], leap: LeapSeconds) -> Self {
-        Self::new(format, comments, leap, true)
+    pub(crate) fn of_stored(
+        format: TrackFormat,
+        comments: &[String],
+        leap: LeapSeconds,
+        presentation: &Presentation,
+    ) -> Self {
+        Self::new(format, comments, leap, Additions::new(presentation, true))
     }
 
-    fn new(format: TrackFormat, comments: &[String], leap: LeapSeconds, is_stored: bool) -> Self {
-        Self(match format {
+    fn new(
+        format: TrackFormat,
+        comments: &[String],
+        leap: LeapSeconds,
+        additions: Additions,
+    ) -> Self {
+        let encoder: Box<dyn Encoder> = match format {
             TrackFormat::Pos => Box::new(pos::Rows { comments: comments.to_vec() }),
-            TrackFormat::Csv => Box::new(csv::Rows { is_stored }),
-            TrackFormat::Geojson => Box::new(geojson::Collection::new(leap)),
+            TrackFormat::Csv => Box::new(csv::Rows { additions }),
+            TrackFormat::Geojson => Box::new(geojson::Collection::new(leap, additions)),
             TrackFormat::Kml => Box::new(kml::Kml::new(leap)),
-            TrackFormat::Gpx => Box::new(gpx::Gpx::new(leap)),
+            TrackFormat::Gpx => Box::new(gpx::Gpx::new(leap, additions)),
             TrackFormat::Nmea => Box::new(nmea::Nmea::new(leap)),
-        })
+        };
+        Self { format, encoder }
     }
 
     /// Appends what precedes the first solution.
     pub(crate) fn begin(&mut self, out: &mut Vec<u8>) {
-        self.0.begin(out);
+        self.encoder.begin(out);
     }
 
-    /// Appends one solution. `revision` is that of a stored one.
+    /// Appends one solution. `revision` is that of a stored one. A position in another frame than
+    /// the one that is asked for is left out where the format cannot tell its frame.
     pub(crate) fn push(
         &mut self,
-        solution: &Solution,
+        presented: Presented<'_>,
         revision: Option<Revision>,
         out: &mut Vec<u8>,
     ) {
-        self.0.push(solution, revision, out);
+        let presented = match self.format.has_frames() {
+            true => presented,
+            false => presented.without_foreign_position(),
+        };
+        self.encoder.push(&presented, revision, out);
     }
 
     /// Appends what follows the last solution.
     pub(crate) fn finish(&mut self, out: &mut Vec<u8>) {
-        self.0.finish(out);
+        self.encoder.finish(out);
     }
 }
 

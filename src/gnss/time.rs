@@ -126,6 +126,15 @@ impl GpsTime {
         }
     }
 
+    /// Year and its part that has passed, as epochs of coordinates are written.
+    pub(crate) fn decimal_year(self) -> f64 {
+        let year = CivilTime::from_label(self.0).year;
+        let start_ns =
+            |year: i32| (days_from_civil(year, 1, 1) - GPS_EPOCH_UNIX_DAYS) * DAY_S * NS_PER_SECOND;
+        let (start, end) = (start_ns(year), start_ns(year + 1));
+        f64::from(year) + (self.0 - start) as f64 / (end - start) as f64
+    }
+
     /// UTC as RFC 3339 with milliseconds, `2019-04-28T12:58:03.000Z`.
     pub(crate) fn to_rfc3339(self, leap: &LeapSeconds) -> String {
         let c = self.to_civil(TimeScale::Utc, leap);

@@ -7,6 +7,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::config::JobsConfiguration;
+use crate::gnss::Geoid;
 use crate::session::BatchLane;
 use crate::store::{JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
@@ -49,6 +50,7 @@ impl Jobs {
         lane: BatchLane,
         limits: JobsConfiguration,
         node: String,
+        geoid: Option<Arc<Geoid>>,
     ) -> Result<Self, JobError> {
         let files = match folder(&limits, &store) {
             None => None,
@@ -64,7 +66,7 @@ impl Jobs {
         }
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let desk = Arc::new(Desk::new(store, lane, limits, files, node));
+        let desk = Arc::new(Desk::new(store, lane, limits, files, node).with_geoid(geoid));
         if is_on {
             (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
             tasks.spawn(queue::expire(desk.clone()));
@@ -109,7 +111,7 @@ impl Jobs {
             is_own: uploaded.is_own,
         });
         let request = JobRequest::new(options, inputs.collect());
-        request.plan()?;
+        self.desk.plan(&request)?;
         self.check_waiting().await?;
         let new = NewJob {
             tenant: self.tenant.clone(),

@@ -4,6 +4,7 @@ use std::io;
 use std::sync::Arc;
 
 use crate::config::ConfigError;
+use crate::gnss::FrameRefusal;
 use crate::refusal::Code;
 use crate::store::StoreError;
 
@@ -66,6 +67,12 @@ pub enum JobError {
         /// Name of the mode.
         mode: &'static str,
     },
+    /// Positions relative to the base cannot be given in the frame that is asked for.
+    #[error("positions cannot be given in the ETRS89: {0}; the override base_frame states a frame")]
+    Frame(FrameRefusal),
+    /// Heights above the geoid are asked for, and the service has no table.
+    #[error("the service has no table of the geoid")]
+    GeoidMissing,
     /// Another request had the same idempotency key.
     #[error("job {job} had the same Idempotency-Key and another content")]
     IdempotencyConflict {
@@ -121,6 +128,8 @@ impl JobError {
             Self::InvalidOption { .. } => Code::InvalidField,
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
+            Self::Frame(_) => Code::FrameUnavailable,
+            Self::GeoidMissing => Code::GeoidMissing,
             Self::IdempotencyConflict { .. } => Code::IdempotencyConflict,
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
@@ -135,6 +144,8 @@ impl JobError {
         match self {
             Self::InvalidOption { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),
+            Self::Frame(_) => Some("options.overrides.frame"),
+            Self::GeoidMissing => Some("options.overrides.geoid"),
             _ => None,
         }
     }

@@ -125,10 +125,11 @@ fn prepared(
     let failed = |error: JobError| Failure::new(error.code(), error.to_string(), error.field());
     let request = JobInfo::of(row).map_err(|error| failed(error.into()))?.request;
     Ok(Run {
-        plan: request.plan().map_err(failed)?,
+        plan: desk.plan(&request).map_err(failed)?,
         request,
         files: desk.files().map_err(failed)?.clone(),
         lane: desk.lane.clone(),
+        geoid: desk.geoid.clone(),
         tenant,
         running: running.clone(),
         result,

@@ -8,6 +8,9 @@ use crate::formats::UnpackError;
 use crate::recording::{Provenance, RecordingError, Tally};
 use crate::refusal::Code;
 
+/// What the user can do about a base of a file whose frame is unknown.
+const BASE_FRAME_REMEDY: &str = "give the override base_frame, or leave out frame";
+
 /// The report of a job that has succeeded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
@@ -115,6 +118,10 @@ impl Failure {
                 new(Code::BasePositionMissing, Some("base")).with_remedy("give basePosition")
             }
             RecordingError::BaseRequired { .. } => new(Code::BaseRequired, Some("base")),
+            RecordingError::FrameUnavailable { .. } => {
+                new(Code::FrameUnavailable, Some("options.overrides.frame"))
+                    .with_remedy(BASE_FRAME_REMEDY)
+            }
             RecordingError::NoSuchAnswer { .. } => new(Code::InvalidField, Some("options")),
             RecordingError::NoEpochs { name } => {
                 let remedy = "give the part rover a file of observations";

@@ -172,6 +172,9 @@ impl JobOptions {
         if options.mode.is_relative() && !has_base {
             return Err(JobError::BaseRequired { mode });
         }
+        if options.mode.is_relative() {
+            options.output.presentation(None).check(None).map_err(JobError::Frame)?;
+        }
         let answer = AnswerKind::from_name(&self.answer).ok_or_else(|| {
             wrong("options", format!("{:?} is not causal, smoothed or batch", self.answer))
         })?;

@@ -11,7 +11,7 @@ use tokio::runtime::Handle;
 use tokio::time::timeout;
 
 use crate::formats::{UnpackError, unpack_error, unpack_reader_within};
-use crate::gnss::LeapSeconds;
+use crate::gnss::{Geoid, LeapSeconds};
 use crate::recording::{
     Input, RecordingError, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
 };
@@ -40,6 +40,8 @@ pub(super) struct Run {
     pub(super) lane: BatchLane,
     pub(super) tenant: Tenant,
     pub(super) running: Arc<Running>,
+    /// The operator's table of the geoid.
+    pub(super) geoid: Option<Arc<Geoid>>,
     /// Name of the result's file.
     pub(super) result: String,
     /// Longest time that it may take.
@@ -130,9 +132,12 @@ impl Run {
     /// Begins the result.
     fn writer(&self, leap: LeapSeconds) -> Result<ResultWriter, Failure> {
         let comments = comments_of(&self.plan.options);
+        let presentation = self.plan.options.output.presentation(self.geoid.as_ref());
         File::create_new(self.files.result(&self.result))
             .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
-            .and_then(|file| SolutionWriter::new(file, self.plan.format, &comments, leap))
+            .and_then(|file| {
+                SolutionWriter::new(file, self.plan.format, &comments, leap, presentation)
+            })
             .map_err(|error| unwritable(&error))
     }
 
@@ -209,8 +214,8 @@ fn quantum(
     while has_more && begun.elapsed() < BATCH_QUANTUM {
         has_more = solutions.step(&mut due).map_err(Fault::Recording)?;
         for solution in due.drain(..) {
-            writer.write(&solution).map_err(Fault::Output)?;
-            tally.add(&solution);
+            let foreign = writer.write(&solution).map_err(Fault::Output)?;
+            tally.add(&solution, foreign);
         }
     }
     Ok(has_more)

@@ -9,11 +9,12 @@ use tokio::sync::{Notify, watch};
 
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
+use crate::gnss::Geoid;
 use crate::session::BatchLane;
 use crate::store::{JobProgress, Store};
 
 use super::files::JobFiles;
-use super::request::JobRequest;
+use super::request::{JobRequest, Plan};
 use super::turns::TenantTurns;
 use super::{JobError, JobId};
 
@@ -23,6 +24,8 @@ pub(super) struct Desk {
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
+    /// The operator's table of the geoid.
+    pub(super) geoid: Option<Arc<Geoid>>,
     pub(super) clock: Clock,
     /// Name of the node, for claims.
     pub(super) node: String,
@@ -59,6 +62,7 @@ impl Desk {
             files,
             limits,
             lane,
+            geoid: None,
             clock: Clock::system(),
             node,
             queued: Notify::new(),
@@ -69,12 +73,30 @@ impl Desk {
         }
     }
 
+    /// The desk with a table of the geoid.
+    pub(super) fn with_geoid(self, geoid: Option<Arc<Geoid>>) -> Self {
+        Self { geoid, ..self }
+    }
+
     /// The folder of jobs.
     ///
     /// # Errors
     /// The service has none.
     pub(super) fn files(&self) -> Result<&Arc<JobFiles>, JobError> {
         self.files.as_ref().ok_or(JobError::Off)
+    }
+
+    /// What the options of a job mean, after a check of its files and options.
+    ///
+    /// # Errors
+    /// A part is missing or given twice, or an option does not exist, does not fit the others, or
+    /// asks for what the service does not have.
+    pub(super) fn plan(&self, request: &JobRequest) -> Result<Plan, JobError> {
+        let plan = request.plan()?;
+        match plan.options.output.geoid && self.geoid.is_none() {
+            true => Err(JobError::GeoidMissing),
+            false => Ok(plan),
+        }
     }
 
     pub(super) fn is_stopping(&self) -> bool {

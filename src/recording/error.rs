@@ -2,6 +2,8 @@
 
 use std::io;
 
+use crate::gnss::FrameRefusal;
+
 /// Why a recording cannot be positioned.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
@@ -46,6 +48,12 @@ pub enum RecordingError {
     BaseRequired {
         /// The mode.
         mode: &'static str,
+    },
+    /// Positions relative to the base cannot be given in the frame that is asked for.
+    #[error("positions cannot be given in the ETRS89: {refusal}")]
+    FrameUnavailable {
+        /// Why not.
+        refusal: FrameRefusal,
     },
     /// The mode has no window, so it does not give this kind of answer.
     #[error("mode {mode} has no answer {answer:?}")]

@@ -52,11 +52,11 @@ impl RecordingInputs {
         }
     }
 
-    /// Refuses a mode that needs a base if none is named, and a kind of answer that the mode does
-    /// not give.
+    /// Refuses a mode that needs a base if none is named, a kind of answer that the mode does not
+    /// give, and a frame that nothing leads to from that of the base.
     ///
     /// # Errors
-    /// The mode or the kind of answer is refused.
+    /// The mode, the kind of answer or the frame is refused.
     pub fn check(
         &self,
         options: &PositioningOptions,
@@ -69,7 +69,9 @@ impl RecordingInputs {
         if answer != AnswerKind::Causal && !options.mode.has_window() {
             return Err(RecordingError::NoSuchAnswer { mode, answer: answer.name() });
         }
-        Ok(())
+        let presentation = options.output.presentation(None);
+        let checked = if options.mode.is_relative() { presentation.check(None) } else { Ok(()) };
+        checked.map_err(|refusal| RecordingError::FrameUnavailable { refusal })
     }
 
     fn is_outside(&self, time: GpsTime) -> bool {

@@ -5,28 +5,30 @@ use std::io::{self, Write};
 
 use crate::config::PositioningOptions;
 use crate::formats::track::{TrackFormat, TrackWriter};
-use crate::gnss::{LeapSeconds, Solution, Status};
+use crate::gnss::{FrameRefusal, LeapSeconds, Presentation, Solution, Status};
 
-/// Lines at the head of a solution file: what computed it.
-pub fn comments_of(options: &PositioningOptions) -> [String; 3] {
-    [
+/// Lines at the head of a solution file: what computed it, and the frame if one was asked for.
+pub fn comments_of(options: &PositioningOptions) -> Vec<String> {
+    let lines = [
         format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
         format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
         format!("options   : {}", options.configuration_hash()),
-    ]
+    ];
+    lines.into_iter().chain(options.output.comment()).collect()
 }
 
 /// A solution file that is being written.
 pub struct SolutionWriter<W> {
     output: W,
     writer: TrackWriter,
+    presentation: Presentation,
     buffer: Vec<u8>,
     bytes: u64,
 }
 
 impl<W: Write> SolutionWriter<W> {
     /// Begins the file. `comments` stand at the head of a `.pos` file; `leap` converts GPS time to
-    /// UTC.
+    /// UTC; solutions are written as `presentation` has them.
     ///
     /// # Errors
     /// The output fails.
@@ -35,21 +37,25 @@ impl<W: Write> SolutionWriter<W> {
         format: TrackFormat,
         comments: &[String],
         leap: LeapSeconds,
+        presentation: Presentation,
     ) -> io::Result<Self> {
-        let writer = TrackWriter::of_computed(format, comments, leap);
-        let mut file = Self { output, writer, buffer: Vec::new(), bytes: 0 };
+        let writer = TrackWriter::of_computed(format, comments, leap, &presentation);
+        let mut file = Self { output, writer, presentation, buffer: Vec::new(), bytes: 0 };
         file.writer.begin(&mut file.buffer);
         file.flush_buffer()?;
         Ok(file)
     }
 
-    /// Writes one solution.
+    /// Writes one solution. Returns why its position is not in the frame that is asked for.
     ///
     /// # Errors
     /// The output fails.
-    pub fn write(&mut self, solution: &Solution) -> io::Result<()> {
-        self.writer.push(solution, None, &mut self.buffer);
-        self.flush_buffer()
+    pub fn write(&mut self, solution: &Solution) -> io::Result<Option<FrameRefusal>> {
+        // The base of a recording has a name, and no frame but that of the options.
+        let presented = self.presentation.present(solution, |_| None);
+        let refusal = presented.refusal;
+        self.writer.push(presented, None, &mut self.buffer);
+        self.flush_buffer().map(|()| refusal)
     }
 
     /// Number of bytes written so far.
@@ -92,14 +98,18 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Counts one epoch.
-    pub fn add(&mut self, solution: &Solution) {
+    /// Counts one epoch, with the reason why its position is in another frame, if there is one.
+    pub fn add(&mut self, solution: &Solution, foreign: Option<FrameRefusal>) {
         self.epochs += 1;
         self.answered += u64::from(solution.status != Status::None);
         count(&mut self.statuses, solution.status.name());
         for reason in &solution.reasons {
             count(&mut self.reasons, reason.code());
             self.remedies.entry(reason.code()).or_insert(reason.remedy());
+        }
+        if let Some(refusal) = foreign {
+            count(&mut self.reasons, FrameRefusal::CODE);
+            self.remedies.entry(FrameRefusal::CODE).or_insert(refusal.remedy());
         }
     }
 }
@@ -121,7 +131,7 @@ mod tests {
         let mut tally = Tally::default();
         let missing = Reason::BaseMissing;
         for reasons in [vec![], vec![missing.clone()], vec![Reason::NotConverged, missing]] {
-            tally.add(&Solution::none(GpsTime::EPOCH, reasons));
+            tally.add(&Solution::none(GpsTime::EPOCH, reasons), None);
         }
         assert_eq!((tally.epochs, tally.answered), (3, 0));
         assert_eq!(tally.statuses, [("NONE", 3)]);
@@ -130,9 +140,20 @@ mod tests {
     }
 
     #[test]
+    fn a_position_of_another_frame_is_a_reason() {
+        let mut tally = Tally::default();
+        let nothing = Solution::none(GpsTime::EPOCH, Vec::new());
+        tally.add(&nothing, Some(FrameRefusal::Outside));
+        tally.add(&nothing, None);
+        assert_eq!(tally.reasons, [(FrameRefusal::CODE, 1)]);
+        assert_eq!(tally.remedies[FrameRefusal::CODE], FrameRefusal::Outside.remedy());
+    }
+
+    #[test]
     fn the_bytes_are_those_of_the_output() {
-        let leap = LeapSeconds::table();
-        let mut file = SolutionWriter::new(Vec::new(), TrackFormat::Csv, &[], leap).expect("a Vec");
+        let (leap, plain) = (LeapSeconds::table(), Presentation::default());
+        let mut file =
+            SolutionWriter::new(Vec::new(), TrackFormat::Csv, &[], leap, plain).expect("a Vec");
         file.write(&Solution::none(GpsTime::EPOCH, Vec::new())).expect("a Vec");
         let (output, bytes) = file.finish().expect("a Vec");
         assert_eq!(bytes, output.len() as u64);

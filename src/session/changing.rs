@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use crate::store::{Author, Created, NamedRequest, SessionSettings};
 
-use super::configuration::settings;
+use super::configuration::{base_of, settings, stored_options};
 use super::desk::Sessions;
 use super::info::etag_of;
 use super::{NewSession, SessionError, SessionId, SessionInfo, SessionUpdate};
@@ -39,6 +39,7 @@ impl Sessions {
         let antenna = self.antenna_name(&new.antenna).await?;
         let NewSession { label, mode, profile, overrides, retention_days, .. } = new;
         let settings = settings(label, mode, profile, overrides, base, antenna)?;
+        self.check_settings(&settings)?;
         let settings = SessionSettings { retention_days, ..settings };
         let id = SessionId::random();
         let (store, named) = (self.store(), request.as_ref());
@@ -54,6 +55,12 @@ impl Sessions {
             None => None,
         };
         Ok((before.ok_or(SessionError::Interrupted)?, false))
+    }
+
+    /// Checks that what settings ask for can be given out.
+    fn check_settings(&self, settings: &SessionSettings) -> Result<(), SessionError> {
+        let options = stored_options(settings)?;
+        self.check_output(&options, &base_of(options.mode, &settings.base)?)
     }
 
     /// The session that a request of this name has created.
@@ -124,11 +131,14 @@ impl Sessions {
             base,
             antenna,
         )?;
+        self.check_settings(&settings)?;
         row.settings = SessionSettings { retention_days, ..settings };
         let entry = author.map(|author| {
             self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
         });
         self.store().update_session(row.key, &row.settings, entry.as_deref()).await?;
+        // Those who watch read the settings again.
+        self.live().publish_unknown(row.key);
         if let Some(handle) = self.tasks().own(id, self.tenant()) {
             handle.outdated.store(true, Ordering::Release);
         }

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
-use crate::config::RETENTION_MAX_DAYS;
+use crate::config::{PositioningOptions, RETENTION_MAX_DAYS};
 use crate::quotas::QuotaError;
-use crate::store::AntennaName;
+use crate::store::{AntennaName, BaseName};
 
 use super::desk::Sessions;
 use super::{RawChunk, SequencedEpoch, SessionError};
@@ -36,6 +36,26 @@ impl Sessions {
         }
         let bases = self.aiding().bases.of(self.tenant());
         Ok(choice.try_map(|id| bases.name(&id))?)
+    }
+
+    /// Checks that what the options ask for can be given out: the frame of each base that is named
+    /// must lead there. Which one is the nearest of all is not known yet.
+    pub(super) fn check_output(
+        &self,
+        options: &PositioningOptions,
+        base: &BaseChoice,
+    ) -> Result<(), SessionError> {
+        if options.output.geoid && self.aiding().geoid.is_none() {
+            return Err(SessionError::GeoidMissing);
+        }
+        let named: &[BaseName] = match base {
+            BaseChoice::One(base) => std::slice::from_ref(base),
+            BaseChoice::NearestOf(bases) => bases,
+            BaseChoice::None | BaseChoice::Nearest => &[],
+        };
+        let presentation = options.output.presentation(None);
+        let check = |base: &BaseName| presentation.check(self.aiding().bases.frame(&base.id));
+        named.iter().try_for_each(check).map_err(SessionError::Frame)
     }
 
     /// The calibrated antenna of a name; none for an empty name.

@@ -7,6 +7,7 @@ use std::vec::IntoIter;
 
 use crate::aiding::bases::BaseInput;
 use crate::clock::Stopwatch;
+use crate::config::OutputOptions;
 use crate::gnss::{Navigation, Solution};
 use crate::positioning::{Aiding, EstimatorState, Scratch};
 use crate::recording::ApproximatePosition;
@@ -29,12 +30,15 @@ pub struct Computed {
     pub version: Arc<str>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
+    /// How it is given out.
+    pub output: OutputOptions,
 }
 
-impl From<StoredSolution> for Computed {
-    fn from(stored: StoredSolution) -> Self {
+impl Computed {
+    /// A stored solution, given out by `output`.
+    pub(super) fn of_stored(stored: StoredSolution, output: OutputOptions) -> Self {
         let StoredSolution { seq, revision: _, solution, version, configuration_hash } = stored;
-        Self { seq, solution, version, configuration_hash }
+        Self { seq, solution, version, configuration_hash, output }
     }
 }
 
@@ -120,6 +124,7 @@ impl Computation {
         let aiding = Aiding { navigation, base };
         let solution = self.estimator.advance(&epoch, &aiding, scratch);
         selection.update(input.as_ref(), &solution);
-        Computed { seq, solution, version: version.clone(), configuration_hash: hash.clone() }
+        let (version, configuration_hash) = (version.clone(), hash.clone());
+        Computed { seq, solution, version, configuration_hash, output: options.output }
     }
 }

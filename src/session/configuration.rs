@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::config::{ConfigError, Mode, OptionEntry, PositioningOptions, Profile};
+use crate::config::{ConfigError, Mode, OptionEntry, OutputOptions, PositioningOptions, Profile};
 use crate::store::{AntennaName, BaseChoice, SessionSettings, StoredConfiguration};
 
 use super::SessionError;
@@ -108,6 +108,14 @@ pub(super) fn stored_options(
     settings: &SessionSettings,
 ) -> Result<PositioningOptions, ConfigError> {
     options(&settings.mode, &settings.profile, &settings.configuration)
+}
+
+/// The options of what is given out of a session.
+///
+/// # Errors
+/// A value no longer exists.
+pub(super) fn output(settings: &SessionSettings) -> Result<OutputOptions, ConfigError> {
+    OutputOptions::of_values(&settings.configuration)
 }
 
 /// The options of a stored configuration, for replay.

@@ -6,6 +6,7 @@ use uuid::Uuid;
 
 use crate::aiding::AidingError;
 use crate::config::ConfigError;
+use crate::gnss::FrameRefusal;
 use crate::quotas::QuotaError;
 use crate::reception::ReceptionError;
 use crate::refusal::{Class, Code};
@@ -50,6 +51,12 @@ pub enum SessionError {
         /// Name of the mode.
         mode: &'static str,
     },
+    /// Positions relative to the base cannot be given in the frame that is asked for.
+    #[error("positions cannot be given in the ETRS89: {0}")]
+    Frame(FrameRefusal),
+    /// Heights above the geoid are asked for, and the service has no table.
+    #[error("the service has no table of the geoid")]
+    GeoidMissing,
     /// The request names more bases than one session may choose from.
     #[error("{bases} bases are named, at most {limit} are allowed")]
     TooManyCandidates {
@@ -252,6 +259,8 @@ impl SessionError {
             Self::Closed { .. } => Code::SessionClosed,
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
+            Self::Frame(_) => Code::FrameUnavailable,
+            Self::GeoidMissing => Code::GeoidMissing,
             Self::TooManyCandidates { .. } | Self::BaseNamedTwice { .. } => Code::InvalidField,
             Self::Aiding(error) => error.code(),
             Self::LabelTooLong { .. } => Code::LabelTooLong,

@@ -1,11 +1,12 @@
 //! One stored epoch with everything that explains its answer.
 
 use crate::aiding::rover_source;
+use crate::config::OutputOptions;
 use crate::gnss::Epoch;
 use crate::positioning::satellite_views;
 use crate::store::{StoreError, StoredSolution};
 
-use super::configuration::kept_options;
+use super::configuration::{kept_options, output};
 use super::desk::Sessions;
 use super::{SessionError, SessionId};
 
@@ -20,6 +21,8 @@ pub struct EpochExplanation {
     pub solutions: Vec<StoredSolution>,
     /// The observed satellites, in the order of the epoch.
     pub satellites: Vec<SatelliteView>,
+    /// How the solutions are given out.
+    pub output: OutputOptions,
 }
 
 impl Sessions {
@@ -57,6 +60,7 @@ impl Sessions {
         let solutions = self.store().solutions_of(row.key, stored.solution.seq).await?;
         let answer = &stored.solution.solution;
         let satellites = satellite_views(&stored.epoch, answer, &navigation.navigation, &options);
-        Ok(EpochExplanation { epoch: stored.epoch, solutions, satellites })
+        let (epoch, output) = (stored.epoch, output(&row.settings)?);
+        Ok(EpochExplanation { epoch, solutions, satellites, output })
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
-use crate::config::OptionEntry;
+use crate::config::{OptionEntry, OutputOptions};
 use crate::id::{Id, Kind};
 use crate::store::{AntennaName, Page, SessionRow, SessionSettings, StoredSolution};
 
@@ -161,4 +161,6 @@ pub struct SolutionPage {
     pub page: Page<StoredSolution>,
     /// Epochs below this number are removed; `None` while all are stored.
     pub oldest_available: Option<u64>,
+    /// How they are given out.
+    pub output: OutputOptions,
 }

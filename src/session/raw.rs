@@ -10,6 +10,7 @@
 use bytes::Bytes;
 
 use crate::clock::gps_time;
+use crate::config::OutputOptions;
 use crate::gnss::{GpsTime, Navigation};
 use crate::reception::{Needed, Received, ReceptionError, Stream};
 use crate::store::{RawChunkSpan, RawPosition};
@@ -49,6 +50,8 @@ pub struct RawReceived {
     pub received: Received,
     /// All bytes of the chunk were stored already.
     pub resent: bool,
+    /// How the session's solutions are given out.
+    pub output: OutputOptions,
 }
 
 /// The stream's decoder and its position.

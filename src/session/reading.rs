@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::store::{Page, SessionFilter, SessionHead, SolutionQuery, StoreError};
 
+use super::configuration::output;
 use super::desk::Sessions;
 use super::info::oldest_available;
 use super::solvers::BatchLane;
@@ -67,8 +68,9 @@ impl Sessions {
         query: &SolutionQuery,
     ) -> Result<SolutionPage, SessionError> {
         let row = self.row(id).await?;
+        let output = output(&row.settings)?;
         let page = self.store().solutions(row.key, query).await?;
-        Ok(SolutionPage { page, oldest_available: oldest_available(row.removed_through) })
+        Ok(SolutionPage { page, oldest_available: oldest_available(row.removed_through), output })
     }
 
     /// Removes the epochs that are older than their session's retention, and returns when it has.

@@ -101,7 +101,9 @@ impl Sessions {
         let asked = self.base_names(request.base.clone())?;
         let base = if asked.is_none() { &row.settings.base } else { &asked };
         let base = configuration::base_of(options.mode, base)?;
-        let is_own = options == configuration::stored_options(&row.settings)?;
+        self.check_output(&options, &base)?;
+        let own = configuration::stored_options(&row.settings)?;
+        let is_own = PositioningOptions { output: own.output, ..options.clone() } == own;
         let count = window_epochs(&options).min(self.limits().epochs_per_push);
         let mut stored = self.store().last_epochs(row.key, count).await?;
         let last = stored.first().ok_or_else(|| SessionError::Empty { id: id.to_string() })?;
@@ -112,7 +114,7 @@ impl Sessions {
         };
         let is_same = last.solution.configuration_hash == row.settings.configuration_hash;
         if is_own && is_same && is_same_base {
-            return Ok(stored.swap_remove(0).solution.into());
+            return Ok(Computed::of_stored(stored.swap_remove(0).solution, options.output));
         }
         let sequenced = stored
             .iter()
@@ -164,6 +166,7 @@ impl Sessions {
         };
         let base = self.base_names(burst.base)?;
         let base = configuration::base_of(options.mode, &base)?;
+        self.check_output(&options, &base)?;
         let named = match burst.antenna.trim() {
             "" => None,
             name => Some(self.aiding().antennas.named(name)?),

@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 
 use tokio::sync::oneshot;
 
+use crate::config::OutputOptions;
 use crate::gnss::{Epoch, GpsTime};
 use crate::refusal::Code;
 use crate::store::StoredSolution;
@@ -29,6 +30,8 @@ pub struct Submitted {
     pub outcomes: Vec<EpochOutcome>,
     /// Number of the session's last committed epoch. A device may delete its epochs up to this one.
     pub durable_through: Option<u64>,
+    /// How the session's solutions are given out.
+    pub output: OutputOptions,
 }
 
 /// The outcome of one epoch.

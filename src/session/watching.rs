@@ -1,7 +1,9 @@
 //! Watches: what a session commits, from any solution on.
 
+use crate::config::OutputOptions;
 use crate::store::{Revisions, SolutionQuery, StoredSolution};
 
+use super::configuration::output;
 use super::desk::Sessions;
 use super::info::oldest_available;
 use super::live::Watch;
@@ -28,6 +30,8 @@ pub struct WatchPage {
     pub oldest_available: Option<u64>,
     /// Whether the session was closed before the page was read.
     pub is_closed: bool,
+    /// How they are given out.
+    pub output: OutputOptions,
 }
 
 impl WatchCursor {
@@ -86,6 +90,7 @@ impl Sessions {
         }
         let (is_closed, oldest_available) =
             (row.closed_unix_ms.is_some(), oldest_available(row.removed_through));
-        Ok(WatchPage { solutions, has_more, oldest_available, is_closed })
+        let output = output(&row.settings)?;
+        Ok(WatchPage { solutions, has_more, oldest_available, is_closed, output })
     }
 }

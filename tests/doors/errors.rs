@@ -401,6 +401,20 @@ fn base_requests(
         ),
         ("GET", format!("{bases}/bas_1"), json!({}), Code::BaseNotFound, "base"),
         ("POST", "/v1/sessions".into(), json!({"mode": "rtk-fgo"}), Code::BaseRequired, "base"),
+        (
+            "POST",
+            "/v1/sessions".into(),
+            json!({"mode": "rtk-fgo", "base": used, "overrides": {"frame": "ETRS89"}}),
+            Code::FrameUnavailable,
+            "overrides.frame",
+        ),
+        (
+            "POST",
+            "/v1/sessions".into(),
+            json!({"overrides": {"geoid": "on"}}),
+            Code::GeoidMissing,
+            "overrides.geoid",
+        ),
         ("DELETE", format!("{bases}/{used}"), json!({}), Code::BaseInUse, "base"),
         (
             "POST",
@@ -573,6 +587,7 @@ fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
         (nothing, "[fetch]\nhosts = [\"a b\"]", Code::FetchHostInvalid),
         (nothing, "[fetch]\nca_file = \"/no/such/file\"", Code::CertificatesInvalid),
         (nothing, "[antennas]\nantex = \"/no/such/file\"", Code::AntexInvalid),
+        (nothing, "geoid_file = \"graphfix.toml\"", Code::GeoidInvalid),
         ("--database=mysql://x/y", "", Code::DatabaseUrlInvalid),
         ("--listen=TAKEN", "", Code::AddressUnavailable),
     ]

@@ -10,6 +10,7 @@ mod clients;
 mod compare;
 mod errors;
 mod feeds;
+mod frames;
 mod grpc;
 mod guides;
 mod http;

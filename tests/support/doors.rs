@@ -17,6 +17,8 @@ use super::wait::until;
 
 /// The operator's calibrations of antennas, in the folder of the database.
 const ANTEX: &str = "antennas.atx";
+/// The operator's table of the geoid, there.
+const GEOID: &str = "geoid.gtx";
 
 pub(crate) struct Doors {
     pub(crate) router: Router,
@@ -66,6 +68,14 @@ impl Doors {
         Self::within((folder, None), Limits::standard(), jobs, BRISK).await
     }
 
+    /// With this table of the geoid.
+    pub(crate) async fn with_geoid(table: &[u8]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(GEOID), table).unwrap();
+        let jobs = JobsConfiguration::standard();
+        Self::within((folder, None), Limits::standard(), jobs, BRISK).await
+    }
+
     /// The service after it has stopped and started again.
     pub(crate) async fn restarted(self) -> Self {
         self.app.close().await;
@@ -97,11 +107,12 @@ impl Doors {
         let own = || format!("sqlite://{}", folder.path().join("test.db").display());
         let database = database.unwrap_or_else(own);
         let hosts = ["localhost", "127.0.0.1"].map(str::to_owned).to_vec();
-        let antex = folder.path().join(ANTEX);
+        let [antex, geoid] = [ANTEX, GEOID].map(|name| folder.path().join(name));
         let configuration = ServiceConfiguration {
             database: database.clone(),
             fetch: FetchConfiguration { hosts, private_addresses: true, ca_file: None },
             antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
+            geoid_file: geoid.is_file().then_some(geoid),
             jobs: jobs.clone(),
             limits,
             ..ServiceConfiguration::standard()

@@ -10,6 +10,7 @@ pub(crate) mod drive;
 #[cfg(target_os = "linux")]
 pub(crate) mod failing;
 pub(crate) mod flow;
+pub(crate) mod geoid;
 pub(crate) mod jobs;
 pub(crate) mod pair;
 pub(crate) mod proxy;

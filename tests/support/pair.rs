@@ -6,7 +6,7 @@ use graphfix::aiding::bases::{BaseId, NewBase};
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
 use graphfix::gnss::{
-    BaseSite, BaseStation, Constellation, Ecef, Ephemeris, Epoch, GpsTime, Navigation,
+    BaseSite, BaseStation, Constellation, Ecef, Ephemeris, Epoch, Geodetic, GpsTime, Navigation,
     PositionSource, Solution,
 };
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
@@ -28,10 +28,20 @@ pub(crate) struct Pair {
 pub(crate) static PAIR: LazyLock<Pair> =
     LazyLock::new(|| simulated(Scenario::by_name("rtk-open").unwrap().start));
 
+/// The same for 20 s in Munich.
+pub(crate) static MUNICH: LazyLock<Pair> = LazyLock::new(|| {
+    let open = Scenario::by_name("rtk-open").unwrap();
+    let origin = Geodetic::from_degrees(48.1, 11.5, 550.0);
+    pair(Scenario { origin, duration_s: 19.0, ..open })
+});
+
 /// The same, starting at another time.
 pub(crate) fn simulated(start: GpsTime) -> Pair {
     let open = Scenario::by_name("rtk-open").unwrap();
-    let scenario = Scenario { start, duration_s: 149.0, ..open };
+    pair(Scenario { start, duration_s: 149.0, ..open })
+}
+
+fn pair(scenario: Scenario) -> Pair {
     let simulator = Simulator::new(scenario.clone(), 1);
     let navigation = Navigation::clone(simulator.navigation());
     let position = simulator.base_position().unwrap();
@@ -82,6 +92,12 @@ impl Pair {
             estimator.advance(&rover.epoch, &Aiding { navigation: &self.navigation, base })
         };
         self.rover.iter().map(answer).collect()
+    }
+
+    /// The rover's observations as a file.
+    pub(crate) fn rover_file(&self) -> Vec<u8> {
+        let epochs: Vec<Epoch> = self.rover.iter().map(|rover| rover.epoch.clone()).collect();
+        self.file_of(&epochs, None)
     }
 
     /// The base's observations as a file whose header has a position.

@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
-use crate::gnss::{BaseSite, Ecef, GpsTime};
+use crate::gnss::{BaseSite, CoordinateFrame, Ecef, GpsTime};
 use crate::store::{
     Act, Author, BaseFeed, BaseKey, BaseName, BaseUse, NamedRequest, NewBaseRow, Store, StoreError,
 };
@@ -188,6 +188,11 @@ impl BaseBroker {
     /// No base has this id.
     pub(crate) fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
         Ok(self.base(id)?.name().clone())
+    }
+
+    /// The frame of the coordinates of the base of this id, if both are known.
+    pub(crate) fn frame(&self, id: &str) -> Option<CoordinateFrame> {
+        self.base(&BaseId::parse(id)?).ok()?.description.frame
     }
 
     /// Every base, by id.

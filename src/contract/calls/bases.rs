@@ -26,8 +26,6 @@ const PAGE_LIMIT: usize = 1000;
 /// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
-/// Epochs that coordinates of a base can have (decimal years).
-const EPOCH_YEARS: std::ops::RangeInclusive<f64> = 1980.0..=2100.0;
 /// Longest distance between antenna and marker along each axis (m).
 const DELTA_MAX_M: f64 = 1000.0;
 
@@ -190,7 +188,7 @@ fn frame(name: &str, epoch_year: Option<f64>) -> Result<Option<CoordinateFrame>,
         if name.is_empty() {
             return refused("frameEpochYear", "the epoch needs a frame".to_owned());
         }
-        if !EPOCH_YEARS.contains(&year) {
+        if !CoordinateFrame::EPOCH_YEARS.contains(&year) {
             return refused("frameEpochYear", format!("{year} is not a year from 1980 to 2100"));
         }
     }

@@ -2,7 +2,9 @@
 
 use crate::config::IntakeLimits;
 use crate::contract::convert::{self, Stored};
-use crate::contract::{Caller, Lease, Refusal, finished, intake, off_the_network, texts, v1};
+use crate::contract::{
+    Caller, Lease, Presenter, Refusal, finished, intake, off_the_network, texts, v1,
+};
 use crate::gnss::Observation;
 use crate::session::{Burst, Computed, EpochOutcome, SequencedEpoch, SolveRequest, Submitted};
 
@@ -20,7 +22,8 @@ pub async fn push_epochs(
     let id = session_id(&request.session)?;
     let epochs = epochs(request.epochs, &caller.limits().intake(), Numbered::Yes)?;
     let sessions = caller.sessions().clone();
-    answer(finished(async move { sessions.submit(&id, epochs).await }).await?)
+    let submitted = finished(async move { sessions.submit(&id, epochs).await }).await?;
+    answer(caller, submitted)
 }
 
 /// Solves the session's present window.
@@ -42,7 +45,7 @@ pub async fn solve(
         base: base_choice(caller, &request.base, &request.bases)?,
     };
     let computed = caller.sessions().solve(&id, &request).await?;
-    Ok(v1::SolveResponse { solution: Some(message(&computed)) })
+    Ok(v1::SolveResponse { solution: Some(message(caller, &computed)) })
 }
 
 /// Positions a few epochs without a session.
@@ -65,7 +68,8 @@ pub async fn solve_once(
         antenna: request.antenna,
     };
     let computed = caller.sessions().solve_once(burst).await?;
-    Ok(v1::SolveOnceResponse { solutions: computed.iter().map(message).collect() })
+    let solutions = computed.iter().map(|computed| message(caller, computed)).collect();
+    Ok(v1::SolveOnceResponse { solutions })
 }
 
 /// Whether epochs must have a number.
@@ -114,32 +118,38 @@ pub(super) fn read_epochs(
     off_the_network(bytes, || messages.iter().enumerate().map(read).collect())
 }
 
-fn answer(submitted: Submitted) -> Result<v1::PushEpochsResponse, Refusal> {
-    let (results, refused) = results(submitted.outcomes);
+fn answer(caller: &Caller, submitted: Submitted) -> Result<v1::PushEpochsResponse, Refusal> {
+    let (results, refused) = results(submitted.outcomes, &caller.presenter(&submitted.output));
     match refused {
         Some(first) if results.iter().all(|result| result.solution.is_none()) => Err(first),
         _ => Ok(v1::PushEpochsResponse { results, durable_through: submitted.durable_through }),
     }
 }
 
-fn message(computed: &Computed) -> v1::Solution {
+fn message(caller: &Caller, computed: &Computed) -> v1::Solution {
     let stored = Stored {
         seq: computed.seq,
         revision: 0,
         configuration_hash: &computed.configuration_hash,
         version: &computed.version,
     };
-    convert::solution(&computed.solution, stored)
+    let presenter = caller.presenter(&computed.output);
+    convert::solution(&presenter.present(&computed.solution), stored)
 }
 
 /// The answer to each epoch, and the first refusal.
-pub(super) fn results(outcomes: Vec<EpochOutcome>) -> (Vec<v1::EpochResult>, Option<Refusal>) {
+pub(super) fn results(
+    outcomes: Vec<EpochOutcome>,
+    presenter: &Presenter<'_>,
+) -> (Vec<v1::EpochResult>, Option<Refusal>) {
     let mut refused = None;
     let mut results = Vec::with_capacity(outcomes.len());
     for (index, EpochOutcome { seq, result }) in outcomes.into_iter().enumerate() {
         let mut message = v1::EpochResult { seq, solution: None, refusal: None };
         match result {
-            Ok(acknowledged) => message.solution = Some(convert::stored(&acknowledged.solution)),
+            Ok(acknowledged) => {
+                message.solution = Some(convert::stored(&acknowledged.solution, presenter));
+            }
             Err(refusal) => {
                 let refusal = Refusal::from(refusal).within(&format!("epochs[{index}]"));
                 message.refusal = Some(convert::refusal(&refusal));

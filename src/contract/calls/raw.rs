@@ -29,7 +29,8 @@ pub async fn push(
         near: near.transpose()?,
     };
     let sessions = caller.sessions().clone();
-    Ok(answer(finished(async move { sessions.receive(&id, chunk).await }).await?))
+    let received = finished(async move { sessions.receive(&id, chunk).await }).await?;
+    Ok(answer(caller, received))
 }
 
 /// Checks that every JSON reader keeps the offsets of a chunk exactly.
@@ -41,10 +42,10 @@ pub(super) fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
     Err(Refusal::new(Code::InvalidField, message).at("offset"))
 }
 
-fn answer(received: RawReceived) -> v1::PushRawResponse {
-    let RawReceived { outcomes, durable_through, raw_through, received, resent } = received;
+fn answer(caller: &Caller, received: RawReceived) -> v1::PushRawResponse {
+    let RawReceived { outcomes, durable_through, raw_through, received, resent, output } = received;
     v1::PushRawResponse {
-        results: results(outcomes).0,
+        results: results(outcomes, &caller.presenter(&output)).0,
         durable_through,
         raw_through,
         resent,

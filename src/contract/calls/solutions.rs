@@ -82,9 +82,10 @@ async fn read(
             Err(_) => break,
             Ok(()) => {}
         }
-        let SolutionPage { page, oldest_available } =
+        let SolutionPage { page, oldest_available, output } =
             caller.sessions().solutions(id, &query).await?;
-        whole.solutions.extend(page.items.iter().map(convert::stored));
+        let presenter = caller.presenter(&output);
+        whole.solutions.extend(page.items.iter().map(|row| convert::stored(row, &presenter)));
         whole.oldest_available_seq = oldest_available;
         next = page.next_page_token.clone();
         let is_full = page.items.len() == query.page_size;
@@ -192,8 +193,9 @@ pub async fn explain(
     let satellite = |view: &SatelliteView| {
         view_message(view, observed.get(&view.satellite).copied().unwrap_or_default())
     };
+    let (presenter, solutions) = (caller.presenter(&explained.output), explained.solutions.iter());
     Ok(v1::ExplainEpochResponse {
-        solutions: explained.solutions.iter().map(convert::stored).collect(),
+        solutions: solutions.map(|row| convert::stored(row, &presenter)).collect(),
         satellites: explained.satellites.iter().map(satellite).collect(),
     })
 }

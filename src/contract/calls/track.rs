@@ -3,12 +3,13 @@
 use bytes::Bytes;
 use futures::{Stream, stream};
 
+use crate::config::OutputOptions;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::formats::track::{Revision, TrackFormat, TrackWriter};
 use crate::gnss::LeapSeconds;
 use crate::keys::Pass;
 use crate::refusal::Code;
-use crate::session::SessionId;
+use crate::session::{SessionId, SolutionPage};
 use crate::store::{Page, Revisions, SolutionQuery, StoredSolution};
 
 use super::session_id;
@@ -62,12 +63,14 @@ pub async fn track(
         page_token: None,
     };
     Lease::current().map_or(Ok(()), |lease| lease.reserve(TRACK_BYTES))?;
-    let page = caller.sessions().solutions(&id, &query).await?.page;
-    let comments = comments(&id, revisions);
-    let writer = TrackWriter::of_stored(format, &comments, LeapSeconds::table());
+    let SolutionPage { page, output, .. } = caller.sessions().solutions(&id, &query).await?;
+    let comments = comments(&id, revisions, &output);
+    let presenter = caller.presenter(&output);
+    let leap = LeapSeconds::table();
+    let writer = TrackWriter::of_stored(format, &comments, leap, presenter.presentation());
     let pass = Lease::current().and_then(|lease| lease.pass().cloned());
     let (caller, step) = (caller.clone(), Step::Begin(page));
-    let track = Track { caller, id, query, writer, step, pass };
+    let track = Track { caller, id, query, writer, output, step, pass };
     Ok(stream::unfold(track, |mut track| async move {
         let bytes = track.next().await.transpose()?;
         Some((bytes, track))
@@ -83,17 +86,18 @@ fn known(format: &str) -> Result<TrackFormat, Refusal> {
 }
 
 /// Lines at the head of a `.pos` file.
-fn comments(id: &SessionId, revisions: Revisions) -> [String; 3] {
+fn comments(id: &SessionId, revisions: Revisions, output: &OutputOptions) -> Vec<String> {
     let revisions = match revisions {
         Revisions::First => "first",
         Revisions::Last => "last",
         Revisions::All | Revisions::Later => "all",
     };
-    [
+    let lines = [
         format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
         format!("session   : {id}"),
         format!("revisions : {revisions}"),
-    ]
+    ];
+    lines.into_iter().chain(output.comment()).collect()
 }
 
 /// A track that is being read.
@@ -102,6 +106,8 @@ struct Track {
     id: SessionId,
     query: SolutionQuery,
     writer: TrackWriter,
+    /// How solutions are given out: as at the beginning, also if the session changes meanwhile.
+    output: OutputOptions,
     step: Step,
     /// Who reads it. The end of their key ends the track, too.
     pass: Option<Pass>,
@@ -132,9 +138,10 @@ impl Track {
                 self.caller.sessions().solutions(&self.id, &self.query).await?.page
             }
         };
+        let presenter = self.caller.presenter(&self.output);
         for StoredSolution { seq, revision, solution, .. } in &page.items {
             let revision = Revision { seq: *seq, revision: *revision };
-            self.writer.push(solution, Some(revision), &mut out);
+            self.writer.push(presenter.present(solution), Some(revision), &mut out);
         }
         match page.next_page_token {
             Some(token) => self.step = Step::Read(token),

@@ -9,6 +9,7 @@ use futures::Stream;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::timeout;
 
+use crate::config::OutputOptions;
 use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::refusal::Code;
 use crate::session::{News, SessionError, SessionId, Watch, WatchCursor, WatchPage};
@@ -56,7 +57,9 @@ pub async fn watch(
     let cursor = start.unwrap_or(now);
     let (outlet, reader) = outlet(caller);
     let (caller, oldest_available) = (caller.clone(), None);
-    let watching = Watching { caller, id, watch, cursor, with_revisions, oldest_available, outlet };
+    let output = OutputOptions::as_computed();
+    let watching =
+        Watching { caller, id, watch, cursor, with_revisions, oldest_available, output, outlet };
     Ok(reader.read(watching.run(permit)))
 }
 
@@ -98,6 +101,9 @@ struct Watching {
     cursor: WatchCursor,
     with_revisions: bool,
     oldest_available: Option<u64>,
+    /// How solutions are given out, as it was read from the store last. It is read before the first
+    /// solution, and again after each change of the session.
+    output: OutputOptions,
     outlet: Outlet<v1::WatchSolutionsResponse>,
 }
 
@@ -134,8 +140,8 @@ impl Watching {
             }
             let asked = (SOLUTIONS / 2, self.with_revisions);
             let page = self.caller.sessions().watched(&self.id, self.cursor, asked).await?;
-            let WatchPage { solutions, has_more, oldest_available, is_closed } = page;
-            self.oldest_available = oldest_available;
+            let WatchPage { solutions, has_more, oldest_available, is_closed, output } = page;
+            (self.oldest_available, self.output) = (oldest_available, output);
             self.send_new(solutions.iter()).await?;
             if !has_more {
                 return Ok(is_closed);
@@ -153,7 +159,7 @@ impl Watching {
         for solution in solutions {
             let is_wanted = self.with_revisions || solution.revision == 0;
             if is_wanted && self.cursor.see(solution) {
-                messages.push(convert::stored(solution));
+                messages.push(convert::stored(solution, &self.caller.presenter(&self.output)));
             }
             if messages.len() == SOLUTIONS {
                 self.send(std::mem::take(&mut messages), false).await?;

@@ -51,6 +51,9 @@ macro_rules! operation {
     CertificatesInvalid = "CERTIFICATES_INVALID", NoCall, "name a PEM file of certificates";
     /// The file antennas.antex cannot be read.
     AntexInvalid = "ANTEX_INVALID", NoCall, "name an ANTEX file of absolute calibrations";
+    /// The file geoid_file cannot be read, or is no table of the geoid.
+    GeoidInvalid = "GEOID_INVALID", NoCall,
+        "name a PGM file of GeographicLib, or a GTX or ISG file";
     /// The interval between requests to an archive is shorter than a minute.
     ArchiveIntervalTooShort = "ARCHIVE_INTERVAL_TOO_SHORT", NoCall,
         "raise the interval; 3600 s is usual";

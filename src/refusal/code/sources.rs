@@ -21,6 +21,12 @@ macro_rules! sources {
     /// The mode is relative to a base, and the request names neither base nor bases.
     BaseRequired = "BASE_REQUIRED", Malformed,
         "create a base, push its epochs, and name it as base";
+    /// Positions relative to the base cannot be given in the frame that is asked for.
+    FrameUnavailable = "FRAME_UNAVAILABLE", Malformed,
+        "state the frame and epoch of the base's coordinates, or leave out the option frame";
+    /// Heights above the geoid are asked for, and there is no table of it.
+    GeoidMissing = "GEOID_MISSING", Malformed,
+        "leave out the option geoid, or let the operator name a table as geoid_file";
     /// An open session uses the base.
     BaseInUse = "BASE_IN_USE", Precondition,
         "close the sessions that use it, or let them use another base";

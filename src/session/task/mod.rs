@@ -16,6 +16,7 @@ use tokio::sync::mpsc;
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, NearestBaseRequest};
 use crate::clock::Clock;
+use crate::config::OutputOptions;
 use crate::positioning::Scratch;
 use crate::store::{
     ArcStart, AuditEntry, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError,
@@ -95,6 +96,11 @@ impl Active {
     /// Number of the last epoch.
     fn last_seq(&self) -> Option<u64> {
         self.committed.last_seq()
+    }
+
+    /// How its solutions are given out.
+    fn output(&self) -> OutputOptions {
+        self.configuration.estimation.options.output
     }
 }
 
@@ -211,12 +217,14 @@ impl Task {
         let pushes: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
         let lengths: Vec<usize> = pushes.iter().map(Vec::len).collect();
         let answers = self.advance(active, pushes.into_iter().flatten().collect()).await;
+        let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         let mut answers = answers.map(|(outcomes, through)| (outcomes.into_iter(), through));
         for (Submission { permit, reply, .. }, length) in submissions.into_iter().zip(lengths) {
             let answer = match &mut answers {
                 Ok((outcomes, durable_through)) => Ok(Submitted {
                     outcomes: outcomes.take(length).collect(),
                     durable_through: *durable_through,
+                    output,
                 }),
                 Err(error) => Err(error.clone()),
             };

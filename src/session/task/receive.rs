@@ -1,5 +1,6 @@
 //! The task's handling of raw bytes: decodes, positions and commits them in one step.
 
+use crate::config::OutputOptions;
 use crate::gnss::Navigation;
 use crate::reception::{Needed, Received, Stream};
 use crate::session::panics::caught;
@@ -49,7 +50,7 @@ impl Task {
         };
         if checked.is_err() || !matches!(order, Order::New(_)) {
             let answer = match checked {
-                Ok(()) => self.answer_known(&reception, &chunk, order, loaded.last_seq()).await,
+                Ok(()) => self.answer_known(loaded, &reception, &chunk, order).await,
                 Err(error) => Err(error),
             };
             loaded.raw = Some(reception);
@@ -96,10 +97,12 @@ impl Task {
         let number = |(seq, epoch)| SequencedEpoch { seq, epoch };
         let epochs: Vec<_> = (first_seq..).zip(epochs).map(number).collect();
         let (outcomes, durable_through) = self.process(active, epochs, Some(change)).await?;
+        let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         if let Some(active) = active {
             active.raw = Some(reception);
         }
-        Ok(RawReceived { outcomes, durable_through, raw_through, received, resent: false })
+        let resent = false;
+        Ok(RawReceived { outcomes, durable_through, raw_through, received, resent, output })
     }
 
     /// Pushes ephemerides to the broker. They are durable when it returns.
@@ -129,10 +132,10 @@ impl Task {
     /// The answer to a chunk without new bytes.
     async fn answer_known(
         &self,
+        active: &Active,
         reception: &Reception,
         chunk: &RawChunk,
         order: Order,
-        durable_through: Option<u64>,
     ) -> Result<RawReceived, SessionError> {
         let RawPosition { through, last_chunk: last, .. } = reception.position;
         if matches!(order, Order::Gap) {
@@ -152,8 +155,14 @@ impl Task {
         };
         let mut outcomes: Vec<_> = found.into_iter().map(outcome).collect();
         outcomes.sort_by_key(|outcome| outcome.seq);
-        let received = Received::default();
-        Ok(RawReceived { outcomes, durable_through, raw_through: through, received, resent: true })
+        Ok(RawReceived {
+            outcomes,
+            durable_through: active.last_seq(),
+            raw_through: through,
+            received: Received::default(),
+            resent: true,
+            output: active.output(),
+        })
     }
 
     /// Restores the stream from the store.

@@ -134,7 +134,7 @@ async fn a_base_states_its_frame_or_that_it_is_unknown() {
         assert_eq!((&base["frame"], &base["frameEpochYear"]), (&json!(frame), &year));
     }
     for (request, field) in [
-        (json!({"frame": "ETRS89"}), "frame"),
+        (json!({"frame": "ETRF89"}), "frame"),
         (json!({"frame": "itrf2020"}), "frame"),
         (json!({"frame": "ITRF2020", "frameEpochYear": 20.1}), "frameEpochYear"),
         (json!({"frameEpochYear": 2020.0}), "frameEpochYear"),

@@ -45,7 +45,8 @@ class Answer:
     """The outcome of one epoch: a solution, its summary, or a refusal.
 
     Times are GPS time. Positions are Earth-centred, Earth-fixed (WGS 84; relative to a base, in the
-    frame of its coordinates) and geodetic: metres and degrees, height above the ellipsoid.
+    frame of its coordinates; or in the frame that the session asks for) and geodetic: metres and
+    degrees, height above the ellipsoid.
     """
 
     seq: int

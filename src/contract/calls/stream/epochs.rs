@@ -2,7 +2,7 @@
 
 use crate::contract::calls::positioning::{Numbered, read_epochs};
 use crate::contract::calls::session_id;
-use crate::contract::{Caller, Refusal, v1};
+use crate::contract::{Caller, Presenter, Refusal, v1};
 use crate::gnss::Observation;
 use crate::refusal::Code;
 use crate::session::{Answers, SequencedEpoch, SessionInfo, Submitted};
@@ -109,13 +109,19 @@ impl Carried for OfEpochs {
         request.epochs.len() as u64
     }
 
-    fn answer(&mut self, answer: Submitted, response: &mut v1::StreamResponse) {
+    fn answer(&mut self, caller: &Caller, answer: Submitted, response: &mut v1::StreamResponse) {
         self.durable_through = answer.durable_through;
-        response.results.extend(results(answer.outcomes, self.answers));
+        let presenter = caller.presenter(&answer.output);
+        response.results.extend(results(answer.outcomes, self.answers, &presenter));
     }
 
-    fn missed(&self, solution: &StoredSolution, response: &mut v1::StreamResponse) {
-        response.results.extend(result_of(solution, self.answers));
+    fn missed(
+        &self,
+        solution: &StoredSolution,
+        presenter: &Presenter<'_>,
+        response: &mut v1::StreamResponse,
+    ) {
+        response.results.extend(result_of(solution, self.answers, presenter));
     }
 
     fn complete(&self, response: &mut v1::StreamResponse, credit: Amount) {

@@ -9,10 +9,10 @@ use futures::{Stream, StreamExt};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, Sleep, sleep_until, timeout};
 
-use crate::contract::{Caller, Lease, Refusal, v1};
+use crate::contract::{Caller, Lease, Presenter, Refusal, v1};
 use crate::keys::{KeyError, Pass};
 use crate::refusal::{Class, Code};
-use crate::session::{Answers, SessionError, SessionId, SessionInfo, StreamedPush};
+use crate::session::{Answers, SessionError, SessionId, SessionInfo, SolutionPage, StreamedPush};
 use crate::store::StoredSolution;
 
 use super::ledger::{Amount, Ledger};
@@ -47,9 +47,14 @@ pub(super) trait Carried: Sized + Send + Sync + 'static {
     /// Number of epochs or chunks in a message.
     fn count(request: &Self::Request) -> u64;
     /// Adds an answer to a response.
-    fn answer(&mut self, answer: Self::Answer, response: &mut Self::Response);
+    fn answer(&mut self, caller: &Caller, answer: Self::Answer, response: &mut Self::Response);
     /// Adds a stored answer that the device has missed.
-    fn missed(&self, solution: &StoredSolution, response: &mut Self::Response);
+    fn missed(
+        &self,
+        solution: &StoredSolution,
+        presenter: &Presenter<'_>,
+        response: &mut Self::Response,
+    );
     /// Completes a response with what is durable, and with the credit.
     fn complete(&self, response: &mut Self::Response, credit: Amount);
     /// Adds the announcement of the end.
@@ -224,10 +229,11 @@ where
         let (id, carried) = self.opened.as_mut().expect("an open stream has its session");
         self.ledger.keep_page(PAGE * ANSWER_BYTES)?;
         let page = self.caller.sessions().answers_after(id, after, PAGE).await;
-        let solutions = page.map_err(Refusal::from)?.page.items;
+        let SolutionPage { page, output, .. } = page.map_err(Refusal::from)?;
+        let (solutions, presenter) = (page.items, self.caller.presenter(&output));
         let mut response = C::Response::default();
         for solution in solutions.iter().filter(|solution| solution.seq <= through) {
-            carried.missed(solution, &mut response);
+            carried.missed(solution, &presenter, &mut response);
         }
         let last = solutions.last().map(|solution| solution.seq);
         self.phase = match last.filter(|last| *last < through && solutions.len() == PAGE) {
@@ -385,7 +391,7 @@ where
             match answer {
                 Ok(answer) => {
                     let (_, carried) = self.opened.as_mut().expect("an open stream has a session");
-                    carried.answer(answer, &mut response);
+                    carried.answer(&self.caller, answer, &mut response);
                     is_empty = false;
                 }
                 Err(error) => {

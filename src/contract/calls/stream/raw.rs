@@ -2,7 +2,7 @@
 
 use crate::contract::calls::raw::{left_out, offset, total};
 use crate::contract::calls::session_id;
-use crate::contract::{Caller, Refusal, intake, v1};
+use crate::contract::{Caller, Presenter, Refusal, intake, v1};
 use crate::gnss::GpsTime;
 use crate::refusal::Code;
 use crate::session::{Answers, RawChunk, RawReceived, SessionInfo};
@@ -101,10 +101,17 @@ impl Carried for OfRaw {
         u64::from(!request.content.is_empty() || request.end)
     }
 
-    fn answer(&mut self, answer: RawReceived, response: &mut v1::StreamRawResponse) {
-        let RawReceived { outcomes, durable_through, raw_through, received, resent } = answer;
+    fn answer(
+        &mut self,
+        caller: &Caller,
+        answer: RawReceived,
+        response: &mut v1::StreamRawResponse,
+    ) {
+        let RawReceived { outcomes, durable_through, raw_through, received, resent, output } =
+            answer;
+        let presenter = caller.presenter(&output);
         (self.durable_through, self.raw_through) = (durable_through, raw_through);
-        response.results.extend(results(outcomes, self.answers));
+        response.results.extend(results(outcomes, self.answers, &presenter));
         if matches!(self.answers, v1::Answers::Summary | v1::Answers::Full) {
             response.reports.push(v1::StreamRawReport {
                 resent,
@@ -117,8 +124,13 @@ impl Carried for OfRaw {
         }
     }
 
-    fn missed(&self, solution: &StoredSolution, response: &mut v1::StreamRawResponse) {
-        response.results.extend(result_of(solution, self.answers));
+    fn missed(
+        &self,
+        solution: &StoredSolution,
+        presenter: &Presenter<'_>,
+        response: &mut v1::StreamRawResponse,
+    ) {
+        response.results.extend(result_of(solution, self.answers, presenter));
     }
 
     fn complete(&self, response: &mut v1::StreamRawResponse, credit: Amount) {

@@ -1,0 +1,34 @@
+//! Solutions as callers receive them: in the frame and with the heights that a session asks for.
+
+use crate::aiding::BaseBroker;
+use crate::config::OutputOptions;
+use crate::gnss::{Presentation, Presented, Solution};
+
+use super::Caller;
+
+/// Presents the solutions of one session or request.
+pub struct Presenter<'a> {
+    presentation: Presentation,
+    bases: &'a BaseBroker,
+}
+
+impl Caller {
+    /// Presents solutions by these options.
+    pub(super) fn presenter(&self, output: &OutputOptions) -> Presenter<'_> {
+        let aiding = self.aiding();
+        let presentation = output.presentation(aiding.geoid.as_ref());
+        Presenter { presentation, bases: &aiding.bases }
+    }
+}
+
+impl Presenter<'_> {
+    /// What is presented, and how.
+    pub(super) const fn presentation(&self) -> &Presentation {
+        &self.presentation
+    }
+
+    /// A solution as its reader receives it. Its base's frame is that which the base has now.
+    pub(super) fn present<'a>(&self, solution: &'a Solution) -> Presented<'a> {
+        self.presentation.present(solution, |base| self.bases.frame(base))
+    }
+}
