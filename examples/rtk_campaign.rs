@@ -1,5 +1,6 @@
 //! Simulated drives with every mode relative to a base, and with RTKLIB: the share of fixes, the
-//! share of wrong ones, and the reliability of the stated probability.
+//! share of wrong ones, the reliability of the stated probability, and positions without integers
+//! against those of `fgo` without a base.
 //!
 //! `cargo run --release --example rtk_campaign -- [--scenario rtk-canyon] [--seeds 100] [--first 1]
 //! [--set KEY=VALUE]… [--without-peer]`
@@ -28,9 +29,12 @@ use graphfix::gnss::{
 };
 use graphfix::positioning::{Aiding, BaseAiding, Estimator};
 use graphfix::simulation::{Scenario, SimulatedEpoch, Simulator, navigation};
+use nalgebra::Matrix3;
 
 /// Horizontal error above which a fix is wrong (m).
 const WRONG_M: f64 = 0.1;
+/// Squared distance that holds 95 % of a normal distribution in the plane: −2·ln 0.05.
+const INSIDE: f64 = 5.991_464_5;
 /// Lower bounds of the classes of stated probability.
 const CLASSES: [f64; 6] = [0.0, 0.9, 0.99, 0.999, 0.9999, 0.999_99];
 
@@ -65,12 +69,27 @@ struct Arguments {
 #[derive(Clone, Copy)]
 struct Judged {
     error_m: f64,
+    /// Whether the horizontal error is inside the stated 95 % ellipse, if one is stated.
+    is_inside: Option<bool>,
     is_fixed: bool,
     /// Stated probability of the fix.
     probability: Option<f64>,
 }
 
 impl Judged {
+    /// The answer to an epoch whose true position is `truth`.
+    fn of(answer: &Answer, truth: Ecef) -> Self {
+        let frame = LocalFrame::at(truth);
+        let error_m = frame.to_enu(answer.position).0.xy();
+        let is_inside = answer.covariance.and_then(|covariance| {
+            let local = frame.rotation * covariance * frame.rotation.transpose();
+            let inverse = local.fixed_view::<2, 2>(0, 0).try_inverse()?;
+            Some(error_m.dot(&(inverse * error_m)) <= INSIDE)
+        });
+        let Answer { is_fixed, probability, .. } = *answer;
+        Self { error_m: error_m.norm(), is_inside, is_fixed, probability }
+    }
+
     fn is_wrong(&self) -> bool {
         self.is_fixed && WRONG_M < self.error_m
     }
@@ -79,6 +98,8 @@ impl Judged {
 /// The answer of one method to an epoch.
 struct Answer {
     position: Ecef,
+    /// Of the position (m²), if it is stated.
+    covariance: Option<Matrix3<f64>>,
     is_fixed: bool,
     /// Stated probability of the fix.
     probability: Option<f64>,
@@ -86,15 +107,29 @@ struct Answer {
 
 /// The results of one method on one drive.
 struct Run {
-    epochs: usize,
-    judged: Vec<Judged>,
+    /// Of each epoch, if it was answered.
+    epochs: Vec<Option<Judged>>,
 }
 
+impl Run {
+    fn judged(&self) -> impl Iterator<Item = &Judged> {
+        self.epochs.iter().flatten()
+    }
+
+    /// The epochs without integers, each with that of `alone`, if both answer.
+    fn floats<'a>(&'a self, alone: &'a Self) -> impl Iterator<Item = (&'a Judged, &'a Judged)> {
+        let both = self.epochs.iter().zip(&alone.epochs);
+        both.filter_map(|(own, alone)| Some((own.as_ref()?, alone.as_ref()?)))
+            .filter(|(own, _)| !own.is_fixed)
+    }
+}
+
+/// All modes relative to a base, and last the one without a base.
 fn methods(arguments: &Arguments) -> Result<Vec<PositioningOptions>, Fault> {
     let profile = Profile::from_name(&arguments.profile).ok_or("no profile has that name")?;
-    let relative = Mode::ALL.iter().filter(|mode| mode.is_relative());
+    let relative = Mode::ALL.iter().copied().filter(|mode| mode.is_relative());
     let mut methods: Vec<_> =
-        relative.map(|mode| PositioningOptions::new(*mode, profile)).collect();
+        relative.chain([Mode::Fgo]).map(|mode| PositioningOptions::new(mode, profile)).collect();
     for setting in &arguments.settings {
         let (key, value) = setting.split_once('=').ok_or("--set needs KEY=VALUE")?;
         for options in &mut methods {
@@ -120,12 +155,9 @@ impl Drive {
 
     fn run(&self, answers: impl Iterator<Item = Option<Answer>>) -> Run {
         let judge = |(epoch, answer): (&SimulatedEpoch, Option<Answer>)| {
-            let Answer { position, is_fixed, probability } = answer?;
-            let error_m = LocalFrame::at(epoch.position).to_enu(position).0.xy().norm();
-            Some(Judged { error_m, is_fixed, probability })
+            answer.map(|answer| Judged::of(&answer, epoch.position))
         };
-        let judged = self.epochs.iter().zip(answers).filter_map(judge).collect();
-        Run { epochs: self.epochs.len(), judged }
+        Run { epochs: self.epochs.iter().zip(answers).map(judge).collect() }
     }
 }
 
@@ -144,7 +176,8 @@ fn outcome(solution: &Solution) -> Option<Answer> {
     let estimate = solution.estimate.as_ref()?;
     let probability = estimate.relative.as_ref().and_then(|relative| relative.fix_probability);
     let is_fixed = solution.status == Status::Fixed;
-    Some(Answer { position: estimate.position, is_fixed, probability })
+    let covariance = Some(estimate.covariance);
+    Some(Answer { position: estimate.position, covariance, is_fixed, probability })
 }
 
 fn write_observations<'a>(
@@ -211,7 +244,8 @@ fn peer(
     let near = |epoch: &SimulatedEpoch| {
         let is_of = |row: &&PosRow| (row.time - epoch.rover.time).abs() < 0.01;
         let row = rows.iter().find(is_of)?;
-        Some(Answer { position: row.position, is_fixed: row.quality == 1, probability: None })
+        let is_fixed = row.quality == 1;
+        Some(Answer { position: row.position, covariance: None, is_fixed, probability: None })
     };
     Ok(drive.run(drive.epochs.iter().map(near)))
 }
@@ -270,8 +304,8 @@ fn print_fixes(names: &[&str], results: &[Vec<Run>]) {
     println!("|---|---|---|---|---|---|---|---|");
     for (index, name) in names.iter().enumerate() {
         let runs: Vec<_> = results.iter().map(|runs| &runs[index]).collect();
-        let all: Vec<Judged> = runs.iter().flat_map(|run| run.judged.iter().copied()).collect();
-        let epochs: usize = runs.iter().map(|run| run.epochs).sum();
+        let all: Vec<Judged> = runs.iter().flat_map(|run| run.judged().copied()).collect();
+        let epochs: usize = runs.iter().map(|run| run.epochs.len()).sum();
         let errors: Vec<_> = all.iter().map(|judged| judged.error_m).collect();
         let Some(errors) = ErrorStatistics::of(&errors) else {
             println!("| {name} | no position at all |");
@@ -279,7 +313,7 @@ fn print_fixes(names: &[&str], results: &[Vec<Run>]) {
         };
         let fixed = all.iter().filter(|judged| judged.is_fixed).count();
         let wrong = all.iter().filter(|judged| judged.is_wrong()).count();
-        let drives = runs.iter().filter(|run| run.judged.iter().any(Judged::is_wrong)).count();
+        let drives = runs.iter().filter(|run| run.judged().any(Judged::is_wrong)).count();
         println!(
             "| {name} | {:.1} % | {:.2} % | {wrong} | {:.2} % | {:.3} | {:.2} | {drives} |",
             percent(all.len(), epochs),
@@ -294,7 +328,7 @@ fn print_fixes(names: &[&str], results: &[Vec<Run>]) {
 fn print_calibration(names: &[&str], results: &[Vec<Run>]) {
     println!("\n| mode | stated from | fixes | mean stated | right |\n|---|---|---|---|---|");
     for (index, name) in names.iter().enumerate() {
-        let all = results.iter().flat_map(|runs| &runs[index].judged);
+        let all = results.iter().flat_map(|runs| runs[index].judged());
         let stated: Vec<_> =
             all.filter_map(|judged| Some((judged.probability?, !judged.is_wrong()))).collect();
         let class = |low: f64, high: f64| {
@@ -312,6 +346,44 @@ fn print_calibration(names: &[&str], results: &[Vec<Run>]) {
     }
 }
 
+/// Horizontal errors without integers against those of the method at `alone` on the same epochs:
+/// mean and 95 % of all, in how many drives they are larger, and the share inside the 95 % ellipse.
+fn print_floats(names: &[&str], alone: usize, results: &[Vec<Run>]) {
+    let other = names[alone];
+    println!("\n| mode | epochs without integers | 2D mean | {other} | 95 % | {other} |");
+    println!("|---|---|---|---|---|---|");
+    let statistics = |errors: &[f64]| ErrorStatistics::of(errors).map(|s| (s.mean, s.p95));
+    let mut drives = Vec::new();
+    for (index, name) in names.iter().enumerate().filter(|(index, _)| *index != alone) {
+        let (mut own, mut others) = (Vec::new(), Vec::new());
+        let (mut worse, mut inside, mut counted) = ((0, 0), [0, 0], 0);
+        for runs in results {
+            let both: Vec<_> = runs[index].floats(&runs[alone]).collect();
+            let errors: Vec<_> = both.iter().map(|(float, _)| float.error_m).collect();
+            let alone: Vec<_> = both.iter().map(|(_, alone)| alone.error_m).collect();
+            if let Some((a, b)) = statistics(&errors).zip(statistics(&alone)) {
+                worse.0 += usize::from(b.0 < a.0);
+                worse.1 += usize::from(b.1 < a.1);
+                counted += 1;
+            }
+            let are_inside = |judged: &Judged| usize::from(judged.is_inside == Some(true));
+            inside[0] += both.iter().map(|(float, _)| are_inside(float)).sum::<usize>();
+            inside[1] += both.iter().map(|(_, alone)| are_inside(alone)).sum::<usize>();
+            own.extend(errors);
+            others.extend(alone);
+        }
+        let Some((a, b)) = statistics(&own).zip(statistics(&others)) else { continue };
+        println!("| {name} | {} | {:.2} | {:.2} | {:.2} | {:.2} |", own.len(), a.0, b.0, a.1, b.1);
+        let share = inside.map(|inside| percent(inside, own.len()));
+        drives.push((name, counted, worse, share));
+    }
+    println!("\n| mode | drives | worse than {other} in the mean | at 95 % | inside | {other} |");
+    println!("|---|---|---|---|---|---|");
+    for (name, counted, (mean, late), [own, others]) in drives {
+        println!("| {name} | {counted} | {mean} | {late} | {own:.1} % | {others:.1} % |");
+    }
+}
+
 fn run() -> Result<(), Fault> {
     let arguments = Arguments::parse();
     let methods = methods(&arguments)?;
@@ -323,8 +395,8 @@ fn run() -> Result<(), Fault> {
     }
     if arguments.runs {
         for (seed, runs) in (arguments.first..).zip(&results) {
-            let fixed = |run: &Run| run.judged.iter().filter(|judged| judged.is_fixed).count();
-            let wrong = |run: &Run| run.judged.iter().filter(|judged| judged.is_wrong()).count();
+            let fixed = |run: &Run| run.judged().filter(|judged| judged.is_fixed).count();
+            let wrong = |run: &Run| run.judged().filter(|judged| judged.is_wrong()).count();
             let cells: Vec<_> =
                 runs.iter().map(|run| format!("{:4} {:4}", fixed(run), wrong(run))).collect();
             println!("seed {seed:3} {}", cells.join(" |"));
@@ -332,6 +404,7 @@ fn run() -> Result<(), Fault> {
     }
     print_fixes(&names, &results);
     print_calibration(&names, &results);
+    print_floats(&names, methods.len() - 1, &results);
     Ok(())
 }
 

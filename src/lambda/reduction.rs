@@ -3,10 +3,13 @@
 //! ẑ = Zᵀâ, Q_ẑ = ZᵀQZ = LᵀDL, L unit lower triangular, |l_ij| ≤ ½, Z integer with det ±1.
 //!
 //! Sources: de Jonge & Tiberius (1996); Chang, Yang & Zhou (2005)
-//! (symmetric pivoting; an integer Gauss step below the subdiagonal only where a swap follows).
+//! (symmetric pivoting; an integer Gauss step below the subdiagonal only where a swap follows);
+//! Xie, Chang & Al Borno (2011), *Partial LLL reduction*, arXiv:1204.1398 (the other entries of a
+//! column only once, at the end: neither the swaps nor D depend on them).
 
 use crate::lambda::EXACT_MAX;
 use crate::lambda::LambdaError;
+use crate::lambda::nearest;
 
 /// A swap must reduce the leading variance by this factor: Lovász' condition with δ just below 1,
 /// so that rounding cannot swap two neighbours endlessly.
@@ -14,6 +17,10 @@ const SWAP_GAIN: f64 = 1.0 - 1e-6;
 
 /// Largest number of swaps per entry; entries left unswapped cost search time only.
 const SWAPS_PER_ENTRY_MAX: usize = 60;
+
+/// An integer Gauss step of at least this multiple shortens the whole column, so that its other
+/// entries stay small and keep their digits.
+const LONG_STEP: f64 = 2.0;
 
 /// A conditional variance below this fraction of its variance is rounding noise.
 const PIVOT_FRACTION_MIN: f64 = 1e-14;
@@ -188,11 +195,13 @@ impl Reduction {
         while 0 < k && 0 < swaps_left {
             let (upper, lower) = (k - 1, k);
             let l = self.factor[lower + upper * n];
-            let remainder = l - l.round();
+            let multiple = nearest(l);
+            let remainder = l - multiple;
             let (here, next) = (self.variances[upper], self.variances[lower]);
             let swapped = remainder.mul_add(remainder * next, here);
             if swapped < SWAP_GAIN * next {
-                (lower..n).for_each(|i| self.subtract(i, upper));
+                let last = if multiple.abs() < LONG_STEP { lower + 1 } else { n };
+                (lower..last).for_each(|i| self.subtract(i, upper));
                 self.permute(upper, swapped);
                 swaps_left -= 1;
                 k = (k + 1).min(n - 1);
@@ -216,7 +225,7 @@ impl Reduction {
         if entry.abs() < 0.5 {
             return;
         }
-        let multiple = entry.round();
+        let multiple = nearest(entry);
         let (left, right) = self.factor.split_at_mut(i * n);
         let target = left[j * n + i..(j + 1) * n].iter_mut();
         target.zip(&right[i..n]).for_each(|(a, b)| *a -= multiple * b);

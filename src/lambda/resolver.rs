@@ -77,7 +77,7 @@ pub struct Outcome {
     pub adop: f64,
     /// Ratio of second-best to best squared norm, if searched.
     pub ratio: Option<f64>,
-    /// Posterior probability that the best integers are right, if searched.
+    /// Posterior probability that the best integers are right, if their ratio is sufficient.
     pub probability: Option<f64>,
     /// Best squared norm ‖â − ǎ‖²_Q, if searched.
     pub squared_norm: Option<f64>,
@@ -213,14 +213,14 @@ impl Resolver {
         let norms = self.search.norms();
         outcome.ratio = ratio(norms);
         outcome.squared_norm = norms.first().copied();
+        if outcome.ratio.is_none_or(|ratio| ratio < options.ratio_min) {
+            return Some(Rejection::Ratio);
+        }
         let variances = self.reduction.variances();
         outcome.probability = Some(match options.scale {
             Some(scale) => scaled_posterior_probability(norms, variances, scale),
             None => posterior_probability(norms, variances),
         });
-        if outcome.ratio.is_none_or(|ratio| ratio < options.ratio_min) {
-            return Some(Rejection::Ratio);
-        }
         let is_likely = outcome.probability.is_some_and(|p| options.probability_min <= p);
         (!is_likely).then_some(Rejection::Probability)
     }

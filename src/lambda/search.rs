@@ -7,6 +7,7 @@
 //!
 //! Source: Chang, Yang & Zhou (2005), whose search is Schnorr & Euchner's enumeration.
 
+use crate::lambda::nearest;
 use crate::lambda::reduction::Reduction;
 
 /// Limits of a search.
@@ -64,7 +65,7 @@ struct Level {
 impl Level {
     /// The nearest integer first, then outwards on alternating sides.
     fn around(center: f64, norm: f64) -> Self {
-        let integer = center.round();
+        let integer = nearest(center);
         Self { center, integer, step: if center < integer { -1.0 } else { 1.0 }, norm }
     }
 

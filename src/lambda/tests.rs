@@ -103,6 +103,17 @@ fn brute_force(float: &[f64], covariance: &DMatrix<f64>, reach: i64) -> (Vec<f64
     (best, norms)
 }
 
+/// Halves go to the even neighbour; above 2⁵⁰ they go away from zero.
+#[test]
+fn the_nearest_integer_worked_by_hand() {
+    let cases = [(0.5, 0.0), (1.5, 2.0), (-2.5, -2.0), (-0.6, -1.0), (7.0, 7.0), (1e9 + 0.4, 1e9)];
+    for (value, integer) in cases {
+        assert_eq!(nearest(value), integer);
+    }
+    let large = 2_f64.powi(51);
+    assert_eq!((nearest(large + 0.5), nearest(-large)), (large + 1.0, -large));
+}
+
 /// A much used 3×3 example, its answer checked by enumerating 29 791 integer vectors.
 #[test]
 fn three_by_three_example() {

@@ -84,6 +84,27 @@ pub(crate) struct Arcs {
     in_use: Vec<bool>,
     /// Number of arcs that have begun.
     begun: u64,
+    /// The arcs that ended at the newest epoch because their half cycle was resolved.
+    flipped: Vec<Flipped>,
+}
+
+/// An arc that ended because its half cycle was resolved.
+#[derive(Clone, Copy, Debug)]
+struct Flipped {
+    satellite: SatelliteId,
+    codes: [ObservationCode; 2],
+    variable: usize,
+    /// Time of its newest phase.
+    last: GpsTime,
+}
+
+/// An arc that continues another one of the same carrier, whose half cycle was unresolved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Flip {
+    /// Border variables, the earlier arc first.
+    pub(crate) variables: [usize; 2],
+    /// From the last phase of the earlier arc to the first one of the later (s).
+    pub(crate) interval_s: f64,
 }
 
 snapshot_fields!(HeldInteger { datum, cycles });
@@ -101,13 +122,15 @@ snapshot_fields!(CarrierArc {
     elevation_rad,
     held,
 });
-state_fields!(Arcs { list, in_use, begun });
+snapshot_fields!(Flipped { satellite, codes, variable, last });
+state_fields!(Arcs { list, in_use, begun, flipped });
 
 impl Arcs {
     /// Arcs as given, for tests.
     #[cfg(test)]
     pub(crate) fn of(list: Vec<CarrierArc>) -> Self {
-        Self { in_use: vec![true; list.len()], begun: list.len() as u64, list }
+        let (in_use, begun) = (vec![true; list.len()], list.len() as u64);
+        Self { in_use, begun, list, flipped: Vec::new() }
     }
 
     /// The arcs in the order they began.
@@ -122,7 +145,9 @@ impl Arcs {
 
     /// Whether every arc has one of the first `border` variables.
     pub(crate) fn is_within(&self, border: usize) -> bool {
-        self.list.iter().all(|arc| arc.variable < border && arc.variable < self.in_use.len())
+        let present = self.list.iter().map(|arc| arc.variable);
+        let mut all = present.chain(self.flipped.iter().map(|flipped| flipped.variable));
+        all.all(|variable| variable < border.min(self.in_use.len()))
     }
 
     /// Whether an arc has the variable.
@@ -134,6 +159,7 @@ impl Arcs {
     pub(crate) fn clear(&mut self) {
         self.list.clear();
         self.in_use.clear();
+        self.flipped.clear();
     }
 
     /// Ends the arcs that a receiver reports as lost and those without a phase for `gap_s` before
@@ -150,7 +176,8 @@ impl Arcs {
         self.end(is_over, ended);
     }
 
-    /// Ends the arcs whose half-cycle flag changed: the phase may have moved by half a cycle.
+    /// Ends the arcs whose half-cycle flag changed: the phase may have moved by half a cycle. See
+    /// [`Self::flips`] for those that begin instead.
     pub(crate) fn end_flipped(
         &mut self,
         differences: &[SingleDifference],
@@ -161,7 +188,25 @@ impl Arcs {
                 |d: &SingleDifference| d.carrier.is_some() && d.half_cycle != arc.half_cycle;
             differences.iter().any(|d| arc.is_of(d) && flips(d))
         };
+        self.flipped.clear();
+        for arc in self.list.iter().filter(|arc| arc.half_cycle && is_over(arc)) {
+            let CarrierArc { satellite, codes, variable, last, .. } = *arc;
+            self.flipped.push(Flipped { satellite, codes, variable, last });
+        }
         self.end(is_over, ended);
+    }
+
+    /// The arcs that began at `time` where another one of the same carrier had ended because its
+    /// half cycle was resolved.
+    pub(crate) fn flips(&self, time: GpsTime) -> impl Iterator<Item = Flip> + '_ {
+        self.flipped.iter().filter_map(move |flipped| {
+            let follows = |arc: &&CarrierArc| {
+                let began = arc.epochs == 1 && arc.last == time;
+                began && (arc.satellite, arc.codes) == (flipped.satellite, flipped.codes)
+            };
+            let variables = [flipped.variable, self.list.iter().find(follows)?.variable];
+            Some(Flip { variables, interval_s: time - flipped.last })
+        })
     }
 
     fn end(&mut self, is_over: impl Fn(&CarrierArc) -> bool, ended: &mut Vec<SatelliteId>) {
@@ -267,5 +312,78 @@ impl Arcs {
                 self.in_use[variable] = false;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::Constellation;
+    use crate::positioning::differencing::Differenced;
+
+    fn difference(number: u8, half_cycle: bool) -> SingleDifference {
+        let code = ObservationCode::parse("1C").unwrap();
+        let differenced = Differenced { range_m: 2e7, variance_m2: 1e-5 };
+        SingleDifference {
+            common: 0,
+            satellite: SatelliteId::new(Constellation::Gps, number).unwrap(),
+            band: Band::L1,
+            codes: [code; 2],
+            shares_code: true,
+            frequency_hz: 1_575.42e6,
+            pseudorange: None,
+            carrier: Some(differenced),
+            rover_lost_lock: false,
+            half_cycle,
+        }
+    }
+
+    fn at(seconds: f64) -> GpsTime {
+        GpsTime::EPOCH + seconds
+    }
+
+    /// One epoch: arcs end, go on or begin.
+    fn track(arcs: &mut Arcs, seconds: f64, losses: &Losses, differences: &[SingleDifference]) {
+        let ended = &mut Vec::new();
+        arcs.end_lost(losses, at(seconds), 35.0, ended);
+        arcs.end_flipped(differences, ended);
+        for difference in differences {
+            if arcs.go_on(difference, at(seconds), 1.0).is_none() {
+                arcs.begin(difference, at(seconds), 1.0);
+            }
+        }
+    }
+
+    /// Of two carriers whose half cycle is resolved, the one that also lost lock does not continue
+    /// its arc.
+    #[test]
+    fn a_resolved_half_cycle_continues_its_arc_unless_lock_was_lost() {
+        let mut arcs = Arcs::default();
+        track(&mut arcs, 0.0, &Losses::default(), &[difference(1, true), difference(2, true)]);
+        assert_eq!(arcs.flips(at(0.0)).count(), 0);
+        let lost = difference(2, false);
+        let losses = Losses { rover: vec![(lost.satellite, lost.codes[0])], ..Losses::default() };
+        track(&mut arcs, 1.0, &losses, &[difference(1, false), lost]);
+        let flip = Flip { variables: [0, 2], interval_s: 1.0 };
+        assert_eq!(arcs.flips(at(1.0)).collect::<Vec<_>>(), [flip]);
+        assert!(arcs.is_within(4) && !arcs.is_within(3));
+        track(&mut arcs, 2.0, &Losses::default(), &[difference(1, false), lost]);
+        assert_eq!(arcs.flips(at(2.0)).count(), 0);
+    }
+
+    /// A phase that lost lock while its half cycle is unknown is no phase, so nothing of this
+    /// carrier is differenced; the loss ends its arc all the same.
+    #[test]
+    fn a_loss_without_a_phase_ends_the_arc() {
+        let mut arcs = Arcs::default();
+        track(&mut arcs, 0.0, &Losses::default(), &[difference(1, false)]);
+        let silent = SingleDifference { carrier: None, ..difference(1, true) };
+        let losses =
+            Losses { rover: vec![(silent.satellite, silent.codes[0])], ..Losses::default() };
+        let ended = &mut Vec::new();
+        arcs.end_lost(&losses, at(1.0), 35.0, ended);
+        arcs.end_flipped(&[silent], ended);
+        assert!(arcs.list().is_empty() && ended.len() == 1);
+        assert_eq!(arcs.flips(at(1.0)).count(), 0);
     }
 }

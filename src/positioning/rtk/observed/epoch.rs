@@ -11,6 +11,10 @@ use crate::snapshot::{snapshot_fields, state_fields};
 /// Standard deviation of an ambiguity about its start (cycles): 200 m.
 const START_CYCLES: f64 = 1e3;
 
+/// Standard deviation of a known step between two ambiguities (cycles): a hundredth of a cycle is
+/// below the noise of any phase.
+const TIE_CYCLES: f64 = 0.01;
+
 /// Numbers in a state: local position (m) and velocity (m/s).
 pub(crate) const STATE: usize = 6;
 
@@ -83,6 +87,27 @@ pub(crate) struct AmbiguityStart {
     pub(crate) inverse_sigma: f64,
 }
 
+/// The ambiguities of an arc and of the one that follows it, which differ by a known step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AmbiguityTie {
+    /// Border variables, the earlier arc first.
+    pub(crate) variables: [usize; 2],
+    /// Later less earlier ambiguity (cycles).
+    pub(crate) step: f64,
+}
+
+impl AmbiguityTie {
+    /// r = (N₊ − N − step) / σ, on the border alone.
+    fn add_to(&self, k: usize, estimate: &Estimate<STATE>, system: &mut System<STATE>) {
+        let [earlier, later] = self.variables;
+        let weight = TIE_CYCLES.recip();
+        let difference = estimate.border[later] - estimate.border[earlier];
+        let row = Row { residual: (difference - self.step) * weight, columns: [], jacobian: [] };
+        let border = [(earlier, -weight), (later, weight)];
+        system.add_with_border(k, &row, &border, &Kernel::QUADRATIC);
+    }
+}
+
 /// One epoch of the window.
 #[derive(Debug)]
 pub(crate) struct RtkEpoch {
@@ -96,6 +121,7 @@ pub(crate) struct RtkEpoch {
     pub(crate) motion: Option<MotionFactor>,
     pub(crate) components: Vec<ComponentFactor>,
     pub(crate) starts: Vec<AmbiguityStart>,
+    pub(crate) ties: Vec<AmbiguityTie>,
 }
 
 /// Scratch for linearisation.
@@ -126,7 +152,8 @@ snapshot_fields!(DifferenceFactor {
 });
 snapshot_fields!(Group { begin, end, is_carrier });
 snapshot_fields!(AmbiguityStart { variable, mean, inverse_sigma });
-state_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts });
+snapshot_fields!(AmbiguityTie { variables, step });
+state_fields!(RtkEpoch { time, sights, rows, groups, rates, motion, components, starts, ties });
 
 impl Default for RtkEpoch {
     fn default() -> Self {
@@ -139,6 +166,7 @@ impl Default for RtkEpoch {
             motion: None,
             components: Vec::new(),
             starts: Vec::new(),
+            ties: Vec::new(),
         }
     }
 }
@@ -155,6 +183,7 @@ impl RtkEpoch {
             && self.groups.iter().all(|g| g.begin <= g.end && g.end <= self.rows.len())
             && self.components.iter().all(|component| component.column < STATE)
             && self.starts.iter().all(|start| start.variable < border)
+            && self.ties.iter().flat_map(|tie| tie.variables).all(|variable| variable < border)
     }
 
     /// Empties the lists and keeps their memory.
@@ -166,6 +195,7 @@ impl RtkEpoch {
         self.motion = None;
         self.components.clear();
         self.starts.clear();
+        self.ties.clear();
     }
 
     /// Computes ranges and their derivatives to all satellites at a state, into the scratch.
@@ -234,6 +264,7 @@ impl RtkEpoch {
             let border = [(start.variable, start.inverse_sigma)];
             system.add_with_border(k, &row, &border, &Kernel::QUADRATIC);
         }
+        self.ties.iter().for_each(|tie| tie.add_to(k, estimate, system));
     }
 
     /// Adds the motion from the previous epoch, state `k`, to this one, state `k + 1`.
@@ -259,10 +290,22 @@ impl RtkEpoch {
         self.starts.push(AmbiguityStart { variable, mean, inverse_sigma });
     }
 
-    /// Whether a row depends on the border variable.
+    /// Ties the ambiguity of a phase to that of the arc before. This fraction of the phase's error
+    /// is independent of that arc.
+    pub(crate) fn tie(&mut self, tie: AmbiguityTie, independent_share: f64) {
+        let [_, later] = tie.variables;
+        let is_its =
+            |row: &&mut DifferenceFactor| row.ambiguity.is_some_and(|a| a.variable == later);
+        if let Some(row) = self.rows.iter_mut().find(is_its) {
+            row.independent_share = independent_share;
+        }
+        self.ties.push(tie);
+    }
+
+    /// Whether a row or a tie depends on the border variable.
     pub(crate) fn names(&self, variable: usize) -> bool {
         let named = |row: &DifferenceFactor| row.ambiguity.is_some_and(|a| a.variable == variable);
-        self.rows.iter().any(named)
+        self.rows.iter().any(named) || self.ties.iter().any(|tie| tie.variables.contains(&variable))
     }
 }
 
@@ -342,5 +385,43 @@ mod tests {
         let gain = slope.component_mul(&slope) / (slope.norm_squared() + 2e-6);
         assert!((variances(true) - (Vector3::repeat(1.0) - gain)).norm() < 1e-4);
         assert!((variances(false) - Vector3::repeat(1.0)).norm() < 1e-9);
+    }
+
+    /// An ambiguity of 3 ± 0.1 cycles and a step of half a cycle, known to 0.01: the later one is
+    /// 3.5 cycles with a variance of 0.01 + 0.0001. Its phase keeps a fifth of its information.
+    #[test]
+    fn a_tie_hands_an_ambiguity_on() {
+        let (mut epoch, mut estimate) = (RtkEpoch::default(), Estimate::new());
+        estimate.states.push(State::zeros());
+        epoch.start_ambiguity(&mut estimate.border, 0, 3.0);
+        epoch.start_ambiguity(&mut estimate.border, 1, 100.0);
+        epoch.starts[0].inverse_sigma = 10.0;
+        epoch.rows.push(DifferenceFactor {
+            sight: 0,
+            range_m: 2e7,
+            inverse_sigma: 200.0,
+            independent_share: 1.0,
+            ambiguity: Some(EpochAmbiguity { variable: 1, wavelength_m: 0.19 }),
+            bias: None,
+        });
+        epoch.tie(AmbiguityTie { variables: [0, 1], step: 0.5 }, 0.2);
+        assert_eq!(epoch.rows[0].independent_share, 0.2);
+        assert!(epoch.names(0) && epoch.names(1) && !epoch.names(2));
+        let prior = |column| ComponentFactor { column, mean: 0.0, inverse_sigma: 1.0 };
+        epoch.components.extend((0..STATE).map(prior));
+        let setup = Setup::new(PositioningOptions::new(Mode::RtkFgo, Profile::General));
+        let mut system = System::new(BorderLife::WholeChain);
+        system.reset(1, 2);
+        let kernels = setup.relative.kernels.last();
+        epoch.add_to(0, &estimate, &kernels, &mut RowScratch::default(), &mut system);
+        let (mut elimination, mut delta) = (Elimination::new(), Estimate::new());
+        elimination.factor(&system, 0.0).unwrap();
+        elimination.solve(&mut delta);
+        estimate.step(&delta);
+        let mut covariances = Covariances::new();
+        covariances.newest(&elimination);
+        assert!((estimate.border[0] - 3.0).abs() < 1e-5, "{:?}", estimate.border);
+        assert!((estimate.border[1] - 3.5).abs() < 1e-5, "{:?}", estimate.border);
+        assert!((covariances.border(1, 1).unwrap() - 0.0101).abs() < 1e-6);
     }
 }

@@ -5,6 +5,7 @@ mod base;
 mod base_tracking;
 mod code_biases;
 mod epoch;
+mod half_cycles;
 mod losses;
 mod noise;
 mod pseudorange_age;
@@ -14,11 +15,14 @@ mod rivals;
 mod rows;
 mod slips;
 
-pub(crate) use arcs::{ArcReference, Arcs, CarrierArc, HeldInteger};
+pub(crate) use arcs::{ArcReference, Arcs, CarrierArc, Flip, HeldInteger};
 pub(crate) use base_tracking::{BaseTracking, Intake, Received, UsableBase};
-pub(crate) use epoch::{AmbiguityStart, EpochAmbiguity, RowScratch, Rows, RtkEpoch, STATE, State};
+pub(crate) use epoch::{
+    AmbiguityStart, AmbiguityTie, EpochAmbiguity, RowScratch, Rows, RtkEpoch, STATE, State,
+};
 #[cfg(test)]
 pub(crate) use epoch::{DifferenceFactor, Group};
+pub(crate) use half_cycles::half_cycle_step;
 pub(crate) use noise::{FREEDOM_LEAST, KnownNoise, Residuals};
 pub(crate) use receivers::Receivers;
 pub(crate) use residuals::{carrier_residuals, window_residuals};

@@ -8,7 +8,7 @@ use super::epoch::{EpochAmbiguity, RowScratch, RtkEpoch, State};
 use super::residuals::whitened;
 
 /// A phase with a larger whitened residual has slipped.
-const SLIP_SIGMAS: f64 = 5.0;
+pub(super) const SLIP_SIGMAS: f64 = 5.0;
 
 /// Maximum number of searches for slips in one epoch.
 pub(crate) const SLIP_ROUNDS: usize = 3;

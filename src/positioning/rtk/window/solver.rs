@@ -4,13 +4,15 @@ use std::ops::Range;
 
 use nalgebra::Matrix3;
 
+use crate::config::RtkOptions;
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::fgo::SlidingWindow;
 use crate::positioning::rtk::ambiguity::{FloatSolution, IntegerSearch};
 use crate::positioning::rtk::observed::{
-    RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, State, window_residuals,
+    AmbiguityTie, Flip, RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, State, half_cycle_step,
+    window_residuals,
 };
 use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
@@ -96,6 +98,7 @@ impl RelativeSolver for Chain {
         }
         let ChainScratch { rows, search, workspace, covariances, .. } = scratch;
         covariances.newest(&workspace.elimination);
+        self.continue_half_cycles(covariances, &setup.options.rtk);
         let covariance = position_covariance(covariances);
         let Self { tracking, estimate, epochs, .. } = self;
         let epoch = epochs.last().expect("a window that was solved has an epoch");
@@ -185,6 +188,26 @@ impl Chain {
             }
         }
         Some(())
+    }
+
+    /// Ties the ambiguities of arcs that began because a half cycle was resolved to those of the
+    /// arcs before, if the solved epoch tells by which step they differ. From the next solve on
+    /// they are tied, and the phase has the weight of one that continues an arc.
+    fn continue_half_cycles(&mut self, covariances: &Covariances<STATE>, options: &RtkOptions) {
+        let Self { epochs, estimate, tracking, .. } = self;
+        let Some(epoch) = epochs.last_mut() else { return };
+        for Flip { variables, interval_s } in tracking.arcs.flips(epoch.time) {
+            let [earlier, later] = variables;
+            let own = covariances.border(earlier, earlier).zip(covariances.border(later, later));
+            let cross = covariances.border(earlier, later);
+            let Some(((before, after), both)) = own.zip(cross) else { continue };
+            let difference = estimate.border[later] - estimate.border[earlier];
+            let variance = before + after - 2.0 * both;
+            let step = half_cycle_step(difference, variance, options.hold_probability_min);
+            let Some(step) = step else { continue };
+            let independent_share = (interval_s / options.carrier_correlation_s).min(1.0);
+            epoch.tie(AmbiguityTie { variables, step }, independent_share);
+        }
     }
 
     /// Revises some epochs. If the window cannot be factored, their answers stay.
