@@ -9,6 +9,7 @@ use tokio::fs::File;
 use tokio::io::AsyncReadExt;
 use tokio::time::timeout;
 
+use crate::config::Mode;
 use crate::contract::{Caller, Lease, Refusal, convert, in_background, texts, v1};
 use crate::formats::rinex::write_navigation;
 use crate::formats::track::TrackFormat;
@@ -21,7 +22,7 @@ use crate::refusal::Code;
 use crate::store::JobState;
 
 use super::paging::Pages;
-use super::{MODE, PROFILE, oldest_first, or_standard, page_size, utc};
+use super::{PROFILE, oldest_first, or_standard, page_size, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -117,7 +118,8 @@ impl Arriving {
         if let Some(key) = idempotency_key {
             texts::check("Idempotency-Key", key, KEY_MAX)?;
         }
-        let options = options(self.options.take().unwrap_or_default())?;
+        let has_base = self.files.iter().any(|file| file.part == Part::Base);
+        let options = options(self.options.take().unwrap_or_default(), has_base)?;
         if !self.files.iter().any(|file| file.part == Part::Navigation) {
             self.add_own_navigation(caller).await?;
         }
@@ -215,7 +217,8 @@ impl ArrivingPart {
     }
 }
 
-fn options(message: v1::JobOptions) -> Result<JobOptions, Refusal> {
+/// The options of a message, with the values that were left out.
+fn options(message: v1::JobOptions, has_base: bool) -> Result<JobOptions, Refusal> {
     let near = convert::time(message.near, "options.near")?;
     let contradiction = |field: &str, other: &str| {
         let text = format!("{field} and {other} are both given");
@@ -234,7 +237,7 @@ fn options(message: v1::JobOptions) -> Result<JobOptions, Refusal> {
         (Some(_), true) => return contradiction("basePosition", "basePositionFromHeader"),
     };
     Ok(JobOptions {
-        mode: or_standard(message.mode, MODE),
+        mode: or_standard(message.mode, Mode::of_recording(has_base).name()),
         profile: or_standard(message.profile, PROFILE),
         overrides: message.overrides,
         answer: answer.to_owned(),

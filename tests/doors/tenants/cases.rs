@@ -300,7 +300,7 @@ pub(super) fn posted_job(request: &str) -> Request<Body> {
     let parts: [(&str, &[u8]); 3] = [
         ("rover", &MINUTE.rover),
         ("navigation", &MINUTE.navigation),
-        ("options", br#"{"mode": "spp"}"#),
+        ("options", br#"{"mode": "fgo"}"#),
     ];
     let kind = format!("multipart/form-data; boundary={BOUNDARY}");
     let post = Request::post("/v1/jobs").header("content-type", kind);
