@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::config::ConfigError;
 use crate::refusal::Code;
+use crate::session::SessionError;
 use crate::store::StoreError;
 
 /// Why the desk refuses a call. [`super::Failure`] is why a job has no result.
@@ -66,6 +67,9 @@ pub enum JobError {
         /// Name of the mode.
         mode: &'static str,
     },
+    /// The session cannot be positioned as asked.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// Another request had the same idempotency key.
     #[error("job {job} had the same Idempotency-Key and another content")]
     IdempotencyConflict {
@@ -121,6 +125,7 @@ impl JobError {
             Self::InvalidOption { .. } => Code::InvalidField,
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
+            Self::Session(error) => error.code(),
             Self::IdempotencyConflict { .. } => Code::IdempotencyConflict,
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,

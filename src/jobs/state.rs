@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{Notify, watch};
 
+use crate::aiding::AidingDesk;
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
 use crate::session::BatchLane;
@@ -20,6 +21,7 @@ use super::{JobError, JobId};
 /// The desk.
 pub(super) struct Desk {
     pub(super) store: Store,
+    pub(super) aiding: AidingDesk,
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
@@ -48,7 +50,7 @@ pub(super) struct Running {
 
 impl Desk {
     pub(super) fn new(
-        store: Store,
+        (store, aiding): (Store, AidingDesk),
         lane: BatchLane,
         limits: JobsConfiguration,
         files: Option<Arc<JobFiles>>,
@@ -56,6 +58,7 @@ impl Desk {
     ) -> Self {
         Self {
             store,
+            aiding,
             files,
             limits,
             lane,

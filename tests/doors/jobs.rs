@@ -37,7 +37,11 @@ async fn doors(change: impl FnOnce(&mut JobsConfiguration)) -> Doors {
 }
 
 /// Sends a body in chunks, as a network would.
-async fn post(doors: &Doors, content: Vec<u8>, headers: &[(&str, &str)]) -> (StatusCode, Value) {
+pub(super) async fn post(
+    doors: &Doors,
+    content: Vec<u8>,
+    headers: &[(&str, &str)],
+) -> (StatusCode, Value) {
     let kind = format!("multipart/form-data; boundary={BOUNDARY}");
     let mut request = Request::post("/v1/jobs").header("content-type", kind);
     for (name, value) in headers {
@@ -55,12 +59,12 @@ pub(super) async fn created(doors: &Doors, content: Vec<u8>) -> String {
 }
 
 /// The job once it has ended.
-async fn ended(doors: &Doors, job: &str) -> Value {
+pub(super) async fn ended(doors: &Doors, job: &str) -> Value {
     let is_end = |job: &Value| !["QUEUED", "RUNNING"].contains(&job["state"].as_str().unwrap());
     doors.until(&format!("/v1/jobs/{job}"), is_end).await
 }
 
-async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
+pub(super) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
     let request = Request::get(path).body(Body::empty()).unwrap();
     let response = doors.router.clone().oneshot(request).await.unwrap();
     let status = response.status();

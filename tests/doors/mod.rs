@@ -15,6 +15,7 @@ mod http;
 mod image;
 mod interface;
 mod job_events;
+mod job_sessions;
 mod jobs;
 mod keys;
 mod lifecycle;

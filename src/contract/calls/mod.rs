@@ -3,6 +3,7 @@
 
 pub mod bases;
 mod feeds;
+mod job_options;
 pub mod job_watch;
 pub mod jobs;
 pub mod keys;
