@@ -85,7 +85,8 @@ pub async fn open(
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
-    let jobs = Jobs::open(store.clone(), lane, jobs, node.clone(), geoid).await?;
+    let desks = (store.clone(), aiding.clone());
+    let jobs = Jobs::open(desks, lane, jobs, node.clone(), geoid).await?;
     let keys = Keys::open(store.clone()).await?;
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());

@@ -24,8 +24,8 @@ pub(crate) struct OptionArguments {
 impl OptionArguments {
     /// The options given, for a recording with or without a base.
     pub(crate) fn options(&self, has_base: bool) -> Result<PositioningOptions, Failure> {
-        let best = if has_base { Mode::RtkFgo } else { Mode::Fgo };
-        let mode = self.mode.as_deref().map_or(Ok(best), Mode::parse)?;
+        let standard = Mode::of_recording(has_base);
+        let mode = self.mode.as_deref().map_or(Ok(standard), Mode::parse)?;
         let mut options = PositioningOptions::new(mode, Profile::parse(&self.profile)?);
         for (key, value) in assignments(&self.set)? {
             options.set(key, value)?;

@@ -180,6 +180,11 @@ impl Mode {
         matches!(self, Self::RtkEkf | Self::RtkFgo)
     }
 
+    /// The mode of a recording for which none is asked: the best that its files allow.
+    pub const fn of_recording(has_base: bool) -> Self {
+        if has_base { Self::RtkFgo } else { Self::Fgo }
+    }
+
     /// The mode with this name.
     ///
     /// # Errors
@@ -284,6 +289,11 @@ mod tests {
         let error = Mode::parse("ppp").unwrap_err();
         let allowed = "spp, ekf, fgo, rtk-ekf, rtk-fgo";
         assert_eq!(error.to_string(), format!("mode \"ppp\" is not available; allowed: {allowed}"));
+    }
+
+    #[test]
+    fn a_recording_with_a_base_is_positioned_relative_to_it() {
+        assert_eq!([false, true].map(Mode::of_recording), [Mode::Fgo, Mode::RtkFgo]);
     }
 
     #[test]

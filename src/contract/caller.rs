@@ -11,7 +11,7 @@ use crate::clock::unix_ms;
 use crate::config::Limits;
 use crate::feeds::TenantFeeds;
 use crate::jobs::Jobs;
-use crate::keys::{Keys, Pass};
+use crate::keys::{Keys, Pass, Right, Rights};
 use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
@@ -80,6 +80,19 @@ impl Caller {
                 Err(Refusal::new(Code::OperatorOnly, message))
             }
         }
+    }
+
+    /// Checks that the caller's key allows to read sessions.
+    ///
+    /// # Errors
+    /// It does not.
+    pub(super) fn check_reader(&self) -> Result<(), Refusal> {
+        let has = self.pass.rights();
+        if has.meets(Rights::of(&[Right::Read])) {
+            return Ok(());
+        }
+        let message = format!("the key {} has {has}, and a session's epochs need read", self.key());
+        Err(Refusal::new(Code::RightMissing, message))
     }
 
     /// The sessions of the tenant.

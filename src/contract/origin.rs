@@ -215,6 +215,7 @@ impl From<SessionError> for Refusal {
             | SessionError::Empty { .. } => Some("session"),
             SessionError::RequestConflict { .. } => Some("requestId"),
             SessionError::Changed { .. } => Some("etag"),
+            SessionError::NoEpochInSpan { .. } => Some("from"),
             SessionError::NoSuchEpoch { .. } => Some("seq"),
             SessionError::TooManyPoints { .. } => Some("points"),
             SessionError::LabelTooLong { .. } => Some("label"),
@@ -243,6 +244,8 @@ impl From<JobError> for Refusal {
     fn from(error: JobError) -> Self {
         let field = match error {
             JobError::Configuration(error) => return Self::from(error).within("options"),
+            JobError::Session(SessionError::Store(error)) => return error.into(),
+            JobError::Session(error) => return Self::from(error).within("options"),
             JobError::Store(error) => return error.into(),
             JobError::NotFound { .. }
             | JobError::NotEnded { .. }

@@ -6,6 +6,7 @@ use tokio::fs::File;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use crate::aiding::AidingDesk;
 use crate::config::JobsConfiguration;
 use crate::gnss::Geoid;
 use crate::session::BatchLane;
@@ -16,7 +17,7 @@ use super::JobError;
 use super::files::{JobFiles, StoredFile, Upload};
 use super::info::{JobId, JobInfo};
 use super::queue;
-use super::request::{JobInput, JobOptions, JobRequest, Part};
+use super::request::{JobInput, JobOptions, JobRequest, Part, SessionInput};
 use super::state::{Desk, folder, named_files};
 
 /// A file of an upload.
@@ -46,7 +47,7 @@ impl Jobs {
     /// # Errors
     /// The store or the folder cannot be read.
     pub async fn open(
-        store: Store,
+        (store, aiding): (Store, AidingDesk),
         lane: BatchLane,
         limits: JobsConfiguration,
         node: String,
@@ -66,7 +67,8 @@ impl Jobs {
         }
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let desk = Arc::new(Desk::new(store, lane, limits, files, node).with_geoid(geoid));
+        let desk = Desk::new((store, aiding), lane, limits, files, node).with_geoid(geoid);
+        let desk = Arc::new(desk);
         if is_on {
             (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
             tasks.spawn(queue::expire(desk.clone()));
@@ -95,8 +97,8 @@ impl Jobs {
     /// the same idempotency key is not.
     ///
     /// # Errors
-    /// A part is missing, an option does not exist or does not fit, another request had this
-    /// idempotency key, or the store fails.
+    /// A part is missing, an option does not exist or does not fit, the tenant has no such session,
+    /// another request had this idempotency key, or the store fails.
     pub async fn submit(
         &self,
         options: JobOptions,
@@ -110,7 +112,8 @@ impl Jobs {
             bytes: uploaded.file.bytes,
             is_own: uploaded.is_own,
         });
-        let request = JobRequest::new(options, inputs.collect());
+        let mut request = JobRequest::new(options, inputs.collect());
+        request.session = self.session_input(&request).await?;
         self.desk.plan(&request)?;
         self.check_waiting().await?;
         let new = NewJob {
@@ -127,6 +130,14 @@ impl Jobs {
         }
         self.desk.queued.notify_one();
         Ok((JobInfo::of(row)?, is_new))
+    }
+
+    /// What a job takes of its session, if it has one.
+    async fn session_input(&self, request: &JobRequest) -> Result<Option<SessionInput>, JobError> {
+        let Some((id, rerun)) = request.options.rerun(request.has_base())? else { return Ok(None) };
+        let Desk { store, aiding, .. } = &*self.desk;
+        let plan = rerun.plan(store, aiding, &self.tenant, &id).await?;
+        Ok(Some(SessionInput::of(&plan)))
     }
 
     /// A job.

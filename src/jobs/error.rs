@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::config::ConfigError;
 use crate::gnss::FrameRefusal;
 use crate::refusal::Code;
+use crate::session::SessionError;
 use crate::store::StoreError;
 
 /// Why the desk refuses a call. [`super::Failure`] is why a job has no result.
@@ -73,6 +74,9 @@ pub enum JobError {
     /// Heights above the geoid are asked for, and the service has no table.
     #[error("the service has no table of the geoid")]
     GeoidMissing,
+    /// The session cannot be positioned as asked.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// Another request had the same idempotency key.
     #[error("job {job} had the same Idempotency-Key and another content")]
     IdempotencyConflict {
@@ -130,6 +134,7 @@ impl JobError {
             Self::BaseRequired { .. } => Code::BaseRequired,
             Self::Frame(_) => Code::FrameUnavailable,
             Self::GeoidMissing => Code::GeoidMissing,
+            Self::Session(error) => error.code(),
             Self::IdempotencyConflict { .. } => Code::IdempotencyConflict,
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,

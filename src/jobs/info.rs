@@ -75,14 +75,18 @@ impl JobInfo {
         })
     }
 
-    /// How much of the rover's file is read (%). It is 100 only once the result is stored.
+    /// How much of the rover's file or of the session is read (%). It is 100 only once the result
+    /// is stored.
     pub fn percent(&self) -> f64 {
         /// The most that a job without result shows.
         const NOT_DONE: f64 = 99.0;
         if self.state == JobState::Succeeded {
             return 100.0;
         }
-        let total = self.request.input(Part::Rover).map_or(0, |rover| rover.bytes).max(1);
+        let total = match &self.request.session {
+            None => self.request.input(Part::Rover).map_or(0, |rover| rover.bytes).max(1),
+            Some(session) => session.epochs(),
+        };
         (self.progress.read_bytes as f64 / total as f64 * 100.0).min(NOT_DONE)
     }
 
@@ -98,7 +102,8 @@ impl JobInfo {
         Some(self.progress.epochs as f64 / elapsed_s)
     }
 
-    /// Estimated time until a running job ends (s), from the part of the rover's file that is read.
+    /// Estimated time until a running job ends (s), from the part of the rover's file or of the
+    /// session that is read.
     pub fn remaining_s(&self, now_unix_ms: i64) -> Option<f64> {
         let percent = Some(self.percent()).filter(|percent| 0.0 < *percent)?;
         let elapsed_s = self.elapsed_s(now_unix_ms).filter(|_| self.state == JobState::Running)?;

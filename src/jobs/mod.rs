@@ -2,8 +2,9 @@
 //! and a report out.
 //!
 //! A job is computed by `recording`, as `graphfix solve` computes files, and gives the same bytes.
-//! The queue is in the store; this desk has its files, and a task for each job that may run at the
-//! same time.
+//! A session can stand in place of the rover's file; its epochs are computed by `session`, as in a
+//! replay. The queue is in the store; this desk has its files, and a task for each job that may run
+//! at the same time.
 //!
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
@@ -21,12 +22,16 @@ mod queue;
 mod report;
 mod request;
 mod run;
+mod sources;
 mod state;
 mod turns;
+mod watched;
 
 pub use desk::{Jobs, UploadedFile};
 pub use error::JobError;
 pub use files::{ArrivingFile, StoredFile, Upload};
 pub use info::{JobId, JobInfo, JobResult};
 pub use report::{Failure, Report};
-pub use request::{BaseOrigin, JobInput, JobOptions, JobRequest, Part};
+pub use request::{
+    BaseOrigin, JobInput, JobOptions, JobRequest, Part, SessionInput, SessionSource,
+};

@@ -15,7 +15,7 @@ use crate::tenant::Tenant;
 use super::JobError;
 use super::info::JobInfo;
 use super::report::Failure;
-use super::run::{Done, Ended, Run};
+use super::run::{Done, Ended, Run, failed};
 use super::state::{Desk, Running, named_files};
 
 /// Interval at which the queue is asked for jobs of which no one told.
@@ -122,12 +122,12 @@ fn prepared(
     result: String,
 ) -> Result<Run, Failure> {
     let tenant = row.tenant.clone();
-    let failed = |error: JobError| Failure::new(error.code(), error.to_string(), error.field());
-    let request = JobInfo::of(row).map_err(|error| failed(error.into()))?.request;
+    let request = JobInfo::of(row).map_err(|error| failed(&error.into()))?.request;
     Ok(Run {
-        plan: desk.plan(&request).map_err(failed)?,
+        plan: desk.plan(&request).map_err(|error| failed(&error))?,
         request,
-        files: desk.files().map_err(failed)?.clone(),
+        files: desk.files().map_err(|error| failed(&error))?.clone(),
+        stored: (desk.store.clone(), desk.aiding.clone()),
         lane: desk.lane.clone(),
         geoid: desk.geoid.clone(),
         tenant,

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::aiding::AidingError;
 use crate::formats::UnpackError;
 use crate::recording::{Provenance, RecordingError, Tally};
 use crate::refusal::Code;
+use crate::session::SessionError;
 
 /// What the user can do about a base of a file whose frame is unknown.
 const BASE_FRAME_REMEDY: &str = "give the override base_frame, or leave out frame";
@@ -97,6 +99,31 @@ impl Failure {
             UnpackError::Ratio { .. } => Code::CompressedTooMuch,
         };
         Self::new(code, format!("{part}: {error}"), Some(part))
+    }
+
+    /// The failure of a session that cannot be positioned again.
+    pub(super) fn of_session(error: &SessionError) -> Self {
+        match error {
+            SessionError::NotFound { id } => {
+                let message = format!("session {id:?} was deleted after the job was created");
+                let failure = Self::new(error.code(), message, Some("options.session"));
+                failure.with_remedy("create the job with a session that is stored")
+            }
+            SessionError::NoEpochInSpan { .. } => {
+                Self::new(error.code(), error.to_string(), Some("options.from"))
+            }
+            SessionError::Aiding(AidingError::BaseNotFound { .. }) => {
+                Self::new(error.code(), error.to_string(), Some("options.base"))
+            }
+            _ => Self::new(error.code(), error.to_string(), None),
+        }
+    }
+
+    /// The failure of a session with more epochs than are answered at once.
+    pub(super) fn of_long_batch(limit: u64) -> Self {
+        let message = format!("a batch has at most {limit} epochs of a session, this one has more");
+        let failure = Self::new(Code::JobTooLarge, message, Some("options.batch"));
+        failure.with_remedy("give from and to, or smoothed in place of batch")
     }
 
     /// The failure of a recording. The names of its inputs are those of the parts.

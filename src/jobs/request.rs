@@ -4,11 +4,14 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::aiding::AidingError;
+use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::formats::receiver::TimeReference;
 use crate::formats::track::TrackFormat;
 use crate::gnss::{Ecef, GpsTime};
 use crate::recording::{AnswerKind, BasePosition};
+use crate::session::{RerunPlan, RerunRequest, SessionError, SessionId, SolveRequest};
 
 use super::JobError;
 
@@ -75,9 +78,9 @@ pub enum BaseOrigin {
 /// The options of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JobOptions {
-    /// Name of the mode.
+    /// Name of the mode; empty for that of the session.
     pub mode: String,
-    /// Name of the profile.
+    /// Name of the profile; empty for that of the session.
     pub profile: String,
     /// Options that differ from the profile, by name.
     pub overrides: BTreeMap<String, String>,
@@ -89,6 +92,35 @@ pub struct JobOptions {
     pub format: String,
     /// A time within half a day of the first message (ns of GPS time), for messages without week.
     pub near_ns: Option<i64>,
+    /// A session in place of the rover's file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionSource>,
+}
+
+/// A session whose stored epochs a job positions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionSource {
+    /// Its id.
+    pub id: String,
+    /// First and last time of the epochs (ns of GPS time); `None` for no limit.
+    pub span_ns: (Option<i64>, Option<i64>),
+    /// Ids of the bases whose stored epochs are used; none for the session's.
+    pub bases: BaseChoice<String>,
+}
+
+/// What a job takes of its session, as the session was when the job was created.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionInput {
+    /// Numbers of the first and the last epoch.
+    pub numbers: (u64, u64),
+    /// Name of the mode.
+    pub mode: String,
+    /// Name of the profile.
+    pub profile: String,
+    /// All options with their values in force.
+    pub configuration: BTreeMap<String, String>,
+    /// Each epoch is positioned with the options and base epochs with which it was answered.
+    pub is_as_answered: bool,
 }
 
 /// A job as it was asked for.
@@ -98,6 +130,9 @@ pub struct JobRequest {
     pub options: JobOptions,
     /// The input files: the rover's, those of navigation data, the base's.
     pub inputs: Vec<JobInput>,
+    /// What it takes of its session, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionInput>,
 }
 
 /// What the options of a job mean.
@@ -113,7 +148,7 @@ impl JobRequest {
     /// A request with its files in order.
     pub fn new(options: JobOptions, mut inputs: Vec<JobInput>) -> Self {
         inputs.sort_by_key(|input| input.part);
-        Self { options, inputs }
+        Self { options, inputs, session: None }
     }
 
     /// The input of a part.
@@ -124,7 +159,7 @@ impl JobRequest {
     /// Identifies what the user has sent: the options, and the bytes of the files.
     pub(super) fn hash(&self) -> String {
         let sent = self.inputs.iter().filter(|input| !input.is_own).cloned().collect();
-        let sent = Self { options: self.options.clone(), inputs: sent };
+        let sent = Self { options: self.options.clone(), inputs: sent, session: None };
         blake3::hash(sent.to_json().as_bytes()).to_hex().to_string()
     }
 
@@ -141,33 +176,119 @@ impl JobRequest {
         let wrong = |field, message: &str| {
             Err(JobError::InvalidOption { field, message: message.to_owned() })
         };
-        match (count(Part::Rover), count(Part::Navigation), count(Part::Base)) {
-            (1, 1.., 0 | 1) => {}
-            (0, ..) => return wrong("rover", "the part rover is missing"),
-            (1, 0, _) => {
-                return wrong("navigation", "the part navigation is missing");
+        let counts = (count(Part::Rover), count(Part::Navigation), count(Part::Base));
+        match (&self.session, counts) {
+            (None, (1, 1.., 0 | 1)) | (Some(_), (0, 0, 0 | 1)) => {}
+            (None, (0, ..)) => return wrong("rover", "the part rover is missing"),
+            (None, (1, 0, _)) => return wrong("navigation", "the part navigation is missing"),
+            (Some(_), (1.., ..)) => {
+                return wrong("rover", "the part rover and options.session are both given");
             }
-            (1, ..) => return wrong("base", "there is more than one part base"),
-            _ => return wrong("rover", "there is more than one part rover"),
+            (Some(_), (0, 1.., _)) => {
+                let message = "a session has the navigation data with which it was answered";
+                return wrong("navigation", message);
+            }
+            (_, (_, _, 2..)) => return wrong("base", "there is more than one part base"),
+            (None, _) => return wrong("rover", "there is more than one part rover"),
         }
-        self.options.plan(count(Part::Base) == 1)
+        let options = match &self.session {
+            None => self.options.positioning()?,
+            Some(session) => session.positioning()?,
+        };
+        let has_base = self.session.is_some() || count(Part::Base) == 1;
+        self.options.plan(options, has_base)
     }
+
+    /// Whether there is a file of a base.
+    pub fn has_base(&self) -> bool {
+        self.input(Part::Base).is_some()
+    }
+}
+
+impl SessionInput {
+    /// What a plan of the session's desk means for a job.
+    pub(super) fn of(plan: &RerunPlan) -> Self {
+        let RerunPlan { numbers, options, is_as_answered } = plan;
+        let entries = options.entries().into_iter();
+        Self {
+            numbers: *numbers,
+            mode: options.mode.name().to_owned(),
+            profile: options.profile.name().to_owned(),
+            configuration: entries.map(|entry| (entry.name.to_owned(), entry.value)).collect(),
+            is_as_answered: *is_as_answered,
+        }
+    }
+
+    /// The plan for the session's desk.
+    pub(super) fn plan(&self) -> Result<RerunPlan, JobError> {
+        let (numbers, is_as_answered) = (self.numbers, self.is_as_answered);
+        Ok(RerunPlan { numbers, options: self.positioning()?, is_as_answered })
+    }
+
+    /// The positioning options, whose hash identifies them.
+    fn positioning(&self) -> Result<PositioningOptions, JobError> {
+        positioning(&self.mode, &self.profile, &self.configuration)
+    }
+
+    /// Number of the session's epochs, as far as their numbers have no gaps.
+    pub(super) const fn epochs(&self) -> u64 {
+        let (first, last) = self.numbers;
+        last - first + 1
+    }
+}
+
+fn positioning(
+    mode: &str,
+    profile: &str,
+    overrides: &BTreeMap<String, String>,
+) -> Result<PositioningOptions, JobError> {
+    let mut options = PositioningOptions::new(Mode::parse(mode)?, Profile::parse(profile)?);
+    for (name, value) in overrides {
+        options.set(name, value)?;
+    }
+    Ok(options)
 }
 
 impl JobOptions {
     /// The positioning options, whose hash identifies them.
     pub(super) fn positioning(&self) -> Result<PositioningOptions, JobError> {
-        let (mode, profile) = (Mode::parse(&self.mode)?, Profile::parse(&self.profile)?);
-        let mut options = PositioningOptions::new(mode, profile);
-        for (name, value) in &self.overrides {
-            options.set(name, value)?;
-        }
-        Ok(options)
+        positioning(&self.mode, &self.profile, &self.overrides)
     }
 
-    fn plan(&self, has_base: bool) -> Result<Plan, JobError> {
+    /// The session in place of the rover's file, and what is asked of it.
+    pub(super) fn rerun(
+        &self,
+        has_base_file: bool,
+    ) -> Result<Option<(SessionId, RerunRequest)>, JobError> {
+        let Some(SessionSource { id, span_ns, bases }) = &self.session else { return Ok(None) };
+        let unknown = || JobError::Session(SessionError::NotFound { id: id.clone() });
+        let id = SessionId::parse(id).ok_or_else(unknown)?;
+        let base = bases.clone().try_map(|id| {
+            let unknown = || AidingError::BaseNotFound { id: id.clone() };
+            BaseId::parse(&id).ok_or_else(unknown)
+        });
+        let named = |name: &String| Some(name.clone()).filter(|name| !name.is_empty());
+        let change = SolveRequest {
+            mode: named(&self.mode),
+            profile: named(&self.profile),
+            overrides: self.overrides.clone(),
+            base: base.map_err(SessionError::from)?,
+        };
+        let time = |ns: Option<i64>| ns.map(GpsTime::from_ns);
+        let span = (time(span_ns.0), time(span_ns.1));
+        let answer = self.answer_kind()?;
+        Ok(Some((id, RerunRequest { change, has_base_file, span, answer })))
+    }
+
+    fn answer_kind(&self) -> Result<AnswerKind, JobError> {
+        AnswerKind::from_name(&self.answer).ok_or_else(|| JobError::InvalidOption {
+            field: "options",
+            message: format!("{:?} is not causal, smoothed or batch", self.answer),
+        })
+    }
+
+    fn plan(&self, options: PositioningOptions, has_base: bool) -> Result<Plan, JobError> {
         let wrong = |field, message: String| JobError::InvalidOption { field, message };
-        let options = self.positioning()?;
         let mode = options.mode.name();
         if options.mode.is_relative() && !has_base {
             return Err(JobError::BaseRequired { mode });
@@ -175,9 +296,7 @@ impl JobOptions {
         if options.mode.is_relative() {
             options.output.presentation(None).check(None).map_err(JobError::Frame)?;
         }
-        let answer = AnswerKind::from_name(&self.answer).ok_or_else(|| {
-            wrong("options", format!("{:?} is not causal, smoothed or batch", self.answer))
-        })?;
+        let answer = self.answer_kind()?;
         if answer != AnswerKind::Causal && !options.mode.has_window() {
             let message = format!("mode {mode} has no window, so no answer {}", answer.name());
             let is_batch = answer == AnswerKind::Batch;

@@ -1,33 +1,30 @@
 //! One run of a job, on a blocking thread: files in, a file of positions and a report out.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Read};
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::io::{self, BufRead, BufWriter};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
 use tokio::time::timeout;
 
-use crate::formats::{UnpackError, unpack_error, unpack_reader_within};
+use crate::aiding::AidingDesk;
 use crate::gnss::{Geoid, LeapSeconds};
-use crate::recording::{
-    Input, RecordingError, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
-};
+use crate::recording::{Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of};
 use crate::refusal::Code;
-use crate::session::{BATCH_QUANTUM, BatchLane, BatchTurn};
-use crate::store::JobProgress;
+use crate::session::{BATCH_QUANTUM, BatchLane, BatchTurn, Rerun, RerunRequest, SessionId};
+use crate::store::{JobProgress, Store};
 use crate::tenant::Tenant;
 
 use super::files::{JobFiles, sync};
-use super::request::{JobRequest, Part, Plan};
+use super::request::{JobInput, JobRequest, Part, Plan};
+use super::sources::{Files, SessionEpochs, Source};
 use super::state::Running;
-use super::{Failure, Report};
+use super::watched::Watched;
+use super::{Failure, JobError, Report};
 
 /// Interval at which a run that waits for a turn looks whether it is stopped.
 const LOOK: Duration = Duration::from_secs(1);
-const READ_BUFFER_BYTES: usize = 1 << 16;
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
 
 type ResultWriter = SolutionWriter<BufWriter<File>>;
@@ -37,6 +34,8 @@ pub(super) struct Run {
     pub(super) request: JobRequest,
     pub(super) plan: Plan,
     pub(super) files: Arc<JobFiles>,
+    /// What is stored of sessions, and what they were answered with.
+    pub(super) stored: (Store, AidingDesk),
     pub(super) lane: BatchLane,
     pub(super) tenant: Tenant,
     pub(super) running: Arc<Running>,
@@ -85,36 +84,71 @@ impl Run {
     fn solve(&self, runtime: &Handle, space: &mut Space<'_>) -> Result<Done, Ended> {
         let began = Instant::now();
         let watched = Watched::default();
-        let inputs = self.inputs(&watched);
+        let of = |part: Part| self.request.inputs.iter().find(move |input| input.part == part);
+        let base = of(Part::Base).map(|file| self.input(&watched, file, "base"));
+        let rerun = self.request.options.rerun(base.is_some()).map_err(|e| failed(&e))?;
+        if let Some((id, rerun)) = rerun {
+            let mut source = self.session(runtime, (id, &rerun), watched)?;
+            if let Some(base) = &base {
+                source.read(runtime)?;
+                let turn = self.turn(runtime, began)?;
+                source.follow(base, &self.plan)?;
+                drop(turn);
+            }
+            return self.written(source, (runtime, began), space);
+        }
+        let inputs = self.recording(&watched, base);
         let Plan { options, answer, .. } = &self.plan;
         let turn = self.turn(runtime, began)?;
         let opened = Solutions::open(&inputs, options.clone(), *answer);
-        let mut solutions = opened.map_err(|error| watched.failure(&error))?;
+        let solutions = opened.map_err(|error| watched.failure(&error))?;
         drop(turn);
-        let mut writer = self.writer(solutions.leap_seconds())?;
+        let own = self.request.inputs.iter().filter(|input| input.is_own);
+        let added = own.map(|input| format!("{}: {}", input.part.name(), input.name)).collect();
+        self.written(Files::new(solutions, watched, added), (runtime, began), space)
+    }
+
+    /// Positions all epochs and writes the result.
+    fn written(
+        &self,
+        mut source: impl Source,
+        (runtime, began): (&Handle, Instant),
+        space: &mut Space<'_>,
+    ) -> Result<Done, Ended> {
+        let mut writer = self.writer(source.leap_seconds())?;
         let mut tally = Tally::default();
-        let mut has_more = true;
-        while has_more {
+        while source.read(runtime)? {
             let turn = self.turn(runtime, began)?;
-            let advanced = quantum(&mut solutions, &mut writer, &mut tally);
+            let advanced = quantum(&mut source, &mut writer, &mut tally);
             drop(turn);
-            has_more = advanced.map_err(|fault| match fault {
-                Fault::Recording(error) => watched.failure(&error),
-                Fault::Output(error) => unwritable(&error),
-            })?;
+            advanced?;
             space.grow_to(writer.bytes())?;
-            self.note(&tally, &watched);
+            let (epochs, answered, read_bytes) = (tally.epochs, tally.answered, source.passed());
+            self.running.set_progress(JobProgress { epochs, answered, read_bytes });
         }
         let bytes = self.stored(writer).map_err(|error| unwritable(&error))?;
         space.grow_to(bytes)?;
         self.check(began)?;
-        let seconds = began.elapsed().as_secs_f64();
-        let hash = options.configuration_hash();
-        let mut report = Report::of(&tally, &solutions.provenance(), hash, seconds);
-        let own = self.request.inputs.iter().filter(|input| input.is_own);
-        let added = own.map(|input| format!("{}: {}", input.part.name(), input.name));
-        report.provenance.extend(added);
+        let (hash, seconds) =
+            (self.plan.options.configuration_hash(), began.elapsed().as_secs_f64());
+        let mut report = Report::of(&tally, &source.provenance(), hash, seconds);
+        report.provenance.extend(source.remarks());
         Ok(Done { bytes, report })
+    }
+
+    /// Opens the session that stands in place of the rover's file.
+    fn session<'a>(
+        &'a self,
+        runtime: &Handle,
+        (id, request): (SessionId, &RerunRequest),
+        watched: Watched,
+    ) -> Result<SessionEpochs<'a>, Failure> {
+        let session = self.request.session.as_ref().expect("it was planned with the job");
+        let plan = session.plan().map_err(|error| failed(&error))?;
+        let opened = Rerun::open(request, plan, self.stored.clone(), &self.tenant, &id);
+        let rerun = runtime.block_on(opened).map_err(|error| Failure::of_session(&error))?;
+        let mode = self.plan.options.mode;
+        Ok(SessionEpochs::new(rerun, (id, request), session, mode, watched))
     }
 
     /// Waits for a turn, unless the run is stopped or takes too long.
@@ -162,63 +196,57 @@ impl Run {
         Ok(())
     }
 
-    fn note(&self, tally: &Tally, watched: &Watched) {
-        let (epochs, answered) = (tally.epochs, tally.answered);
-        let read_bytes = watched.rover_bytes();
-        self.running.set_progress(JobProgress { epochs, answered, read_bytes });
-    }
-
-    /// The input files, named after their parts.
-    fn inputs(&self, watched: &Watched) -> RecordingInputs {
+    /// The files of a recording, named after their parts.
+    fn recording(&self, watched: &Watched, base: Option<Input>) -> RecordingInputs {
         let of = |part: Part| self.request.inputs.iter().filter(move |input| input.part == part);
-        let several = 1 < of(Part::Navigation).count();
-        let input = |part: Part, index: usize, hash: &str| {
-            let name = match (part, several) {
-                (Part::Navigation, true) => format!("navigation[{index}]"),
-                _ => part.name().to_owned(),
-            };
-            let (path, limit) = (self.files.input(hash), self.unpacked_bytes);
-            let (watched, part_name) = (watched.clone(), name.clone());
-            let open = move || {
-                let reader = watched.open(&path, limit, part, part_name.clone())?;
-                Ok(Box::new(reader) as Box<dyn BufRead>)
-            };
-            Input::unpacked(name, open)
-        };
         let rover = of(Part::Rover).next().expect("the plan has checked the parts");
-        let navigation = of(Part::Navigation).enumerate();
+        let several = 1 < of(Part::Navigation).count();
+        let navigation = of(Part::Navigation).enumerate().map(|(index, file)| {
+            let name = if several { format!("navigation[{index}]") } else { "navigation".into() };
+            self.input(watched, file, &name)
+        });
         RecordingInputs {
-            navigation: navigation.map(|(at, file)| input(file.part, at, &file.hash)).collect(),
-            base: of(Part::Base).next().map(|file| input(file.part, 0, &file.hash)),
+            navigation: navigation.collect(),
+            base,
             base_position: self.plan.base_position,
             reference: self.plan.reference,
-            ..RecordingInputs::of_rover(input(Part::Rover, 0, &rover.hash))
+            ..RecordingInputs::of_rover(self.input(watched, rover, "rover"))
         }
+    }
+
+    /// An input file by its name in the upload.
+    fn input(&self, watched: &Watched, file: &JobInput, name: &str) -> Input {
+        let (path, limit, part) = (self.files.input(&file.hash), self.unpacked_bytes, file.part);
+        let (watched, named) = (watched.clone(), name.to_owned());
+        let open = move || {
+            let reader = watched.open(&path, limit, part, named.clone())?;
+            Ok(Box::new(reader) as Box<dyn BufRead>)
+        };
+        Input::unpacked(name.to_owned(), open)
     }
 }
 
-/// Why a step of a run fails.
-enum Fault {
-    Recording(RecordingError),
-    Output(io::Error),
+/// The failure of a job whose request the desk refuses.
+pub(super) fn failed(error: &JobError) -> Failure {
+    Failure::new(error.code(), error.to_string(), error.field())
 }
 
-/// Positions epochs for the length of a turn. Returns whether the recording goes on.
+/// Positions epochs for the length of a turn, or until more must be read.
 fn quantum(
-    solutions: &mut Solutions<'_>,
+    source: &mut impl Source,
     writer: &mut ResultWriter,
     tally: &mut Tally,
-) -> Result<bool, Fault> {
+) -> Result<(), Failure> {
     let begun = Instant::now();
-    let (mut has_more, mut due) = (true, Vec::new());
-    while has_more && begun.elapsed() < BATCH_QUANTUM {
-        has_more = solutions.step(&mut due).map_err(Fault::Recording)?;
+    let (mut goes_on, mut due) = (true, Vec::new());
+    while goes_on && begun.elapsed() < BATCH_QUANTUM {
+        goes_on = source.step(&mut due)?;
         for solution in due.drain(..) {
-            let foreign = writer.write(&solution).map_err(Fault::Output)?;
+            let foreign = writer.write(&solution).map_err(|error| unwritable(&error))?;
             tally.add(&solution, foreign);
         }
     }
-    Ok(has_more)
+    Ok(())
 }
 
 fn unwritable(error: &io::Error) -> Failure {
@@ -246,104 +274,5 @@ impl Drop for Space<'_> {
         if !self.is_done {
             self.run.files.remove_result(&self.run.result, self.bytes);
         }
-    }
-}
-
-/// What the readers of the inputs report.
-#[derive(Clone, Default)]
-struct Watched(Arc<Reports>);
-
-#[derive(Default)]
-struct Reports {
-    /// The part that exceeds the limits of unpacking, and how.
-    fault: OnceLock<(String, UnpackError)>,
-    /// Bytes that each reader of the rover's file has read.
-    readers: Mutex<Vec<Arc<AtomicU64>>>,
-}
-
-impl Watched {
-    /// Opens an input within the limits of unpacking.
-    fn open(
-        &self,
-        path: &PathBuf,
-        limit: u64,
-        part: Part,
-        name: String,
-    ) -> io::Result<Noting<impl BufRead + use<>>> {
-        let file = File::open(path)?;
-        let length = file.metadata()?.len();
-        let read = Arc::<AtomicU64>::default();
-        if part == Part::Rover {
-            self.readers().push(read.clone());
-        }
-        let file = BufReader::with_capacity(READ_BUFFER_BYTES, Counted { file, read });
-        let input = unpack_reader_within(file, length, limit)?;
-        Ok(Noting { input, reports: self.0.clone(), name })
-    }
-
-    /// The failure of a job whose recording fails.
-    fn failure(&self, error: &RecordingError) -> Failure {
-        match self.0.fault.get() {
-            Some((part, fault)) => Failure::of_unpacking(*fault, part),
-            None => Failure::of_recording(error),
-        }
-    }
-
-    /// Bytes that the rover's reader has read. The file is opened several times; the readers that
-    /// are in use no more are left out.
-    fn rover_bytes(&self) -> u64 {
-        let mut readers = self.readers();
-        readers.retain(|read| 1 < Arc::strong_count(read));
-        readers.iter().map(|read| read.load(Ordering::Acquire)).max().unwrap_or(0)
-    }
-
-    fn readers(&self) -> std::sync::MutexGuard<'_, Vec<Arc<AtomicU64>>> {
-        self.0.readers.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// A file that counts what is read.
-struct Counted {
-    file: File,
-    read: Arc<AtomicU64>,
-}
-
-impl Read for Counted {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.file.read(buffer)?;
-        self.read.fetch_add(count as u64, Ordering::AcqRel);
-        Ok(count)
-    }
-}
-
-/// A reader that notes why unpacking ends.
-struct Noting<R> {
-    input: R,
-    reports: Arc<Reports>,
-    name: String,
-}
-
-impl<R: BufRead> BufRead for Noting<R> {
-    fn fill_buf(&mut self) -> io::Result<&[u8]> {
-        let Self { input, reports, name } = self;
-        input.fill_buf().inspect_err(|error| {
-            if let Some(fault) = unpack_error(error) {
-                reports.fault.get_or_init(|| (name.clone(), fault));
-            }
-        })
-    }
-
-    fn consume(&mut self, amount: usize) {
-        self.input.consume(amount);
-    }
-}
-
-impl<R: BufRead> Read for Noting<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let block = self.fill_buf()?;
-        let length = block.len().min(buffer.len());
-        buffer[..length].copy_from_slice(&block[..length]);
-        self.consume(length);
-        Ok(length)
     }
 }

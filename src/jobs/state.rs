@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{Notify, watch};
 
+use crate::aiding::AidingDesk;
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
 use crate::gnss::Geoid;
@@ -21,6 +22,7 @@ use super::{JobError, JobId};
 /// The desk.
 pub(super) struct Desk {
     pub(super) store: Store,
+    pub(super) aiding: AidingDesk,
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
@@ -51,7 +53,7 @@ pub(super) struct Running {
 
 impl Desk {
     pub(super) fn new(
-        store: Store,
+        (store, aiding): (Store, AidingDesk),
         lane: BatchLane,
         limits: JobsConfiguration,
         files: Option<Arc<JobFiles>>,
@@ -59,6 +61,7 @@ impl Desk {
     ) -> Self {
         Self {
             store,
+            aiding,
             files,
             limits,
             lane,

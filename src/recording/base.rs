@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::formats::observations::LeftOut;
+use crate::formats::receiver::TimeReference;
 use crate::gnss::{
     AntennaCatalogue, BaseSite, BaseStation, Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation,
     PositionSource,
@@ -25,7 +26,7 @@ pub enum BasePosition {
 }
 
 /// A base's observations that are being read.
-pub(super) struct BaseRecording<'a> {
+pub struct BaseRecording<'a> {
     input: &'a Input,
     station: BaseStation,
     site: BaseSite,
@@ -98,11 +99,25 @@ impl<'a> BaseRecording<'a> {
         })
     }
 
+    /// Opens the file of a base whose rover is not in a file. `reference` dates receiver data that
+    /// do not give their date.
+    ///
+    /// # Errors
+    /// The file cannot be read, or no source gives the position.
+    pub fn beside(
+        input: &'a Input,
+        position: Option<BasePosition>,
+        reference: TimeReference,
+        navigation: &Navigation,
+    ) -> Result<Self, RecordingError> {
+        Self::open(input, position, &Dating::given(reference), navigation)
+    }
+
     /// Reads up to the rover's time; [`Self::aiding`] then returns the new epochs.
     ///
     /// # Errors
     /// The file cannot be read.
-    pub(super) fn follow(
+    pub fn follow(
         &mut self,
         rover: GpsTime,
         navigation: &Navigation,
@@ -160,7 +175,7 @@ impl<'a> BaseRecording<'a> {
     }
 
     /// The base data of the rover's epoch for an estimator.
-    pub(super) fn aiding(&self) -> BaseAiding<'_> {
+    pub fn aiding(&self) -> BaseAiding<'_> {
         BaseAiding { station: &self.station, epochs: &self.epochs[..self.count] }
     }
 
@@ -169,7 +184,8 @@ impl<'a> BaseRecording<'a> {
         self.antenna = Some(ReceiverAntenna::new("base", &self.site.antenna, catalogue));
     }
 
-    pub(super) fn provenance(&self) -> BaseProvenance {
+    /// The source of the base's position.
+    pub fn provenance(&self) -> BaseProvenance {
         let Self { site, averaged, moves, .. } = self;
         BaseProvenance { site: site.clone(), averaged: *averaged, moves: *moves }
     }
@@ -179,7 +195,7 @@ impl<'a> BaseRecording<'a> {
     }
 
     /// The file's name and its skipped content.
-    pub(super) fn left_out(&self) -> (&'a str, LeftOut) {
+    pub fn left_out(&self) -> (&'a str, LeftOut) {
         (self.input.name(), self.reader.left_out())
     }
 }

@@ -26,7 +26,7 @@ mod writing;
 
 pub use answers::{AnswerKind, Solver};
 pub use antenna::ApproximatePosition;
-pub use base::BasePosition;
+pub use base::{BasePosition, BaseRecording};
 pub use error::RecordingError;
 pub use input::Input;
 pub use provenance::{AntennaProvenance, BaseProvenance, Provenance};

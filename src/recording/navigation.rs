@@ -18,6 +18,11 @@ pub(super) struct Dating {
 }
 
 impl Dating {
+    /// Dates a file by this reference, unless it has a time of its own.
+    pub(super) const fn given(reference: TimeReference) -> Self {
+        Self { given: Some(reference), found: None }
+    }
+
     /// The reference of a file: its own time, else the one given, else the recording's.
     pub(super) fn of(&self, input: &Input) -> Result<Option<TimeReference>, RecordingError> {
         let own = first_time(input.recognised()?).map_err(|error| input.damaged(&error))?;

@@ -113,11 +113,16 @@ impl BaseSelection {
         alone.estimate.map(|estimate| estimate.position).or(last)
     }
 
-    /// Updates the selection with an epoch's base epochs and solution.
-    pub(super) fn update(&mut self, input: Option<&BaseInput>, solution: &Solution) {
+    /// Updates the selection with an epoch's base epochs.
+    pub(super) fn received(&mut self, input: Option<&BaseInput>) {
         if let Some(BaseInput { used, .. }) = input {
             (self.base, self.received_through) = (Some(used.base), used.through);
         }
+    }
+
+    /// Updates the selection with an epoch's base epochs and solution.
+    pub(super) fn update(&mut self, input: Option<&BaseInput>, solution: &Solution) {
+        self.received(input);
         if let Some(estimate) = &solution.estimate {
             self.position = Some((solution.time, estimate.position));
         }

@@ -189,6 +189,12 @@ pub enum SessionError {
         /// Id of the session.
         id: String,
     },
+    /// The session has no epoch in a span of time.
+    #[error("session {id} has no epoch of these times")]
+    NoEpochInSpan {
+        /// Id of the session.
+        id: String,
+    },
     /// The session has no epoch of this number.
     #[error("session {id} has no epoch {seq}")]
     NoSuchEpoch {
@@ -276,7 +282,7 @@ impl SessionError {
             Self::TooManyArcs { .. } => Code::TooManyArcs,
             Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
-            Self::NoSuchEpoch { .. } => Code::EpochNotFound,
+            Self::NoEpochInSpan { .. } | Self::NoSuchEpoch { .. } => Code::EpochNotFound,
             Self::TooManyPoints { .. } => Code::InvalidField,
             Self::Draining => Code::Draining,
             Self::EstimatorFailed { .. } => Code::EstimatorFailed,

@@ -25,7 +25,7 @@ use super::solvers::{Lane, Progress, Solvers};
 use super::state::{Advanced, Configuration, State, VERSION};
 
 /// Stored epochs per read.
-const PAGE: usize = 256;
+pub(super) const PAGE: usize = 256;
 /// Most epochs that are replayed if a session has no readable snapshot: more than the window of any
 /// mode.
 const REBUILT_EPOCHS: usize = 4_096;
@@ -72,41 +72,45 @@ pub(super) struct Replay {
 }
 
 /// A stored epoch with everything that its solution depends on.
-struct Step {
-    seq: u64,
-    epoch: Epoch,
-    navigation: PushedNavigation,
-    configuration: Arc<Configuration>,
-    base: StepBase,
+pub(super) struct Step {
+    pub(super) seq: u64,
+    pub(super) epoch: Epoch,
+    pub(super) navigation: PushedNavigation,
+    pub(super) configuration: Arc<Configuration>,
+    pub(super) base: StepBase,
     /// The estimator panicked on it when it was received.
     is_quarantined: bool,
 }
 
 /// The base epochs that an epoch receives.
-enum StepBase {
+pub(super) enum StepBase {
     None,
-    /// The base epochs of the stored solution.
-    Stored(BaseInput),
+    /// These, such as those of the stored solution.
+    Given(BaseInput),
     /// The base epochs that the selection gives now.
     Selected(Arc<BaseSource>),
 }
 
 impl Step {
     /// Begins a new arc if one lies between the state's last epoch and this one.
-    fn begin_arc(
+    pub(super) fn begin_arc(
         &self,
         state: &mut State,
         arcs: &[u64],
         scratch: &mut Scratch,
     ) -> Option<Vec<StoredSolution>> {
-        let last = state.last_seq()?;
-        let is_between = arcs.iter().any(|after| last <= *after && *after < self.seq);
-        (is_between && !state.begins_arc()).then(|| state.begin_arc(&self.configuration, scratch))
+        let is_first = self.is_first_after(state.last_seq()?, arcs);
+        (is_first && !state.begins_arc()).then(|| state.begin_arc(&self.configuration, scratch))
+    }
+
+    /// Whether an arc begins between epoch `last` and this one.
+    pub(super) fn is_first_after(&self, last: u64, arcs: &[u64]) -> bool {
+        arcs.iter().any(|after| last <= *after && *after < self.seq)
     }
 
     /// Advances a state by the epoch. If the estimator panics, or panicked on it before, the epoch
     /// is quarantined.
-    fn advance(self, state: &mut State, scratch: &mut Scratch) -> Advanced {
+    pub(super) fn advance(self, state: &mut State, scratch: &mut Scratch) -> Advanced {
         let Self { seq, epoch, navigation, configuration, base, is_quarantined } = self;
         if is_quarantined {
             return state.quarantine(seq, &epoch, &configuration);
@@ -115,7 +119,7 @@ impl Step {
             let navigation = &navigation.navigation;
             let base = match base {
                 StepBase::None => None,
-                StepBase::Stored(input) => Some(input),
+                StepBase::Given(input) => Some(input),
                 StepBase::Selected(source) => {
                     state.base_for(&source, &epoch, navigation, &configuration)
                 }
@@ -174,7 +178,8 @@ impl Replay {
         Ok((done.state, done.answers))
     }
 
-    async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
+    /// The epochs with everything that their solutions depend on.
+    pub(super) async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
         let mut configurations: BTreeMap<Arc<str>, Arc<Configuration>> = BTreeMap::new();
         let mut pushes: BTreeMap<u64, PushedNavigation> = BTreeMap::new();
         let mut steps = Vec::with_capacity(stored.len());
@@ -269,10 +274,10 @@ impl PageBases {
         let view = views.iter().find(|view| view.name().key == used.base);
         let view = view.expect("the views are those of these epochs");
         match view.replayed_input(used) {
-            Some(input) => Ok(StepBase::Stored(input)),
+            Some(input) => Ok(StepBase::Given(input)),
             None if tolerates_missing => {
                 tracing::warn!(base = %view.name().id, "a session is restored without base epochs");
-                Ok(StepBase::Stored(view.remaining_input(used)))
+                Ok(StepBase::Given(view.remaining_input(used)))
             }
             None => Err(StoreError::BaseForgotten { base: used.base.number() }),
         }

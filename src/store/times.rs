@@ -15,6 +15,26 @@ const LAST_UNTIL: &str = "SELECT seq, gps_time_ns FROM epochs \
     WHERE session = $1 AND $2 <= seq AND seq <= $3 ORDER BY seq DESC LIMIT 1";
 
 impl Store {
+    /// The numbers of the first and the last stored epoch of a session above number `after` and in
+    /// a span of time, over all arcs. Epochs of other times may lie between them.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn epoch_numbers(
+        &self,
+        session: SessionKey,
+        after: Option<u64>,
+        (from, to): (Option<GpsTime>, Option<GpsTime>),
+    ) -> Result<Option<(u64, u64)>, StoreError> {
+        let Some((first, last)) = self.numbers_between(session, from, to).await? else {
+            return Ok(None);
+        };
+        let first = after.map_or(first, |after| first.max(after as i64 + 1));
+        let ends = self.found(FIRST_FROM, session, (first, last)).await?;
+        let ends = ends.zip(self.found(LAST_UNTIL, session, (first, last)).await?);
+        Ok(ends.map(|(first, last)| (first.0 as u64, last.0 as u64)))
+    }
+
     /// The first and last epoch number of a span of time, over all arcs of a session. Epochs of
     /// other times may lie between them.
     pub(super) async fn numbers_between(

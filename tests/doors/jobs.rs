@@ -37,7 +37,11 @@ async fn doors(change: impl FnOnce(&mut JobsConfiguration)) -> Doors {
 }
 
 /// Sends a body in chunks, as a network would.
-async fn post(doors: &Doors, content: Vec<u8>, headers: &[(&str, &str)]) -> (StatusCode, Value) {
+pub(super) async fn post(
+    doors: &Doors,
+    content: Vec<u8>,
+    headers: &[(&str, &str)],
+) -> (StatusCode, Value) {
     let kind = format!("multipart/form-data; boundary={BOUNDARY}");
     let mut request = Request::post("/v1/jobs").header("content-type", kind);
     for (name, value) in headers {
@@ -55,12 +59,12 @@ pub(super) async fn created(doors: &Doors, content: Vec<u8>) -> String {
 }
 
 /// The job once it has ended.
-async fn ended(doors: &Doors, job: &str) -> Value {
+pub(super) async fn ended(doors: &Doors, job: &str) -> Value {
     let is_end = |job: &Value| !["QUEUED", "RUNNING"].contains(&job["state"].as_str().unwrap());
     doors.until(&format!("/v1/jobs/{job}"), is_end).await
 }
 
-async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
+pub(super) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
     let request = Request::get(path).body(Body::empty()).unwrap();
     let response = doors.router.clone().oneshot(request).await.unwrap();
     let status = response.status();
@@ -102,7 +106,8 @@ fn files(doors: &Doors) -> usize {
 async fn a_job_gives_the_bytes_of_solve() {
     let doors = doors(|_| {}).await;
     for (options, arguments, format) in [
-        (json!({}), &["--mode", "spp"][..], "pos"),
+        (json!({}), &[] as &[&str], "pos"),
+        (json!({"mode": "spp"}), &["--mode", "spp"], "pos"),
         (
             json!({"mode": "rtk-fgo", "smoothed": true, "format": "csv"}),
             &["--mode", "rtk-fgo", "--smoothed"],
@@ -138,19 +143,20 @@ async fn a_job_gives_the_bytes_of_solve() {
     assert_eq!(list["jobs"].as_array().unwrap().len(), 2, "{list}");
     let token = list["nextPageToken"].as_str().unwrap();
     let (_, rest) = doors.get(&format!("/v1/jobs?pageToken={token}")).await;
-    assert_eq!(rest["jobs"][0]["options"]["mode"], "spp", "{rest}");
+    // The standard with a base, as of `solve`.
+    assert_eq!(rest["jobs"][1]["options"]["mode"], "rtk-fgo", "{rest}");
     for (query, expected) in
-        [("state=SUCCEEDED&order=OLDEST_FIRST", 3), ("state=QUEUED", 0), ("state=RUNNING", 0)]
+        [("state=SUCCEEDED&order=OLDEST_FIRST", 4), ("state=QUEUED", 0), ("state=RUNNING", 0)]
     {
         let (_, list) = doors.get(&format!("/v1/jobs?{query}")).await;
         assert_eq!(list["jobs"].as_array().unwrap().len(), expected, "{list}");
     }
     let (_, oldest) = doors.get("/v1/jobs?pageSize=1&order=OLDEST_FIRST").await;
-    assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][0]["job"]);
+    assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][1]["job"]);
     let (status, refused) = doors.get("/v1/jobs?state=DONE").await;
     assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
-    // Three results, and the files of all three jobs once.
-    assert_eq!(files(&doors), 3 + 3);
+    // Four results, and the files of all four jobs once.
+    assert_eq!(files(&doors), 4 + 3);
     assert_eq!(doors.service.budget().used(), 0);
 }
 
@@ -239,7 +245,8 @@ async fn inputs_are_told_by_their_content() {
     let (rover, navigation) = (gzip(&MINUTE.rover), gzip(&MINUTE.navigation));
     let packed = body(&[("options", b"{}"), ("navigation", &navigation), ("rover", &rover)]);
     let packed = created(&doors, packed).await;
-    let plain = created(&doors, MINUTE.body(&json!({}))).await;
+    // The standard without a base.
+    let plain = created(&doors, MINUTE.body(&json!({"mode": "fgo"}))).await;
     for job in [&packed, &plain] {
         assert_eq!(ended(&doors, job).await["state"], "SUCCEEDED");
     }
@@ -297,7 +304,7 @@ async fn what_is_no_job_is_refused_and_leaves_nothing() {
         (with("{\"mode\": \"ppp\"}"), 400, "UNKNOWN_MODE", Some("options.mode")),
         (with("{\"mode\": \"rtk-fgo\"}"), 400, "BASE_REQUIRED", Some("base")),
         (with("{\"format\": \"shp\"}"), 400, "INVALID_FIELD", Some("options.format")),
-        (with("{\"batch\": true}"), 400, "INVALID_FIELD", Some("options.batch")),
+        (with("{\"mode\": \"spp\", \"batch\": true}"), 400, "INVALID_FIELD", Some("options.batch")),
         (
             with("{\"mode\": \"fgo\", \"batch\": true, \"smoothed\": true}"),
             400,
@@ -509,7 +516,7 @@ async fn without_navigation_data_the_service_gives_its_own() {
     let said = report["provenance"].to_string();
     assert!(said.contains("navigation: the service's own ephemerides"), "{said}");
     let (_, own) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
-    assert_eq!(own, MINUTE.solved(&["--mode", "spp"], "pos"), "the same ephemerides");
+    assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"), "the same ephemerides");
     // Other ephemerides since then make no other request of it.
     doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
     let (status, again) = post(&doors, alone(), &named).await;

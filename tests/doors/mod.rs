@@ -17,6 +17,7 @@ mod http;
 mod image;
 mod interface;
 mod job_events;
+mod job_sessions;
 mod jobs;
 mod keys;
 mod lifecycle;

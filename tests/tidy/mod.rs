@@ -87,6 +87,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "config",
             "formats",
             "store",
+            "aiding",
             "recording",
             "session",
         ],

@@ -4,7 +4,10 @@ use std::sync::Arc;
 
 use crate::gnss::{AntennaCalibration, BaseSite, BaseStation, Epoch, GpsTime, Navigation};
 use crate::positioning::{BASE_LATER_S, BaseAiding, correct_for_antenna};
-use crate::store::{BaseName, BaseUse, StoredBaseEpoch};
+use crate::store::{BaseKey, BaseName, BaseUse, StoredBaseEpoch};
+
+/// The key of bases that are not stored: rows are numbered from 1.
+const NOT_STORED: BaseKey = BaseKey::of_number(0);
 
 /// A base and its epochs of a span of time. It does not change when the base does.
 #[derive(Clone, Debug)]
@@ -112,6 +115,17 @@ fn is_other(
 }
 
 impl BaseInput {
+    /// The epochs of a base that is not stored, such as that of a file.
+    pub(crate) fn not_stored(aiding: BaseAiding<'_>) -> Self {
+        Self {
+            used: BaseUse { base: NOT_STORED, after: 0, through: 0 },
+            station: Some(aiding.station.clone()),
+            calibration: None,
+            is_recalibrated: false,
+            epochs: aiding.epochs.to_vec(),
+        }
+    }
+
     /// The input of the estimator; `None` while the base has no position or no epoch.
     pub fn aiding(&self) -> Option<BaseAiding<'_>> {
         let station = self.station.as_ref()?;

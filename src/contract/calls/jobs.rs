@@ -9,24 +9,21 @@ use tokio::fs::File;
 use tokio::io::AsyncReadExt;
 use tokio::time::timeout;
 
-use crate::contract::{Caller, Lease, Refusal, convert, in_background, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, in_background, texts, v1};
 use crate::formats::rinex::write_navigation;
 use crate::formats::track::TrackFormat;
-use crate::gnss::{Ephemeris, GpsTime, Navigation};
+use crate::gnss::{Ephemeris, Navigation};
 use crate::jobs::{
-    ArrivingFile, BaseOrigin, Failure, JobError, JobId, JobInfo, JobInput, JobOptions, Part,
-    Report, Upload, UploadedFile,
+    ArrivingFile, Failure, JobError, JobId, JobInfo, JobInput, Part, Report, Upload, UploadedFile,
 };
 use crate::refusal::Code;
 use crate::store::JobState;
 
 use super::paging::Pages;
-use super::{MODE, PROFILE, oldest_first, or_standard, page_size, utc};
+use super::{job_options, oldest_first, page_size, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
-/// The format if the request has none.
-const FORMAT: &str = "pos";
 /// Name of the input that the service adds.
 const OWN_NAVIGATION: &str = "the service's own ephemerides";
 /// Most bytes of an ephemeris in RINEX 3.
@@ -107,8 +104,8 @@ impl Arriving {
     /// Queues the job. Returns it, and whether it is new.
     ///
     /// # Errors
-    /// A part is missing, an option does not exist or does not fit, or the idempotency key was used
-    /// for another request.
+    /// A part is missing, an option does not exist or does not fit, the tenant has no such session,
+    /// or the idempotency key was used for another request.
     pub async fn submit(
         mut self,
         caller: &Caller,
@@ -117,8 +114,11 @@ impl Arriving {
         if let Some(key) = idempotency_key {
             texts::check("Idempotency-Key", key, KEY_MAX)?;
         }
-        let options = options(self.options.take().unwrap_or_default())?;
-        if !self.files.iter().any(|file| file.part == Part::Navigation) {
+        let has_base = self.files.iter().any(|file| file.part == Part::Base);
+        let options = self.options.take().unwrap_or_default();
+        let options = job_options::read(caller, options, has_base)?;
+        let has_navigation = self.files.iter().any(|file| file.part == Part::Navigation);
+        if options.session.is_none() && !has_navigation {
             self.add_own_navigation(caller).await?;
         }
         let key = idempotency_key.map(ToOwned::to_owned);
@@ -213,35 +213,6 @@ impl ArrivingPart {
         let written = self.file.write(bytes).await;
         written.map_err(|error| Refusal::from(error).at(self.part.name()))
     }
-}
-
-fn options(message: v1::JobOptions) -> Result<JobOptions, Refusal> {
-    let near = convert::time(message.near, "options.near")?;
-    let contradiction = |field: &str, other: &str| {
-        let text = format!("{field} and {other} are both given");
-        Err(Refusal::new(Code::InvalidField, text).at(format!("options.{other}")))
-    };
-    let answer = match (message.smoothed, message.batch) {
-        (false, false) => "causal",
-        (true, false) => "smoothed",
-        (false, true) => "batch",
-        (true, true) => return contradiction("smoothed", "batch"),
-    };
-    let base_position = match (message.base_position, message.base_position_from_header) {
-        (None, false) => BaseOrigin::Any,
-        (None, true) => BaseOrigin::FromHeader,
-        (Some(v1::Ecef { x_m, y_m, z_m }), false) => BaseOrigin::Marker([x_m, y_m, z_m]),
-        (Some(_), true) => return contradiction("basePosition", "basePositionFromHeader"),
-    };
-    Ok(JobOptions {
-        mode: or_standard(message.mode, MODE),
-        profile: or_standard(message.profile, PROFILE),
-        overrides: message.overrides,
-        answer: answer.to_owned(),
-        base_position,
-        format: or_standard(message.format, FORMAT),
-        near_ns: near.map(GpsTime::as_ns),
-    })
 }
 
 /// A job.
@@ -368,7 +339,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
     v1::Job {
         job: job.id.to_string(),
         state: job.state.name().to_owned(),
-        options: Some(options_message(&job.request.options)),
+        options: Some(job_options::message(&job.request)),
         inputs: job.request.inputs.iter().map(input).collect(),
         created_utc: utc(job.created_unix_ms),
         started_utc: time(job.started_unix_ms),
@@ -383,24 +354,6 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         }),
         result_bytes: job.result.as_ref().map(|result| result.bytes),
         failure: job.failure.as_ref().map(failure_message),
-    }
-}
-
-fn options_message(options: &JobOptions) -> v1::JobOptions {
-    let base_position = match options.base_position {
-        BaseOrigin::Marker([x_m, y_m, z_m]) => Some(v1::Ecef { x_m, y_m, z_m }),
-        BaseOrigin::Any | BaseOrigin::FromHeader => None,
-    };
-    v1::JobOptions {
-        mode: options.mode.clone(),
-        profile: options.profile.clone(),
-        overrides: options.overrides.clone(),
-        smoothed: options.answer == "smoothed",
-        batch: options.answer == "batch",
-        base_position,
-        base_position_from_header: options.base_position == BaseOrigin::FromHeader,
-        format: options.format.clone(),
-        near: options.near_ns.map(|ns| GpsTime::from_ns(ns).into()),
     }
 }
 

@@ -4,6 +4,7 @@
 pub mod audit;
 pub mod bases;
 mod feeds;
+mod job_options;
 pub mod job_watch;
 pub mod jobs;
 pub mod keys;

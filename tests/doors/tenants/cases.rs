@@ -274,7 +274,15 @@ fn jobs(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
     let named = json!({"job": job});
     let none = Value::Null;
     Some(match call.grpc {
-        "Jobs/Create" => vec![posted_job(&of.request), streamed_job(call, &of.request)],
+        "Jobs/Create" => {
+            let over = [
+                json!({"session": of.session}),
+                json!({"session": of.session, "bases": [of.base]}),
+            ];
+            let over = over.into_iter().flat_map(|options| session_job(call, options));
+            let files = [posted_job(&of.request), streamed_job(call, &of.request)];
+            files.into_iter().chain(over).collect()
+        }
         "Jobs/Get" => both!(call, v1::GetJobRequest, path, named, none),
         "Jobs/List" => {
             let mut requests = both!(call, v1::ListJobsRequest, "/v1/jobs", json!({}), none);
@@ -301,11 +309,21 @@ pub(super) fn posted_job(request: &str) -> Request<Body> {
     let parts: [(&str, &[u8]); 3] = [
         ("rover", &MINUTE.rover),
         ("navigation", &MINUTE.navigation),
-        ("options", br#"{"mode": "spp"}"#),
+        ("options", br#"{"mode": "fgo"}"#),
     ];
     let kind = format!("multipart/form-data; boundary={BOUNDARY}");
     let post = Request::post("/v1/jobs").header("content-type", kind);
     post.header("idempotency-key", request).body(Body::from(body(&parts))).unwrap()
+}
+
+/// A job without files, by both doors.
+fn session_job(call: &Call, options: Value) -> [Request<Body>; 2] {
+    let kind = format!("multipart/form-data; boundary={BOUNDARY}");
+    let post = Request::post("/v1/jobs").header("content-type", kind);
+    let parts = body(&[("options", options.to_string().as_bytes())]);
+    let content = Content::Options(serde_json::from_value(options).unwrap());
+    let create = v1::CreateJobRequest { content: Some(content) }.encode_to_vec();
+    [post.body(Body::from(parts)).unwrap(), grpc(call.grpc, &[create])]
 }
 
 fn streamed_job(call: &Call, request: &str) -> Request<Body> {

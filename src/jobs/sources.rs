@@ -1,0 +1,201 @@
+//! What a run positions: the files of a recording, or the stored epochs of a session.
+
+use tokio::runtime::Handle;
+
+use crate::config::Mode;
+use crate::formats::receiver::TimeReference;
+use crate::gnss::{LeapSeconds, Solution};
+use crate::recording::{AnswerKind, BaseRecording, Input, Provenance, Solutions};
+use crate::session::{Rerun, RerunRequest, SessionError, SessionId};
+
+use super::Failure;
+use super::request::{Plan, SessionInput};
+use super::watched::Watched;
+
+/// Most epochs of a session that are answered all at once: they are in memory.
+const BATCH_EPOCHS: u64 = 100_000;
+
+/// Epochs that a run positions one by one.
+pub(super) trait Source {
+    /// Reads what the next steps need. Returns false once everything is computed.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    fn read(&mut self, runtime: &Handle) -> Result<bool, Failure>;
+
+    /// Positions the next epoch, or gives the last answers. Appends the answers that are due.
+    /// Returns whether another step can follow at once.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, Failure>;
+
+    /// Leap seconds of the navigation data.
+    fn leap_seconds(&self) -> LeapSeconds;
+
+    /// Bytes of the rover's file, or numbers of the session's epochs, that are read.
+    fn passed(&self) -> u64;
+
+    /// What the positions so far rest on.
+    fn provenance(&self) -> Provenance;
+
+    /// Further lines for the report.
+    fn remarks(&self) -> Vec<String>;
+}
+
+/// The files of a recording.
+pub(super) struct Files<'a> {
+    solutions: Solutions<'a>,
+    watched: Watched,
+    has_more: bool,
+    /// Names of the inputs that the service has added, with their parts.
+    added: Vec<String>,
+}
+
+impl<'a> Files<'a> {
+    pub(super) const fn new(
+        solutions: Solutions<'a>,
+        watched: Watched,
+        added: Vec<String>,
+    ) -> Self {
+        Self { solutions, watched, has_more: true, added }
+    }
+}
+
+impl Source for Files<'_> {
+    fn read(&mut self, _: &Handle) -> Result<bool, Failure> {
+        Ok(self.has_more)
+    }
+
+    fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, Failure> {
+        let stepped = self.solutions.step(due);
+        self.has_more = stepped.map_err(|error| self.watched.failure(&error))?;
+        Ok(self.has_more)
+    }
+
+    fn leap_seconds(&self) -> LeapSeconds {
+        self.solutions.leap_seconds()
+    }
+
+    fn passed(&self) -> u64 {
+        self.watched.rover_bytes()
+    }
+
+    fn provenance(&self) -> Provenance {
+        self.solutions.provenance()
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        self.added.clone()
+    }
+}
+
+/// The stored epochs of a session.
+pub(super) struct SessionEpochs<'a> {
+    rerun: Rerun<'a>,
+    id: SessionId,
+    session: &'a SessionInput,
+    mode: Mode,
+    answer: AnswerKind,
+    watched: Watched,
+    /// Number of epochs so far.
+    epochs: u64,
+    is_read: bool,
+    is_done: bool,
+}
+
+impl<'a> SessionEpochs<'a> {
+    /// The epochs of a session that is open.
+    pub(super) fn new(
+        rerun: Rerun<'a>,
+        (id, request): (SessionId, &RerunRequest),
+        session: &'a SessionInput,
+        mode: Mode,
+        watched: Watched,
+    ) -> Self {
+        let (answer, epochs, is_read, is_done) = (request.answer, 0, false, false);
+        Self { rerun, id, session, mode, answer, watched, epochs, is_read, is_done }
+    }
+
+    /// Takes the epochs of the base from a file, once the first epoch of the rover is read.
+    ///
+    /// # Errors
+    /// The file cannot be read, or no source gives the position.
+    pub(super) fn follow(&mut self, base: &'a Input, plan: &Plan) -> Result<(), Failure> {
+        let Some((time, navigation)) = self.rerun.next_epoch() else { return Ok(()) };
+        let reference = plan.reference.unwrap_or(TimeReference::Day(time));
+        let base = BaseRecording::beside(base, plan.base_position, reference, navigation);
+        self.rerun.follow(base.map_err(|error| self.watched.failure(&error))?);
+        Ok(())
+    }
+}
+
+impl Source for SessionEpochs<'_> {
+    fn read(&mut self, runtime: &Handle) -> Result<bool, Failure> {
+        if !self.is_read {
+            let read = runtime.block_on(self.rerun.read());
+            self.is_read = !read.map_err(|error| Failure::of_session(&error))?;
+        }
+        if self.is_read && self.epochs == 0 {
+            let error = SessionError::NoEpochInSpan { id: self.id.to_string() };
+            return Err(Failure::of_session(&error));
+        }
+        Ok(!self.is_done)
+    }
+
+    fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, Failure> {
+        let stepped = self.rerun.step(due);
+        if stepped.map_err(|error| self.watched.failure(&error))? {
+            self.epochs += 1;
+            return match self.answer == AnswerKind::Batch && BATCH_EPOCHS < self.epochs {
+                true => Err(Failure::of_long_batch(BATCH_EPOCHS)),
+                false => Ok(true),
+            };
+        }
+        if self.is_read {
+            self.rerun.finish(due);
+            self.is_done = true;
+        }
+        Ok(false)
+    }
+
+    fn leap_seconds(&self) -> LeapSeconds {
+        self.rerun.leap_seconds()
+    }
+
+    fn passed(&self) -> u64 {
+        self.rerun.passed()
+    }
+
+    fn provenance(&self) -> Provenance {
+        let base = self.rerun.base();
+        let left_out = base.map(BaseRecording::left_out).into_iter();
+        Provenance {
+            base: base.map(BaseRecording::provenance),
+            antennas: Vec::new(),
+            unmatched_odometry: None,
+            left_out: left_out.map(|(name, left_out)| (name.to_owned(), left_out)).collect(),
+        }
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        let (first, last) = self.session.numbers;
+        let mut lines = vec![format!(
+            "session {}: epochs {first} to {last}, each with the navigation data with which it was \
+             answered",
+            self.id
+        )];
+        if self.session.is_as_answered {
+            lines.push("options and base epochs are those of the session's answers".to_owned());
+        } else if self.mode.is_relative() && self.rerun.base().is_none() {
+            lines.push("base epochs are those that are stored now".to_owned());
+        }
+        if let Some(removed) = self.rerun.removed_through() {
+            lines.push(format!(
+                "warning: epochs through {removed} were removed by the session's retention before \
+                 they were read"
+            ));
+        }
+        lines
+    }
+}

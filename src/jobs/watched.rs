@@ -1,0 +1,114 @@
+//! The inputs of a run, read within the limits of unpacking.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+
+use crate::formats::{UnpackError, unpack_error, unpack_reader_within};
+use crate::recording::RecordingError;
+
+use super::Failure;
+use super::request::Part;
+
+const READ_BUFFER_BYTES: usize = 1 << 16;
+
+/// What the readers of the inputs report.
+#[derive(Clone, Default)]
+pub(super) struct Watched(Arc<Reports>);
+
+#[derive(Default)]
+struct Reports {
+    /// The part that exceeds the limits of unpacking, and how.
+    fault: OnceLock<(String, UnpackError)>,
+    /// Bytes that each reader of the rover's file has read.
+    readers: Mutex<Vec<Arc<AtomicU64>>>,
+}
+
+impl Watched {
+    /// Opens an input within the limits of unpacking.
+    pub(super) fn open(
+        &self,
+        path: &PathBuf,
+        limit: u64,
+        part: Part,
+        name: String,
+    ) -> io::Result<impl BufRead + use<>> {
+        let file = File::open(path)?;
+        let length = file.metadata()?.len();
+        let read = Arc::<AtomicU64>::default();
+        if part == Part::Rover {
+            self.readers().push(read.clone());
+        }
+        let file = BufReader::with_capacity(READ_BUFFER_BYTES, Counted { file, read });
+        let input = unpack_reader_within(file, length, limit)?;
+        Ok(Noting { input, reports: self.0.clone(), name })
+    }
+
+    /// The failure of a job whose recording fails.
+    pub(super) fn failure(&self, error: &RecordingError) -> Failure {
+        match self.0.fault.get() {
+            Some((part, fault)) => Failure::of_unpacking(*fault, part),
+            None => Failure::of_recording(error),
+        }
+    }
+
+    /// Bytes that the rover's reader has read. The file is opened several times; the readers that
+    /// are in use no more are left out.
+    pub(super) fn rover_bytes(&self) -> u64 {
+        let mut readers = self.readers();
+        readers.retain(|read| 1 < Arc::strong_count(read));
+        readers.iter().map(|read| read.load(Ordering::Acquire)).max().unwrap_or(0)
+    }
+
+    fn readers(&self) -> MutexGuard<'_, Vec<Arc<AtomicU64>>> {
+        self.0.readers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A file that counts what is read.
+struct Counted {
+    file: File,
+    read: Arc<AtomicU64>,
+}
+
+impl Read for Counted {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.read.fetch_add(count as u64, Ordering::AcqRel);
+        Ok(count)
+    }
+}
+
+/// A reader that notes why unpacking ends.
+struct Noting<R> {
+    input: R,
+    reports: Arc<Reports>,
+    name: String,
+}
+
+impl<R: BufRead> BufRead for Noting<R> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        let Self { input, reports, name } = self;
+        input.fill_buf().inspect_err(|error| {
+            if let Some(fault) = unpack_error(error) {
+                reports.fault.get_or_init(|| (name.clone(), fault));
+            }
+        })
+    }
+
+    fn consume(&mut self, amount: usize) {
+        self.input.consume(amount);
+    }
+}
+
+impl<R: BufRead> Read for Noting<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let block = self.fill_buf()?;
+        let length = block.len().min(buffer.len());
+        buffer[..length].copy_from_slice(&block[..length]);
+        self.consume(length);
+        Ok(length)
+    }
+}

@@ -1,0 +1,256 @@
+//! A stored session positioned again for a batch job: with another mode, profile, base or kind of
+//! answer, or as it was answered.
+//!
+//! Each epoch has the navigation data with which it was answered. Epochs are read in pages; who
+//! calls computes them one by one, in turns of the solver pool. Nothing is stored.
+
+mod plan;
+mod whole;
+
+use std::sync::Arc;
+use std::vec::IntoIter;
+
+use crate::aiding::bases::BaseInput;
+use crate::aiding::{AidingDesk, rover_source};
+use crate::gnss::{GpsTime, LeapSeconds, Navigation, Solution};
+use crate::positioning::Scratch;
+use crate::recording::{AnswerKind, BaseRecording, RecordingError};
+use crate::store::{SessionRow, Store, StoredEpoch, StoredSolution};
+use crate::tenant::Tenant;
+
+use super::configuration::configuration_hash;
+use super::replay::{
+    ActiveConfiguration, PAGE, Replay, ReplayWith, Step, StepBase, active_configuration,
+    calibration, oldest_state,
+};
+use super::solvers::Solvers;
+use super::state::{Configuration, State, VERSION};
+use super::{SessionError, SessionId, SessionLimits};
+
+use plan::session;
+pub use plan::{RerunPlan, RerunRequest};
+use whole::WholeSession;
+
+/// A stored session that is positioned again.
+pub struct Rerun<'a> {
+    replay: Replay,
+    id: SessionId,
+    numbers: (u64, u64),
+    span: (Option<GpsTime>, Option<GpsTime>),
+    /// The base's file, if its epochs come from one.
+    base: Option<BaseRecording<'a>>,
+    estimating: Estimating,
+    scratch: Box<Scratch>,
+    /// The epochs that are read and not positioned yet.
+    steps: IntoIter<Step>,
+    /// Number of the last epoch that is read, or of the one after which it begins.
+    after: Option<u64>,
+    /// Number of the last epoch that is positioned.
+    passed: Option<u64>,
+    /// Number of the last epoch that was removed before it was read.
+    removed_through: Option<u64>,
+}
+
+/// What answers the epochs.
+enum Estimating {
+    /// A session's estimator. The answers of this revision are given, of epochs above a number.
+    Session { state: Box<State>, revision: u32, above: Option<u64> },
+    /// An estimator of all epochs at once.
+    Whole(Box<WholeSession>),
+}
+
+impl<'a> Rerun<'a> {
+    /// Opens a session for computing what was planned.
+    ///
+    /// # Errors
+    /// The tenant no longer has the session, a base no longer exists, or the store fails.
+    pub async fn open(
+        request: &RerunRequest,
+        plan: RerunPlan,
+        (store, aiding): (Store, AidingDesk),
+        tenant: &Tenant,
+        id: &SessionId,
+    ) -> Result<Self, SessionError> {
+        let row = session(&store, tenant, id).await?;
+        let active = match plan.is_as_answered {
+            true => active_configuration(&store, &aiding, id.as_str()).await?,
+            false => changed(request, &plan, &aiding, &row).await?,
+        };
+        let estimation = active.estimation.clone();
+        let replay = Replay {
+            arcs: store.arcs(row.key).await?.into(),
+            store,
+            aiding,
+            solvers: Solvers::new(SessionLimits::service().solver_threads),
+            key: row.key,
+            device: rover_source(&row.tenant, id.as_str()),
+            tenant: row.tenant,
+            with: match plan.is_as_answered {
+                true => ReplayWith::Stored,
+                false => ReplayWith::Options(Arc::new(active)),
+            },
+            known: None,
+            tolerates_missing: false,
+        };
+        let before = plan.numbers.0.checked_sub(1);
+        let mut after = row.removed_through.max(before);
+        let revision = match request.answer {
+            AnswerKind::Causal => 0,
+            AnswerKind::FixedLag | AnswerKind::Batch => 1,
+        };
+        let mut state = State::new(&estimation);
+        if let (true, Some(removed)) = (plan.is_as_answered, row.removed_through)
+            && let Some(oldest) = oldest_state(&replay, removed).await?
+        {
+            (after, state) = (oldest.last_seq(), oldest);
+        }
+        let estimating = match request.answer {
+            AnswerKind::Batch => {
+                Estimating::Whole(Box::new(WholeSession::new(estimation, replay.arcs.clone())))
+            }
+            _ => Estimating::Session { state: Box::new(state), revision, above: after },
+        };
+        Ok(Self {
+            replay,
+            id: id.clone(),
+            numbers: plan.numbers,
+            span: request.span,
+            base: None,
+            estimating,
+            scratch: Box::default(),
+            steps: Vec::new().into_iter(),
+            after,
+            passed: None,
+            removed_through: after.filter(|_| before < after),
+        })
+    }
+
+    /// Takes the epochs of the base from a file.
+    pub fn follow(&mut self, base: BaseRecording<'a>) {
+        self.base = Some(base);
+    }
+
+    /// The file of the base.
+    pub const fn base(&self) -> Option<&BaseRecording<'a>> {
+        self.base.as_ref()
+    }
+
+    /// The leap seconds known today.
+    pub fn leap_seconds(&self) -> LeapSeconds {
+        self.replay.aiding.navigation.current().navigation.leap_seconds
+    }
+
+    /// Number of the last epoch that was removed by the session's retention since the plan, if any
+    /// was.
+    pub const fn removed_through(&self) -> Option<u64> {
+        self.removed_through
+    }
+
+    /// How many of the numbers of the session's epochs are passed.
+    pub fn passed(&self) -> u64 {
+        self.passed.map_or(0, |passed| (passed + 1).saturating_sub(self.numbers.0))
+    }
+
+    /// Time and navigation data of the next epoch, once it is read.
+    pub fn next_epoch(&self) -> Option<(GpsTime, &Navigation)> {
+        let step = self.steps.as_slice().first()?;
+        Some((step.epoch.time, &step.navigation.navigation))
+    }
+
+    /// Reads epochs, if none is left to position. Returns whether there are any.
+    ///
+    /// # Errors
+    /// The session is deleted, data with which it was answered are no longer stored, or the store
+    /// fails.
+    pub async fn read(&mut self) -> Result<bool, SessionError> {
+        while self.steps.as_slice().is_empty() {
+            let (key, before) = (self.replay.key, self.after);
+            let mut stored = self.replay.store.epochs_after(key, before, PAGE).await?;
+            // Of a session that is deleted meanwhile, some epochs are missing.
+            let row = session(&self.replay.store, &self.replay.tenant, &self.id).await?;
+            if before < row.removed_through {
+                self.removed_through = row.removed_through.min(Some(self.numbers.1));
+            }
+            let Some(last) = stored.last().map(|last| last.solution.seq) else { return Ok(false) };
+            self.after = Some(last);
+            stored.retain(|stored| self.is_asked(stored));
+            if stored.is_empty() && self.numbers.1 <= last {
+                return Ok(false);
+            }
+            self.steps = self.replay.steps(stored).await?.into_iter();
+        }
+        Ok(true)
+    }
+
+    fn is_asked(&self, stored: &StoredEpoch) -> bool {
+        let ((_, last), (from, to)) = (self.numbers, self.span);
+        let time = stored.epoch.time;
+        stored.solution.seq <= last
+            && from.is_none_or(|from| from <= time)
+            && to.is_none_or(|to| time <= to)
+    }
+
+    /// Positions the next epoch that is read. Appends the answers that are due. Returns false if
+    /// there was none.
+    ///
+    /// # Errors
+    /// The file of the base cannot be read.
+    pub fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, RecordingError> {
+        let Some(mut step) = self.steps.next() else { return Ok(false) };
+        if let Some(base) = &mut self.base {
+            base.follow(step.epoch.time, &step.navigation.navigation)?;
+            step.base = StepBase::Given(BaseInput::not_stored(base.aiding()));
+        }
+        self.passed = Some(step.seq);
+        match &mut self.estimating {
+            Estimating::Whole(whole) => due.extend(whole.push(step)),
+            Estimating::Session { state, revision, above } => {
+                let (arcs, scratch) = (&self.replay.arcs, &mut *self.scratch);
+                let mut answers = step.begin_arc(state, arcs, scratch).unwrap_or_default();
+                let advanced = step.advance(state, scratch);
+                answers.push(advanced.solution);
+                answers.extend(advanced.revisions);
+                due.extend(those_of(answers, *revision, *above));
+            }
+        }
+        Ok(true)
+    }
+
+    /// Appends the answers that are due after the last epoch.
+    pub fn finish(&mut self, due: &mut Vec<Solution>) {
+        match &mut self.estimating {
+            Estimating::Whole(whole) => due.extend(whole.end_arc()),
+            Estimating::Session { state, revision, above } => {
+                let answers = state.finish(&mut self.scratch);
+                due.extend(those_of(answers, *revision, *above));
+            }
+        }
+    }
+}
+
+/// The solutions of a revision, of epochs above a number.
+fn those_of(
+    answers: impl IntoIterator<Item = StoredSolution>,
+    revision: u32,
+    above: Option<u64>,
+) -> impl Iterator<Item = Solution> {
+    let is_asked =
+        move |answer: &StoredSolution| answer.revision == revision && above < Some(answer.seq);
+    answers.into_iter().filter(is_asked).map(|answer| answer.solution)
+}
+
+/// The options and bases of a plan that differs from the session.
+async fn changed(
+    request: &RerunRequest,
+    plan: &RerunPlan,
+    aiding: &AidingDesk,
+    row: &SessionRow,
+) -> Result<ActiveConfiguration, SessionError> {
+    let options = plan.options.clone();
+    let bases = request.bases(aiding, row, options.mode)?;
+    let antenna = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
+    let hash = configuration_hash(&options, antenna).into();
+    let antenna = calibration(aiding, antenna).await?;
+    let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
+    Ok(ActiveConfiguration { estimation, bases, is_closed: false, retention_days: None })
+}
