@@ -21,13 +21,15 @@ const PACKAGE: &str = "graphfix.v1";
 /// Names of messages of gRPC's streams, which HTTP does not have, begin with this.
 const OF_STREAMS: &str = "Stream";
 /// Travel as bare bodies over HTTP.
-const WITHOUT_JSON: [&str; 8] = [
+const WITHOUT_JSON: [&str; 10] = [
     "PushNavigationRequest",
     "UploadBaseRequest",
     "PushRawRequest",
     "CreateJobRequest",
     "JobPart",
     "JobResultResponse",
+    "SessionObservationsRequest",
+    "SessionObservationsResponse",
     "TrackRequest",
     "TrackResponse",
 ];

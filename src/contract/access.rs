@@ -70,6 +70,7 @@ pub const CALLS: &[Call] = &[
     call("Sessions/Close", "DELETE /v1/sessions/{session}", &[Operate]).act("Sessions.Close"),
     call("Sessions/Delete", "DELETE /v1/sessions/{session}?purge=true", &[Operate])
         .act("Sessions.Delete"),
+    call("Sessions/Observations", "GET /v1/sessions/{session}/observations.rnx", &[Read]),
     call("Positioning/PushEpochs", "POST /v1/sessions/{session}/epochs", &[Device]),
     call("Positioning/PushRaw", "POST /v1/sessions/{session}/raw", &[Device]),
     call("Positioning/Stream", "", &[Device]),

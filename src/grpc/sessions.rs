@@ -1,11 +1,12 @@
 //! `graphfix.v1.Sessions`.
 
+use futures::StreamExt;
 use tonic::{Request, Response, Status, async_trait};
 
 use crate::contract::{calls, v1};
 
 use super::status::carry;
-use super::{Door, v1::sessions_server::Sessions};
+use super::{Answered, Door, v1::sessions_server::Sessions};
 
 #[async_trait]
 impl Sessions for Door {
@@ -64,5 +65,20 @@ impl Sessions for Door {
         request: Request<v1::DeleteSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         carry(calls::sessions::delete(&self.0.caller()?, request.into_inner()).await)
+    }
+
+    type ObservationsStream = Answered<v1::SessionObservationsResponse>;
+
+    async fn observations(
+        &self,
+        request: Request<v1::SessionObservationsRequest>,
+    ) -> Result<Response<Self::ObservationsStream>, Status> {
+        let file =
+            calls::observations::observations(&self.0.caller()?, request.into_inner()).await?;
+        let answered = file.map(|content| match content {
+            Ok(content) => Ok(v1::SessionObservationsResponse { content }),
+            Err(refusal) => Err(Status::from(refusal)),
+        });
+        Ok(Response::new(Box::pin(answered)))
     }
 }

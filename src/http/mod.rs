@@ -8,6 +8,7 @@ mod caller;
 mod conditions;
 mod connection;
 mod dashboard;
+mod download;
 mod error_page;
 mod handshake;
 mod job_events;
@@ -18,6 +19,7 @@ mod lists;
 mod metered;
 mod multipart;
 mod navigation;
+mod observations;
 mod openapi;
 mod pages;
 mod positioning;
@@ -86,6 +88,7 @@ fn controls() -> Router<Service> {
         .route("/v1/sessions/{session}/solutions:series", get(solutions::series))
         .route("/v1/sessions/{session}/solutions:watch", get(watch::watch))
         .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
+        .route("/v1/sessions/{session}/observations.rnx", get(observations::observations))
         .merge(track::routes())
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))

@@ -11,8 +11,8 @@ use crate::contract::access::{CALLS, Call, Need};
 
 use super::problem::Problem;
 use super::{
-    audit, bases, job_events, jobs, keys, navigation, positioning, raw, sessions, sign_in,
-    solutions, tenants, track, watch,
+    audit, bases, job_events, jobs, keys, navigation, observations, positioning, raw, sessions,
+    sign_in, solutions, tenants, track, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -51,6 +51,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         sessions::update,
         sessions::reset,
         sessions::close,
+        observations::observations,
         positioning::push_epochs,
         raw::push,
         positioning::solve,

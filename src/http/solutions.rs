@@ -162,7 +162,7 @@ fn epoch_number(text: &str) -> Result<u64, Refusal> {
     })
 }
 
-fn time(field: &str, text: &str) -> Result<v1::GpsTime, Refusal> {
+pub(super) fn time(field: &str, text: &str) -> Result<v1::GpsTime, Refusal> {
     intake::time_text(text).map(Into::into).map_err(|refusal| refusal.at(field))
 }
 

@@ -1,16 +1,14 @@
 //! `/v1/sessions/{session}/track.{format}`.
 
 use axum::Router;
-use axum::body::Body;
 use axum::extract::Path;
-use axum::http::header;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use axum::routing::get;
-use futures::TryStreamExt;
 
-use crate::contract::{Caller, Refusal, Service, calls};
+use crate::contract::{Caller, Service, calls};
 
 use super::body::StrictQuery;
+use super::download::download;
 use super::problem::Refused;
 use super::solutions::TrackQuery;
 
@@ -39,12 +37,7 @@ pub(super) async fn track(
     format: &'static str,
 ) -> Result<Response, Refused> {
     let kind = calls::track::content_type(format)?;
-    let name = format!("attachment; filename=\"{session}.{format}\"");
+    let name = format!("{session}.{format}");
     let request = query.request(session, format)?;
-    let content = calls::track::track(&caller, request).await?;
-    let content = content.inspect_err(|refusal: &Refusal| {
-        tracing::error!(code = refusal.code.name(), "a track breaks off: {}", refusal.logged());
-    });
-    let headers = [(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, name)];
-    Ok((headers, Body::from_stream(content)).into_response())
+    Ok(download(&name, kind, calls::track::track(&caller, request).await?))
 }

@@ -100,6 +100,7 @@ mod explanation;
 mod info;
 mod limits;
 mod live;
+mod observed;
 mod panics;
 mod parked;
 
@@ -129,6 +130,7 @@ pub use explanation::{EpochExplanation, SatelliteRole, SatelliteView};
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate, SolutionPage};
 pub use limits::SessionLimits;
 pub use live::{News, Watch};
+pub use observed::ObservedEpochs;
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};
 pub use rerun::{Rerun, RerunPlan, RerunRequest};

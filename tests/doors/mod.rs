@@ -26,6 +26,7 @@ mod metrics;
 mod nearest;
 mod network_casters;
 mod networks;
+mod observations;
 mod odometry;
 mod operator_keys;
 mod quotas;

@@ -9,6 +9,7 @@ pub mod job_watch;
 pub mod jobs;
 pub mod keys;
 pub mod navigation;
+pub mod observations;
 mod outlet;
 mod paging;
 pub mod positioning;

@@ -74,6 +74,34 @@ impl<W: Write> ObservationWriter<W> {
         Ok(())
     }
 
+    /// Writes one epoch, without the values that are too large for their columns or not finite: a
+    /// receiver may send any number.
+    ///
+    /// # Errors
+    /// A signal that the header does not list.
+    pub fn write_what_fits(&mut self, mut epoch: Epoch) -> Result<(), RinexWriteError> {
+        for observation in &mut epoch.observations {
+            let phase = observation.carrier_phase;
+            observation.carrier_phase = phase.filter(|phase| fits(phase.0));
+            for value in [
+                &mut observation.pseudorange_m,
+                &mut observation.doppler_hz,
+                &mut observation.cn0_db_hz,
+            ] {
+                *value = value.filter(|value| fits(*value));
+            }
+        }
+        self.write_epoch(&epoch)
+    }
+
+    /// Takes what is written so far out of the output.
+    pub fn take(&mut self) -> W
+    where
+        W: Default,
+    {
+        std::mem::take(&mut self.output)
+    }
+
     /// Flushes and returns the output.
     pub fn finish(mut self) -> Result<W, RinexWriteError> {
         self.output.flush()?;
@@ -102,7 +130,7 @@ fn write_field(
     signal: Signal,
 ) -> Result<(), RinexWriteError> {
     match value {
-        Some(value) if !(-999_999_999.999..=9_999_999_999.999).contains(&value) => {
+        Some(value) if !fits(value) => {
             return Err(RinexWriteError::ValueTooLarge { signal, value });
         }
         Some(value) => write!(text, "{value:14.3}").expect("a String takes all"),
@@ -111,6 +139,11 @@ fn write_field(
     text.push(if lli == 0 { ' ' } else { char::from(b'0' + lli) });
     text.push(' ');
     Ok(())
+}
+
+/// Whether a number fits into the 14 columns of a value.
+fn fits(value: f64) -> bool {
+    (-999_999_999.999..=9_999_999_999.999).contains(&value)
 }
 
 /// `2019 04 28 12 44 33.9970000`, rounded to 100 ns.

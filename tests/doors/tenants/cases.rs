@@ -142,6 +142,12 @@ fn sessions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
             both!(call, v1::ResetSessionRequest, format!("{path}:reset"), named, none)
         }
         "Sessions/Close" => both!(call, v1::CloseSessionRequest, path, named, none),
+        "Sessions/Observations" => {
+            let session = session.clone();
+            let request = v1::SessionObservationsRequest { session, ..Default::default() };
+            let path = format!("{path}/observations.rnx");
+            vec![grpc(call.grpc, &[request.encode_to_vec()]), rest("GET", &path, &none)]
+        }
         "Sessions/Delete" => {
             both!(call, v1::DeleteSessionRequest, format!("{path}?purge=true"), named, none)
         }

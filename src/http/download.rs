@@ -1,0 +1,24 @@
+//! Answers that are files, read from the store while they are sent.
+
+use axum::body::Body;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures::{Stream, TryStreamExt};
+
+use crate::contract::Refusal;
+
+/// A file of this name and media type. If its content breaks off, so does the connection.
+pub(super) fn download(
+    name: &str,
+    kind: &str,
+    content: impl Stream<Item = Result<Bytes, Refusal>> + Send + 'static,
+) -> Response {
+    let content = content.inspect_err(|refusal| {
+        tracing::error!(code = refusal.code.name(), "a file breaks off: {}", refusal.logged());
+    });
+    let disposition = format!("attachment; filename=\"{name}\"");
+    let headers =
+        [(header::CONTENT_TYPE, kind.to_owned()), (header::CONTENT_DISPOSITION, disposition)];
+    (headers, Body::from_stream(content)).into_response()
+}
