@@ -186,7 +186,7 @@ macro_rules! requests {
         "send fewer epochs, shorten the window, or use a session; the operator sets limits.solve_s";
     /// The session has no epoch to solve yet.
     SessionEmpty = "SESSION_EMPTY", Precondition, "push an epoch first";
-    /// The session has no epoch of this number.
+    /// The session has no epoch of this number, or of these times.
     EpochNotFound = "EPOCH_NOT_FOUND", NotFound,
         "list the session's solutions for the numbers of its epochs";
     /// The session's mailbox is full of waiting epochs.
