@@ -56,6 +56,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .bytes(".graphfix.v1.PushRawRequest.content")
         .bytes(".graphfix.v1.StreamRawRequest.content")
         .bytes(".graphfix.v1.TrackResponse.content")
+        .bytes(".graphfix.v1.SessionObservationsResponse.content")
         .bytes(".graphfix.v1.JobResultResponse.content")
         .bytes(".graphfix.v1.CreateJobRequest.content.chunk")
         .btree_map(".");

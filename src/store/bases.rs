@@ -3,8 +3,6 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-
 use crate::gnss::{
     AntennaCalibration, BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource,
 };
@@ -43,7 +41,7 @@ pub struct BaseName {
 }
 
 /// The bases that a session may use, if its mode is relative to one.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum BaseChoice<B = BaseName> {
     /// No base.
     #[default]

@@ -6,7 +6,6 @@ use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use futures::TryStreamExt;
 use graphfix::contract::{convert, v1};
-use graphfix::formats::rinex::ObservationReader;
 use graphfix::gnss::{Cycles, Epoch, GpsTime};
 use graphfix::grpc::v1::sessions_client::SessionsClient;
 use graphfix::session::SequencedEpoch;
@@ -16,6 +15,7 @@ use tower::ServiceExt;
 use crate::support::data;
 use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
+use crate::support::reading::epochs_of;
 
 /// More than two pages of the store.
 const EPOCHS: usize = 300;
@@ -45,14 +45,6 @@ async fn file(doors: &Doors, path: &str) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
 }
 
-/// The epochs of a file of which nothing was left out.
-fn read(file: &str) -> Vec<Epoch> {
-    let mut reader = ObservationReader::new(file.as_bytes()).unwrap();
-    let epochs: Vec<Epoch> = reader.by_ref().map(|epoch| epoch.unwrap()).collect();
-    assert!(reader.skipped().is_empty(), "{:?}", reader.skipped());
-    epochs
-}
-
 /// The epoch as a file has it: three decimals, and signals in the order of their codes.
 fn rounded(epoch: &Epoch) -> Epoch {
     let round = |value: f64| (value * 1e3).round() / 1e3;
@@ -80,14 +72,14 @@ async fn the_file_has_every_observation_that_was_sent() {
     let (session, sent) = driven(&doors).await;
     let whole = file(&doors, &format!("/v1/sessions/{session}/observations.rnx")).await;
     assert!(whole.contains("car 7 ") && whole.contains("APPROX POSITION XYZ"), "{whole:.2000}");
-    assert_same(&read(&whole), &sent);
+    assert_same(&epochs_of(whole.as_bytes()), &sent);
     let text = |time: GpsTime| {
         let time = v1::GpsTime::from(time);
         format!("{}:{}", time.week, time.ns_of_week as f64 * 1e-9)
     };
     let span = format!("from={}&to={}", text(sent[20].time), text(sent[250].time));
     let part = file(&doors, &format!("/v1/sessions/{session}/observations.rnx?{span}")).await;
-    assert_same(&read(&part), &sent[20..=250]);
+    assert_same(&epochs_of(part.as_bytes()), &sent[20..=250]);
 
     let mut client = SessionsClient::new(doors.router.clone());
     let request = v1::SessionObservationsRequest { session, ..Default::default() };
