@@ -20,19 +20,20 @@ use crate::support::reading::epochs_of;
 /// More than two pages of the store.
 const EPOCHS: usize = 300;
 
-/// A session with the first epochs of the drive and a wild pseudorange in one of them.
+/// A session with the first epochs of the drive, and a phase in one of them that no RINEX column
+/// takes; and these epochs without that phase.
 async fn driven(doors: &Doors) -> (String, Vec<Epoch>) {
     let (status, _) = doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
     assert_eq!(status, StatusCode::OK);
     let (_, session) = doors.post("/v1/sessions", json!({"mode": "spp", "label": "car 7"})).await;
     let session = session["session"].as_str().unwrap().to_owned();
     let mut epochs: Vec<SequencedEpoch> = DRIVE.epochs[..EPOCHS].to_vec();
-    epochs[3].epoch.observations[0].pseudorange_m = Some(1e12);
+    epochs[3].epoch.observations[0].carrier_phase = Some(Cycles(1e11));
     let messages: Vec<_> = epochs.iter().map(|e| convert::epoch_message(e.seq, &e.epoch)).collect();
     let path = format!("/v1/sessions/{session}/epochs");
     let (status, answer) = doors.post(&path, json!({"epochs": messages})).await;
     assert_eq!(status, StatusCode::OK, "{answer}");
-    epochs[3].epoch.observations[0].pseudorange_m = None;
+    epochs[3].epoch.observations[0].carrier_phase = None;
     (session, epochs.into_iter().map(|sequenced| sequenced.epoch).collect())
 }
 

@@ -5,7 +5,7 @@
 //! - **ISG**, version 1 and 2, of the International Service for the Geoid: grids in latitude and
 //!   longitude.
 //!
-//! A table is kept in memory, four bytes a node. Tables of more than [`NODES_MAX`] nodes are
+//! A table is kept in memory, four bytes a node. Tables of more than 40 million nodes are
 //! refused: the finest that is read of the whole Earth has 2.5'.
 
 mod gtx;
