@@ -1,11 +1,16 @@
 """Percentiles, bootstrap intervals, recovery times, episodes."""
 
+import itertools
 import math
 import random
 from dataclasses import dataclass
 
 # A position counts as recovered when it and those of the next seconds are near (s).
 STAYS_S = 5.0
+# A recovery that takes longer has failed (s): of a recording that ends earlier, it is not known.
+ASKED_S = 30.0
+# An interval longer than this many usual ones is a pause of the receiver.
+PAUSE_INTERVALS = 2.0
 # Length of an episode: errors within it are not independent of each other (s).
 EPISODE_S = 30.0
 # Chi-square of two degrees of freedom at 95 %.
@@ -92,20 +97,29 @@ class Sample:
 def recovery_s(samples, end):
     """Seconds from a fault's end until the answers are back, and stay so for 5 s.
 
-    Only the time before epochs that count (five satellites in view) is added up. `None` where
-    nothing is known after the end; infinite where they are never back.
+    Only the time before epochs that count (five satellites in view) is added up, without pauses.
+    `None` where nothing is known after the end, or too little: the recording ends before
+    `ASKED_S`. Infinite where they are never back.
     """
     later = [sample for sample in samples if end <= sample.time]
     if all(sample.is_back is None for sample in later):
         return None
+    longest_s = PAUSE_INTERVALS * _usual_interval_s(samples)
     passed, before = 0.0, end
     for index, sample in enumerate(later):
-        if sample.counts:
-            passed += sample.time - before
+        interval_s = sample.time - before
+        if sample.counts and interval_s <= longest_s:
+            passed += interval_s
         before = sample.time
         if sample.is_back and _stays_back(later, index):
             return passed
-    return math.inf
+    return math.inf if ASKED_S <= passed else None
+
+
+def _usual_interval_s(samples):
+    """The median interval; infinite of fewer than two samples."""
+    intervals = [after.time - sample.time for sample, after in itertools.pairwise(samples)]
+    return percentile(intervals, 50.0) if intervals else math.inf
 
 
 def _stays_back(samples, index):

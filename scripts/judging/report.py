@@ -53,6 +53,8 @@ class Group:
             "fixes_before": sum(run.fixes_before for run in runs),
             "fixes_kept": sum(run.fixes_kept for run in runs),
             "recovery_s": _worst_and_median([run.recovery_s for run in runs]),
+            "recovery_late": _late([run.recovery_s for run in runs]),
+            "truth_recovery_late": _late([run.truth_recovery_s for run in runs]),
             "refixed_s": _worst_and_median([run.refixed_s for run in runs]),
         }
 
@@ -117,6 +119,11 @@ def _worst(runs):
 def _worst_and_median(times):
     known = [time for time in times if time is not None]
     return {"worst": max(known), "median": sorted(known)[len(known) // 2], "n": len(known)} if known else None
+
+
+def _late(times):
+    """How many are later than asked."""
+    return sum(measures.ASKED_S < time for time in times if time is not None)
 
 
 def ellipses(runs):

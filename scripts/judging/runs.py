@@ -8,7 +8,7 @@ from array import array
 from dataclasses import dataclass, field
 
 from . import faults, measures, rinex
-from .positions import read_answers, to_enu
+from .positions import Answer, read_answers, to_enu
 
 FIXED = "FIXED"
 # Satellites in view that a recovery needs.
@@ -111,6 +111,8 @@ class Run:
     # By class of stated probability and episode: fixes, wrong, Σ of the stated risk.
     reliability: dict = field(default_factory=dict)
     recovery_s: float | None = None
+    # What it would be if every answer were the truth: the undisturbed run may be wrong.
+    truth_recovery_s: float | None = None
     refixed_s: float | None = None
     # Right fixes of the undisturbed run outside the fault and its aftermath; those also fixed here.
     fixes_before: int = 0
@@ -239,7 +241,7 @@ def _run(job, build, method, solver, single, disturbance):
         judge.compare(answers, single[0], run.single, run.against_single)
         judge.compare(answers, before, run.undisturbed, {})
     if not is_plain:
-        _judge_recovery(run, job, method, answers, before, disturbance)
+        _judge_recovery(run, job, method, answers, before, disturbance, truth)
         _judge_kept(run, judge, answers, before, disturbance)
     return run
 
@@ -323,7 +325,7 @@ class _Judge:
             sums[1] += its
 
 
-def _judge_recovery(run, job, method, answers, before, disturbance):
+def _judge_recovery(run, job, method, answers, before, disturbance, truth):
     before_of = {answer.time: answer for answer in before}
     ends = [end for _, end in disturbance.spans]
     if job.is_start and answers:
@@ -343,10 +345,16 @@ def _judge_recovery(run, job, method, answers, before, disturbance):
         east, north, _ = to_enu(answer.place, other.place)
         return (east**2 + north**2) ** 0.5 <= back_m
 
+    def is_truth_near(answer, other):
+        place = truth.at(answer.time)
+        return is_near(Answer(answer.time, answer.status, place), other) if place else None
+
     def is_refixed(answer, other):
         return answer.status == FIXED if other and other.status == FIXED else None
 
     run.recovery_s = _worst([sample(answer, is_near) for answer in answers], ends)
+    if truth:
+        run.truth_recovery_s = _worst([sample(answer, is_truth_near) for answer in answers], ends)
     if method.is_relative():
         run.refixed_s = _worst([sample(answer, is_refixed) for answer in answers], ends)
 

@@ -101,13 +101,13 @@ def recoveries(summaries):
     rows = [
         [
             *_name(one), str(one["recovery_s"]["n"]), _number(one["recovery_s"]["median"], 0),
-            _number(one["recovery_s"]["worst"], 0),
+            _number(one["recovery_s"]["worst"], 0), str(one["recovery_late"]), str(one["truth_recovery_late"]),
         ]
         for one in summaries
         if one["recovery_s"]
     ]
     title = "Seconds from the fault's end until back at the undisturbed run (3 m, with a base 1 m)."
-    _print(title, [*NAMES, "runs", "median", "worst"], rows)
+    _print(title, [*NAMES, "runs", "median", "worst", "beyond 30 s", "truth beyond 30 s"], rows)
 
 
 def ellipses(entries):

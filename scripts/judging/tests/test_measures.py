@@ -76,7 +76,16 @@ class Recovery(unittest.TestCase):
         self.assertIsNone(measures.recovery_s(self.samples("???"), 10.0))
 
     def test_never_back(self):
-        self.assertEqual(measures.recovery_s(self.samples("xxxx"), 10.0), math.inf)
+        self.assertEqual(measures.recovery_s(self.samples(31 * "x"), 10.0), math.inf)
+
+    def test_a_recording_that_ends_too_early_does_not_say(self):
+        self.assertIsNone(measures.recovery_s(self.samples(30 * "x"), 10.0))
+
+    def test_a_pause_does_not_count(self):
+        # Epochs at 10 to 13 s and 23 to 33 s; back from 24 s on: 3 s before the pause, 1 s after it.
+        before, after = self.samples("xxxx"), self.samples("xoooooooooo")
+        moved = [Sample(13.0 + one.time, one.counts, one.is_back) for one in after]
+        self.assertEqual(measures.recovery_s(before + moved, 10.0), 4.0)
 
     def test_what_was_before_the_end_is_not_looked_at(self):
         self.assertEqual(measures.recovery_s(self.samples("xxxxxoooooo"), 13.5), 1.5)

@@ -4,7 +4,7 @@ import unittest
 
 from judging import report
 from judging.positions import Answer, Truth
-from judging.runs import Run, _Disturbance, _Judge, _judge_kept
+from judging.runs import Job, Method, Run, _Disturbance, _Judge, _judge_kept, _judge_recovery
 
 PLACE = (6378137.0, 0.0, 0.0)
 
@@ -23,6 +23,17 @@ def judged(answers, wrong_m=0.5, truth=None):
     judge = _Judge(run, truth or Truth.fixed(PLACE), wrong_m, 0.0)
     judge.count(answers)
     return run, judge
+
+
+class Recovering(unittest.TestCase):
+    def test_the_truth_misses_an_undisturbed_run_that_is_wrong(self):
+        # Undisturbed: 4 m off the truth up to 40 s, 2 m after. Disturbed up to 10 s, 3.5 m off after.
+        before = [answer(float(t), 4.0 if t < 40 else 2.0, "FGO") for t in range(60)]
+        after = [answer(float(t), 90.0 if t < 10 else 3.5, "FGO") for t in range(60)]
+        job = Job(None, "faults", "jump", (), (), faults=("jump",))
+        run, disturbance = new_run(), _Disturbance([(0.0, 10.0)], None)
+        _judge_recovery(run, job, Method("fgo"), after, before, disturbance, Truth.fixed(PLACE))
+        self.assertEqual((run.recovery_s, run.truth_recovery_s), (0.0, 30.0))
 
 
 class Counting(unittest.TestCase):
