@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use crate::config::{DopplerUse, GraphOptions};
+use crate::config::DopplerUse;
 use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry};
 use crate::graph::{
     Elimination, EliminationError, Estimate, OptimizerOptions, Phase, Prior, Problem, System,
     Workspace, optimize,
 };
-use crate::positioning::clock_jump::{CRYSTAL_DRIFT_M_S, jump_m};
+use crate::positioning::clock_jump::jump_m;
 use crate::positioning::factors::{
     BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerVelocityFactor, Line,
     MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
@@ -21,16 +21,14 @@ use crate::positioning::receiver::{self, ReceiverModel, Signal, common_ionospher
 use crate::positioning::rivals::Watch;
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
-use crate::positioning::starts::{
-    START_CLOCK_M, START_M, START_M_S, UNKNOWN_SPEED_M_S, start_frame,
-};
+use crate::positioning::starts::{UNKNOWN_SPEED_M_S, start_frame};
 use crate::positioning::uncertainty::{Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
 use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
-use super::epoch::{Factors, GraphEpoch, Rows, Seen, Tie};
-use super::start::follow_doppler;
+use super::epoch::{Factors, GraphEpoch, Miss, Rows, Seen, Tie};
+use super::start::{follow_doppler, regularize};
 
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 pub(super) const BIAS_M: f64 = 300.0;
@@ -85,6 +83,8 @@ pub(super) struct ChainScratch {
     factors: Factors,
     pub(super) numbers: Vec<f64>,
     pub(super) lines: Vec<Line>,
+    /// Residuals of which the search for other positions takes the medians.
+    pub(super) misses: Vec<Miss>,
     pub(super) seen: [Seen; 2],
     clock: ClockScratch,
     velocity: VelocityEstimator,
@@ -477,23 +477,5 @@ impl Chain {
         self.epochs.remove(0);
         self.estimate.states.remove(0);
         Ok(())
-    }
-}
-
-/// Adds the priors on single components of a state.
-fn regularize(factors: &mut Factors, is_first: bool, guess: &State, options: &GraphOptions) {
-    let mut add = |column: usize, mean: f64, sigma: f64| {
-        factors.components.push(ComponentFactor { column, mean, inverse_sigma: sigma.recip() });
-    };
-    if is_first {
-        (0..3).for_each(|axis| add(axis, guess[axis], START_M));
-    }
-    if is_first || !options.motion {
-        (VELOCITY..CLOCK).for_each(|rate| add(rate, guess[rate], START_M_S));
-        add(CLOCK, guess[CLOCK], START_CLOCK_M);
-        add(DRIFT, guess[DRIFT], CRYSTAL_DRIFT_M_S);
-    }
-    if options.vertical_velocity_m_s.is_finite() {
-        add(VELOCITY + 2, 0.0, options.vertical_velocity_m_s);
     }
 }

@@ -9,12 +9,15 @@ use std::sync::Arc;
 use crate::gnss::Constellation;
 use crate::graph::{EliminationError, Estimate, Prior, Workspace};
 use crate::positioning::clock_jump::CRYSTAL_DRIFT_M_S;
-use crate::positioning::factors::{BiasFactor, CLOCK, ComponentFactor, DRIFT, STATE, VELOCITY};
+use crate::positioning::factors::{
+    BiasFactor, CLOCK, ComponentFactor, DRIFT, STATE, VELOCITY, position,
+};
 use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, Verdict, rivalry};
 use crate::positioning::setup::GraphSettings;
 use crate::positioning::starts::{START_CLOCK_M, START_M_S};
 
 use super::chain::{BIAS_M, Chain, ChainScratch};
+use super::epoch::Miss;
 
 /// Standard deviation of the first position's prior after a move (m).
 const MOVED_M: f64 = 30.0;
@@ -86,33 +89,37 @@ impl Chain {
 
     /// The median residual of each satellite over the window's last `span_s`.
     pub(super) fn pooled(&self, span_s: f64, scratch: &mut ChainScratch) -> Vec<Pooled> {
-        let ChainScratch { lines, .. } = scratch;
+        let ChainScratch { lines, misses, .. } = scratch;
         let Some(now) = self.last_time() else { return Vec::new() };
         let Estimate { states, border } = &self.estimate;
-        let (mut all, mut independent) = (Vec::new(), 0.0);
-        for (epoch, state) in self.epochs.iter().zip(states) {
+        let mut independent = 0.0;
+        misses.clear();
+        for (k, (epoch, state)) in self.epochs.iter().zip(states).enumerate() {
             if span_s < now - epoch.time {
                 continue;
             }
             independent += epoch.share;
             epoch.factors.see(state, lines);
-            all.extend(epoch.factors.ranges.iter().filter_map(|range| {
-                Some(Pooled {
-                    satellite: range.satellite,
-                    slope: lines[usize::from(range.sight)].1,
-                    residual_m: range.miss_m(lines, state, border),
-                    error: range.error()?,
-                    before_learning: range.reflection?.before_learning,
-                    independent: 1.0,
-                })
+            misses.extend(epoch.factors.ranges.iter().enumerate().map(|(index, range)| Miss {
+                satellite: range.satellite,
+                residual_m: range.miss_m(lines, state, border),
+                range: (k, index),
             }));
         }
-        all.sort_by(|a, b| {
+        misses.sort_unstable_by(|a, b| {
             a.satellite.cmp(&b.satellite).then(a.residual_m.total_cmp(&b.residual_m))
         });
         let independent = f64::min(independent, 1.0);
-        let middle = |group: &[Pooled]| Pooled { independent, ..group[group.len() / 2] };
-        all.chunk_by(|a, b| a.satellite == b.satellite).map(middle).collect()
+        let middle = |of_satellite: &[Miss]| {
+            let Miss { satellite, residual_m, range: (k, index) } =
+                of_satellite[of_satellite.len() / 2];
+            let factors = &self.epochs[k].factors;
+            let range = &factors.ranges[index];
+            let (_, slope) = factors.sights[usize::from(range.sight)].range(&position(&states[k]));
+            let (error, before_learning) = (range.error()?, range.reflection?.before_learning);
+            Some(Pooled { satellite, slope, residual_m, error, before_learning, independent })
+        };
+        misses.chunk_by(|a, b| a.satellite == b.satellite).filter_map(middle).collect()
     }
 
     /// Moves the window by an offset of position and clocks, and drops the prior.

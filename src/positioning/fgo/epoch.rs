@@ -38,6 +38,16 @@ pub(super) enum Tie {
     DopplerVelocity(DopplerVelocityFactor),
 }
 
+/// The residual of a pseudorange in the window.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Miss {
+    pub(super) satellite: SatelliteId,
+    /// Measured less predicted (m).
+    pub(super) residual_m: f64,
+    /// Index of its epoch in the window, and of the range there.
+    pub(super) range: (usize, usize),
+}
+
 /// Lines of sight and phase residuals of an epoch at the current estimate.
 #[derive(Debug, Default)]
 pub(super) struct Seen {

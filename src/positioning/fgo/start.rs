@@ -6,8 +6,13 @@
 
 use nalgebra::{Matrix4, Vector4};
 
+use crate::config::GraphOptions;
 use crate::graph::{HUBER_WIDTH, Kernel};
-use crate::positioning::factors::{DRIFT, DopplerFactor, State, VELOCITY};
+use crate::positioning::clock_jump::CRYSTAL_DRIFT_M_S;
+use crate::positioning::factors::{CLOCK, ComponentFactor, DRIFT, DopplerFactor, State, VELOCITY};
+use crate::positioning::starts::{START_CLOCK_M, START_M, START_M_S};
+
+use super::epoch::Factors;
 
 /// Minimum number of Doppler measurements: two more than the unknowns, so that an outlier is
 /// visible.
@@ -53,6 +58,29 @@ fn velocity_and_drift(rates: &[DopplerFactor], start: &State) -> Option<Vector4<
         state[DRIFT] += step[3];
     }
     Some(Vector4::new(state[VELOCITY], state[VELOCITY + 1], state[VELOCITY + 2], state[DRIFT]))
+}
+
+/// Adds the priors on single components of a state.
+pub(super) fn regularize(
+    factors: &mut Factors,
+    is_first: bool,
+    guess: &State,
+    options: &GraphOptions,
+) {
+    let mut add = |column: usize, mean: f64, sigma: f64| {
+        factors.components.push(ComponentFactor { column, mean, inverse_sigma: sigma.recip() });
+    };
+    if is_first {
+        (0..3).for_each(|axis| add(axis, guess[axis], START_M));
+    }
+    if is_first || !options.motion {
+        (VELOCITY..CLOCK).for_each(|rate| add(rate, guess[rate], START_M_S));
+        add(CLOCK, guess[CLOCK], START_CLOCK_M);
+        add(DRIFT, guess[DRIFT], CRYSTAL_DRIFT_M_S);
+    }
+    if options.vertical_velocity_m_s.is_finite() {
+        add(VELOCITY + 2, 0.0, options.vertical_velocity_m_s);
+    }
 }
 
 #[cfg(test)]

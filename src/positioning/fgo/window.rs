@@ -89,8 +89,6 @@ impl Engine for SlidingWindow {
         if scratch.measure(inputs, receiver).is_none() {
             return self.restart(inputs, scratch, revisions);
         }
-        let leaving = self.leaving(time, inputs.setup);
-        self.revise(leaving, inputs.setup, scratch, revisions);
         self.chain.append(
             inputs.epoch.time,
             guess,
@@ -98,13 +96,12 @@ impl Engine for SlidingWindow {
             inputs.setup,
             &mut scratch.chain,
         );
-        match self.solve(leaving, inputs.setup, scratch) {
-            Some(solution) => solution,
-            None => {
-                self.chain.drop_newest();
-                self.restart(inputs, scratch, revisions)
-            }
-        }
+        let Some(solution) = self.solve(inputs.setup, scratch) else {
+            self.chain.drop_newest();
+            return self.restart(inputs, scratch, revisions);
+        };
+        self.let_leave(inputs.setup, scratch, revisions);
+        solution
     }
 
     fn finish(
@@ -113,7 +110,7 @@ impl Engine for SlidingWindow {
         scratch: &mut WindowScratch,
         revisions: &mut Vec<Solution>,
     ) {
-        self.revise(self.chain.epochs.len(), setup, scratch, revisions);
+        self.revise_all(setup, scratch, revisions);
     }
 
     fn oldest_unrevised(&self) -> Option<GpsTime> {
@@ -147,7 +144,7 @@ impl SlidingWindow {
         scratch: &mut WindowScratch,
         revisions: &mut Vec<Solution>,
     ) -> Solution {
-        self.revise(self.chain.epochs.len(), inputs.setup, scratch, revisions);
+        self.revise_all(inputs.setup, scratch, revisions);
         self.chain.clear();
         let alone = scratch.single_point.solve(inputs, None);
         let started = self.start(&alone, inputs, scratch);
@@ -177,7 +174,7 @@ impl SlidingWindow {
             inputs.setup,
             &mut scratch.chain,
         );
-        let solution = self.solve(0, inputs.setup, scratch);
+        let solution = self.solve(inputs.setup, scratch);
         if solution.is_none() {
             self.chain.clear();
         }
@@ -195,22 +192,63 @@ impl SlidingWindow {
         alone
     }
 
-    /// Number of oldest epochs that leave when an epoch at `time` is added.
-    fn leaving(&self, time: GpsTime, setup: &Setup) -> usize {
-        let options = &setup.options;
-        let epochs = &self.chain.epochs;
-        let count = epochs.len() + 1;
-        let over = count.saturating_sub(options.graph.window_epochs_max);
-        if !setup.learns && self.chain.unproven_s(time).is_some() {
+    /// Number of oldest epochs that leave, now that the newest is solved. The window with the next
+    /// epoch, which is expected after the last interval, then has its length.
+    fn leaving(&self, setup: &Setup) -> usize {
+        let options = &setup.options.graph;
+        let [.., before, newest] = self.chain.epochs.as_slice() else { return 0 };
+        let (now, count) = (newest.time, self.chain.epochs.len() + 1);
+        let over = count.saturating_sub(options.window_epochs_max);
+        if !setup.learns && self.chain.unproven_s(now).is_some() {
             // A marginalised epoch cannot be corrected any more.
             return over;
         }
-        let late = epochs.iter().filter(|epoch| options.graph.window_s < time - epoch.time).count();
-        over.max(late.min(count.saturating_sub(WINDOW_EPOCHS_MIN)))
+        let next = now + (now - before.time);
+        let late = self.chain.epochs.iter().filter(|epoch| options.window_s < next - epoch.time);
+        over.max(late.count().min(count.saturating_sub(WINDOW_EPOCHS_MIN)))
     }
 
-    /// Revises the oldest `count` epochs with all epochs of the window. If the normal equations
-    /// cannot be factored, their first answers stay.
+    /// Revises and marginalises the oldest epochs of the window that was just solved.
+    fn let_leave(
+        &mut self,
+        setup: &Setup,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        let leaving = self.leaving(setup);
+        if leaving == 0 {
+            return;
+        }
+        self.revise(leaving, setup, scratch, revisions);
+        let WindowScratch { chain: chain_scratch, oldest, .. } = scratch;
+        let bias_walk_m = setup.options.graph.bias_walk_m;
+        let mut forget =
+            || self.chain.forget_oldest(&setup.alone, bias_walk_m, chain_scratch, oldest);
+        if (0..leaving).any(|_| forget().is_err()) {
+            // Without this prior the next epoch begins a new chain.
+            self.revise_all(setup, scratch, revisions);
+            self.chain.clear();
+        }
+    }
+
+    /// Revises every epoch of the window. If the normal equations cannot be factored, their first
+    /// answers stay.
+    fn revise_all(
+        &self,
+        setup: &Setup,
+        scratch: &mut WindowScratch,
+        revisions: &mut Vec<Solution>,
+    ) {
+        let count = self.chain.epochs.len();
+        let WindowScratch { chain, workspace, .. } = scratch;
+        let is_due = self.revises && 0 < count;
+        if is_due && self.chain.factor(&setup.alone, chain, workspace).is_ok() {
+            self.revise(count, setup, scratch, revisions);
+        }
+    }
+
+    /// Revises the oldest `count` epochs with all epochs of the window, which the workspace has
+    /// factored.
     fn revise(
         &self,
         count: usize,
@@ -218,9 +256,8 @@ impl SlidingWindow {
         scratch: &mut WindowScratch,
         revisions: &mut Vec<Solution>,
     ) {
-        let WindowScratch { chain, workspace, covariances, smoothed, answer, .. } = scratch;
-        let is_due = self.revises && 0 < count;
-        if !is_due || self.chain.factor(&setup.alone, chain, workspace).is_err() {
+        let WindowScratch { workspace, covariances, smoothed, answer, .. } = scratch;
+        if !self.revises {
             return;
         }
         covariances.all_states(&workspace.elimination, smoothed);
@@ -229,20 +266,10 @@ impl SlidingWindow {
         }
     }
 
-    /// Forgets the epochs that leave and solves the window; `None` if it cannot be solved.
-    fn solve(
-        &mut self,
-        leaving: usize,
-        setup: &Setup,
-        scratch: &mut WindowScratch,
-    ) -> Option<Solution> {
-        let WindowScratch { chain: chain_scratch, workspace, covariances, oldest, answer, .. } =
-            scratch;
+    /// Solves the window; `None` if it cannot be solved.
+    fn solve(&mut self, setup: &Setup, scratch: &mut WindowScratch) -> Option<Solution> {
+        let WindowScratch { chain: chain_scratch, workspace, covariances, answer, .. } = scratch;
         let (chain, settings) = (&mut self.chain, &setup.alone);
-        let bias_walk_m = setup.options.graph.bias_walk_m;
-        for _ in 0..leaving {
-            chain.forget_oldest(settings, bias_walk_m, chain_scratch, oldest).ok()?;
-        }
         // Until the first epoch is marginalised, the window can still move to a better minimum.
         let how = if chain.has_past() { &settings.update } else { &settings.whole };
         let cost = chain.solve(settings, how, chain_scratch, workspace).ok()?;

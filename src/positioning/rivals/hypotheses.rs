@@ -71,20 +71,21 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u
     if satellites(pool) < 3 + clocks(&learnt) + 1 {
         return Rivalry::Undetermined;
     }
+    let by_learnt = learnt.stands();
     let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
     let other = has_learnt.then(|| Evidence::new(pool, Noise::BeforeLearning, knowledge));
+    // One whose every cost is higher neither excuses the trajectory nor has a rival.
+    let other = other.filter(|other| least.min(0.0) <= by_learnt.cost() - other.least_cost());
     let least_cost = other.iter().map(Evidence::least_cost).fold(learnt.least_cost(), f64::min);
-    let by_learnt = learnt.stands();
     if by_learnt.cost() - least_cost < least {
         return Rivalry::Unrivalled;
     }
     let by_other = other.as_ref().map(|other| (other, other.stands()));
     let costs = by_other.iter().map(|(_, stands)| stands.cost());
     let stands_cost = costs.fold(by_learnt.cost(), f64::min);
-    if stands_cost - least_cost < least {
-        return Rivalry::Unrivalled;
-    }
+    let can_rival = |evidence: &Evidence<'_>| least <= stands_cost - evidence.least_cost();
     let by_noise = std::iter::once((&learnt, by_learnt)).chain(by_other);
+    let by_noise = by_noise.filter(|(evidence, _)| can_rival(evidence));
     let rivals = by_noise.filter_map(|(evidence, stands)| best_elsewhere(evidence, &stands, seed));
     match rivals.min_by(|a, b| a.cost().total_cmp(&b.cost())) {
         Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost() },
