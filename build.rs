@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use prost::Message;
 
-const SERVICES: [&str; 9] = [
+const SERVICES: [&str; 10] = [
     "proto/graphfix/v1/sessions.proto",
     "proto/graphfix/v1/positioning.proto",
     "proto/graphfix/v1/solutions.proto",
@@ -16,6 +16,7 @@ const SERVICES: [&str; 9] = [
     "proto/graphfix/v1/keys.proto",
     "proto/graphfix/v1/tenants.proto",
     "proto/graphfix/v1/audit.proto",
+    "proto/graphfix/v1/history.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
 /// Names of messages of gRPC's streams, which HTTP does not have, begin with this.
@@ -79,6 +80,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .field_attribute(".graphfix.v1.SeriesInterval.status", as_name)
         .field_attribute(".graphfix.v1.SeriesInterval.worst_status", as_name)
         .field_attribute(".graphfix.v1.SeriesInterval.best_status", as_name)
+        .field_attribute(".graphfix.v1.HistoryInterval.status", as_name)
+        .field_attribute(".graphfix.v1.HistoryInterval.worst_status", as_name)
+        .field_attribute(".graphfix.v1.HistoryInterval.best_status", as_name)
         .field_attribute(".graphfix.v1.Reason.values", as_object)
         .compile_fds(descriptors.clone())?;
 

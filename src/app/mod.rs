@@ -296,6 +296,7 @@ fn session_limits(limits: &Limits) -> SessionLimits {
         future_s: limits.future_s,
         retention_days: limits.retention_days,
         audit_days: limits.audit_days,
+        history_days: limits.history_days,
         solve_window_epochs: limits.solve_window_epochs,
         solve_time: Duration::from_secs(limits.solve_s),
         live_solutions: limits.live_solutions,

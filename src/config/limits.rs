@@ -37,6 +37,8 @@ pub struct Limits {
     pub retention_days: u32,
     /// For how long entries of the audit log are kept (days); 0 for ever.
     pub audit_days: u32,
+    /// For how long the history of hours is kept (days); 0 for ever. It outlives the epochs.
+    pub history_days: u32,
     /// Epochs in the window of `Solve` and `SolveOnce`.
     pub solve_window_epochs: usize,
     /// Time that one `Solve` or `SolveOnce` may compute (s).
@@ -111,6 +113,7 @@ impl Limits {
             future_s: 86_400,
             retention_days: 90,
             audit_days: 400,
+            history_days: 400,
             solve_window_epochs: 300,
             solve_s: 5,
             active_sessions: 4096,

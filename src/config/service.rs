@@ -252,9 +252,11 @@ impl ServiceConfiguration {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
         let limits = &self.limits;
-        for (name, days) in
-            [("retention_days", limits.retention_days), ("audit_days", limits.audit_days)]
-        {
+        for (name, days) in [
+            ("retention_days", limits.retention_days),
+            ("audit_days", limits.audit_days),
+            ("history_days", limits.history_days),
+        ] {
             if RETENTION_MAX_DAYS < days {
                 let why = format!("limits.{name} must be at most {RETENTION_MAX_DAYS}");
                 return Err(ServiceConfigurationError::Malformed(why));
@@ -336,6 +338,9 @@ mod tests {
             assert_eq!(configuration.check().is_ok(), allowed, "{days}");
             let mut configuration = ServiceConfiguration::standard();
             configuration.limits.audit_days = days;
+            assert_eq!(configuration.check().is_ok(), allowed, "{days}");
+            let mut configuration = ServiceConfiguration::standard();
+            configuration.limits.history_days = days;
             assert_eq!(configuration.check().is_ok(), allowed, "{days}");
         }
     }

@@ -215,7 +215,7 @@ impl From<SessionError> for Refusal {
             | SessionError::Empty { .. } => Some("session"),
             SessionError::RequestConflict { .. } => Some("requestId"),
             SessionError::Changed { .. } => Some("etag"),
-            SessionError::NoEpochInSpan { .. } => Some("from"),
+            SessionError::NoEpochInSpan { .. } | SessionError::SpanTooLong { .. } => Some("from"),
             SessionError::NoSuchEpoch { .. } => Some("seq"),
             SessionError::TooManyPoints { .. } => Some("points"),
             SessionError::LabelTooLong { .. } => Some("label"),

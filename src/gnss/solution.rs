@@ -4,7 +4,7 @@ use std::fmt;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Constellation, Ecef, GpsTime, SatelliteId};
+use super::{Constellation, Ecef, GpsTime, LocalFrame, SatelliteId};
 
 /// The method that gave the position, from none to best.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -88,6 +88,20 @@ pub struct SolutionEstimate {
     pub satellites_used: Vec<SatelliteId>,
     /// Values of a position relative to a base; `None` without a base.
     pub relative: Option<RelativeEstimate>,
+}
+
+impl SolutionEstimate {
+    /// Standard deviations of the position (m): along the worst horizontal direction, and vertical.
+    ///
+    /// The former is the square root of the greater eigenvalue of the covariance of east and north:
+    /// λ = (σ_e² + σ_n²)/2 + √((σ_e² − σ_n²)²/4 + σ_en²).
+    pub(crate) fn sigmas_m(&self) -> (f64, f64) {
+        let enu = LocalFrame::at(self.position).covariance_to_enu(&self.covariance);
+        let half_difference = (enu[(0, 0)] - enu[(1, 1)]) / 2.0;
+        let mean = (enu[(0, 0)] + enu[(1, 1)]) / 2.0;
+        let greatest = mean + half_difference.hypot(enu[(0, 1)]);
+        (greatest.max(0.0).sqrt(), enu[(2, 2)].max(0.0).sqrt())
+    }
 }
 
 /// Values of a position relative to a base.
@@ -435,5 +449,31 @@ impl Solution {
     pub fn none(time: GpsTime, reasons: Vec<Reason>) -> Self {
         let provenance = Provenance::default();
         Self { time, status: Status::None, estimate: None, protection: None, reasons, provenance }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// σ_e = σ_n = 1 m with a correlation of 0.5: the worst direction is 45° with √1.5 m.
+    #[test]
+    fn the_worst_horizontal_direction() {
+        let position = Ecef::new(6_378_137.0, 0.0, 0.0); // Up is x, east y, north z.
+        let covariance = Matrix3::new(4.0, 0.0, 0.0, 0.0, 1.0, 0.5, 0.0, 0.5, 1.0);
+        let estimate = SolutionEstimate {
+            position,
+            covariance,
+            velocity: None,
+            clock_m: 0.0,
+            inter_system_biases_m: Vec::new(),
+            reception_time: GpsTime::EPOCH,
+            dops: Dops { gdop: 1.0, pdop: 1.0, hdop: 1.0, vdop: 1.0, tdop: 1.0 },
+            satellites_used: Vec::new(),
+            relative: None,
+        };
+        let (horizontal_m, vertical_m) = estimate.sigmas_m();
+        assert!((horizontal_m - 1.5_f64.sqrt()).abs() < 1e-12, "{horizontal_m}");
+        assert!((vertical_m - 2.0).abs() < 1e-12, "{vertical_m}");
     }
 }

@@ -5,6 +5,7 @@ mod audit;
 mod bases;
 mod codec;
 mod frame;
+mod history;
 mod jobs;
 mod keys;
 mod navigation;

@@ -18,6 +18,7 @@ use crate::contract::Service;
 use super::admission::MessageLimits;
 use super::v1::audit_server::AuditServer;
 use super::v1::bases_server::BasesServer;
+use super::v1::history_server::HistoryServer;
 use super::v1::jobs_server::JobsServer;
 use super::v1::keys_server::KeysServer;
 use super::v1::navigation_server::NavigationServer;
@@ -67,6 +68,7 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(KeysServer))
         .add_service(limited!(TenantsServer))
         .add_service(limited!(AuditServer))
+        .add_service(limited!(HistoryServer))
         .into_axum_router()
         .reset_fallback()
         .layer(middleware::from_fn_with_state(limits, serve))

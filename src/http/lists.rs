@@ -30,6 +30,17 @@ pub(super) fn order(name: Option<String>) -> Result<i32, Refusal> {
     named("order", name, known, "NEWEST_FIRST or OLDEST_FIRST")
 }
 
+/// An area: `SOUTH,WEST,NORTH,EAST` in degrees.
+pub(super) fn area(text: &str) -> Result<v1::Area, Refusal> {
+    let sides: Option<Vec<f64>> = text.split(',').map(|side| side.trim().parse().ok()).collect();
+    let Some([south_deg, west_deg, north_deg, east_deg]) = sides.as_deref() else {
+        let message = "it is SOUTH,WEST,NORTH,EAST in degrees, such as 47.1,8.2,47.5,8.9";
+        return Err(Refusal::new(Code::InvalidField, message).at("area"));
+    };
+    let [south_deg, west_deg, north_deg, east_deg] = [*south_deg, *west_deg, *north_deg, *east_deg];
+    Ok(v1::Area { south_deg, west_deg, north_deg, east_deg })
+}
+
 /// The number of a choice by its name; zero without one.
 fn named<E: Into<i32>>(
     field: &str,

@@ -11,6 +11,7 @@ mod dashboard;
 mod download;
 mod error_page;
 mod handshake;
+mod history;
 mod job_events;
 mod jobs;
 mod json_extent;
@@ -90,6 +91,9 @@ fn controls() -> Router<Service> {
         .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
         .route("/v1/sessions/{session}/observations.rnx", get(observations::observations))
         .merge(track::routes())
+        .route("/v1/history/fleet", get(history::fleet))
+        .route("/v1/history/sessions", get(history::sessions))
+        .route("/v1/history/sessions/{session}", get(history::session))
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
         .route(jobs::PATH, get(jobs::list).post(jobs::create))

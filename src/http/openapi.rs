@@ -11,8 +11,8 @@ use crate::contract::access::{CALLS, Call, Need};
 
 use super::problem::Problem;
 use super::{
-    audit, bases, job_events, jobs, keys, navigation, observations, positioning, raw, sessions,
-    sign_in, solutions, tenants, track, watch,
+    audit, bases, history, job_events, jobs, keys, navigation, observations, positioning, raw,
+    sessions, sign_in, solutions, tenants, track, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -35,6 +35,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         (name = "Sessions", description = "A rover's sessions"),
         (name = "Positioning", description = "Epochs in, solutions out"),
         (name = "Solutions", description = "What was stored"),
+        (name = "History", description = "What sessions have been doing for a day or a month"),
         (name = "Navigation", description = "Broadcast ephemerides, which every session uses"),
         (name = "Jobs", description = "Files in, a file of positions and a report out"),
         (name = "Bases", description = "Base stations, which sessions relative to one name"),
@@ -58,6 +59,9 @@ const CSRF_TOKEN: &str = "csrfToken";
         positioning::solve_once,
         solutions::list,
         solutions::series,
+        history::fleet,
+        history::sessions,
+        history::session,
         watch::watch,
         solutions::explain,
         track::track,

@@ -11,7 +11,7 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
 use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, location};
-use super::lists::{order, view};
+use super::lists::{area, order, view};
 use super::problem::Refused;
 
 /// The session of the path. A session in the body must be the same.
@@ -127,6 +127,9 @@ pub(super) struct HeadsQuery {
     label: String,
     /// `NEWEST_FIRST` (if absent) or `OLDEST_FIRST`.
     order: Option<String>,
+    /// Only those with their latest position in this area: `SOUTH,WEST,NORTH,EAST` in degrees. West
+    /// may be east of east: the area then crosses 180°.
+    area: Option<String>,
 }
 
 /// Lists the latest status and position of sessions, the newest session first. Without the
@@ -146,6 +149,7 @@ pub(super) async fn heads(
         mode: query.mode,
         label: query.label,
         order: order(query.order)?,
+        area: query.area.map(|text| area(&text)).transpose()?,
     };
     Ok(Json(calls::sessions::heads(&caller, request).await?))
 }

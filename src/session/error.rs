@@ -211,6 +211,12 @@ pub enum SessionError {
         /// Number of points allowed.
         limit: usize,
     },
+    /// A history is asked for over a longer span of time than allowed.
+    #[error("a history spans at most {limit_days} days")]
+    SpanTooLong {
+        /// Longest span (days).
+        limit_days: i64,
+    },
     /// The service is stopping and takes no more epochs.
     #[error("the service is shutting down")]
     Draining,
@@ -283,7 +289,7 @@ impl SessionError {
             Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
             Self::NoEpochInSpan { .. } | Self::NoSuchEpoch { .. } => Code::EpochNotFound,
-            Self::TooManyPoints { .. } => Code::InvalidField,
+            Self::TooManyPoints { .. } | Self::SpanTooLong { .. } => Code::InvalidField,
             Self::Draining => Code::Draining,
             Self::EstimatorFailed { .. } => Code::EstimatorFailed,
             Self::ChunkTooLarge { .. } => Code::PieceTooLarge,

@@ -24,6 +24,8 @@ pub struct SessionLimits {
     pub retention_days: u32,
     /// For how long entries of the audit log are kept (days); 0 for ever.
     pub audit_days: u32,
+    /// For how long the history of hours is kept (days); 0 for ever. It outlives the epochs.
+    pub history_days: u32,
     /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
     pub active_sessions: usize,
     /// Bytes of the encoded states of parked sessions in memory. Beyond it the least recently
@@ -58,6 +60,7 @@ impl SessionLimits {
             future_s: 86_400,
             retention_days: 90,
             audit_days: 400,
+            history_days: 400,
             active_sessions: 4_096,
             parked_bytes: 512 << 20,
             candidate_bases: 32,

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::store::{Page, SessionFilter, SessionHead, SolutionQuery, StoreError};
+use crate::store::{Bounds, Page, SessionFilter, SessionHead, SolutionQuery, StoreError};
 
 use super::configuration::output;
 use super::desk::Sessions;
@@ -44,17 +44,19 @@ impl Sessions {
         })
     }
 
-    /// A page of 1 to 10 000 heads, with the clock of the service.
+    /// A page of 1 to 10 000 heads, with the clock of the service; with an area only those whose
+    /// latest position lies in it.
     ///
     /// # Errors
     /// The page token or size is invalid, or the store fails.
     pub async fn heads(
         &self,
         filter: &SessionFilter,
+        area: Option<&Bounds>,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<(Page<SessionHead>, i64), SessionError> {
-        let page = self.store().heads(self.tenant(), filter, page_size, page_token).await?;
+        let page = self.store().heads(self.tenant(), filter, area, page_size, page_token).await?;
         Ok((page, self.clock().unix_ms()))
     }
 

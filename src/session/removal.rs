@@ -15,7 +15,7 @@ use super::SessionLimits;
 
 /// Epochs removed in one transaction, so that commits wait for few milliseconds.
 const EPOCHS_PER_STEP: usize = 500;
-/// Entries of the audit log removed in one transaction.
+/// Entries of the audit log, or rows of the history, removed in one transaction.
 const ENTRIES_PER_STEP: usize = 500;
 /// Between transactions, for those of others.
 const PAUSE: Duration = Duration::from_millis(20);
@@ -49,6 +49,8 @@ pub(super) struct Expiry {
     retention_days: u32,
     /// Retention of the audit log (days).
     audit_days: u32,
+    /// Retention of the hours of the history (days).
+    history_days: u32,
     /// The clock's [`Clock::elapsed_ms`] when ages were last counted. Locked during a removal.
     counted_ms: tokio::sync::Mutex<i64>,
     /// Time by which the clock was ahead of the time of the ages then (ms).
@@ -58,9 +60,9 @@ pub(super) struct Expiry {
 impl Expiry {
     pub(super) fn new(store: Store, clock: Clock, limits: &SessionLimits) -> Self {
         let counted_ms = tokio::sync::Mutex::new(clock.elapsed_ms());
-        let SessionLimits { retention_days, audit_days, .. } = *limits;
+        let SessionLimits { retention_days, audit_days, history_days, .. } = *limits;
         let ahead_ms = AtomicI64::new(0);
-        Self { store, clock, retention_days, audit_days, counted_ms, ahead_ms }
+        Self { store, clock, retention_days, audit_days, history_days, counted_ms, ahead_ms }
     }
 
     /// Removes them once an hour.
@@ -96,6 +98,7 @@ impl Expiry {
             }
         }
         self.remove_audit(today).await?;
+        self.remove_history(today).await?;
         while store.release_pages().await? {
             sleep(PAUSE).await;
         }
@@ -109,6 +112,18 @@ impl Expiry {
         }
         let oldest_ms = MS_PER_DAY * (today - i64::from(self.audit_days));
         while self.store.remove_audit_before(oldest_ms, ENTRIES_PER_STEP).await? {
+            sleep(PAUSE).await;
+        }
+        Ok(())
+    }
+
+    /// Removes the hours of the history that are older than its retention on this day.
+    async fn remove_history(&self, today: i64) -> Result<(), StoreError> {
+        if self.history_days == 0 {
+            return Ok(());
+        }
+        let oldest = today - i64::from(self.history_days);
+        while self.store.remove_hours_before(oldest, ENTRIES_PER_STEP).await? {
             sleep(PAUSE).await;
         }
         Ok(())

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, Solution, SolutionEstimate, Status};
+use crate::gnss::{Ecef, GpsTime, Reason, Solution, SolutionEstimate, Status};
 use crate::store::{Revisions, SolutionQuery, StoredSolution};
 
 use super::desk::Sessions;
@@ -137,7 +137,7 @@ impl Interval {
 
     fn take_estimate(&mut self, estimate: &SolutionEstimate) {
         self.position = Some(estimate.position);
-        let (horizontal_m, vertical_m) = sigmas_m(estimate);
+        let (horizontal_m, vertical_m) = estimate.sigmas_m();
         extend(&mut self.satellites, Some(estimate.satellites_used.len() as f64));
         extend(&mut self.height_m, Some(estimate.position.to_geodetic().height_m));
         extend(&mut self.horizontal_sigma_m, Some(horizontal_m));
@@ -145,18 +145,6 @@ impl Interval {
         extend(&mut self.age_s, estimate.relative.as_ref().map(|relative| relative.age_s));
         extend(&mut self.ratio, estimate.relative.as_ref().and_then(|relative| relative.ratio));
     }
-}
-
-/// Standard deviations of a position (m): along the worst horizontal direction, and vertical.
-///
-/// The former is the square root of the greater eigenvalue of the covariance of east and north:
-/// λ = (σ_e² + σ_n²)/2 + √((σ_e² − σ_n²)²/4 + σ_en²).
-pub(crate) fn sigmas_m(estimate: &SolutionEstimate) -> (f64, f64) {
-    let enu = LocalFrame::at(estimate.position).covariance_to_enu(&estimate.covariance);
-    let half_difference = (enu[(0, 0)] - enu[(1, 1)]) / 2.0;
-    let mean = (enu[(0, 0)] + enu[(1, 1)]) / 2.0;
-    let greatest = mean + half_difference.hypot(enu[(0, 1)]);
-    (greatest.max(0.0).sqrt(), enu[(2, 2)].max(0.0).sqrt())
 }
 
 impl SolutionSeries {
@@ -242,10 +230,6 @@ impl Sessions {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix3;
-
-    use crate::gnss::Dops;
-
     use super::*;
 
     #[test]
@@ -281,26 +265,5 @@ mod tests {
         assert_eq!((second.status, second.last), (Status::Single, (5, at(4.0))));
         assert_eq!(Vec::from_iter(series.statuses), [(Status::None, 1), (Status::Single, 10)]);
         assert_eq!(series.reasons, [(Reason::NoRedundancy, 11)]);
-    }
-
-    /// σ_e = σ_n = 1 m with a correlation of 0.5: the worst direction is 45° with √1.5 m.
-    #[test]
-    fn the_worst_horizontal_direction() {
-        let position = Ecef::new(6_378_137.0, 0.0, 0.0); // Up is x, east y, north z.
-        let covariance = Matrix3::new(4.0, 0.0, 0.0, 0.0, 1.0, 0.5, 0.0, 0.5, 1.0);
-        let estimate = SolutionEstimate {
-            position,
-            covariance,
-            velocity: None,
-            clock_m: 0.0,
-            inter_system_biases_m: Vec::new(),
-            reception_time: GpsTime::EPOCH,
-            dops: Dops { gdop: 1.0, pdop: 1.0, hdop: 1.0, vdop: 1.0, tdop: 1.0 },
-            satellites_used: Vec::new(),
-            relative: None,
-        };
-        let (horizontal_m, vertical_m) = sigmas_m(&estimate);
-        assert!((horizontal_m - 1.5_f64.sqrt()).abs() < 1e-12, "{horizontal_m}");
-        assert!((vertical_m - 2.0).abs() < 1e-12, "{vertical_m}");
     }
 }

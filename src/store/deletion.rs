@@ -1,7 +1,7 @@
 //! Deletes sessions: at once for whoever asks, and piece by piece on the disk.
 
 use super::audit::note;
-use super::pool::{reading, writing};
+use super::pool::{Pool, reading, writing};
 use super::{AuditEntry, SessionKey, Store, StoreError};
 
 const DELETE: &str = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL WHERE key = $1";
@@ -11,7 +11,8 @@ const LAST_OF_STEP: &str =
 const REMOVE_REVISIONS: &str = "DELETE FROM revisions WHERE session = $1 AND seq <= $2";
 const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
 /// The rest, once there are no epochs. Without its head a session is not found any more.
-const REMOVE_REST: [&str; 8] = [
+const REMOVE_REST: [&str; 9] = [
+    "DELETE FROM rollups WHERE session = $1",
     "DELETE FROM revisions WHERE session = $1",
     "DELETE FROM snapshots WHERE session = $1",
     "DELETE FROM kept_snapshots WHERE session = $1",
@@ -20,6 +21,36 @@ const REMOVE_REST: [&str; 8] = [
     "DELETE FROM session_arcs WHERE session = $1",
     "DELETE FROM session_bases WHERE session = $1",
     "DELETE FROM session_heads WHERE session = $1",
+];
+const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
+    AND begin_s IN (SELECT begin_s FROM rollups WHERE session = $1 AND seconds = 60 LIMIT $2)";
+/// The fleet's hours that have hours of the session. A server locks them, in the order in which the
+/// committer does.
+macro_rules! hours_of_fleet {
+    ($lock:literal) => {
+        concat!(
+            "SELECT f.begin_s FROM fleet_hours f ",
+            "WHERE f.tenant = (SELECT s.tenant FROM sessions s WHERE s.key = $1) ",
+            "AND f.begin_s IN (SELECT r.begin_s FROM rollups r ",
+            "WHERE r.session = $1 AND r.seconds = 3600) ORDER BY f.begin_s",
+            $lock
+        )
+    };
+}
+/// Takes the session's hours from those of its fleet.
+const LEAVE_FLEET: [&str; 2] = [
+    "UPDATE fleet_hours SET sessions = fleet_hours.sessions - 1, \
+     n_none = fleet_hours.n_none - r.n_none, n_single = fleet_hours.n_single - r.n_single, \
+     n_ekf = fleet_hours.n_ekf - r.n_ekf, n_fgo = fleet_hours.n_fgo - r.n_fgo, \
+     n_float = fleet_hours.n_float - r.n_float, n_fixed = fleet_hours.n_fixed - r.n_fixed, \
+     positions = fleet_hours.positions - r.positions, ages = fleet_hours.ages - r.ages, \
+     sigma_sum_m = fleet_hours.sigma_sum_m - r.sigma_sum_m, \
+     satellites_sum = fleet_hours.satellites_sum - r.satellites_sum, \
+     age_sum_s = fleet_hours.age_sum_s - r.age_sum_s \
+     FROM rollups r JOIN sessions s ON s.key = r.session WHERE r.session = $1 \
+     AND r.seconds = 3600 AND fleet_hours.tenant = s.tenant AND fleet_hours.begin_s = r.begin_s",
+    "DELETE FROM fleet_hours WHERE sessions <= 0 \
+     AND tenant = (SELECT s.tenant FROM sessions s WHERE s.key = $1)",
 ];
 /// What is stored with a session beside its id.
 const FORGET: &str =
@@ -67,6 +98,10 @@ impl Store {
             Ok(None) => return Ok(false),
             Err(error) => return Err(failed(error)),
         };
+        let lock = match &self.pool {
+            Pool::Sqlite { .. } => hours_of_fleet!(""),
+            Pool::Postgres { .. } => hours_of_fleet!(" FOR UPDATE"),
+        };
         let removed = writing!(&self.pool, pool => {
             let step = async {
                 let mut transaction = pool.begin().await?;
@@ -77,8 +112,16 @@ impl Store {
                     let remove = sqlx::query(sql).bind(key).bind(through);
                     remove.execute(&mut *transaction).await?;
                 }
-                if last.is_none() {
-                    for sql in REMOVE_REST.into_iter().chain([FORGET]) {
+                let mut is_more = last.is_some();
+                if !is_more {
+                    let remove = sqlx::query(REMOVE_MINUTES).bind(key).bind(epochs as i64);
+                    let removed = remove.execute(&mut *transaction).await?;
+                    is_more = removed.rows_affected() == epochs as u64;
+                }
+                if !is_more {
+                    sqlx::query(lock).bind(key).fetch_all(&mut *transaction).await?;
+                    let rest = LEAVE_FLEET.into_iter().chain(REMOVE_REST).chain([FORGET]);
+                    for sql in rest {
                         sqlx::query(sql).bind(key).execute(&mut *transaction).await?;
                     }
                 }

@@ -3,13 +3,15 @@
 use crate::gnss::{Ecef, GpsTime, Status};
 use crate::tenant::Tenant;
 
-use super::codec::status_number;
 use super::page::rows_asked;
 use super::pool::reading;
+use super::rollup::status_of;
 use super::session_filter::condition;
-use super::{Page, SessionFilter, SessionKey, Store, StoreError};
+use super::{Bounds, Page, SessionFilter, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
+/// Heads that are looked through for those within an area. A page ends there, full or not.
+pub(crate) const SCANNED_HEADS: usize = 20_000;
 
 /// What a session's last commit left.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,19 +52,21 @@ struct RawHead {
 }
 
 impl RawHead {
+    fn position(&self) -> Option<Ecef> {
+        Some(Ecef::new(self.x_m?, self.y_m?, self.z_m?))
+    }
+
+    /// Whether the latest position lies in an area.
+    fn is_within(&self, area: &Bounds) -> bool {
+        self.position().map(Ecef::to_geodetic).is_some_and(|position| {
+            let (latitude, longitude) = (position.latitude_rad, position.longitude_rad);
+            area.contains(latitude.to_degrees(), longitude.to_degrees())
+        })
+    }
+
     fn parse(self) -> Result<SessionHead, StoreError> {
-        let status = self.status.map(|number| {
-            let known = |status: &Status| i64::from(status_number(*status)) == number;
-            let status = Status::ALL.into_iter().find(known);
-            status.ok_or_else(|| StoreError::CorruptText {
-                what: "session head",
-                why: format!("{number} is not the number of a status"),
-            })
-        });
-        let position = match (self.x_m, self.y_m, self.z_m) {
-            (Some(x_m), Some(y_m), Some(z_m)) => Some(Ecef::new(x_m, y_m, z_m)),
-            _ => None,
-        };
+        let status = self.status.map(|number| status_of(number, "session head"));
+        let position = self.position();
         Ok(SessionHead {
             id: self.id,
             label: self.label,
@@ -104,7 +108,8 @@ macro_rules! time_of {
 }
 
 impl Store {
-    /// A page of the heads of a tenant.
+    /// A page of the heads of a tenant, or of those with their latest position in an area. With an
+    /// area it may have fewer than its size, or none, although there are more: its token tells.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
@@ -112,28 +117,55 @@ impl Store {
         &self,
         tenant: &Tenant,
         filter: &SessionFilter,
+        area: Option<&Bounds>,
         page_size: usize,
         page_token: Option<&str>,
     ) -> Result<Page<SessionHead>, StoreError> {
         let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
-        let beside = match page_token {
-            None => filter.start(),
-            Some(id) => {
-                let key = self.key_of(tenant, id).await?;
-                key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
-            }
+        let beside = self.beside(tenant, filter, page_token).await?;
+        let token = |row: &RawHead| row.id.clone();
+        let Some(area) = area else {
+            let rows = self.head_rows(tenant, filter, beside, rows_asked).await?;
+            return Page::of(rows, page_size, token).try_map(RawHead::parse);
         };
+        let scanned = self.head_rows(tenant, filter, beside, SCANNED_HEADS as i64 + 1).await?;
+        let Page { items: mut rows, next_page_token: beyond } =
+            Page::of(scanned, SCANNED_HEADS, token);
+        rows.retain(|row| row.is_within(area));
+        let Page { items, next_page_token } = Page::of(rows, page_size, token);
+        let page = Page { items, next_page_token: next_page_token.or(beyond) };
+        page.try_map(RawHead::parse)
+    }
+
+    /// The key beside which a page of sessions begins.
+    pub(super) async fn beside(
+        &self,
+        tenant: &Tenant,
+        filter: &SessionFilter,
+        page_token: Option<&str>,
+    ) -> Result<i64, StoreError> {
+        let Some(id) = page_token else { return Ok(filter.start()) };
+        let key = self.key_of(tenant, id).await?;
+        key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })
+    }
+
+    async fn head_rows(
+        &self,
+        tenant: &Tenant,
+        filter: &SessionFilter,
+        beside: i64,
+        rows: i64,
+    ) -> Result<Vec<RawHead>, StoreError> {
         let rows: Result<Vec<RawHead>, _> = reading!(list &self.pool, pool => {
             let sql = match filter.oldest_first {
                 true => select_heads!(oldest_first),
                 false => select_heads!(newest_first),
             };
-            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows);
             let select = select.bind(filter.closed_column()).bind(&filter.mode);
             select.bind(&filter.label).fetch_all(pool).await
         });
-        let rows = rows.map_err(StoreError::database("listing the heads of sessions"))?;
-        Page::of(rows, page_size, |row| row.id.clone()).try_map(RawHead::parse)
+        rows.map_err(StoreError::database("listing the heads of sessions"))
     }
 
     /// First and last time tag of a session's solutions, over all its arcs; `None` without any.

@@ -52,7 +52,8 @@ const TO_REMOVE: [&str; 2] = [
     ),
     expired_closed!(
         "(EXISTS (SELECT 1 FROM snapshots n WHERE n.session = h.session) \
-         OR EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session))"
+         OR EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session) \
+         OR EXISTS (SELECT 1 FROM rollups m WHERE m.session = h.session AND m.seconds = 60))"
     ),
 ];
 /// What is counted as stored shrinks as the numbers of epochs do.
@@ -67,6 +68,10 @@ const REMOVE: [&str; 2] = [
     "DELETE FROM revisions WHERE session = $1 AND seq <= $2",
     "DELETE FROM epochs WHERE session = $1 AND seq <= $2",
 ];
+/// Some of the minutes of which no epoch is left. Those of hours stay.
+const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
+    AND begin_s IN (SELECT begin_s FROM rollups \
+    WHERE session = $1 AND seconds = 60 AND last_seq <= $2 LIMIT $3)";
 /// The snapshot after which the rest is replayed stays, if there is a rest.
 const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND (seq < $2 \
     OR EXISTS (SELECT 1 FROM session_heads h WHERE h.session = $1 \
@@ -169,13 +174,19 @@ impl Store {
                     let remove = sqlx::query(sql).bind(key).bind(last.unwrap_or(through));
                     remove.execute(&mut *transaction).await?;
                 }
-                if last.is_none() {
+                let mut is_more = last.is_some();
+                if !is_more {
+                    let remove = sqlx::query(REMOVE_MINUTES).bind(key).bind(through);
+                    let removed = remove.bind(epochs as i64).execute(&mut *transaction).await?;
+                    is_more = removed.rows_affected() == epochs as u64;
+                }
+                if !is_more {
                     let remove = sqlx::query(REMOVE_SNAPSHOTS).bind(key).bind(through);
                     remove.execute(&mut *transaction).await?;
                     sqlx::query(REMOVE_STATE).bind(key).execute(&mut *transaction).await?;
                 }
                 transaction.commit().await?;
-                Ok(last.is_some())
+                Ok(is_more)
             };
             step.await
         });

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::gnss::Solution;
-use graphfix::session::{Recomputation, SequencedEpoch, SessionId, Sessions};
+use graphfix::gnss::{GpsTime, Solution};
+use graphfix::session::{HistoryQuery, Recomputation, SequencedEpoch, SessionId, Sessions};
 use graphfix::store::{SessionFilter, Store};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
@@ -263,6 +263,10 @@ impl World {
             let again = Recomputation::open(store, aiding.unwrap(), &life.id, None).await.unwrap();
             let check = again.check().await.unwrap();
             assert!(check.is_same() && check.compared == life.epochs.len(), "{check:?}");
+            let [from, to] = [2051, 2053].map(|week| Some(GpsTime::from_week_seconds(week, 0.0)));
+            let query = HistoryQuery { from, to, points: 1 };
+            let history = self.sessions.history(&life.id, &query).await.unwrap();
+            assert_eq!(history.statuses.total(), life.epochs.len() as u64);
         }
         for life in self.lives.iter().filter(|life| life.deleted) {
             let missing = self.sessions.get(&life.id).await.unwrap_err();

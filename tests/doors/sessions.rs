@@ -62,6 +62,7 @@ fn limits() -> SessionLimits {
         future_s: 86_400,
         retention_days: 0,
         audit_days: 400,
+        history_days: 400,
         active_sessions: 64,
         parked_bytes: 1 << 20,
         candidate_bases: 2,

@@ -216,6 +216,10 @@ async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Databas
     let next = sessions.submit(&open, epochs(EPOCHS + 1..=2 * EPOCHS)).await.unwrap();
     assert_eq!(next.durable_through, Some(2 * EPOCHS));
     check(&store, &open, 2 * EPOCHS as usize).await;
+    // The history begins with the upgrade: one minute and its hour.
+    assert_eq!(database.count("rollups").await, 2);
+    let of_hour = format!("rollups WHERE seconds = 3600 AND n_none = {EPOCHS}");
+    assert_eq!(database.count(&of_hour).await, 1);
     sessions.drain().await;
     store.close().await;
 }

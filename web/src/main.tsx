@@ -7,15 +7,18 @@ import { ApiPage } from "./pages/api";
 import { BasesPage } from "./pages/bases";
 import { EphemeridesPage } from "./pages/ephemerides";
 import { FleetPage } from "./pages/fleet";
+import { HistoryPage } from "./pages/history";
 import { JobPage } from "./pages/job";
 import { JobsPage } from "./pages/jobs";
 import { KeysPage } from "./pages/keys";
 import { SessionPage } from "./pages/session";
+import { SessionHistoryPage } from "./pages/session-history";
 import { SignInPage } from "./pages/sign-in";
 import { SignedIn } from "./rights";
 
 const PAGES = [
   { path: "fleet", name: "Fleet", icon: "M4 18 10 9l5 6 5-9M4 18h.01M10 9h.01M15 15h.01M20 6h.01" },
+  { path: "history", name: "History", icon: "M4 19.5h16M6.5 16v-4M11 16V8M15.5 16v-6M20 16V5" },
   { path: "jobs", name: "Jobs", icon: "M4 13v6.5h16V13M12 3.5V14M7.8 10 12 14.2 16.2 10" },
   { path: "bases", name: "Bases", icon: "M12 10v11M8 21h8M8.5 6.5a5 5 0 0 0 0 7M15.5 6.5a5 5 0 0 1 0 7M5.6 3.6a9 9 0 0 0 0 12.8M18.4 3.6a9 9 0 0 1 0 12.8" },
   { path: "ephemerides", name: "Ephemerides", icon: "M12 12m-3 0a3 3 0 1 0 6 0a3 3 0 1 0 -6 0M4 16c-2-4 2-10 8-12M20 8c2 4-2 10-8 12M20 8h.01M4 16h.01" },
@@ -158,6 +161,8 @@ function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut:
         <ServiceState service={service} />
         {page === "fleet" && <FleetPage />}
         {session && <SessionPage key={session} id={session} />}
+        {page === "history" && !argument && <HistoryPage />}
+        {page === "history" && argument && <SessionHistoryPage key={argument} id={argument} />}
         {page === "jobs" && !job && <JobsPage />}
         {job && <JobPage key={job} id={job} />}
         {page === "bases" && <BasesPage />}

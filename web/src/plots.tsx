@@ -9,6 +9,8 @@ interface PlotsProps {
   selected: number | undefined;
   onPick: (seq: number) => void;
   onZoom: (from: GpsTime, to: GpsTime) => void;
+  /** What one can do with the plots. */
+  hint?: string;
 }
 
 const BLUE: [string, string] = ["#6cc4f5", "#0b76b8"];
@@ -16,12 +18,12 @@ const AMBER: [string, string] = ["#f0b429", "#a86400"];
 const ROSE: [string, string] = ["#ff9d9d", "#8c2f39"];
 const GREEN: [string, string] = ["#2bc79b", "#00785a"];
 
-export function Plots({ series, selected, onPick, onZoom }: PlotsProps) {
+export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, click to choose an epoch. " }: PlotsProps) {
   if (!series) return <section class="card"><h2>Over time</h2><Loading what="the time series" /></section>;
   const { intervals, intervalLengthS, solutions } = series;
   if (intervals.length === 0) return <section class="card"><h2>Over time</h2><p>No epoch in this span of time.</p></section>;
   const common = { intervals, intervalS: intervalLengthS, selected, onPick, onZoom };
-  type Value = "ageS" | "ratio" | "horizontalProtectionM" | "horizontalSigmaM";
+  type Value = "ageS" | "ratio" | "horizontalProtectionM" | "horizontalSigmaM" | "verticalSigmaM";
   const has = (name: Value) => intervals.some((interval) => interval[name] !== null);
   const metres = (v: number) => (Math.abs(v) < 0.1 ? `${+(v * 1000).toPrecision(3)} mm` : Math.abs(v) < 1000 ? `${+v.toPrecision(3)} m` : `${+(v / 1000).toPrecision(3)} km`);
   const exact = (v: number) => `${v.toFixed(2)} m`;
@@ -29,12 +31,12 @@ export function Plots({ series, selected, onPick, onZoom }: PlotsProps) {
     <section class="card plots">
       <div class="card-head">
         <h2>Over time</h2>
-        <span class="small">{count(solutions)} epochs{intervals.length < solutions && `, thinned to ${count(intervals.length)} intervals of ${duration(intervalLengthS)}: line is the last value, band the extremes`}. Drag to zoom, click to choose an epoch. Times are UTC.</span>
+        <span class="small">{count(solutions)} epochs{intervals.length < solutions && `, thinned to ${count(intervals.length)} intervals of ${duration(intervalLengthS)}: line is the last value, band the extremes`}. {hint}Times are UTC.</span>
       </div>
       <div class="chart"><figcaption><strong>Status</strong><span class="small">higher is better; the bar is the worst of its interval</span></figcaption><StatusStrip {...common} /></div>
       {has("horizontalSigmaM") && <Chart {...common} title="Precision" log format={metres} height={160} lines={[
         ...(has("horizontalProtectionM") ? [{ name: "protection H", colour: ROSE, value: (i: Interval) => i.horizontalProtectionM, dash: [5, 4] }] : []),
-        { name: "σ vertical", colour: AMBER, value: (i) => i.verticalSigmaM },
+        ...(has("verticalSigmaM") ? [{ name: "σ vertical", colour: AMBER, value: (i: Interval) => i.verticalSigmaM }] : []),
         { name: "σ horizontal", colour: BLUE, value: (i) => i.horizontalSigmaM },
       ]} />}
       <div class="plot-pairs">

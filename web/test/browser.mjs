@@ -98,6 +98,25 @@ async function tracksAreDownloaded(address) {
   await page.context().close();
 }
 
+/** A month of the fleet, a session of it, and the way from one to the other. */
+async function historyIsShown(address) {
+  const page = await open(address, FORMS[0].options);
+  await page.goto(`${address}/#/history`);
+  await page.locator(".fleet-bars rect").first().waitFor({ timeout: 30_000 });
+  const row = page.locator(".history tbody tr", { hasText: "surveyor" });
+  await row.waitFor();
+  await page.getByRole("button", { name: "30 days" }).click();
+  await page.getByText("intervals of 6 h").waitFor();
+  const { statuses } = await (await fetch(`${address}/v1/history/fleet`)).json();
+  const epochs = statuses.reduce((sum, { solutions }) => sum + solutions, 0);
+  assert(100 < epochs, `${epochs} epochs of the fleet`);
+  await row.locator("a").click();
+  await page.getByRole("heading", { name: "surveyor" }).waitFor();
+  await page.locator(".plots .uplot").first().waitFor();
+  await page.locator(".shares li", { hasText: "Fixed" }).waitFor();
+  await page.context().close();
+}
+
 /** The demo has a recording as a job. */
 async function demoHasAJob(address) {
   const page = await open(address, FORMS[0].options);
@@ -123,7 +142,7 @@ async function errorsAreShown(address) {
 async function emptyServiceTeaches() {
   const { child, address } = await serve();
   const page = await open(address, FORMS[0].options, ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "503"]);
-  for (const [path, words] of [["fleet", "No session yet"], ["bases", "No base station yet"], ["ephemerides", "No ephemeris yet"], ["jobs", "No job yet"]]) {
+  for (const [path, words] of [["fleet", "No session yet"], ["bases", "No base station yet"], ["ephemerides", "No ephemeris yet"], ["jobs", "No job yet"], ["history", "No epoch in this span of time"]]) {
     await page.goto(`${address}/#/${path}`);
     await page.getByRole("heading", { name: words }).waitFor();
     await checkAccessibility(page, `${path} without data`);
@@ -209,6 +228,7 @@ async function screenshots(address) {
   const pages = [
     ["fleet", "#/fleet", "a.device"], ["session", `#/sessions/${surveyor.session}`, ".uplot"],
     ["session-float", `#/sessions/${van.session}`, ".uplot"], ["bases", "#/bases", ".base"],
+    ["history", "#/history", ".fleet-bars rect"], ["session-history", `#/history/${surveyor.session}`, ".uplot"],
     ["ephemerides", "#/ephemerides", ".coverage"], ["api", "#/api", ".copyable"],
   ];
   for (const form of FORMS) {
@@ -230,6 +250,7 @@ try {
   await errorsAreShown(address);
   await tracksAreDownloaded(address);
   await demoHasAJob(address);
+  await historyIsShown(address);
   await screenshots(address);
   await emptyServiceTeaches();
   await signInIsAsked();

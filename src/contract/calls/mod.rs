@@ -4,6 +4,7 @@
 pub mod audit;
 pub mod bases;
 mod feeds;
+pub mod history;
 mod job_options;
 pub mod job_watch;
 pub mod jobs;
@@ -28,7 +29,7 @@ use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::refusal::Code;
 use crate::session::SessionId;
-use crate::store::NamedRequest;
+use crate::store::{Bounds, NamedRequest};
 
 use super::texts::{self, brief};
 use super::{Caller, Refusal, v1};
@@ -83,6 +84,31 @@ fn base_choice(
 /// `text`, or `standard` if it is empty.
 fn or_standard(text: String, standard: &str) -> String {
     if text.is_empty() { standard.to_owned() } else { text }
+}
+
+/// The area of a request.
+///
+/// # Errors
+/// A side is out of range, or it has its north south of its south.
+fn bounds(area: Option<v1::Area>) -> Result<Option<Bounds>, Refusal> {
+    let Some(v1::Area { south_deg, west_deg, north_deg, east_deg }) = area else { return Ok(None) };
+    let sides = [
+        ("southDeg", south_deg, 90.0),
+        ("westDeg", west_deg, 180.0),
+        ("northDeg", north_deg, 90.0),
+        ("eastDeg", east_deg, 180.0),
+    ];
+    for (side, value_deg, limit_deg) in sides {
+        if !(-limit_deg..=limit_deg).contains(&value_deg) {
+            let message = format!("{value_deg}° is not from -{limit_deg}° to {limit_deg}°");
+            return Err(Refusal::new(Code::InvalidField, message).at(format!("area.{side}")));
+        }
+    }
+    if north_deg < south_deg {
+        let message = format!("{north_deg}° is south of {south_deg}°");
+        return Err(Refusal::new(Code::InvalidField, message).at("area.northDeg"));
+    }
+    Ok(Some(Bounds { south_deg, west_deg, north_deg, east_deg }))
 }
 
 /// Whether a list begins with the oldest.

@@ -7,11 +7,11 @@ use crate::clock::gps_time;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
-use crate::store::SessionFilter;
+use crate::store::{SCANNED_HEADS, SessionFilter};
 
 use super::paging::Pages;
 use super::{
-    MODE, NEAREST, PROFILE, base_choice, is_full, named_request, oldest_first, or_standard,
+    MODE, NEAREST, PROFILE, base_choice, bounds, is_full, named_request, oldest_first, or_standard,
     page_size, session_id, utc,
 };
 
@@ -23,6 +23,8 @@ const HEADS: usize = 1000;
 const HEADS_MAX: usize = 10_000;
 /// Memory of a head, its message and its JSON (bytes).
 const HEAD_BYTES: usize = 1024;
+/// Memory of a head that is looked through for those within an area (bytes).
+const SCANNED_BYTES: usize = 256;
 
 /// Opens a session. Returns it, and whether it is new: a repetition of a named request returns what
 /// the first one has opened.
@@ -83,7 +85,7 @@ pub async fn list(
 }
 
 /// Which sessions a list has.
-fn filter(
+pub(super) fn filter(
     closed: Option<bool>,
     mode: String,
     label: String,
@@ -105,11 +107,13 @@ pub async fn heads(
     let size = page_size(mem::take(&mut request.page_size), HEADS);
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Sessions/Heads", &request, &token)?;
-    let v1::ListHeadsRequest { closed, mode, label, order, .. } = request;
-    let filter = filter(closed, mode, label, order)?;
-    let reserved = Lease::current();
-    reserved.as_ref().map_or(Ok(()), |lease| lease.reserve(size.min(HEADS_MAX) * HEAD_BYTES))?;
-    let (page, now_ms) = caller.sessions().heads(&filter, size, pages.after()).await?;
+    let v1::ListHeadsRequest { closed, mode, label, order, area, .. } = request;
+    let (filter, area) = (filter(closed, mode, label, order)?, bounds(area)?);
+    let scanned_bytes = if area.is_some() { SCANNED_HEADS * SCANNED_BYTES } else { 0 };
+    let bytes = size.min(HEADS_MAX) * HEAD_BYTES + scanned_bytes;
+    Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
+    let (page, now_ms) =
+        caller.sessions().heads(&filter, area.as_ref(), size, pages.after()).await?;
     let now = gps_time(now_ms);
     Ok(v1::ListHeadsResponse {
         heads: page.items.into_iter().map(|head| head_message(head, now)).collect(),

@@ -13,6 +13,7 @@ mod columns;
 mod ephemeris;
 mod epoch;
 mod lists;
+mod measures;
 mod observations;
 mod parts;
 #[cfg(test)]
@@ -29,6 +30,7 @@ pub(super) use ephemeris::{
 pub(super) use epoch::{
     Distances, decode_epoch, decode_relative_epoch, distances, encode_epoch, encode_relative_epoch,
 };
+pub(super) use measures::{Measures, solution_measures};
 pub(super) use solution::{decode_solution, encode_revision, encode_solution, is_relative};
 
 /// Why bytes cannot be decoded.

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::gnss::{Epoch, Observation};
 use crate::store::chain::CHAIN;
 use crate::store::codec::{
-    Distances, SolutionSummary, encode_epoch, encode_relative_epoch, encode_revision,
-    encode_solution, solution_columns, solution_summary, status_number,
+    Distances, Measures, SolutionSummary, encode_epoch, encode_relative_epoch, encode_revision,
+    encode_solution, solution_columns, solution_measures, solution_summary, status_number,
 };
 use crate::store::{AuditEntry, BaseUse, RawChange, SessionKey, StoredSolution};
 
@@ -126,6 +126,8 @@ pub struct EncodedEpoch {
     reference: EpochReference,
     pub(super) content: Vec<u8>,
     pub(super) solution: EncodedSolution,
+    /// What rollups take of the solution.
+    pub(super) measures: Option<Measures>,
 }
 
 impl EncodedEpoch {
@@ -157,6 +159,7 @@ impl EncodedEpoch {
             reference: EpochReference { epoch, seq, first, length },
             content,
             solution: EncodedSolution::new(solution),
+            measures: solution_measures(&solution.solution),
         }
     }
 

@@ -19,6 +19,7 @@ mod link;
 mod meters;
 mod origins;
 mod raw;
+mod rollups;
 mod rows;
 mod statements;
 

@@ -10,6 +10,7 @@ use crate::store::audit::note;
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 use super::origins::OriginKeys;
 use super::raw::{write_raw_postgres, write_raw_sqlite};
+use super::rollups::{write_rollups_postgres, write_rollups_sqlite};
 use super::rows::{ROWS_PER_STATEMENT, with_values};
 
 /// Columns of an answer, which stand last in both tables.
@@ -238,6 +239,7 @@ pub(super) async fn write_sqlite(
         }
     }
     write_raw_sqlite(transaction, batches).await?;
+    write_rollups_sqlite(transaction, batches).await?;
     write_changes!(transaction, batches);
     Ok(())
 }
@@ -298,6 +300,7 @@ pub(super) async fn write_postgres(
         insert_revision_arrays(transaction, &revisions).await?;
     }
     write_raw_postgres(transaction, batches).await?;
+    write_rollups_postgres(transaction, batches).await?;
     write_changes!(transaction, batches);
     Ok(())
 }

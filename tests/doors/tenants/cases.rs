@@ -95,6 +95,7 @@ pub(super) fn case(call: &Call, of: &Things) -> Case {
         "Sessions" => sessions(call, of),
         "Positioning" => positioning(call, of),
         "Solutions" => solutions(call, of),
+        "History" => history(call, of),
         "Bases" => bases(call, of),
         "Jobs" => jobs(call, of),
         "Keys" => keys(call, of),
@@ -240,6 +241,35 @@ fn solutions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         "Solutions/Explain" => {
             let epoch = json!({"session": session, "seq": 1});
             both!(call, v1::ExplainEpochRequest, format!("{path}/epochs/1"), epoch, none)
+        }
+        _ => return None,
+    })
+}
+
+fn history(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
+    let none = Value::Null;
+    // The week of the epochs.
+    let at = |second: u64| json!({"week": 2051, "nsOfWeek": second * 1_000_000_000});
+    let (from, to, query) = (at(0), at(604_799), "from=2051:0&to=2051:604799");
+    Some(match call.grpc {
+        "History/Fleet" => {
+            let asked = json!({"from": from, "to": to});
+            let path = format!("/v1/history/fleet?{query}");
+            both!(call, v1::FleetHistoryRequest, path, asked, none)
+        }
+        "History/Sessions" => {
+            let asked = json!({"from": from, "to": to});
+            let path = format!("/v1/history/sessions?{query}");
+            let mut requests = both!(call, v1::ListSessionHistoriesRequest, path, asked, none);
+            let behind = json!({"pageToken": of.session});
+            let path = format!("/v1/history/sessions?pageToken={}", of.session);
+            requests.extend(both!(call, v1::ListSessionHistoriesRequest, path, behind, none));
+            requests
+        }
+        "History/Session" => {
+            let named = json!({"session": of.session});
+            let path = format!("/v1/history/sessions/{}", of.session);
+            both!(call, v1::SessionHistoryRequest, path, named, none)
         }
         _ => return None,
     })

@@ -135,7 +135,7 @@ function Title({ about, latest }: { about: Session; latest: Solution | undefined
   const state: State = about.closed ? "CLOSED" : !latest ? "NEW" : lost ? "LOST" : lookState(latest.status);
   return (
     <header class="session-title">
-      <p class="crumb"><a href="#/fleet">← Fleet</a></p>
+      <p class="crumb"><a href="#/fleet">← Fleet</a> · <a href={`#/history/${about.session}`}>History</a></p>
       <div class="title-row">
         <h1>{about.label || "Session"}</h1>
         <Badge state={state} large />

@@ -1,8 +1,8 @@
 //! Outcomes of epochs as a stream sends them back.
 
 use crate::contract::{Presenter, Refusal, convert, v1};
-use crate::gnss::Solution;
-use crate::session::{EpochOutcome, sigmas_m};
+use crate::gnss::{Solution, SolutionEstimate};
+use crate::session::EpochOutcome;
 use crate::store::StoredSolution;
 
 /// The results of epochs for these answers: of all of them, or of the refused ones.
@@ -45,7 +45,7 @@ fn summary(solution: &Solution, presenter: &Presenter<'_>) -> v1::StreamSummary 
     let presented = presenter.present(solution).without_foreign_position();
     let position = presented.solution.estimate.as_ref().map(|estimate| estimate.position);
     let estimate = solution.estimate.as_ref();
-    let sigmas = estimate.map(sigmas_m);
+    let sigmas = estimate.map(SolutionEstimate::sigmas_m);
     v1::StreamSummary {
         time: Some(solution.time.into()),
         status: convert::status(solution.status).into(),

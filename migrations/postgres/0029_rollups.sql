@@ -1,0 +1,72 @@
+-- Sums of a session's first answers, written with them: a row for each minute and each hour of its epochs'
+-- times. They begin with this schema; nothing is computed of epochs that are stored already. Rows of
+-- minutes are removed with their epochs, those of hours after limits.history_days.
+CREATE TABLE rollups (
+    session           BIGINT NOT NULL, -- the commit of its head finds the session
+    seconds           INTEGER NOT NULL, -- length of the bucket: 60 or 3600
+    begin_s           BIGINT NOT NULL, -- begin of the bucket, GPS time since 1980-01-06
+    day               INTEGER, -- of the last arrival, since 1970-01-01 UTC
+    first_time_ns     BIGINT NOT NULL, -- earliest and latest time tag
+    last_time_ns      BIGINT NOT NULL,
+    last_seq          BIGINT NOT NULL, -- number of the last epoch
+    n_none            INTEGER NOT NULL, -- epochs of each status
+    n_single          INTEGER NOT NULL,
+    n_ekf             INTEGER NOT NULL,
+    n_fgo             INTEGER NOT NULL,
+    n_float           INTEGER NOT NULL,
+    n_fixed           INTEGER NOT NULL,
+    status            SMALLINT NOT NULL, -- of the last epoch
+    latitude_deg      DOUBLE PRECISION, -- the last position
+    longitude_deg     DOUBLE PRECISION,
+    positions         INTEGER NOT NULL, -- epochs with a position
+    ages              INTEGER NOT NULL, -- epochs with a base
+    south_deg         DOUBLE PRECISION, -- box around the positions; west and east are the least and greatest longitude
+    west_deg          DOUBLE PRECISION,
+    north_deg         DOUBLE PRECISION,
+    east_deg          DOUBLE PRECISION,
+    height_min_m      REAL, -- above the ellipsoid
+    height_max_m      REAL,
+    height_sum_m      DOUBLE PRECISION NOT NULL,
+    height_last_m     REAL,
+    sigma_min_m       REAL, -- standard deviation along the worst horizontal direction
+    sigma_max_m       REAL,
+    sigma_sum_m       DOUBLE PRECISION NOT NULL,
+    sigma_last_m      REAL,
+    satellites_min    REAL, -- used
+    satellites_max    REAL,
+    satellites_sum    DOUBLE PRECISION NOT NULL,
+    satellites_last   REAL,
+    age_min_s         REAL, -- of the base epoch
+    age_max_s         REAL,
+    age_sum_s         DOUBLE PRECISION NOT NULL,
+    age_last_s        REAL,
+    PRIMARY KEY (session, seconds, begin_s)
+) PARTITION BY LIST (seconds);
+-- Few hours are beside each other, not among many minutes. Each commit changes the newest rows, in their
+-- pages.
+CREATE TABLE rollups_of_minutes PARTITION OF rollups FOR VALUES IN (60) WITH (fillfactor = 80);
+CREATE TABLE rollups_of_hours PARTITION OF rollups FOR VALUES IN (3600) WITH (fillfactor = 80);
+-- To find what has expired.
+CREATE INDEX rollups_by_day ON rollups_of_hours (day);
+
+-- Sums of these hours over all sessions of a tenant.
+CREATE TABLE fleet_hours (
+    tenant            TEXT NOT NULL,
+    begin_s           BIGINT NOT NULL, -- as in rollups
+    day               INTEGER, -- as in rollups
+    sessions          BIGINT NOT NULL, -- with epochs in this hour
+    n_none            BIGINT NOT NULL,
+    n_single          BIGINT NOT NULL,
+    n_ekf             BIGINT NOT NULL,
+    n_fgo             BIGINT NOT NULL,
+    n_float           BIGINT NOT NULL,
+    n_fixed           BIGINT NOT NULL,
+    positions         BIGINT NOT NULL,
+    ages              BIGINT NOT NULL,
+    sigma_sum_m       DOUBLE PRECISION NOT NULL,
+    satellites_sum    DOUBLE PRECISION NOT NULL,
+    age_sum_s         DOUBLE PRECISION NOT NULL,
+    PRIMARY KEY (tenant, begin_s)
+-- Each commit changes the newest row, in its page.
+) WITH (fillfactor = 80);
+CREATE INDEX fleet_hours_by_day ON fleet_hours (day);

@@ -1,0 +1,398 @@
+//! Rollups: sums of a session's first answers over each minute and each hour of their times.
+//!
+//! Each transaction adds what it commits: one row for each session and bucket that it touches, and
+//! one for each tenant and hour. Only first answers count: a revision is another answer to an epoch
+//! that is counted already. Rows are written in the order of their keys, so that no two
+//! transactions wait for each other.
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use sqlx::{PgConnection, SqliteConnection};
+
+use crate::gnss::Status;
+use crate::store::codec::{Measures, status_number};
+use crate::store::rollup::{HOUR_S, MINUTE_S, QUANTITIES};
+
+use super::batch::{Batch, EncodedEpoch};
+use super::rows::{ROWS_PER_STATEMENT, with_values};
+
+const NS_PER_S: i64 = 1_000_000_000;
+const STATUSES: usize = Status::ALL.len();
+
+/// What a further value of a column makes of the stored one.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Merge {
+    /// The row is found by it.
+    Key,
+    Sum,
+    Least,
+    Greatest,
+    /// The further value takes its place, if there is one.
+    Last,
+}
+
+/// The columns of `rollups` but those of the quantities, with their types on Postgres.
+const COLUMNS: [(&str, Merge, &str); 22] = [
+    ("session", Merge::Key, "bigint"),
+    ("seconds", Merge::Key, "integer"),
+    ("begin_s", Merge::Key, "bigint"),
+    ("day", Merge::Last, "integer"),
+    ("first_time_ns", Merge::Least, "bigint"),
+    ("last_time_ns", Merge::Greatest, "bigint"),
+    ("last_seq", Merge::Last, "bigint"),
+    ("n_none", Merge::Sum, "integer"),
+    ("n_single", Merge::Sum, "integer"),
+    ("n_ekf", Merge::Sum, "integer"),
+    ("n_fgo", Merge::Sum, "integer"),
+    ("n_float", Merge::Sum, "integer"),
+    ("n_fixed", Merge::Sum, "integer"),
+    ("status", Merge::Last, "smallint"),
+    ("latitude_deg", Merge::Last, "double precision"),
+    ("longitude_deg", Merge::Last, "double precision"),
+    ("positions", Merge::Sum, "integer"),
+    ("ages", Merge::Sum, "integer"),
+    ("south_deg", Merge::Least, "double precision"),
+    ("west_deg", Merge::Least, "double precision"),
+    ("north_deg", Merge::Greatest, "double precision"),
+    ("east_deg", Merge::Greatest, "double precision"),
+];
+/// The columns of the hours that a fleet's sums are made of, with their types on Postgres.
+const FLEET_COLUMNS: [(&str, &str); 14] = [
+    ("session", "bigint"),
+    ("begin_s", "bigint"),
+    ("day", "integer"),
+    ("n_none", "bigint"),
+    ("n_single", "bigint"),
+    ("n_ekf", "bigint"),
+    ("n_fgo", "bigint"),
+    ("n_float", "bigint"),
+    ("n_fixed", "bigint"),
+    ("positions", "bigint"),
+    ("ages", "bigint"),
+    ("sigma_sum_m", "double precision"),
+    ("satellites_sum", "double precision"),
+    ("age_sum_s", "double precision"),
+];
+/// The first of them that is a sum.
+const FLEET_SUMS: usize = 3;
+
+/// All columns of `rollups`.
+fn columns() -> Vec<(String, Merge, &'static str)> {
+    let named = |(name, merge, kind): (&str, Merge, &'static str)| (name.to_owned(), merge, kind);
+    let mut columns: Vec<_> = COLUMNS.into_iter().map(named).collect();
+    for (name, unit) in QUANTITIES {
+        columns.push((format!("{name}_min{unit}"), Merge::Least, "real"));
+        columns.push((format!("{name}_max{unit}"), Merge::Greatest, "real"));
+        columns.push((format!("{name}_sum{unit}"), Merge::Sum, "double precision"));
+        columns.push((format!("{name}_last{unit}"), Merge::Last, "real"));
+    }
+    columns
+}
+
+fn names() -> String {
+    columns().into_iter().map(|(name, ..)| name).collect::<Vec<_>>().join(", ")
+}
+
+/// What a statement does with a bucket that has a row. `least` and `greatest` are the functions of
+/// the database.
+fn merging(least: &str, greatest: &str) -> String {
+    let set = |(name, merge, _): (String, Merge, &str)| {
+        let (stored, further) = (format!("rollups.{name}"), format!("excluded.{name}"));
+        let of_both = |function| {
+            format!("{function}(COALESCE({stored}, {further}), COALESCE({further}, {stored}))")
+        };
+        let value = match merge {
+            Merge::Key => return None,
+            Merge::Sum => format!("{stored} + {further}"),
+            Merge::Least => of_both(least),
+            Merge::Greatest => of_both(greatest),
+            Merge::Last => format!("COALESCE({further}, {stored})"),
+        };
+        Some(format!("{name} = {value}"))
+    };
+    let set: Vec<String> = columns().into_iter().filter_map(set).collect();
+    format!(" ON CONFLICT (session, seconds, begin_s) DO UPDATE SET {}", set.join(", "))
+}
+
+/// Adds hours to their fleets, before they are in `rollups`: an hour that is not there yet is one
+/// more session. `hours` are rows with the names of the columns.
+fn into_fleet(hours: &str) -> String {
+    let sums = FLEET_COLUMNS.map(|(name, _)| name);
+    let sums = &sums[FLEET_SUMS..];
+    let each = |text: fn(&str) -> String| sums.iter().map(|name| text(name)).collect::<Vec<_>>();
+    format!(
+        "INSERT INTO fleet_hours (tenant, begin_s, day, sessions, {}) \
+         SELECT s.tenant, b.begin_s, MAX(b.day), SUM(CASE WHEN EXISTS (SELECT 1 FROM rollups r \
+         WHERE r.session = b.session AND r.seconds = {HOUR_S} AND r.begin_s = b.begin_s) \
+         THEN 0 ELSE 1 END), {} FROM ({hours}) AS b JOIN sessions s ON s.key = b.session \
+         WHERE 1 = 1 GROUP BY s.tenant, b.begin_s ORDER BY s.tenant, b.begin_s \
+         ON CONFLICT (tenant, begin_s) DO UPDATE SET \
+         day = COALESCE(excluded.day, fleet_hours.day), \
+         sessions = fleet_hours.sessions + excluded.sessions, {}",
+        sums.join(", "),
+        each(|name| format!("SUM(b.{name})")).join(", "),
+        each(|name| format!("{name} = fleet_hours.{name} + excluded.{name}")).join(", "),
+    )
+}
+
+static POSTGRES: LazyLock<String> = LazyLock::new(|| {
+    let numbered = columns().into_iter().enumerate();
+    let arrays = numbered.map(|(index, (_, _, kind))| format!("${}::{kind}[]", index + 1));
+    let arrays: Vec<String> = arrays.collect();
+    let (names, merging) = (names(), merging("LEAST", "GREATEST"));
+    format!("INSERT INTO rollups ({names}) SELECT * FROM UNNEST({}){merging}", arrays.join(", "))
+});
+static POSTGRES_FLEET: LazyLock<String> = LazyLock::new(|| {
+    let numbered = FLEET_COLUMNS.iter().enumerate();
+    let arrays = numbered.map(|(index, (_, kind))| format!("${}::{kind}[]", index + 1));
+    let names = FLEET_COLUMNS.map(|(name, _)| name).join(", ");
+    let arrays = arrays.collect::<Vec<_>>().join(", ");
+    into_fleet(&format!("SELECT * FROM UNNEST({arrays}) AS u({names})"))
+});
+static SQLITE: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
+    let insert = format!("INSERT INTO rollups ({})", names());
+    let (count, merging) = (columns().len(), merging("MIN", "MAX"));
+    ROWS_PER_STATEMENT.map(|rows| with_values(&insert, count, rows, &merging))
+});
+static SQLITE_FLEET: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
+    let numbered = FLEET_COLUMNS.iter().enumerate();
+    let named = numbered.map(|(index, (name, _))| format!("column{} AS {name}", index + 1));
+    let select = format!("SELECT {} FROM (", named.collect::<Vec<_>>().join(", "));
+    let rows = |rows| with_values(&select, FLEET_COLUMNS.len(), rows, ")");
+    ROWS_PER_STATEMENT.map(|count| into_fleet(&rows(count)))
+});
+
+/// The values of a quantity.
+#[derive(Clone, Copy, Default)]
+struct Values {
+    min: Option<f32>,
+    max: Option<f32>,
+    sum: f64,
+    last: Option<f32>,
+}
+
+impl Values {
+    fn take(&mut self, value: f64) {
+        let rounded = value as f32;
+        self.min = Some(self.min.map_or(rounded, |min| min.min(rounded)));
+        self.max = Some(self.max.map_or(rounded, |max| max.max(rounded)));
+        self.sum += value;
+        self.last = Some(rounded);
+    }
+}
+
+/// Session, length of the bucket (s), and its begin (s).
+type Key = (i64, i64, i64);
+
+/// What a transaction adds to a bucket.
+struct Row {
+    key: Key,
+    day: Option<i32>,
+    times_ns: (i64, i64),
+    last_seq: i64,
+    counts: [i32; STATUSES],
+    status: i16,
+    position_deg: Option<(f64, f64)>,
+    positions: i32,
+    ages: i32,
+    /// South, west, north, east (degrees).
+    bounds_deg: Option<[f64; 4]>,
+    values: [Values; QUANTITIES.len()],
+}
+
+impl Row {
+    fn new(key: Key, epoch: &EncodedEpoch) -> Self {
+        Self {
+            key,
+            day: None,
+            times_ns: (epoch.gps_time_ns, epoch.gps_time_ns),
+            last_seq: epoch.seq,
+            counts: [0; STATUSES],
+            status: epoch.solution.status,
+            position_deg: None,
+            positions: 0,
+            ages: 0,
+            bounds_deg: None,
+            values: Default::default(),
+        }
+    }
+
+    fn take(&mut self, day: Option<i32>, epoch: &EncodedEpoch) {
+        let (first_ns, last_ns) = self.times_ns;
+        self.times_ns = (first_ns.min(epoch.gps_time_ns), last_ns.max(epoch.gps_time_ns));
+        self.day = day.or(self.day);
+        self.last_seq = epoch.seq;
+        self.status = epoch.solution.status;
+        let is_given = |status: &Status| status_number(*status) == epoch.solution.status;
+        let index = Status::ALL.iter().position(is_given);
+        self.counts[index.expect("each number is that of a status")] += 1;
+        if let Some(measures) = &epoch.measures {
+            self.take_measures(measures);
+        }
+    }
+
+    fn take_measures(&mut self, measures: &Measures) {
+        let Measures { latitude_deg, longitude_deg, height_m, sigma_m, satellites, age_s } =
+            *measures;
+        self.position_deg = Some((latitude_deg, longitude_deg));
+        self.positions += 1;
+        let corner = [latitude_deg, longitude_deg, latitude_deg, longitude_deg];
+        let [south, west, north, east] = self.bounds_deg.unwrap_or(corner);
+        self.bounds_deg = Some([
+            south.min(latitude_deg),
+            west.min(longitude_deg),
+            north.max(latitude_deg),
+            east.max(longitude_deg),
+        ]);
+        let [heights, sigmas, numbers, ages] = &mut self.values;
+        heights.take(height_m);
+        sigmas.take(sigma_m);
+        numbers.take(satellites);
+        if let Some(age_s) = age_s {
+            ages.take(age_s);
+            self.ages += 1;
+        }
+    }
+}
+
+/// What batches add, in the order of the keys.
+fn rows(batches: &[&Batch]) -> Vec<Row> {
+    let mut rows: BTreeMap<Key, Row> = BTreeMap::new();
+    for batch in batches {
+        for epoch in &batch.epochs {
+            let time_s = epoch.gps_time_ns.div_euclid(NS_PER_S);
+            for length_s in [MINUTE_S, HOUR_S] {
+                let key = (batch.session.0, length_s, time_s.div_euclid(length_s) * length_s);
+                let row = rows.entry(key).or_insert_with(|| Row::new(key, epoch));
+                row.take(batch.partition(), epoch);
+            }
+        }
+    }
+    rows.into_values().collect()
+}
+
+/// Adds batches to their rollups, within the transaction that writes them.
+pub(super) async fn write_rollups_sqlite(
+    connection: &mut SqliteConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
+    let rows = rows(batches);
+    let hours: Vec<&Row> = rows.iter().filter(|row| row.key.1 == HOUR_S).collect();
+    let mut rest = &hours[..];
+    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
+        while let Some((chunk, after)) = rest.split_at_checked(size) {
+            let mut insert = sqlx::query(SQLITE_FLEET[index].as_str());
+            for row in chunk {
+                let [_, sigmas, numbers, ages] = row.values;
+                insert = insert.bind(row.key.0).bind(row.key.2).bind(row.day);
+                for count in row.counts.into_iter().chain([row.positions, row.ages]) {
+                    insert = insert.bind(count);
+                }
+                insert = insert.bind(sigmas.sum).bind(numbers.sum).bind(ages.sum);
+            }
+            insert.execute(&mut *connection).await?;
+            rest = after;
+        }
+    }
+    let mut rest = &rows[..];
+    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
+        while let Some((chunk, after)) = rest.split_at_checked(size) {
+            merge_sqlite(connection, index, chunk).await?;
+            rest = after;
+        }
+    }
+    Ok(())
+}
+
+async fn merge_sqlite(
+    connection: &mut SqliteConnection,
+    index: usize,
+    rows: &[Row],
+) -> Result<(), sqlx::Error> {
+    let mut insert = sqlx::query(SQLITE[index].as_str());
+    for row in rows {
+        let (session, length_s, begin_s) = row.key;
+        insert = insert.bind(session).bind(length_s).bind(begin_s).bind(row.day);
+        insert = insert.bind(row.times_ns.0).bind(row.times_ns.1).bind(row.last_seq);
+        for count in row.counts {
+            insert = insert.bind(count);
+        }
+        insert = insert.bind(row.status);
+        insert = insert.bind(row.position_deg.map(|deg| deg.0));
+        insert = insert.bind(row.position_deg.map(|deg| deg.1));
+        insert = insert.bind(row.positions).bind(row.ages);
+        for side in 0..4 {
+            insert = insert.bind(row.bounds_deg.map(|deg| deg[side]));
+        }
+        for values in &row.values {
+            insert = insert.bind(values.min).bind(values.max).bind(values.sum).bind(values.last);
+        }
+    }
+    insert.execute(connection).await.map(drop)
+}
+
+/// A column of rows as an array.
+macro_rules! array {
+    ($rows:expr, $row:ident => $value:expr) => {
+        $rows.iter().map(|$row| $value).collect::<Vec<_>>()
+    };
+}
+
+/// The same on Postgres.
+pub(super) async fn write_rollups_postgres(
+    connection: &mut PgConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
+    let rows = rows(batches);
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let hours: Vec<&Row> = rows.iter().filter(|row| row.key.1 == HOUR_S).collect();
+    let mut insert = sqlx::query(POSTGRES_FLEET.as_str())
+        .bind(array!(hours, row => row.key.0))
+        .bind(array!(hours, row => row.key.2))
+        .bind(array!(hours, row => row.day));
+    for status in 0..STATUSES {
+        insert = insert.bind(array!(hours, row => i64::from(row.counts[status])));
+    }
+    insert = insert
+        .bind(array!(hours, row => i64::from(row.positions)))
+        .bind(array!(hours, row => i64::from(row.ages)));
+    for quantity in 1..QUANTITIES.len() {
+        insert = insert.bind(array!(hours, row => row.values[quantity].sum));
+    }
+    insert.execute(&mut *connection).await?;
+    merge_postgres(connection, &rows).await
+}
+
+async fn merge_postgres(connection: &mut PgConnection, rows: &[Row]) -> Result<(), sqlx::Error> {
+    let mut insert = sqlx::query(POSTGRES.as_str())
+        .bind(array!(rows, row => row.key.0))
+        .bind(array!(rows, row => row.key.1 as i32))
+        .bind(array!(rows, row => row.key.2))
+        .bind(array!(rows, row => row.day))
+        .bind(array!(rows, row => row.times_ns.0))
+        .bind(array!(rows, row => row.times_ns.1))
+        .bind(array!(rows, row => row.last_seq));
+    for status in 0..STATUSES {
+        insert = insert.bind(array!(rows, row => row.counts[status]));
+    }
+    insert = insert
+        .bind(array!(rows, row => row.status))
+        .bind(array!(rows, row => row.position_deg.map(|deg| deg.0)))
+        .bind(array!(rows, row => row.position_deg.map(|deg| deg.1)))
+        .bind(array!(rows, row => row.positions))
+        .bind(array!(rows, row => row.ages));
+    for side in 0..4 {
+        insert = insert.bind(array!(rows, row => row.bounds_deg.map(|deg| deg[side])));
+    }
+    for quantity in 0..QUANTITIES.len() {
+        insert = insert
+            .bind(array!(rows, row => row.values[quantity].min))
+            .bind(array!(rows, row => row.values[quantity].max))
+            .bind(array!(rows, row => row.values[quantity].sum))
+            .bind(array!(rows, row => row.values[quantity].last));
+    }
+    insert.execute(connection).await.map(drop)
+}
