@@ -35,6 +35,10 @@ pub(super) struct ServeArguments {
     /// signed, besides its key. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CLIENT_CA")]
     tls_client_ca: Option<PathBuf>,
+    /// Revocation lists of these authorities (PEM), one of each: certificates on them are refused.
+    /// New contents are used within seconds. Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CLIENT_CRL")]
+    tls_client_crl: Option<PathBuf>,
     /// Listen beyond loopback without TLS, because a proxy or balancer before the service has it.
     #[arg(long, env = "GRAPHFIX_PLAINTEXT")]
     plaintext: bool,
@@ -93,6 +97,7 @@ impl ServeArguments {
         tls.certificate_file = self.tls_certificate.or(tls.certificate_file.take());
         tls.key_file = self.tls_key.or(tls.key_file.take());
         tls.client_ca_file = self.tls_client_ca.or(tls.client_ca_file.take());
+        tls.client_crl_file = self.tls_client_crl.or(tls.client_crl_file.take());
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
         configuration.database = self.database.unwrap_or(configuration.database);

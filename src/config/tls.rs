@@ -14,11 +14,17 @@ pub struct TlsConfiguration {
     pub key_file: Option<PathBuf>,
     /// PEM file of authorities. Each client then needs a certificate that one of them has signed.
     pub client_ca_file: Option<PathBuf>,
+    /// PEM file of the revocation lists of these authorities, one of each. Certificates on them are
+    /// refused.
+    pub client_crl_file: Option<PathBuf>,
 }
 
 impl TlsConfiguration {
     /// What is missing; `None` if TLS is complete or off.
     pub(super) fn missing(&self) -> Option<&'static str> {
+        if self.client_crl_file.is_some() && self.client_ca_file.is_none() {
+            return Some("tls.client_crl_file needs tls.client_ca_file, whose lists it has");
+        }
         match (&self.certificate_file, &self.key_file, &self.client_ca_file) {
             (Some(_), Some(_), _) | (None, None, None) => None,
             (Some(_), None, _) => Some("tls.certificate_file needs tls.key_file, its private key"),

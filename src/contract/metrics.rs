@@ -103,6 +103,9 @@ impl Service {
         let help = "End of the certificate (Unix time), 0 without TLS";
         let expiry = tls.expiry_s.clone();
         registry.register_with_unit("tls_certificate_expiry", help, Unit::Seconds, expiry);
+        let help = "End of the first list of revoked certificates to expire (Unix time)";
+        let expiry = tls.list_expiry_s.clone();
+        registry.register_with_unit("tls_revocation_list_expiry", help, Unit::Seconds, expiry);
         let help = "1 while invalid files prevent the renewal of the certificate, otherwise 0";
         registry.register("tls_renewal_failed", help, tls.renewal_failed.clone());
         let help = "TLS handshakes that failed";

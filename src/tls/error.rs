@@ -39,6 +39,14 @@ pub enum TlsError {
         /// Date and time of its begin.
         not_before: String,
     },
+    /// A list of revoked certificates has expired: its authority has a newer one.
+    #[error("{}: the list of revoked certificates has expired at {next_update}", file.display())]
+    ListExpired {
+        /// The file of the list.
+        file: PathBuf,
+        /// Date and time until which the authority publishes the next one.
+        next_update: String,
+    },
     /// A handshake with a service failed.
     #[error("{host}: {why}")]
     Handshake {
@@ -55,7 +63,9 @@ impl TlsError {
         match self {
             Self::File { .. } => Code::TlsFileInvalid,
             Self::KeyMismatch { .. } => Code::TlsKeyMismatch,
-            Self::Expired { .. } | Self::NotYetValid { .. } => Code::TlsCertificateExpired,
+            Self::Expired { .. } | Self::NotYetValid { .. } | Self::ListExpired { .. } => {
+                Code::TlsCertificateExpired
+            }
             Self::Handshake { .. } => Code::TlsFailed,
         }
     }

@@ -5,7 +5,9 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use tokio_rustls::rustls::pki_types::pem::PemObject;
-use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::pki_types::{
+    CertificateDer, CertificateRevocationListDer, PrivateKeyDer,
+};
 use tokio_rustls::rustls::{Error, RootCertStore};
 
 use super::TlsError;
@@ -71,6 +73,22 @@ impl PemFile {
             authorities.add(certificate).map_err(|error| self.invalid(error.to_string()))?;
         }
         Ok(authorities)
+    }
+
+    /// The lists of revoked certificates in the file, at least one.
+    ///
+    /// # Errors
+    /// [`TlsError::File`].
+    pub(super) fn lists(&self) -> Result<Vec<CertificateRevocationListDer<'static>>, TlsError> {
+        let read: Result<Vec<_>, _> =
+            CertificateRevocationListDer::pem_slice_iter(&self.content).collect();
+        match read {
+            Ok(lists) if lists.is_empty() => {
+                Err(self.invalid("the file has no list of revoked certificates"))
+            }
+            Ok(lists) => Ok(lists),
+            Err(error) => Err(self.invalid(error.to_string())),
+        }
     }
 
     /// Why a certificate in this file and a key in another one are refused.

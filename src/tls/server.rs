@@ -14,7 +14,7 @@ use crate::config::TlsConfiguration;
 use crate::meters::{Counter, Gauge};
 
 use super::files::PemFile;
-use super::validity::{Moment, Validity, validity};
+use super::validity::{Moment, Validity, next_update, validity};
 use super::{HAS_VERSIONS, PROVIDER, TlsError};
 
 /// Protocols that clients may agree on (RFC 7301), the preferred one first.
@@ -38,6 +38,8 @@ struct Shared {
 pub(crate) struct TlsMeters {
     /// End of the certificate that is served (s since 1970-01-01 UTC).
     pub(crate) expiry_s: Gauge,
+    /// End of the list of revoked certificates that ends first (s since 1970-01-01 UTC); 0 without.
+    pub(crate) list_expiry_s: Gauge,
     /// 1 while the files are not what is served, since they are invalid.
     pub(crate) renewal_failed: Gauge,
     /// Handshakes that did not succeed.
@@ -49,6 +51,7 @@ pub(super) struct ServerFiles {
     certificate: PathBuf,
     key: PathBuf,
     client_ca: Option<PathBuf>,
+    client_crl: Option<PathBuf>,
 }
 
 /// What the files contain.
@@ -56,12 +59,14 @@ pub(super) struct Contents {
     certificate: PemFile,
     key: PemFile,
     client_ca: Option<PemFile>,
+    client_crl: Option<PemFile>,
 }
 
-/// A configuration for handshakes, and the end of its certificate.
+/// A configuration for handshakes, and the ends of its certificate and of its lists.
 pub(super) struct Accepting {
     acceptor: TlsAcceptor,
     pub(super) not_after: Moment,
+    lists_until: Option<Moment>,
 }
 
 impl ServerTls {
@@ -71,15 +76,17 @@ impl ServerTls {
     /// A file cannot be read, the key is not that of the certificate, or the certificate is not
     /// valid now.
     pub(crate) fn open(configuration: &TlsConfiguration) -> Result<Option<Self>, TlsError> {
-        let TlsConfiguration { certificate_file, key_file, client_ca_file } = configuration;
+        let TlsConfiguration { certificate_file, key_file, client_ca_file, client_crl_file } =
+            configuration;
         let (Some(certificate), Some(key)) = (certificate_file.clone(), key_file.clone()) else {
             return Ok(None);
         };
-        let files = ServerFiles { certificate, key, client_ca: client_ca_file.clone() };
+        let (client_ca, client_crl) = (client_ca_file.clone(), client_crl_file.clone());
+        let files = ServerFiles { certificate, key, client_ca, client_crl };
         let contents = files.read()?;
-        let Accepting { acceptor, not_after } = contents.accepting()?;
+        let Accepting { acceptor, not_after, lists_until } = contents.accepting()?;
         let meters = TlsMeters::default();
-        meters.expiry_s.set(not_after.unix_s);
+        meters.set_ends(&not_after, lists_until.as_ref());
         let file = files.certificate.display();
         tracing::info!(%file, %not_after, "TLS with this certificate");
         let (accepting, first) = (RwLock::new(acceptor), contents.hash());
@@ -107,9 +114,16 @@ impl ServerTls {
     }
 
     /// Serves new connections with another certificate.
-    pub(super) fn serve(&self, Accepting { acceptor, not_after }: Accepting) {
+    pub(super) fn serve(&self, Accepting { acceptor, not_after, lists_until }: Accepting) {
         *self.0.accepting.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
-        self.0.meters.expiry_s.set(not_after.unix_s);
+        self.0.meters.set_ends(&not_after, lists_until.as_ref());
+    }
+}
+
+impl TlsMeters {
+    fn set_ends(&self, not_after: &Moment, lists_until: Option<&Moment>) {
+        self.expiry_s.set(not_after.unix_s);
+        self.list_expiry_s.set(lists_until.map_or(0, |until| until.unix_s));
     }
 }
 
@@ -123,6 +137,7 @@ impl ServerFiles {
             certificate: PemFile::read(&self.certificate)?,
             key: PemFile::read(&self.key)?,
             client_ca: self.client_ca.as_deref().map(PemFile::read).transpose()?,
+            client_crl: self.client_crl.as_deref().map(PemFile::read).transpose()?,
         })
     }
 }
@@ -132,7 +147,7 @@ impl Contents {
     pub(super) fn hash(&self) -> Hash {
         let mut hasher = blake3::Hasher::new();
         let files = [Some(&self.certificate), Some(&self.key), self.client_ca.as_ref()];
-        for PemFile { content, .. } in files.into_iter().flatten() {
+        for PemFile { content, .. } in files.into_iter().flatten().chain(&self.client_crl) {
             hasher.update(&content.len().to_le_bytes()).update(content);
         }
         hasher.finalize()
@@ -158,6 +173,7 @@ impl Contents {
         let builder = ServerConfig::builder_with_provider(PROVIDER.clone())
             .with_safe_default_protocol_versions()
             .expect(HAS_VERSIONS);
+        let lists_until = self.lists_until(now_s)?;
         let builder = match self.verifier()? {
             Some(verifier) => builder.with_client_cert_verifier(verifier),
             None => builder.with_no_client_auth(),
@@ -166,15 +182,40 @@ impl Contents {
         let mut configuration =
             built.map_err(|error| self.certificate.refused(&self.key, &error))?;
         configuration.alpn_protocols = PROTOCOLS.map(<[u8]>::to_vec).to_vec();
-        Ok(Accepting { acceptor: Arc::new(configuration).into(), not_after })
+        Ok(Accepting { acceptor: Arc::new(configuration).into(), not_after, lists_until })
     }
 
-    /// What checks the certificates of clients.
+    /// The end of the list of revoked certificates that ends first; `None` without lists.
+    fn lists_until(&self, now_s: i64) -> Result<Option<Moment>, TlsError> {
+        let Some(file) = &self.client_crl else { return Ok(None) };
+        let mut first: Option<Moment> = None;
+        for list in file.lists()? {
+            let Some(until) = next_update(&list) else {
+                return Err(file.invalid("a list of revoked certificates does not say its end"));
+            };
+            if until.unix_s < now_s {
+                let (file, next_update) = (file.path.clone(), until.to_string());
+                return Err(TlsError::ListExpired { file, next_update });
+            }
+            if first.is_none_or(|first| until.unix_s < first.unix_s) {
+                first = Some(until);
+            }
+        }
+        Ok(first)
+    }
+
+    /// What checks the certificates of clients. With lists of revoked certificates, a client whose
+    /// authority has none that is in force is refused, as nobody knows whether it is revoked.
     fn verifier(&self) -> Result<Option<Arc<dyn ClientCertVerifier>>, TlsError> {
         let Some(file) = &self.client_ca else { return Ok(None) };
         let authorities = Arc::new(file.authorities()?);
         let builder = WebPkiClientVerifier::builder_with_provider(authorities, PROVIDER.clone());
-        let verifier = builder.build().map_err(|error| file.invalid(error.to_string()))?;
+        let Some(lists) = &self.client_crl else {
+            let verifier = builder.build().map_err(|error| file.invalid(error.to_string()))?;
+            return Ok(Some(verifier));
+        };
+        let builder = builder.with_crls(lists.lists()?).enforce_revocation_expiration();
+        let verifier = builder.build().map_err(|error| lists.invalid(error.to_string()))?;
         Ok(Some(verifier))
     }
 }

@@ -1,9 +1,10 @@
-//! The time for which a certificate is valid (RFC 5280, section 4.1.2.5). Nothing else of the
-//! certificate is used here; rustls checks it.
+//! The times for which a certificate (RFC 5280, section 4.1.2.5) and a list of revoked certificates
+//! (section 5.1.2.5) are valid. Nothing else of them is used here; rustls checks them.
 
 use std::fmt;
 
 use x509_cert::Certificate;
+use x509_cert::crl::CertificateList;
 use x509_cert::der::{DateTime, Decode};
 use x509_cert::time::Time;
 
@@ -36,6 +37,11 @@ pub(super) fn validity(certificate: &[u8]) -> Option<Validity> {
     let validity = Certificate::from_der(certificate).ok()?.tbs_certificate.validity;
     let (not_before, not_after) = (moment(&validity.not_before)?, moment(&validity.not_after)?);
     Some(Validity { not_before, not_after })
+}
+
+/// When a list of revoked certificates in DER ends; `None` if it cannot be read, or does not say.
+pub(super) fn next_update(list: &[u8]) -> Option<Moment> {
+    moment(&CertificateList::from_der(list).ok()?.tbs_cert_list.next_update?)
 }
 
 fn moment(time: &Time) -> Option<Moment> {

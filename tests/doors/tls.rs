@@ -2,9 +2,10 @@
 //! refuses to start with.
 
 use std::process::{Command, Output};
+use std::time::Duration;
 
 use futures::StreamExt;
-use graphfix::config::Limits;
+use graphfix::config::{Limits, TlsConfiguration};
 use graphfix::contract::v1;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
@@ -170,6 +171,50 @@ async fn clients_prove_who_they_are() {
     assert!(said.contains("error[TLS_KEY_MISMATCH]"), "{said}");
 }
 
+/// Whether a service answers a client with this certificate.
+async fn is_served(port: u16, authority: &Authority, own: &Pair) -> bool {
+    let Ok(mut stream) = connected(port, &authority.client(Some(own), "http/1.1")).await else {
+        return false;
+    };
+    let ask = b"GET /readyz HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n";
+    // Of TLS 1.3 a client learns after its handshake that its certificate is refused.
+    stream.write_all(ask).await.is_ok()
+        && last_words(&mut stream).await.starts_with("HTTP/1.1 200 OK")
+}
+
+/// A lost device is refused by the list of its authority; a new list needs no restart.
+#[tokio::test]
+async fn revoked_clients_are_refused() {
+    let (authority, clients) = (Authority::new("ours"), Authority::new("devices"));
+    let files = Files::new(&authority.signed());
+    let list = files.write("revoked.pem", &clients.revoked(&[7], 2080));
+    let tls =
+        TlsConfiguration { client_crl_file: Some(list), ..files.configuration(Some(&clients)) };
+    let (_service, port) = files.serve(tls, Limits::standard()).await;
+    let [seven, eight] = [7, 8].map(|serial| clients.signed_as(serial));
+    assert!(!is_served(port, &authority, &seven).await);
+    assert!(is_served(port, &authority, &eight).await);
+
+    files.write("revoked.pem", &clients.revoked(&[8], 2081));
+    let others = async || {
+        (is_served(port, &authority, &seven).await, is_served(port, &authority, &eight).await)
+    };
+    until("the new list", others, |served| *served == (true, false)).await;
+    let by_seven = authority.client(Some(&seven), "http/1.1");
+    let meters = page(port, &by_seven, "localhost", "/metrics").await;
+    // `date -u -d 2081-01-01 +%s`
+    let end = meters.lines().find(|line| line.contains("revocation_list_expiry_seconds{"));
+    assert!(end.is_some_and(|line| line.ends_with(" 3502915200")), "{end:?}");
+
+    // What is not the list of this authority changes nothing, or excludes its clients.
+    files.write("revoked.pem", "hello\n");
+    stays("the last list", Duration::from_secs(5), others, |served| *served == (true, false)).await;
+    files.write("revoked.pem", &authority.revoked(&[], 2080));
+    until("a foreign list", others, |served| *served == (false, false)).await;
+    files.write("revoked.pem", &clients.revoked(&[], 2082));
+    until("nobody is revoked", others, |served| *served == (true, true)).await;
+}
+
 /// New connections see the renewed certificate; a stream that is open goes on.
 #[tokio::test]
 async fn a_renewal_needs_no_restart() {
@@ -210,8 +255,7 @@ async fn a_renewal_needs_no_restart() {
     flow.push(vec![message(3)]).await;
     flow.until_durable(3).await;
     let is_new = |seen: &_| *seen == new;
-    stays("served", std::time::Duration::from_secs(1), async || seen(port, &client).await, is_new)
-        .await;
+    stays("served", Duration::from_secs(1), async || seen(port, &client).await, is_new).await;
 }
 
 /// A service does not start with a certificate that its clients would refuse.
@@ -247,6 +291,24 @@ fn a_wrong_certificate_is_refused_at_the_start() {
     let clients = ["--tls-client-ca", text(&files.path("text.pem"))].map(str::to_owned);
     let (code, line) = start("service.pem", "service.key", &[&clients[0], &clients[1]]);
     assert_eq!(code, "TLS_FILE_INVALID", "{line}");
+    let ca = files.write("clients.pem", &authority.pem);
+    let old = files.write("old-list.pem", &authority.revoked(&[], 2022));
+    for (list, code, words) in [
+        (
+            &old,
+            Code::TlsCertificateExpired,
+            "list of revoked certificates has expired at 2022-01-01",
+        ),
+        (&ca, Code::TlsFileInvalid, "the file has no list of revoked certificates"),
+    ] {
+        let more = ["--tls-client-ca", text(&ca), "--tls-client-crl", text(list)];
+        let (given, line) = start("service.pem", "service.key", &more);
+        assert_eq!(given, code.name(), "{line}");
+        assert!(line.contains(words), "{line}");
+    }
+    let (code, line) = start("service.pem", "service.key", &["--tls-client-crl", text(&old)]);
+    assert_eq!(code, "CONFIGURATION_MALFORMED", "{line}");
+    assert!(line.contains("needs tls.client_ca_file"), "{line}");
     let serve = ["serve", "--listen", "127.0.0.1:0", "--database", &database];
     let alone = files.path("service.pem");
     let (code, line) = failure(&[&serve[..], &[pair[0], text(&alone)]].concat());

@@ -4,6 +4,7 @@
 //! unit tests of each file: `source` separates code from comments and literals, `modules` finds
 //! which module names which.
 
+mod book;
 mod modules;
 mod source;
 

@@ -44,7 +44,8 @@ def main() -> None:
     parser.add_argument("--solutions", type=int, help="end after so many solutions")
     arguments = parser.parse_args()
     found: queue.Queue[tuple[str, Solution]] = queue.Queue(maxsize=1000)
-    with Client(arguments.server, key=os.environ.get("GRAPHFIX_KEY")) as client:
+    key, ca_file = (os.environ.get(name) for name in ("GRAPHFIX_KEY", "GRAPHFIX_CA"))
+    with Client(arguments.server, key=key, ca_file=ca_file) as client:
         heads = list(client.heads())
         for head in heads:
             print(row(head))

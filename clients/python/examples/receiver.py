@@ -73,8 +73,9 @@ def main() -> None:
     parser.add_argument("--megabytes", type=int, default=16)
     arguments = parser.parse_args()
     pieces = (arguments.megabytes << 20) // PIECE_BYTES
+    key, ca_file = (os.environ.get(name) for name in ("GRAPHFIX_KEY", "GRAPHFIX_CA"))
     # No end of patience: the device stands on a roof.
-    with Client(arguments.server, key=os.environ.get("GRAPHFIX_KEY"), patience_s=None) as client:
+    with Client(arguments.server, key=key, ca_file=ca_file, patience_s=None) as client:
         session = same_session(client, arguments.session_file, arguments.mode)
         print(f"session {session.id}, {session.raw_through} bytes stored")
         stream = session.stream_raw(

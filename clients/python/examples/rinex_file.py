@@ -44,7 +44,8 @@ def main() -> None:
     parser.add_argument("--mode", default="spp")
     parser.add_argument("--session", help="continue this session")
     arguments = parser.parse_args()
-    with Client(arguments.server, key=os.environ.get("GRAPHFIX_KEY")) as client:
+    key, ca_file = (os.environ.get(name) for name in ("GRAPHFIX_KEY", "GRAPHFIX_CA"))
+    with Client(arguments.server, key=key, ca_file=ca_file) as client:
         for path in arguments.navigation:
             client.push_navigation(path.read_bytes())
         if arguments.session:

@@ -34,9 +34,9 @@ macro_rules! operation {
     /// The private key is not that of the certificate.
     TlsKeyMismatch = "TLS_KEY_MISMATCH", NoCall,
         "name the key that the certificate was requested with";
-    /// The certificate has expired, or is not valid yet.
+    /// The certificate, or a list of revoked ones, has expired, or is not valid yet.
     TlsCertificateExpired = "TLS_CERTIFICATE_EXPIRED", NoCall,
-        "renew the certificate, or correct the clock of this machine";
+        "renew the certificate or the list, or correct the clock of this machine";
     /// The port is taken, or the process may not open it.
     AddressUnavailable = "ADDRESS_UNAVAILABLE", NoCall,
         "choose another address with --listen, or let the process open this one";
