@@ -70,7 +70,10 @@ pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
-pub use jobs::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob};
+pub use jobs::{
+    DeliveryAttempt, DeliveryEnd, DueWebhook, JobEnd, JobKey, JobProgress, JobRow, JobState,
+    NewJob, WebhookState,
+};
 pub use keys::{KeyRow, NewKeyRow};
 pub(crate) use named_requests::Created;
 pub use named_requests::NamedRequest;

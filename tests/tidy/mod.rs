@@ -88,6 +88,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "formats",
             "store",
             "aiding",
+            "feeds",
             "recording",
             "session",
         ],
