@@ -11,7 +11,7 @@ use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
 use crate::session::BatchLane;
-use crate::store::{JobState, NewJob, Page, Store, StoreError};
+use crate::store::{JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
 use super::JobError;
@@ -144,6 +144,10 @@ impl Jobs {
             inputs.push(url.input(&self.desk.connector)?);
         }
         let mut request = JobRequest::new(options, inputs);
+        let request_hash = request.hash(webhook.as_ref());
+        if let Some(before) = self.created_by(idempotency_key.as_deref(), &request_hash).await? {
+            return Ok((before, false));
+        }
         request.session = self.session_input(&request).await?;
         self.desk.plan(&request)?;
         self.check_waiting().await?;
@@ -151,19 +155,29 @@ impl Jobs {
             tenant: self.tenant.clone(),
             id: JobId::random().to_string(),
             request: request.to_json(),
-            request_hash: request.hash(webhook.as_ref()),
+            request_hash,
             idempotency_key,
             created_unix_ms: self.unix_ms(),
             is_unfetched: !urls.is_empty(),
             webhook_secret: webhook.map(|webhook| webhook.secret.text().to_owned()),
         };
         let (row, is_new) = self.desk.store.create_job(&new).await?;
-        if row.request_hash != new.request_hash {
-            return Err(JobError::IdempotencyConflict { job: row.id });
-        }
+        let job = same_request(row, &new.request_hash)?;
         let waking = if urls.is_empty() { &self.desk.queued } else { &self.desk.unfetched };
         waking.notify_one();
-        Ok((JobInfo::of(row)?, is_new))
+        Ok((job, is_new))
+    }
+
+    /// The job that the same request with this idempotency key has created, if it is kept. What
+    /// the request names, such as a session, may be gone since then.
+    async fn created_by(
+        &self,
+        idempotency_key: Option<&str>,
+        request_hash: &str,
+    ) -> Result<Option<JobInfo>, JobError> {
+        let Some(key) = idempotency_key else { return Ok(None) };
+        let row = self.desk.store.job_created_by(&self.tenant, key).await?;
+        row.map(|row| same_request(row, request_hash)).transpose()
     }
 
     /// What a job takes of its session, if it has one.
@@ -286,4 +300,12 @@ impl Jobs {
         let waiting: Result<u64, StoreError> = self.desk.store.waiting_jobs().await;
         if limit as u64 <= waiting? { Err(JobError::TooMany { limit }) } else { Ok(()) }
     }
+}
+
+/// The job of a row whose request has this hash.
+fn same_request(row: JobRow, request_hash: &str) -> Result<JobInfo, JobError> {
+    if row.request_hash != request_hash {
+        return Err(JobError::IdempotencyConflict { job: row.id });
+    }
+    Ok(JobInfo::of(row)?)
 }

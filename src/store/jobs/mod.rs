@@ -40,6 +40,8 @@ macro_rules! claim {
     };
 }
 
+const NAMED_JOB: &str = select_jobs!("WHERE tenant = $1 AND request_name = $2");
+
 impl Store {
     /// Queues a job. Returns it, and whether it is new: a job of the same tenant and idempotency
     /// key is returned in its place.
@@ -75,11 +77,26 @@ impl Store {
             return Ok((row.parse()?, true));
         }
         let before: Result<RawJob, _> = writing!(&self.pool, pool => {
-            let sql = select_jobs!("WHERE tenant = $1 AND request_name = $2");
-            let select = sqlx::query_as(sql).bind(new.tenant.name());
+            let select = sqlx::query_as(NAMED_JOB).bind(new.tenant.name());
             select.bind(&new.idempotency_key).fetch_one(pool).await
         });
         Ok((before.map_err(StoreError::database("reading a job"))?.parse()?, false))
+    }
+
+    /// The job that a tenant's request with this idempotency key has created, if it is kept.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn job_created_by(
+        &self,
+        tenant: &Tenant,
+        idempotency_key: &str,
+    ) -> Result<Option<JobRow>, StoreError> {
+        let row: Result<Option<RawJob>, _> = reading!(&self.pool, pool => {
+            let select = sqlx::query_as(NAMED_JOB).bind(tenant.name());
+            select.bind(idempotency_key).fetch_optional(pool).await
+        });
+        row.map_err(StoreError::database("reading a job"))?.map(RawJob::parse).transpose()
     }
 
     /// The job of a tenant with this id.
