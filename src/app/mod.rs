@@ -81,12 +81,12 @@ pub async fn open(
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
-    let feeds = Feeds::open(connector, aiding.clone(), feed_options);
+    let feeds = Feeds::open(connector.clone(), aiding.clone(), feed_options);
     feeds.bring_navigation(sources, &operator_connector)?;
     feeds.bring_bases(network_requests(bases)?)?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
     let desks = (store.clone(), aiding.clone());
-    let jobs = Jobs::open(desks, lane, jobs, node.clone(), geoid).await?;
+    let jobs = Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await?;
     let keys = Keys::open(store.clone()).await?;
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use crate::gnss::{GpsTime, LeapSeconds};
+use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 
 pub(crate) use stopwatch::Stopwatch;
 
@@ -92,4 +92,22 @@ pub(crate) const fn day_of(unix_ms: i64) -> i64 {
 /// GPS time of the system clock's time (ms since 1970-01-01 UTC).
 pub(crate) fn gps_time(unix_ms: i64) -> GpsTime {
     GpsTime::from_unix_ms(unix_ms, &LeapSeconds::table())
+}
+
+/// A system time (ms since 1970-01-01 UTC, without leap seconds) as RFC 3339.
+pub(crate) fn utc(unix_ms: i64) -> String {
+    let start = unix_epoch();
+    let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
+        .to_civil(TimeScale::Gps, &LeapSeconds::table());
+    let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
+    let ms = nanosecond / 1_000_000;
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
+}
+
+/// 1970-01-01, in GPS time, which has no leap seconds, as the system clock.
+pub(crate) fn unix_epoch() -> GpsTime {
+    const EPOCH: CivilTime =
+        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
+    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &LeapSeconds::table());
+    start.expect("the date exists")
 }

@@ -29,6 +29,14 @@ pub struct JobsConfiguration {
     pub run_s: u64,
     /// Time for which a job that has ended is kept, with its files (hours).
     pub keep_hours: u32,
+    /// Time in which one input that is a URL must arrive (s).
+    pub fetch_s: u64,
+    /// Attempts to tell a webhook of the end of a job.
+    pub webhook_attempts: u32,
+    /// First delay between two attempts (s). Each further one is twice as long, up to an hour.
+    pub webhook_delay_s: u64,
+    /// Time after the end of a job for which attempts are made (hours).
+    pub webhook_hours: u32,
 }
 
 impl JobsConfiguration {
@@ -45,6 +53,10 @@ impl JobsConfiguration {
             uploads: 8,
             run_s: 3600,
             keep_hours: 168,
+            fetch_s: 1800,
+            webhook_attempts: 12,
+            webhook_delay_s: 10,
+            webhook_hours: 24,
         }
     }
 
@@ -60,6 +72,10 @@ impl JobsConfiguration {
             ("uploads", self.uploads as u64),
             ("run_s", self.run_s),
             ("keep_hours", u64::from(self.keep_hours)),
+            ("fetch_s", self.fetch_s),
+            ("webhook_attempts", u64::from(self.webhook_attempts)),
+            ("webhook_delay_s", self.webhook_delay_s),
+            ("webhook_hours", u64::from(self.webhook_hours)),
         ];
         limits.into_iter().find(|(_, value)| *value == 0).map(|(name, _)| name)
     }

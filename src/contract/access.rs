@@ -100,6 +100,7 @@ pub const CALLS: &[Call] = &[
     call("Jobs/Cancel", "DELETE /v1/jobs/{job}", &[Operate]),
     call("Jobs/Report", "GET /v1/jobs/{job}/report", &[Read]),
     call("Jobs/Result", "GET /v1/jobs/{job}/result", &[Read]),
+    call("Jobs/Deliveries", "GET /v1/jobs/{job}/deliveries", &[Read]),
     call("Keys/Create", "POST /v1/keys", &[Admin]).act("Keys.Create"),
     call("Keys/List", "GET /v1/keys", &[Admin]),
     call("Keys/Revoke", "DELETE /v1/keys/{key}", &[Admin]).act("Keys.Revoke"),

@@ -251,7 +251,7 @@ impl From<JobError> for Refusal {
             | JobError::NotEnded { .. }
             | JobError::WithoutResult { .. } => Some("job"),
             JobError::IdempotencyConflict { .. } => Some("Idempotency-Key"),
-            JobError::InvalidOption { field, .. } => Some(field),
+            JobError::InvalidOption { field, .. } | JobError::Fetch { field, .. } => Some(field),
             JobError::BaseRequired { .. } => Some("base"),
             JobError::Frame(_) => Some("options.overrides.frame"),
             JobError::GeoidMissing => Some("options.overrides.geoid"),

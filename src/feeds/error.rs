@@ -19,8 +19,8 @@ pub enum FetchError {
         /// The text as given.
         text: String,
     },
-    /// The text is not the address of a file.
-    #[error("{text:?} is not a URL such as https://archive.example.org/{{yyyy}}/{{ddd}}/file.gz")]
+    /// The text is no URL of HTTP.
+    #[error("{text:?} is not a URL such as https://host.example.org/folder/file.gz")]
     UrlInvalid {
         /// The text as given.
         text: String,

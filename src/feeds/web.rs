@@ -2,8 +2,10 @@
 //!
 //! Source: RFC 9110 (validators, redirection) and RFC 9112 (message body length).
 
+use std::convert::Infallible;
 use std::error::Error;
 use std::fmt;
+use std::future::Future;
 use std::io::ErrorKind;
 use std::pin::pin;
 use std::str::FromStr;
@@ -14,7 +16,8 @@ use http_body_util::{BodyExt, Empty};
 use hyper::body::{Body, Incoming};
 use hyper::client::conn::http1;
 use hyper::header::{self, HeaderValue};
-use hyper::{Request, Response, StatusCode, Uri};
+use hyper::http::request::Builder;
+use hyper::{Method, Request, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use tokio::time::timeout;
 
@@ -25,7 +28,7 @@ use super::{Connector, FetchError};
 
 const AGENT: &str = concat!("graphfix/", env!("CARGO_PKG_VERSION"));
 /// Most redirections that are followed.
-const REDIRECTIONS: usize = 3;
+pub(super) const REDIRECTIONS: usize = 3;
 const URL_LIMIT: usize = 2000;
 
 /// A URL such as `https://host/path`.
@@ -198,7 +201,7 @@ async fn follow(
 }
 
 /// The URL of a redirection, if it is on the same host.
-fn on_same_host(from: &Url, to: &str) -> Result<Url, WebError> {
+pub(super) fn on_same_host(from: &Url, to: &str) -> Result<Url, WebError> {
     let elsewhere = || WebError::Redirected { location: shown(to.as_bytes()) };
     let Url { host, port, is_tls, .. } = from;
     // Two slashes begin the name of another host.
@@ -221,15 +224,31 @@ async fn ask(
     known: &Validators,
     limit: usize,
 ) -> Result<Answer, WebError> {
+    let request = (request(at, known)?, connector.time_limits().listing);
+    exchange(connector, at, request, |response| take(response, limit)).await
+}
+
+/// Sends a request on a connection of its own, and gives the answer to `take`, if its head comes
+/// within `longest`.
+pub(super) async fn exchange<B, T, F>(
+    connector: &Connector,
+    at: &Url,
+    (request, longest): (Request<B>, Duration),
+    take: impl FnOnce(Response<Incoming>) -> F,
+) -> Result<T, WebError>
+where
+    B: Body<Data = Bytes, Error = Infallible> + 'static,
+    F: Future<Output = Result<T, WebError>>,
+{
     let stream = connector.connect(&at.host, at.port, at.is_tls).await?;
     let mut client = http1::Builder::new();
     client.max_buf_size(HEAD_LIMIT).title_case_headers(true);
     let client = client.handshake(TokioIo::new(stream));
     let (mut sender, connection) = client.await.map_err(|error| failed(&error))?;
-    let request = request(at, known)?;
     let mut exchange = pin!(async {
-        let answering = sender.send_request(request).await;
-        take(answering.map_err(|error| failed(&error))?, limit).await
+        let slow = |_| WebError::Slow { seconds: longest.as_secs() };
+        let answering = timeout(longest, sender.send_request(request)).await.map_err(slow)?;
+        take(answering.map_err(|error| failed(&error))?).await
     });
     tokio::select! {
         answer = &mut exchange => answer,
@@ -238,12 +257,19 @@ async fn ask(
     }
 }
 
-fn request(at: &Url, known: &Validators) -> Result<Request<Empty<Bytes>>, WebError> {
-    let mut request = Request::get(at.path.as_str())
+/// The head of a request, with the fields of all requests.
+pub(super) fn head(method: Method, at: &Url) -> Builder {
+    Request::builder()
+        .method(method)
+        .uri(at.path.as_str())
         .header(header::HOST, format!("{}:{}", at.host, at.port))
         .header(header::USER_AGENT, AGENT)
         .header(header::ACCEPT_ENCODING, "identity")
-        .header(header::CONNECTION, "close");
+        .header(header::CONNECTION, "close")
+}
+
+fn request(at: &Url, known: &Validators) -> Result<Request<Empty<Bytes>>, WebError> {
+    let mut request = head(Method::GET, at);
     if let Some(etag) = &known.etag {
         request = request.header(header::IF_NONE_MATCH, etag);
     }
@@ -254,23 +280,46 @@ fn request(at: &Url, known: &Validators) -> Result<Request<Empty<Bytes>>, WebErr
     Ok(request.body(Empty::new()).map_err(invalid)?)
 }
 
-async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebError> {
+/// What the head of an answer says.
+pub(super) enum Head {
+    /// The file follows.
+    File,
+    /// The file has not changed.
+    Unchanged,
+    /// The file is elsewhere.
+    Elsewhere(String),
+}
+
+/// Reads the head of an answer.
+///
+/// # Errors
+/// It says that no file follows.
+pub(super) fn answered(response: &Response<Incoming>) -> Result<Head, WebError> {
     let field = |name| response.headers().get(name).cloned();
     let text = |name| field(name).and_then(|value| value.to_str().ok().map(str::to_owned));
     let answer = response.status().to_string();
     match response.status() {
-        StatusCode::OK => {}
-        StatusCode::NOT_MODIFIED => return Ok(Answer::File(Fetched::Unchanged)),
-        StatusCode::NOT_FOUND | StatusCode::GONE => return Err(WebError::NotFound { answer }),
+        StatusCode::OK => Ok(Head::File),
+        StatusCode::NOT_MODIFIED => Ok(Head::Unchanged),
+        StatusCode::NOT_FOUND | StatusCode::GONE => Err(WebError::NotFound { answer }),
         status if status.is_redirection() && response.headers().contains_key(header::LOCATION) => {
-            return Ok(Answer::Elsewhere(text(header::LOCATION).unwrap_or_default()));
+            Ok(Head::Elsewhere(text(header::LOCATION).unwrap_or_default()))
         }
         status if (300..=599).contains(&status.as_u16()) => {
             let retry_after = text(header::RETRY_AFTER).and_then(|text| retry_after(&text));
-            return Err(WebError::Refused { answer, retry_after });
+            Err(WebError::Refused { answer, retry_after })
         }
-        _ => return Err(WebError::Protocol { why: format!("the answer is {answer:?}") }),
+        _ => Err(WebError::Protocol { why: format!("the answer is {answer:?}") }),
     }
+}
+
+async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebError> {
+    match answered(&response)? {
+        Head::File => {}
+        Head::Unchanged => return Ok(Answer::File(Fetched::Unchanged)),
+        Head::Elsewhere(to) => return Ok(Answer::Elsewhere(to)),
+    }
+    let field = |name| response.headers().get(name).cloned();
     let validators =
         Validators { etag: field(header::ETAG), modified: field(header::LAST_MODIFIED) };
     let mut body = response.into_body();
@@ -289,7 +338,7 @@ async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebE
     Ok(Answer::File(Fetched::New { content, validators }))
 }
 
-fn failed(error: &hyper::Error) -> WebError {
+pub(super) fn failed(error: &hyper::Error) -> WebError {
     let cause = error.source().map_or_else(String::new, |cause| format!(": {cause}"));
     let why = format!("{error}{cause}");
     let kind =

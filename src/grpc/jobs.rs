@@ -65,4 +65,11 @@ impl Jobs for Door {
     ) -> Result<Response<v1::JobReport>, Status> {
         carry(calls::jobs::report(&self.0.caller()?, request.into_inner()).await)
     }
+
+    async fn deliveries(
+        &self,
+        request: Request<v1::GetJobRequest>,
+    ) -> Result<Response<v1::JobDeliveries>, Status> {
+        carry(calls::job_deliveries::list(&self.0.caller()?, request.into_inner()).await)
+    }
 }

@@ -166,3 +166,15 @@ pub(super) async fn report(
 ) -> Result<Json<v1::JobReport>, Refused> {
     Ok(Json(calls::jobs::report(&caller, v1::GetJobRequest { job }).await?))
 }
+
+/// Returns the attempts to tell the webhook of a job of its end.
+#[utoipa::path(get, operation_id = "jobsDeliveries",
+    path = "/v1/jobs/{job}/deliveries", tag = "Jobs",
+    params(("job" = String, Path, description = "Its id")),
+    responses((status = 200, description = "The attempts", body = v1::JobDeliveries), Refused))]
+pub(super) async fn deliveries(
+    caller: Caller,
+    Path(job): Path<String>,
+) -> Result<Json<v1::JobDeliveries>, Refused> {
+    Ok(Json(calls::job_deliveries::list(&caller, v1::GetJobRequest { job }).await?))
+}

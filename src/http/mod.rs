@@ -101,6 +101,7 @@ fn controls() -> Router<Service> {
         .route("/v1/jobs/{job}/events", get(job_events::events))
         .route("/v1/jobs/{job}/result", get(jobs::result))
         .route("/v1/jobs/{job}/report", get(jobs::report))
+        .route("/v1/jobs/{job}/deliveries", get(jobs::deliveries))
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{key}", delete(keys::revoke))
         .route("/v1/tenants", get(tenants::list))

@@ -80,6 +80,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         jobs::cancel,
         jobs::result,
         jobs::report,
+        jobs::deliveries,
         keys::create,
         keys::list,
         keys::revoke,

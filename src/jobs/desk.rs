@@ -8,17 +8,21 @@ use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
 use crate::config::JobsConfiguration;
+use crate::feeds::Connector;
 use crate::gnss::Geoid;
 use crate::session::BatchLane;
-use crate::store::{JobState, NewJob, Page, Store, StoreError};
+use crate::store::{JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
 use super::JobError;
+use super::deliveries::{self, Deliveries};
+use super::fetching::{self, InputUrl};
 use super::files::{JobFiles, StoredFile, Upload};
 use super::info::{JobId, JobInfo};
 use super::queue;
 use super::request::{JobInput, JobOptions, JobRequest, Part, SessionInput};
 use super::state::{Desk, folder, named_files};
+use super::webhook::Webhook;
 
 /// A file of an upload.
 pub struct UploadedFile {
@@ -30,6 +34,20 @@ pub struct UploadedFile {
     pub is_own: bool,
     /// The file.
     pub file: StoredFile,
+}
+
+/// What a job is asked for, and with what.
+pub struct Submission {
+    /// The options.
+    pub options: JobOptions,
+    /// The files.
+    pub files: Vec<UploadedFile>,
+    /// URLs in place of files.
+    pub urls: Vec<InputUrl>,
+    /// Who is told of its end.
+    pub webhook: Option<Webhook>,
+    /// Names the request.
+    pub idempotency_key: Option<String>,
 }
 
 /// The desk for batch jobs, as one tenant sees it. All clones share the desk.
@@ -48,7 +66,7 @@ impl Jobs {
     /// The store or the folder cannot be read.
     pub async fn open(
         (store, aiding): (Store, AidingDesk),
-        lane: BatchLane,
+        (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         node: String,
         geoid: Option<Arc<Geoid>>,
@@ -67,11 +85,14 @@ impl Jobs {
         }
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let desk = Desk::new((store, aiding), lane, limits, files, node).with_geoid(geoid);
+        let desk =
+            Desk::new((store, aiding), (lane, connector), limits, files, node).with_geoid(geoid);
         let desk = Arc::new(desk);
         if is_on {
             (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
             tasks.spawn(queue::expire(desk.clone()));
+            tasks.spawn(deliveries::deliver(desk.clone()));
+            tasks.spawn(fetching::fetch(desk.clone()));
         }
         Ok(Self { desk, tasks: Arc::new(Mutex::new(tasks)), tenant: Tenant::operator() })
     }
@@ -93,26 +114,40 @@ impl Jobs {
         files.upload()
     }
 
-    /// Queues a job for uploaded files. Returns the job, and whether it is new: a repetition with
-    /// the same idempotency key is not.
+    /// Queues a job. Returns it, and whether it is new: a repetition with the same idempotency key
+    /// is not.
     ///
     /// # Errors
     /// A part is missing, an option does not exist or does not fit, the tenant has no such session,
-    /// another request had this idempotency key, or the store fails.
-    pub async fn submit(
-        &self,
-        options: JobOptions,
-        uploaded: Vec<UploadedFile>,
-        idempotency_key: Option<String>,
-    ) -> Result<(JobInfo, bool), JobError> {
-        let inputs = uploaded.iter().map(|uploaded| JobInput {
+    /// a URL is not allowed, there are more files than allowed, another request had this
+    /// idempotency key, or the store fails.
+    pub async fn submit(&self, submission: Submission) -> Result<(JobInfo, bool), JobError> {
+        let Submission { mut options, files, urls, webhook, idempotency_key } = submission;
+        if let Some(webhook) = &webhook {
+            webhook.check(&self.desk.connector)?;
+            options.webhook = Some(webhook.url.clone());
+        }
+        let limit = self.desk.limits.files;
+        if !urls.is_empty() && limit < files.len() + urls.len() {
+            return Err(JobError::TooManyFiles { limit });
+        }
+        let inputs = files.iter().map(|uploaded| JobInput {
             part: uploaded.part,
             name: uploaded.name.clone(),
             hash: uploaded.file.hash.clone(),
             bytes: uploaded.file.bytes,
             is_own: uploaded.is_own,
+            url: None,
         });
-        let mut request = JobRequest::new(options, inputs.collect());
+        let mut inputs: Vec<_> = inputs.collect();
+        for url in &urls {
+            inputs.push(url.input(&self.desk.connector)?);
+        }
+        let mut request = JobRequest::new(options, inputs);
+        let request_hash = request.hash(webhook.as_ref());
+        if let Some(before) = self.created_by(idempotency_key.as_deref(), &request_hash).await? {
+            return Ok((before, false));
+        }
         request.session = self.session_input(&request).await?;
         self.desk.plan(&request)?;
         self.check_waiting().await?;
@@ -120,16 +155,29 @@ impl Jobs {
             tenant: self.tenant.clone(),
             id: JobId::random().to_string(),
             request: request.to_json(),
-            request_hash: request.hash(),
+            request_hash,
             idempotency_key,
             created_unix_ms: self.unix_ms(),
+            is_unfetched: !urls.is_empty(),
+            webhook_secret: webhook.map(|webhook| webhook.secret.text().to_owned()),
         };
         let (row, is_new) = self.desk.store.create_job(&new).await?;
-        if row.request_hash != new.request_hash {
-            return Err(JobError::IdempotencyConflict { job: row.id });
-        }
-        self.desk.queued.notify_one();
-        Ok((JobInfo::of(row)?, is_new))
+        let job = same_request(row, &new.request_hash)?;
+        let waking = if urls.is_empty() { &self.desk.queued } else { &self.desk.unfetched };
+        waking.notify_one();
+        Ok((job, is_new))
+    }
+
+    /// The job that the same request with this idempotency key has created, if it is kept. What
+    /// the request names, such as a session, may be gone since then.
+    async fn created_by(
+        &self,
+        idempotency_key: Option<&str>,
+        request_hash: &str,
+    ) -> Result<Option<JobInfo>, JobError> {
+        let Some(key) = idempotency_key else { return Ok(None) };
+        let row = self.desk.store.job_created_by(&self.tenant, key).await?;
+        row.map(|row| same_request(row, request_hash)).transpose()
     }
 
     /// What a job takes of its session, if it has one.
@@ -207,6 +255,14 @@ impl Jobs {
         }
     }
 
+    /// The attempts to tell the webhook of a job.
+    ///
+    /// # Errors
+    /// No job has this id, or the store fails.
+    pub async fn deliveries(&self, id: &JobId) -> Result<Deliveries, JobError> {
+        deliveries::of_job(&self.desk, &self.tenant, id.as_str()).await
+    }
+
     /// The time of the desk (ms since 1970-01-01 UTC).
     pub fn unix_ms(&self) -> i64 {
         self.desk.clock.unix_ms()
@@ -244,4 +300,12 @@ impl Jobs {
         let waiting: Result<u64, StoreError> = self.desk.store.waiting_jobs().await;
         if limit as u64 <= waiting? { Err(JobError::TooMany { limit }) } else { Ok(()) }
     }
+}
+
+/// The job of a row whose request has this hash.
+fn same_request(row: JobRow, request_hash: &str) -> Result<JobInfo, JobError> {
+    if row.request_hash != request_hash {
+        return Err(JobError::IdempotencyConflict { job: row.id });
+    }
+    Ok(JobInfo::of(row)?)
 }

@@ -4,6 +4,7 @@ use std::io;
 use std::sync::Arc;
 
 use crate::config::ConfigError;
+use crate::feeds::FetchError;
 use crate::gnss::FrameRefusal;
 use crate::refusal::Code;
 use crate::session::SessionError;
@@ -77,6 +78,14 @@ pub enum JobError {
     /// The session cannot be positioned as asked.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The host of a URL may not be contacted, or it is no URL.
+    #[error("{error}")]
+    Fetch {
+        /// The field with the URL.
+        field: &'static str,
+        /// What is wrong.
+        error: FetchError,
+    },
     /// Another request had the same idempotency key.
     #[error("job {job} had the same Idempotency-Key and another content")]
     IdempotencyConflict {
@@ -135,6 +144,7 @@ impl JobError {
             Self::Frame(_) => Code::FrameUnavailable,
             Self::GeoidMissing => Code::GeoidMissing,
             Self::Session(error) => error.code(),
+            Self::Fetch { error, .. } => error.code(),
             Self::IdempotencyConflict { .. } => Code::IdempotencyConflict,
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
@@ -147,7 +157,7 @@ impl JobError {
     /// The option at fault.
     pub const fn field(&self) -> Option<&'static str> {
         match self {
-            Self::InvalidOption { field, .. } => Some(field),
+            Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),
             Self::Frame(_) => Some("options.overrides.frame"),
             Self::GeoidMissing => Some("options.overrides.geoid"),

@@ -43,7 +43,8 @@ pub(super) struct JobFiles {
 pub struct Upload {
     files: Arc<JobFiles>,
     begun: usize,
-    _permit: OwnedSemaphorePermit,
+    /// `None` if the service fetches the files itself.
+    _permit: Option<OwnedSemaphorePermit>,
 }
 
 /// A file that arrives.
@@ -104,7 +105,12 @@ impl JobFiles {
         let limit = self.limits.uploads;
         let permit = self.uploads.clone().try_acquire_owned();
         let permit = permit.map_err(|_| JobError::TooManyUploads { limit })?;
-        Ok(Upload { files: self.clone(), begun: 0, _permit: permit })
+        Ok(Upload { files: self.clone(), begun: 0, _permit: Some(permit) })
+    }
+
+    /// Begins to fetch files. It takes no part of the uploads.
+    pub(super) fn fetch(self: &Arc<Self>) -> Upload {
+        Upload { files: self.clone(), begun: 0, _permit: None }
     }
 
     /// The path of an input.
@@ -182,6 +188,14 @@ impl Upload {
             return Err(JobError::TooManyFiles { limit });
         }
         self.begun += 1;
+        self.begin_again().await
+    }
+
+    /// Begins a file that is not counted: another try of one that is.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub(super) async fn begin_again(&mut self) -> Result<ArrivingFile, JobError> {
         let path = self.files.folder.join(INCOMING).join(Uuid::new_v4().simple().to_string());
         let file = File::create_new(&path).await;
         let file = file.map_err(JobError::disk("creating the file of an upload"))?;

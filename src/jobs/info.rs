@@ -1,7 +1,7 @@
 //! A job as the doors report it.
 
 use crate::id::{Id, Kind};
-use crate::store::{JobProgress, JobRow, JobState, StoreError};
+use crate::store::{JobProgress, JobRow, JobState, StoreError, WebhookState};
 
 use super::request::{JobRequest, Part};
 use super::{Failure, Report};
@@ -49,6 +49,8 @@ pub struct JobInfo {
     pub report: Option<Report>,
     /// Why it has failed.
     pub failure: Option<Failure>,
+    /// What has become of the message to its webhook; `None` without one.
+    pub webhook_state: Option<WebhookState>,
 }
 
 impl JobInfo {
@@ -72,6 +74,7 @@ impl JobInfo {
             result: row.result.map(|(file, bytes)| JobResult { file, bytes }),
             report: row.report.as_deref().map(parse).transpose()?,
             failure: row.failure.as_deref().map(parse).transpose()?,
+            webhook_state: row.webhook_state,
         })
     }
 

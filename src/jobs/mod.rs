@@ -8,16 +8,22 @@
 //!
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
+//! - **URLs** in place of files are fetched to such files before their job can run.
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
 //!   pool, in the lane of the lowest share, so that live sessions come first.
 //! - **The end** of a job is written with the fence of its claim. A run that was cancelled, or
 //!   claimed by another, ends nothing: its result is removed.
+//! - **A webhook** is told of the end of its job, with a signature, until its host takes the
+//!   message or as many attempts as allowed have failed.
 //! - **After a restart** jobs that ran are queued again and computed from the beginning.
 
+mod deliveries;
 mod desk;
 mod error;
+mod fetching;
 mod files;
 mod info;
+mod message;
 mod queue;
 mod report;
 mod request;
@@ -26,12 +32,16 @@ mod sources;
 mod state;
 mod turns;
 mod watched;
+mod webhook;
 
-pub use desk::{Jobs, UploadedFile};
+pub use deliveries::Deliveries;
+pub use desk::{Jobs, Submission, UploadedFile};
 pub use error::JobError;
+pub use fetching::InputUrl;
 pub use files::{ArrivingFile, StoredFile, Upload};
 pub use info::{JobId, JobInfo, JobResult};
 pub use report::{Failure, Report};
 pub use request::{
     BaseOrigin, JobInput, JobOptions, JobRequest, Part, SessionInput, SessionSource,
 };
+pub use webhook::{Webhook, WebhookSecret};

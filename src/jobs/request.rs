@@ -14,6 +14,7 @@ use crate::recording::{AnswerKind, BasePosition};
 use crate::session::{RerunPlan, RerunRequest, SessionError, SessionId, SolveRequest};
 
 use super::JobError;
+use super::webhook::Webhook;
 
 /// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
 /// poles to the highest mountain.
@@ -61,6 +62,16 @@ pub struct JobInput {
     /// Whether the service has added it, because the upload has none of this part.
     #[serde(default)]
     pub is_own: bool,
+    /// The URL that it is fetched from. Until then it has no hash.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub url: Option<String>,
+}
+
+impl JobInput {
+    /// Whether it is a URL whose file is to be fetched.
+    pub(super) fn is_unfetched(&self) -> bool {
+        self.url.is_some() && self.hash.is_empty()
+    }
 }
 
 /// The source of the base's position.
@@ -95,6 +106,9 @@ pub struct JobOptions {
     /// A session in place of the rover's file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionSource>,
+    /// URL that is told of the end of the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub webhook: Option<String>,
 }
 
 /// A session whose stored epochs a job positions.
@@ -156,11 +170,12 @@ impl JobRequest {
         self.inputs.iter().find(|input| input.part == part)
     }
 
-    /// Identifies what the user has sent: the options, and the bytes of the files.
-    pub(super) fn hash(&self) -> String {
+    /// Identifies what the user has sent: the options, the bytes of the files, and the secret.
+    pub(super) fn hash(&self, webhook: Option<&Webhook>) -> String {
         let sent = self.inputs.iter().filter(|input| !input.is_own).cloned().collect();
         let sent = Self { options: self.options.clone(), inputs: sent, session: None };
-        blake3::hash(sent.to_json().as_bytes()).to_hex().to_string()
+        let secret = webhook.map_or("", |webhook| webhook.secret.text());
+        blake3::hash((sent.to_json() + secret).as_bytes()).to_hex().to_string()
     }
 
     pub(super) fn to_json(&self) -> String {

@@ -10,6 +10,7 @@ use tokio::sync::{Notify, watch};
 use crate::aiding::AidingDesk;
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
+use crate::feeds::Connector;
 use crate::gnss::Geoid;
 use crate::session::BatchLane;
 use crate::store::{JobProgress, Store};
@@ -26,6 +27,8 @@ pub(super) struct Desk {
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
+    /// Contacts the hosts that clients name.
+    pub(super) connector: Connector,
     /// The operator's table of the geoid.
     pub(super) geoid: Option<Arc<Geoid>>,
     pub(super) clock: Clock,
@@ -33,6 +36,8 @@ pub(super) struct Desk {
     pub(super) node: String,
     /// Wakes a task of the queue.
     pub(super) queued: Notify,
+    /// Wakes the task that fetches inputs.
+    pub(super) unfetched: Notify,
     /// Number of changes of jobs, for those who watch one.
     pub(super) changes: watch::Sender<u64>,
     /// Whether the service is stopping.
@@ -54,7 +59,7 @@ pub(super) struct Running {
 impl Desk {
     pub(super) fn new(
         (store, aiding): (Store, AidingDesk),
-        lane: BatchLane,
+        (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         files: Option<Arc<JobFiles>>,
         node: String,
@@ -65,10 +70,12 @@ impl Desk {
             files,
             limits,
             lane,
+            connector,
             geoid: None,
             clock: Clock::system(),
             node,
             queued: Notify::new(),
+            unfetched: Notify::new(),
             changes: watch::Sender::new(0),
             stopping: watch::Sender::new(false),
             turns: tokio::sync::Mutex::default(),
@@ -104,6 +111,13 @@ impl Desk {
 
     pub(super) fn is_stopping(&self) -> bool {
         *self.stopping.borrow()
+    }
+
+    /// Waits until the service stops.
+    pub(super) async fn stopped(&self) {
+        let mut stopping = self.stopping.subscribe();
+        // Err: the desk no longer exists.
+        stopping.wait_for(|stopping| *stopping).await.ok();
     }
 
     /// Wakes those who watch a job.

@@ -74,7 +74,11 @@ impl Sessions {
             return Err(SessionError::RequestConflict { id });
         }
         let id = SessionId::parse(&id).ok_or(SessionError::NotFound { id })?;
-        self.get(&id).await.map(Some)
+        match self.get(&id).await {
+            // It is deleted meanwhile, and its name is free again.
+            Err(SessionError::NotFound { .. }) => Ok(None),
+            found => found.map(Some),
+        }
     }
 
     /// Changes the label, configuration or base of a session. Epochs sent after this call returns

@@ -74,7 +74,10 @@ pub(crate) use heads::SCANNED_HEADS;
 pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use history::{FleetHour, HistoryFilter, SessionSummary};
-pub use jobs::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob};
+pub use jobs::{
+    DeliveryAttempt, DeliveryEnd, DueWebhook, JobEnd, JobKey, JobProgress, JobRow, JobState,
+    NewJob, WebhookState,
+};
 pub use keys::{KeyRow, NewKeyRow};
 pub(crate) use named_requests::Created;
 pub use named_requests::NamedRequest;

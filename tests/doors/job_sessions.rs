@@ -240,12 +240,19 @@ async fn a_deleted_session_fails_its_jobs(database: Database) {
     let reading = job(&ids[0]).await;
     let running = |job: &Value| job["state"] == "RUNNING";
     doors.until(&format!("/v1/jobs/{reading}"), running).await;
-    let waiting = job(&ids[1]).await;
+    let options = asked(&json!({"session": ids[1].to_string()}));
+    let named = [("idempotency-key", "of a session")];
+    let (status, first) = post(&doors, options.clone(), &named).await;
+    assert_eq!(status, StatusCode::CREATED, "{first}");
+    let waiting = first["job"].as_str().unwrap().to_owned();
     for id in &ids {
         let path = format!("/v1/sessions/{id}?purge=true");
         let (status, answer) = doors.send("DELETE", &path, json!({})).await;
         assert_eq!(status, StatusCode::OK, "{answer}");
     }
+    // The request of a job is still that of this job.
+    let (status, again) = post(&doors, options, &named).await;
+    assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
     drop(turns);
     for (job, id) in [(reading, &ids[0]), (waiting, &ids[1])] {
         let failed = ended(&doors, &job).await;

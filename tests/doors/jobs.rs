@@ -523,8 +523,10 @@ async fn without_navigation_data_the_service_gives_its_own() {
     assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
 }
 
-fn new_job(id: &str, key: Option<&str>) -> NewJob {
+pub(super) fn new_job(id: &str, key: Option<&str>) -> NewJob {
     NewJob {
+        webhook_secret: None,
+        is_unfetched: false,
         tenant: Tenant::operator(),
         id: id.to_owned(),
         request: "{}".to_owned(),

@@ -52,10 +52,14 @@ impl Doors {
 
     /// With the database of this URL.
     pub(crate) async fn on(database: &str) -> Self {
+        Self::on_with_jobs(database, JobsConfiguration::standard()).await
+    }
+
+    /// With the database of this URL and these options of batch jobs.
+    pub(crate) async fn on_with_jobs(database: &str, jobs: JobsConfiguration) -> Self {
         let folder = tempfile::tempdir().unwrap();
         // A server has no folder beside it.
-        let jobs = Some(folder.path().join("jobs"));
-        let jobs = JobsConfiguration { folder: jobs, ..JobsConfiguration::standard() };
+        let jobs = JobsConfiguration { folder: Some(folder.path().join("jobs")), ..jobs };
         let place = (folder, Some(database.to_owned()));
         Self::within(place, Limits::standard(), jobs, BRISK).await
     }

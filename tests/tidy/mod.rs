@@ -89,6 +89,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "formats",
             "store",
             "aiding",
+            "feeds",
             "recording",
             "session",
         ],

@@ -3,7 +3,10 @@
 use crate::config::Mode;
 use crate::contract::{Caller, Refusal, convert, texts, v1};
 use crate::gnss::GpsTime;
-use crate::jobs::{BaseOrigin, JobOptions, JobRequest, SessionInput, SessionSource};
+use crate::jobs::{
+    BaseOrigin, JobError, JobOptions, JobRequest, SessionInput, SessionSource, Webhook,
+    WebhookSecret,
+};
 use crate::refusal::Code;
 use crate::store::BaseChoice;
 
@@ -46,7 +49,17 @@ pub(super) fn read(
         format: or_standard(message.format, FORMAT),
         near_ns: near.map(GpsTime::as_ns),
         session,
+        webhook: None,
     })
+}
+
+/// The webhook of a request.
+///
+/// # Errors
+/// The secret is invalid.
+pub(super) fn webhook(message: Option<v1::JobWebhook>) -> Result<Option<Webhook>, JobError> {
+    let Some(v1::JobWebhook { url, secret }) = message else { return Ok(None) };
+    Ok(Some(Webhook { url, secret: WebhookSecret::parse(&secret)? }))
 }
 
 fn contradiction<T>(field: &str, other: &str) -> Result<T, Refusal> {
@@ -118,6 +131,8 @@ pub(super) fn message(request: &JobRequest) -> v1::JobOptions {
         to: source.and_then(|source| time(source.span_ns.1)),
         base,
         bases,
+        urls: Vec::new(),
+        webhook: options.webhook.clone().map(|url| v1::JobWebhook { url, secret: String::new() }),
     }
 }
 

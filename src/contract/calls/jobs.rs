@@ -14,10 +14,11 @@ use crate::formats::rinex::write_navigation;
 use crate::formats::track::TrackFormat;
 use crate::gnss::{Ephemeris, Navigation};
 use crate::jobs::{
-    ArrivingFile, Failure, JobError, JobId, JobInfo, JobInput, Part, Report, Upload, UploadedFile,
+    ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, Part, Report, Submission,
+    Upload, UploadedFile,
 };
 use crate::refusal::Code;
-use crate::store::JobState;
+use crate::store::{JobState, WebhookState};
 
 use super::paging::Pages;
 use super::{job_options, oldest_first, page_size, utc};
@@ -114,17 +115,39 @@ impl Arriving {
         if let Some(key) = idempotency_key {
             texts::check("Idempotency-Key", key, KEY_MAX)?;
         }
-        let has_base = self.files.iter().any(|file| file.part == Part::Base);
-        let options = self.options.take().unwrap_or_default();
+        let mut options = self.options.take().unwrap_or_default();
+        let urls = input_urls(mem::take(&mut options.urls))?;
+        let has = |part: Part| {
+            let is_named = urls.iter().any(|url| url.part == part);
+            is_named || self.files.iter().any(|file| file.part == part)
+        };
+        let (has_base, has_navigation) = (has(Part::Base), has(Part::Navigation));
+        let webhook = job_options::webhook(options.webhook.take())?;
         let options = job_options::read(caller, options, has_base)?;
-        let has_navigation = self.files.iter().any(|file| file.part == Part::Navigation);
         if options.session.is_none() && !has_navigation {
             self.add_own_navigation(caller).await?;
         }
         let key = idempotency_key.map(ToOwned::to_owned);
-        let (job, is_new) = caller.jobs().submit(options, self.files, key).await?;
+        let files = self.files;
+        let submission = Submission { options, files, urls, webhook, idempotency_key: key };
+        let (job, is_new) = caller.jobs().submit(submission).await?;
         Ok((message(caller, &job), is_new))
     }
+}
+
+/// The URLs in place of files.
+///
+/// # Errors
+/// There is no such part.
+fn input_urls(urls: Vec<v1::JobUrl>) -> Result<Vec<InputUrl>, Refusal> {
+    let url = |(index, v1::JobUrl { part, url })| {
+        let unknown = || {
+            let message = format!("{:?} is not rover, navigation or base", texts::brief(&part));
+            Refusal::new(Code::InvalidField, message).at(format!("options.urls[{index}].part"))
+        };
+        Ok(InputUrl { part: Part::from_name(&part).ok_or_else(unknown)?, url })
+    };
+    urls.into_iter().enumerate().map(url).collect()
 }
 
 impl Arriving {
@@ -335,6 +358,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         hash: input.hash.clone(),
         bytes: input.bytes,
         own: input.is_own,
+        url: input.url.clone().unwrap_or_default(),
     };
     v1::Job {
         job: job.id.to_string(),
@@ -354,6 +378,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         }),
         result_bytes: job.result.as_ref().map(|result| result.bytes),
         failure: job.failure.as_ref().map(failure_message),
+        webhook_state: job.webhook_state.map_or("", WebhookState::name).to_owned(),
     }
 }
 

@@ -5,6 +5,7 @@ pub mod audit;
 pub mod bases;
 mod feeds;
 pub mod history;
+pub mod job_deliveries;
 mod job_options;
 pub mod job_watch;
 pub mod jobs;
@@ -26,6 +27,8 @@ pub mod watch;
 use prost::Message;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
+use crate::clock::unix_epoch;
+pub(crate) use crate::clock::utc;
 use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 use crate::refusal::Code;
 use crate::session::SessionId;
@@ -146,24 +149,6 @@ fn named_request<M: Message>(name: String, content: &M) -> Result<Option<NamedRe
 /// The page size of a request, or the call's standard size if it is zero.
 const fn page_size(asked: u32, standard: usize) -> usize {
     if asked == 0 { standard } else { asked as usize }
-}
-
-/// A system time (ms since 1970-01-01 UTC, without leap seconds) as RFC 3339.
-pub(crate) fn utc(unix_ms: i64) -> String {
-    let start = unix_epoch();
-    let civil = GpsTime::from_ns(start.as_ns().saturating_add(unix_ms.saturating_mul(1_000_000)))
-        .to_civil(TimeScale::Gps, &LeapSeconds::table());
-    let CivilTime { year, month, day, hour, minute, second, nanosecond } = civil;
-    let ms = nanosecond / 1_000_000;
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
-}
-
-/// 1970-01-01, in GPS time, which has no leap seconds, as the system clock.
-fn unix_epoch() -> GpsTime {
-    const EPOCH: CivilTime =
-        CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };
-    let start = GpsTime::from_civil(&EPOCH, TimeScale::Gps, &LeapSeconds::table());
-    start.expect("the date exists")
 }
 
 /// The system time of a text of RFC 3339 in UTC, such as `2026-11-24T01:30:00Z` (ms since

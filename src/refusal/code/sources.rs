@@ -61,9 +61,10 @@ macro_rules! sources {
     /// The mountpoint's name is invalid.
     MountpointInvalid = "MOUNTPOINT_INVALID", Malformed,
         "choose a mountpoint of the caster's sourcetable";
-    /// The address of an archive's files is invalid, or has no placeholders for the day.
+    /// The address of files or of a webhook is invalid, or that of an archive has no placeholders
+    /// for the day.
     LocationInvalid = "LOCATION_INVALID", Malformed,
-        "write http:// or https://, host, path and placeholders";
+        "write http:// or https://, host and path; of an archive, with placeholders";
     /// The operator does not list the host.
     HostNotAllowed = "HOST_NOT_ALLOWED", Precondition,
         "let the operator list the host in fetch.hosts";

@@ -335,6 +335,9 @@ fn jobs(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         "Jobs/Watch" => both!(call, v1::GetJobRequest, format!("{path}/events"), named, none),
         "Jobs/Cancel" => both!(call, v1::CancelJobRequest, path, named, none),
         "Jobs/Report" => both!(call, v1::GetJobRequest, format!("{path}/report"), named, none),
+        "Jobs/Deliveries" => {
+            both!(call, v1::GetJobRequest, format!("{path}/deliveries"), named, none)
+        }
         "Jobs/Result" => both!(call, v1::GetJobRequest, format!("{path}/result"), named, none),
         _ => return None,
     })

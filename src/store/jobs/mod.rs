@@ -3,196 +3,22 @@
 //! A claim raises the job's fence and names its node. Progress and the end of a job are written
 //! only with the fence of its last claim, so a claimant that has lost its job changes nothing.
 
+mod deliveries;
+mod fetching;
+mod rows;
+
 use crate::tenant::Tenant;
 
 use super::page::rows_asked;
 use super::pool::{Pool, reading, writing};
 use super::{Page, Store, StoreError};
 
+pub use deliveries::{DeliveryAttempt, DeliveryEnd, DueWebhook};
+pub use rows::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob, WebhookState};
+use rows::{RawJob, columns};
+
 const PAGE_LIMIT: usize = 1_000;
 
-/// Primary key of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct JobKey(i64);
-
-/// What a job is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JobState {
-    /// It waits.
-    Queued,
-    /// It is computed.
-    Running,
-    /// Its result is stored.
-    Succeeded,
-    /// It has no result.
-    Failed,
-    /// A user ended it.
-    Cancelled,
-}
-
-impl JobState {
-    const ALL: [Self; 5] =
-        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
-
-    /// The name in the API and in the database.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Queued => "QUEUED",
-            Self::Running => "RUNNING",
-            Self::Succeeded => "SUCCEEDED",
-            Self::Failed => "FAILED",
-            Self::Cancelled => "CANCELLED",
-        }
-    }
-
-    /// The state of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.name() == name)
-    }
-
-    /// Whether nothing follows.
-    pub const fn is_end(self) -> bool {
-        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
-    }
-}
-
-/// A job to queue. Its texts are JSON of the desk for jobs.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NewJob {
-    /// To whom it belongs.
-    pub tenant: Tenant,
-    /// Public id.
-    pub id: String,
-    /// Options and input files.
-    pub request: String,
-    /// Identifies the content of the request.
-    pub request_hash: String,
-    /// A name that the tenant has given to the request, so that its repetition is no second job.
-    pub idempotency_key: Option<String>,
-    /// When it arrived (ms since 1970-01-01 UTC).
-    pub created_unix_ms: i64,
-}
-
-/// How far a job is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct JobProgress {
-    /// Number of epochs.
-    pub epochs: u64,
-    /// Number of them with a position.
-    pub answered: u64,
-    /// Bytes of the rover's file that have been read.
-    pub read_bytes: u64,
-}
-
-/// How a job ends.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum JobEnd {
-    /// With a result.
-    Succeeded {
-        /// Name of the result's file.
-        result: String,
-        /// Its size (bytes).
-        bytes: u64,
-        /// The report, JSON.
-        report: String,
-    },
-    /// Without one.
-    Failed {
-        /// Why, JSON.
-        failure: String,
-    },
-}
-
-/// A stored job.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct JobRow {
-    /// Primary key.
-    pub key: JobKey,
-    /// To whom it belongs.
-    pub tenant: Tenant,
-    /// Public id.
-    pub id: String,
-    /// What it is doing.
-    pub state: JobState,
-    /// Options and input files.
-    pub request: String,
-    /// Identifies the content of the request.
-    pub request_hash: String,
-    /// When it arrived (ms since 1970-01-01 UTC).
-    pub created_unix_ms: i64,
-    /// When its present or last run began.
-    pub started_unix_ms: Option<i64>,
-    /// When it ended.
-    pub ended_unix_ms: Option<i64>,
-    /// Number of claims.
-    pub fence: i64,
-    /// How far it is.
-    pub progress: JobProgress,
-    /// Name and size of the result's file (bytes).
-    pub result: Option<(String, u64)>,
-    /// The report of a success.
-    pub report: Option<String>,
-    /// The reason of a failure.
-    pub failure: Option<String>,
-}
-
-#[derive(sqlx::FromRow)]
-struct RawJob {
-    key: i64,
-    tenant: String,
-    id: String,
-    state: String,
-    request: String,
-    request_hash: String,
-    created_unix_ms: i64,
-    started_unix_ms: Option<i64>,
-    ended_unix_ms: Option<i64>,
-    fence: i64,
-    epochs: i64,
-    answered: i64,
-    read_bytes: i64,
-    result: Option<String>,
-    result_bytes: Option<i64>,
-    report: Option<String>,
-    failure: Option<String>,
-}
-
-impl RawJob {
-    fn parse(self) -> Result<JobRow, StoreError> {
-        let state = JobState::from_name(&self.state).ok_or_else(|| StoreError::CorruptText {
-            what: "job",
-            why: format!("{:?} is not a state", self.state),
-        })?;
-        Ok(JobRow {
-            key: JobKey(self.key),
-            tenant: Tenant::stored(&self.tenant),
-            id: self.id,
-            state,
-            request: self.request,
-            request_hash: self.request_hash,
-            created_unix_ms: self.created_unix_ms,
-            started_unix_ms: self.started_unix_ms,
-            ended_unix_ms: self.ended_unix_ms,
-            fence: self.fence,
-            progress: JobProgress {
-                epochs: self.epochs as u64,
-                answered: self.answered as u64,
-                read_bytes: self.read_bytes as u64,
-            },
-            result: self.result.zip(self.result_bytes.map(|bytes| bytes as u64)),
-            report: self.report,
-            failure: self.failure,
-        })
-    }
-}
-
-/// The columns of [`RawJob`].
-macro_rules! columns {
-    () => {
-        "key, tenant, id, state, request, request_hash, created_unix_ms, started_unix_ms, \
-         ended_unix_ms, fence, epochs, answered, read_bytes, result, result_bytes, report, failure"
-    };
-}
 macro_rules! select_jobs {
     ($condition:literal) => {
         concat!("SELECT ", columns!(), " FROM jobs ", $condition)
@@ -205,13 +31,16 @@ macro_rules! claim {
             "UPDATE jobs SET state = 'RUNNING', node = $1, fence = fence + 1, ",
             "started_unix_ms = $2, heartbeat_unix_ms = $2, epochs = 0, answered = 0, ",
             "read_bytes = 0 WHERE key = (SELECT key FROM jobs WHERE ended_unix_ms IS NULL ",
-            "AND tenant = $4 AND (state = 'QUEUED' OR heartbeat_unix_ms < $3) ORDER BY key LIMIT 1",
+            "AND tenant = $4 AND unfetched = 0 ",
+            "AND (state = 'QUEUED' OR heartbeat_unix_ms < $3) ORDER BY key LIMIT 1",
             $lock,
             ") RETURNING ",
             columns!()
         )
     };
 }
+
+const NAMED_JOB: &str = select_jobs!("WHERE tenant = $1 AND request_name = $2");
 
 impl Store {
     /// Queues a job. Returns it, and whether it is new: a job of the same tenant and idempotency
@@ -220,10 +49,13 @@ impl Store {
     /// # Errors
     /// The database fails.
     pub async fn create_job(&self, new: &NewJob) -> Result<(JobRow, bool), StoreError> {
+        // Due at once, when the job has ended.
+        let webhook = new.webhook_secret.as_ref().map(|_| (WebhookState::Waiting, 0));
         let created: Result<Option<RawJob>, _> = writing!(&self.pool, pool => {
             let sql = concat!(
                 "INSERT INTO jobs (id, state, request, request_hash, request_name, ",
-                "created_unix_ms, tenant) VALUES ($1, 'QUEUED', $2, $3, $4, $5, $6) ",
+                "created_unix_ms, tenant, webhook_secret, webhook_state, webhook_due_unix_ms, ",
+                "unfetched) VALUES ($1, 'QUEUED', $2, $3, $4, $5, $6, $7, $8, $9, $10) ",
                 "ON CONFLICT (tenant, request_name) DO NOTHING RETURNING ",
                 columns!()
             );
@@ -234,6 +66,10 @@ impl Store {
                 .bind(&new.idempotency_key)
                 .bind(new.created_unix_ms)
                 .bind(new.tenant.name())
+                .bind(&new.webhook_secret)
+                .bind(webhook.map(|(state, _)| state.name()))
+                .bind(webhook.map(|(_, due_unix_ms)| due_unix_ms))
+                .bind(i64::from(new.is_unfetched))
                 .fetch_optional(pool)
                 .await
         });
@@ -241,11 +77,26 @@ impl Store {
             return Ok((row.parse()?, true));
         }
         let before: Result<RawJob, _> = writing!(&self.pool, pool => {
-            let sql = select_jobs!("WHERE tenant = $1 AND request_name = $2");
-            let select = sqlx::query_as(sql).bind(new.tenant.name());
+            let select = sqlx::query_as(NAMED_JOB).bind(new.tenant.name());
             select.bind(&new.idempotency_key).fetch_one(pool).await
         });
         Ok((before.map_err(StoreError::database("reading a job"))?.parse()?, false))
+    }
+
+    /// The job that a tenant's request with this idempotency key has created, if it is kept.
+    ///
+    /// # Errors
+    /// The database fails, or the row is corrupt.
+    pub async fn job_created_by(
+        &self,
+        tenant: &Tenant,
+        idempotency_key: &str,
+    ) -> Result<Option<JobRow>, StoreError> {
+        let row: Result<Option<RawJob>, _> = reading!(&self.pool, pool => {
+            let select = sqlx::query_as(NAMED_JOB).bind(tenant.name());
+            select.bind(idempotency_key).fetch_optional(pool).await
+        });
+        row.map_err(StoreError::database("reading a job"))?.map(RawJob::parse).transpose()
     }
 
     /// The job of a tenant with this id.
@@ -322,7 +173,7 @@ impl Store {
     pub async fn tenants_with_jobs(&self, silent_unix_ms: i64) -> Result<Vec<Tenant>, StoreError> {
         let names: Result<Vec<String>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT DISTINCT tenant FROM jobs WHERE ended_unix_ms IS NULL
-                       AND (state = 'QUEUED' OR heartbeat_unix_ms < $1)";
+                       AND unfetched = 0 AND (state = 'QUEUED' OR heartbeat_unix_ms < $1)";
             sqlx::query_scalar(sql).bind(silent_unix_ms).fetch_all(pool).await
         });
         let names = names.map_err(StoreError::database("reading whose jobs wait"))?;

@@ -1,0 +1,273 @@
+//! The task that fetches the inputs of jobs that are URLs. A job waits until all are stored.
+//!
+//! Nothing of it is stored before all inputs are: after a restart they are fetched again.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use tokio::sync::mpsc;
+use tokio::task::{Id, JoinSet};
+use tokio::time::{MissedTickBehavior, interval, sleep};
+
+use crate::feeds::{Backoff, Connector, Url, WebError, download};
+use crate::refusal::Code;
+use crate::store::JobRow;
+use crate::tenant::Tenant;
+
+use super::JobError;
+use super::files::{ArrivingFile, StoredFile, Upload};
+use super::info::JobInfo;
+use super::report::Failure;
+use super::request::{JobInput, JobRequest, Part};
+use super::state::{Desk, Running};
+
+/// Interval at which the store is asked for jobs whose inputs are to be fetched.
+const ASK: Duration = Duration::from_secs(1);
+/// Jobs whose inputs are fetched at the same time, and those of one tenant.
+const FETCHES: usize = 4;
+const OF_TENANT: usize = 2;
+/// Times that a URL is tried, and the delays between them.
+const TRIES: usize = 3;
+const DELAY: Duration = Duration::from_secs(2);
+const DELAY_CEILING: Duration = Duration::from_secs(60);
+/// Chunks between the host and the disk.
+const CHUNKS: usize = 4;
+/// Interval at which a fetch looks whether its job is cancelled.
+const LOOK: Duration = Duration::from_millis(200);
+/// Longest name of an input (characters).
+const NAME_MAX: usize = 200;
+
+/// Fetches inputs until the service stops.
+pub(super) async fn fetch(desk: Arc<Desk>) {
+    let (mut fetches, mut busy) = (JoinSet::new(), HashMap::new());
+    let mut look = interval(ASK);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while !desk.is_stopping() {
+        tokio::select! {
+            Some(ended) = fetches.join_next_with_id() => {
+                let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
+                busy.remove(&id);
+            }
+            () = desk.unfetched.notified() => begin(&desk, &mut fetches, &mut busy).await,
+            _ = look.tick() => begin(&desk, &mut fetches, &mut busy).await,
+            () = desk.stopped() => {}
+        }
+    }
+    while fetches.join_next().await.is_some() {}
+}
+
+/// Begins to fetch the inputs of as many jobs as allowed.
+async fn begin(
+    desk: &Arc<Desk>,
+    fetches: &mut JoinSet<()>,
+    busy: &mut HashMap<Id, (Tenant, String)>,
+) {
+    let rows = match desk.store.unfetched_jobs().await {
+        Ok(rows) => rows,
+        Err(error) => return tracing::warn!(%error, "inputs of jobs are not fetched yet"),
+    };
+    for row in rows {
+        let of_tenant = busy.values().filter(|(tenant, _)| *tenant == row.tenant).count();
+        let is_begun = busy.values().any(|(_, id)| *id == row.id);
+        if is_begun || OF_TENANT <= of_tenant || FETCHES <= busy.len() {
+            continue;
+        }
+        let named = (row.tenant.clone(), row.id.clone());
+        let fetching = fetches.spawn(of_job(desk.clone(), row));
+        busy.insert(fetching.id(), named);
+    }
+}
+
+/// Fetches the inputs of a job, and lets it be computed, or ends it.
+async fn of_job(desk: Arc<Desk>, row: JobRow) {
+    let (key, id) = (row.key, row.id.clone());
+    let running = desk.begin(&id);
+    let fetched = inputs(&desk, row, &running).await;
+    desk.end(&id);
+    let stored = match fetched {
+        Ok(Some((request, _files))) => {
+            let stored = desk.store.fetched_job(key, &request.to_json()).await;
+            desk.queued.notify_one();
+            stored
+        }
+        Ok(None) => return, // Cancelled, or fetched again after the next start.
+        Err(failure) => {
+            let failure = serde_json::to_string(&failure).expect("texts are JSON");
+            desk.store.fail_unfetched_job(key, &failure, desk.clock.unix_ms()).await
+        }
+    };
+    // Err: its inputs are fetched again.
+    if let Err(error) = stored {
+        tracing::warn!(%error, job = %id, "that the inputs of a job are fetched is not stored");
+    }
+    desk.changed();
+}
+
+/// The request with the files of all inputs; `None` if the job is stopped.
+async fn inputs(
+    desk: &Desk,
+    row: JobRow,
+    running: &Running,
+) -> Result<Option<(JobRequest, Vec<StoredFile>)>, Failure> {
+    let refused = |error: &JobError, part| Failure::new(error.code(), error.to_string(), part);
+    let mut request = JobInfo::of(row).map_err(|error| refused(&error.into(), None))?.request;
+    let files = desk.files().map_err(|error| refused(&error, None))?;
+    let (mut upload, mut stored) = (files.fetch(), Vec::new());
+    for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
+        let part = Some(input.part.name());
+        let fetching = tried(desk, &mut upload, input, running);
+        match fetching.await.map_err(|error| Failure::new(error.code(), error.text(), part))? {
+            None => return Ok(None),
+            Some(file) => {
+                (input.hash, input.bytes) = (file.hash.clone(), file.bytes);
+                stored.push(file);
+            }
+        }
+    }
+    Ok(Some((request, stored)))
+}
+
+/// Why a file was not fetched.
+enum Unfetched {
+    Web(WebError),
+    Job(JobError),
+}
+
+impl Unfetched {
+    fn code(&self) -> Code {
+        match self {
+            Self::Web(error) => error.code(),
+            Self::Job(error) => error.code(),
+        }
+    }
+
+    fn text(&self) -> String {
+        match self {
+            Self::Web(error) => error.to_string(),
+            Self::Job(error) => error.to_string(),
+        }
+    }
+
+    /// The delay that the host asks for.
+    fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Web(error) => error.retry_after(),
+            Self::Job(_) => None,
+        }
+    }
+
+    /// Whether another try may succeed.
+    fn is_passing(&self) -> bool {
+        let Self::Web(error) = self else { return false };
+        let passing = [
+            Code::HostUnresolved,
+            Code::HostUnreachable,
+            Code::HostSlow,
+            Code::HostRefuses,
+            Code::HostProtocol,
+            Code::FileCut,
+        ];
+        passing.contains(&error.code())
+    }
+}
+
+/// Fetches a file, with several tries; `None` if the job is stopped.
+async fn tried(
+    desk: &Desk,
+    upload: &mut Upload,
+    input: &JobInput,
+    running: &Running,
+) -> Result<Option<StoredFile>, Unfetched> {
+    let mut backoff = Backoff::new(DELAY, DELAY_CEILING);
+    let text = input.url.as_deref().unwrap_or_default();
+    let url: Url = text.parse().map_err(|error| Unfetched::Web(WebError::Fetch(error)))?;
+    let longest = Duration::from_secs(desk.limits.fetch_s);
+    for attempt in 1.. {
+        let file = upload.begin_again().await.map_err(Unfetched::Job)?;
+        let fetching = fetched(&desk.connector, &url, longest, file);
+        let error = match unless_stopped(running, fetching).await {
+            None => return Ok(None),
+            Some(Ok(file)) => return Ok(Some(file)),
+            Some(Err(error)) => error,
+        };
+        if attempt == TRIES || !error.is_passing() {
+            return Err(error);
+        }
+        let asked = error.retry_after().filter(|asked| *asked <= DELAY_CEILING);
+        if unless_stopped(running, sleep(backoff.next(asked))).await.is_none() {
+            return Ok(None);
+        }
+    }
+    unreachable!("the last try returns")
+}
+
+/// Streams a file from its host to the disk.
+async fn fetched(
+    connector: &Connector,
+    url: &Url,
+    longest: Duration,
+    mut file: ArrivingFile,
+) -> Result<StoredFile, Unfetched> {
+    let (sender, mut chunks) = mpsc::channel::<Bytes>(CHUNKS);
+    let downloading = async {
+        let downloaded = download(connector, url, longest, &sender).await;
+        drop(sender);
+        downloaded.map_err(Unfetched::Web)
+    };
+    let writing = async {
+        let mut written = Ok(());
+        while let Some(chunk) = chunks.recv().await {
+            written = file.write(&chunk).await;
+            if written.is_err() {
+                break;
+            }
+        }
+        drop(chunks);
+        written.map(|()| file).map_err(Unfetched::Job)
+    };
+    let (downloaded, written) = tokio::join!(downloading, writing);
+    let file = written?;
+    downloaded?;
+    file.finish().await.map_err(Unfetched::Job)
+}
+
+/// The result of `work`; `None` if the job is stopped before.
+async fn unless_stopped<T>(running: &Running, work: impl Future<Output = T>) -> Option<T> {
+    let stopped = async {
+        while !running.is_stopped() {
+            sleep(LOOK).await;
+        }
+    };
+    tokio::select! {
+        done = work => Some(done),
+        () = stopped => None,
+    }
+}
+
+/// A URL in place of an uploaded file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputUrl {
+    /// What the file is for.
+    pub part: Part,
+    /// Where it is.
+    pub url: String,
+}
+
+impl InputUrl {
+    /// The input of a job whose file is not fetched yet.
+    ///
+    /// # Errors
+    /// It is no URL, or the operator does not list the host.
+    pub(super) fn input(&self, connector: &Connector) -> Result<JobInput, JobError> {
+        let refused = |error| JobError::Fetch { field: "options.urls", error };
+        let url: Url = self.url.parse().map_err(refused)?;
+        connector.policy().check(&url.host, url.port).map_err(refused)?;
+        let path = url.path.split('?').next().unwrap_or_default();
+        let name = path.rsplit('/').next().unwrap_or_default().chars().take(NAME_MAX);
+        let (part, url) = (self.part, Some(self.url.clone()));
+        let (name, hash) = (name.collect(), String::new());
+        Ok(JobInput { part, name, hash, bytes: 0, is_own: false, url })
+    }
+}

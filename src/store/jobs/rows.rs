@@ -1,0 +1,229 @@
+//! Batch jobs as the desk sees them, and as they are read from the table.
+
+use crate::store::StoreError;
+use crate::tenant::Tenant;
+
+/// Primary key of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct JobKey(pub(super) i64);
+
+/// What a job is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobState {
+    /// It waits.
+    Queued,
+    /// It is computed.
+    Running,
+    /// Its result is stored.
+    Succeeded,
+    /// It has no result.
+    Failed,
+    /// A user ended it.
+    Cancelled,
+}
+
+impl JobState {
+    const ALL: [Self; 5] =
+        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+
+    /// The name in the API and in the database.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "QUEUED",
+            Self::Running => "RUNNING",
+            Self::Succeeded => "SUCCEEDED",
+            Self::Failed => "FAILED",
+            Self::Cancelled => "CANCELLED",
+        }
+    }
+
+    /// The state of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+
+    /// Whether nothing follows.
+    pub const fn is_end(self) -> bool {
+        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
+    }
+}
+
+/// What has become of the message to a job's webhook.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WebhookState {
+    /// It waits for the end of the job, or for the next attempt.
+    Waiting,
+    /// The host has taken it.
+    Delivered,
+    /// No attempt follows.
+    Failed,
+}
+
+impl WebhookState {
+    const ALL: [Self; 3] = [Self::Waiting, Self::Delivered, Self::Failed];
+
+    /// The name in the API and in the database.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "WAITING",
+            Self::Delivered => "DELIVERED",
+            Self::Failed => "FAILED",
+        }
+    }
+
+    fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+}
+
+/// A job to queue. Its texts are JSON of the desk for jobs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewJob {
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// Public id.
+    pub id: String,
+    /// Options and input files.
+    pub request: String,
+    /// Identifies the content of the request.
+    pub request_hash: String,
+    /// A name that the tenant has given to the request, so that its repetition is no second job.
+    pub idempotency_key: Option<String>,
+    /// When it arrived (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// Signs the messages to its webhook; `None` without one.
+    pub webhook_secret: Option<String>,
+    /// Whether inputs are to be fetched before it can be claimed.
+    pub is_unfetched: bool,
+}
+
+/// How far a job is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct JobProgress {
+    /// Number of epochs.
+    pub epochs: u64,
+    /// Number of them with a position.
+    pub answered: u64,
+    /// Bytes of the rover's file that have been read.
+    pub read_bytes: u64,
+}
+
+/// How a job ends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum JobEnd {
+    /// With a result.
+    Succeeded {
+        /// Name of the result's file.
+        result: String,
+        /// Its size (bytes).
+        bytes: u64,
+        /// The report, JSON.
+        report: String,
+    },
+    /// Without one.
+    Failed {
+        /// Why, JSON.
+        failure: String,
+    },
+}
+
+/// A stored job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JobRow {
+    /// Primary key.
+    pub key: JobKey,
+    /// To whom it belongs.
+    pub tenant: Tenant,
+    /// Public id.
+    pub id: String,
+    /// What it is doing.
+    pub state: JobState,
+    /// Options and input files.
+    pub request: String,
+    /// Identifies the content of the request.
+    pub request_hash: String,
+    /// When it arrived (ms since 1970-01-01 UTC).
+    pub created_unix_ms: i64,
+    /// When its present or last run began.
+    pub started_unix_ms: Option<i64>,
+    /// When it ended.
+    pub ended_unix_ms: Option<i64>,
+    /// Number of claims.
+    pub fence: i64,
+    /// How far it is.
+    pub progress: JobProgress,
+    /// Name and size of the result's file (bytes).
+    pub result: Option<(String, u64)>,
+    /// The report of a success.
+    pub report: Option<String>,
+    /// The reason of a failure.
+    pub failure: Option<String>,
+    /// What has become of the message to its webhook; `None` without one.
+    pub webhook_state: Option<WebhookState>,
+}
+
+#[derive(sqlx::FromRow)]
+pub(super) struct RawJob {
+    pub(super) key: i64,
+    tenant: String,
+    pub(super) id: String,
+    state: String,
+    request: String,
+    request_hash: String,
+    created_unix_ms: i64,
+    started_unix_ms: Option<i64>,
+    ended_unix_ms: Option<i64>,
+    fence: i64,
+    epochs: i64,
+    answered: i64,
+    read_bytes: i64,
+    result: Option<String>,
+    result_bytes: Option<i64>,
+    report: Option<String>,
+    failure: Option<String>,
+    webhook_state: Option<String>,
+}
+
+impl RawJob {
+    pub(super) fn parse(self) -> Result<JobRow, StoreError> {
+        let unknown = |name: &str| StoreError::CorruptText {
+            what: "job",
+            why: format!("{name:?} is not a state"),
+        };
+        let state = JobState::from_name(&self.state).ok_or_else(|| unknown(&self.state))?;
+        let webhook_state = self
+            .webhook_state
+            .map(|name| WebhookState::from_name(&name).ok_or_else(|| unknown(&name)));
+        Ok(JobRow {
+            key: JobKey(self.key),
+            tenant: Tenant::stored(&self.tenant),
+            id: self.id,
+            state,
+            request: self.request,
+            request_hash: self.request_hash,
+            created_unix_ms: self.created_unix_ms,
+            started_unix_ms: self.started_unix_ms,
+            ended_unix_ms: self.ended_unix_ms,
+            fence: self.fence,
+            progress: JobProgress {
+                epochs: self.epochs as u64,
+                answered: self.answered as u64,
+                read_bytes: self.read_bytes as u64,
+            },
+            result: self.result.zip(self.result_bytes.map(|bytes| bytes as u64)),
+            report: self.report,
+            failure: self.failure,
+            webhook_state: webhook_state.transpose()?,
+        })
+    }
+}
+
+/// The columns of [`RawJob`].
+macro_rules! columns {
+    () => {
+        "key, tenant, id, state, request, request_hash, created_unix_ms, started_unix_ms, \
+         ended_unix_ms, fence, epochs, answered, read_bytes, result, result_bytes, report, \
+         failure, webhook_state"
+    };
+}
+pub(super) use columns;
