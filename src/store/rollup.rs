@@ -221,7 +221,7 @@ mod tests {
             (sum.last_seq, sum.status, sum.position_deg),
             (2, Status::Fixed, Some((1.0, 2.0)))
         );
-        assert_eq!(sum.span.1 - sum.span.0, 60.0);
+        assert!((sum.span.1 - sum.span.0 - 60.0).abs() < 1e-6);
         assert_eq!(sum.statuses.ends(), Some((Status::Single, Status::Fixed)));
         assert_eq!(sum.statuses.total(), 2);
         let sigma = sum.sigma_m.unwrap();

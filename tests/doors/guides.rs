@@ -150,6 +150,7 @@ graphfix stream --server http://localhost:8080 --rover rtk/rover.obs --mode fgo 
 found() { grep -o -m 1 "$1_[0-9a-f]*" | sed 1q; }
 session=$(curl localhost:8080/v1/sessions | found ses)
 json='content-type: application/json'
+SECRET=whsec_$(openssl rand -base64 32)
 base=$(curl localhost:8080/v1/bases -H "$json" -d '{"label": "one"}' | found bas)
 other=$(curl localhost:8080/v1/bases -H "$json" -d '{"label": "other"}' | found bas)
 job=$(curl localhost:8080/v1/jobs -F rover=@rtk/rover.obs -F 'options={"mode": "spp"}' |

@@ -204,7 +204,7 @@ async fn a_newer_schema_is_refused(database: Database) {
                  checksum, execution_time FROM _sqlx_migrations WHERE version = 1";
     database.execute(later).await;
     let error = Store::open(&database.url).await.unwrap_err();
-    let known = newest_migration();
+    let known = newest_migration(&database);
     assert_eq!(
         error.to_string(),
         format!("the database has schema 9000, this Graphfix knows schemas up to {known}")
@@ -213,8 +213,9 @@ async fn a_newer_schema_is_refused(database: Database) {
 }
 
 /// The number with which the name of the newest migration begins.
-fn newest_migration() -> u32 {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
+fn newest_migration(database: &Database) -> u32 {
+    let (store, _) = database.url.split_once(':').unwrap();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations").join(store);
     let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
     let number = |name: OsString| name.to_str().unwrap()[..4].parse().unwrap();
     names.map(number).max().unwrap()

@@ -22,6 +22,9 @@ pub(in crate::store) struct Measures {
 /// The measures of a solution; `None` without a position, or if a value is not finite.
 pub(in crate::store) fn solution_measures(solution: &Solution) -> Option<Measures> {
     let estimate = solution.estimate.as_ref()?;
+    if !estimate.covariance.iter().all(|v| v.is_finite()) {
+        return None;
+    }
     let position = estimate.position.to_geodetic();
     let measures = Measures {
         latitude_deg: position.latitude_rad.to_degrees(),
