@@ -363,7 +363,7 @@ async fn hours_outlive_epochs_and_minutes(database: Database) {
         desk.remove_expired().await.unwrap();
     }
     let epochs = database.count("epochs").await as u64;
-    assert!(2 * PER_DAY <= epochs && epochs <= 4 * PER_DAY, "{epochs}");
+    assert!((2 * PER_DAY..=4 * PER_DAY).contains(&epochs), "{epochs}");
     let all = HistoryQuery {
         from: Some(GpsTime::from_week_seconds(2051, 0.0)),
         to: Some(GpsTime::from_week_seconds(2051, 20_000.0)),
