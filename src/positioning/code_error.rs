@@ -21,11 +21,16 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 use crate::snapshot::snapshot_fields;
 
-/// λ (m): the extra path of one bounce in a street is about the street's width.
-pub(super) const EXTRA_PATH_M: f64 = 40.0;
+/// H (m): height of walls above the antenna, as of houses of a dozen floors.
+const WALL_M: f64 = 40.0;
+/// Least λ (m): diffraction at a roof, and what reflects beside the antenna, delay high satellites
+/// too.
+const EXTRA_PATH_MIN_M: f64 = 10.0;
+/// Sine of 6°, below the elevation masks.
+pub(super) const LOWEST_SINE: f64 = 0.1;
 /// ε: fraction of pseudoranges that are neither direct nor reflected signals, but faults.
 pub(super) const FAULT_SHARE: f64 = 0.02;
-/// W (m): ten extra paths.
+/// W (m): longer than nearly all extra paths.
 const FAULT_WIDTH_M: f64 = 400.0;
 /// ε/W (1/m).
 const FAULT_DENSITY: f64 = FAULT_SHARE / FAULT_WIDTH_M;
@@ -42,9 +47,22 @@ pub(super) struct CodeError {
     pub(super) sigma_m: f64,
     /// π: probability that the signal is a reflection.
     pub(super) reflected: f64,
+    /// λ: mean extra path of a reflection (m).
+    pub(super) extra_path_m: f64,
 }
 
-snapshot_fields!(CodeError { sigma_m, reflected });
+snapshot_fields!(CodeError { sigma_m, reflected, extra_path_m });
+
+/// λ at the elevation E with this sine (m): H/2·cos²E/sin E.
+///
+/// A vertical wall at the horizontal distance d, whose normal is α away from the satellite's
+/// azimuth, reflects with the extra path 2d·cos E·cos α at the height d·tan E/cos α. The wall is no
+/// higher than H, so d is at most H·cos α/tan E. The mean over d up to there, and over α, is λ: high
+/// satellites are reflected by near walls only.
+pub(super) fn extra_path_m(sin_elevation: f64) -> f64 {
+    let cos2 = 1.0 - sin_elevation * sin_elevation;
+    (0.5 * WALL_M * cos2 / sin_elevation.max(LOWEST_SINE)).max(EXTRA_PATH_MIN_M)
+}
 
 /// The likelihood at one residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,6 +84,8 @@ pub(super) struct Evaluated {
 pub(super) struct Likelihood {
     /// 1/σ (1/m).
     per_sigma_m: f64,
+    /// 1/λ (1/m).
+    per_path_m: f64,
     /// σ/λ.
     ratio: f64,
     /// (1 − ε)·(1 − π)·N(0; 0, σ²) (1/m).
@@ -77,12 +97,14 @@ pub(super) struct Likelihood {
 impl CodeError {
     /// The likelihood with the constants of this error model.
     pub(super) fn likelihood(&self) -> Likelihood {
-        let (known, per_sigma_m) = (1.0 - FAULT_SHARE, self.sigma_m.recip());
+        let known = 1.0 - FAULT_SHARE;
+        let (per_sigma_m, per_path_m) = (self.sigma_m.recip(), self.extra_path_m.recip());
         Likelihood {
             per_sigma_m,
-            ratio: self.sigma_m / EXTRA_PATH_M,
+            per_path_m,
+            ratio: self.sigma_m * per_path_m,
             direct: known * (1.0 - self.reflected) * per_sigma_m * NORMAL_PEAK,
-            late: known * self.reflected / EXTRA_PATH_M,
+            late: known * self.reflected * per_path_m,
         }
     }
 
@@ -110,7 +132,7 @@ impl Likelihood {
         let per_density = density.recip();
         let (direct, late) = (direct * per_density, late * per_density);
         let u = z - self.ratio;
-        let (on_direct, on_late) = (z * per_m, EXTRA_PATH_M.recip() - hazard * per_m);
+        let (on_direct, on_late) = (z * per_m, self.per_path_m - hazard * per_m);
         let slope = direct * on_direct + late * on_late;
         let curvature = (direct + late * hazard * (u + hazard)) * per_m * per_m;
         // The missing information is the variance of the slope over the unknown identification.
@@ -188,7 +210,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const TYPICAL: CodeError = CodeError { sigma_m: 4.0, reflected: 0.3 };
+    const TYPICAL: CodeError = CodeError { sigma_m: 4.0, reflected: 0.3, extra_path_m: 40.0 };
 
     /// ∫ p ds over ±2 km is above one: the direct and reflected parts sum to 1 − ε, and the uniform
     /// density extends beyond its width W.
@@ -211,12 +233,22 @@ mod tests {
         assert!((density - 0.071_867_8).abs() < 1e-6, "{density}");
     }
 
+    /// λ at 30°, 20 m·0.75/0.5 = 30 m; near the zenith and below the mask its bounds, 10 m and
+    /// 20 m·0.99/0.1 = 198 m at 5.7°.
+    #[test]
+    fn the_extra_path_worked_by_hand() {
+        for (sine, expected_m) in [(0.5, 30.0), (0.99, 10.0), (0.1, 198.0)] {
+            let path_m = extra_path_m(sine);
+            assert!((path_m - expected_m).abs() < 1e-9, "{path_m} {expected_m}");
+        }
+    }
+
     #[test]
     fn late_signals_are_reflections_and_early_ones_are_not_excused() {
         let [early, on_time, late, wild] = [-40.0, 0.0, 40.0, 1e7].map(|s_m| TYPICAL.evaluate(s_m));
         assert!(0.9 < on_time.direct && late.direct < 0.01 && wild.direct < 1e-9);
         assert!(early.density < late.density, "{late:?} {early:?}");
-        assert!(0.0 < late.slope && late.slope <= EXTRA_PATH_M.recip(), "{late:?}");
+        assert!(0.0 < late.slope && late.slope <= TYPICAL.extra_path_m.recip(), "{late:?}");
         assert_eq!((wild.slope, wild.curvature), (0.0, 0.0));
     }
 
@@ -234,7 +266,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_slope_is_the_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let (error, h) = (CodeError { sigma_m, reflected: 0.4 }, 1e-4);
+            let (error, h) = (CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 }, 1e-4);
             let loss = |s_m: f64| -error.evaluate(s_m).density.ln();
             let central = (loss(s_m + h) - loss(s_m - h)) / (2.0 * h);
             let slope = error.evaluate(s_m).slope;
@@ -243,7 +275,7 @@ mod tests {
 
         #[test]
         fn the_information_is_the_second_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let (error, h) = (CodeError { sigma_m, reflected: 0.4 }, 1e-3);
+            let (error, h) = (CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 }, 1e-3);
             let slope = |s_m: f64| error.evaluate(s_m).slope;
             let central = (slope(s_m + h) - slope(s_m - h)) / (2.0 * h);
             let at = error.evaluate(s_m);
@@ -253,14 +285,18 @@ mod tests {
 
         #[test]
         fn the_density_alone_is_the_same(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let error = CodeError { sigma_m, reflected: 0.4 };
+            let error = CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 };
             let ratio = error.density(s_m) / error.evaluate(s_m).density;
             prop_assert!((ratio - 1.0).abs() < 1e-14, "{ratio}");
         }
 
         #[test]
-        fn the_curvature_is_never_negative(s_m in -1e4..1e4, sigma_m in 0.8..50.0) {
-            let at = CodeError { sigma_m, reflected: 0.5 }.evaluate(s_m);
+        fn the_curvature_is_never_negative(
+            s_m in -1e4..1e4,
+            sigma_m in 0.8..50.0,
+            extra_path_m in EXTRA_PATH_MIN_M..120.0,
+        ) {
+            let at = CodeError { sigma_m, reflected: 0.5, extra_path_m }.evaluate(s_m);
             prop_assert!(0.0 <= at.curvature && at.slope.is_finite() && 0.0 < at.density);
         }
     }

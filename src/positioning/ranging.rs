@@ -142,7 +142,11 @@ impl Ranging {
     /// The error model, if one is set.
     pub(super) fn error(&self) -> Option<CodeError> {
         let sigma_m = self.factor.inverse_sigma.recip();
-        self.reflection.map(|reflection| CodeError { sigma_m, reflected: reflection.chance })
+        self.reflection.map(|reflection| CodeError {
+            sigma_m,
+            reflected: reflection.chance,
+            ..reflection.before_learning
+        })
     }
 
     /// Loss, weight and equivalent residual of a whitened residual (model − measured). They follow

@@ -23,7 +23,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::grid::Grid;
 use super::kept;
-use crate::positioning::code_error::{CodeError, log_product};
+use crate::positioning::code_error::{CodeError, LOWEST_SINE, extra_path_m, log_product};
 
 /// First value of the grid, and its step (dB-Hz).
 const FIRST_DB_HZ: f64 = 20.0;
@@ -222,16 +222,19 @@ struct AnyLevel {
     noise_m2: f64,
     /// e^(S/3 dB).
     odds: f64,
+    /// λ (m).
+    extra_path_m: f64,
 }
 
 impl AnyLevel {
     fn of(signal: &Signal) -> Self {
         let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;
         let (noise, odds) = factors(cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ));
-        // The mask excludes elevations below some degrees; 0.1 is 6°.
-        let low_m = ELEVATION_M / elevation_rad.sin().max(0.1);
+        let sine = elevation_rad.sin().max(LOWEST_SINE);
+        let low_m = ELEVATION_M / sine;
         let quiet_m2 = FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + ionosphere_m * ionosphere_m;
-        Self { quiet_m2, noise_m2: NOISE_M * NOISE_M * noise, odds }
+        let noise_m2 = NOISE_M * NOISE_M * noise;
+        Self { quiet_m2, noise_m2, odds, extra_path_m: extra_path_m(sine) }
     }
 
     fn error(&self, level: &Level) -> CodeError {
@@ -239,6 +242,7 @@ impl AnyLevel {
         CodeError {
             sigma_m: (self.quiet_m2 + self.noise_m2 * level.noise).sqrt(),
             reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
+            extra_path_m: self.extra_path_m,
         }
     }
 }

@@ -258,7 +258,7 @@ mod tests {
     use super::*;
     use crate::positioning::code_error::CodeError;
 
-    const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3 };
+    const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
     const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };
 
     /// Residuals of twelve satellites on a trajectory that is wrong by `off`. The pseudoranges of
@@ -330,7 +330,7 @@ mod tests {
     #[test]
     fn noise_learnt_at_a_wrong_position_is_doubted() {
         let off = Vector3::new(3.0, -4.0, -40.0);
-        let learnt = CodeError { sigma_m: 12.0, reflected: 0.98 };
+        let learnt = CodeError { sigma_m: 12.0, reflected: 0.98, extra_path_m: 40.0 };
         let with_prior = |before_learning| {
             let residual = |pooled| Pooled { error: learnt, before_learning, ..pooled };
             pool(off, &[]).into_iter().map(residual).collect::<Vec<_>>()

@@ -6,9 +6,9 @@
 //! positions ([`hypotheses`]): the residuals of the present window, and of two pools before it.
 //!
 //! The window moves to another position if that position's log odds exceed a threshold. After a
-//! start or an outage the threshold rises within half a minute from 1 nat to 10 nats (odds of
-//! 22,000 : 1). It is this high because a search every two seconds makes about 1,800 decisions an
-//! hour.
+//! start or an outage the threshold is 1 nat until the pools are full, and rises in the half minute
+//! after that to 10 nats (odds of 22,000 : 1). It is this high because a search every two seconds
+//! makes about 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;
@@ -23,8 +23,15 @@ const SEARCH_S: f64 = 2.0;
 pub(crate) const POOL_S: f64 = 10.0;
 /// Time without an epoch after which the position counts as a new start (s).
 const OUTAGE_S: f64 = 10.0;
-/// Time after a start until a position counts as settled (s).
+/// Time after a start in which the position does not settle (s): some of the three pools are then
+/// still empty.
+const FILLING_S: f64 = 3.0 * POOL_S;
+/// Time from then on until the position counts as settled (s).
 const SETTLING_S: f64 = 30.0;
+/// Number of independent errors of a satellite in one pool, of three whose errors have the
+/// correlation 1/e: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946). Multipath that is nearly constant in a
+/// pool does not end with it.
+const OF_ONE_POOL: f64 = 0.633;
 /// Log odds above which the window moves: at a start, and from a settled position (nats).
 const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);
 /// Standard deviation of the inter-system biases of a settled window (m).
@@ -77,8 +84,12 @@ impl Watch {
 
     /// How settled the position is: 0 at a start … 1.
     fn settled(&self, now: GpsTime) -> f64 {
-        let age_s = self.settling.map_or(0.0, |settling| now - settling);
-        (age_s / SETTLING_S).min(1.0)
+        ((self.age_s(now) - FILLING_S) / SETTLING_S).clamp(0.0, 1.0)
+    }
+
+    /// Time since the last start (s).
+    fn age_s(&self, now: GpsTime) -> f64 {
+        self.settling.map_or(0.0, |settling| now - settling)
     }
 
     /// Length of the window's residuals that are in no pool yet (s).
@@ -100,7 +111,7 @@ impl Watch {
             pool.extend_from_slice(&self.earlier[0]);
         }
         pool.extend_from_slice(&self.earlier[1]);
-        let age_s = self.settling.map_or(0.0, |settling| now - settling);
+        pool.iter_mut().for_each(|pooled| pooled.independent *= OF_ONE_POOL);
         let settled = self.settled(now);
         let knowledge = Knowledge { bias_sigma_m: self.bias_sigma_m(now), settled };
         let seed = now.as_ns() as u64;
@@ -110,7 +121,9 @@ impl Watch {
         match hypotheses::rivalry(&pool, knowledge, least, seed) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
-            Rivalry::Rival { .. } | Rivalry::Unrivalled if POOL_S <= age_s => Verdict::Proven,
+            Rivalry::Rival { .. } | Rivalry::Unrivalled if POOL_S <= self.age_s(now) => {
+                Verdict::Proven
+            }
             _ => Verdict::Open,
         }
     }

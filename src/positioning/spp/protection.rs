@@ -19,13 +19,18 @@
 use nalgebra::Vector3;
 
 use crate::gnss::{LocalFrame, Protection};
-use crate::positioning::code_error::{EXTRA_PATH_M, FAULT_SHARE};
+use crate::positioning::Measurement;
+use crate::positioning::code_error::{FAULT_SHARE, extra_path_m};
 use crate::positioning::integrity::{major_m2, normal_one_sided};
 use crate::positioning::receiver::reflected_before_learning;
 
 use super::consensus::WILD_M;
 use super::exclusion::REDUNDANCY_MIN;
 use super::{Fit, SinglePoint};
+
+/// Least λ here (m), the width of a street: a level is a bound, and one epoch cannot tell how high
+/// the walls around it are.
+const STREET_M: f64 = 40.0;
 
 /// Influence of a row on the position.
 #[derive(Clone, Copy, Debug)]
@@ -118,8 +123,9 @@ impl SinglePoint {
     fn spread(&self, stated: Spread) -> Spread {
         let used = self.rows.iter().filter(|row| row.is_used);
         let late_m2 = |index: usize| {
-            let cn0_db_hz = self.measurements.list[index].cn0_db_hz;
-            2.0 * EXTRA_PATH_M * EXTRA_PATH_M * reflected_before_learning(cn0_db_hz)
+            let Measurement { cn0_db_hz, look, .. } = &self.measurements.list[index];
+            let path_m = extra_path_m(look.elevation_rad.sin()).max(STREET_M);
+            2.0 * path_m * path_m * reflected_before_learning(*cn0_db_hz)
         };
         let zero = Spread { east: 0.0, north: 0.0, cross: 0.0, up: 0.0 };
         let (mut reflections, mut late, mut squares, mut expected) = (zero, 0.0, 0.0, 0.0);

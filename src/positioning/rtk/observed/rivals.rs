@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 use crate::gnss::GpsTime;
 use crate::graph::shared_offset;
-use crate::positioning::code_error::CodeError;
+use crate::positioning::code_error::{CodeError, extra_path_m};
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::receiver::reflected_before_learning;
 use crate::positioning::rivals::{POOL_S, Pooled, Verdict, Watch};
@@ -95,13 +95,15 @@ impl PseudorangeWatch {
             for (row, factor) in rows.iter().zip(&epoch.rows[group.begin..group.end]) {
                 let satellite = &differences.satellites[factor.sight];
                 let residual_m = -(row.row.residual / row.by_offset + offset_m);
+                let slope = Vector3::from(row.row.jacobian) / row.by_offset;
                 let error = CodeError {
                     sigma_m: row.by_offset.recip(),
                     reflected: reflected_before_learning(satellite.cn0_db_hz),
+                    extra_path_m: extra_path_m(-slope.z),
                 };
                 let pooled = Pooled {
                     satellite: satellite.satellite,
-                    slope: Vector3::from(row.row.jacobian) / row.by_offset,
+                    slope,
                     residual_m,
                     error,
                     before_learning: error,
