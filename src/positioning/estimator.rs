@@ -16,7 +16,7 @@ use super::setup::Setup;
 use super::spp::SinglePoints;
 
 /// Layout of the snapshots. Raise it when their content changes.
-const LAYOUT: u16 = 16;
+const LAYOUT: u16 = 17;
 
 /// Defines the state and the scratch of all modes from one table: the mode's number in snapshots,
 /// its name, its engine, and its field in the scratch.
@@ -191,7 +191,7 @@ impl EstimatorState {
         scratch: &mut Scratch,
     ) -> Solution {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, setup: &self.setup };
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
         let due = self.revisions.len();
         let mut solution = self.mode.advance(&inputs, scratch, &mut self.revisions);
         let integrity = &self.setup.options.integrity;
@@ -383,7 +383,7 @@ impl Batch {
     /// Takes one epoch.
     pub fn push(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, setup: &self.setup };
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
         match &mut self.chain {
             Whole::Alone(chain) => chain.push(&inputs),
             Whole::Relative(relative) => {
