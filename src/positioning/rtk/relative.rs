@@ -390,15 +390,15 @@ impl<S: RelativeSolver> Relative<S> {
             return solution;
         };
         let inputs = EpochInputs { setup, ..*inputs };
-        let again = |inputs: &EpochInputs<'_>, position, differences: &mut SingleDifferences| {
-            base.difference(inputs, position, aiding.station, differences).is_ok()
+        let again = |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
+            base.difference(inputs, at, aiding.station, differences).is_ok()
         };
         let differences = &mut scratch.intake.differences;
         let other = companion.advance(&inputs, differences, again, &mut scratch.companion);
         better_known(solution, other, options)
     }
 
-    /// Adds a solution; if it has no integers, tests whether another position is clearly better_known.
+    /// Adds a solution; if it has no integers, tests whether another position is clearly likelier.
     ///
     /// The solver starts there at the next epoch: this one is part of its window already, and of
     /// the answers that may be revised.
