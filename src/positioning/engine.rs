@@ -7,6 +7,7 @@ use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::Snapshot;
 
 use super::aiding::BaseAiding;
+use super::measurements::CorrectedRanges;
 use super::setup::Setup;
 
 /// One epoch with all inputs of its solution.
@@ -16,6 +17,8 @@ pub(super) struct EpochInputs<'a> {
     pub(super) navigation: &'a Navigation,
     /// The base, for modes relative to one.
     pub(super) base: Option<BaseAiding<'a>>,
+    /// The pseudoranges that a base corrected, for an estimator that takes no others.
+    pub(super) corrected: Option<&'a CorrectedRanges>,
     pub(super) setup: &'a Setup,
 }
 

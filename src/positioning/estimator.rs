@@ -191,7 +191,7 @@ impl EstimatorState {
         scratch: &mut Scratch,
     ) -> Solution {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, setup: &self.setup };
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
         let due = self.revisions.len();
         let mut solution = self.mode.advance(&inputs, scratch, &mut self.revisions);
         let integrity = &self.setup.options.integrity;
@@ -383,7 +383,7 @@ impl Batch {
     /// Takes one epoch.
     pub fn push(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, setup: &self.setup };
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
         match &mut self.chain {
             Whole::Alone(chain) => chain.push(&inputs),
             Whole::Relative(relative) => {

@@ -1,7 +1,7 @@
 //! Settings of the estimators that follow from the options, computed once and shared by all copies
 //! of a state.
 
-use crate::config::{GraphOptions, KernelLaw, PositioningOptions};
+use crate::config::{GraphOptions, KernelLaw, Mode, PositioningOptions};
 use crate::graph::{AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, Phase, Schedule};
 
 use super::chi_square::ChiSquareLimits;
@@ -37,6 +37,8 @@ pub(super) struct Setup {
     pub(super) learns: bool,
     /// The graph of differences against a base.
     pub(super) relative: GraphSettings,
+    /// The same for a receiver whose pseudoranges a base corrects; only in modes relative to one.
+    pub(super) corrected: Option<Box<Setup>>,
     /// Whether epochs are answered only at the end, from the whole recording.
     pub(super) is_batch: bool,
 }
@@ -61,9 +63,17 @@ impl Setup {
             },
             learns,
             relative: GraphSettings::relative(&options.graph),
+            corrected: options.mode.is_relative().then(|| Box::new(Self::corrected(&options))),
             is_batch: false,
             options,
         }
+    }
+
+    /// The base's pseudoranges have the same errors of orbits and clocks.
+    fn corrected(options: &PositioningOptions) -> Self {
+        let mut options = PositioningOptions { mode: Mode::Fgo, ..options.clone() };
+        options.graph.orbit_clock_sigma_m = 0.0;
+        Self::new(options)
     }
 
     /// For a recording that is smoothed as a whole.

@@ -13,6 +13,7 @@
 //! Differences between satellites are not formed here. The graph eliminates o in each group of
 //! rows, which is equivalent and needs no reference satellite.
 
+mod corrected;
 mod fading;
 mod pairing;
 mod variances;
@@ -33,6 +34,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
+pub(super) use corrected::BaseClock;
 pub(super) use fading::SignalLevels;
 use pairing::{Pair, pairs};
 use variances::{DifferenceVariances, PairQuality};
@@ -71,6 +73,8 @@ pub(super) struct CommonSatellite {
     pub(super) ephemeris: EphemerisIssue,
     /// The rover's pseudorange without satellite clock and troposphere (m): ρ + c·δt_r + I.
     pub(super) rover_range_m: f64,
+    /// The same of the base, without its range ρ: c·δt_b + I.
+    pub(super) base_offset_m: f64,
 }
 
 /// Identifies the differences that have a common offset.
@@ -261,6 +265,7 @@ impl SingleDifferences {
             cn0_db_hz: strongest_db_hz(common),
             ephemeris: EphemerisIssue { satellite, toe: ephemeris.toe(), issue: ephemeris.issue() },
             rover_range_m: rover_m + rover_part_m,
+            base_offset_m: base_m + base_part_m,
         });
     }
 

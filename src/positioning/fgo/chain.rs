@@ -149,6 +149,17 @@ impl Chain {
         self.is_proven = false;
     }
 
+    /// The position of the only epoch is known to these standard deviations (m, east, north, up).
+    pub(super) fn know_position(&mut self, sigma_m: &Vector3<f64>) {
+        let Some(first) = self.epochs.first_mut() else { return };
+        let components = &mut Arc::make_mut(&mut first.factors).components;
+        for component in components.iter_mut().filter(|component| component.column < 3) {
+            component.inverse_sigma = sigma_m[component.column].recip();
+        }
+        self.watch.settle(first.time);
+        self.is_proven = true;
+    }
+
     /// The newest state, extrapolated to `time` by its velocity and clock drift.
     pub(super) fn predicted(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.last_time(), self.estimate.states.last()) else {

@@ -15,4 +15,4 @@ mod start;
 mod window;
 
 pub(super) use batch::WholeChain;
-pub(super) use window::SlidingWindow;
+pub(super) use window::{KnownPosition, SlidingWindow, WindowScratch};

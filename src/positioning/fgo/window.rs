@@ -1,6 +1,6 @@
 //! The sliding window: each epoch is answered at once, and revised when it leaves.
 
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, Vector3};
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, Reason, Solution};
@@ -132,7 +132,70 @@ impl WindowScratch {
     fn measure(&mut self, inputs: &EpochInputs<'_>, receiver: Ecef) -> Option<()> {
         let EpochInputs { epoch, navigation, .. } = *inputs;
         self.measurements.gather(epoch, navigation, inputs.options());
-        self.measurements.place(receiver, epoch.time, navigation, inputs.options())
+        self.measurements.place(receiver, epoch.time, navigation, inputs.options())?;
+        if let Some(corrected) = inputs.corrected {
+            self.measurements.correct(corrected);
+        }
+        Some(())
+    }
+}
+
+/// The position of an epoch, known from elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct KnownPosition {
+    pub(crate) position: Ecef,
+    /// Standard deviations east, north and up (m).
+    pub(crate) sigma_m: Vector3<f64>,
+}
+
+impl SlidingWindow {
+    /// Whether the chain has no epoch.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.chain.epochs.is_empty()
+    }
+
+    /// Empties the chain. What was learnt about the receiver stays.
+    pub(crate) fn rest(&mut self) {
+        self.chain.clear();
+    }
+
+    /// Takes the chain as settled at `now`: other positions are not searched for.
+    pub(crate) fn settle(&mut self, now: GpsTime) {
+        self.chain.watch.settle(now);
+    }
+
+    /// Begins a chain at an epoch whose position is known. If that fails, the chain is empty.
+    pub(crate) fn begin_at(
+        &mut self,
+        known: &KnownPosition,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+    ) {
+        self.chain.clear();
+        if self.try_begin_at(known, inputs, scratch).is_none() {
+            self.chain.clear();
+        }
+    }
+
+    fn try_begin_at(
+        &mut self,
+        known: &KnownPosition,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+    ) -> Option<()> {
+        let (setup, time) = (inputs.setup, inputs.epoch.time);
+        scratch.measure(inputs, known.position)?;
+        self.chain.begin(known.position);
+        let WindowScratch { measurements, chain: chain_scratch, workspace, covariances, .. } =
+            scratch;
+        self.chain.append(time, State::zeros(), measurements, setup, chain_scratch);
+        self.chain.know_position(&known.sigma_m);
+        self.chain.solve(&setup.alone, &setup.alone.whole, chain_scratch, workspace).ok()?;
+        covariances.newest(&workspace.elimination);
+        if setup.learns {
+            self.chain.learn(covariances.state(), chain_scratch);
+        }
+        Some(())
     }
 }
 

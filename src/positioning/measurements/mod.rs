@@ -7,6 +7,7 @@
 //! pseudorange is ρ + c·δt_r + noise.
 
 mod atmosphere;
+mod corrected;
 mod signals;
 mod weights;
 
@@ -24,6 +25,7 @@ use crate::models::{
 use atmosphere::Atmosphere;
 
 pub(super) use atmosphere::RELATIVE_HUMIDITY;
+pub(super) use corrected::CorrectedRanges;
 pub(super) use signals::preference;
 pub(super) use weights::{constellation_factor, receiver_weights};
 
@@ -163,6 +165,22 @@ impl Measurements {
         let atmosphere = Atmosphere::at(position, time, navigation, options)?;
         self.ionosphere_fallback = atmosphere.correct(&mut self.list, &mut self.biases, options);
         Some(())
+    }
+
+    /// Replaces the placed pseudoranges by those that a base corrected, in which the errors of
+    /// orbit, clock and atmosphere cancel. The others are excluded.
+    pub(super) fn correct(&mut self, ranges: &CorrectedRanges) {
+        for measurement in &mut self.list {
+            match ranges.range_m(measurement.satellite, measurement.code) {
+                Some(range_m) => {
+                    measurement.corrected_range_m = range_m;
+                    measurement.variance_m2 = measurement.noise_m2;
+                    measurement.ionosphere_share_m = 0.0;
+                    measurement.troposphere_share_m = 0.0;
+                }
+                None => measurement.is_excluded = true,
+            }
+        }
     }
 
     /// Appends the reasons for missing data that are known before the position to `reasons`.

@@ -76,6 +76,13 @@ impl Watch {
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
+    /// Starts at a position that is known.
+    pub(crate) fn settle(&mut self, now: GpsTime) {
+        self.earlier.iter_mut().for_each(Vec::clear);
+        self.settling = Some(now - SETTLING_S);
+        (self.pooled, self.searched) = (Some(now), Some(now));
+    }
+
     /// Standard deviation of inter-system biases at `now` (m); infinite until the position is
     /// settled.
     pub(crate) fn bias_sigma_m(&self, now: GpsTime) -> f64 {

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use crate::config::RtkOptions;
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    BaseEpochIssue, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
+    BaseEpochIssue, Ecef, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
     SolutionEstimate, Status, Velocity,
 };
 use crate::graph::shared_offset;
@@ -104,6 +104,38 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     let provenance = Provenance { ephemerides, base: Some(BaseEpochIssue { base: name, time }) };
     let estimate = Some(estimate);
     Solution { time: epoch.time, status, estimate, protection: None, reasons, provenance }
+}
+
+/// The answer without integers, or that of the companion if its horizontal covariance is smaller.
+pub(crate) fn better_known(float: Solution, companion: Solution, options: &RtkOptions) -> Solution {
+    let (Some(own), Some(mut other)) = (&float.estimate, companion.estimate) else { return float };
+    let Some(relative) = &own.relative else { return float };
+    let baseline_m = relative.baseline_m + (other.position.0 - own.position.0);
+    let rotation = LocalFrame::at(own.position).rotation;
+    let gradient = gradient_covariance(options, baseline_m.norm());
+    other.covariance += rotation.transpose() * gradient * rotation;
+    let horizontal_m2 = |e: &SolutionEstimate| horizontal_m2(e.position, &e.covariance);
+    if horizontal_m2(own) <= horizontal_m2(&other) {
+        return float;
+    }
+    other.relative = Some(RelativeEstimate { baseline_m, ambiguities: 0, ..relative.clone() });
+    let mut reasons = float.reasons.clone();
+    let is_new = |reason: &Reason| !float.reasons.contains(reason);
+    reasons.extend(companion.reasons.into_iter().filter(is_new));
+    let provenance = Provenance { base: float.provenance.base, ..companion.provenance };
+    Solution { estimate: Some(other), reasons, provenance, ..float }
+}
+
+/// Whether an answer is that of the companion, which has no ambiguities.
+pub(crate) fn is_by_companion(solution: &Solution) -> bool {
+    let relative = solution.estimate.as_ref().and_then(|estimate| estimate.relative.as_ref());
+    solution.status == Status::Float && relative.is_some_and(|relative| relative.ambiguities == 0)
+}
+
+/// Sum of a position's variances along east and north (m²), from its ECEF covariance.
+pub(crate) fn horizontal_m2(position: Ecef, covariance: &Matrix3<f64>) -> f64 {
+    let rotation = LocalFrame::at(position).rotation;
+    (rotation * covariance * rotation.transpose()).fixed_view::<2, 2>(0, 0).trace()
 }
 
 /// The answer at another local position, with its covariance; velocity and clock stay.

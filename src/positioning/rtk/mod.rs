@@ -6,6 +6,7 @@
 //! | `ambiguity` | from float ambiguities to confirmed integers, and their position |
 //! | `tracking` | arcs, held integers and noise from epoch to epoch, shared by both estimators |
 //! | `answer` | from a state with its ambiguities to a solution |
+//! | `companion` | a chain without ambiguities beside the epochs without integers |
 //! | `relative` | the driver: one epoch in order, with or without a usable base |
 //! | `window` | [`RtkWindow`]: a window of epochs in the graph, answered again as they leave |
 //! | `paper` | [`RtkPaper`]: the published estimator, for comparison |
@@ -15,6 +16,7 @@
 
 mod ambiguity;
 mod answer;
+mod companion;
 mod filter;
 mod observed;
 mod paper;

@@ -8,7 +8,7 @@ use std::fmt::Debug;
 
 use nalgebra::{SMatrix, Vector3};
 
-use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
+use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution, Status};
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::VELOCITY;
@@ -17,7 +17,8 @@ use crate::positioning::starts::FRAME_LIMIT_M;
 use crate::snapshot::{Snapshot, state_fields};
 
 use super::ambiguity::Resolution;
-use super::answer::{AnswerParts, solution};
+use super::answer::{AnswerParts, better_known, solution};
+use super::companion::{Companion, CompanionScratch};
 use super::observed::{
     Arcs, BaseTracking, Intake, Judged, PseudorangeWatch, Received, RowScratch, RtkEpoch, STATE,
     State, UsableBase,
@@ -35,6 +36,9 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
 
     /// Whether its positions without integers are tested against others.
     const DOUBTS: bool = true;
+
+    /// Whether a chain without ambiguities accompanies the epochs without integers.
+    const IS_ACCOMPANIED: bool = false;
 
     /// A solver before its first epoch.
     fn new() -> Self;
@@ -141,10 +145,21 @@ pub(crate) struct Relative<S: RelativeSolver> {
     move_m: Option<Vector3<f64>>,
     /// Answers while no base can be used.
     alone: Option<Box<S::Alone>>,
+    companion: Option<Box<Companion>>,
     past: S::Past,
 }
 
-state_fields!(generic [S: RelativeSolver] Relative<S> { solver, base, watch, move_m, alone, past });
+state_fields!(
+    generic [S: RelativeSolver] Relative<S> {
+        solver,
+        base,
+        watch,
+        move_m,
+        alone,
+        companion,
+        past,
+    }
+);
 
 /// Scratch of the estimator.
 #[derive(Debug)]
@@ -152,6 +167,7 @@ pub(crate) struct RelativeScratch<S: RelativeSolver> {
     intake: Intake,
     rows: RowScratch,
     alone: <S::Alone as Engine>::Scratch,
+    companion: CompanionScratch,
     solver: S::Scratch,
 }
 
@@ -161,9 +177,17 @@ impl<S: RelativeSolver> Default for RelativeScratch<S> {
             intake: Intake::default(),
             rows: RowScratch::default(),
             alone: Default::default(),
+            companion: CompanionScratch::default(),
             solver: S::Scratch::default(),
         }
     }
+}
+
+/// Whether a chain without ambiguities accompanies a solver: not where single epochs or real-valued
+/// ambiguities are asked for.
+fn is_accompanied<S: RelativeSolver>(setup: &Setup) -> bool {
+    let options = &setup.options.rtk;
+    S::IS_ACCOMPANIED && options.resolve && !options.single_epoch
 }
 
 /// An epoch that was differenced against a base.
@@ -176,14 +200,17 @@ struct Differenced<'a> {
 impl<S: RelativeSolver> Engine for Relative<S> {
     type Scratch = RelativeScratch<S>;
 
-    fn new(_setup: &Setup, revises: bool) -> Self {
+    fn new(setup: &Setup, revises: bool) -> Self {
         let (solver, past) = (S::new(), S::past(revises));
         let (base, watch) = (BaseTracking::default(), PseudorangeWatch::default());
-        Self { solver, base, watch, move_m: None, alone: None, past }
+        let companion = is_accompanied::<S>(setup).then(|| Box::new(Companion::new(setup)));
+        Self { solver, base, watch, move_m: None, alone: None, companion, past }
     }
 
     fn fits(&self, setup: &Setup) -> bool {
         self.alone.as_ref().is_none_or(|alone| alone.fits(setup))
+            && self.companion.as_ref().is_none_or(|companion| companion.fits(setup))
+            && self.companion.is_some() == is_accompanied::<S>(setup)
     }
 
     /// An epoch that is not after the last one is answered alone and does not change the state.
@@ -203,7 +230,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
         let solution = match answered {
             Ok(solution) => {
                 self.alone = None;
-                solution
+                self.accompany(solution, inputs, scratch)
             }
             Err(reason) => {
                 let fresh = || Box::new(S::Alone::new(inputs.setup, false));
@@ -241,6 +268,9 @@ impl<S: RelativeSolver> Relative<S> {
         scratch: &mut RelativeScratch<S>,
         revisions: &mut Vec<Solution>,
     ) -> Result<Differenced<'a>, Reason> {
+        if let (true, Some(companion)) = (received.is_moved(), &mut self.companion) {
+            companion.forget();
+        }
         if received.base_changed_m.is_some() {
             let (past, solver) = (&mut self.past, &mut scratch.solver);
             self.solver.answer_all(inputs.setup, past, solver, revisions);
@@ -340,6 +370,32 @@ impl<S: RelativeSolver> Relative<S> {
             base,
             options: &setup.options.rtk,
         }))
+    }
+
+    /// The answer to an epoch that was solved: that of the companion, if it has no integers and the
+    /// companion states a smaller covariance.
+    fn accompany(
+        &mut self,
+        solution: Solution,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut RelativeScratch<S>,
+    ) -> Solution {
+        let (base, options) = (&self.base, &inputs.options().rtk);
+        let Some(companion) = &mut self.companion else { return solution };
+        if solution.status == Status::Fixed {
+            companion.rest_at(inputs.epoch, &solution);
+            return solution;
+        }
+        let (Some(setup), Some(aiding)) = (&inputs.setup.corrected, inputs.base) else {
+            return solution;
+        };
+        let inputs = EpochInputs { setup, ..*inputs };
+        let again = |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
+            base.difference(inputs, at, aiding.station, differences).is_ok()
+        };
+        let differences = &mut scratch.intake.differences;
+        let other = companion.advance(&inputs, differences, again, &mut scratch.companion);
+        better_known(solution, other, options)
     }
 
     /// Adds a solution; if it has no integers, tests whether another position is clearly likelier.

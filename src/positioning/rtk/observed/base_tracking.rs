@@ -34,6 +34,13 @@ pub(crate) struct Received {
     pub(crate) base_moved_m: Option<f64>,
 }
 
+impl Received {
+    /// Whether positions now refer to another point.
+    pub(crate) fn is_moved(&self) -> bool {
+        self.base_changed_m.is_some() || self.base_moved_m.is_some()
+    }
+}
+
 /// Scratch for the differences of one epoch.
 #[derive(Debug, Default)]
 pub(crate) struct Intake {

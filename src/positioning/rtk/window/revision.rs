@@ -11,7 +11,7 @@ use crate::positioning::rtk::ambiguity::{
     EarlierAmbiguity, FixedPosition, FloatSolution, HoldPeriod, IntegerHistory,
     condition_on_known_integers,
 };
-use crate::positioning::rtk::answer::{keeps_from_fixing, moved};
+use crate::positioning::rtk::answer::{is_by_companion, keeps_from_fixing, moved};
 use crate::positioning::rtk::observed::{ArcReference, HeldInteger, STATE};
 
 use super::record::EpochRecord;
@@ -105,7 +105,11 @@ impl<'a> Revision<'a> {
         solution
     }
 
+    /// Without integers an answer of the companion stays: it is mostly ten times as exact.
     fn float(&self, record: &EpochRecord) -> Solution {
+        if is_by_companion(&record.solution) {
+            return record.solution.clone();
+        }
         let covariance = self.float.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let mut solution = self.moved(record, &self.float.position, &covariance);
         if solution.status == Status::Fixed {

@@ -50,6 +50,8 @@ impl RelativeSolver for Chain {
     type Past = Option<History>;
     type Scratch = ChainScratch;
 
+    const IS_ACCOMPANIED: bool = true;
+
     fn new() -> Self {
         Self::empty()
     }

@@ -1,0 +1,139 @@
+//! A chain without ambiguities beside the epochs without integers.
+//!
+//! Among houses a window with ambiguities is often worse than one without a base: an arc that is
+//! new or biased takes part in the position as a constant, and multipath of its pseudoranges with
+//! it. So epochs without integers are also given to the estimator of a receiver without a base. Its
+//! pseudoranges are corrected by those of the base, so its position is relative to the base, too.
+//! The chain begins at the last epoch with integers, at the position that they give. Nothing of it
+//! returns to the window with ambiguities.
+
+use nalgebra::Matrix3;
+
+use crate::gnss::{Ecef, Epoch, LocalFrame, Solution};
+use crate::positioning::differencing::{BaseClock, SingleDifferences};
+use crate::positioning::engine::{Engine, EpochInputs};
+use crate::positioning::fgo::{KnownPosition, SlidingWindow, WindowScratch};
+use crate::positioning::measurements::CorrectedRanges;
+use crate::positioning::setup::Setup;
+use crate::snapshot::{snapshot_fields, state_fields};
+
+use super::answer::horizontal_m2;
+
+/// Largest standard deviation of a position that is not compared with others (m): ones at 8 m have
+/// odds of e⁻¹⁰, below which the comparison does not move a settled chain either.
+const TIED_M: f64 = 1.8;
+
+/// The last epoch with integers.
+#[derive(Debug)]
+struct Anchor {
+    epoch: Epoch,
+    position: Ecef,
+    /// ECEF (m²).
+    covariance: Matrix3<f64>,
+}
+
+snapshot_fields!(Anchor { epoch, position, covariance });
+
+impl Clone for Anchor {
+    fn clone(&self) -> Self {
+        Self { epoch: self.epoch.clone(), ..*self }
+    }
+}
+
+/// A chain for the epochs without integers.
+#[derive(Debug)]
+pub(crate) struct Companion {
+    window: SlidingWindow,
+    anchor: Option<Anchor>,
+    clock: BaseClock,
+    /// Whether the chain has followed the position of the integers closely since it began.
+    is_tied: bool,
+}
+
+state_fields!(Companion { window, anchor, clock, is_tied });
+
+/// Scratch of the companion.
+#[derive(Debug, Default)]
+pub(crate) struct CompanionScratch {
+    window: WindowScratch,
+    corrected: CorrectedRanges,
+    numbers: Vec<f64>,
+}
+
+impl Companion {
+    /// Before the first epoch.
+    pub(crate) fn new(setup: &Setup) -> Self {
+        let window = SlidingWindow::new(setup, false);
+        Self { window, anchor: None, clock: BaseClock::default(), is_tied: false }
+    }
+
+    /// Whether a state that was read from a snapshot fits the options.
+    pub(crate) fn fits(&self, setup: &Setup) -> bool {
+        self.window.fits(setup)
+    }
+
+    /// Takes an epoch with integers, and its answer.
+    pub(crate) fn rest_at(&mut self, epoch: &Epoch, fixed: &Solution) {
+        self.window.rest();
+        let Some(estimate) = &fixed.estimate else { return };
+        let (position, covariance) = (estimate.position, estimate.covariance);
+        match &mut self.anchor {
+            Some(anchor) => {
+                anchor.epoch.clone_from(epoch);
+                (anchor.position, anchor.covariance) = (position, covariance);
+            }
+            None => self.anchor = Some(Anchor { epoch: epoch.clone(), position, covariance }),
+        }
+    }
+
+    /// Forgets every position, because the base is another one or has moved.
+    pub(crate) fn forget(&mut self) {
+        self.window.rest();
+        self.anchor = None;
+    }
+
+    /// Solves an epoch without integers, that was differenced against the base.
+    ///
+    /// `again` differences an earlier epoch at a position.
+    pub(crate) fn advance(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        differences: &mut SingleDifferences,
+        again: impl FnOnce(&EpochInputs<'_>, Ecef, &mut SingleDifferences) -> bool,
+        scratch: &mut CompanionScratch,
+    ) -> Solution {
+        let CompanionScratch { window, corrected, numbers } = scratch;
+        self.clock.follow(differences, numbers);
+        let anchor = self.anchor.take();
+        let mut now = std::mem::take(corrected);
+        self.clock.correct(differences, &mut now);
+        if let Some(anchor) = anchor.filter(|_| self.window.is_empty()) {
+            let of_anchor = EpochInputs { epoch: &anchor.epoch, ..*inputs };
+            if again(&of_anchor, anchor.position, differences) {
+                self.clock.correct(differences, corrected);
+                let of_anchor = EpochInputs { corrected: Some(corrected), ..of_anchor };
+                self.window.begin_at(&anchor.known(), &of_anchor, window);
+                self.is_tied = !self.window.is_empty();
+            }
+        }
+        if self.is_tied {
+            self.window.settle(inputs.epoch.time);
+        }
+        *corrected = now;
+        let inputs = EpochInputs { corrected: Some(corrected), ..*inputs };
+        let solution = self.window.advance(&inputs, window, &mut Vec::new());
+        self.is_tied &= solution.estimate.as_ref().is_some_and(|estimate| {
+            horizontal_m2(estimate.position, &estimate.covariance) < TIED_M * TIED_M
+        });
+        solution
+    }
+}
+
+impl Anchor {
+    fn known(&self) -> KnownPosition {
+        let rotation = LocalFrame::at(self.position).rotation;
+        let covariance = rotation * self.covariance * rotation.transpose();
+        let sigma_m = covariance.diagonal().map(f64::sqrt);
+        KnownPosition { position: self.position, sigma_m }
+    }
+}
