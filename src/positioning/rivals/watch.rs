@@ -79,7 +79,7 @@ impl Watch {
     /// Starts at a position that is known.
     pub(crate) fn settle(&mut self, now: GpsTime) {
         self.earlier.iter_mut().for_each(Vec::clear);
-        self.settling = Some(now - SETTLING_S);
+        self.settling = Some(now - (FILLING_S + SETTLING_S));
         (self.pooled, self.searched) = (Some(now), Some(now));
     }
 
