@@ -58,7 +58,7 @@ pub(super) const CANYON_WRONG_PERCENT: f64 = 0.16;
 /// By `fix_probability`; and per cent of the epochs without integers whose position is inside the
 /// stated 95 % ellipse.
 pub(super) const CANYON_STATED_WRONG_PERCENT: f64 = 0.14;
-pub(super) const CANYON_FLOAT_INSIDE_PERCENT: f64 = 80.9;
+pub(super) const CANYON_FLOAT_INSIDE_PERCENT: f64 = 90.0;
 
 const fn measured(mean_m: f64, deviation_m: f64, greatest_m: f64, inside: f64) -> Measured {
     Measured { mean_m, deviation_m, greatest_m, inside }
