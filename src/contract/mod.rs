@@ -22,6 +22,7 @@ pub(crate) mod reason;
 mod refusal;
 mod refused_acts;
 mod request_meters;
+pub(crate) mod routing;
 mod service;
 mod sign_in;
 mod texts;

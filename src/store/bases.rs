@@ -12,6 +12,7 @@ use super::antennas::calibration_hash;
 use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
+use super::nodes::{Change, notify};
 use super::pool::{reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
@@ -320,6 +321,17 @@ impl RawBase {
     }
 }
 
+/// A base epoch of a row that can be decoded.
+pub(super) fn stored_epoch(
+    number: i64,
+    ns: i64,
+    content: Vec<u8>,
+) -> Result<StoredBaseEpoch, StoreError> {
+    let (number, time) = (number as u64, GpsTime::from_ns(ns));
+    let stored = StoredBaseEpoch { number, time, content: content.into() };
+    stored.epoch().map(|_| stored)
+}
+
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
@@ -358,6 +370,7 @@ impl Store {
                     feed!(key, feed).execute(&mut *transaction).await?;
                 }
                 note!(transaction, entry);
+                notify!(self, transaction, Change::Bases);
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
             };
@@ -418,11 +431,7 @@ impl Store {
         });
         let rows = rows.map_err(StoreError::database("reading a base's epochs"))?;
         let stored_unix_ms = rows.last().map(|(_, _, stored_unix_ms, _)| *stored_unix_ms);
-        let read = |(number, ns, _, content): BaseEpochRow| {
-            let (number, time) = (number as u64, GpsTime::from_ns(ns));
-            let stored = StoredBaseEpoch { number, time, content: content.into() };
-            stored.epoch().map(|_| stored)
-        };
+        let read = |(number, ns, _, content): BaseEpochRow| stored_epoch(number, ns, content);
         Ok((rows.into_iter().map(read).collect::<Result<_, _>>()?, stored_unix_ms))
     }
 
@@ -454,6 +463,7 @@ impl Store {
                 }
                 let forget = sqlx::query(FORGET).bind(base.0).bind(change.first_kept as i64);
                 forget.execute(&mut *transaction).await?;
+                notify!(self, transaction, Change::Bases);
                 transaction.commit().await
             };
             pushed.await
@@ -489,6 +499,7 @@ impl Store {
                     let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
                     forget.execute(&mut *transaction).await?;
                     note!(transaction, entry);
+                    notify!(self, transaction, Change::Bases);
                 }
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(rows == 1)

@@ -31,6 +31,7 @@ mod health;
 mod history;
 mod jobs;
 mod keys;
+mod later_epochs;
 mod lease;
 mod named_requests;
 mod navigation;
@@ -87,8 +88,8 @@ pub use navigation::{
     StoredNavigation,
 };
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};
-pub(crate) use nodes::{Change, Claim, NODE_LEASE, Notices};
 pub use nodes::NodeRow;
+pub(crate) use nodes::{Change, Claim, NODE_LEASE, Notices};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;
@@ -151,11 +152,7 @@ impl Store {
     /// # Errors
     /// Also if the database is not on Postgres, a service outside the cluster uses it, or a live
     /// node has this name.
-    pub async fn open_in_cluster(
-        url: &str,
-        node: &str,
-        address: &str,
-    ) -> Result<Self, StoreError> {
+    pub async fn open_in_cluster(url: &str, node: &str, address: &str) -> Result<Self, StoreError> {
         Self::open_for(url, Some(node), Some(address)).await
     }
 

@@ -5,13 +5,12 @@
 //! committed to it. A lease that has ended is removed here, and with it the connection that
 //! committed under it, so that no open transaction of it holds a row.
 
-use std::collections::HashMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use sqlx::PgPool;
 use sqlx::postgres::PgListener;
-use tokio::time::timeout;
 
 use super::committer::{LEASE, Member};
 use super::deadline::{DEADLINE, within};
@@ -124,6 +123,18 @@ impl Store {
         self.member.as_deref().map(Member::fence)
     }
 
+    /// Whether this service writes what one node of a cluster writes: it leads, or is alone.
+    pub(crate) fn leads(&self) -> bool {
+        self.member.as_deref().is_none_or(|member| member.leads.load(Ordering::Acquire))
+    }
+
+    /// Leads from now on.
+    pub(crate) fn lead(&self) {
+        if let Some(member) = &self.member {
+            member.leads.store(true, Ordering::Release);
+        }
+    }
+
     /// The member's pool; `None` without a cluster.
     fn cluster(&self) -> Option<(&PgPool, &Arc<Member>)> {
         match (&self.pool, &self.member) {
@@ -229,7 +240,9 @@ impl Store {
     pub(crate) async fn owner_of_session(&self, id: &str) -> Result<Option<i64>, StoreError> {
         let Some((pool, _)) = self.cluster() else { return Ok(None) };
         let owner = sqlx::query_scalar(OWNER_BY_ID).bind(id).fetch_optional(pool);
-        within(DEADLINE, owner).await.map_err(StoreError::database("reading the owner of a session"))
+        within(DEADLINE, owner)
+            .await
+            .map_err(StoreError::database("reading the owner of a session"))
     }
 
     /// Notices of the changes that other nodes make from now on; `None` without a cluster.

@@ -80,6 +80,9 @@ macro_rules! operation {
     /// The address under which other nodes reach this one is invalid.
     ClusterAddressInvalid = "CLUSTER_ADDRESS_INVALID", NoCall,
         "give http://HOST:PORT or https://HOST:PORT of this node, as the others reach it";
+    /// An option whose work one node of a cluster cannot do for the others.
+    NotInCluster = "NOT_IN_CLUSTER", NoCall,
+        "remove the option that the message names, or the section [cluster]";
     /// A newer Graphfix wrote the database.
     DatabaseSchemaNewer = "DATABASE_SCHEMA_NEWER", NoCall,
         "run the Graphfix that wrote it, or a newer one";

@@ -31,6 +31,9 @@ const PROBE: &str = "UPDATE committer SET probes = probes + 1";
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND application_name = $2";
 
+/// A transaction of a node that the server no longer hears from must not hold rows that other nodes
+/// wait for.
+const IDLE_LIMIT: [(&str, &str); 1] = [("idle_in_transaction_session_timeout", "4s")];
 /// Takes the lease of the schema, which ends with the connection.
 const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
@@ -111,7 +114,11 @@ impl Connector {
             Database::Postgres(options) => {
                 let options = options.clone().application_name(&self.name);
                 let limit = [("statement_timeout", DEADLINE.as_millis())];
-                let mut connection: PgConnection = options.options(limit).connect().await?;
+                let mut options = options.options(limit);
+                if self.member.is_some() {
+                    options = options.options(IDLE_LIMIT);
+                }
+                let mut connection: PgConnection = options.connect().await?;
                 self.end_last_process(&mut connection).await?;
                 sqlx::query(POSTGRES_DURABLE).execute(&mut connection).await?;
                 let process = sqlx::query_scalar("SELECT pg_backend_pid()");

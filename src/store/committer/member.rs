@@ -5,7 +5,7 @@
 //! it renews the lease now and then, and otherwise reads that it has not ended. The row of a head
 //! has the last word: a session that another node has claimed has another fence.
 
-use std::sync::atomic::{AtomicI32, AtomicI64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicI64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -13,8 +13,9 @@ use sqlx::{Connection, PgConnection};
 use tokio::time::sleep;
 use uuid::Uuid;
 
-/// How long a lease lasts after it was renewed.
-pub(in crate::store) const LEASE: Duration = Duration::from_secs(6);
+/// How long a lease lasts after it was renewed: longer than the deadline of a commit, during which
+/// it cannot be renewed.
+pub(in crate::store) const LEASE: Duration = Duration::from_secs(8);
 /// A lease is renewed by the first transaction after this time.
 const RENEWAL: Duration = Duration::from_secs(1);
 /// The row of an earlier process of this name ends within this time.
@@ -46,6 +47,8 @@ pub(in crate::store) struct Member {
     process: AtomicI32,
     /// Before the last renewal that is committed, by the local clock.
     renewed: Mutex<Option<Instant>>,
+    /// Whether it leads, and knows what the leader before it has stored.
+    pub(in crate::store) leads: AtomicBool,
 }
 
 impl Member {
@@ -59,6 +62,7 @@ impl Member {
             fence: AtomicI64::new(0),
             process: AtomicI32::new(0),
             renewed: Mutex::default(),
+            leads: AtomicBool::new(false),
         }
     }
 
@@ -83,7 +87,10 @@ impl Member {
                     self.note_renewed(begun);
                     Ok(None)
                 }
-                false => Ok(Some(format!("another node has ended the lease of {:?}", self.name))),
+                false => {
+                    self.leads.store(false, Ordering::Release);
+                    Ok(Some(format!("a node that has ended the lease of {}", self.name)))
+                }
             };
         }
         loop {
