@@ -26,7 +26,7 @@ use crate::config::{
     NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
 use crate::contract::Service;
-use crate::contract::routing::Nodes;
+use crate::contract::nodes::Nodes;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,

@@ -7,11 +7,10 @@
 use crate::cluster::Cluster;
 use crate::refusal::Code;
 use crate::session::{SessionError, SessionId};
-pub(crate) use crate::store::NodeRow as OtherNode;
 use crate::store::NodeRow;
-use crate::tls::ClientTls;
 
 use super::access::{Call, Pass};
+use super::nodes::Nodes;
 use super::{Refusal, Service};
 
 /// Calls of the node to which the session belongs, by their paths on gRPC.
@@ -29,13 +28,6 @@ const OF_OWNER: [&str; 8] = [
 const OF_LEADER: [&str; 2] = ["Bases/", "Navigation/"];
 /// Calls that may name a base which the leader has just created.
 const NAMES_BASES: [&str; 2] = ["Sessions/Create", "Sessions/Update"];
-
-/// The cluster, and how its nodes are reached.
-#[derive(Clone)]
-pub(crate) struct Nodes {
-    pub(crate) cluster: Cluster,
-    pub(crate) tls: ClientTls,
-}
 
 impl Service {
     /// The other node that a request is for; `None` if this one answers it. `session` is the id in

@@ -14,8 +14,8 @@ use crate::refusal::Code;
 use crate::session::Sessions;
 use crate::tls::ServerTls;
 
+use super::nodes::Nodes;
 use super::refused_acts::RefusedActs;
-use super::routing::Nodes;
 use super::{Budget, Refusal, RequestMeters};
 
 /// Uploaded files that are read at the same time. More would take processor time from the

@@ -53,7 +53,7 @@ pub(super) async fn admit(
     let mark = forwarding::mark(&service, request.headers());
     let admitted = match checked(&service, &target, &mark, &request) {
         Ok((call, pass)) => {
-            match peers.route(&service, call, (&mark, pass.as_ref()), request).await {
+            match peers.route(&service, call, (&mark, pass.as_ref()), (request, is_grpc)).await {
                 Ok(Route::Here(request)) => leased(&service, request, pass, is_grpc),
                 Ok(Route::Answered(response)) => {
                     service.meters().count(is_grpc, outcome(&response), begun.elapsed());
@@ -195,7 +195,7 @@ fn refused(refusal: Refusal, target: &Target, is_grpc: bool) -> Response {
 }
 
 /// Whether these are the headers of a gRPC request.
-pub(super) fn is_grpc(headers: &HeaderMap) -> bool {
+fn is_grpc(headers: &HeaderMap) -> bool {
     let kind = headers.get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }

@@ -14,6 +14,7 @@
 
 mod antennas;
 mod audit;
+mod base_epochs;
 mod bases;
 mod chain;
 mod codec;
@@ -31,11 +32,11 @@ mod health;
 mod history;
 mod jobs;
 mod keys;
-mod later_epochs;
 mod lease;
 mod named_requests;
 mod navigation;
 mod nodes;
+mod notices;
 mod page;
 mod pool;
 mod raw;
@@ -89,7 +90,8 @@ pub use navigation::{
 };
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};
 pub use nodes::NodeRow;
-pub(crate) use nodes::{Change, Claim, NODE_LEASE, Notices};
+pub(crate) use nodes::{Claim, NODE_LEASE};
+pub(crate) use notices::{Change, Notices};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;

@@ -7,7 +7,7 @@ use crate::gnss::{
 use super::codec::{
     NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
 };
-use super::nodes::{Change as Changed, notify};
+use super::notices::{Change as Changed, notify};
 use super::pool::{reading, writing};
 use super::{Store, StoreError};
 

@@ -14,6 +14,7 @@ use sqlx::postgres::PgListener;
 
 use super::committer::{LEASE, Member};
 use super::deadline::{DEADLINE, within};
+use super::notices::Notices;
 use super::pool::Pool;
 use super::{SessionKey, Store, StoreError};
 
@@ -34,8 +35,8 @@ const LEAD: &str = "UPDATE leader SET fence = $1 WHERE fence = $2 \
 const LEAVE: &str = "DELETE FROM nodes WHERE fence = $1";
 const OWNER: &str = "SELECT h.fence, n.name FROM session_heads h \
     LEFT JOIN nodes n ON n.fence = h.fence WHERE h.session = $1";
-const OWNER_BY_ID: &str = "SELECT h.fence FROM sessions s JOIN session_heads h ON h.session = s.key \
-    WHERE s.id = $1";
+const OWNER_BY_ID: &str = "SELECT h.fence FROM sessions s \
+    JOIN session_heads h ON h.session = s.key WHERE s.id = $1";
 /// Claims what belongs to nobody alive, and has no other owner than the one read.
 const CLAIM: &str = "UPDATE session_heads SET owner = $1, fence = $2 \
     WHERE session = $3 AND fence = $4 \
@@ -66,56 +67,6 @@ pub(crate) enum Claim {
     /// It is this node's from now on: what is known of it from before is outdated.
     Taken,
 }
-
-/// What other nodes have changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Change {
-    /// Navigation data.
-    Navigation,
-    /// Base stations, or their epochs.
-    Bases,
-}
-
-impl Change {
-    /// The text of its notice.
-    pub(super) const fn text(self) -> &'static str {
-        match self {
-            Self::Navigation => "navigation",
-            Self::Bases => "bases",
-        }
-    }
-}
-
-/// Notices of the changes that other nodes make.
-pub(crate) struct Notices(PgListener);
-
-impl Notices {
-    /// The next notice; `None` if some may be lost.
-    ///
-    /// # Errors
-    /// The connection failed.
-    pub(crate) async fn next(&mut self) -> Result<Option<Change>, StoreError> {
-        let failed = StoreError::database("waiting for notices of other nodes");
-        let notice = self.0.try_recv().await.map_err(failed)?;
-        let known = [Change::Navigation, Change::Bases];
-        let is_it = |change: &Change| notice.as_ref().is_some_and(|n| n.payload() == change.text());
-        Ok(known.into_iter().find(is_it))
-    }
-}
-
-/// Tells the other nodes of a change, when the transaction is committed. The store of a service
-/// without a cluster tells nobody.
-macro_rules! notify {
-    ($store:expr, $transaction:expr, $change:expr) => {
-        if $store.fence().is_some() {
-            sqlx::query("SELECT pg_notify('graphfix_' || current_schema(), $1)")
-                .bind($change.text())
-                .execute(&mut *$transaction)
-                .await?;
-        }
-    };
-}
-pub(super) use notify;
 
 impl Store {
     /// The number of this node's lease; `None` without a cluster.
@@ -256,7 +207,7 @@ impl Store {
                 sqlx::query_scalar("SELECT current_schema()").fetch_one(pool).await?;
             let mut listener = PgListener::connect_with(pool).await?;
             listener.listen(&format!("graphfix_{schema}")).await?;
-            Ok(Notices(listener))
+            Ok(Notices::of(listener))
         };
         let listening = within(DEADLINE, listening).await;
         listening.map(Some).map_err(StoreError::database("listening to other nodes"))

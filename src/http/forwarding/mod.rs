@@ -15,7 +15,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Version, header, uri};
 use axum::response::Response;
 
 use crate::contract::access::{Call, Pass};
-use crate::contract::routing::OtherNode;
+use crate::contract::nodes::OtherNode;
 use crate::contract::{Refusal, Service};
 use crate::refusal::Code;
 
@@ -113,7 +113,7 @@ impl Peers {
         service: &Service,
         call: &Call,
         (mark, pass): (&Mark, Option<&Pass>),
-        request: Request,
+        (request, is_grpc): (Request, bool),
     ) -> Result<Route, Refusal> {
         if service.nodes().is_none() {
             return Ok(Route::Here(request));
@@ -123,9 +123,9 @@ impl Peers {
         let other = Box::pin(other(service, call, (mark, pass), session.as_deref()));
         match other.await? {
             None => Ok(Route::Here(request)),
-            Some(node) => {
-                Box::pin(self.answer(service, &node, request, pass)).await.map(Route::Answered)
-            }
+            Some(node) => Box::pin(self.answer(service, &node, (request, is_grpc), pass))
+                .await
+                .map(Route::Answered),
         }
     }
 
@@ -137,10 +137,9 @@ impl Peers {
         &self,
         service: &Service,
         node: &OtherNode,
-        request: Request,
+        (request, is_grpc): (Request, bool),
         pass: Option<&Pass>,
     ) -> Result<Response, Refusal> {
-        let is_grpc = super::admission::is_grpc(request.headers());
         let request = marked(service, request, pass)?;
         let (response, permit) = self.send(node, request).await?;
         let (mut parts, body) = response.into_parts();

@@ -14,7 +14,7 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use tokio::time::timeout;
 
 use crate::contract::Refusal;
-use crate::contract::routing::{Nodes, OtherNode};
+use crate::contract::nodes::{Nodes, OtherNode};
 use crate::refusal::Code;
 
 /// Requests of one connection; the other end takes 128.
