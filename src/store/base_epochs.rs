@@ -11,6 +11,9 @@ const LATER: &str = "SELECT e.base, e.number, e.gps_time_ns, e.stored_unix_ms, e
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
+/// The same after the key of the base.
+type LaterRow = (i64, i64, i64, i64, Vec<u8>);
+
 /// An epoch of a base, and when it was stored (ms since 1970-01-01 UTC).
 pub(crate) type LaterEpoch = (BaseKey, StoredBaseEpoch, i64);
 
@@ -49,8 +52,7 @@ impl Store {
         let (bases, newest): (Vec<i64>, Vec<i64>) =
             known.iter().map(|(base, newest)| (base.0, *newest as i64)).unzip();
         let select = sqlx::query_as(LATER).bind(bases).bind(newest).fetch_all(pool);
-        let rows: Result<Vec<(i64, i64, i64, i64, Vec<u8>)>, _> =
-            within(BULK_DEADLINE, select).await;
+        let rows: Result<Vec<LaterRow>, _> = within(BULK_DEADLINE, select).await;
         let rows = rows.map_err(StoreError::database("reading epochs of bases"))?;
         let read = |(base, number, ns, unix_ms, content)| {
             Ok((BaseKey(base), StoredBaseEpoch::of_row(number, ns, content)?, unix_ms))

@@ -29,8 +29,11 @@ use crate::support::wait::until;
 
 /// A session that has moved is acknowledged again within this time.
 const MOVED: Duration = Duration::from_secs(15);
-/// 99 of 100 acknowledgements come within this time while nothing happens.
+/// 99 of 100 acknowledgements come within this time while nothing happens, on a machine that does
+/// nothing else: `scripts/nodes` checks it.
 const QUIET: Duration = Duration::from_secs(1);
+/// The same beside other tests.
+const BUSY: Duration = Duration::from_secs(5);
 
 async fn two(database: &Database) -> [Node; 2] {
     // One after another, so that the first leads.
@@ -206,6 +209,9 @@ async fn stored(channel: &Channel, session: &str) -> (Vec<u64>, BTreeMap<u64, v1
     (numbers, answer.solutions.into_iter().map(|solution| (solution.seq, solution)).collect())
 }
 
+/// Names the seed of a campaign.
+const SEED: &str = "GRAPHFIX_NODES_SEED";
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Kill,
@@ -266,7 +272,8 @@ async fn round(
         calm.len()
     );
     assert!(longest < MOVED, "{fault:?}: an acknowledgement took {longest:?}");
-    assert!(p99 < QUIET, "{fault:?}: p99 {p99:?} outside the fault");
+    let limit = if std::env::var_os(SEED).is_some() { QUIET } else { BUSY };
+    assert!(p99 < limit, "{fault:?}: p99 {p99:?} outside the fault");
 }
 
 async fn check(database: &Database, node: &Node, answered: &Answered) {
@@ -297,7 +304,7 @@ async fn nothing_acknowledged_is_lost_behind_haproxy() {
         navigate(&channel(nodes[0].port)).await;
         let variable = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
         let rounds = variable("GRAPHFIX_NODES_ROUNDS").unwrap_or(3);
-        let seed = variable("GRAPHFIX_NODES_SEED");
+        let seed = variable(SEED);
         let mut random = Random::new(1 + seed.unwrap_or(0));
         for index in 0..rounds as usize {
             let faults = [Fault::Kill, Fault::Freeze, Fault::Cut];
