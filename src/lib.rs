@@ -95,6 +95,8 @@ pub mod aiding;
 
 pub mod feeds;
 
+pub mod cluster;
+
 pub mod recording;
 
 pub mod session;

@@ -93,6 +93,9 @@ pub enum AidingError {
         /// Size allowed for one base (bytes).
         bytes_max: usize,
     },
+    /// Other nodes have pushed at each attempt.
+    #[error("other nodes push navigation data all the time; this push found no turn")]
+    Contended,
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -113,6 +116,7 @@ impl AidingError {
             Self::BasePositionRefused { .. } => Code::BasePositionRefused,
             Self::AntennaUnknown { .. } => Code::AntennaUnknown,
             Self::BaseTooLarge { .. } => Code::BaseTooLarge,
+            Self::Contended => Code::DatabaseFailed,
             Self::Store(error) => error.code(),
         }
     }

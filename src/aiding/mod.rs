@@ -79,6 +79,15 @@ impl AidingDesk {
         Ok(Self { navigation, bases, antennas, geoid: None })
     }
 
+    /// Takes over what other nodes of the cluster have stored.
+    ///
+    /// # Errors
+    /// The store fails, or a row is corrupt.
+    pub(crate) async fn follow(&self) -> Result<(), AidingError> {
+        self.navigation.refresh().await?;
+        self.bases.follow().await
+    }
+
     /// The desk with a table of the geoid's heights.
     #[must_use]
     pub fn with_geoid(self, geoid: Option<Arc<Geoid>>) -> Self {

@@ -67,6 +67,8 @@ type Sources = BTreeMap<SatelliteId, (Arc<str>, i64)>;
 
 /// The part of the superseded ephemerides that is deleted at a time.
 const ROOM: usize = 16;
+/// Attempts of a push to be the next one, while other nodes push, too.
+const ATTEMPTS: usize = 20;
 
 /// What pushes leave to the next one.
 #[derive(Default)]
@@ -171,16 +173,40 @@ impl NavigationBroker {
             self.read_again().await?;
         }
         let limit = self.limits.ephemerides_per_satellite;
-        let parts = self.read().parts(pushed, &source, limit, unix_ms());
         let (mut new, mut dropped) = (0, 0);
         turn.is_unconfirmed = true;
-        for part in parts {
-            new += part.new.len();
-            dropped += part.ended.len() + part.ended_owned.len();
-            self.commit(part, &mut turn.room).await?;
+        for _ in 0..ATTEMPTS {
+            let parts = self.read().parts(pushed, &source, limit, unix_ms());
+            let mut continues = true;
+            for part in parts {
+                let counts = (part.new.len(), part.ended.len() + part.ended_owned.len());
+                continues = self.commit(part, &mut turn.room).await?;
+                if !continues {
+                    break;
+                }
+                new += counts.0;
+                dropped += counts.1;
+            }
+            if continues {
+                turn.is_unconfirmed = false;
+                return Ok((new, dropped));
+            }
+            self.read_again().await?;
         }
-        turn.is_unconfirmed = false;
-        Ok((new, dropped))
+        Err(AidingError::Contended)
+    }
+
+    /// Takes over what other nodes have pushed. Returns whether that was anything.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(crate) async fn refresh(&self) -> Result<bool, AidingError> {
+        let _turn = self.pushing.lock().await;
+        if self.store.newest_navigation_push().await? == self.read().push {
+            return Ok(false);
+        }
+        self.read_again().await?;
+        Ok(true)
     }
 
     /// Takes over what is stored, after a push of which this is not known.
@@ -191,8 +217,10 @@ impl NavigationBroker {
         Ok(())
     }
 
-    /// Stores a part of a push, and then takes it over.
-    async fn commit(&self, part: Part, room: &mut usize) -> Result<(), AidingError> {
+    /// Stores a part of a push, and then takes it over. Returns `false`, and stores nothing, if
+    /// another push is stored after the last one that is known here: of another node, or one whose
+    /// commit was not confirmed.
+    async fn commit(&self, part: Part, room: &mut usize) -> Result<bool, AidingError> {
         let stored_unix_ms = unix_ms();
         let new: Vec<Ephemeris> =
             part.new.satellites().flat_map(|(_, list)| list.iter().cloned()).collect();
@@ -204,6 +232,7 @@ impl NavigationBroker {
         let (limit, ending) = (self.limits.superseded_ephemerides, new.len() + ended.len());
         let is_looked_at = *room < ending;
         let change = NavigationChange {
+            after: self.read().push,
             new: &new,
             ended: &ended,
             coefficients: &part.new,
@@ -212,12 +241,8 @@ impl NavigationBroker {
             stored_unix_ms,
             superseded_limit: is_looked_at.then_some(limit - limit / ROOM),
         };
-        let push = self.store.push_navigation(&change).await?;
+        let Some(push) = self.store.push_navigation(&change).await? else { return Ok(false) };
         *room = if is_looked_at { limit / ROOM } else { *room - ending };
-        if push != self.read().push + 1 {
-            // One before it is stored, although its commit was not confirmed.
-            return self.read_again().await;
-        }
         if trust(&part.source) != Trust::Device {
             let mut sources = self.sources.write().unwrap_or_else(PoisonError::into_inner);
             for ephemeris in &new {
@@ -225,7 +250,7 @@ impl NavigationBroker {
             }
         }
         write(&self.state).take_over(push, part, new, stored_unix_ms);
-        Ok(())
+        Ok(true)
     }
 
     /// The satellites with usable ephemerides, and the time that these cover.

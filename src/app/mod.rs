@@ -16,15 +16,17 @@ use std::thread::available_parallelism;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 use uuid::Uuid;
 
 use crate::aiding::{AidingDesk, AidingLimits};
+use crate::cluster::Cluster;
 use crate::config::{
-    AntennasConfiguration, BasesConfiguration, CasterConfiguration, Limits,
+    AntennasConfiguration, BasesConfiguration, CasterConfiguration, ClusterConfiguration, Limits,
     NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
 use crate::contract::Service;
+use crate::contract::nodes::Nodes;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
@@ -38,12 +40,15 @@ use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
-use crate::tls::ServerTls;
+use crate::tls::{ClientFiles, ClientTls, ServerTls};
 
 pub use error::AppError;
 
 /// Interval of the check for streams of a network that rovers need.
 const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Interval at which watches of other nodes' sessions read the store.
+const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A service with open desks.
 pub struct App {
@@ -77,13 +82,21 @@ pub async fn open(
         configured if configured.is_empty() => random_node(),
         configured => configured.clone(),
     };
-    let store = open_alone(database, &node).await?;
+    let store = open_store(database, &node, &configuration.cluster).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
+    let cluster = Cluster::open(&store, &aiding).await?;
     let feeds = Feeds::open(connector.clone(), aiding.clone(), feed_options);
-    feeds.bring_navigation(sources, &operator_connector)?;
-    feeds.bring_bases(network_requests(bases)?)?;
+    match &cluster {
+        None => {
+            feeds.fill_bases();
+            feeds.bring_navigation(sources, &operator_connector)?;
+            feeds.bring_bases(network_requests(bases)?)?;
+        }
+        Some(cluster) => run_in_cluster(cluster, &sessions, &feeds, (sources, operator_connector)),
+    }
+    let nodes = cluster.map(|cluster| nodes(cluster, &configuration.cluster)).transpose()?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
     let desks = (store.clone(), aiding.clone());
     let jobs = Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await?;
@@ -91,13 +104,58 @@ pub async fn open(
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
+    let service = service.with_nodes(nodes);
     Ok(App { store, service })
 }
 
-/// Opens the database as its only service, and logs the settings on which durability depends.
-async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
-    let store = Store::open_alone(database, node).await?;
-    tracing::info!(node, "this node has the lease of the database");
+/// What a node does for itself each second, and for the cluster once it leads.
+fn run_in_cluster(
+    cluster: &Cluster,
+    sessions: &Sessions,
+    feeds: &Feeds,
+    (sources, connector): (NavigationSources, Connector),
+) {
+    let (leading, feeds) = (cluster.clone(), feeds.clone());
+    cluster.run(async move {
+        leading.wait_to_lead().await;
+        feeds.fill_bases();
+        if let Err(error) = feeds.bring_navigation(sources, &connector) {
+            tracing::error!(%error, "the sources of ephemerides cannot start");
+        }
+    });
+    let sessions = sessions.clone();
+    cluster.run(async move {
+        loop {
+            sleep(WATCH_INTERVAL).await;
+            sessions.wake_watches();
+        }
+    });
+}
+
+/// The other nodes, and what this one trusts when it calls them.
+fn nodes(cluster: Cluster, configuration: &ClusterConfiguration) -> Result<Nodes, AppError> {
+    let files = ClientFiles { ca: configuration.ca_file.clone(), identity: None };
+    Ok(Nodes { cluster, tls: ClientTls::new(&files, b"h2")? })
+}
+
+/// Opens the database as its only service, or as a node of its cluster, and logs the settings on
+/// which durability depends.
+async fn open_store(
+    database: &str,
+    node: &str,
+    cluster: &ClusterConfiguration,
+) -> Result<Store, AppError> {
+    let store = match cluster.is_on() {
+        false => Store::open_alone(database, node).await?,
+        true => Store::open_in_cluster(database, node, &cluster.address).await?,
+    };
+    match cluster.is_on() {
+        false => tracing::info!(node, "this node has the lease of the database"),
+        true => {
+            let address = &cluster.address;
+            tracing::info!(node, address, fence = store.fence(), "this node is in the cluster");
+        }
+    }
     for setting in store.durability() {
         let (name, value) = (setting.name, &setting.value);
         match setting.is_safe {
@@ -188,6 +246,9 @@ impl App {
             .await;
         end_within(limit, service.jobs().close(), "a job still runs; it begins again later").await;
         let feeds = async {
+            if let Some(nodes) = service.nodes() {
+                nodes.cluster.close().await;
+            }
             service.feeds().close().await;
             service.keys().close().await;
             service.quotas().close().await;

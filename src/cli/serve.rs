@@ -51,6 +51,13 @@ pub(super) struct ServeArguments {
     /// sqlite://FILE (created if absent) or postgres://…; default: sqlite://graphfix.db.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
     database: Option<String>,
+    /// Be a node of the cluster of the database, which is on Postgres; the other nodes reach this
+    /// one at the address, such as http://10.0.0.2:8080. Default: the service is alone.
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_CLUSTER")]
+    cluster: Option<String>,
+    /// Authorities of the certificates of the other nodes (PEM). Default: those of browsers.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_CLUSTER_CA")]
+    cluster_ca: Option<PathBuf>,
     /// Host that the service may connect to for clients, such as a caster: HOST, HOST:PORT or
     /// *.DOMAIN; may be repeated. Default: none.
     #[arg(long, value_name = "HOST", env = "GRAPHFIX_FETCH_HOSTS", value_delimiter = ',')]
@@ -101,6 +108,9 @@ impl ServeArguments {
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
         configuration.database = self.database.unwrap_or(configuration.database);
+        let cluster = &mut configuration.cluster;
+        cluster.address = self.cluster.unwrap_or(std::mem::take(&mut cluster.address));
+        cluster.ca_file = self.cluster_ca.or(cluster.ca_file.take());
         configuration.fetch.hosts.extend(self.fetch_host);
         configuration.fetch.private_addresses |= self.fetch_private;
         configuration.navigation.archives.extend(self.nav_archive);

@@ -4,6 +4,7 @@
 //! the environment: the doors do, and pass the texts to [`PositioningOptions::set`].
 
 mod choices;
+mod cluster;
 mod error;
 mod graph_options;
 mod graph_table;
@@ -25,6 +26,7 @@ pub use choices::{BandSet, Beyond, ConstellationSet, Mode, OutputFrame, Profile}
 pub(crate) use choices::{
     DopplerUse, IonosphereModel, KernelLaw, TroposphereMapping, TroposphereModel, WeightModel,
 };
+pub use cluster::ClusterConfiguration;
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use integrity_options::IntegrityOptions;

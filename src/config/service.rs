@@ -11,6 +11,7 @@ use serde::Deserialize;
 
 use crate::refusal::Code;
 
+use super::cluster::ClusterConfiguration;
 use super::jobs::JobsConfiguration;
 use super::limits::Limits;
 use super::tls::TlsConfiguration;
@@ -42,6 +43,8 @@ pub struct ServiceConfiguration {
     pub hosts: Vec<String>,
     /// URL of the database: `sqlite://FILE` or `postgres://…`.
     pub database: String,
+    /// The other nodes on the same database.
+    pub cluster: ClusterConfiguration,
     /// Format and filter of the log.
     pub log: LogConfiguration,
     /// Hosts that the service may connect to at a client's request.
@@ -173,6 +176,15 @@ pub(crate) enum ServiceConfigurationError {
     /// The interval between requests for sourcetables is too short.
     #[error("bases.table_interval_s must be at least {ARCHIVE_INTERVAL_MIN_S}")]
     TableInterval,
+    /// The nodes of a cluster share a server.
+    #[error("cluster.address is set, and the database is not on Postgres")]
+    ClusterOfFile,
+    /// The other nodes cannot reach this address.
+    #[error("cluster.address is {0:?}, not http://HOST:PORT or https://HOST:PORT")]
+    ClusterAddress(String),
+    /// An option whose work one node cannot do for the others.
+    #[error("{0} is set, and a node of a cluster does not support it")]
+    NotInCluster(&'static str),
     /// A limit of zero would refuse everything.
     #[error("limits.{0} must be at least 1")]
     ZeroLimit(&'static str),
@@ -188,6 +200,9 @@ impl ServiceConfigurationError {
             Self::Malformed(_) => Code::ConfigurationMalformed,
             Self::ArchiveInterval => Code::ArchiveIntervalTooShort,
             Self::TableInterval => Code::TableIntervalTooShort,
+            Self::ClusterOfFile => Code::ClusterNeedsPostgres,
+            Self::ClusterAddress(_) => Code::ClusterAddressInvalid,
+            Self::NotInCluster(_) => Code::NotInCluster,
             Self::ZeroLimit(_) | Self::ZeroJobLimit(_) => Code::LimitZero,
         }
     }
@@ -203,6 +218,7 @@ impl ServiceConfiguration {
             node: String::new(),
             hosts: Vec::new(),
             database: "sqlite://graphfix.db".to_owned(),
+            cluster: ClusterConfiguration::default(),
             log: LogConfiguration { json: false, filter: "info".to_owned() },
             fetch: FetchConfiguration {
                 hosts: Vec::new(),
@@ -248,6 +264,7 @@ impl ServiceConfiguration {
         if self.bases.table_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::TableInterval);
         }
+        self.check_cluster()?;
         if let Some(name) = self.jobs.zero() {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
@@ -266,6 +283,31 @@ impl ServiceConfiguration {
             Some(name) => Err(ServiceConfigurationError::ZeroLimit(name)),
             None => Ok(()),
         }
+    }
+}
+
+impl ServiceConfiguration {
+    fn check_cluster(&self) -> Result<(), ServiceConfigurationError> {
+        if !self.cluster.is_on() {
+            return Ok(());
+        }
+        if !self.database.starts_with("postgres") {
+            return Err(ServiceConfigurationError::ClusterOfFile);
+        }
+        if self.cluster.authority().is_none() {
+            let address = self.cluster.address.clone();
+            return Err(ServiceConfigurationError::ClusterAddress(address));
+        }
+        for (name, is_set) in [
+            ("bases.networks", !self.bases.networks.is_empty()),
+            ("jobs.folder", self.jobs.folder.is_some()),
+            ("tls.client_ca_file", self.tls.client_ca_file.is_some()),
+        ] {
+            if is_set {
+                return Err(ServiceConfigurationError::NotInCluster(name));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -11,6 +11,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::aiding::bases::BaseId;
+use crate::cluster::ClusterMeters;
 use crate::meters::{Family, Gauge, Label, Usage};
 use crate::store::CommitterState;
 
@@ -110,6 +111,9 @@ impl Service {
         registry.register("tls_renewal_failed", help, tls.renewal_failed.clone());
         let help = "TLS handshakes that failed";
         registry.register("tls_handshakes_failed", help, tls.failed_handshakes.clone());
+        if let Some(nodes) = self.nodes() {
+            write_cluster(page, nodes.cluster.meters());
+        }
         let (streams, watches) = self.open_streams();
         page.gauge("streams", "Open streams of devices", streams as f64);
         page.gauge("watches", "Open watches of solutions", watches as f64);
@@ -138,6 +142,19 @@ impl Service {
         let ephemerides = self.navigation().status().ephemerides as f64;
         page.gauge("ephemerides", "Ephemerides in force", ephemerides);
     }
+}
+
+fn write_cluster(Page(registry): &mut Page, meters: &ClusterMeters) {
+    let help = "Live nodes of the cluster, as this one knows them";
+    registry.register("cluster_nodes", help, meters.nodes.clone());
+    let help = "1 while this node leads the cluster, otherwise 0";
+    registry.register("cluster_leads", help, meters.leads.clone());
+    let help = "Leases of other nodes that this one has ended";
+    registry.register("cluster_ended_leases", help, meters.ended_leases.clone());
+    let help = "Requests sent on to another node";
+    registry.register("cluster_forwarded", help, meters.forwarded.clone());
+    let help = "Requests sent on that the other node has not answered";
+    registry.register("cluster_unanswered", help, meters.unanswered.clone());
 }
 
 /// What the process uses, under the names that all Prometheus clients give it.

@@ -151,7 +151,8 @@ impl From<AidingError> for Refusal {
             AidingError::AntennaUnknown { .. } => Some("antenna"),
             AidingError::TooManyEphemerides { .. }
             | AidingError::TooManyBases { .. }
-            | AidingError::BaseTooLarge { .. } => None,
+            | AidingError::BaseTooLarge { .. }
+            | AidingError::Contended => None,
         };
         Self::new(error.code(), error.to_string()).at_some(field)
     }

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use crate::cluster::Cluster;
 use crate::store::{CommitterHealth, CommitterState, Store};
 
 use super::Service;
@@ -33,6 +34,9 @@ pub(crate) struct Readiness {
     pub draining: bool,
     /// The database.
     pub database: DatabaseReadiness,
+    /// The cluster; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cluster: Option<ClusterReadiness>,
     /// States of sessions loaded from the database since the start.
     pub restores: u64,
     /// Epochs on which an estimator panicked, since the start.
@@ -56,6 +60,19 @@ pub(crate) struct DatabaseReadiness {
     pub settings: BTreeMap<&'static str, String>,
     /// Settings with which a power failure may lose acknowledged data.
     pub unsafe_settings: Vec<&'static str>,
+}
+
+/// The cluster's part of [`Readiness`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub(crate) struct ClusterReadiness {
+    /// Names of the live nodes, as this one knows them.
+    pub nodes: Vec<String>,
+    /// Name of the node that leads; absent while none does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub leader: Option<String>,
+    /// Number of this node's lease.
+    pub lease: i64,
 }
 
 impl Service {
@@ -86,6 +103,7 @@ impl Service {
             warnings: self.sessions().clock_ahead().map(clock_warning).into_iter().collect(),
             draining,
             database: database(store, &health, free_bytes),
+            cluster: self.nodes().map(|nodes| cluster(&nodes.cluster, store)),
             restores: counts.restores(),
             quarantined: counts.quarantined(),
         }
@@ -104,6 +122,14 @@ fn committer_problem(health: &CommitterHealth) -> Option<String> {
             Some(format!("the database has confirmed nothing for {silence_s:.1} s"))
         }
         CommitterState::Working => None,
+    }
+}
+
+fn cluster(cluster: &Cluster, store: &Store) -> ClusterReadiness {
+    ClusterReadiness {
+        nodes: cluster.nodes().into_iter().map(|node| node.name).collect(),
+        leader: cluster.leader().map(|node| node.name),
+        lease: store.fence().unwrap_or_default(),
     }
 }
 

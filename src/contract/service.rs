@@ -14,6 +14,7 @@ use crate::refusal::Code;
 use crate::session::Sessions;
 use crate::tls::ServerTls;
 
+use super::nodes::Nodes;
 use super::refused_acts::RefusedActs;
 use super::{Budget, Refusal, RequestMeters};
 
@@ -47,6 +48,8 @@ struct Desks {
     refused_acts: Arc<RefusedActs>,
     /// TLS of the port; `None` if it is not encrypted.
     tls: Option<ServerTls>,
+    /// The other nodes; `None` for a service without a cluster.
+    nodes: Option<Nodes>,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
     /// Limits the open watches.
@@ -83,6 +86,7 @@ impl Service {
             meters: RequestMeters::new(),
             refused_acts: Arc::default(),
             tls: None,
+            nodes: None,
             streams,
             watches,
         }))
@@ -117,6 +121,18 @@ impl Service {
     /// TLS of the port; `None` if it is not encrypted.
     pub(crate) fn tls(&self) -> Option<&ServerTls> {
         self.0.tls.as_ref()
+    }
+
+    /// The service as a node of a cluster, unless `nodes` is `None`.
+    #[must_use]
+    pub(crate) fn with_nodes(mut self, nodes: Option<Nodes>) -> Self {
+        Arc::make_mut(&mut self.0).nodes = nodes;
+        self
+    }
+
+    /// The cluster; `None` without one.
+    pub(crate) fn nodes(&self) -> Option<&Nodes> {
+        self.0.nodes.as_ref()
     }
 
     /// Whether the operator lists this host name of the service.

@@ -65,31 +65,35 @@ struct Desk {
 }
 
 impl Feeds {
-    /// Opens the desk and requests the streams of all bases, except those of networks, which start
-    /// on demand.
-    ///
-    /// # Panics
-    /// Outside a tokio runtime.
+    /// Opens the desk. Nothing runs yet.
     pub(crate) fn open(connector: Connector, aiding: AidingDesk, options: FeedOptions) -> Self {
         let (streams, sources, archives, networks) = Default::default();
         let reading = Arc::new(Semaphore::new(UNPACKED_AT_ONCE));
-        let (fed, filled) = (aiding.bases.feeds(), aiding.bases.archives());
         let desk =
             Desk { connector, aiding, options, streams, sources, archives, reading, networks };
-        let feeds = Self { desk: Arc::new(desk) };
+        Self { desk: Arc::new(desk) }
+    }
+
+    /// Requests the streams and archives of all bases, except those of networks, which start on
+    /// demand.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub(crate) fn fill_bases(&self) {
+        let bases = &self.desk.aiding.bases;
+        let (fed, filled) = (bases.feeds(), bases.archives());
         for (base, tenant, feed) in fed.into_iter().filter(|(.., feed)| !feed.is_on_demand) {
-            if let Err(error) = feeds.start(&tenant, &base, &feed) {
+            if let Err(error) = self.start(&tenant, &base, &feed) {
                 let code = error.code();
                 tracing::error!(%code, %base, %error, "the stream of a base cannot start");
             }
         }
         for (base, template) in filled {
-            if let Err(error) = feeds.fill(&base, &template) {
+            if let Err(error) = self.fill(&base, &template) {
                 let code = error.code();
                 tracing::error!(%code, %base, %error, "the archive of a base cannot start");
             }
         }
-        feeds
     }
 
     /// Starts to fetch ephemerides from `sources`, with the operator's own connector.

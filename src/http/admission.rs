@@ -16,12 +16,13 @@ use axum::response::{IntoResponse, Response};
 use tonic::Code as Status;
 use uuid::fmt::Hyphenated;
 
-use crate::contract::access::{Credential, CsrfToken, Pass, Target, target};
+use crate::contract::access::{Call, Credential, CsrfToken, Need, Pass, Target, target};
 use crate::contract::{Lease, Outcome, Refusal, Service};
 use crate::grpc;
 use crate::refusal::Code;
 
 use super::connection::Peer;
+use super::forwarding::{self, Mark, Peers, Route};
 use super::jobs;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
@@ -42,15 +43,25 @@ const OWN_CONTENT: &str = "default-src 'self'; style-src 'self' 'unsafe-inline';
 /// Serves a request with a lease of memory, unless its host, its origin, its call or its key is
 /// refused.
 pub(super) async fn admit(
-    State(service): State<Service>,
+    State((service, peers)): State<(Service, Peers)>,
     request: Request,
     next: Next,
 ) -> Response {
     let (is_grpc, begun) = (is_grpc(request.headers()), Instant::now());
     let is_named = is_named(&service, &request);
     let target = target(request.method().as_str(), request.uri().path());
-    let admitted = match checked(&service, &target, &request) {
-        Ok(pass) => leased(&service, request, pass, is_grpc),
+    let mark = forwarding::mark(&service, request.headers());
+    let admitted = match checked(&service, &target, &mark, &request) {
+        Ok((call, pass)) => {
+            match peers.route(&service, call, (&mark, pass.as_ref()), (request, is_grpc)).await {
+                Ok(Route::Here(request)) => leased(&service, request, pass, is_grpc),
+                Ok(Route::Answered(response)) => {
+                    service.meters().count(is_grpc, outcome(&response), begun.elapsed());
+                    return response;
+                }
+                Err(refusal) => Err(refusal),
+            }
+        }
         Err(refusal) => {
             let entry = service.refused_request(&target, credential(&request), &refusal);
             // Boxed, so that requests that are not refused need no memory for it.
@@ -107,9 +118,16 @@ fn outcome(response: &Response) -> Outcome {
 
 /// Who sends a request, if everything about it but its body is right; `None` where nobody needs a
 /// key.
-fn checked(service: &Service, target: &Target, request: &Request) -> Result<Option<Pass>, Refusal> {
+fn checked(
+    service: &Service,
+    target: &Target,
+    mark: &Mark,
+    request: &Request,
+) -> Result<(&'static Call, Option<Pass>), Refusal> {
     let (method, path) = (request.method(), request.uri().path());
-    check_host(service, request.uri(), request.headers())?;
+    if !matches!(mark, Mark::Node(_)) {
+        check_host(service, request.uri(), request.headers())?;
+    }
     let call = match target {
         Target::Call(call) => call,
         Target::OtherMethod(_) => {
@@ -121,8 +139,15 @@ fn checked(service: &Service, target: &Target, request: &Request) -> Result<Opti
             return Err(Refusal::new(Code::RouteNotFound, message));
         }
     };
+    if let Mark::Node(key) = mark {
+        let pass = match call.need {
+            Need::Nothing => None,
+            _ => Some(service.pass_of(key)?),
+        };
+        return Ok((call, pass));
+    }
     let peer = request.extensions().get().map(|Peer { address, .. }| *address);
-    service.admit(call, credential(request), peer)
+    Ok((call, service.admit(call, credential(request), peer)?))
 }
 
 /// The request with its lease.

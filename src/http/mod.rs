@@ -10,6 +10,7 @@ mod connection;
 mod dashboard;
 mod download;
 mod error_page;
+mod forwarding;
 mod handshake;
 mod history;
 mod job_events;
@@ -45,6 +46,7 @@ use crate::contract::Service;
 use crate::grpc;
 
 use body::BodyLimit;
+use forwarding::Peers;
 
 pub use openapi::document;
 pub use problem::{Problem, http_status};
@@ -57,6 +59,7 @@ const CONTROL_BYTES: usize = 256 << 10;
 /// ([`crate::contract::access`]) is refused before it comes to a route.
 pub fn router(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
+    let admission = (service.clone(), Peers::new(service.nodes()));
     let rest = controls()
         .layer(Extension(BodyLimit(limit.min(CONTROL_BYTES))))
         .merge(contents().layer(Extension(BodyLimit(limit))))
@@ -69,7 +72,7 @@ pub fn router(service: &Service) -> Router {
         .merge(rest)
         .merge(grpc::routes(service))
         .fallback(pages::no_route)
-        .layer(middleware::from_fn_with_state(service.clone(), admission::admit))
+        .layer(middleware::from_fn_with_state(admission, admission::admit))
 }
 
 /// Calls with short bodies, and the pages.

@@ -126,6 +126,13 @@ impl Register {
         by_hash.get(&hash).cloned().map(Pass)
     }
 
+    /// Who has the key of this id, whether that is in force or not. It looks through all keys.
+    pub(super) fn of_id(&self, id: &str) -> Option<Pass> {
+        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
+        let has_it = |holder: &&Arc<Holder>| holder.id == id;
+        by_hash.values().find(has_it).cloned().map(Pass)
+    }
+
     /// Ends the keys that have expired.
     pub(super) fn expire(&self, unix_ms: i64) {
         let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);

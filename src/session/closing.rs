@@ -86,7 +86,8 @@ impl Sessions {
         if row.closed_unix_ms.is_some() {
             return Ok(());
         }
-        if !self.tasks().handles.contains_key(id) {
+        if !self.runs(id) {
+            let row = self.claimed(row, id).await?;
             self.start(id, &row, Start::Closing)?;
         }
         // Removed first, so that no message follows the closing one.

@@ -1,9 +1,11 @@
 //! The desk itself: the methods that the doors call.
 
+use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{Notify, mpsc, oneshot};
@@ -12,7 +14,7 @@ use tokio::task::JoinSet;
 use crate::aiding::{AidingDesk, rover_source};
 use crate::clock::Clock;
 use crate::quotas::{Meter, Meters};
-use crate::store::{Author, SessionRow, Store};
+use crate::store::{Author, Claim, SessionKey, SessionRow, Store};
 use crate::tenant::Tenant;
 
 use super::answers::Reply;
@@ -201,7 +203,7 @@ impl Sessions {
         if self.post(id, message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
         }
-        let row = self.open_row(id).await?;
+        let row = self.claimed(self.open_row(id).await?, id).await?;
         self.start(id, &row, Start::Epochs)?;
         if self.post(id, message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
@@ -308,6 +310,38 @@ impl Sessions {
         }
     }
 
+    /// The row of a session as it is once this node has claimed it.
+    ///
+    /// # Errors
+    /// It is another node's, or the store fails.
+    pub(super) async fn claimed(
+        &self,
+        row: SessionRow,
+        id: &SessionId,
+    ) -> Result<SessionRow, SessionError> {
+        match self.desk.store.claim(row.key).await? {
+            Claim::Own => Ok(row),
+            Claim::Taken => {
+                if !row.settings.base.is_none() {
+                    // What its former node has received must be known before it is replayed.
+                    self.desk.aiding.bases.follow().await?;
+                }
+                self.row(id).await
+            }
+        }
+    }
+
+    /// Whether the task of a session runs here, so that the session is this node's.
+    pub(crate) fn runs(&self, id: &SessionId) -> bool {
+        self.tasks().handles.contains_key(id)
+    }
+
+    /// Lets those who watch sessions of other nodes read the store again.
+    pub(crate) fn wake_watches(&self) {
+        let here: HashSet<SessionKey> = self.tasks().handles.values().map(|h| h.key).collect();
+        self.live().publish_elsewhere(|key| here.contains(&key));
+    }
+
     pub(super) fn tasks(&self) -> MutexGuard<'_, Tasks> {
         self.desk.tasks()
     }
@@ -406,7 +440,9 @@ impl Sessions {
         tasks.running.spawn(task.run(inbox));
         let last_used = tasks.posted;
         let tenant = row.tenant.clone();
-        let handle = Handle { tenant, mailbox, waiting: Arc::default(), outdated, last_used };
+        let key = row.key;
+        let (waiting, started) = (Arc::default(), Instant::now());
+        let handle = Handle { key, tenant, mailbox, waiting, outdated, last_used, started };
         tasks.handles.insert(id.clone(), handle);
         counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
         Ok(())

@@ -105,6 +105,15 @@ impl Live {
         self.add(session, [Entry::Unknown]);
     }
 
+    /// Publishes the same of all watched sessions but those for which `is_here` holds.
+    pub(super) fn publish_elsewhere(&self, is_here: impl Fn(SessionKey) -> bool) {
+        if !self.has_watches() {
+            return;
+        }
+        let watched: Vec<SessionKey> = self.ring().watched.keys().copied().collect();
+        watched.into_iter().filter(|key| !is_here(*key)).for_each(|key| self.publish_unknown(key));
+    }
+
     /// Publishes that a session is closed.
     pub(super) fn publish_closed(&self, session: SessionKey) {
         self.add(session, [Entry::Closed]);

@@ -101,6 +101,7 @@ mod history;
 mod info;
 mod limits;
 mod live;
+mod moving;
 mod observed;
 mod panics;
 mod parked;

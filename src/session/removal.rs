@@ -22,6 +22,8 @@ const PAUSE: Duration = Duration::from_millis(20);
 const RETRY: Duration = Duration::from_secs(10);
 /// Between checks for epochs that are older than their retention, which is counted in days.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(3_600);
+/// Between looks whether this node leads its cluster.
+const LEAD_INTERVAL: Duration = Duration::from_secs(5);
 /// A clock that is ahead of the time of the ages by more than this has been set, or the service did
 /// not run (ms).
 const STEP_MS: i64 = MS_PER_DAY;
@@ -65,9 +67,13 @@ impl Expiry {
         Self { store, clock, retention_days, audit_days, history_days, counted_ms, ahead_ms }
     }
 
-    /// Removes them once an hour.
+    /// Removes them once an hour. In a cluster the leader does.
     pub(super) async fn remove_hourly(self: Arc<Self>) {
         loop {
+            if !self.store.leads() {
+                sleep(LEAD_INTERVAL).await;
+                continue;
+            }
             match self.remove().await {
                 Ok(()) => sleep(EXPIRY_INTERVAL).await,
                 Err(error) => {

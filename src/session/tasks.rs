@@ -3,10 +3,12 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
+use crate::store::SessionKey;
 use crate::tenant::Tenant;
 
 use super::SessionId;
@@ -38,12 +40,14 @@ pub(super) enum Start {
 
 /// A running task.
 pub(super) struct Handle {
+    pub(super) key: SessionKey,
     /// To whom the session belongs.
     pub(super) tenant: Tenant,
     pub(super) mailbox: mpsc::Sender<Message>,
     pub(super) waiting: Arc<AtomicUsize>,
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) last_used: u64,
+    pub(super) started: Instant,
 }
 
 impl Tasks {

@@ -12,6 +12,7 @@ use super::antennas::calibration_hash;
 use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
+use super::notices::{Change, notify};
 use super::pool::{reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
@@ -159,6 +160,16 @@ impl StoredBaseEpoch {
     /// Encodes an epoch.
     pub fn new(number: u64, epoch: &Epoch) -> Self {
         Self { number, time: epoch.time, content: encode_epoch(epoch).into() }
+    }
+
+    /// The epoch of a row.
+    ///
+    /// # Errors
+    /// The stored bytes are corrupt.
+    pub(super) fn of_row(number: i64, ns: i64, content: Vec<u8>) -> Result<Self, StoreError> {
+        let (number, time) = (number as u64, GpsTime::from_ns(ns));
+        let stored = Self { number, time, content: content.into() };
+        stored.epoch().map(|_| stored)
     }
 
     /// Decodes the epoch.
@@ -320,9 +331,6 @@ impl RawBase {
     }
 }
 
-/// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
-type BaseEpochRow = (i64, i64, i64, Vec<u8>);
-
 impl Store {
     /// Stores a new base of a tenant, and notes it.
     ///
@@ -358,6 +366,7 @@ impl Store {
                     feed!(key, feed).execute(&mut *transaction).await?;
                 }
                 note!(transaction, entry);
+                notify!(self, transaction, Change::Bases);
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
             };
@@ -402,30 +411,6 @@ impl Store {
         Ok(bases)
     }
 
-    /// The stored epochs of a base in order, and when the last of them was stored (ms since
-    /// 1970-01-01 UTC).
-    ///
-    /// # Errors
-    /// The database fails, or a row is corrupt.
-    pub(crate) async fn base_epochs(
-        &self,
-        base: BaseKey,
-    ) -> Result<(Vec<StoredBaseEpoch>, Option<i64>), StoreError> {
-        let rows: Result<Vec<BaseEpochRow>, _> = reading!(bulk &self.pool, pool => {
-            let sql = "SELECT number, gps_time_ns, stored_unix_ms, content FROM base_epochs
-                       WHERE base = $1 ORDER BY number";
-            sqlx::query_as(sql).bind(base.0).fetch_all(pool).await
-        });
-        let rows = rows.map_err(StoreError::database("reading a base's epochs"))?;
-        let stored_unix_ms = rows.last().map(|(_, _, stored_unix_ms, _)| *stored_unix_ms);
-        let read = |(number, ns, _, content): BaseEpochRow| {
-            let (number, time) = (number as u64, GpsTime::from_ns(ns));
-            let stored = StoredBaseEpoch { number, time, content: content.into() };
-            stored.epoch().map(|_| stored)
-        };
-        Ok((rows.into_iter().map(read).collect::<Result<_, _>>()?, stored_unix_ms))
-    }
-
     /// Stores all changes of a push to a base, or none.
     ///
     /// # Errors
@@ -454,6 +439,7 @@ impl Store {
                 }
                 let forget = sqlx::query(FORGET).bind(base.0).bind(change.first_kept as i64);
                 forget.execute(&mut *transaction).await?;
+                notify!(self, transaction, Change::Bases);
                 transaction.commit().await
             };
             pushed.await
@@ -489,6 +475,7 @@ impl Store {
                     let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
                     forget.execute(&mut *transaction).await?;
                     note!(transaction, entry);
+                    notify!(self, transaction, Change::Bases);
                 }
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(rows == 1)

@@ -23,6 +23,9 @@ const TABLES: [(&str, &str); 2] =
 const DAYS: &str = "SELECT TO_DATE(SUBSTRING(relname FROM '_([0-9]{8})$'), 'YYYYMMDD') \
     - DATE '1970-01-01' FROM pg_inherits JOIN pg_class ON pg_class.oid = inhrelid \
     WHERE inhparent = $1::regclass AND relname ~ '_[0-9]{8}$' ORDER BY 1";
+/// Nodes of a cluster may make the partitions of a day at the same time.
+const MAKE_IN_TURN: &str =
+    "SELECT pg_advisory_xact_lock(hashtextextended('graphfix days ' || current_schema(), 0))";
 /// To drop a table, nobody may read it. A drop waits for this long at most, because who comes
 /// later waits behind it.
 const DROP_PATIENCE: &str = "SET LOCAL lock_timeout = '200ms'";
@@ -65,6 +68,7 @@ impl Days {
 /// Makes the partitions of a day, in a transaction. Readers and writers of other days are not
 /// stopped, as they would be by `CREATE TABLE … PARTITION OF`.
 pub(super) async fn make_day(connection: &mut PgConnection, day: i32) -> Result<(), sqlx::Error> {
+    sqlx::query(MAKE_IN_TURN).execute(&mut *connection).await?;
     let date = date(connection, day).await?;
     for (table, unique) in TABLES {
         let partition = partition(table, &date);

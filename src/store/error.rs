@@ -53,6 +53,15 @@ pub enum StoreError {
         /// What is wrong with the lock file.
         why: String,
     },
+    /// A cluster needs a server.
+    #[error("the nodes of a cluster share a database on Postgres, and this one is a file")]
+    ClusterOfFile,
+    /// The session is another node's.
+    #[error("the session is of node {node}")]
+    Elsewhere {
+        /// Name of that node.
+        node: String,
+    },
     /// The schema could not be brought up to date.
     #[error("migrating the database: {source}")]
     Migration {
@@ -150,6 +159,8 @@ impl StoreError {
             Self::NewerSchema { .. } => Code::DatabaseSchemaNewer,
             Self::OlderSchema { .. } => Code::DatabaseSchemaOlder,
             Self::InUse { .. } | Self::LeaseLost { .. } => Code::DatabaseInUse,
+            Self::ClusterOfFile => Code::ClusterNeedsPostgres,
+            Self::Elsewhere { .. } => Code::SessionElsewhere,
             Self::Migration { .. } => Code::DatabaseMigrationFailed,
             Self::Database { .. }
             | Self::Unconfirmed { .. }

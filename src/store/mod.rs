@@ -14,6 +14,7 @@
 
 mod antennas;
 mod audit;
+mod base_epochs;
 mod bases;
 mod chain;
 mod codec;
@@ -34,6 +35,8 @@ mod keys;
 mod lease;
 mod named_requests;
 mod navigation;
+mod nodes;
+mod notices;
 mod page;
 mod pool;
 mod raw;
@@ -86,6 +89,9 @@ pub use navigation::{
     StoredNavigation,
 };
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};
+pub use nodes::NodeRow;
+pub(crate) use nodes::{Claim, NODE_LEASE};
+pub(crate) use notices::{Change, Notices};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
 pub use retention::Expired;
@@ -97,7 +103,7 @@ pub use snapshots::StoredSnapshot;
 pub use solutions::{Revisions, SolutionQuery, StoredSolution};
 pub use tenants::{TenantRow, TenantUse};
 
-use committer::{Committer, Connector, Timing};
+use committer::{Committer, Connector, Member, Timing};
 use database::Database;
 use days::Days;
 use deadline::DEADLINE;
@@ -117,6 +123,10 @@ pub struct Store {
     file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
     days: Arc<Days>,
+    /// This node of a cluster.
+    member: Option<Arc<Member>>,
+    /// Name of the node.
+    node: Arc<str>,
 }
 
 impl Store {
@@ -126,7 +136,7 @@ impl Store {
     /// # Errors
     /// The URL is invalid, the database cannot be reached, or its schema is newer.
     pub async fn open(url: &str) -> Result<Self, StoreError> {
-        Self::open_for(url, None).await
+        Self::open_for(url, None, None).await
     }
 
     /// The same for a service, which writes alone. It has the lease of the database until it
@@ -135,25 +145,62 @@ impl Store {
     /// # Errors
     /// Also if another service has the lease; [`StoreError::InUse`] names its node.
     pub async fn open_alone(url: &str, node: &str) -> Result<Self, StoreError> {
-        Self::open_for(url, Some(node)).await
+        Self::open_for(url, Some(node), None).await
     }
 
-    async fn open_for(url: &str, node: Option<&str>) -> Result<Self, StoreError> {
+    /// The same for the node of a cluster, which others reach at `address`. It has a lease beside
+    /// those of the other nodes.
+    ///
+    /// # Errors
+    /// Also if the database is not on Postgres, a service outside the cluster uses it, or a live
+    /// node has this name.
+    pub async fn open_in_cluster(url: &str, node: &str, address: &str) -> Result<Self, StoreError> {
+        Self::open_for(url, Some(node), Some(address)).await
+    }
+
+    async fn open_for(
+        url: &str,
+        node: Option<&str>,
+        address: Option<&str>,
+    ) -> Result<Self, StoreError> {
         let database = Database::parse(url)?;
+        if address.is_some() && database.file().is_some() {
+            return Err(StoreError::ClusterOfFile);
+        }
+        let member = node.zip(address).map(|(node, address)| Member::new(node, address));
+        let member = member.map(Arc::new);
         let leased = database.file().zip(node);
         let lease = leased.map(|(file, node)| FileLease::take(&file, node)).transpose()?;
         let (pool, key_pool) = (Pool::new(&database), Pool::of_one(&database));
         let folder = database.folder().map(Into::into);
         let file = database.file().map(Into::into);
         let connector = Connector::new(database.clone(), pool.turn(), node);
-        connector.check_lease().await?; // Before the schema of a running service is changed.
-        database.migrate().await?;
+        // Before the schema of a running service is changed. Nodes of one schema start beside each
+        // other; to bring it up to date, none of them may run.
+        if member.is_none() || database.check_schema().await.is_err() {
+            connector.check_lease().await?;
+            database.migrate().await?;
+        }
+        let connector = connector.with_member(member.clone());
         let durability = connector.durability().await?.into();
         let days = connector.days();
         let (committer, task) = Committer::start(connector, Timing::service()).await?;
         let task = Arc::new(Mutex::new(Some(task)));
         let lease = lease.map(Arc::new);
-        Ok(Self { pool, key_pool, committer, task, durability, folder, file, lease, days })
+        let node = node.unwrap_or_default().into();
+        Ok(Self {
+            pool,
+            key_pool,
+            committer,
+            task,
+            durability,
+            folder,
+            file,
+            lease,
+            days,
+            member,
+            node,
+        })
     }
 
     /// Opens the database of `url` to change what no service has in its memory alone, such as keys;
@@ -191,7 +238,25 @@ impl Store {
         let file = database.file().map(Into::into);
         let (committer, task) = (Committer::stopped(), Arc::default());
         let (durability, lease, days) = (Arc::new([]), None, Arc::default());
-        Self { pool, key_pool, committer, task, durability, folder, file, lease, days }
+        let (member, node) = (None, "".into());
+        Self {
+            pool,
+            key_pool,
+            committer,
+            task,
+            durability,
+            folder,
+            file,
+            lease,
+            days,
+            member,
+            node,
+        }
+    }
+
+    /// Name of the node; empty without a lease.
+    pub(crate) fn node(&self) -> &str {
+        &self.node
     }
 
     /// The settings of the database on which durability depends, as they were at the start.
@@ -276,6 +341,7 @@ impl Store {
             // A panic of the committer has already failed the calls that waited for it.
             task.await.ok();
         }
+        self.leave().await;
         let closing = async {
             self.key_pool.close().await;
             self.pool.close().await;

@@ -7,6 +7,7 @@ use crate::gnss::{
 use super::codec::{
     NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
 };
+use super::notices::{Change as Changed, notify};
 use super::pool::{reading, writing};
 use super::{Store, StoreError};
 
@@ -66,6 +67,8 @@ pub(crate) const OWNER_PREFIX: &str = "device ";
 /// for all other sources the service, whose name is empty.
 #[derive(Clone, Debug)]
 pub struct NavigationChange<'a> {
+    /// Number of the push that this one continues.
+    pub after: u64,
     /// New ephemerides. They replace those of the same owner, satellite, time and issue.
     pub new: &'a [Ephemeris],
     /// Ephemerides that are no longer in force, with their owners.
@@ -82,7 +85,8 @@ pub struct NavigationChange<'a> {
     pub superseded_limit: Option<usize>,
 }
 
-const NEXT_PUSH: &str = "UPDATE navigation_pushes SET newest = newest + 1 RETURNING newest";
+const NEXT_PUSH: &str =
+    "UPDATE navigation_pushes SET newest = newest + 1 WHERE newest = $1 RETURNING newest";
 const END_EPHEMERIS: &str = "UPDATE ephemerides SET until = $1
     WHERE satellite = $2 AND toe_ns = $3 AND message = $4 AND toc_ns = $5 AND issue = $6
     AND (source = $7 OR ($7 = '' AND source NOT LIKE 'device %')) AND until IS NULL";
@@ -131,21 +135,23 @@ macro_rules! named {
 }
 
 impl Store {
-    /// Stores all navigation data of a push, or none. Returns the number of the push; each push has
-    /// the next number.
+    /// Stores all navigation data of a push, or none. Returns the number of the push, which is the
+    /// next one; `None` if another push is stored after the one that this continues, and nothing of
+    /// it then.
     ///
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
     pub(crate) async fn push_navigation(
         &self,
         change: &NavigationChange<'_>,
-    ) -> Result<u64, StoreError> {
+    ) -> Result<Option<u64>, StoreError> {
         let owner = owner_of(change.source);
         let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
-                let (push,): (i64,) =
-                    sqlx::query_as(NEXT_PUSH).fetch_one(&mut *transaction).await?;
+                let next = sqlx::query_scalar(NEXT_PUSH).bind(change.after as i64);
+                let next: Option<i64> = next.fetch_optional(&mut *transaction).await?;
+                let Some(push) = next else { return Ok(None) };
                 let replaced = change.new.iter().map(|ephemeris| (owner, ephemeris));
                 for (owner, ephemeris) in replaced.chain(change.ended.iter().copied()) {
                     let end = named!(sqlx::query(END_EPHEMERIS), push, ephemeris);
@@ -189,8 +195,9 @@ impl Store {
                         sqlx::query(forget).bind(end).execute(&mut *transaction).await?;
                     }
                 }
+                notify!(self, transaction, Changed::Navigation);
                 transaction.commit().await?;
-                Ok::<u64, sqlx::Error>(push as u64)
+                Ok::<Option<u64>, sqlx::Error>(Some(push as u64))
             };
             pushed.await
         });
@@ -216,6 +223,14 @@ impl Store {
             return Err(StoreError::NavigationForgotten { push, complete_since });
         }
         self.navigation_in_force(push).await
+    }
+
+    /// Number of the last push.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn newest_navigation_push(&self) -> Result<u64, StoreError> {
+        Ok(self.navigation_pushes().await?.0)
     }
 
     /// Numbers of the last push and of the first push whose navigation data are complete.

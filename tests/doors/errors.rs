@@ -23,6 +23,8 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::MemoryExhausted, "tests/faults/hostile.rs"),
     (Code::TooManyConnections, "tests/faults/hostile.rs"),
     (Code::TlsRequired, "tests/doors/tls.rs"),
+    (Code::SessionElsewhere, "tests/faults/nodes.rs"),
+    (Code::NodeUnreachable, "tests/faults/nodes.rs"),
     (Code::HostRefused, "tests/faults/hostile.rs"),
     (Code::OriginRefused, "tests/faults/hostile.rs"),
     (Code::KeyRequired, "tests/doors/keys.rs"),
@@ -589,6 +591,17 @@ fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
         (nothing, "[antennas]\nantex = \"/no/such/file\"", Code::AntexInvalid),
         (nothing, "geoid_file = \"graphfix.toml\"", Code::GeoidInvalid),
         ("--database=mysql://x/y", "", Code::DatabaseUrlInvalid),
+        ("--cluster=http://127.0.0.1:1", "", Code::ClusterNeedsPostgres),
+        (
+            "--database=postgres://x/y",
+            "[cluster]\naddress = \"127.0.0.1\"",
+            Code::ClusterAddressInvalid,
+        ),
+        (
+            "--database=postgres://x/y",
+            "[cluster]\naddress = \"http://127.0.0.1:1\"\n[jobs]\nfolder = \"jobs\"",
+            Code::NotInCluster,
+        ),
         ("--listen=TAKEN", "", Code::AddressUnavailable),
     ]
 }

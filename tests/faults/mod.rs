@@ -12,6 +12,7 @@ mod jobs;
 mod lease;
 mod mutated;
 mod navigation;
+mod nodes;
 mod robustness;
 mod server;
 mod streams;

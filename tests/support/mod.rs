@@ -1,6 +1,8 @@
 //! Shared parts of the tests: data, databases, a service in this process, streams, and waiting.
 
 pub(crate) mod antex;
+#[cfg(target_os = "linux")]
+pub(crate) mod balancer;
 pub(crate) mod casters;
 pub(crate) mod data;
 pub(crate) mod database;
@@ -12,6 +14,8 @@ pub(crate) mod failing;
 pub(crate) mod flow;
 pub(crate) mod geoid;
 pub(crate) mod jobs;
+#[cfg(target_os = "linux")]
+pub(crate) mod nodes;
 pub(crate) mod pair;
 pub(crate) mod proxy;
 pub(crate) mod python;

@@ -43,6 +43,18 @@ impl Server {
         self.child.id()
     }
 
+    /// Sends a signal, such as `STOP`.
+    #[cfg(target_os = "linux")]
+    pub(crate) fn signal(&self, name: &str) {
+        let number = self.process().to_string();
+        assert!(Command::new("kill").args(["-s", name, &number]).status().unwrap().success());
+    }
+
+    /// Whether it has ended, and whether with success.
+    pub(crate) fn ended(&mut self) -> Option<bool> {
+        self.child.try_wait().unwrap().map(|status| status.success())
+    }
+
     /// SIGKILL, which no process can answer.
     pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();

@@ -56,6 +56,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "store",
         ],
     ),
+    ("cluster", &["meters", "store", "aiding"]),
     ("feeds", &["gnss", "tenant", "refusal", "clock", "tls", "formats", "aiding"]),
     ("recording", &["gnss", "config", "snapshot", "formats", "positioning"]),
     (
@@ -107,6 +108,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "store",
             "reception",
             "aiding",
+            "cluster",
             "feeds",
             "jobs",
             "session",
@@ -121,7 +123,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
         "app",
         &[
             "gnss", "refusal", "config", "formats", "store", "aiding", "feeds", "jobs", "session",
-            "contract", "http", "keys", "quotas", "tls",
+            "cluster", "contract", "http", "keys", "quotas", "tls",
         ],
     ),
     (

@@ -89,6 +89,12 @@ impl BaseEpochs {
         (self.checks, self.check_tried) = (PositionChecks::new(), None);
     }
 
+    /// Replaces the sites by those that are stored.
+    pub(super) fn replace_sites(&mut self, sites: Vec<(u64, BaseSite)>) {
+        self.sites = Arc::new(sites);
+        (self.checks, self.check_tried) = (PositionChecks::new(), None);
+    }
+
     /// Decides whether `epoch` is new, a repetition, or refused. A new epoch is appended to `new`,
     /// the epochs of the same push that are not stored yet.
     pub(super) fn accept(

@@ -7,7 +7,8 @@ use crate::aiding::{AidingError, AidingLimits, Antennas, NavigationBroker};
 use crate::clock::unix_ms;
 use crate::gnss::{BaseSite, CoordinateFrame, Ecef, GpsTime};
 use crate::store::{
-    Act, Author, BaseFeed, BaseKey, BaseName, BaseUse, NamedRequest, NewBaseRow, Store, StoreError,
+    Act, Author, BaseFeed, BaseKey, BaseName, BaseRow, BaseUse, NamedRequest, NewBaseRow, Store,
+    StoreError, StoredBaseEpoch,
 };
 use crate::tenant::Tenant;
 
@@ -29,8 +30,9 @@ pub struct BaseBroker {
     pub(super) antennas: Antennas,
     pub(super) limits: AidingLimits,
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
-    /// Locked while a base is created, so that their number never exceeds the limit.
-    creating: Arc<tokio::sync::Mutex<()>>,
+    /// Locked while a base is created, so that their number never exceeds the limit, and while the
+    /// bases of another node are taken over.
+    pub(super) creating: Arc<tokio::sync::Mutex<()>>,
     nearest_base_requests: NearestBaseRequests,
 }
 
@@ -47,23 +49,9 @@ impl BaseBroker {
     ) -> Result<Self, AidingError> {
         let mut bases = BTreeMap::new();
         for row in store.bases().await? {
-            let id = BaseId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
-                what: "base id",
-                why: format!("{:?} is not the id of a base", row.id),
-            })?;
+            let id = stored_id(&row)?;
             let (epochs, stored_unix_ms) = store.base_epochs(row.key).await?;
-            let description = BaseDescription {
-                name: BaseName { key: row.key, id: row.id.into() },
-                tenant: row.tenant,
-                label: row.label,
-                created_unix_ms: row.created_unix_ms,
-                feed: row.feed,
-                archive: row.archive,
-                request: row.request,
-                frame: row.frame,
-            };
-            let stored = BaseEpochs::new(row.sites, epochs, stored_unix_ms);
-            bases.insert(id, Arc::new(Base::new(description, stored)));
+            bases.insert(id, Arc::new(stored_base(row, epochs, stored_unix_ms)));
         }
         let bases = Arc::new(RwLock::new(bases));
         let (creating, nearest_base_requests) = Default::default();
@@ -400,13 +388,40 @@ impl BaseBroker {
         base.ok_or_else(|| AidingError::BaseNotFound { id: id.to_string() })
     }
 
-    fn read(&self) -> RwLockReadGuard<'_, BTreeMap<BaseId, Arc<Base>>> {
+    pub(super) fn read(&self) -> RwLockReadGuard<'_, BTreeMap<BaseId, Arc<Base>>> {
         self.bases.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn write(&self) -> RwLockWriteGuard<'_, BTreeMap<BaseId, Arc<Base>>> {
+    pub(super) fn write(&self) -> RwLockWriteGuard<'_, BTreeMap<BaseId, Arc<Base>>> {
         self.bases.write().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The id of a stored base.
+pub(super) fn stored_id(row: &BaseRow) -> Result<BaseId, StoreError> {
+    BaseId::parse(&row.id).ok_or_else(|| StoreError::CorruptText {
+        what: "base id",
+        why: format!("{:?} is not the id of a base", row.id),
+    })
+}
+
+/// A base of the store with its epochs.
+pub(super) fn stored_base(
+    row: BaseRow,
+    epochs: Vec<StoredBaseEpoch>,
+    stored_unix_ms: Option<i64>,
+) -> Base {
+    let description = BaseDescription {
+        name: BaseName { key: row.key, id: row.id.into() },
+        tenant: row.tenant,
+        label: row.label,
+        created_unix_ms: row.created_unix_ms,
+        feed: row.feed,
+        archive: row.archive,
+        request: row.request,
+        frame: row.frame,
+    };
+    Base::new(description, BaseEpochs::new(row.sites, epochs, stored_unix_ms))
 }
 
 /// What the audit log says of a new base: without the user and password at a caster, and of an

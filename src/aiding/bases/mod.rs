@@ -36,6 +36,7 @@ mod broker;
 mod candidates;
 mod check;
 mod file;
+mod following;
 mod nearest_requests;
 mod pushing;
 mod tenant_bases;

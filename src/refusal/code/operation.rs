@@ -14,6 +14,12 @@ macro_rules! operation {
     /// Another service writes to the same session.
     WrittenElsewhere = "WRITTEN_ELSEWHERE", Unavailable,
         "let one service write a session; send the same request again";
+    /// The session is another node's of the cluster.
+    SessionElsewhere = "SESSION_ELSEWHERE", Unavailable,
+        "send the same request again, with the session in the header x-graphfix-session";
+    /// The node that must answer the call does not.
+    NodeUnreachable = "NODE_UNREACHABLE", Unavailable,
+        "send the same request again, with backoff; another node takes over within seconds";
     /// A stored row cannot be read.
     StoredDataCorrupt = "STORED_DATA_CORRUPT", Internal, "restore the database from a backup";
     /// The service has a fault.
@@ -68,6 +74,15 @@ macro_rules! operation {
     /// Another service has the lease of the database.
     DatabaseInUse = "DATABASE_IN_USE", NoCall,
         "stop the service that the message names, or give this one another database";
+    /// A cluster is configured, and the database is not on Postgres.
+    ClusterNeedsPostgres = "CLUSTER_NEEDS_POSTGRES", NoCall,
+        "give a database on Postgres, or remove the section [cluster]";
+    /// The address under which other nodes reach this one is invalid.
+    ClusterAddressInvalid = "CLUSTER_ADDRESS_INVALID", NoCall,
+        "give http://HOST:PORT or https://HOST:PORT of this node, as the others reach it";
+    /// An option whose work one node of a cluster cannot do for the others.
+    NotInCluster = "NOT_IN_CLUSTER", NoCall,
+        "remove the option that the message names, or the section [cluster]";
     /// A newer Graphfix wrote the database.
     DatabaseSchemaNewer = "DATABASE_SCHEMA_NEWER", NoCall,
         "run the Graphfix that wrote it, or a newer one";

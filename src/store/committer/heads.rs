@@ -1,8 +1,9 @@
 //! The head of a session: one row that each commit compares and sets.
 //!
 //! A batch is accepted if its session is open, the last number is the one that the batch
-//! continues, and no service with a later lease has committed. All batches of a transaction are
-//! compared in one statement (up to 128 of them on SQLite).
+//! continues, and no service with a later lease has committed. A node of a cluster must also have
+//! claimed the session. All batches of a transaction are compared in one statement (up to 128 of
+//! them on SQLite).
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -19,6 +20,8 @@ pub(super) struct Owner {
     pub(super) node: String,
     /// The number of its lease. Each lease has the next one.
     pub(super) fence: i64,
+    /// Whether it commits only to sessions that it has claimed: they have its fence.
+    pub(super) claims: bool,
 }
 
 /// What a batch compares, and what it sets; `None` leaves a value as it is.
@@ -38,7 +41,7 @@ struct Head {
 const COLUMNS: usize = 11;
 
 macro_rules! compare_and_set {
-    ($owner:literal, $fence:literal, $rows:literal) => {
+    ($owner:literal, $fence:literal, $may_write:literal, $rows:expr) => {
         concat!(
             "UPDATE session_heads SET owner = ",
             $owner,
@@ -57,23 +60,30 @@ macro_rules! compare_and_set {
             $rows,
             ") AS b WHERE session_heads.session = b.session ",
             "AND session_heads.last_seq IS NOT DISTINCT FROM b.previous ",
-            "AND session_heads.closed_unix_ms IS NULL AND session_heads.fence <= ",
+            "AND session_heads.closed_unix_ms IS NULL AND session_heads.fence ",
+            $may_write,
+            " ",
             $fence,
             " RETURNING session_heads.session"
         )
     };
 }
-const POSTGRES: &str = compare_and_set!(
-    "$1",
-    "$2",
-    "SELECT * FROM UNNEST($3::bigint[], $4::bigint[], $5::bigint[], $6::bigint[], $7::bigint[], \
-     $8::smallint[], $9::double precision[], $10::double precision[], $11::double precision[], \
-     $12::bigint[], $13::bigint[]) AS u(session, previous, last_seq, last_gps_time_ns, \
-     raw_through, status, x_m, y_m, z_m, closed_unix_ms, added_bytes)"
-);
+macro_rules! arrays {
+    () => {
+        "SELECT * FROM UNNEST($3::bigint[], $4::bigint[], $5::bigint[], $6::bigint[], \
+         $7::bigint[], $8::smallint[], $9::double precision[], $10::double precision[], \
+         $11::double precision[], $12::bigint[], $13::bigint[]) AS u(session, previous, \
+         last_seq, last_gps_time_ns, raw_through, status, x_m, y_m, z_m, closed_unix_ms, \
+         added_bytes)"
+    };
+}
+const POSTGRES: &str = compare_and_set!("$1", "$2", "<=", arrays!());
+/// The same of sessions that the owner has claimed.
+const POSTGRES_CLAIMED: &str = compare_and_set!("$1", "$2", "=", arrays!());
 const SQLITE: &str = compare_and_set!(
     "?",
     "?",
+    "<=",
     "SELECT column1 AS session, column2 AS previous, column3 AS last_seq, \
      column4 AS last_gps_time_ns, column5 AS raw_through, column6 AS status, column7 AS x_m, \
      column8 AS y_m, column9 AS z_m, column10 AS closed_unix_ms, column11 AS added_bytes \
@@ -153,7 +163,8 @@ pub(super) async fn accepted_postgres<'a>(
         let heads: Vec<Head> = round.iter().map(|batch| Head::of(batch)).collect();
         let numbers = |of: fn(&Head) -> Option<i64>| heads.iter().map(of).collect::<Vec<_>>();
         let axis = |axis: usize| heads.iter().map(|h| h.position_m[axis]).collect::<Vec<_>>();
-        let set: Vec<i64> = sqlx::query_scalar(POSTGRES)
+        let sql = if owner.claims { POSTGRES_CLAIMED } else { POSTGRES };
+        let set: Vec<i64> = sqlx::query_scalar(sql)
             .bind(&owner.node)
             .bind(owner.fence)
             .bind(heads.iter().map(|head| head.session).collect::<Vec<_>>())

@@ -17,6 +17,7 @@ use crate::store::deadline::DEADLINE;
 use crate::store::health::DurabilitySetting;
 
 use super::heads::{Owner, accepted_postgres, accepted_sqlite};
+use super::member::{Member, TAKE_SHARED};
 use super::origins::{Origins, origin_keys};
 use super::statements::{write_postgres, write_sqlite};
 use super::{Batch, Connect};
@@ -30,6 +31,9 @@ const PROBE: &str = "UPDATE committer SET probes = probes + 1";
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND application_name = $2";
 
+/// A transaction of a node that the server no longer hears from must not hold rows that other nodes
+/// wait for.
+const IDLE_LIMIT: [(&str, &str); 1] = [("idle_in_transaction_session_timeout", "4s")];
 /// Takes the lease of the schema, which ends with the connection.
 const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
@@ -48,6 +52,8 @@ pub(in crate::store) struct Connector {
     name: String,
     /// Name of the node, if it takes the lease.
     node: Option<Arc<str>>,
+    /// The node, if it takes the lease together with the others of its cluster.
+    member: Option<Arc<Member>>,
     /// Who commits, since the connection.
     owner: std::sync::Mutex<Owner>,
     /// Process of the last connection on a server; 0 before the first.
@@ -71,7 +77,13 @@ impl Connector {
         let name = connection_name(&database);
         let (node, process) = (node.map(Into::into), AtomicI32::new(0));
         let (owner, origins) = (std::sync::Mutex::default(), Origins::default());
-        Self { database, turn, name, node, owner, process, origins, days: Arc::default() }
+        let (member, days) = (None, Arc::default());
+        Self { database, turn, name, node, member, owner, process, origins, days }
+    }
+
+    /// The same for a node of a cluster.
+    pub(in crate::store) fn with_member(self, member: Option<Arc<Member>>) -> Self {
+        Self { member, ..self }
     }
 
     /// The days whose partitions exist.
@@ -102,7 +114,11 @@ impl Connector {
             Database::Postgres(options) => {
                 let options = options.clone().application_name(&self.name);
                 let limit = [("statement_timeout", DEADLINE.as_millis())];
-                let mut connection: PgConnection = options.options(limit).connect().await?;
+                let mut options = options.options(limit);
+                if self.member.is_some() {
+                    options = options.options(IDLE_LIMIT);
+                }
+                let mut connection: PgConnection = options.connect().await?;
                 self.end_last_process(&mut connection).await?;
                 sqlx::query(POSTGRES_DURABLE).execute(&mut connection).await?;
                 let process = sqlx::query_scalar("SELECT pg_backend_pid()");
@@ -117,7 +133,8 @@ impl Connector {
     async fn wait_for_lease(&self, link: &mut Link) -> Result<Option<String>, sqlx::Error> {
         let (Some(_), Link::Postgres(connection)) = (&self.node, link) else { return Ok(None) };
         let began = Instant::now();
-        while !sqlx::query_scalar(TAKE_LEASE).fetch_one(&mut *connection).await? {
+        let take = if self.member.is_some() { TAKE_SHARED } else { TAKE_LEASE };
+        while !sqlx::query_scalar(take).fetch_one(&mut *connection).await? {
             if LEASE_PATIENCE < began.elapsed() {
                 // Err: the holder has not made the table yet.
                 let holder = sqlx::query_scalar(HOLDER).fetch_one(&mut *connection).await;
@@ -134,6 +151,14 @@ impl Connector {
     /// Returns the name of the node that had the lease since the last connection, if one had: what
     /// this process has in memory may then be outdated, and it must not commit again.
     async fn become_owner(&self, link: &mut Link) -> Result<Option<String>, sqlx::Error> {
+        if let (Some(member), Link::Postgres(connection)) = (&self.member, &mut *link) {
+            let process = self.process.load(Ordering::Relaxed);
+            let in_its_way = member.enter(connection, process).await?;
+            let node = self.node.as_deref().unwrap_or_default().to_owned();
+            *self.owner.lock().unwrap_or_else(PoisonError::into_inner) =
+                Owner { node, fence: member.fence(), claims: true };
+            return Ok(in_its_way);
+        }
         let own = self.owner.lock().unwrap_or_else(PoisonError::into_inner).fence;
         let node = self.node.as_deref().unwrap_or_default();
         let (holder, stored): (String, i64) = match link {
@@ -147,7 +172,7 @@ impl Connector {
             (_, own) => own,
         };
         *self.owner.lock().unwrap_or_else(PoisonError::into_inner) =
-            Owner { node: node.to_owned(), fence };
+            Owner { node: node.to_owned(), fence, claims: false };
         Ok(None)
     }
 
@@ -205,8 +230,12 @@ impl Connect for Connector {
             if let Some(holder) = self.wait_for_lease(&mut link).await? {
                 return Ok(Err(StoreError::InUse { holder }));
             }
-            let since = self.become_owner(&mut link).await?;
-            Ok(since.map_or(Ok(link), |holder| Err(StoreError::LeaseLost { holder })))
+            let is_first = self.member.as_ref().is_some_and(|member| member.fence() == 0);
+            Ok(match self.become_owner(&mut link).await? {
+                None => Ok(link),
+                Some(holder) if is_first => Err(StoreError::InUse { holder }),
+                Some(holder) => Err(StoreError::LeaseLost { holder }),
+            })
         };
         connect.await.map_err(failed)?
     }
@@ -226,9 +255,15 @@ impl Connect for Connector {
                 sqlx::query(PROBE).execute(&mut *transaction).await?;
                 transaction.commit().await
             }
-            Link::Postgres(connection) => {
-                sqlx::query("SELECT 1").execute(connection).await.map(drop)
-            }
+            Link::Postgres(connection) => match &self.member {
+                None => sqlx::query("SELECT 1").execute(connection).await.map(drop),
+                Some(member) => {
+                    if let Some(renewed) = member.confirm(connection).await? {
+                        member.note_renewed(renewed);
+                    }
+                    Ok(())
+                }
+            },
         }
     }
 
@@ -252,6 +287,10 @@ impl Connect for Connector {
             }
             Link::Postgres(connection) => {
                 let mut transaction = connection.begin().await?;
+                let renewed = match &self.member {
+                    None => None,
+                    Some(member) => member.confirm(&mut transaction).await?,
+                };
                 let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
                 let keys = origin_keys!(self.origins, transaction, &accepted);
                 let days = self.days.unknown(accepted.iter().filter_map(|b| b.partition()));
@@ -261,6 +300,10 @@ impl Connect for Connector {
                 write_postgres(&mut transaction, &accepted, &keys).await?;
                 committing.store(true, Ordering::Relaxed);
                 transaction.commit().await?;
+                if let Some(member) = &self.member {
+                    renewed.into_iter().for_each(|renewed| member.note_renewed(renewed));
+                    member.check()?;
+                }
                 self.days.learn(days);
                 (accepted, keys)
             }

@@ -16,6 +16,7 @@
 mod batch;
 mod heads;
 mod link;
+mod member;
 mod meters;
 mod origins;
 mod raw;
@@ -43,6 +44,7 @@ pub use batch::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
 pub(super) use link::Connector;
+pub(super) use member::{LEASE, Member};
 pub(crate) use meters::CommitterMeters;
 
 /// Batches that may wait during a transaction. Further ones wait for a free slot.

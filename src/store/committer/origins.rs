@@ -11,8 +11,10 @@ const KNOWN_MAX: usize = 10_000;
 
 pub(super) const FIND: &str =
     "SELECT key FROM solution_origins WHERE version = $1 AND configuration_hash = $2";
-pub(super) const INSERT: &str =
-    "INSERT INTO solution_origins (version, configuration_hash) VALUES ($1, $2) RETURNING key";
+/// Another node may store the same at the same time.
+pub(super) const INSERT: &str = "INSERT INTO solution_origins (version, configuration_hash) \
+    VALUES ($1, $2) ON CONFLICT (version, configuration_hash) \
+    DO UPDATE SET version = excluded.version RETURNING key";
 
 /// The keys of committed origins.
 #[derive(Default)]
@@ -41,6 +43,7 @@ impl Origins {
                 None => unknown.push(origin.clone()),
             }
         }
+        unknown.sort(); // In one order, so that nodes do not wait for each other in a circle.
         (OriginKeys(keys), unknown)
     }
 

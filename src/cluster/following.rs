@@ -1,0 +1,62 @@
+//! Takes over what other nodes have stored: told by notices of the database, and asked now and then
+//! in case one is lost.
+
+use std::time::Duration;
+
+use tokio::time::{sleep, timeout};
+
+use crate::aiding::{AidingDesk, AidingError};
+use crate::store::{Change, Notices, Store, StoreError};
+
+/// Time without a notice after which the store is asked.
+const POLL: Duration = Duration::from_secs(2);
+/// After a notice, for others to come: they are taken over together.
+const GATHER: Duration = Duration::from_millis(50);
+const RETRY: Duration = Duration::from_secs(1);
+
+/// Takes over the changes of other nodes for ever.
+pub(super) async fn follow(store: Store, aiding: AidingDesk) {
+    loop {
+        match listened(&store, &aiding).await {
+            Ok(()) => return, // There is no cluster.
+            Err(error) => {
+                tracing::warn!(%error, "what other nodes store is taken over later");
+                sleep(RETRY).await;
+            }
+        }
+    }
+}
+
+async fn listened(store: &Store, aiding: &AidingDesk) -> Result<(), AidingError> {
+    let Some(mut notices) = store.notices().await? else { return Ok(()) };
+    let mut changed = [true, true];
+    loop {
+        if changed[0] {
+            aiding.navigation.refresh().await?;
+        }
+        if changed[1] {
+            aiding.bases.follow().await?;
+        }
+        changed = gathered(&mut notices).await?;
+    }
+}
+
+/// Whether navigation data and bases may have changed, at the next notice or after some time.
+async fn gathered(notices: &mut Notices) -> Result<[bool; 2], StoreError> {
+    let mut changed = [false, false];
+    let mut note = |change: Option<Change>| match change {
+        Some(Change::Navigation) => changed[0] = true,
+        Some(Change::Bases) => changed[1] = true,
+        None => changed = [true, true],
+    };
+    // Err: no notice came.
+    match timeout(POLL, notices.next()).await {
+        Ok(notice) => note(notice?),
+        Err(_) => note(None),
+    }
+    sleep(GATHER).await;
+    while let Ok(notice) = timeout(Duration::ZERO, notices.next()).await {
+        note(notice?);
+    }
+    Ok(changed)
+}

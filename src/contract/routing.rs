@@ -1,0 +1,102 @@
+//! Which node of a cluster answers a request.
+//!
+//! A call that writes to a session is for the node to which the session belongs. A call that writes
+//! bases or navigation data, or asks for the health of their sources, is for the node that leads.
+//! Every node answers all others.
+
+use crate::cluster::Cluster;
+use crate::refusal::Code;
+use crate::session::{SessionError, SessionId};
+use crate::store::NodeRow;
+
+use super::access::{Call, Pass};
+use super::nodes::Nodes;
+use super::{Refusal, Service};
+
+/// Calls of the node to which the session belongs, by their paths on gRPC.
+const OF_OWNER: [&str; 8] = [
+    "Sessions/Update",
+    "Sessions/Reset",
+    "Sessions/Close",
+    "Sessions/Delete",
+    "Positioning/PushEpochs",
+    "Positioning/PushRaw",
+    "Positioning/Stream",
+    "Positioning/StreamRaw",
+];
+/// Services whose calls are all of the node that leads.
+const OF_LEADER: [&str; 2] = ["Bases/", "Navigation/"];
+/// Calls that may name a base which the leader has just created.
+const NAMES_BASES: [&str; 2] = ["Sessions/Create", "Sessions/Update"];
+
+impl Service {
+    /// The other node that a request is for; `None` if this one answers it. `session` is the id in
+    /// the request.
+    ///
+    /// # Errors
+    /// The database fails, or no node leads now.
+    pub(crate) async fn node_for(
+        &self,
+        call: &Call,
+        session: Option<&str>,
+    ) -> Result<Option<NodeRow>, Refusal> {
+        let Some(Nodes { cluster, .. }) = self.nodes() else { return Ok(None) };
+        if NAMES_BASES.contains(&call.grpc) {
+            self.bases().follow().await?;
+        }
+        if OF_LEADER.iter().any(|service| call.grpc.starts_with(service)) {
+            return leader(cluster);
+        }
+        let id = session.and_then(SessionId::parse).filter(|_| OF_OWNER.contains(&call.grpc));
+        match id {
+            // Whose task runs here is this node's, without a question to the database.
+            Some(id) if !self.sessions().runs(&id) => {
+                let owner = cluster.owner(id.as_str()).await;
+                owner.map_err(|error| SessionError::from(error).into())
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Gives up the session of a request that another node has sent on, so that it moves to where
+    /// the device's requests arrive. Returns whether it has.
+    ///
+    /// # Errors
+    /// There is no such session, or the database fails.
+    pub(crate) async fn give_up(
+        &self,
+        call: &Call,
+        session: Option<&str>,
+        pass: Option<&Pass>,
+    ) -> Result<bool, Refusal> {
+        let is_push = call.grpc.starts_with("Positioning/") && OF_OWNER.contains(&call.grpc);
+        match session.and_then(SessionId::parse).filter(|_| is_push).zip(pass) {
+            Some((id, pass)) => Ok(self.sessions().of(pass.tenant()).give_up(&id).await?),
+            None => Ok(false),
+        }
+    }
+
+    /// Who sends a request that another node has checked and sent on with the id of its key, empty
+    /// for nobody's.
+    ///
+    /// # Errors
+    /// No key in force has this id here.
+    pub(crate) fn pass_of(&self, key: &str) -> Result<Pass, Refusal> {
+        Ok(self.keys().admit_by_id(key)?)
+    }
+
+    /// The live node of this fence, if a request brings its secret.
+    pub(crate) fn is_of_node(&self, fence: i64, secret: &str) -> bool {
+        self.nodes().is_some_and(|nodes| nodes.cluster.is_of_node(fence, secret))
+    }
+}
+
+/// The leader, if it is another node.
+fn leader(cluster: &Cluster) -> Result<Option<NodeRow>, Refusal> {
+    if cluster.leads() {
+        return Ok(None);
+    }
+    let leader = cluster.leader().and_then(|leader| cluster.other(leader.fence));
+    let none = || Refusal::new(Code::NodeUnreachable, "no node leads the cluster at the moment");
+    leader.map(Some).ok_or_else(none)
+}
