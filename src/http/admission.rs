@@ -75,7 +75,10 @@ pub(super) async fn admit(
             let id = lease.request_id();
             tracing::debug!(request = %id, status = %response.status(), "answered");
             let mut text = [0; Hyphenated::LENGTH];
-            if let Ok(id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
+            if let Ok(mut id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
+                // Not entered into the connection's table of headers (RFC 7541, section 7.1.3):
+                // each occurs once.
+                id.set_sensitive(true);
                 response.headers_mut().insert(REQUEST_ID, id);
             }
             response.map(|body| Keeping::body(body, lease))

@@ -18,9 +18,9 @@ static POSTGRES_MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
 
 /// Longest time that a connection waits for another process's lock on the file. Below the deadline
 /// of a commit, so that SQLite names the cause.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(4);
+pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(4);
 /// Size of the write-ahead log (pages of 4 KiB) at which it is moved into the database.
-const CHECKPOINT_PAGES: &str = "4000";
+pub(super) const CHECKPOINT_PAGES: &str = "4000";
 
 /// Settings of each connection to Postgres. The server notices a client that has vanished within
 /// some 11 s, and ends its transaction. The client has deadlines of its own.
@@ -51,6 +51,12 @@ impl Database {
             Some(("sqlite", file)) => {
                 if file.is_empty() || file.starts_with(":memory:") || file.contains("mode=memory") {
                     let why = "it names no file, and Graphfix keeps nothing in memory alone";
+                    return Err(invalid(why.to_owned()));
+                }
+                let names_vfs = |query: &str| query.split('&').any(|part| part.starts_with("vfs="));
+                if file.split_once('?').is_some_and(|(_, query)| names_vfs(query)) {
+                    // The committer opens the file by itself, and both must lock it alike.
+                    let why = "it names a vfs, and Graphfix uses that of the system";
                     return Err(invalid(why.to_owned()));
                 }
                 let options = SqliteConnectOptions::from_str(url)
@@ -171,4 +177,27 @@ fn migration_error(error: MigrateError, known: &Migrator) -> StoreError {
 
 fn newest_known(migrator: &Migrator) -> i64 {
     migrator.iter().map(|migration| migration.version).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_url_names_a_file_on_the_disk_or_a_server() {
+        for url in ["sqlite://graphfix.db", "sqlite://a/vfs=b.db?mode=rwc&cache=private"] {
+            assert!(matches!(Database::parse(url), Ok(Database::Sqlite(_))), "{url}");
+        }
+        assert!(matches!(Database::parse("postgres://host/db"), Ok(Database::Postgres(_))));
+        for (url, why) in [
+            ("sqlite://", "no file"),
+            ("sqlite://graphfix.db?mode=memory", "no file"),
+            ("sqlite://graphfix.db?mode=rw&vfs=unix-none", "vfs"),
+            ("mysql://host/db", "not a supported database"),
+            ("graphfix.db", "no \"://\""),
+        ] {
+            let refused = Database::parse(url).err().expect(url).to_string();
+            assert!(refused.contains(why), "{url}: {refused}");
+        }
+    }
 }

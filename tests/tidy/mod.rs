@@ -333,7 +333,8 @@ fn the_vocabulary_is_not_serialised() {
 fn only_the_store_speaks_sql() {
     for (module, _) in MAY_NAME.iter().filter(|(module, _)| *module != "store") {
         for file in rust_files(&root().join(module)) {
-            assert!(!code_of(&file).contains("sqlx::"), "{}", file.display());
+            let code = code_of(&file);
+            assert!(!code.contains("sqlx::") && !code.contains("rusqlite::"), "{}", file.display());
         }
     }
 }

@@ -34,9 +34,14 @@ pub(in crate::store) struct Distances {
     pub(in crate::store) first: u64,
 }
 
+/// Room for an encoded epoch (bytes), also if its values are no whole thousandths.
+fn capacity(epoch: &Epoch) -> usize {
+    64 + 36 * epoch.observations.len()
+}
+
 /// Encodes a whole epoch.
 pub(in crate::store) fn encode_epoch(epoch: &Epoch) -> Vec<u8> {
-    let mut out = Encoder::new(WHOLE, 32 + 14 * epoch.observations.len());
+    let mut out = Encoder::new(WHOLE, capacity(epoch));
     out.time(epoch.time);
     encode_content(&mut out, epoch, None);
     out.finish()
@@ -48,7 +53,7 @@ pub(in crate::store) fn encode_relative_epoch(
     reference: &Epoch,
     distances: Distances,
 ) -> Vec<u8> {
-    let mut out = Encoder::new(RELATIVE, 32 + 8 * epoch.observations.len());
+    let mut out = Encoder::new(RELATIVE, capacity(epoch));
     out.unsigned(distances.reference);
     out.unsigned(distances.first);
     let span_ns = epoch.time.as_ns().wrapping_sub(reference.time.as_ns());

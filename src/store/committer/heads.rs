@@ -2,16 +2,14 @@
 //!
 //! A batch is accepted if its session is open, the last number is the one that the batch
 //! continues, and no service with a later lease has committed. A node of a cluster must also have
-//! claimed the session. All batches of a transaction are compared in one statement (up to 128 of
-//! them on SQLite).
+//! claimed the session. All batches of a transaction are compared in one statement on Postgres, and
+//! one after another on SQLite.
 
 use std::collections::BTreeSet;
-use std::sync::LazyLock;
 
-use sqlx::{PgConnection, SqliteConnection};
+use sqlx::PgConnection;
 
 use super::batch::Batch;
-use super::rows::ROWS_PER_STATEMENT;
 
 /// Who commits.
 #[derive(Clone, Debug, Default)]
@@ -25,78 +23,57 @@ pub(super) struct Owner {
 }
 
 /// What a batch compares, and what it sets; `None` leaves a value as it is.
-struct Head {
-    session: i64,
-    previous: Option<i64>,
-    last_seq: Option<i64>,
-    last_gps_time_ns: Option<i64>,
-    raw_through: Option<i64>,
-    status: Option<i16>,
-    position_m: [Option<f64>; 3],
-    closed_unix_ms: Option<i64>,
+pub(super) struct Head {
+    pub(super) session: i64,
+    pub(super) previous: Option<i64>,
+    pub(super) last_seq: Option<i64>,
+    pub(super) last_gps_time_ns: Option<i64>,
+    pub(super) raw_through: Option<i64>,
+    pub(super) status: Option<i16>,
+    pub(super) position_m: [Option<f64>; 3],
+    pub(super) closed_unix_ms: Option<i64>,
     /// Length of the epochs and solutions that are added (bytes).
-    added_bytes: i64,
+    pub(super) added_bytes: i64,
 }
 
-const COLUMNS: usize = 11;
-
 macro_rules! compare_and_set {
-    ($owner:literal, $fence:literal, $may_write:literal, $rows:expr) => {
+    ($may_write:literal) => {
         concat!(
-            "UPDATE session_heads SET owner = ",
-            $owner,
-            ", fence = ",
-            $fence,
-            ", ",
-            "last_seq = COALESCE(b.last_seq, session_heads.last_seq), ",
-            "last_gps_time_ns = COALESCE(b.last_gps_time_ns, session_heads.last_gps_time_ns), ",
-            "raw_through = COALESCE(b.raw_through, session_heads.raw_through), ",
-            "status = COALESCE(b.status, session_heads.status), ",
-            "x_m = COALESCE(b.x_m, session_heads.x_m), ",
-            "y_m = COALESCE(b.y_m, session_heads.y_m), ",
-            "z_m = COALESCE(b.z_m, session_heads.z_m), ",
-            "closed_unix_ms = b.closed_unix_ms, ",
-            "stored_bytes = session_heads.stored_bytes + b.added_bytes FROM (",
-            $rows,
-            ") AS b WHERE session_heads.session = b.session ",
-            "AND session_heads.last_seq IS NOT DISTINCT FROM b.previous ",
-            "AND session_heads.closed_unix_ms IS NULL AND session_heads.fence ",
+            "UPDATE session_heads SET owner = $1, fence = $2, \
+             last_seq = COALESCE(b.last_seq, session_heads.last_seq), \
+             last_gps_time_ns = COALESCE(b.last_gps_time_ns, session_heads.last_gps_time_ns), \
+             raw_through = COALESCE(b.raw_through, session_heads.raw_through), \
+             status = COALESCE(b.status, session_heads.status), \
+             x_m = COALESCE(b.x_m, session_heads.x_m), \
+             y_m = COALESCE(b.y_m, session_heads.y_m), \
+             z_m = COALESCE(b.z_m, session_heads.z_m), \
+             closed_unix_ms = b.closed_unix_ms, \
+             stored_bytes = session_heads.stored_bytes + b.added_bytes \
+             FROM (SELECT * FROM UNNEST($3::bigint[], $4::bigint[], $5::bigint[], $6::bigint[], \
+             $7::bigint[], $8::smallint[], $9::double precision[], $10::double precision[], \
+             $11::double precision[], $12::bigint[], $13::bigint[]) AS u(session, previous, \
+             last_seq, last_gps_time_ns, raw_through, status, x_m, y_m, z_m, closed_unix_ms, \
+             added_bytes)) AS b WHERE session_heads.session = b.session \
+             AND session_heads.last_seq IS NOT DISTINCT FROM b.previous \
+             AND session_heads.closed_unix_ms IS NULL AND session_heads.fence ",
             $may_write,
-            " ",
-            $fence,
-            " RETURNING session_heads.session"
+            " $2 RETURNING session_heads.session"
         )
     };
 }
-macro_rules! arrays {
-    () => {
-        "SELECT * FROM UNNEST($3::bigint[], $4::bigint[], $5::bigint[], $6::bigint[], \
-         $7::bigint[], $8::smallint[], $9::double precision[], $10::double precision[], \
-         $11::double precision[], $12::bigint[], $13::bigint[]) AS u(session, previous, \
-         last_seq, last_gps_time_ns, raw_through, status, x_m, y_m, z_m, closed_unix_ms, \
-         added_bytes)"
-    };
-}
-const POSTGRES: &str = compare_and_set!("$1", "$2", "<=", arrays!());
+const POSTGRES: &str = compare_and_set!("<=");
 /// The same of sessions that the owner has claimed.
-const POSTGRES_CLAIMED: &str = compare_and_set!("$1", "$2", "=", arrays!());
-const SQLITE: &str = compare_and_set!(
-    "?",
-    "?",
-    "<=",
-    "SELECT column1 AS session, column2 AS previous, column3 AS last_seq, \
-     column4 AS last_gps_time_ns, column5 AS raw_through, column6 AS status, column7 AS x_m, \
-     column8 AS y_m, column9 AS z_m, column10 AS closed_unix_ms, column11 AS added_bytes \
-     FROM (VALUES {rows})"
-);
-
-static SQLITE_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    let row = format!("({})", ["?"; COLUMNS].join(","));
-    ROWS_PER_STATEMENT.map(|rows| SQLITE.replace("{rows}", &vec![row.clone(); rows].join(",")))
-});
+const POSTGRES_CLAIMED: &str = compare_and_set!("=");
+/// The same for one session.
+pub(super) const SQLITE: &str = "UPDATE session_heads SET owner = ?1, fence = ?2, \
+    last_seq = COALESCE(?3, last_seq), last_gps_time_ns = COALESCE(?4, last_gps_time_ns), \
+    raw_through = COALESCE(?5, raw_through), status = COALESCE(?6, status), \
+    x_m = COALESCE(?7, x_m), y_m = COALESCE(?8, y_m), z_m = COALESCE(?9, z_m), \
+    closed_unix_ms = ?10, stored_bytes = stored_bytes + ?11 \
+    WHERE session = ?12 AND last_seq IS ?13 AND closed_unix_ms IS NULL AND fence <= ?2";
 
 impl Head {
-    fn of(batch: &Batch) -> Self {
+    pub(super) fn of(batch: &Batch) -> Self {
         let last = batch.epochs.last();
         let mut solutions = batch.epochs.iter().rev().map(|epoch| &epoch.solution);
         let position = solutions.find(|solution| solution.position_m[0].is_some());
@@ -115,44 +92,6 @@ impl Head {
 }
 
 /// Those of the batches that continue their sessions. Their heads are set.
-pub(super) async fn accepted_sqlite<'a>(
-    connection: &mut SqliteConnection,
-    batches: &[&'a Batch],
-    owner: &Owner,
-) -> Result<Vec<&'a Batch>, sqlx::Error> {
-    let mut accepted = Vec::with_capacity(batches.len());
-    for round in rounds(batches) {
-        let mut rest = &round[..];
-        for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-            while let Some((chunk, after)) = rest.split_at_checked(size) {
-                let sql = SQLITE_VALUES[index].as_str();
-                let mut update = sqlx::query_scalar(sql).bind(&owner.node).bind(owner.fence);
-                for head in chunk.iter().map(|batch| Head::of(batch)) {
-                    let [x_m, y_m, z_m] = head.position_m;
-                    update = update
-                        .bind(head.session)
-                        .bind(head.previous)
-                        .bind(head.last_seq)
-                        .bind(head.last_gps_time_ns)
-                        .bind(head.raw_through)
-                        .bind(head.status)
-                        .bind(x_m)
-                        .bind(y_m)
-                        .bind(z_m)
-                        .bind(head.closed_unix_ms)
-                        .bind(head.added_bytes);
-                }
-                let update = update.bind(owner.fence);
-                let set: Vec<i64> = update.fetch_all(&mut *connection).await?;
-                accepted.extend(chunk.iter().filter(|batch| set.contains(&batch.session.0)));
-                rest = after;
-            }
-        }
-    }
-    Ok(accepted)
-}
-
-/// The same on Postgres.
 pub(super) async fn accepted_postgres<'a>(
     connection: &mut PgConnection,
     batches: &[&'a Batch],

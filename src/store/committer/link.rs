@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use sqlx::{ConnectOptions, Connection, PgConnection, SqliteConnection};
+use sqlx::{ConnectOptions, Connection, PgConnection};
 use tokio::sync::Mutex;
 use tokio::time::sleep;
 use uuid::Uuid;
@@ -16,17 +16,17 @@ use crate::store::days::{Days, make_day};
 use crate::store::deadline::DEADLINE;
 use crate::store::health::DurabilitySetting;
 
-use super::heads::{Owner, accepted_postgres, accepted_sqlite};
+use super::heads::{Owner, accepted_postgres};
+use super::lease_row::{NEXT_FENCE, OWNER, PROBE};
 use super::member::{Member, TAKE_SHARED};
 use super::origins::{Origins, origin_keys};
-use super::statements::{write_postgres, write_sqlite};
+use super::sqlite::SqliteThread;
+use super::statements::write_postgres;
 use super::{Batch, Connect};
 
 const CONNECTING: &str = "connecting to the database";
 /// Between looks whether an earlier connection's process has ended.
 const PAUSE: Duration = Duration::from_millis(20);
-/// Changes a row, so that a probe needs what a commit needs: a lock, and room on the disk.
-const PROBE: &str = "UPDATE committer SET probes = probes + 1";
 /// Ends the process of an earlier connection. It has a row until its last transaction has ended.
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND application_name = $2";
@@ -37,8 +37,6 @@ const IDLE_LIMIT: [(&str, &str); 1] = [("idle_in_transaction_session_timeout", "
 /// Takes the lease of the schema, which ends with the connection.
 const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
-const NEXT_FENCE: &str = "UPDATE committer SET node = $1, fence = fence + 1 RETURNING fence";
-const OWNER: &str = "SELECT node, fence FROM committer";
 const HOLDER: &str = "SELECT node FROM committer";
 /// The server ends the connection of a service that has died within this time.
 const LEASE_PATIENCE: Duration = Duration::from_secs(3);
@@ -64,7 +62,7 @@ pub(in crate::store) struct Connector {
 
 /// A connection that commits.
 pub(in crate::store) enum Link {
-    Sqlite(SqliteConnection),
+    Sqlite(SqliteThread),
     Postgres(PgConnection),
 }
 
@@ -96,7 +94,7 @@ impl Connector {
         let link = self.connected().await.map_err(StoreError::database(CONNECTING))?;
         let read = async {
             match link {
-                Link::Sqlite(connection) => sqlite_settings(connection).await,
+                Link::Sqlite(thread) => thread.settings().await,
                 Link::Postgres(connection) => postgres_settings(connection).await,
             }
         };
@@ -108,8 +106,7 @@ impl Connector {
         match &self.database {
             // The probe waits for the lock of an earlier connection.
             Database::Sqlite(options) => {
-                // The head that a batch sets proves that its session is there.
-                options.clone().foreign_keys(false).connect().await.map(Link::Sqlite)
+                SqliteThread::open(options.get_filename()).await.map(Link::Sqlite)
             }
             Database::Postgres(options) => {
                 let options = options.clone().application_name(&self.name);
@@ -162,7 +159,7 @@ impl Connector {
         let own = self.owner.lock().unwrap_or_else(PoisonError::into_inner).fence;
         let node = self.node.as_deref().unwrap_or_default();
         let (holder, stored): (String, i64) = match link {
-            Link::Sqlite(connection) => sqlx::query_as(OWNER).fetch_one(connection).await?,
+            Link::Sqlite(thread) => thread.owner().await?,
             Link::Postgres(connection) => sqlx::query_as(OWNER).fetch_one(connection).await?,
         };
         let fence = match (&self.node, own) {
@@ -178,9 +175,9 @@ impl Connector {
 
     async fn next_fence(&self, link: &mut Link, node: &str) -> Result<i64, sqlx::Error> {
         match link {
-            Link::Sqlite(connection) => {
+            Link::Sqlite(thread) => {
                 let _turn = self.turn.lock().await;
-                sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await
+                thread.next_fence(node).await
             }
             Link::Postgres(connection) => {
                 sqlx::query_scalar(NEXT_FENCE).bind(node).fetch_one(connection).await
@@ -219,6 +216,43 @@ impl Connector {
     }
 }
 
+impl Connector {
+    /// Commits batches in one transaction, and returns the indices of those that it left out.
+    async fn write_postgres(
+        &self,
+        connection: &mut PgConnection,
+        batches: &[&Batch],
+        owner: &Owner,
+        committing: &AtomicBool,
+    ) -> Result<Vec<usize>, sqlx::Error> {
+        let mut transaction = connection.begin().await?;
+        let renewed = match &self.member {
+            None => None,
+            Some(member) => member.confirm(&mut transaction).await?,
+        };
+        let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
+        let keys = origin_keys(&self.origins, &mut transaction, &accepted).await?;
+        let days = self.days.unknown(accepted.iter().filter_map(|b| b.partition()));
+        for day in &days {
+            make_day(&mut transaction, *day).await?;
+        }
+        write_postgres(&mut transaction, &accepted, &keys).await?;
+        committing.store(true, Ordering::Relaxed);
+        transaction.commit().await?;
+        if let Some(member) = &self.member {
+            renewed.into_iter().for_each(|renewed| member.note_renewed(renewed));
+            member.check()?;
+        }
+        self.days.learn(days);
+        self.origins.learn(keys);
+        let is_left_out = |index: &usize| !accepted.iter().any(|a| ptr::eq(*a, batches[*index]));
+        match accepted.len() == batches.len() {
+            true => Ok(Vec::new()),
+            false => Ok((0..batches.len()).filter(is_left_out).collect()),
+        }
+    }
+}
+
 impl Connect for Connector {
     type Link = Link;
 
@@ -242,13 +276,9 @@ impl Connect for Connector {
 
     async fn probe(&self, link: &mut Link, after_failure: bool) -> Result<(), sqlx::Error> {
         match link {
-            Link::Sqlite(connection) => {
+            Link::Sqlite(thread) => {
                 let _turn = self.turn.lock().await;
-                let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-                if after_failure {
-                    sqlx::query(PROBE).execute(&mut *transaction).await?;
-                }
-                transaction.commit().await
+                thread.probe(after_failure).await
             }
             Link::Postgres(connection) if after_failure => {
                 let mut transaction = connection.begin().await?;
@@ -270,49 +300,19 @@ impl Connect for Connector {
     async fn write(
         &self,
         link: &mut Link,
-        batches: &[&Batch],
+        batches: &[Arc<Batch>],
         committing: &AtomicBool,
     ) -> Result<Vec<usize>, sqlx::Error> {
-        let owner = &self.owner.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let (accepted, keys) = match link {
-            Link::Sqlite(connection) => {
+        let owner = self.owner.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match link {
+            Link::Sqlite(thread) => {
                 let _turn = self.turn.lock().await;
-                let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-                let accepted = accepted_sqlite(&mut transaction, batches, owner).await?;
-                let keys = origin_keys!(self.origins, transaction, &accepted);
-                write_sqlite(&mut transaction, &accepted, &keys).await?;
-                committing.store(true, Ordering::Relaxed);
-                transaction.commit().await?;
-                (accepted, keys)
+                thread.write(batches, owner, committing).await
             }
             Link::Postgres(connection) => {
-                let mut transaction = connection.begin().await?;
-                let renewed = match &self.member {
-                    None => None,
-                    Some(member) => member.confirm(&mut transaction).await?,
-                };
-                let accepted = accepted_postgres(&mut transaction, batches, owner).await?;
-                let keys = origin_keys!(self.origins, transaction, &accepted);
-                let days = self.days.unknown(accepted.iter().filter_map(|b| b.partition()));
-                for day in &days {
-                    make_day(&mut transaction, *day).await?;
-                }
-                write_postgres(&mut transaction, &accepted, &keys).await?;
-                committing.store(true, Ordering::Relaxed);
-                transaction.commit().await?;
-                if let Some(member) = &self.member {
-                    renewed.into_iter().for_each(|renewed| member.note_renewed(renewed));
-                    member.check()?;
-                }
-                self.days.learn(days);
-                (accepted, keys)
+                let batches: Vec<&Batch> = batches.iter().map(|batch| &**batch).collect();
+                self.write_postgres(connection, &batches, &owner, committing).await
             }
-        };
-        self.origins.learn(keys);
-        let is_left_out = |index: &usize| !accepted.iter().any(|a| ptr::eq(*a, batches[*index]));
-        match accepted.len() == batches.len() {
-            true => Ok(Vec::new()),
-            false => Ok((0..batches.len()).filter(is_left_out).collect()),
         }
     }
 }
@@ -326,23 +326,6 @@ fn connection_name(database: &Database) -> String {
     let mark = Uuid::new_v4().simple().to_string();
     let named: String = named.unwrap_or("graphfix").chars().take(30).collect();
     format!("{named} committer {}", &mark[..12])
-}
-
-async fn sqlite_settings(
-    mut connection: SqliteConnection,
-) -> Result<Vec<DurabilitySetting>, sqlx::Error> {
-    let mode = sqlx::query_scalar("PRAGMA journal_mode").fetch_one(&mut connection).await?;
-    let synchronous = sqlx::query_scalar("PRAGMA synchronous").fetch_one(&mut connection).await?;
-    let (mode, synchronous): (String, i64) = (mode, synchronous);
-    let full = 2;
-    Ok(vec![
-        DurabilitySetting { name: "journal_mode", is_safe: mode == "wal", value: mode },
-        DurabilitySetting {
-            name: "synchronous",
-            value: synchronous.to_string(),
-            is_safe: full <= synchronous,
-        },
-    ])
 }
 
 async fn postgres_settings(

@@ -1,5 +1,6 @@
 //! Meters of the committer.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::meters::{self, Counter, Histogram};
@@ -24,7 +25,7 @@ impl CommitterMeters {
     }
 
     /// Counts a transaction.
-    pub(super) fn count(&self, batches: &[&Batch], elapsed: Duration) {
+    pub(super) fn count(&self, batches: &[Arc<Batch>], elapsed: Duration) {
         let epochs: usize = batches.iter().map(|batch| batch.epochs.len()).sum();
         self.transactions.inc();
         self.seconds.observe(elapsed.as_secs_f64());

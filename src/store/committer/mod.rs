@@ -6,22 +6,23 @@
 //! closed it, is left out of the transaction; see `heads`.
 //!
 //! # Failures
-//! The task owns its connection. After any error, a deadline that passes or a panic, it drops the
-//! connection and opens another, and probes it before it takes the next batches. Until then it
-//! refuses all batches at once. If the failure fell into `COMMIT`, the batches may be stored: each
-//! is answered with [`StoreError::Unconfirmed`], and its owner asks the store once commits work
-//! again. A new connection is used only when the old one can no longer commit, so that this answer
-//! is final.
+//! The task owns its connection, on SQLite a thread with it (`sqlite`). After any error, a deadline
+//! that passes or a panic, it drops the connection and opens another, and probes it before it takes
+//! the next batches. Until then it refuses all batches at once. If the failure fell into `COMMIT`,
+//! the batches may be stored: each is answered with [`StoreError::Unconfirmed`], and its owner asks
+//! the store once commits work again. A new connection is used only when the old one can no longer
+//! commit, so that this answer is final.
 
 mod batch;
 mod heads;
+mod lease_row;
 mod link;
 mod member;
 mod meters;
 mod origins;
 mod raw;
 mod rollups;
-mod rows;
+mod sqlite;
 mod statements;
 
 use std::any::Any;
@@ -96,13 +97,13 @@ pub(super) trait Connect: Send + Sync + 'static {
     fn write(
         &self,
         link: &mut Self::Link,
-        batches: &[&Batch],
+        batches: &[Arc<Batch>],
         committing: &AtomicBool,
     ) -> impl Future<Output = Result<Vec<usize>, sqlx::Error>> + Send;
 }
 
 struct Request {
-    batch: Batch,
+    batch: Arc<Batch>,
     reply: oneshot::Sender<Result<(), StoreError>>,
 }
 
@@ -147,7 +148,7 @@ impl Committer {
 
     pub(super) async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         let (reply, answer) = oneshot::channel();
-        let request = Message::Commit(Request { batch, reply });
+        let request = Message::Commit(Request { batch: Arc::new(batch), reply });
         let ended = || refusal(&self.health());
         self.queue.send(request).await.map_err(|_| ended())?;
         answer.await.unwrap_or_else(|_| Err(ended()))
@@ -249,7 +250,7 @@ impl<C: Connect> Running<C> {
 
     /// Commits a group of batches and answers each of them.
     async fn commit_group(&mut self, group: &mut Vec<Request>) {
-        let batches: Vec<&Batch> = group.iter().map(|request| &request.batch).collect();
+        let batches: Vec<_> = group.iter().map(|request| request.batch.clone()).collect();
         if batches.is_empty() {
             return;
         }
@@ -259,7 +260,7 @@ impl<C: Connect> Running<C> {
             let answer = match &written {
                 // The log of a session contradicts its head. Only this session must fail.
                 Err(StoreError::AlreadyStored) if !is_single => {
-                    self.write(&[&request.batch]).await.and_then(accepted)
+                    self.write(&[request.batch]).await.and_then(accepted)
                 }
                 Ok(left_out) if left_out.contains(&index) => Err(StoreError::AlreadyStored),
                 Ok(_) => Ok(()),
@@ -270,7 +271,7 @@ impl<C: Connect> Running<C> {
     }
 
     /// Commits batches, and returns the indices of those that it left out.
-    async fn write(&mut self, batches: &[&Batch]) -> Result<Vec<usize>, StoreError> {
+    async fn write(&mut self, batches: &[Arc<Batch>]) -> Result<Vec<usize>, StoreError> {
         let Some(link) = &mut self.link else { return Err(refusal(&self.health.borrow())) };
         let (begun, committing) = (Instant::now(), AtomicBool::new(false));
         let writing =

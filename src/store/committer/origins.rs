@@ -4,6 +4,8 @@
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
+use sqlx::PgConnection;
+
 use super::batch::{Batch, EncodedSolution, Origin};
 
 /// Keys in memory. There are as many as configurations in use.
@@ -63,11 +65,9 @@ impl OriginKeys {
         self.0[&solution.origin]
     }
 
-    /// Adds the key of an origin. The column of solutions has 32 bits.
-    pub(super) fn insert(&mut self, origin: Origin, key: i64) -> Result<(), sqlx::Error> {
-        let key = i32::try_from(key).map_err(|error| sqlx::Error::Encode(Box::new(error)))?;
+    /// Adds the key of an origin.
+    pub(super) fn insert(&mut self, origin: Origin, key: i32) {
         self.0.insert(origin, key);
-        Ok(())
     }
 }
 
@@ -77,23 +77,26 @@ fn origins(batch: &Batch) -> impl Iterator<Item = &Origin> {
 }
 
 /// The keys of all origins of these batches, in a transaction that stores new ones.
-macro_rules! origin_keys {
-    ($origins:expr, $transaction:expr, $batches:expr) => {{
-        let (mut keys, unknown) = $origins.of($batches);
-        for origin in unknown {
-            let (version, hash) = (&*origin.0, &*origin.1);
-            let find = sqlx::query_scalar($crate::store::committer::origins::FIND);
-            let found = find.bind(version).bind(hash).fetch_optional(&mut *$transaction).await?;
-            let key = match found {
-                Some(key) => key,
-                None => {
-                    let insert = sqlx::query_scalar($crate::store::committer::origins::INSERT);
-                    insert.bind(version).bind(hash).fetch_one(&mut *$transaction).await?
-                }
-            };
-            keys.insert(origin, key)?;
-        }
-        keys
-    }};
+pub(super) async fn origin_keys(
+    origins: &Origins,
+    transaction: &mut PgConnection,
+    batches: &[&Batch],
+) -> Result<OriginKeys, sqlx::Error> {
+    let (mut keys, unknown) = origins.of(batches);
+    for origin in unknown {
+        let (version, hash) = (&*origin.0, &*origin.1);
+        let find = sqlx::query_scalar(FIND).bind(version).bind(hash);
+        let found: Option<i64> = find.fetch_optional(&mut *transaction).await?;
+        let key = match found {
+            Some(key) => key,
+            None => {
+                let insert = sqlx::query_scalar(INSERT).bind(version).bind(hash);
+                insert.fetch_one(&mut *transaction).await?
+            }
+        };
+        // The column of solutions has 32 bits.
+        let key = i32::try_from(key).map_err(|error| sqlx::Error::Encode(Box::new(error)))?;
+        keys.insert(origin, key);
+    }
+    Ok(keys)
 }
-pub(super) use origin_keys;

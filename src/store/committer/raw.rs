@@ -1,40 +1,31 @@
-//! Statements for raw bytes: the chunks of many sessions in one statement.
+//! Statements for raw bytes: on Postgres the chunks of many sessions in one statement.
 
 use std::collections::BTreeMap;
-use std::sync::LazyLock;
 
-use sqlx::{PgConnection, SqliteConnection};
+use sqlx::PgConnection;
 
 use crate::store::{RawChange, RawPosition};
 
 use super::batch::Batch;
-use super::rows::{ROWS_PER_STATEMENT, with_values};
 
-const PIECE_COLUMNS: usize = 4;
-const STREAM_COLUMNS: usize = 11;
+pub(super) const PIECE_COLUMNS: usize = 4;
+pub(super) const STREAM_COLUMNS: usize = 11;
 /// Bytes that are no longer needed are deleted whenever a stream passes a multiple of this length.
 const FORGET_BYTES: u64 = 32 << 10;
 
-const INSERT_PIECES: &str = "INSERT INTO raw_pieces (session, start, through, content) ";
-const INSERT_STREAMS: &str = "INSERT INTO raw_streams \
+pub(super) const INSERT_PIECES: &str = "INSERT INTO raw_pieces (session, start, through, content) ";
+pub(super) const INSERT_STREAMS: &str = "INSERT INTO raw_streams \
     (session, stream, header_end, tail, through, gps_time_ns, received_unix_ms, piece, piece_ends, \
      first_seq, last_seq) ";
-const REPLACE_STREAMS: &str = " ON CONFLICT (session) DO UPDATE SET stream = excluded.stream, \
-    header_end = excluded.header_end, tail = excluded.tail, through = excluded.through, \
-    gps_time_ns = excluded.gps_time_ns, received_unix_ms = excluded.received_unix_ms, \
-    piece = excluded.piece, piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
+pub(super) const REPLACE_STREAMS: &str = " ON CONFLICT (session) DO UPDATE SET \
+    stream = excluded.stream, header_end = excluded.header_end, tail = excluded.tail, \
+    through = excluded.through, gps_time_ns = excluded.gps_time_ns, \
+    received_unix_ms = excluded.received_unix_ms, piece = excluded.piece, \
+    piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
     last_seq = excluded.last_seq";
 /// Bytes that neither restore the stream nor belong to the last chunk.
-const FORGET: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
+pub(super) const FORGET: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
     AND (through <= $3 OR $4 <= start)";
-
-static PIECE_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_PIECES, PIECE_COLUMNS, rows, ""))
-});
-static STREAM_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT
-        .map(|rows| with_values(INSERT_STREAMS, STREAM_COLUMNS, rows, REPLACE_STREAMS))
-});
 
 /// The raw bytes of a transaction.
 struct RawRows<'a> {
@@ -66,13 +57,13 @@ impl<'a> RawRows<'a> {
 
 /// Whether a chunk is one after which bytes are deleted: it passes a multiple of `FORGET_BYTES`, or
 /// ends its stream.
-fn is_forgetting(raw: &RawChange) -> bool {
+pub(super) fn is_forgetting(raw: &RawChange) -> bool {
     let RawPosition { through, last_chunk, .. } = &raw.position;
     last_chunk.is_end || raw.start() / FORGET_BYTES != through / FORGET_BYTES
 }
 
 /// The columns of a stream's position after the session.
-fn columns(position: &RawPosition) -> [i64; STREAM_COLUMNS - 1] {
+pub(super) fn columns(position: &RawPosition) -> [i64; STREAM_COLUMNS - 1] {
     let RawPosition { stream, header_end, tail, through, time, received_unix_ms, last_chunk } =
         position;
     [
@@ -89,58 +80,7 @@ fn columns(position: &RawPosition) -> [i64; STREAM_COLUMNS - 1] {
     ]
 }
 
-/// Deletes what the streams no longer need.
-macro_rules! forget {
-    ($transaction:ident, $rows:expr) => {
-        for (session, position) in &$rows.forgetting {
-            sqlx::query(FORGET)
-                .bind(session)
-                .bind(position.tail.min(position.last_chunk.start) as i64)
-                .bind(position.stream as i64)
-                .bind(position.header_end as i64)
-                .execute(&mut *$transaction)
-                .await?;
-        }
-    };
-}
-
 /// Writes the raw bytes of batches within a transaction.
-pub(super) async fn write_raw_sqlite(
-    transaction: &mut SqliteConnection,
-    batches: &[&Batch],
-) -> Result<(), sqlx::Error> {
-    let rows = RawRows::of(batches);
-    let mut rest = &rows.pieces[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            let mut insert = sqlx::query(PIECE_VALUES[index].as_str());
-            for (session, raw) in chunk {
-                let (start, through) = (raw.start() as i64, raw.position.through as i64);
-                insert = insert.bind(session).bind(start).bind(through).bind(&raw.content[..]);
-            }
-            insert.execute(&mut *transaction).await?;
-            rest = after;
-        }
-    }
-    let mut rest = &rows.streams[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            let mut upsert = sqlx::query(STREAM_VALUES[index].as_str());
-            for (session, position) in chunk {
-                upsert = upsert.bind(session);
-                for value in columns(position) {
-                    upsert = upsert.bind(value);
-                }
-            }
-            upsert.execute(&mut *transaction).await?;
-            rest = after;
-        }
-    }
-    forget!(transaction, rows);
-    Ok(())
-}
-
-/// The same on Postgres.
 pub(super) async fn write_raw_postgres(
     transaction: &mut PgConnection,
     batches: &[&Batch],
@@ -173,6 +113,14 @@ pub(super) async fn write_raw_postgres(
         upsert = upsert.bind(positions.iter().map(|row| row[column]).collect::<Vec<_>>());
     }
     upsert.execute(&mut *transaction).await?;
-    forget!(transaction, rows);
+    for (session, position) in &rows.forgetting {
+        sqlx::query(FORGET)
+            .bind(session)
+            .bind(position.tail.min(position.last_chunk.start) as i64)
+            .bind(position.stream as i64)
+            .bind(position.header_end as i64)
+            .execute(&mut *transaction)
+            .await?;
+    }
     Ok(())
 }

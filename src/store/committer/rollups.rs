@@ -8,21 +8,20 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use sqlx::{PgConnection, SqliteConnection};
+use sqlx::PgConnection;
 
 use crate::gnss::Status;
 use crate::store::codec::{Measures, status_number};
 use crate::store::rollup::{HOUR_S, MINUTE_S, QUANTITIES};
 
 use super::batch::{Batch, EncodedEpoch};
-use super::rows::{ROWS_PER_STATEMENT, with_values};
 
 const NS_PER_S: i64 = 1_000_000_000;
 const STATUSES: usize = Status::ALL.len();
 
 /// What a further value of a column makes of the stored one.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Merge {
+pub(super) enum Merge {
     /// The row is found by it.
     Key,
     Sum,
@@ -58,7 +57,7 @@ const COLUMNS: [(&str, Merge, &str); 22] = [
     ("east_deg", Merge::Greatest, "double precision"),
 ];
 /// The columns of the hours that a fleet's sums are made of, with their types on Postgres.
-const FLEET_COLUMNS: [(&str, &str); 14] = [
+pub(super) const FLEET_COLUMNS: [(&str, &str); 14] = [
     ("session", "bigint"),
     ("begin_s", "bigint"),
     ("day", "integer"),
@@ -75,10 +74,10 @@ const FLEET_COLUMNS: [(&str, &str); 14] = [
     ("age_sum_s", "double precision"),
 ];
 /// The first of them that is a sum.
-const FLEET_SUMS: usize = 3;
+pub(super) const FLEET_SUMS: usize = 3;
 
 /// All columns of `rollups`.
-fn columns() -> Vec<(String, Merge, &'static str)> {
+pub(super) fn columns() -> Vec<(String, Merge, &'static str)> {
     let named = |(name, merge, kind): (&str, Merge, &'static str)| (name.to_owned(), merge, kind);
     let mut columns: Vec<_> = COLUMNS.into_iter().map(named).collect();
     for (name, unit) in QUANTITIES {
@@ -90,13 +89,13 @@ fn columns() -> Vec<(String, Merge, &'static str)> {
     columns
 }
 
-fn names() -> String {
+pub(super) fn names() -> String {
     columns().into_iter().map(|(name, ..)| name).collect::<Vec<_>>().join(", ")
 }
 
 /// What a statement does with a bucket that has a row. `least` and `greatest` are the functions of
 /// the database.
-fn merging(least: &str, greatest: &str) -> String {
+pub(super) fn merging(least: &str, greatest: &str) -> String {
     let set = |(name, merge, _): (String, Merge, &str)| {
         let (stored, further) = (format!("rollups.{name}"), format!("excluded.{name}"));
         let of_both = |function| {
@@ -115,24 +114,36 @@ fn merging(least: &str, greatest: &str) -> String {
     format!(" ON CONFLICT (session, seconds, begin_s) DO UPDATE SET {}", set.join(", "))
 }
 
+/// The names of a fleet's sums.
+fn fleet_sums() -> Vec<&'static str> {
+    FLEET_COLUMNS[FLEET_SUMS..].iter().map(|(name, _)| *name).collect()
+}
+
+/// What a statement does with an hour of a tenant that has a row.
+pub(super) fn fleet_merging() -> String {
+    let sums = fleet_sums().into_iter();
+    let set = sums.map(|name| format!("{name} = fleet_hours.{name} + excluded.{name}"));
+    format!(
+        " ON CONFLICT (tenant, begin_s) DO UPDATE SET \
+         day = COALESCE(excluded.day, fleet_hours.day), \
+         sessions = fleet_hours.sessions + excluded.sessions, {}",
+        set.collect::<Vec<_>>().join(", ")
+    )
+}
+
 /// Adds hours to their fleets, before they are in `rollups`: an hour that is not there yet is one
 /// more session. `hours` are rows with the names of the columns.
 fn into_fleet(hours: &str) -> String {
-    let sums = FLEET_COLUMNS.map(|(name, _)| name);
-    let sums = &sums[FLEET_SUMS..];
-    let each = |text: fn(&str) -> String| sums.iter().map(|name| text(name)).collect::<Vec<_>>();
+    let (sums, merging) = (fleet_sums(), fleet_merging());
+    let added = sums.iter().map(|name| format!("SUM(b.{name})")).collect::<Vec<_>>();
     format!(
         "INSERT INTO fleet_hours (tenant, begin_s, day, sessions, {}) \
          SELECT s.tenant, b.begin_s, MAX(b.day), SUM(CASE WHEN EXISTS (SELECT 1 FROM rollups r \
          WHERE r.session = b.session AND r.seconds = {HOUR_S} AND r.begin_s = b.begin_s) \
          THEN 0 ELSE 1 END), {} FROM ({hours}) AS b JOIN sessions s ON s.key = b.session \
-         WHERE 1 = 1 GROUP BY s.tenant, b.begin_s ORDER BY s.tenant, b.begin_s \
-         ON CONFLICT (tenant, begin_s) DO UPDATE SET \
-         day = COALESCE(excluded.day, fleet_hours.day), \
-         sessions = fleet_hours.sessions + excluded.sessions, {}",
+         WHERE 1 = 1 GROUP BY s.tenant, b.begin_s ORDER BY s.tenant, b.begin_s{merging}",
         sums.join(", "),
-        each(|name| format!("SUM(b.{name})")).join(", "),
-        each(|name| format!("{name} = fleet_hours.{name} + excluded.{name}")).join(", "),
+        added.join(", "),
     )
 }
 
@@ -150,26 +161,13 @@ static POSTGRES_FLEET: LazyLock<String> = LazyLock::new(|| {
     let arrays = arrays.collect::<Vec<_>>().join(", ");
     into_fleet(&format!("SELECT * FROM UNNEST({arrays}) AS u({names})"))
 });
-static SQLITE: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    let insert = format!("INSERT INTO rollups ({})", names());
-    let (count, merging) = (columns().len(), merging("MIN", "MAX"));
-    ROWS_PER_STATEMENT.map(|rows| with_values(&insert, count, rows, &merging))
-});
-static SQLITE_FLEET: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    let numbered = FLEET_COLUMNS.iter().enumerate();
-    let named = numbered.map(|(index, (name, _))| format!("column{} AS {name}", index + 1));
-    let select = format!("SELECT {} FROM (", named.collect::<Vec<_>>().join(", "));
-    let rows = |rows| with_values(&select, FLEET_COLUMNS.len(), rows, ")");
-    ROWS_PER_STATEMENT.map(|count| into_fleet(&rows(count)))
-});
-
 /// The values of a quantity.
 #[derive(Clone, Copy, Default)]
-struct Values {
-    min: Option<f32>,
-    max: Option<f32>,
-    sum: f64,
-    last: Option<f32>,
+pub(super) struct Values {
+    pub(super) min: Option<f32>,
+    pub(super) max: Option<f32>,
+    pub(super) sum: f64,
+    pub(super) last: Option<f32>,
 }
 
 impl Values {
@@ -186,19 +184,19 @@ impl Values {
 type Key = (i64, i64, i64);
 
 /// What a transaction adds to a bucket.
-struct Row {
-    key: Key,
-    day: Option<i32>,
-    times_ns: (i64, i64),
-    last_seq: i64,
-    counts: [i32; STATUSES],
-    status: i16,
-    position_deg: Option<(f64, f64)>,
-    positions: i32,
-    ages: i32,
+pub(super) struct Row {
+    pub(super) key: Key,
+    pub(super) day: Option<i32>,
+    pub(super) times_ns: (i64, i64),
+    pub(super) last_seq: i64,
+    pub(super) counts: [i32; STATUSES],
+    pub(super) status: i16,
+    pub(super) position_deg: Option<(f64, f64)>,
+    pub(super) positions: i32,
+    pub(super) ages: i32,
     /// South, west, north, east (degrees).
-    bounds_deg: Option<[f64; 4]>,
-    values: [Values; QUANTITIES.len()],
+    pub(super) bounds_deg: Option<[f64; 4]>,
+    pub(super) values: [Values; QUANTITIES.len()],
 }
 
 impl Row {
@@ -257,7 +255,7 @@ impl Row {
 }
 
 /// What batches add, in the order of the keys.
-fn rows(batches: &[&Batch]) -> Vec<Row> {
+pub(super) fn rows(batches: &[&Batch]) -> Vec<Row> {
     let mut rows: BTreeMap<Key, Row> = BTreeMap::new();
     for batch in batches {
         for epoch in &batch.epochs {
@@ -272,66 +270,6 @@ fn rows(batches: &[&Batch]) -> Vec<Row> {
     rows.into_values().collect()
 }
 
-/// Adds batches to their rollups, within the transaction that writes them.
-pub(super) async fn write_rollups_sqlite(
-    connection: &mut SqliteConnection,
-    batches: &[&Batch],
-) -> Result<(), sqlx::Error> {
-    let rows = rows(batches);
-    let hours: Vec<&Row> = rows.iter().filter(|row| row.key.1 == HOUR_S).collect();
-    let mut rest = &hours[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            let mut insert = sqlx::query(SQLITE_FLEET[index].as_str());
-            for row in chunk {
-                let [_, sigmas, numbers, ages] = row.values;
-                insert = insert.bind(row.key.0).bind(row.key.2).bind(row.day);
-                for count in row.counts.into_iter().chain([row.positions, row.ages]) {
-                    insert = insert.bind(count);
-                }
-                insert = insert.bind(sigmas.sum).bind(numbers.sum).bind(ages.sum);
-            }
-            insert.execute(&mut *connection).await?;
-            rest = after;
-        }
-    }
-    let mut rest = &rows[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            merge_sqlite(connection, index, chunk).await?;
-            rest = after;
-        }
-    }
-    Ok(())
-}
-
-async fn merge_sqlite(
-    connection: &mut SqliteConnection,
-    index: usize,
-    rows: &[Row],
-) -> Result<(), sqlx::Error> {
-    let mut insert = sqlx::query(SQLITE[index].as_str());
-    for row in rows {
-        let (session, length_s, begin_s) = row.key;
-        insert = insert.bind(session).bind(length_s).bind(begin_s).bind(row.day);
-        insert = insert.bind(row.times_ns.0).bind(row.times_ns.1).bind(row.last_seq);
-        for count in row.counts {
-            insert = insert.bind(count);
-        }
-        insert = insert.bind(row.status);
-        insert = insert.bind(row.position_deg.map(|deg| deg.0));
-        insert = insert.bind(row.position_deg.map(|deg| deg.1));
-        insert = insert.bind(row.positions).bind(row.ages);
-        for side in 0..4 {
-            insert = insert.bind(row.bounds_deg.map(|deg| deg[side]));
-        }
-        for values in &row.values {
-            insert = insert.bind(values.min).bind(values.max).bind(values.sum).bind(values.last);
-        }
-    }
-    insert.execute(connection).await.map(drop)
-}
-
 /// A column of rows as an array.
 macro_rules! array {
     ($rows:expr, $row:ident => $value:expr) => {
@@ -339,7 +277,7 @@ macro_rules! array {
     };
 }
 
-/// The same on Postgres.
+/// Adds batches to their rollups, within the transaction that writes them.
 pub(super) async fn write_rollups_postgres(
     connection: &mut PgConnection,
     batches: &[&Batch],

@@ -1,22 +1,19 @@
-//! Statements that insert many rows: lists of values for SQLite, arrays for Postgres.
+//! Statements that insert: many rows by arrays on Postgres, row by row on SQLite (`sqlite`).
 
-use std::sync::LazyLock;
-
-use sqlx::{PgConnection, SqliteConnection};
+use sqlx::PgConnection;
 
 use crate::gnss::{GpsTime, LeapSeconds};
 use crate::store::audit::note;
 
 use super::batch::{Batch, EncodedEpoch, EncodedSolution};
 use super::origins::OriginKeys;
-use super::raw::{write_raw_postgres, write_raw_sqlite};
-use super::rollups::{write_rollups_postgres, write_rollups_sqlite};
-use super::rows::{ROWS_PER_STATEMENT, with_values};
+use super::raw::write_raw_postgres;
+use super::rollups::write_rollups_postgres;
 
 /// Columns of an answer, which stand last in both tables.
 const ANSWER_COLUMNS: usize = 10;
-const EPOCH_COLUMNS: usize = 9 + ANSWER_COLUMNS;
-const REVISION_COLUMNS: usize = 5 + ANSWER_COLUMNS;
+pub(super) const EPOCH_COLUMNS: usize = 9 + ANSWER_COLUMNS;
+pub(super) const REVISION_COLUMNS: usize = 5 + ANSWER_COLUMNS;
 
 macro_rules! answer_columns {
     () => {
@@ -24,19 +21,19 @@ macro_rules! answer_columns {
          base_age_ms"
     };
 }
-const INSERT_EPOCHS: &str = concat!(
+pub(super) const INSERT_EPOCHS: &str = concat!(
     "INSERT INTO epochs (session, seq, gps_time_ns, navigation, base, base_after, base_through, \
      content, solution, ",
     answer_columns!(),
     ") "
 );
-const INSERT_REVISIONS: &str = concat!(
+pub(super) const INSERT_REVISIONS: &str = concat!(
     "INSERT INTO revisions (session, seq, revision, gps_time_ns, content, ",
     answer_columns!(),
     ") "
 );
 /// The insert into `epochs` detects a repeated number; a stored revision is not replaced.
-const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
+pub(super) const ONCE: &str = " ON CONFLICT (session, seq, revision) DO NOTHING";
 const POSTGRES_EPOCHS: &str = concat!(
     "INSERT INTO epochs (session, day, seq, gps_time_ns, navigation, base, base_after, \
      base_through, content, solution, ",
@@ -68,32 +65,27 @@ const POSTGRES_REVISIONS: &str = concat!(
     ") ON CONFLICT DO NOTHING"
 );
 /// The newest state wins, in whatever order the writers come.
-const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots (session, seq, configuration_hash, content) \
-    VALUES ($1, $2, $3, $4) ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
+pub(super) const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots \
+    (session, seq, configuration_hash, content) VALUES ($1, $2, $3, $4) \
+    ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
     configuration_hash = excluded.configuration_hash, content = excluded.content \
     WHERE snapshots.seq <= excluded.seq";
 /// The first state of a day stays.
-const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
+pub(super) const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
     (session, day, seq, configuration_hash, content) VALUES ($1, $2, $3, $4, $5) \
     ON CONFLICT (session, day) DO NOTHING";
-const INSERT_ARC: &str = "INSERT INTO session_arcs (session, after_seq, created_unix_ms) \
-    VALUES ($1, $2, $3) ON CONFLICT (session, after_seq) DO NOTHING";
+pub(super) const INSERT_ARC: &str = "INSERT INTO session_arcs \
+    (session, after_seq, created_unix_ms) VALUES ($1, $2, $3) \
+    ON CONFLICT (session, after_seq) DO NOTHING";
 /// The stream's newest known time may be what made the new arc necessary.
-const DATE_RAW: &str =
+pub(super) const DATE_RAW: &str =
     "UPDATE raw_streams SET gps_time_ns = $2, received_unix_ms = $3 WHERE session = $1";
-const CLOSE: &str =
+pub(super) const CLOSE: &str =
     "UPDATE sessions SET closed_unix_ms = $2 WHERE key = $1 AND closed_unix_ms IS NULL";
-const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
-
-static EPOCH_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_EPOCHS, EPOCH_COLUMNS, rows, ""))
-});
-static REVISION_VALUES: LazyLock<[String; ROWS_PER_STATEMENT.len()]> = LazyLock::new(|| {
-    ROWS_PER_STATEMENT.map(|rows| with_values(INSERT_REVISIONS, REVISION_COLUMNS, rows, ONCE))
-});
+pub(super) const FORGET_ALL_RAW: &str = "DELETE FROM raw_pieces WHERE session = $1";
 
 /// GPS time of the system clock's time (ms since 1970-01-01 UTC), in nanoseconds.
-fn gps_time_ns(unix_ms: i64) -> i64 {
+pub(super) fn gps_time_ns(unix_ms: i64) -> i64 {
     GpsTime::from_unix_ms(unix_ms, &LeapSeconds::table()).as_ns()
 }
 
@@ -137,24 +129,6 @@ fn revision_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<RevisionRo
     batches.iter().flat_map(rows).collect()
 }
 
-/// Binds the columns of an answer.
-macro_rules! bind_answer {
-    ($insert:expr, $solution:expr, $origin:expr) => {{
-        let [x_m, y_m, z_m] = $solution.position_m;
-        let [east_mm, north_mm, up_mm] = $solution.summary.sigma_mm;
-        $insert
-            .bind(*$origin)
-            .bind($solution.status)
-            .bind(x_m)
-            .bind(y_m)
-            .bind(z_m)
-            .bind(east_mm)
-            .bind(north_mm)
-            .bind(up_mm)
-            .bind($solution.summary.ratio)
-            .bind($solution.summary.base_age_ms)
-    }};
-}
 /// Binds the columns of many answers, each with the key of its origin, as arrays.
 macro_rules! bind_answers {
     ($insert:expr, $answers:expr) => {{
@@ -177,114 +151,6 @@ macro_rules! bind_answers {
     }};
 }
 
-/// Writes the parts of a batch that occur once.
-macro_rules! write_changes {
-    ($transaction:ident, $batches:expr) => {
-        for batch in $batches {
-            let session = batch.session.0;
-            if let Some(snapshot) = &batch.snapshot {
-                sqlx::query(UPSERT_SNAPSHOT)
-                    .bind(session)
-                    .bind(snapshot.seq)
-                    .bind(&*snapshot.configuration_hash)
-                    .bind(&snapshot.content[..])
-                    .execute(&mut *$transaction)
-                    .await?;
-            }
-            let kept = batch.snapshot.as_ref().filter(|_| batch.keeps_snapshot);
-            if let (Some(snapshot), Some(day)) = (kept, batch.day) {
-                sqlx::query(KEEP_SNAPSHOT)
-                    .bind(session)
-                    .bind(day)
-                    .bind(snapshot.seq)
-                    .bind(&*snapshot.configuration_hash)
-                    .bind(&snapshot.content[..])
-                    .execute(&mut *$transaction)
-                    .await?;
-            }
-            if let Some(arc) = &batch.arc {
-                let insert = sqlx::query(INSERT_ARC).bind(session).bind(arc.after_seq as i64);
-                insert.bind(arc.unix_ms).execute(&mut *$transaction).await?;
-                let date = sqlx::query(DATE_RAW).bind(session).bind(gps_time_ns(arc.unix_ms));
-                date.bind(arc.unix_ms).execute(&mut *$transaction).await?;
-            }
-            if let Some(unix_ms) = batch.closed_unix_ms {
-                let close = sqlx::query(CLOSE).bind(session).bind(unix_ms);
-                close.execute(&mut *$transaction).await?;
-                sqlx::query(FORGET_ALL_RAW).bind(session).execute(&mut *$transaction).await?;
-            }
-            note!($transaction, batch.entry.as_deref());
-        }
-    };
-}
-
-/// Writes batches within a transaction.
-pub(super) async fn write_sqlite(
-    transaction: &mut SqliteConnection,
-    batches: &[&Batch],
-    keys: &OriginKeys,
-) -> Result<(), sqlx::Error> {
-    let mut rest = &epoch_rows(batches, keys)[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_epochs(transaction, index, chunk).await?;
-            rest = after;
-        }
-    }
-    let mut rest = &revision_rows(batches, keys)[..];
-    for (index, size) in ROWS_PER_STATEMENT.into_iter().enumerate() {
-        while let Some((chunk, after)) = rest.split_at_checked(size) {
-            insert_revisions(transaction, index, chunk).await?;
-            rest = after;
-        }
-    }
-    write_raw_sqlite(transaction, batches).await?;
-    write_rollups_sqlite(transaction, batches).await?;
-    write_changes!(transaction, batches);
-    Ok(())
-}
-
-async fn insert_epochs(
-    connection: &mut SqliteConnection,
-    index: usize,
-    rows: &[EpochRow<'_>],
-) -> Result<(), sqlx::Error> {
-    let mut epochs = sqlx::query(EPOCH_VALUES[index].as_str());
-    for EpochRow { session, epoch, origin, .. } in rows {
-        let [base, base_after, base_through] = epoch.base_columns();
-        epochs = epochs
-            .bind(*session)
-            .bind(epoch.seq)
-            .bind(epoch.gps_time_ns)
-            .bind(epoch.navigation)
-            .bind(base)
-            .bind(base_after)
-            .bind(base_through)
-            .bind(&epoch.content[..])
-            .bind(&epoch.solution.content[..]);
-        epochs = bind_answer!(epochs, epoch.solution, origin);
-    }
-    epochs.execute(connection).await.map(drop)
-}
-
-async fn insert_revisions(
-    connection: &mut SqliteConnection,
-    index: usize,
-    rows: &[RevisionRow<'_>],
-) -> Result<(), sqlx::Error> {
-    let mut revisions = sqlx::query(REVISION_VALUES[index].as_str());
-    for RevisionRow { session, solution, origin, .. } in rows {
-        revisions = revisions
-            .bind(*session)
-            .bind(solution.seq)
-            .bind(solution.revision)
-            .bind(solution.gps_time_ns)
-            .bind(&solution.content[..]);
-        revisions = bind_answer!(revisions, solution, origin);
-    }
-    revisions.execute(connection).await.map(drop)
-}
-
 /// Writes batches within a transaction. The partitions of their days exist.
 pub(super) async fn write_postgres(
     transaction: &mut PgConnection,
@@ -301,8 +167,7 @@ pub(super) async fn write_postgres(
     }
     write_raw_postgres(transaction, batches).await?;
     write_rollups_postgres(transaction, batches).await?;
-    write_changes!(transaction, batches);
-    Ok(())
+    write_changes(transaction, batches).await
 }
 
 async fn insert_epoch_arrays(
@@ -339,4 +204,47 @@ async fn insert_revision_arrays(
         .bind(rows.iter().map(|row| &row.solution.content[..]).collect::<Vec<_>>());
     let answers: Vec<_> = rows.iter().map(|row| (row.solution, row.origin)).collect();
     bind_answers!(insert, answers).execute(connection).await.map(drop)
+}
+
+/// Writes the parts of batches that few of them have.
+async fn write_changes(
+    transaction: &mut PgConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
+    for batch in batches {
+        let session = batch.session.0;
+        if let Some(snapshot) = &batch.snapshot {
+            sqlx::query(UPSERT_SNAPSHOT)
+                .bind(session)
+                .bind(snapshot.seq)
+                .bind(&*snapshot.configuration_hash)
+                .bind(&snapshot.content[..])
+                .execute(&mut *transaction)
+                .await?;
+        }
+        let kept = batch.snapshot.as_ref().filter(|_| batch.keeps_snapshot);
+        if let (Some(snapshot), Some(day)) = (kept, batch.day) {
+            sqlx::query(KEEP_SNAPSHOT)
+                .bind(session)
+                .bind(day)
+                .bind(snapshot.seq)
+                .bind(&*snapshot.configuration_hash)
+                .bind(&snapshot.content[..])
+                .execute(&mut *transaction)
+                .await?;
+        }
+        if let Some(arc) = &batch.arc {
+            let insert = sqlx::query(INSERT_ARC).bind(session).bind(arc.after_seq as i64);
+            insert.bind(arc.unix_ms).execute(&mut *transaction).await?;
+            let date = sqlx::query(DATE_RAW).bind(session).bind(gps_time_ns(arc.unix_ms));
+            date.bind(arc.unix_ms).execute(&mut *transaction).await?;
+        }
+        if let Some(unix_ms) = batch.closed_unix_ms {
+            let close = sqlx::query(CLOSE).bind(session).bind(unix_ms);
+            close.execute(&mut *transaction).await?;
+            sqlx::query(FORGET_ALL_RAW).bind(session).execute(&mut *transaction).await?;
+        }
+        note!(transaction, batch.entry.as_deref());
+    }
+    Ok(())
 }

@@ -48,7 +48,7 @@ impl Connect for Fake {
     async fn write(
         &self,
         link: &mut bool,
-        batches: &[&Batch],
+        batches: &[Arc<Batch>],
         committing: &AtomicBool,
     ) -> Result<Vec<usize>, sqlx::Error> {
         assert!(*link, "a failed connection is used again");
@@ -116,7 +116,7 @@ async fn a_transaction_has_a_limit_of_bytes() {
         let content = vec![0; BYTES_PER_TRANSACTION / 4];
         let snapshot = Some(EncodedSnapshot::new(1, "c0ffee".into(), content));
         Message::Commit(Request {
-            batch: Batch { snapshot, ..batch(session) },
+            batch: Arc::new(Batch { snapshot, ..batch(session) }),
             reply: oneshot::channel().0,
         })
     };
