@@ -21,8 +21,10 @@ pub struct JobsConfiguration {
     pub files: usize,
     /// Jobs that wait or run.
     pub waiting: usize,
-    /// Jobs that run at the same time.
+    /// Jobs that this process runs at the same time; 0 leaves them to workers.
     pub running: usize,
+    /// Time without heartbeat after which a job is given to another process (s).
+    pub silent_s: u64,
     /// Uploads at the same time.
     pub uploads: usize,
     /// Time that one job may run (s).
@@ -50,6 +52,7 @@ impl JobsConfiguration {
             files: 16,
             waiting: 256,
             running: 1,
+            silent_s: 15,
             uploads: 8,
             run_s: 3600,
             keep_hours: 168,
@@ -68,7 +71,7 @@ impl JobsConfiguration {
             ("total_bytes", self.total_bytes),
             ("files", self.files as u64),
             ("waiting", self.waiting as u64),
-            ("running", self.running as u64),
+            ("silent_s", self.silent_s),
             ("uploads", self.uploads as u64),
             ("run_s", self.run_s),
             ("keep_hours", u64::from(self.keep_hours)),

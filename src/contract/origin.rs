@@ -263,6 +263,8 @@ impl From<JobError> for Refusal {
             | JobError::SpaceExhausted { .. }
             | JobError::Disk { .. }
             | JobError::Draining => None,
+            | JobError::WorkerOnSqlite
+            | JobError::FolderDiffers { .. }
         };
         Self::new(error.code(), error.to_string()).at_some(field)
     }

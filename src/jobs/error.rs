@@ -122,6 +122,15 @@ pub enum JobError {
     /// The store fails.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A worker on a database that one process writes to.
+    #[error("a worker takes no jobs from SQLite, whose file one process writes to")]
+    WorkerOnSqlite,
+    /// A worker without the service's folder of jobs.
+    #[error("{folder} is not the service's folder of jobs")]
+    FolderDiffers {
+        /// The worker's folder.
+        folder: String,
+    },
 }
 
 impl JobError {
@@ -156,6 +165,8 @@ impl JobError {
 
     /// The option at fault.
     pub const fn field(&self) -> Option<&'static str> {
+            Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
+            Self::FolderDiffers { .. } => Code::JobFolderDiffers,
         match self {
             Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),

@@ -4,7 +4,7 @@
 //! A job is computed by `recording`, as `graphfix solve` computes files, and gives the same bytes.
 //! A session can stand in place of the rover's file; its epochs are computed by `session`, as in a
 //! replay. The queue is in the store; this desk has its files, and a task for each job that may run
-//! at the same time.
+//! at the same time. Workers, processes of their own, may run jobs, too.
 //!
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
@@ -15,7 +15,8 @@
 //!   claimed by another, ends nothing: its result is removed.
 //! - **A webhook** is told of the end of its job, with a signature, until its host takes the
 //!   message or as many attempts as allowed have failed.
-//! - **After a restart** jobs that ran are queued again and computed from the beginning.
+//! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
+//!   are computed again from the beginning.
 
 mod deliveries;
 mod desk;
@@ -24,15 +25,16 @@ mod fetching;
 mod files;
 mod info;
 mod message;
+mod named;
 mod queue;
 mod report;
 mod request;
 mod run;
 mod sources;
 mod state;
-mod turns;
 mod watched;
 mod webhook;
+mod worker;
 
 pub use deliveries::Deliveries;
 pub use desk::{Jobs, Submission, UploadedFile};
@@ -45,3 +47,4 @@ pub use request::{
     BaseOrigin, JobInput, JobOptions, JobRequest, Part, SessionInput, SessionSource,
 };
 pub use webhook::{Webhook, WebhookSecret};
+pub use worker::Worker;

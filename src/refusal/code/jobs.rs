@@ -35,6 +35,17 @@ macro_rules! jobs {
     /// The job has run for longer than allowed.
     JobTooLong = "JOB_TOO_LONG", NoCall,
         "split the recording, choose another mode, or let the operator raise jobs.run_s";
+    /// The processes that ran the job have ended or were frozen, several times.
+    JobLost = "JOB_LOST", NoCall,
+        "split the recording, or let the operator give workers more memory; the log of the \
+         workers has the cause";
+    /// Workers need a database that several processes write to.
+    WorkerNeedsPostgres = "WORKER_NEEDS_POSTGRES", NoCall,
+        "move the service to Postgres, or let it run jobs itself with jobs.running";
+    /// The worker does not see the service's folder of jobs.
+    JobFolderDiffers = "JOB_FOLDER_DIFFERS", NoCall,
+        "start the service with jobs.folder first, and give the worker the same folder, on a \
+         shared file system if on another machine";
 
 } $($rest)* } } }
 pub(super) use jobs;
