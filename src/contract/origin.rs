@@ -254,6 +254,7 @@ impl From<JobError> for Refusal {
             JobError::InvalidOption { field, .. } | JobError::Fetch { field, .. } => Some(field),
             JobError::BaseRequired { .. } => Some("base"),
             JobError::Frame(_) => Some("options.overrides.frame"),
+            JobError::FormatNotBuilt { .. } => Some("options.format"),
             JobError::GeoidMissing => Some("options.overrides.geoid"),
             JobError::Off
             | JobError::TooMany { .. }
@@ -262,9 +263,9 @@ impl From<JobError> for Refusal {
             | JobError::TooManyFiles { .. }
             | JobError::SpaceExhausted { .. }
             | JobError::Disk { .. }
-            | JobError::Draining => None,
             | JobError::WorkerOnSqlite
             | JobError::FolderDiffers { .. }
+            | JobError::Draining => None,
         };
         Self::new(error.code(), error.to_string()).at_some(field)
     }

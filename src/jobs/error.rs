@@ -72,6 +72,12 @@ pub enum JobError {
     /// Positions relative to the base cannot be given in the frame that is asked for.
     #[error("positions cannot be given in the ETRS89: {0}; the override base_frame states a frame")]
     Frame(FrameRefusal),
+    /// The format of the result is not in this program.
+    #[error("{message}")]
+    FormatNotBuilt {
+        /// What is missing.
+        message: String,
+    },
     /// Heights above the geoid are asked for, and the service has no table.
     #[error("the service has no table of the geoid")]
     GeoidMissing,
@@ -116,12 +122,6 @@ pub enum JobError {
         /// What the system reports.
         source: Arc<io::Error>,
     },
-    /// The service is stopping.
-    #[error("the service is stopping")]
-    Draining,
-    /// The store fails.
-    #[error(transparent)]
-    Store(#[from] StoreError),
     /// A worker on a database that one process writes to.
     #[error("a worker takes no jobs from SQLite, whose file one process writes to")]
     WorkerOnSqlite,
@@ -131,6 +131,12 @@ pub enum JobError {
         /// The worker's folder.
         folder: String,
     },
+    /// The service is stopping.
+    #[error("the service is stopping")]
+    Draining,
+    /// The store fails.
+    #[error(transparent)]
+    Store(#[from] StoreError),
 }
 
 impl JobError {
@@ -151,6 +157,7 @@ impl JobError {
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
             Self::Frame(_) => Code::FrameUnavailable,
+            Self::FormatNotBuilt { .. } => Code::FeatureNotBuilt,
             Self::GeoidMissing => Code::GeoidMissing,
             Self::Session(error) => error.code(),
             Self::Fetch { error, .. } => error.code(),
@@ -158,6 +165,8 @@ impl JobError {
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
             Self::Disk { .. } => Code::JobFilesFailed,
+            Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
+            Self::FolderDiffers { .. } => Code::JobFolderDiffers,
             Self::Draining => Code::Draining,
             Self::Store(error) => error.code(),
         }
@@ -165,12 +174,11 @@ impl JobError {
 
     /// The option at fault.
     pub const fn field(&self) -> Option<&'static str> {
-            Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
-            Self::FolderDiffers { .. } => Code::JobFolderDiffers,
         match self {
             Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),
             Self::Frame(_) => Some("options.overrides.frame"),
+            Self::FormatNotBuilt { .. } => Some("options.format"),
             Self::GeoidMissing => Some("options.overrides.geoid"),
             _ => None,
         }
