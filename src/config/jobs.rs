@@ -27,6 +27,10 @@ pub struct JobsConfiguration {
     pub silent_s: u64,
     /// Uploads at the same time.
     pub uploads: usize,
+    /// Uploads of several requests that a tenant may have, until they expire.
+    pub open_uploads: usize,
+    /// Time for which such an upload is kept (hours).
+    pub upload_hours: u32,
     /// Time that one job may run (s).
     pub run_s: u64,
     /// Time for which a job that has ended is kept, with its files (hours).
@@ -54,6 +58,8 @@ impl JobsConfiguration {
             running: 1,
             silent_s: 15,
             uploads: 8,
+            open_uploads: 64,
+            upload_hours: 24,
             run_s: 3600,
             keep_hours: 168,
             fetch_s: 1800,
@@ -73,6 +79,8 @@ impl JobsConfiguration {
             ("waiting", self.waiting as u64),
             ("silent_s", self.silent_s),
             ("uploads", self.uploads as u64),
+            ("open_uploads", self.open_uploads as u64),
+            ("upload_hours", u64::from(self.upload_hours)),
             ("run_s", self.run_s),
             ("keep_hours", u64::from(self.keep_hours)),
             ("fetch_s", self.fetch_s),

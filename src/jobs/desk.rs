@@ -54,9 +54,9 @@ pub struct Submission {
 /// The desk for batch jobs, as one tenant sees it. All clones share the desk.
 #[derive(Clone)]
 pub struct Jobs {
-    desk: Arc<Desk>,
+    pub(super) desk: Arc<Desk>,
     tasks: Arc<Mutex<JoinSet<()>>>,
-    tenant: Tenant,
+    pub(super) tenant: Tenant,
 }
 
 impl Jobs {

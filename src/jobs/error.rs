@@ -122,6 +122,34 @@ pub enum JobError {
         /// What the system reports.
         source: Arc<io::Error>,
     },
+    /// No upload has this id.
+    #[error("there is no upload {id:?}")]
+    UploadNotFound {
+        /// The id as given.
+        id: String,
+    },
+    /// Another request appends to the upload.
+    #[error("another request appends to upload {id}")]
+    UploadBusy {
+        /// Id of the upload.
+        id: String,
+    },
+    /// Bytes would be appended elsewhere than at the end.
+    #[error("{offset} bytes of the upload are stored")]
+    UploadOffset {
+        /// Number of bytes that are stored.
+        offset: u64,
+    },
+    /// A job names an upload whose bytes are not all there.
+    #[error("{offset} of {length} bytes of upload {id} are stored")]
+    UploadIncomplete {
+        /// Id of the upload.
+        id: String,
+        /// Number of bytes that are stored.
+        offset: u64,
+        /// Size of the file (bytes).
+        length: u64,
+    },
     /// A worker on a database that one process writes to.
     #[error("a worker takes no jobs from SQLite, whose file one process writes to")]
     WorkerOnSqlite,
@@ -165,6 +193,10 @@ impl JobError {
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
             Self::Disk { .. } => Code::JobFilesFailed,
+            Self::UploadNotFound { .. } => Code::UploadNotFound,
+            Self::UploadBusy { .. } => Code::UploadBusy,
+            Self::UploadOffset { .. } => Code::UploadOffsetDiffers,
+            Self::UploadIncomplete { .. } => Code::UploadIncomplete,
             Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
             Self::FolderDiffers { .. } => Code::JobFolderDiffers,
             Self::Draining => Code::Draining,
@@ -177,6 +209,7 @@ impl JobError {
         match self {
             Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),
+            Self::UploadNotFound { .. } => Some("upload"),
             Self::Frame(_) => Some("options.overrides.frame"),
             Self::FormatNotBuilt { .. } => Some("options.format"),
             Self::GeoidMissing => Some("options.overrides.geoid"),

@@ -189,7 +189,48 @@ impl JobFiles {
         added.map(drop).map_err(|_| JobError::SpaceExhausted { limit })
     }
 
-    fn release(&self, bytes: u64) {
+    /// The path of an upload of several requests.
+    pub(super) fn arriving(&self, id: &str) -> PathBuf {
+        self.folder.join(INCOMING).join(id)
+    }
+
+    /// Removes what has arrived of an upload of several requests.
+    pub(super) fn remove_arriving(&self, id: &str) {
+        let path = self.arriving(id);
+        let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+        // Err: nothing has arrived, or it is complete.
+        fs::remove_file(path).ok();
+        self.release(bytes);
+    }
+
+    /// A stored input that is kept while the value exists.
+    pub(super) fn hold(self: &Arc<Self>, hash: String, bytes: u64) -> StoredFile {
+        *self.held().entry(hash.clone()).or_default() += 1;
+        StoredFile { files: self.clone(), hash, bytes }
+    }
+
+    /// Stores a file under the hash of its content. Returns whether there was no equal one.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub(super) async fn store(
+        self: &Arc<Self>,
+        from: PathBuf,
+        hash: String,
+        bytes: u64,
+    ) -> Result<(StoredFile, bool), JobError> {
+        let stored = self.hold(hash, bytes);
+        let path = self.input(&stored.hash);
+        let is_new = !path.exists();
+        // Over an equal file, so that its age begins again.
+        let folder = self.folder.join(INPUTS);
+        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
+        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
+        renamed.map_err(JobError::disk("storing the file of an upload"))?;
+        Ok((stored, is_new))
+    }
+
+    pub(super) fn release(&self, bytes: u64) {
         let released = |used: u64| Some(used.saturating_sub(bytes));
         self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, released).ok();
     }
@@ -249,12 +290,21 @@ impl Upload {
     /// # Errors
     /// The upload has as many as allowed, or the disk fails.
     pub async fn begin(&mut self) -> Result<ArrivingFile, JobError> {
+        self.count()?;
+        self.begin_again().await
+    }
+
+    /// Counts a file.
+    ///
+    /// # Errors
+    /// The upload has as many as allowed.
+    pub fn count(&mut self) -> Result<(), JobError> {
         let limit = self.files.limits.files;
         if limit <= self.begun {
             return Err(JobError::TooManyFiles { limit });
         }
         self.begun += 1;
-        self.begin_again().await
+        Ok(())
     }
 
     /// Begins a file that is not counted: another try of one that is.
@@ -301,16 +351,8 @@ impl ArrivingFile {
         self.file.flush().await.map_err(failed("writing the file of an upload"))?;
         self.file.sync_all().await.map_err(failed("writing the file of an upload"))?;
         let hash = self.hasher.finalize().to_hex().to_string();
-        let (files, bytes) = (self.files.clone(), self.leftover.bytes);
-        *files.held().entry(hash.clone()).or_default() += 1;
-        let stored = StoredFile { files: files.clone(), hash, bytes };
-        let path = files.input(&stored.hash);
-        let is_new = !path.exists();
-        // Over an equal file, so that its age begins again.
-        let (from, folder) = (self.leftover.path.clone(), files.folder.join(INPUTS));
-        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
-        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
-        renamed.map_err(failed("storing the file of an upload"))?;
+        let (path, bytes) = (self.leftover.path.clone(), self.leftover.bytes);
+        let (stored, is_new) = self.files.store(path, hash, bytes).await?;
         if is_new {
             self.leftover.bytes = 0; // It stays.
         }

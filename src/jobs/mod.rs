@@ -8,6 +8,7 @@
 //!
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
+//! - **Uploads of several requests** go on after a break, by the bytes that are stored.
 //! - **URLs** in place of files are fetched to such files before their job can run.
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
 //!   pool, in the lane of the lowest share, so that live sessions come first.
@@ -32,6 +33,7 @@ mod request;
 mod run;
 mod sources;
 mod state;
+mod uploads;
 mod watched;
 mod webhook;
 mod worker;
@@ -46,5 +48,6 @@ pub use report::{Failure, Report};
 pub use request::{
     BaseOrigin, JobInput, JobOptions, JobRequest, Part, SessionInput, SessionSource,
 };
+pub use uploads::{Appending, UploadId, UploadInfo};
 pub use webhook::{Webhook, WebhookSecret};
 pub use worker::Worker;

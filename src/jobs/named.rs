@@ -33,6 +33,10 @@ impl Named {
                 named.fences.insert(row.id, row.fence);
             }
         }
+        for (upload, hash) in store.upload_files().await? {
+            named.files.insert(upload);
+            named.files.extend(hash);
+        }
         Ok(named)
     }
 

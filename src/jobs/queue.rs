@@ -217,6 +217,7 @@ pub(super) async fn count(desk: Arc<Desk>) {
 pub(super) async fn remove_expired(desk: &Desk) -> Result<(), JobError> {
     let kept = i64::from(desk.limits.keep_hours) * MS_PER_HOUR;
     desk.store.delete_jobs(desk.clock.unix_ms() - kept).await?;
+    desk.store.delete_expired_uploads(desk.clock.unix_ms()).await?;
     let Some(files) = desk.files.clone() else { return Ok(()) };
     let named = Named::read(&desk.store).await?;
     let removed = spawn_blocking(move || files.remove_old(&named)).await;

@@ -76,7 +76,7 @@ pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use history::{FleetHour, HistoryFilter, SessionSummary};
 pub use jobs::{
     DeliveryAttempt, DeliveryEnd, DueWebhook, JobClaim, JobEnd, JobFilesRow, JobKey, JobProgress,
-    JobRow, JobState, NewJob, WebhookState,
+    JobRow, JobState, JobUploadRow, NewJob, WebhookState,
 };
 pub use keys::{KeyRow, NewKeyRow};
 pub(crate) use named_requests::Created;

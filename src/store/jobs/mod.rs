@@ -7,6 +7,7 @@ mod fetching;
 mod folder;
 mod queue;
 mod rows;
+mod uploads;
 
 use crate::tenant::Tenant;
 
@@ -18,6 +19,7 @@ pub use deliveries::{DeliveryAttempt, DeliveryEnd, DueWebhook};
 pub use queue::JobClaim;
 pub use rows::{JobEnd, JobFilesRow, JobKey, JobProgress, JobRow, JobState, NewJob, WebhookState};
 use rows::{RawJob, columns};
+pub use uploads::JobUploadRow;
 
 const PAGE_LIMIT: usize = 1_000;
 
