@@ -89,7 +89,7 @@ impl Jobs {
         };
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let stored = (store, Aiding::Service(aiding));
+        let stored = (store, Aiding::Service(Box::new(aiding)));
         let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
         let desk = Arc::new(desk);
         if is_on {

@@ -48,7 +48,7 @@ pub(super) struct Desk {
 /// Where a run finds what is stored of bases and ephemerides.
 pub(super) enum Aiding {
     /// In the service's desk, which has it in memory.
-    Service(AidingDesk),
+    Service(Box<AidingDesk>),
     /// In the store, which is read for the run: others change it.
     Worker(AidingLimits),
 }
@@ -100,7 +100,7 @@ impl Desk {
     /// The store fails, or a row is corrupt.
     pub(super) async fn aiding(&self) -> Result<AidingDesk, AidingError> {
         match &self.aiding {
-            Aiding::Service(desk) => Ok(desk.clone()),
+            Aiding::Service(desk) => Ok(AidingDesk::clone(desk)),
             Aiding::Worker(limits) => AidingDesk::open(self.store.clone(), limits.clone()).await,
         }
     }
