@@ -4,6 +4,7 @@
 //! sources of data are connected in one place.
 
 mod error;
+mod worker;
 
 use std::fs::File;
 use std::future::Future;
@@ -43,6 +44,7 @@ use crate::store::{Store, StoreError};
 use crate::tls::{ClientFiles, ClientTls, ServerTls};
 
 pub use error::AppError;
+pub use worker::{WorkerApp, open_worker};
 
 /// Interval of the check for streams of a network that rovers need.
 const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
@@ -78,10 +80,7 @@ pub async fn open(
     // The operator's sources may be anywhere, those of clients only at the listed hosts.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
-    let node = match &configuration.node {
-        configured if configured.is_empty() => random_node(),
-        configured => configured.clone(),
-    };
+    let node = node_name(configuration);
     let store = open_store(database, &node, &configuration.cluster).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
@@ -262,6 +261,14 @@ impl App {
 async fn end_within(limit: Duration, ending: impl Future<Output = ()>, otherwise: &str) {
     if timeout(limit, ending).await.is_err() {
         tracing::warn!(seconds = limit.as_secs(), "{otherwise}");
+    }
+}
+
+/// The configured name of the node, or a random one.
+fn node_name(configuration: &ServiceConfiguration) -> String {
+    match &configuration.node {
+        configured if configured.is_empty() => random_node(),
+        configured => configured.clone(),
     }
 }
 

@@ -29,6 +29,7 @@ mod stream;
 mod stream_raw;
 mod tenants;
 mod trust;
+mod worker;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -56,6 +57,7 @@ enum Command {
     Simulate(simulate::SimulateArguments),
     Demo(demo::DemoArguments),
     Serve(Box<serve::ServeArguments>),
+    Worker(worker::WorkerArguments),
     Stream(Box<stream::StreamArguments>),
     Load(load::LoadArguments),
     Health(health::HealthArguments),
@@ -74,6 +76,7 @@ impl Command {
             Self::Simulate(arguments) => simulate::run(&arguments),
             Self::Demo(arguments) => demo::run(arguments),
             Self::Serve(arguments) => serve::run(*arguments),
+            Self::Worker(arguments) => worker::run(arguments),
             Self::Stream(arguments) => stream::run(*arguments),
             Self::Load(arguments) => load::run(arguments),
             Self::Health(arguments) => health::run(&arguments),

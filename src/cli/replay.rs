@@ -43,7 +43,7 @@ pub(super) struct ReplayArguments {
     /// Write each epoch as it leaves the window, smoothed by the epochs that follow.
     #[arg(long, requires = "output")]
     smoothed: bool,
-    /// Output file; its extension selects .pos, .csv, .geojson, .kml, .gpx or .nmea.
+    /// Output file; its extension selects .pos, .csv, .geojson, .kml, .gpx, .nmea or .parquet.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
 //! `graphfix serve`: the service.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use tokio::net::TcpListener;
@@ -88,16 +88,7 @@ pub(super) struct ServeArguments {
 impl ServeArguments {
     /// The configuration of file and arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
-        let mut configuration = match &self.config {
-            None => ServiceConfiguration::standard(),
-            Some(path) => {
-                let text = std::fs::read_to_string(path).map_err(|error| {
-                    let message = format!("{}: {error}", path.display());
-                    Failure::of(Code::FileNotReadable, message)
-                })?;
-                ServiceConfiguration::from_toml(&text)?
-            }
-        };
+        let mut configuration = configuration_of(self.config.as_deref())?;
         configuration.listen = self.listen.unwrap_or(configuration.listen);
         configuration.plaintext |= self.plaintext;
         let tls = &mut configuration.tls;
@@ -124,6 +115,19 @@ impl ServeArguments {
         configuration.check()?;
         Ok(configuration)
     }
+}
+
+/// The configuration of a file, or the default one.
+///
+/// # Errors
+/// The file cannot be read, or is no configuration.
+pub(super) fn configuration_of(file: Option<&Path>) -> Result<ServiceConfiguration, Failure> {
+    let Some(path) = file else { return Ok(ServiceConfiguration::standard()) };
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        let message = format!("{}: {error}", path.display());
+        Failure::of(Code::FileNotReadable, message)
+    })?;
+    Ok(ServiceConfiguration::from_toml(&text)?)
 }
 
 /// Runs the service.

@@ -52,7 +52,8 @@ pub(crate) struct SolveArguments {
     /// heights above the geoid are written, too.
     #[arg(long, value_name = "FILE")]
     geoid: Option<PathBuf>,
-    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx or .nmea. Default: the
+    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx, .nmea or
+    /// .parquet. Default: the
     /// rover's file with .pos in place of its ending, if there is no such file yet.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -161,9 +162,12 @@ pub(super) fn create(
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
     let format = TrackFormat::from_name(ending).ok_or_else(|| {
         let message = format!("{} does not name a format", path.display());
-        let remedy = "end the name in .pos, .csv, .geojson, .kml, .gpx or .nmea";
+        let remedy = "end the name in .pos, .csv, .geojson, .kml, .gpx, .nmea or .parquet";
         Failure::new(Code::UnknownOutputFormat, message, remedy)
     })?;
+    if !format.is_built() {
+        return Err(Failure::of(Code::FeatureNotBuilt, format.not_built()));
+    }
     let file = File::create(path)
         .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
         .and_then(|file| SolutionWriter::new(file, format, comments, leap, presentation));

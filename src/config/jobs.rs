@@ -21,10 +21,16 @@ pub struct JobsConfiguration {
     pub files: usize,
     /// Jobs that wait or run.
     pub waiting: usize,
-    /// Jobs that run at the same time.
+    /// Jobs that this process runs at the same time; 0 leaves them to workers.
     pub running: usize,
+    /// Time without heartbeat after which a job is given to another process (s).
+    pub silent_s: u64,
     /// Uploads at the same time.
     pub uploads: usize,
+    /// Uploads of several requests that a tenant may have, until they expire.
+    pub open_uploads: usize,
+    /// Time for which such an upload is kept (hours).
+    pub upload_hours: u32,
     /// Time that one job may run (s).
     pub run_s: u64,
     /// Time for which a job that has ended is kept, with its files (hours).
@@ -50,7 +56,10 @@ impl JobsConfiguration {
             files: 16,
             waiting: 256,
             running: 1,
+            silent_s: 15,
             uploads: 8,
+            open_uploads: 64,
+            upload_hours: 24,
             run_s: 3600,
             keep_hours: 168,
             fetch_s: 1800,
@@ -68,8 +77,10 @@ impl JobsConfiguration {
             ("total_bytes", self.total_bytes),
             ("files", self.files as u64),
             ("waiting", self.waiting as u64),
-            ("running", self.running as u64),
+            ("silent_s", self.silent_s),
             ("uploads", self.uploads as u64),
+            ("open_uploads", self.open_uploads as u64),
+            ("upload_hours", u64::from(self.upload_hours)),
             ("run_s", self.run_s),
             ("keep_hours", u64::from(self.keep_hours)),
             ("fetch_s", self.fetch_s),

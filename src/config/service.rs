@@ -268,6 +268,10 @@ impl ServiceConfiguration {
         if let Some(name) = self.jobs.zero() {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
+        if self.jobs.running == 0 && self.database.starts_with("sqlite:") {
+            let why = "jobs.running must be at least 1 on SQLite, where no worker takes jobs";
+            return Err(ServiceConfigurationError::Malformed(why.to_owned()));
+        }
         let limits = &self.limits;
         for (name, days) in [
             ("retention_days", limits.retention_days),

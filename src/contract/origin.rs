@@ -253,8 +253,11 @@ impl From<JobError> for Refusal {
             | JobError::WithoutResult { .. } => Some("job"),
             JobError::IdempotencyConflict { .. } => Some("Idempotency-Key"),
             JobError::InvalidOption { field, .. } | JobError::Fetch { field, .. } => Some(field),
+            JobError::UploadNotFound { .. } => Some("upload"),
+            JobError::UploadOffset { .. } => Some("Upload-Offset"),
             JobError::BaseRequired { .. } => Some("base"),
             JobError::Frame(_) => Some("options.overrides.frame"),
+            JobError::FormatNotBuilt { .. } => Some("options.format"),
             JobError::GeoidMissing => Some("options.overrides.geoid"),
             JobError::Off
             | JobError::TooMany { .. }
@@ -263,6 +266,10 @@ impl From<JobError> for Refusal {
             | JobError::TooManyFiles { .. }
             | JobError::SpaceExhausted { .. }
             | JobError::Disk { .. }
+            | JobError::UploadBusy { .. }
+            | JobError::UploadIncomplete { .. }
+            | JobError::WorkerOnSqlite
+            | JobError::FolderDiffers { .. }
             | JobError::Draining => None,
         };
         Self::new(error.code(), error.to_string()).at_some(field)

@@ -41,17 +41,17 @@ use crate::gnss::{
     Velocity,
 };
 
-const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,height_m,\
-     var_e_m2,var_n_m2,var_u_m2,cov_en_m2,cov_eu_m2,cov_nu_m2,ve_m_s,vn_m_s,vu_m_s,\
+pub(super) const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg,longitude_deg,\
+     height_m,var_e_m2,var_n_m2,var_u_m2,cov_en_m2,cov_eu_m2,cov_nu_m2,ve_m_s,vn_m_s,vu_m_s,\
      var_ve_m2_s2,var_vn_m2_s2,var_vu_m2_s2,cov_vevn_m2_s2,cov_vevu_m2_s2,cov_vnvu_m2_s2,\
      clock_m,clock_drift_m_s,reception_tow_s,gdop,pdop,hdop,vdop,tdop,satellites,\
      satellite_list,baseline_e_m,baseline_n_m,baseline_u_m,age_s,ambiguities,\
      fixed_ambiguities,ratio,success_rate,fix_probability,reasons,hpl_m,vpl_m";
 /// Titles that stand in front in files of stored solutions.
-const STORED_COLUMNS: &str = "seq,revision,";
+pub(super) const STORED_COLUMNS: &str = "seq,revision,";
 /// Titles that stand behind if they are asked for.
-const FRAME_COLUMNS: &str = ",frame,frame_epoch_year";
-const GEOID_COLUMN: &str = ",orthometric_height_m";
+pub(super) const FRAME_COLUMNS: &str = ",frame,frame_epoch_year";
+pub(super) const GEOID_COLUMN: &str = ",orthometric_height_m";
 /// Number of columns from `gps_week` to `cov_nu_m2`, which are read, and place of `satellites`.
 const READ_COLUMNS: usize = 15;
 const SATELLITES_COLUMN: usize = 32;
@@ -255,17 +255,19 @@ fn push_covariance(line: &mut Vec<u8>, covariance: &Matrix3<f64>) {
 }
 
 fn push_reasons(line: &mut Vec<u8>, presented: &Presented<'_>) {
-    let reasons = presented.solution.reasons.iter().map(ToString::to_string);
-    let foreign = |refusal| format!("{}{{{refusal}}}", FrameRefusal::CODE);
-    let mut before = "\"";
-    for reason in reasons.chain(presented.refusal.map(foreign)) {
-        line.extend_from_slice(before.as_bytes());
-        line.extend_from_slice(reason.replace('"', "\"\"").as_bytes());
-        before = "; ";
-    }
-    if before != "\"" {
+    let text = reasons_text(presented);
+    if !text.is_empty() {
+        line.push(b'"');
+        line.extend_from_slice(text.replace('"', "\"\"").as_bytes());
         line.push(b'"');
     }
+}
+
+/// What limits a solution, separated by `; `.
+pub(super) fn reasons_text(presented: &Presented<'_>) -> String {
+    let reasons = presented.solution.reasons.iter().map(ToString::to_string);
+    let foreign = |refusal| format!("{}{{{refusal}}}", FrameRefusal::CODE);
+    reasons.chain(presented.refusal.map(foreign)).collect::<Vec<_>>().join("; ")
 }
 
 /// Appends the frame of the position and its height above the geoid, if they are asked for.

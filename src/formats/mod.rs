@@ -15,6 +15,8 @@ mod kml;
 mod nmea;
 pub mod observations;
 pub mod odometry;
+#[cfg(feature = "parquet")]
+mod parquet;
 pub mod pos;
 pub mod receiver;
 pub mod rinex;

@@ -3,6 +3,8 @@
 use std::io::BufRead;
 
 use super::encoder::{Additions, Encoder};
+#[cfg(feature = "parquet")]
+use super::parquet;
 use super::pos::{PosError, PosFile};
 use super::{csv, geojson, gpx, kml, nmea, pos};
 use crate::gnss::{LeapSeconds, Presentation, Presented};
@@ -24,12 +26,14 @@ pub(crate) enum TrackFormat {
     Gpx,
     /// NMEA 0183.
     Nmea,
+    /// Apache Parquet, in programs that are built with it.
+    Parquet,
 }
 
 impl TrackFormat {
     /// Every format.
-    pub(crate) const ALL: [Self; 6] =
-        [Self::Pos, Self::Csv, Self::Geojson, Self::Kml, Self::Gpx, Self::Nmea];
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Pos, Self::Csv, Self::Geojson, Self::Kml, Self::Gpx, Self::Nmea, Self::Parquet];
 
     /// The name: the ending of a file in this format.
     pub(crate) const fn name(self) -> &'static str {
@@ -40,6 +44,7 @@ impl TrackFormat {
             Self::Kml => "kml",
             Self::Gpx => "gpx",
             Self::Nmea => "nmea",
+            Self::Parquet => "parquet",
         }
     }
 
@@ -61,17 +66,37 @@ impl TrackFormat {
             Self::Geojson => "application/geo+json",
             Self::Kml => "application/vnd.google-earth.kml+xml",
             Self::Gpx => "application/gpx+xml",
+            Self::Parquet => "application/vnd.apache.parquet",
         }
+    }
+
+    /// Whether this program writes the format.
+    pub(crate) const fn is_built(self) -> bool {
+        cfg!(feature = "parquet") || !matches!(self, Self::Parquet)
+    }
+
+    /// What a program without the format answers who asks for it.
+    pub(crate) fn not_built(self) -> String {
+        format!("the format {} is only in a build with the feature \"parquet\"", self.name())
     }
 
     /// Whether the format can tell in which frame a position is.
     pub(crate) const fn has_frames(self) -> bool {
-        matches!(self, Self::Csv | Self::Geojson)
+        matches!(self, Self::Csv | Self::Geojson | Self::Parquet)
     }
 
     /// Whether the format can tell the revisions of one epoch apart.
     pub(crate) const fn has_revisions(self) -> bool {
-        matches!(self, Self::Csv | Self::Geojson)
+        self.has_frames()
+    }
+
+    /// Memory of a writer beside the line that it writes (bytes).
+    pub(crate) const fn memory_bytes(self) -> usize {
+        match self {
+            #[cfg(feature = "parquet")]
+            Self::Parquet => parquet::GROUP_BYTES,
+            _ => 0,
+        }
     }
 }
 
@@ -116,6 +141,10 @@ impl TrackWriter {
             TrackFormat::Kml => Box::new(kml::Kml::new(leap)),
             TrackFormat::Gpx => Box::new(gpx::Gpx::new(leap, additions)),
             TrackFormat::Nmea => Box::new(nmea::Nmea::new(leap)),
+            #[cfg(feature = "parquet")]
+            TrackFormat::Parquet => Box::new(parquet::Table::new(leap, additions)),
+            #[cfg(not(feature = "parquet"))]
+            TrackFormat::Parquet => unreachable!("a format that is not built is refused before"),
         };
         Self { format, encoder }
     }

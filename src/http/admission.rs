@@ -26,7 +26,7 @@ use super::forwarding::{self, Mark, Peers, Route};
 use super::jobs;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
-use super::sign_in;
+use super::{sign_in, uploads};
 
 /// Header with the name of the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
@@ -265,6 +265,15 @@ fn brief(text: &str) -> &str {
     text.get(..80).unwrap_or(text)
 }
 
+/// Whether a request brings files of jobs.
+fn is_of_files(method: &Method, path: &str) -> bool {
+    match *method {
+        Method::POST => path == jobs::PATH,
+        Method::PATCH => path.starts_with(uploads::PATH),
+        _ => false,
+    }
+}
+
 /// The request with a body whose memory is reserved as it is read.
 fn metered(
     service: &Service,
@@ -277,7 +286,7 @@ fn metered(
     }
     let fault = if is_grpc { status_error } else { refusal_error };
     let patience = Patience { silence: Duration::from_secs(service.limits().body_silence_s) };
-    if !is_grpc && request.method() == Method::POST && request.uri().path() == jobs::PATH {
+    if !is_grpc && is_of_files(request.method(), request.uri().path()) {
         // Its files go to the disk as they arrive.
         let (parts, body) = request.into_parts();
         let body = Metered::passing(body, lease.clone(), patience, fault)?;

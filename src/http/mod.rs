@@ -34,6 +34,7 @@ mod sign_in;
 mod solutions;
 mod tenants;
 mod track;
+mod uploads;
 mod watch;
 
 use axum::routing::{delete, get, post};
@@ -105,6 +106,7 @@ fn controls() -> Router<Service> {
         .route("/v1/jobs/{job}/result", get(jobs::result))
         .route("/v1/jobs/{job}/report", get(jobs::report))
         .route("/v1/jobs/{job}/deliveries", get(jobs::deliveries))
+        .merge(uploads())
         .route("/v1/keys", get(keys::list).post(keys::create))
         .route("/v1/keys/{key}", delete(keys::revoke))
         .route("/v1/tenants", get(tenants::list))
@@ -116,6 +118,15 @@ fn controls() -> Router<Service> {
         .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::schema))
         .route("/docs/errors", get(error_page::errors))
+}
+
+/// Files of jobs that go on after a break.
+fn uploads() -> Router<Service> {
+    let one = get(uploads::get).patch(uploads::append).delete(uploads::remove);
+    Router::new()
+        .route(uploads::PATH, post(uploads::create).options(uploads::options))
+        .route("/v1/uploads/{upload}", one)
+        .layer(middleware::from_fn(uploads::versioned))
 }
 
 /// Calls that bring epochs, bytes or files.

@@ -12,7 +12,7 @@ use crate::contract::access::{CALLS, Call, Need};
 use super::problem::Problem;
 use super::{
     audit, bases, history, job_events, jobs, keys, navigation, observations, positioning, raw,
-    sessions, sign_in, solutions, tenants, track, watch,
+    sessions, sign_in, solutions, tenants, track, uploads, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -81,6 +81,11 @@ const CSRF_TOKEN: &str = "csrfToken";
         jobs::result,
         jobs::report,
         jobs::deliveries,
+        uploads::options,
+        uploads::create,
+        uploads::get,
+        uploads::append,
+        uploads::remove,
         keys::create,
         keys::list,
         keys::revoke,

@@ -27,7 +27,8 @@ pub(super) fn routes() -> Router<Service> {
 #[utoipa::path(get, operation_id = "solutionsTrack",
     path = "/v1/sessions/{session}/track.{format}", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"),
-        ("format" = String, Path, description = "pos, csv, geojson, kml, gpx or nmea"), TrackQuery),
+        ("format" = String, Path,
+            description = "pos, csv, geojson, kml, gpx, nmea or parquet"), TrackQuery),
     responses((status = 200, description = "The file", body = String, content_type = "text/plain"),
         Refused))]
 pub(super) async fn track(

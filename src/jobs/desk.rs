@@ -10,7 +10,7 @@ use crate::aiding::AidingDesk;
 use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
-use crate::session::BatchLane;
+use crate::session::{BatchLane, SessionError};
 use crate::store::{JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
@@ -19,9 +19,10 @@ use super::deliveries::{self, Deliveries};
 use super::fetching::{self, InputUrl};
 use super::files::{JobFiles, StoredFile, Upload};
 use super::info::{JobId, JobInfo};
+use super::named::Named;
 use super::queue;
 use super::request::{JobInput, JobOptions, JobRequest, Part, SessionInput};
-use super::state::{Desk, folder, named_files};
+use super::state::{Aiding, Desk, folder};
 use super::webhook::Webhook;
 
 /// A file of an upload.
@@ -53,14 +54,14 @@ pub struct Submission {
 /// The desk for batch jobs, as one tenant sees it. All clones share the desk.
 #[derive(Clone)]
 pub struct Jobs {
-    desk: Arc<Desk>,
+    pub(super) desk: Arc<Desk>,
     tasks: Arc<Mutex<JoinSet<()>>>,
-    tenant: Tenant,
+    pub(super) tenant: Tenant,
 }
 
 impl Jobs {
-    /// Opens the desk for the operator's jobs, and starts its tasks. Jobs that another start of the
-    /// service has left running are queued again.
+    /// Opens the desk for the operator's jobs, and starts its tasks. On SQLite, jobs that another
+    /// start of the service has left running are queued again.
     ///
     /// # Errors
     /// The store or the folder cannot be read.
@@ -71,26 +72,30 @@ impl Jobs {
         node: String,
         geoid: Option<Arc<Geoid>>,
     ) -> Result<Self, JobError> {
-        let files = match folder(&limits, &store) {
-            None => None,
-            Some(folder) => {
-                let named = named_files(&store).await?;
-                let files = JobFiles::open(folder, limits.clone(), &named);
-                Some(Arc::new(files.map_err(JobError::disk("opening the folder of jobs"))?))
-            }
-        };
         let again = store.requeue_jobs().await?;
         if 0 < again {
             tracing::info!(jobs = again, "jobs are queued again");
         }
+        let files = match folder(&limits, &store) {
+            None => None,
+            Some(folder) => {
+                let named = Named::read(&store).await?;
+                let is_alone = store.file().is_some();
+                let files = JobFiles::open(folder, limits.clone(), &named, is_alone);
+                let files = files.map_err(JobError::disk("opening the folder of jobs"))?;
+                store.set_job_folder(files.id()).await?;
+                Some(Arc::new(files))
+            }
+        };
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let desk =
-            Desk::new((store, aiding), (lane, connector), limits, files, node).with_geoid(geoid);
+        let stored = (store, Aiding::Service(Box::new(aiding)));
+        let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
         let desk = Arc::new(desk);
         if is_on {
             (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
             tasks.spawn(queue::expire(desk.clone()));
+            tasks.spawn(queue::count(desk.clone()));
             tasks.spawn(deliveries::deliver(desk.clone()));
             tasks.spawn(fetching::fetch(desk.clone()));
         }
@@ -183,8 +188,8 @@ impl Jobs {
     /// What a job takes of its session, if it has one.
     async fn session_input(&self, request: &JobRequest) -> Result<Option<SessionInput>, JobError> {
         let Some((id, rerun)) = request.options.rerun(request.has_base())? else { return Ok(None) };
-        let Desk { store, aiding, .. } = &*self.desk;
-        let plan = rerun.plan(store, aiding, &self.tenant, &id).await?;
+        let aiding = self.desk.aiding().await.map_err(SessionError::from)?;
+        let plan = rerun.plan(&self.desk.store, &aiding, &self.tenant, &id).await?;
         Ok(Some(SessionInput::of(&plan)))
     }
 
@@ -282,7 +287,7 @@ impl Jobs {
         queue::remove_expired(&self.desk).await
     }
 
-    /// Stops the running jobs, which are queued again at the next start.
+    /// Stops the running jobs, which are queued again.
     pub async fn close(&self) {
         self.desk.stop_all();
         let mut tasks = {

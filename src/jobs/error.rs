@@ -72,6 +72,12 @@ pub enum JobError {
     /// Positions relative to the base cannot be given in the frame that is asked for.
     #[error("positions cannot be given in the ETRS89: {0}; the override base_frame states a frame")]
     Frame(FrameRefusal),
+    /// The format of the result is not in this program.
+    #[error("{message}")]
+    FormatNotBuilt {
+        /// What is missing.
+        message: String,
+    },
     /// Heights above the geoid are asked for, and the service has no table.
     #[error("the service has no table of the geoid")]
     GeoidMissing,
@@ -116,6 +122,43 @@ pub enum JobError {
         /// What the system reports.
         source: Arc<io::Error>,
     },
+    /// No upload has this id.
+    #[error("there is no upload {id:?}")]
+    UploadNotFound {
+        /// The id as given.
+        id: String,
+    },
+    /// Another request appends to the upload.
+    #[error("another request appends to upload {id}")]
+    UploadBusy {
+        /// Id of the upload.
+        id: String,
+    },
+    /// Bytes would be appended elsewhere than at the end.
+    #[error("{offset} bytes of the upload are stored")]
+    UploadOffset {
+        /// Number of bytes that are stored.
+        offset: u64,
+    },
+    /// A job names an upload whose bytes are not all there.
+    #[error("{offset} of {length} bytes of upload {id} are stored")]
+    UploadIncomplete {
+        /// Id of the upload.
+        id: String,
+        /// Number of bytes that are stored.
+        offset: u64,
+        /// Size of the file (bytes).
+        length: u64,
+    },
+    /// A worker on a database that one process writes to.
+    #[error("a worker takes no jobs from SQLite, whose file one process writes to")]
+    WorkerOnSqlite,
+    /// A worker without the service's folder of jobs.
+    #[error("{folder} is not the service's folder of jobs")]
+    FolderDiffers {
+        /// The worker's folder.
+        folder: String,
+    },
     /// The service is stopping.
     #[error("the service is stopping")]
     Draining,
@@ -142,6 +185,7 @@ impl JobError {
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
             Self::Frame(_) => Code::FrameUnavailable,
+            Self::FormatNotBuilt { .. } => Code::FeatureNotBuilt,
             Self::GeoidMissing => Code::GeoidMissing,
             Self::Session(error) => error.code(),
             Self::Fetch { error, .. } => error.code(),
@@ -149,6 +193,12 @@ impl JobError {
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
             Self::Disk { .. } => Code::JobFilesFailed,
+            Self::UploadNotFound { .. } => Code::UploadNotFound,
+            Self::UploadBusy { .. } => Code::UploadBusy,
+            Self::UploadOffset { .. } => Code::UploadOffsetDiffers,
+            Self::UploadIncomplete { .. } => Code::UploadIncomplete,
+            Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
+            Self::FolderDiffers { .. } => Code::JobFolderDiffers,
             Self::Draining => Code::Draining,
             Self::Store(error) => error.code(),
         }
@@ -159,7 +209,9 @@ impl JobError {
         match self {
             Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
             Self::BaseRequired { .. } => Some("base"),
+            Self::UploadNotFound { .. } => Some("upload"),
             Self::Frame(_) => Some("options.overrides.frame"),
+            Self::FormatNotBuilt { .. } => Some("options.format"),
             Self::GeoidMissing => Some("options.overrides.geoid"),
             _ => None,
         }

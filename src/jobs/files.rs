@@ -1,10 +1,11 @@
 //! The files of jobs: uploads, named after the hash of their content, and results.
 //!
 //! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
-//! `inputs` and `results` stand in the store. What does not is removed: at the start of the
-//! service, and when jobs expire.
+//! `inputs` and `results` stand in the store. What does not is removed once it is old, and at the
+//! start of a service that is alone. Other processes may write there, so the bytes of all files are
+//! counted again at an interval. The file `folder.id` identifies the folder.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -21,16 +22,26 @@ use uuid::Uuid;
 use crate::config::JobsConfiguration;
 
 use super::JobError;
+use super::named::{Named, result_name};
 
 const INCOMING: &str = "incoming";
 const INPUTS: &str = "inputs";
 const RESULTS: &str = "results";
+const FOLDER_ID: &str = "folder.id";
+/// A file that arrives is written to at least this often.
+const ARRIVES_FOR: Duration = Duration::from_secs(3600);
+/// Most lost claims before one whose results are removed at once. Older ones expire.
+const LOST_RESULTS: i64 = 16;
 /// A file that no job names is removed once it is this old: its job may be about to be stored.
 const UNNAMED_FOR: Duration = Duration::from_secs(600);
+const FOLDERS: [&str; 3] = [INCOMING, INPUTS, RESULTS];
+/// Ages from which files that no job names are removed, by folder.
+const AGES: [Duration; 3] = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR];
 
 /// The folder of jobs.
 pub(super) struct JobFiles {
     folder: PathBuf,
+    id: String,
     limits: JobsConfiguration,
     /// Bytes of all files.
     used: AtomicU64,
@@ -72,29 +83,73 @@ pub struct StoredFile {
 }
 
 impl JobFiles {
-    /// Opens the folder, which is created if absent. `named` are the files that jobs name; others
-    /// are removed.
+    /// Opens the folder of a service, which is created if absent. Files that no job names are
+    /// removed: all if the service is alone, else the old ones.
     ///
     /// # Errors
     /// The folder cannot be read or written.
     pub(super) fn open(
         folder: PathBuf,
         limits: JobsConfiguration,
-        named: &HashSet<String>,
+        named: &Named,
+        is_alone: bool,
     ) -> io::Result<Self> {
-        for inside in [INCOMING, INPUTS, RESULTS] {
+        for inside in FOLDERS {
             fs::create_dir_all(folder.join(inside))?;
         }
-        let uploads = Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS)));
-        let (used, held) = (AtomicU64::new(0), Mutex::default());
-        let files = Self { folder, limits, used, held, uploads };
-        for inside in [INCOMING, INPUTS, RESULTS] {
-            for entry in fs::read_dir(files.folder.join(inside))? {
-                files.used.fetch_add(entry?.metadata()?.len(), Ordering::AcqRel);
+        let id = identified(&folder)?;
+        let files = Self::of(folder, id, limits)?;
+        let ages = if is_alone { [Duration::ZERO; 3] } else { AGES };
+        files.remove_unnamed(named, ages)?;
+        Ok(files)
+    }
+
+    /// The folder of a service that has this identity, for another process.
+    ///
+    /// # Errors
+    /// It is another one, or cannot be read.
+    pub(super) fn join(
+        folder: PathBuf,
+        limits: JobsConfiguration,
+        id: Option<&str>,
+    ) -> Result<Self, JobError> {
+        let read = fs::read_to_string(folder.join(FOLDER_ID)).ok();
+        match read.filter(|read| Some(read.as_str()) == id) {
+            None => Err(JobError::FolderDiffers { folder: folder.display().to_string() }),
+            Some(id) => {
+                Self::of(folder, id, limits).map_err(JobError::disk("reading the folder of jobs"))
             }
         }
-        files.remove_unnamed(named, Duration::ZERO)?;
+    }
+
+    fn of(folder: PathBuf, id: String, limits: JobsConfiguration) -> io::Result<Self> {
+        let uploads = Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS)));
+        let (used, held) = (AtomicU64::new(0), Mutex::default());
+        let files = Self { folder, id, limits, used, held, uploads };
+        files.count()?;
         Ok(files)
+    }
+
+    /// The identity of the folder.
+    pub(super) fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// Counts the bytes of all files. What is written meanwhile is counted at the next time.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub(super) fn count(&self) -> io::Result<()> {
+        let (before, mut bytes) = (self.used.load(Ordering::Acquire), 0);
+        for inside in FOLDERS {
+            for entry in fs::read_dir(self.folder.join(inside))? {
+                // Err: it is removed meanwhile.
+                bytes += entry?.metadata().map_or(0, |metadata| metadata.len());
+            }
+        }
+        let recounted = |used: u64| Some((used + bytes).saturating_sub(before));
+        self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, recounted).ok();
+        Ok(())
     }
 
     /// Begins an upload.
@@ -134,8 +189,50 @@ impl JobFiles {
         added.map(drop).map_err(|_| JobError::SpaceExhausted { limit })
     }
 
-    fn release(&self, bytes: u64) {
-        self.used.fetch_sub(bytes, Ordering::AcqRel);
+    /// The path of an upload of several requests.
+    pub(super) fn arriving(&self, id: &str) -> PathBuf {
+        self.folder.join(INCOMING).join(id)
+    }
+
+    /// Removes what has arrived of an upload of several requests.
+    pub(super) fn remove_arriving(&self, id: &str) {
+        let path = self.arriving(id);
+        let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+        // Err: nothing has arrived, or it is complete.
+        fs::remove_file(path).ok();
+        self.release(bytes);
+    }
+
+    /// A stored input that is kept while the value exists.
+    pub(super) fn hold(self: &Arc<Self>, hash: String, bytes: u64) -> StoredFile {
+        *self.held().entry(hash.clone()).or_default() += 1;
+        StoredFile { files: self.clone(), hash, bytes }
+    }
+
+    /// Stores a file under the hash of its content. Returns whether there was no equal one.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub(super) async fn store(
+        self: &Arc<Self>,
+        from: PathBuf,
+        hash: String,
+        bytes: u64,
+    ) -> Result<(StoredFile, bool), JobError> {
+        let stored = self.hold(hash, bytes);
+        let path = self.input(&stored.hash);
+        let is_new = !path.exists();
+        // Over an equal file, so that its age begins again.
+        let folder = self.folder.join(INPUTS);
+        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
+        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
+        renamed.map_err(JobError::disk("storing the file of an upload"))?;
+        Ok((stored, is_new))
+    }
+
+    pub(super) fn release(&self, bytes: u64) {
+        let released = |used: u64| Some(used.saturating_sub(bytes));
+        self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, released).ok();
     }
 
     /// Removes a result, and gives its `bytes` up.
@@ -145,25 +242,35 @@ impl JobFiles {
         self.release(bytes);
     }
 
-    /// Removes files that no job names once they are older than some minutes.
+    /// Removes what lost claims of a job have written before this one.
+    pub(super) fn remove_results_of_lost_claims(&self, job: &str, fence: i64) {
+        for lost in (fence - LOST_RESULTS).max(1)..fence {
+            let name = result_name(job, lost);
+            let bytes = fs::metadata(self.result(&name)).map_or(0, |metadata| metadata.len());
+            self.remove_result(&name, bytes);
+        }
+    }
+
+    /// Removes files that no job names once they are old.
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub(super) fn remove_old(&self, named: &HashSet<String>) -> io::Result<()> {
-        self.remove_unnamed(named, UNNAMED_FOR)
+    pub(super) fn remove_old(&self, named: &Named) -> io::Result<()> {
+        self.remove_unnamed(named, AGES)
     }
 
-    fn remove_unnamed(&self, named: &HashSet<String>, age: Duration) -> io::Result<()> {
-        let is_start = age.is_zero();
-        let folders = if is_start { &[INCOMING, INPUTS, RESULTS][..] } else { &[INPUTS, RESULTS] };
-        for inside in folders {
+    /// Removes files that no job names and that are as old, by folder.
+    fn remove_unnamed(&self, named: &Named, ages: [Duration; 3]) -> io::Result<()> {
+        for (inside, age) in FOLDERS.into_iter().zip(ages) {
             for entry in fs::read_dir(self.folder.join(inside))? {
                 let entry = entry?;
                 let name = entry.file_name().to_string_lossy().into_owned();
-                let metadata = entry.metadata()?;
-                let is_old = metadata.modified()?.elapsed().is_ok_and(|since| age <= since);
+                // Err: another process has removed it.
+                let Ok(metadata) = entry.metadata() else { continue };
+                let is_old =
+                    age.is_zero() || metadata.modified()?.elapsed().is_ok_and(|since| age <= since);
                 let held = self.held();
-                if !named.contains(&name) && !held.contains_key(&name) && (is_old || is_start) {
+                if is_old && !named.has(&name) && !held.contains_key(&name) {
                     fs::remove_file(entry.path())?;
                     self.release(metadata.len());
                 }
@@ -183,12 +290,21 @@ impl Upload {
     /// # Errors
     /// The upload has as many as allowed, or the disk fails.
     pub async fn begin(&mut self) -> Result<ArrivingFile, JobError> {
+        self.count()?;
+        self.begin_again().await
+    }
+
+    /// Counts a file.
+    ///
+    /// # Errors
+    /// The upload has as many as allowed.
+    pub fn count(&mut self) -> Result<(), JobError> {
         let limit = self.files.limits.files;
         if limit <= self.begun {
             return Err(JobError::TooManyFiles { limit });
         }
         self.begun += 1;
-        self.begin_again().await
+        Ok(())
     }
 
     /// Begins a file that is not counted: another try of one that is.
@@ -235,21 +351,26 @@ impl ArrivingFile {
         self.file.flush().await.map_err(failed("writing the file of an upload"))?;
         self.file.sync_all().await.map_err(failed("writing the file of an upload"))?;
         let hash = self.hasher.finalize().to_hex().to_string();
-        let (files, bytes) = (self.files.clone(), self.leftover.bytes);
-        *files.held().entry(hash.clone()).or_default() += 1;
-        let stored = StoredFile { files: files.clone(), hash, bytes };
-        let path = files.input(&stored.hash);
-        let is_new = !path.exists();
-        // Over an equal file, so that its age begins again.
-        let (from, folder) = (self.leftover.path.clone(), files.folder.join(INPUTS));
-        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
-        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
-        renamed.map_err(failed("storing the file of an upload"))?;
+        let (path, bytes) = (self.leftover.path.clone(), self.leftover.bytes);
+        let (stored, is_new) = self.files.store(path, hash, bytes).await?;
         if is_new {
             self.leftover.bytes = 0; // It stays.
         }
         Ok(stored)
     }
+}
+
+/// The identity of a folder, which it gets if it has none.
+fn identified(folder: &Path) -> io::Result<String> {
+    let path = folder.join(FOLDER_ID);
+    if !path.exists() {
+        let begun = folder.join(format!("{FOLDER_ID}.{}", Uuid::new_v4().simple()));
+        fs::write(&begun, Uuid::new_v4().simple().to_string())?;
+        // Err: another process was first.
+        fs::hard_link(&begun, &path).ok();
+        fs::remove_file(&begun)?;
+    }
+    fs::read_to_string(path)
 }
 
 /// Makes a folder's entries durable.
@@ -289,7 +410,7 @@ mod tests {
             uploads: 1,
             ..JobsConfiguration::standard()
         };
-        Arc::new(JobFiles::open(folder.to_owned(), limits, &HashSet::new()).unwrap())
+        Arc::new(JobFiles::open(folder.to_owned(), limits, &Named::default(), true).unwrap())
     }
 
     async fn stored(upload: &mut Upload, bytes: &[u8]) -> Result<StoredFile, JobError> {
@@ -324,6 +445,40 @@ mod tests {
         assert_eq!(files.used.load(Ordering::Acquire), 150);
     }
 
+    /// What the last claim of a job writes stays, also if another process claims it meanwhile.
+    #[test]
+    fn results_that_are_written_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = files(folder.path(), 1000);
+        let names = ["job_a.1", "job_a.2", "job_a.3", "job_b.7", "job_c.1"];
+        names.iter().for_each(|name| fs::write(files.result(name), b"result").unwrap());
+        files.count().unwrap();
+        assert_eq!(files.used.load(Ordering::Acquire), 30);
+        let named = Named::of(["job_c.1".to_owned()], [("job_a".to_owned(), 2)]);
+        files.remove_unnamed(&named, [Duration::from_nanos(1); 3]).unwrap();
+        let stays = |name: &&str| files.result(name).exists();
+        let kept: Vec<_> = names.into_iter().filter(stays).collect();
+        assert_eq!(kept, ["job_a.2", "job_a.3", "job_c.1"]);
+        files.remove_results_of_lost_claims("job_a", 3);
+        assert!(!files.result("job_a.2").exists() && files.result("job_a.3").exists());
+        assert_eq!(files.used.load(Ordering::Acquire), 12);
+    }
+
+    #[test]
+    fn a_process_joins_the_folder_of_its_service_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let id = files(folder.path(), 1000).id().to_owned();
+        assert_eq!(files(folder.path(), 1000).id(), id);
+        let join = |id: Option<&str>| {
+            let limits = JobsConfiguration::standard();
+            JobFiles::join(folder.path().to_owned(), limits, id).map(drop)
+        };
+        assert!(join(Some(&id)).is_ok());
+        for other in [None, Some("another")] {
+            assert!(matches!(join(other), Err(JobError::FolderDiffers { .. })));
+        }
+    }
+
     #[tokio::test]
     async fn a_file_stays_while_it_is_held_or_named() {
         let folder = tempfile::tempdir().unwrap();
@@ -332,14 +487,15 @@ mod tests {
         let held = stored(&mut upload, b"held").await.unwrap();
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
-        let names = HashSet::from([named.clone()]);
-        files.remove_unnamed(&names, Duration::from_nanos(1)).unwrap();
+        let names = Named::of([named.clone()], []);
+        let young = [Duration::from_nanos(1); 3];
+        files.remove_unnamed(&names, young).unwrap();
         assert_eq!(count(folder.path()), 2);
         drop(held);
         // Young files stay: their job may be about to be stored.
-        files.remove_old(&HashSet::new()).unwrap();
+        files.remove_old(&Named::default()).unwrap();
         assert_eq!(count(folder.path()), 2);
-        files.remove_unnamed(&names, Duration::from_nanos(1)).unwrap();
+        files.remove_unnamed(&names, young).unwrap();
         assert_eq!(count(folder.path()), 1);
         assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
         assert_eq!(files.used.load(Ordering::Acquire), 5);

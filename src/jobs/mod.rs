@@ -4,10 +4,11 @@
 //! A job is computed by `recording`, as `graphfix solve` computes files, and gives the same bytes.
 //! A session can stand in place of the rover's file; its epochs are computed by `session`, as in a
 //! replay. The queue is in the store; this desk has its files, and a task for each job that may run
-//! at the same time.
+//! at the same time. Workers, processes of their own, may run jobs, too.
 //!
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
+//! - **Uploads of several requests** go on after a break, by the bytes that are stored.
 //! - **URLs** in place of files are fetched to such files before their job can run.
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
 //!   pool, in the lane of the lowest share, so that live sessions come first.
@@ -15,7 +16,8 @@
 //!   claimed by another, ends nothing: its result is removed.
 //! - **A webhook** is told of the end of its job, with a signature, until its host takes the
 //!   message or as many attempts as allowed have failed.
-//! - **After a restart** jobs that ran are queued again and computed from the beginning.
+//! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
+//!   are computed again from the beginning.
 
 mod deliveries;
 mod desk;
@@ -24,15 +26,17 @@ mod fetching;
 mod files;
 mod info;
 mod message;
+mod named;
 mod queue;
 mod report;
 mod request;
 mod run;
 mod sources;
 mod state;
-mod turns;
+mod uploads;
 mod watched;
 mod webhook;
+mod worker;
 
 pub use deliveries::Deliveries;
 pub use desk::{Jobs, Submission, UploadedFile};
@@ -44,4 +48,6 @@ pub use report::{Failure, Report};
 pub use request::{
     BaseOrigin, JobInput, JobOptions, JobRequest, Part, SessionInput, SessionSource,
 };
+pub use uploads::{Appending, UploadId, UploadInfo};
 pub use webhook::{Webhook, WebhookSecret};
+pub use worker::Worker;

@@ -1,5 +1,5 @@
-//! The tasks of the queue: each claims a job, runs it, writes its heartbeat, and ends it; one more
-//! removes what has expired.
+//! The tasks of the queue: each claims a job, runs it, writes its heartbeat, and ends it; others
+//! remove what has expired, and count the files.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,35 +9,36 @@ use tokio::task::spawn_blocking;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use crate::refusal::Code;
-use crate::store::{JobEnd, JobKey, JobRow, StoreError};
-use crate::tenant::Tenant;
+use crate::session::SessionError;
+use crate::store::{JobClaim, JobEnd, JobRow};
 
 use super::JobError;
 use super::info::JobInfo;
+use super::named::{Named, result_name};
 use super::report::Failure;
 use super::run::{Done, Ended, Run, failed};
-use super::state::{Desk, Running, named_files};
+use super::state::{Desk, Running};
 
 /// Interval at which the queue is asked for jobs of which no one told.
-const ASK: Duration = Duration::from_secs(5);
-/// Interval of heartbeats, and time without one after which a job may be claimed by another.
+const ASK: Duration = Duration::from_secs(1);
+/// Interval of heartbeats.
 const BEAT: Duration = Duration::from_secs(1);
-const SILENT: Duration = Duration::from_secs(60);
+/// Claims of a job that are lost before it fails: it may be what ends the processes.
+const LOST_CLAIMS: u64 = 5;
+/// Interval at which the files of the folder are counted again: others write there, too.
+const COUNT: Duration = Duration::from_secs(30);
 /// Delay after a failure of the database.
 const RETRY: Duration = Duration::from_secs(1);
 /// Interval at which expired jobs are removed.
 const EXPIRY: Duration = Duration::from_secs(600);
 const MS_PER_HOUR: i64 = 3_600_000;
 
-/// Runs jobs one after another until the service stops.
+/// Runs jobs one after another until the process stops.
 pub(super) async fn work(desk: Arc<Desk>) {
+    let silent = Duration::from_secs(desk.limits.silent_s);
     while !desk.is_stopping() {
-        match claimed(&desk).await {
-            Ok(Some(row)) => {
-                let tenant = row.tenant.clone();
-                run(&desk, row).await;
-                desk.turns.lock().await.end(&tenant);
-            }
+        match desk.store.claim_job(&desk.node, silent).await {
+            Ok(Some(row)) => run(&desk, row).await,
             Ok(None) => wait(&desk, ASK).await,
             Err(error) => {
                 tracing::warn!(%error, "no job can be claimed");
@@ -45,21 +46,6 @@ pub(super) async fn work(desk: Arc<Desk>) {
             }
         }
     }
-}
-
-/// Claims the oldest job of the tenant that comes next.
-async fn claimed(desk: &Desk) -> Result<Option<JobRow>, StoreError> {
-    let mut turns = desk.turns.lock().await;
-    let now = desk.clock.unix_ms();
-    let silent = now - SILENT.as_millis() as i64;
-    let waiting = desk.store.tenants_with_jobs(silent).await?;
-    let used_s = |tenant: &Tenant| desk.lane.used_s(tenant);
-    let Some(tenant) = turns.next(&waiting, used_s) else { return Ok(None) };
-    let claimed = desk.store.claim_job(&tenant, &desk.node, now, silent).await;
-    if !matches!(claimed, Ok(Some(_))) {
-        turns.end(&tenant);
-    }
-    claimed
 }
 
 /// Waits for a new job, for the end of the service, or for `longest`.
@@ -75,13 +61,19 @@ async fn wait(desk: &Desk, longest: Duration) {
 
 /// Runs a claimed job and ends it.
 async fn run(desk: &Arc<Desk>, row: JobRow) {
-    let (key, id, fence) = (row.key, row.id.clone(), row.fence);
+    let (id, claim, lost_claims) = (row.id.clone(), row.claim(), row.lost_claims);
     let running = desk.begin(&id);
     desk.changed();
-    let name = format!("{id}.{fence}");
-    let ended = match prepared(desk, row, &running, name.clone()) {
-        Ok(run) => computed(desk, run, &running, (key, fence)).await,
-        Err(failure) => Err(Ended::Failed(failure)),
+    let name = result_name(&id, claim.fence);
+    if let Ok(files) = desk.files() {
+        files.remove_results_of_lost_claims(&id, claim.fence);
+    }
+    let ended = match lost_claims {
+        LOST_CLAIMS.. => Err(Ended::Failed(Failure::of_lost_claims(lost_claims))),
+        _ => match prepared(desk, row, &running, name.clone()).await {
+            Ok(run) => computed(desk, run, &running, claim).await,
+            Err(failure) => Err(Ended::Failed(failure)),
+        },
     };
     let (end, bytes) = match ended {
         Ok(Done { bytes, report }) => {
@@ -92,21 +84,15 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
             let failure = serde_json::to_string(&failure).expect("texts are JSON");
             (JobEnd::Failed { failure }, None)
         }
-        Err(Ended::Stopped) => return desk.end(&id),
-    };
-    let is_ended = loop {
-        let (progress, now) = (running.progress(), desk.clock.unix_ms());
-        match desk.store.end_job(key, fence, &end, progress, now).await {
-            Ok(is_ended) => break Some(is_ended),
-            Err(_) if desk.is_stopping() => break None,
-            Err(error) => {
-                tracing::warn!(%error, job = %id, "the end of a job is not stored yet");
-                wait(desk, RETRY).await;
-            }
+        Err(Ended::Stopped) => {
+            // A claim that has ended cannot be returned. Err: it is lost by its silence.
+            desk.store.return_job(claim).await.ok();
+            return desk.end(&id);
         }
     };
-    // Whoever has ended the job before does not name this file. If nobody knows, it stays until the
-    // next start.
+    let is_ended = end_claim(desk, (&id, claim), &end, &running).await;
+    // Whoever has ended the job before does not name this file. If nobody knows, it is removed once
+    // it is old.
     if let (Some(false), Some(bytes), Ok(files)) = (is_ended, bytes, desk.files()) {
         files.remove_result(&name, bytes);
     }
@@ -114,8 +100,35 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     desk.changed();
 }
 
+/// Ends a claim, as soon as the database does. Returns whether it had not ended before; `None` if
+/// nobody knows, because the process stops.
+async fn end_claim(
+    desk: &Desk,
+    (id, claim): (&str, JobClaim),
+    end: &JobEnd,
+    running: &Running,
+) -> Option<bool> {
+    let store = &desk.store;
+    loop {
+        let ending = async {
+            match store.beat_job(claim, running.progress(), running.cpu()).await? {
+                true => store.end_job(claim, end, desk.clock.unix_ms()).await,
+                false => Ok(false),
+            }
+        };
+        match ending.await {
+            Ok(is_ended) => return Some(is_ended),
+            Err(_) if desk.is_stopping() => return None,
+            Err(error) => {
+                tracing::warn!(%error, job = %id, "the end of a job is not stored yet");
+                wait(desk, RETRY).await;
+            }
+        }
+    }
+}
+
 /// The run of a claimed job.
-fn prepared(
+async fn prepared(
     desk: &Arc<Desk>,
     row: JobRow,
     running: &Arc<Running>,
@@ -123,11 +136,18 @@ fn prepared(
 ) -> Result<Run, Failure> {
     let tenant = row.tenant.clone();
     let request = JobInfo::of(row).map_err(|error| failed(&error.into()))?.request;
+    let stored = match &request.options.session {
+        None => None,
+        Some(_) => {
+            let aiding = desk.aiding().await.map_err(SessionError::from);
+            Some((desk.store.clone(), aiding.map_err(|error| Failure::of_session(&error))?))
+        }
+    };
     Ok(Run {
         plan: desk.plan(&request).map_err(|error| failed(&error))?,
         request,
         files: desk.files().map_err(|error| failed(&error))?.clone(),
-        stored: (desk.store.clone(), desk.aiding.clone()),
+        stored,
         lane: desk.lane.clone(),
         geoid: desk.geoid.clone(),
         tenant,
@@ -143,7 +163,7 @@ async fn computed(
     desk: &Desk,
     run: Run,
     running: &Running,
-    (key, fence): (JobKey, i64),
+    claim: JobClaim,
 ) -> Result<Done, Ended> {
     let runtime = Handle::current();
     let mut computing = spawn_blocking(move || run.compute(&runtime));
@@ -156,8 +176,7 @@ async fn computed(
                 Err(Failure::new(Code::EstimatorFailed, message, None).into())
             }),
             _ = beat.tick() => {
-                let (progress, now) = (running.progress(), desk.clock.unix_ms());
-                match desk.store.beat_job(key, fence, progress, now).await {
+                match desk.store.beat_job(claim, running.progress(), running.cpu()).await {
                     Ok(true) => desk.changed(),
                     Ok(false) => running.stop(),
                     Err(_) => {} // A later beat tells.
@@ -178,6 +197,19 @@ pub(super) async fn expire(desk: Arc<Desk>) {
     }
 }
 
+/// Counts the files of the folder again and again until the process stops.
+pub(super) async fn count(desk: Arc<Desk>) {
+    let mut stopping = desk.stopping.subscribe();
+    // Err: the time has passed, and the process is not stopping.
+    while timeout(COUNT, stopping.wait_for(|stopping| *stopping)).await.is_err() {
+        let Some(files) = desk.files.clone() else { return };
+        let counted = spawn_blocking(move || files.count()).await;
+        if let Ok(Err(error)) = counted {
+            tracing::warn!(%error, "the files of jobs cannot be counted");
+        }
+    }
+}
+
 /// Removes jobs that ended longer ago than they are kept, and files without a job.
 ///
 /// # Errors
@@ -185,8 +217,9 @@ pub(super) async fn expire(desk: Arc<Desk>) {
 pub(super) async fn remove_expired(desk: &Desk) -> Result<(), JobError> {
     let kept = i64::from(desk.limits.keep_hours) * MS_PER_HOUR;
     desk.store.delete_jobs(desk.clock.unix_ms() - kept).await?;
+    desk.store.delete_expired_uploads(desk.clock.unix_ms()).await?;
     let Some(files) = desk.files.clone() else { return Ok(()) };
-    let named = named_files(&desk.store).await?;
+    let named = Named::read(&desk.store).await?;
     let removed = spawn_blocking(move || files.remove_old(&named)).await;
     let removed = removed.unwrap_or_else(|error| Err(std::io::Error::other(error)));
     removed.map_err(JobError::disk("removing files of expired jobs"))

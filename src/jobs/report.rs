@@ -119,6 +119,12 @@ impl Failure {
         }
     }
 
+    /// The failure of a job whose claims were lost.
+    pub(super) fn of_lost_claims(count: u64) -> Self {
+        let message = format!("{count} processes that ran the job have ended or were frozen");
+        Self::new(Code::JobLost, message, None)
+    }
+
     /// The failure of a session with more epochs than are answered at once.
     pub(super) fn of_long_batch(limit: u64) -> Self {
         let message = format!("a batch has at most {limit} epochs of a session, this one has more");

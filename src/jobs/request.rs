@@ -322,6 +322,9 @@ impl JobOptions {
             let names = TrackFormat::names();
             wrong("options.format", format!("{:?} is not a format; known are {names}", self.format))
         })?;
+        if !format.is_built() {
+            return Err(JobError::FormatNotBuilt { message: format.not_built() });
+        }
         let base_position = match self.base_position {
             BaseOrigin::Any => None,
             BaseOrigin::FromHeader => Some(BasePosition::FromHeader),

@@ -9,6 +9,7 @@ use tokio::runtime::Handle;
 use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
+use crate::clock::Stopwatch;
 use crate::gnss::{Geoid, LeapSeconds};
 use crate::recording::{Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of};
 use crate::refusal::Code;
@@ -34,8 +35,9 @@ pub(super) struct Run {
     pub(super) request: JobRequest,
     pub(super) plan: Plan,
     pub(super) files: Arc<JobFiles>,
-    /// What is stored of sessions, and what they were answered with.
-    pub(super) stored: (Store, AidingDesk),
+    /// What is stored of sessions, and what they were answered with; `None` if the job has no
+    /// session.
+    pub(super) stored: Option<(Store, AidingDesk)>,
     pub(super) lane: BatchLane,
     pub(super) tenant: Tenant,
     pub(super) running: Arc<Running>,
@@ -82,7 +84,7 @@ impl Run {
     }
 
     fn solve(&self, runtime: &Handle, space: &mut Space<'_>) -> Result<Done, Ended> {
-        let began = Instant::now();
+        let (began, used) = (Instant::now(), Stopwatch::started());
         let watched = Watched::default();
         let of = |part: Part| self.request.inputs.iter().find(move |input| input.part == part);
         let base = of(Part::Base).map(|file| self.input(&watched, file, "base"));
@@ -95,7 +97,7 @@ impl Run {
                 source.follow(base, &self.plan)?;
                 drop(turn);
             }
-            return self.written(source, (runtime, began), space);
+            return self.written(source, (runtime, began, &used), space);
         }
         let inputs = self.recording(&watched, base);
         let Plan { options, answer, .. } = &self.plan;
@@ -105,14 +107,15 @@ impl Run {
         drop(turn);
         let own = self.request.inputs.iter().filter(|input| input.is_own);
         let added = own.map(|input| format!("{}: {}", input.part.name(), input.name)).collect();
-        self.written(Files::new(solutions, watched, added), (runtime, began), space)
+        let source = Files::new(solutions, watched, added);
+        self.written(source, (runtime, began, &used), space)
     }
 
     /// Positions all epochs and writes the result.
     fn written(
         &self,
         mut source: impl Source,
-        (runtime, began): (&Handle, Instant),
+        (runtime, began, used): (&Handle, Instant, &Stopwatch),
         space: &mut Space<'_>,
     ) -> Result<Done, Ended> {
         let mut writer = self.writer(source.leap_seconds())?;
@@ -121,6 +124,7 @@ impl Run {
             let turn = self.turn(runtime, began)?;
             let advanced = quantum(&mut source, &mut writer, &mut tally);
             drop(turn);
+            self.running.set_cpu(used.elapsed());
             advanced?;
             space.grow_to(writer.bytes())?;
             let (epochs, answered, read_bytes) = (tally.epochs, tally.answered, source.passed());
@@ -145,7 +149,8 @@ impl Run {
     ) -> Result<SessionEpochs<'a>, Failure> {
         let session = self.request.session.as_ref().expect("it was planned with the job");
         let plan = session.plan().map_err(|error| failed(&error))?;
-        let opened = Rerun::open(request, plan, self.stored.clone(), &self.tenant, &id);
+        let stored = self.stored.clone().expect("it was read, because the job has a session");
+        let opened = Rerun::open(request, plan, stored, &self.tenant, &id);
         let rerun = runtime.block_on(opened).map_err(|error| Failure::of_session(&error))?;
         let mode = self.plan.options.mode;
         Ok(SessionEpochs::new(rerun, (id, request), session, mode, watched))

@@ -1,13 +1,14 @@
 //! What the desk and the tasks of its queue share.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::sync::{Notify, watch};
 
-use crate::aiding::AidingDesk;
+use crate::aiding::{AidingDesk, AidingError, AidingLimits};
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
@@ -17,13 +18,12 @@ use crate::store::{JobProgress, Store};
 
 use super::files::JobFiles;
 use super::request::{JobRequest, Plan};
-use super::turns::TenantTurns;
 use super::{JobError, JobId};
 
 /// The desk.
 pub(super) struct Desk {
     pub(super) store: Store,
-    pub(super) aiding: AidingDesk,
+    aiding: Aiding,
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
@@ -42,15 +42,22 @@ pub(super) struct Desk {
     pub(super) changes: watch::Sender<u64>,
     /// Whether the service is stopping.
     pub(super) stopping: watch::Sender<bool>,
-    /// Whose job comes next. Locked while one is claimed.
-    pub(super) turns: tokio::sync::Mutex<TenantTurns>,
     runs: Mutex<HashMap<String, Arc<Running>>>,
+}
+
+/// Where a run finds what is stored of bases and ephemerides.
+pub(super) enum Aiding {
+    /// In the service's desk, which has it in memory.
+    Service(Box<AidingDesk>),
+    /// In the store, which is read for the run: others change it.
+    Worker(AidingLimits),
 }
 
 /// A run as others see it.
 #[derive(Default)]
 pub(super) struct Running {
     stop: AtomicBool,
+    cpu_us: AtomicU64,
     epochs: AtomicU64,
     answered: AtomicU64,
     read_bytes: AtomicU64,
@@ -58,7 +65,7 @@ pub(super) struct Running {
 
 impl Desk {
     pub(super) fn new(
-        (store, aiding): (Store, AidingDesk),
+        (store, aiding): (Store, Aiding),
         (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         files: Option<Arc<JobFiles>>,
@@ -78,7 +85,6 @@ impl Desk {
             unfetched: Notify::new(),
             changes: watch::Sender::new(0),
             stopping: watch::Sender::new(false),
-            turns: tokio::sync::Mutex::default(),
             runs: Mutex::default(),
         }
     }
@@ -86,6 +92,17 @@ impl Desk {
     /// The desk with a table of the geoid.
     pub(super) fn with_geoid(self, geoid: Option<Arc<Geoid>>) -> Self {
         Self { geoid, ..self }
+    }
+
+    /// What is stored of bases and ephemerides.
+    ///
+    /// # Errors
+    /// The store fails, or a row is corrupt.
+    pub(super) async fn aiding(&self) -> Result<AidingDesk, AidingError> {
+        match &self.aiding {
+            Aiding::Service(desk) => Ok(AidingDesk::clone(desk)),
+            Aiding::Worker(limits) => AidingDesk::open(self.store.clone(), limits.clone()).await,
+        }
     }
 
     /// The folder of jobs.
@@ -173,6 +190,16 @@ impl Running {
         self.read_bytes.store(progress.read_bytes, Ordering::Release);
     }
 
+    /// Sets the processor time that the run has used.
+    pub(super) fn set_cpu(&self, cpu: Duration) {
+        self.cpu_us.store(cpu.as_micros() as u64, Ordering::Release);
+    }
+
+    /// The processor time that the run has used.
+    pub(super) fn cpu(&self) -> Duration {
+        Duration::from_micros(self.cpu_us.load(Ordering::Acquire))
+    }
+
     pub(super) fn progress(&self) -> JobProgress {
         JobProgress {
             epochs: self.epochs.load(Ordering::Acquire),
@@ -180,21 +207,6 @@ impl Running {
             read_bytes: self.read_bytes.load(Ordering::Acquire),
         }
     }
-}
-
-/// The names of all files of jobs.
-///
-/// # Errors
-/// The store fails.
-pub(super) async fn named_files(store: &Store) -> Result<HashSet<String>, JobError> {
-    let mut named = HashSet::new();
-    for (request, result) in store.job_files().await? {
-        named.extend(result);
-        // A request that cannot be read is reported where its job is.
-        let request: Option<JobRequest> = serde_json::from_str(&request).ok();
-        named.extend(request.into_iter().flat_map(|request| request.inputs).map(|i| i.hash));
-    }
-    Ok(named)
 }
 
 /// The folder beside a SQLite database.

@@ -33,8 +33,6 @@ struct Inner {
     quotas: Quotas,
     epochs: Window,
     cpu_s: Window,
-    /// Time of solvers that batch jobs have used since the start (s).
-    batch_s: f64,
 }
 
 /// What a tenant has used recently.
@@ -52,7 +50,7 @@ impl Meter {
         Self {
             tenant,
             begun: Instant::now(),
-            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s, batch_s: 0.0 }),
+            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s }),
             stored_bytes: AtomicU64::new(0),
             creating: tokio::sync::Mutex::new(()),
         }
@@ -142,17 +140,6 @@ impl Meter {
     pub fn count_cpu(&self, time: Duration) {
         let (mut inner, now_s) = (self.lock(), self.now_s());
         inner.cpu_s.add(time.as_secs_f64(), now_s);
-    }
-
-    /// Counts time of solvers of batch jobs.
-    pub fn count_batch(&self, time: Duration) {
-        self.count_cpu(time);
-        self.lock().batch_s += time.as_secs_f64();
-    }
-
-    /// Time of solvers that batch jobs have used since the start (s).
-    pub fn batch_s(&self) -> f64 {
-        self.lock().batch_s
     }
 
     fn now_s(&self) -> f64 {

@@ -78,8 +78,8 @@ pub use heads::SessionHead;
 pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
 pub use history::{FleetHour, HistoryFilter, SessionSummary};
 pub use jobs::{
-    DeliveryAttempt, DeliveryEnd, DueWebhook, JobEnd, JobKey, JobProgress, JobRow, JobState,
-    NewJob, WebhookState,
+    DeliveryAttempt, DeliveryEnd, DueWebhook, JobClaim, JobEnd, JobFilesRow, JobKey, JobProgress,
+    JobRow, JobState, JobUploadRow, NewJob, WebhookState,
 };
 pub use keys::{KeyRow, NewKeyRow};
 pub(crate) use named_requests::Created;
@@ -218,6 +218,17 @@ impl Store {
             }
             Self::open_alone(url, node).await?.close().await;
         }
+        Ok(Self::without_committer(&database))
+    }
+
+    /// Opens the database of `url`, which a service has made, to write what belongs to the caller
+    /// alone, such as claimed jobs. Commits fail with [`StoreError::Closed`].
+    ///
+    /// # Errors
+    /// The URL is invalid, the database cannot be reached, or it has another schema.
+    pub async fn open_existing(url: &str) -> Result<Self, StoreError> {
+        let database = Database::parse(url)?;
+        database.check_schema().await?;
         Ok(Self::without_committer(&database))
     }
 

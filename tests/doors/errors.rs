@@ -107,6 +107,14 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::JobNotEnded, "tests/doors/jobs.rs"),
     (Code::JobWithoutResult, "tests/doors/jobs.rs"),
     (Code::JobTooLong, "tests/doors/jobs.rs"),
+    (Code::UploadNotFound, "tests/doors/uploads.rs"),
+    (Code::UploadBusy, "tests/doors/uploads.rs"),
+    (Code::UploadOffsetDiffers, "tests/doors/uploads.rs"),
+    (Code::UploadIncomplete, "tests/doors/uploads.rs"),
+    (Code::UploadProtocolUnknown, "tests/doors/uploads.rs"),
+    (Code::JobLost, "tests/faults/workers.rs"),
+    (Code::WorkerNeedsPostgres, "tests/faults/workers.rs"),
+    (Code::JobFolderDiffers, "tests/faults/workers.rs"),
     (Code::ListenNotEncrypted, "tests/doors/tls.rs"),
     (Code::TlsFileInvalid, "tests/doors/tls.rs"),
     (Code::TlsKeyMismatch, "tests/doors/tls.rs"),
@@ -126,6 +134,7 @@ const REACHED_BY: &[(Code, &str)] = &[
 const UNREACHED: &[(Code, &str)] = &[
     (Code::JobFilesFailed, "the disk of the folder of jobs does not fail on request"),
     (Code::Interrupted, "a session's task ends early only if it panics outside the solver pool"),
+    (Code::MemoryNotLimited, "the superuser, as whom tests may run, can raise any limit"),
     (Code::NoThreads, "threads do not run out on request"),
     (Code::NoReferenceTime, "a stream without its week or day in any message is not at hand"),
 ];

@@ -25,7 +25,12 @@ use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
 use crate::support::jobs::{BOUNDARY, LONG, MINUTE, body};
 
-on_both_databases!(a_queue_gives_each_job_once, a_request_that_is_repeated_is_one_job);
+on_both_databases!(
+    a_queue_gives_each_job_once,
+    a_request_that_is_repeated_is_one_job,
+    a_tenant_that_comes_shares_from_then_on,
+    tenants_have_the_same_time,
+);
 
 /// Longer than the interval at which a run stores its progress.
 const HEARTBEAT: Duration = Duration::from_millis(1100);
@@ -541,40 +546,133 @@ async fn a_queue_gives_each_job_once(database: Database) {
     for id in ["one", "two", "three"] {
         assert!(store.create_job(&new_job(id, None)).await.unwrap().1);
     }
-    let claim = async |now| store.claim_job(&tenant, "node", now, now - 100).await.unwrap();
-    let (a, b) = tokio::join!(claim(1000), claim(1000));
+    const LONG: Duration = Duration::from_secs(3600);
+    let claim = async |silent| store.claim_job("node", silent).await.unwrap();
+    let (a, b) = tokio::join!(claim(LONG), claim(LONG));
     let (first, second) = (a.unwrap(), b.unwrap());
     assert_ne!(first.id, second.id);
-    let third = claim(1000).await.unwrap();
-    assert!(claim(1000).await.is_none());
+    let third = claim(LONG).await.unwrap();
+    assert!(claim(LONG).await.is_none());
     let progress = JobProgress { epochs: 7, answered: 5, read_bytes: 11 };
-    assert!(store.beat_job(first.key, first.fence, progress, 1150).await.unwrap());
+    let beat = async |claim| store.beat_job(claim, progress, Duration::ZERO).await.unwrap();
+    assert!(beat(first.claim()).await);
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().progress, progress);
     assert_eq!(store.waiting_jobs().await.unwrap(), 3);
 
     // The second and the third are silent; the first has a younger heartbeat.
-    let again = [claim(1200).await.unwrap(), claim(1200).await.unwrap()];
-    assert!(claim(1200).await.is_none());
-    assert_eq!(again.each_ref().map(|row| row.fence), [2, 2]);
-    assert!(!store.beat_job(second.key, second.fence, progress, 1200).await.unwrap());
+    let silent = "UPDATE jobs SET heartbeat_unix_ms = heartbeat_unix_ms - 7200000 WHERE fence = 1";
+    database.execute(&format!("{silent} AND id <> '{}'", first.id)).await;
+    let again = [claim(LONG).await.unwrap(), claim(LONG).await.unwrap()];
+    assert!(claim(LONG).await.is_none());
+    assert_eq!(again.each_ref().map(|row| (row.fence, row.lost_claims)), [(2, 1); 2]);
+    assert!(!beat(second.claim()).await);
     let succeeded = JobEnd::Succeeded { result: "r".to_owned(), bytes: 3, report: "{}".to_owned() };
     for (row, is_ended) in [(&third, false), (&again[1], true), (&again[1], false)] {
-        let ended = store.end_job(row.key, row.fence, &succeeded, progress, 1300).await.unwrap();
+        let ended = store.end_job(row.claim(), &succeeded, 1300).await.unwrap();
         assert_eq!(ended, is_ended, "{row:?}");
     }
     // A cancelled job takes no end.
     assert!(store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
     assert!(!store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
-    assert!(!store.end_job(first.key, first.fence, &succeeded, progress, 1300).await.unwrap());
+    assert!(!store.end_job(first.claim(), &succeeded, 1300).await.unwrap());
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().state, JobState::Cancelled);
-    assert_eq!(store.requeue_jobs().await.unwrap(), 1);
+    // One that is returned waits again, and is not lost.
+    assert!(store.return_job(again[0].claim()).await.unwrap());
+    assert!(!store.return_job(again[0].claim()).await.unwrap());
+    let returned = claim(LONG).await.unwrap();
+    assert_eq!((returned.id == again[0].id, returned.fence, returned.lost_claims), (true, 4, 1));
+    // Only where nobody else runs jobs, a start makes an end of claims.
+    let is_alone = database.url.starts_with("sqlite");
+    assert_eq!(store.requeue_jobs().await.unwrap(), u64::from(is_alone));
     let page = store.jobs(&tenant, (None, false), 2, None).await.unwrap();
     assert_eq!(page.items.len(), 2);
     let rest =
         store.jobs(&tenant, (None, false), 2, page.next_page_token.as_deref()).await.unwrap();
     assert_eq!((rest.items.len(), rest.next_page_token), (1, None));
     assert_eq!(store.delete_jobs(1301).await.unwrap(), 2);
-    assert_eq!(store.job_files().await.unwrap(), [("{}".to_owned(), None)]);
+    let files = store.job_files().await.unwrap();
+    let names: Vec<_> =
+        files.iter().map(|row| (&*row.request, &row.result, row.is_ended)).collect();
+    assert_eq!(names, [("{}", &None, false)]);
+    store.close().await;
+}
+
+/// Queues jobs of tenants, of which each run takes so long, and lets one after another run until a
+/// tenant has none that waits. Returns the tenants of the jobs in the order of their runs.
+async fn runs(store: &Store, jobs: &[(&str, usize, u64)]) -> Vec<(String, u64)> {
+    for (tenant, count, _) in jobs {
+        for number in 0..*count {
+            let tenant = Tenant::parse(tenant).unwrap();
+            let id = format!("{}-{number}", tenant.name());
+            store.create_job(&NewJob { tenant, ..new_job(&id, None) }).await.unwrap();
+        }
+    }
+    let (mut left, mut runs) = (jobs.to_vec(), Vec::new());
+    while left.iter().all(|(_, count, _)| 0 < *count) {
+        let row = store.claim_job("node", Duration::from_secs(3600)).await.unwrap().unwrap();
+        let of = left.iter_mut().find(|(name, ..)| *name == row.tenant.name()).unwrap();
+        of.1 -= 1;
+        for second in 1..=of.2 {
+            let used = Duration::from_secs(second);
+            assert!(store.beat_job(row.claim(), JobProgress::default(), used).await.unwrap());
+        }
+        let failed = JobEnd::Failed { failure: "{}".to_owned() };
+        assert!(store.end_job(row.claim(), &failed, 0).await.unwrap());
+        runs.push((of.0.to_owned(), of.2));
+    }
+    runs
+}
+
+/// Each of two tenants has half of the time, whatever the length and number of its jobs.
+async fn tenants_have_the_same_time(database: Database) {
+    let store = database.store().await;
+    let runs = runs(&store, &[("a", 16, 5), ("b", 80, 1)]).await;
+    // From the first minute on.
+    let mut all = [0, 0];
+    for (tenant, seconds) in &runs {
+        all[usize::from(tenant == "b")] += seconds;
+        let sum = (all[0] + all[1]) as f64;
+        if 60.0 <= sum {
+            let part = all[0] as f64 / sum;
+            assert!((0.45..=0.55).contains(&part), "{part} of {sum} s: {runs:?}");
+        }
+    }
+    assert!(120 <= all[0] + all[1], "{all:?}");
+    store.close().await;
+}
+
+/// A tenant that comes has no claim to the time before, and while a tenant has a job running, the
+/// other one's comes next.
+async fn a_tenant_that_comes_shares_from_then_on(database: Database) {
+    let store = database.store().await;
+    let queue = async |tenant: &str, ids: std::ops::Range<usize>| {
+        for id in ids {
+            let tenant = Tenant::parse(tenant).unwrap();
+            let id = format!("{tenant}-{id}");
+            store.create_job(&NewJob { tenant, ..new_job(&id, None) }).await.unwrap();
+        }
+    };
+    let claim = async || store.claim_job("node", Duration::from_secs(3600)).await.unwrap().unwrap();
+    let run = async || {
+        let row = claim().await;
+        let used = Duration::from_secs(10);
+        store.beat_job(row.claim(), JobProgress::default(), used).await.unwrap();
+        let failed = JobEnd::Failed { failure: "{}".to_owned() };
+        assert!(store.end_job(row.claim(), &failed, 0).await.unwrap());
+        row.tenant.name().to_owned()
+    };
+    queue("a", 0..30).await;
+    for _ in 0..10 {
+        assert_eq!(run().await, "a");
+    }
+    queue("b", 0..10).await;
+    let mut served = Vec::new();
+    for _ in 0..6 {
+        served.push(run().await);
+    }
+    assert_eq!(served.iter().filter(|tenant| *tenant == "b").count(), 3, "{served:?}");
+    let running = [claim().await, claim().await].map(|row| row.tenant.name().to_owned());
+    assert_ne!(running[0], running[1]);
     store.close().await;
 }
 

@@ -182,7 +182,7 @@ fn requests(call: &Call, authorization: Option<&str>) -> Vec<Request<Body>> {
         let path = path.replace("{session}", "ses_0").replace("{base}", "bas_0");
         let path = path.replace("{seq}", "1").replace("{key}", "key_0").replace("{file}", "x");
         let path = path.replace("{format}", "csv").replace("{job}", "job_0");
-        let path = path.replace("{tenant}", "default");
+        let path = path.replace("{tenant}", "default").replace("{upload}", "upl_0");
         let request = authorized(Request::builder().method(method).uri(path));
         requests.push(request.body(Body::empty()).unwrap());
     }

@@ -46,5 +46,6 @@ mod tenants;
 mod tls;
 mod tracks;
 mod upgrade;
+mod uploads;
 mod watches;
 mod webhooks;

@@ -11,6 +11,10 @@ use tower::ServiceExt;
 
 use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
+use crate::support::jobs::body;
+use crate::support::python;
+
+use super::jobs::{bytes_of, ended};
 
 /// More than two batches of the store.
 const EPOCHS: usize = 330;
@@ -145,6 +149,54 @@ async fn what_is_no_track_is_refused() {
     let request = v1::TrackRequest { session, format: "shp".to_owned(), ..Default::default() };
     let refused = client.track(request).await.unwrap_err();
     assert!(refused.message().contains("pos, csv, geojson, kml, gpx, nmea"), "{refused}");
+}
+
+/// Parquet is given where the program is built with it, and refused by name elsewhere.
+#[tokio::test]
+async fn parquet_is_a_feature_of_the_build() {
+    let doors = Doors::open().await;
+    let session = driven(&doors).await;
+    let path = format!("/v1/sessions/{session}/track.parquet?revisions=all");
+    if cfg!(not(feature = "parquet")) {
+        let (status, problem) = doors.get(&path).await;
+        let got = (status.as_u16(), code(&problem), problem["field"].as_str());
+        assert_eq!(got, (400, "FEATURE_NOT_BUILT", Some("format")), "{problem}");
+        let (status, problem) = post_job(&doors, &session).await;
+        let got = (status.as_u16(), code(&problem), problem["field"].as_str());
+        assert_eq!(got, (400, "FEATURE_NOT_BUILT", Some("options.format")), "{problem}");
+        return;
+    }
+    let (status, file) = bytes_of(&doors, &path).await;
+    assert_eq!(
+        (status, &file[..4], &file[file.len() - 4..]),
+        (StatusCode::OK, &b"PAR1"[..], &b"PAR1"[..])
+    );
+    let (status, job) = post_job(&doors, &session).await;
+    assert_eq!(status, StatusCode::CREATED, "{job}");
+    let job = job["job"].as_str().unwrap();
+    let done = ended(&doors, job).await;
+    assert_eq!(done["state"], "SUCCEEDED", "{done}");
+    let (_, result) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
+    // A stored solution has its number and revision, too.
+    let Some(python) = python::with("pyarrow, duckdb") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("stored.parquet"), &file).unwrap();
+    std::fs::write(folder.path().join("computed.parquet"), &result).unwrap();
+    let script = "import sys, pyarrow.parquet as p\n\
+        s, c = (p.read_table(sys.argv[1] + n) for n in ('/stored.parquet', '/computed.parquet'))\n\
+        print(s.num_rows, c.num_rows, s.column_names[:3], c.column_names[:2])";
+    let mut read = std::process::Command::new(python);
+    let read = read.args(["-c", script]).arg(folder.path()).output().unwrap();
+    let text = String::from_utf8(read.stdout).unwrap();
+    let listed = listed(&doors, &session, "&revisions=all").await.len();
+    let columns = "['seq', 'revision', 'time_utc'] ['time_utc', 'gps_week']";
+    assert_eq!(text.trim(), format!("{listed} {EPOCHS} {columns}"));
+}
+
+/// A job of the session with a result in Parquet.
+async fn post_job(doors: &Doors, session: &str) -> (StatusCode, Value) {
+    let options = json!({"session": session, "format": "parquet"}).to_string();
+    super::jobs::post(doors, body(&[("options", options.as_bytes())]), &[]).await
 }
 
 /// A session without solutions is a complete file, too.

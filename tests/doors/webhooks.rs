@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
@@ -10,7 +11,7 @@ use graphfix::app;
 use graphfix::config::{FetchConfiguration, JobsConfiguration, ServiceConfiguration};
 use graphfix::contract::v1;
 use graphfix::grpc::v1::jobs_client::JobsClient;
-use graphfix::store::{DeliveryAttempt, DeliveryEnd, JobEnd, JobProgress, WebhookState};
+use graphfix::store::{DeliveryAttempt, DeliveryEnd, JobEnd, WebhookState};
 use graphfix::tenant::Tenant;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -316,10 +317,10 @@ async fn each_attempt_is_made_once(database: Database) {
     // Before the end of the job nothing is due.
     assert!(store.begin_delivery(&tenant, 1000, 2000).await.unwrap().is_none());
     assert!(store.tenants_with_due_webhooks(1000).await.unwrap().is_empty());
-    let claimed = store.claim_job(&tenant, "node", 1000, 900).await.unwrap().unwrap();
+    let claimed = store.claim_job("node", Duration::from_secs(60)).await.unwrap().unwrap();
     assert_eq!(claimed.id, "waiting");
-    let (failed, none) = (JobEnd::Failed { failure: "{}".to_owned() }, JobProgress::default());
-    assert!(store.end_job(claimed.key, claimed.fence, &failed, none, 1100).await.unwrap());
+    let failed = JobEnd::Failed { failure: "{}".to_owned() };
+    assert!(store.end_job(claimed.claim(), &failed, 1100).await.unwrap());
     assert!(store.cancel_job(&tenant, "silent", 1100).await.unwrap());
 
     let due = store.tenants_with_due_webhooks(1200).await.unwrap();

@@ -26,7 +26,11 @@ fn json(arguments: &[&str]) -> Value {
 async fn started(database: &Database, folder: &Path, port: u16) -> Server {
     let configuration = folder.join("graphfix.toml");
     let jobs = folder.join("jobs");
-    std::fs::write(&configuration, format!("[jobs]\nfolder = \"{}\"\n", jobs.display())).unwrap();
+    std::fs::write(
+        &configuration,
+        format!("[jobs]\nfolder = \"{}\"\nsilent_s = 2\n", jobs.display()),
+    )
+    .unwrap();
     let server = Server::start_with(&database.url, port, |command| {
         command.arg("--config").arg(&configuration);
     });

@@ -16,3 +16,4 @@ mod nodes;
 mod robustness;
 mod server;
 mod streams;
+mod workers;

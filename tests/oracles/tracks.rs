@@ -46,6 +46,21 @@ fn others_read_the_same_track_from_each_format() {
     assert!(1 < counts["lines"].as_u64().unwrap(), "{counts}");
 }
 
+/// pyarrow and DuckDB read the same values from Parquet as from CSV.
+#[cfg(feature = "parquet")]
+#[test]
+fn others_read_parquet() {
+    let Some(python) = python::with("pyarrow, duckdb") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    tracks(folder.path(), &["csv", "parquet"]);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/python/parquet.py");
+    let mut compare = Command::new(python);
+    let counts = run(compare.arg(script).arg(folder.path()).arg("track"));
+    let counts: Value = serde_json::from_str(&counts).unwrap();
+    assert_eq!((&counts["epochs"], &counts["columns"]), (&121.into(), &47.into()), "{counts}");
+    assert!(100 < counts["positions"].as_u64().unwrap(), "{counts}");
+}
+
 /// RTKLIB reads the `.pos` file, and its own KML has each position.
 #[test]
 fn rtklib_reads_the_solution_file() {

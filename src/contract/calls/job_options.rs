@@ -132,6 +132,7 @@ pub(super) fn message(request: &JobRequest) -> v1::JobOptions {
         base,
         bases,
         urls: Vec::new(),
+        uploads: Vec::new(),
         webhook: options.webhook.clone().map(|url| v1::JobWebhook { url, secret: String::new() }),
     }
 }

@@ -18,7 +18,7 @@ use super::outlet::{Outlet, outlet};
 /// Memory of a watch: its waiting messages (bytes).
 const WATCH_BYTES: usize = 32 << 10;
 /// Interval at which the store is asked for changes of which no one told.
-const ASK: Duration = Duration::from_secs(5);
+const ASK: Duration = Duration::from_secs(1);
 /// Shortest interval between two looks into the store.
 const PAUSE: Duration = Duration::from_millis(200);
 /// Time after which an unchanged job is sent again, so that no proxy takes the watch for dead.

@@ -21,6 +21,7 @@ use crate::refusal::Code;
 use crate::store::{JobState, WebhookState};
 
 use super::paging::Pages;
+use super::uploads::upload_id;
 use super::{job_options, oldest_first, page_size, utc};
 
 /// Jobs on a page if the request gives no size.
@@ -117,6 +118,7 @@ impl Arriving {
         }
         let mut options = self.options.take().unwrap_or_default();
         let urls = input_urls(mem::take(&mut options.urls))?;
+        self.add_uploads(caller, mem::take(&mut options.uploads)).await?;
         let has = |part: Part| {
             let is_named = urls.iter().any(|url| url.part == part);
             is_named || self.files.iter().any(|file| file.part == part)
@@ -151,6 +153,33 @@ fn input_urls(urls: Vec<v1::JobUrl>) -> Result<Vec<InputUrl>, Refusal> {
 }
 
 impl Arriving {
+    /// Adds the files of complete uploads.
+    ///
+    /// # Errors
+    /// There is no such part or upload, bytes of it are missing, or there are more files than
+    /// allowed.
+    async fn add_uploads(
+        &mut self,
+        caller: &Caller,
+        uploads: Vec<v1::JobUploadInput>,
+    ) -> Result<(), Refusal> {
+        for (index, v1::JobUploadInput { part, upload }) in uploads.into_iter().enumerate() {
+            let field = format!("options.uploads[{index}]");
+            let unknown = || {
+                let message = format!("{:?} is not rover, navigation or base", texts::brief(&part));
+                Refusal::new(Code::InvalidField, message).at(format!("{field}.part"))
+            };
+            let part = Part::from_name(&part).ok_or_else(unknown)?;
+            let at_upload = |refusal: Refusal| refusal.at(format!("{field}.upload"));
+            let id = upload_id(&upload).map_err(at_upload)?;
+            self.upload.count()?;
+            let uploaded = caller.jobs().uploaded(&id).await;
+            let (name, file) = uploaded.map_err(|error| at_upload(error.into()))?;
+            self.files.push(UploadedFile { part, name, is_own: false, file });
+        }
+        Ok(())
+    }
+
     /// Adds the service's own ephemerides as the part `navigation`.
     ///
     /// # Errors

@@ -22,6 +22,7 @@ pub mod stream;
 pub mod tenants;
 pub mod track;
 mod upload;
+pub mod uploads;
 pub mod watch;
 
 use prost::Message;

@@ -48,8 +48,8 @@ pub async fn track(
     let revisions = convert::revisions(request.revisions)?;
     if revisions == Revisions::All && !format.has_revisions() {
         let message = format!(
-            "{} has one row for each epoch; ask for the last or the first revision, or for csv or \
-             geojson",
+            "{} has one row for each epoch; ask for the last or the first revision, or for csv, \
+             geojson or parquet",
             format.name()
         );
         return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
@@ -62,7 +62,7 @@ pub async fn track(
         page_size: BATCH,
         page_token: None,
     };
-    Lease::current().map_or(Ok(()), |lease| lease.reserve(TRACK_BYTES))?;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(TRACK_BYTES + format.memory_bytes()))?;
     let SolutionPage { page, output, .. } = caller.sessions().solutions(&id, &query).await?;
     let comments = comments(&id, revisions, &output);
     let presenter = caller.presenter(&output);
@@ -78,11 +78,15 @@ pub async fn track(
 }
 
 fn known(format: &str) -> Result<TrackFormat, Refusal> {
-    TrackFormat::from_name(format).ok_or_else(|| {
+    let known = TrackFormat::from_name(format).ok_or_else(|| {
         let (given, names) = (texts::brief(format), TrackFormat::names());
         let message = format!("{given:?} is not a format of tracks; known are {names}");
         Refusal::new(Code::InvalidField, message).at("format")
-    })
+    })?;
+    match known.is_built() {
+        true => Ok(known),
+        false => Err(Refusal::new(Code::FeatureNotBuilt, known.not_built()).at("format")),
+    }
 }
 
 /// Lines at the head of a `.pos` file.

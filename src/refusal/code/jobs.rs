@@ -32,9 +32,34 @@ macro_rules! jobs {
     /// A file of a job cannot be read or written.
     JobFilesFailed = "JOB_FILES_FAILED", Unavailable,
         "send the same request again; the operator finds the cause in the log";
+    /// The upload does not exist, or has expired.
+    UploadNotFound = "UPLOAD_NOT_FOUND", NotFound, "begin another upload, or check the id";
+    /// Another request appends to the upload.
+    UploadBusy = "UPLOAD_BUSY", Conflict,
+        "end the other request, ask for the offset again, and go on there";
+    /// The bytes do not begin where the upload ends.
+    UploadOffsetDiffers = "UPLOAD_OFFSET_DIFFERS", Conflict,
+        "ask for the offset by HEAD, and go on there";
+    /// The job names an upload whose bytes are not all there.
+    UploadIncomplete = "UPLOAD_INCOMPLETE", Precondition,
+        "complete the upload, then create the job";
+    /// The request is of another version of the protocol of uploads.
+    UploadProtocolUnknown = "UPLOAD_PROTOCOL_UNKNOWN", Changed,
+        "use a client of tus 1.0.0, or send the header Tus-Resumable: 1.0.0";
     /// The job has run for longer than allowed.
     JobTooLong = "JOB_TOO_LONG", NoCall,
         "split the recording, choose another mode, or let the operator raise jobs.run_s";
+    /// The processes that ran the job have ended or were frozen, several times.
+    JobLost = "JOB_LOST", NoCall,
+        "split the recording, or let the operator give workers more memory; the log of the \
+         workers has the cause";
+    /// Workers need a database that several processes write to.
+    WorkerNeedsPostgres = "WORKER_NEEDS_POSTGRES", NoCall,
+        "move the service to Postgres, or let it run jobs itself with jobs.running";
+    /// The worker does not see the service's folder of jobs.
+    JobFolderDiffers = "JOB_FOLDER_DIFFERS", NoCall,
+        "start the service with jobs.folder first, and give the worker the same folder, on a \
+         shared file system if on another machine";
 
 } $($rest)* } } }
 pub(super) use jobs;

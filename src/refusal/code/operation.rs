@@ -145,6 +145,9 @@ macro_rules! operation {
     LoadIncomplete = "LOAD_INCOMPLETE", NoCall, "see the errors above and the service's log";
     /// The process cannot start its threads.
     NoThreads = "NO_THREADS", NoCall, "let the process start threads";
+    /// The system does not limit the memory of the process.
+    MemoryNotLimited = "MEMORY_NOT_LIMITED", NoCall,
+        "give --memory a value below the limit that the process has already";
 
 } $($rest)* } } }
 pub(super) use operation;

@@ -72,9 +72,10 @@ pub struct BatchTurn {
 }
 
 impl BatchLane {
-    /// Processor time that the batch jobs of a tenant have used since the start (s).
-    pub fn used_s(&self, tenant: &Tenant) -> f64 {
-        self.meters.of(tenant).batch_s()
+    /// The pool of a process without sessions, where this number of jobs computes at a time.
+    pub fn alone(jobs: usize, meters: Meters) -> Self {
+        // A pool leaves one thread to sessions.
+        Self { lanes: Lanes::new(jobs + 1), meters }
     }
 
     /// Waits for a turn of a tenant, which has none while it has used its processor time. The turn
@@ -95,7 +96,7 @@ impl BatchLane {
 
 impl Drop for BatchTurn {
     fn drop(&mut self) {
-        self.meter.count_batch(self.begun.elapsed());
+        self.meter.count_cpu(self.begun.elapsed());
     }
 }
 

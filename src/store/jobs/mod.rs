@@ -1,42 +1,31 @@
 //! Batch jobs as rows: the queue, and what came of each.
 //!
-//! A claim raises the job's fence and names its node. Progress and the end of a job are written
-//! only with the fence of its last claim, so a claimant that has lost its job changes nothing.
+//! `queue` gives jobs to those that run them; here they are created, read and cancelled.
 
 mod deliveries;
 mod fetching;
+mod folder;
+mod queue;
 mod rows;
+mod uploads;
 
 use crate::tenant::Tenant;
 
 use super::page::rows_asked;
-use super::pool::{Pool, reading, writing};
+use super::pool::{reading, writing};
 use super::{Page, Store, StoreError};
 
 pub use deliveries::{DeliveryAttempt, DeliveryEnd, DueWebhook};
-pub use rows::{JobEnd, JobKey, JobProgress, JobRow, JobState, NewJob, WebhookState};
+pub use queue::JobClaim;
+pub use rows::{JobEnd, JobFilesRow, JobKey, JobProgress, JobRow, JobState, NewJob, WebhookState};
 use rows::{RawJob, columns};
+pub use uploads::JobUploadRow;
 
 const PAGE_LIMIT: usize = 1_000;
 
 macro_rules! select_jobs {
     ($condition:literal) => {
         concat!("SELECT ", columns!(), " FROM jobs ", $condition)
-    };
-}
-/// Claims the oldest job of a tenant that waits, or whose claimant has been silent.
-macro_rules! claim {
-    ($lock:literal) => {
-        concat!(
-            "UPDATE jobs SET state = 'RUNNING', node = $1, fence = fence + 1, ",
-            "started_unix_ms = $2, heartbeat_unix_ms = $2, epochs = 0, answered = 0, ",
-            "read_bytes = 0 WHERE key = (SELECT key FROM jobs WHERE ended_unix_ms IS NULL ",
-            "AND tenant = $4 AND unfetched = 0 ",
-            "AND (state = 'QUEUED' OR heartbeat_unix_ms < $3) ORDER BY key LIMIT 1",
-            $lock,
-            ") RETURNING ",
-            columns!()
-        )
     };
 }
 
@@ -166,119 +155,6 @@ impl Store {
         count.map(|count| count as u64).map_err(StoreError::database("counting jobs"))
     }
 
-    /// The tenants with jobs that wait, or that run without a heartbeat since `silent_unix_ms`.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub async fn tenants_with_jobs(&self, silent_unix_ms: i64) -> Result<Vec<Tenant>, StoreError> {
-        let names: Result<Vec<String>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT DISTINCT tenant FROM jobs WHERE ended_unix_ms IS NULL
-                       AND unfetched = 0 AND (state = 'QUEUED' OR heartbeat_unix_ms < $1)";
-            sqlx::query_scalar(sql).bind(silent_unix_ms).fetch_all(pool).await
-        });
-        let names = names.map_err(StoreError::database("reading whose jobs wait"))?;
-        Ok(names.iter().map(|name| Tenant::stored(name)).collect())
-    }
-
-    /// Claims the oldest job of a tenant that waits, or that runs without a heartbeat since
-    /// `silent_unix_ms`.
-    ///
-    /// # Errors
-    /// The database fails, or the row is corrupt.
-    pub async fn claim_job(
-        &self,
-        tenant: &Tenant,
-        node: &str,
-        now_unix_ms: i64,
-        silent_unix_ms: i64,
-    ) -> Result<Option<JobRow>, StoreError> {
-        let sql = match &self.pool {
-            Pool::Sqlite { .. } => claim!(""),
-            Pool::Postgres { .. } => claim!(" FOR UPDATE SKIP LOCKED"),
-        };
-        let row: Result<Option<RawJob>, _> = writing!(&self.pool, pool => {
-            sqlx::query_as(sql)
-                .bind(node)
-                .bind(now_unix_ms)
-                .bind(silent_unix_ms)
-                .bind(tenant.name())
-                .fetch_optional(pool)
-                .await
-        });
-        row.map_err(StoreError::database("claiming a job"))?.map(RawJob::parse).transpose()
-    }
-
-    /// Writes the progress of a claimed job; false if the claim has ended.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub async fn beat_job(
-        &self,
-        key: JobKey,
-        fence: i64,
-        progress: JobProgress,
-        now_unix_ms: i64,
-    ) -> Result<bool, StoreError> {
-        let changed: Result<u64, _> = writing!(&self.pool, pool => {
-            let sql = "UPDATE jobs SET epochs = $3, answered = $4, read_bytes = $5,
-                       heartbeat_unix_ms = $6
-                       WHERE key = $1 AND fence = $2 AND state = 'RUNNING'";
-            sqlx::query(sql)
-                .bind(key.0)
-                .bind(fence)
-                .bind(progress.epochs as i64)
-                .bind(progress.answered as i64)
-                .bind(progress.read_bytes as i64)
-                .bind(now_unix_ms)
-                .execute(pool)
-                .await
-                .map(|done| done.rows_affected())
-        });
-        changed.map(|rows| rows == 1).map_err(StoreError::database("writing the progress of a job"))
-    }
-
-    /// Ends a claimed job; false if the claim has ended before.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub async fn end_job(
-        &self,
-        key: JobKey,
-        fence: i64,
-        end: &JobEnd,
-        progress: JobProgress,
-        now_unix_ms: i64,
-    ) -> Result<bool, StoreError> {
-        let (state, result, report, failure) = match end {
-            JobEnd::Succeeded { result, bytes, report } => {
-                (JobState::Succeeded, Some((result, *bytes as i64)), Some(report), None)
-            }
-            JobEnd::Failed { failure } => (JobState::Failed, None, None, Some(failure)),
-        };
-        let changed: Result<u64, _> = writing!(&self.pool, pool => {
-            let sql = "UPDATE jobs SET state = $3, ended_unix_ms = $4, result = $5,
-                       result_bytes = $6, report = $7, failure = $8, epochs = $9, answered = $10,
-                       read_bytes = $11
-                       WHERE key = $1 AND fence = $2 AND state = 'RUNNING'";
-            sqlx::query(sql)
-                .bind(key.0)
-                .bind(fence)
-                .bind(state.name())
-                .bind(now_unix_ms)
-                .bind(result.map(|(name, _)| name))
-                .bind(result.map(|(_, bytes)| bytes))
-                .bind(report)
-                .bind(failure)
-                .bind(progress.epochs as i64)
-                .bind(progress.answered as i64)
-                .bind(progress.read_bytes as i64)
-                .execute(pool)
-                .await
-                .map(|done| done.rows_affected())
-        });
-        changed.map(|rows| rows == 1).map_err(StoreError::database("ending a job"))
-    }
-
     /// Ends a job of a tenant that waits or runs as cancelled; false if it has ended or does not
     /// exist. Its claim ends, too.
     ///
@@ -300,19 +176,6 @@ impl Store {
         changed.map(|rows| rows == 1).map_err(StoreError::database("cancelling a job"))
     }
 
-    /// Queues all running jobs again, at the start of the only service on this database.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub async fn requeue_jobs(&self) -> Result<u64, StoreError> {
-        let changed: Result<u64, _> = writing!(&self.pool, pool => {
-            let sql = "UPDATE jobs SET state = 'QUEUED', fence = fence + 1
-                       WHERE state = 'RUNNING' AND ended_unix_ms IS NULL";
-            sqlx::query(sql).execute(pool).await.map(|done| done.rows_affected())
-        });
-        changed.map_err(StoreError::database("queueing jobs again"))
-    }
-
     /// Deletes jobs that ended before a time.
     ///
     /// # Errors
@@ -326,13 +189,15 @@ impl Store {
         changed.map_err(StoreError::database("deleting jobs"))
     }
 
-    /// Request and result's file of every job.
+    /// What every job names of the folder of jobs.
     ///
     /// # Errors
     /// The database fails.
-    pub async fn job_files(&self) -> Result<Vec<(String, Option<String>)>, StoreError> {
-        let rows: Result<Vec<(String, Option<String>)>, _> = reading!(bulk &self.pool, pool => {
-            sqlx::query_as("SELECT request, result FROM jobs").fetch_all(pool).await
+    pub async fn job_files(&self) -> Result<Vec<JobFilesRow>, StoreError> {
+        let rows: Result<Vec<JobFilesRow>, _> = reading!(bulk &self.pool, pool => {
+            let sql = "SELECT id, request, result, fence, ended_unix_ms IS NOT NULL AS is_ended
+                       FROM jobs";
+            sqlx::query_as(sql).fetch_all(pool).await
         });
         rows.map_err(StoreError::database("reading the files of jobs"))
     }

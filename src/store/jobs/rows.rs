@@ -150,6 +150,8 @@ pub struct JobRow {
     pub ended_unix_ms: Option<i64>,
     /// Number of claims.
     pub fence: i64,
+    /// How often a claimant has vanished without ending or returning it.
+    pub lost_claims: u64,
     /// How far it is.
     pub progress: JobProgress,
     /// Name and size of the result's file (bytes).
@@ -160,6 +162,21 @@ pub struct JobRow {
     pub failure: Option<String>,
     /// What has become of the message to its webhook; `None` without one.
     pub webhook_state: Option<WebhookState>,
+}
+
+/// What a job names of the folder of jobs.
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub struct JobFilesRow {
+    /// Public id.
+    pub id: String,
+    /// Options and input files.
+    pub request: String,
+    /// Name of the result's file.
+    pub result: Option<String>,
+    /// Number of claims.
+    pub fence: i64,
+    /// Whether nothing follows.
+    pub is_ended: bool,
 }
 
 #[derive(sqlx::FromRow)]
@@ -174,6 +191,7 @@ pub(super) struct RawJob {
     started_unix_ms: Option<i64>,
     ended_unix_ms: Option<i64>,
     fence: i64,
+    lost_claims: i64,
     epochs: i64,
     answered: i64,
     read_bytes: i64,
@@ -205,6 +223,7 @@ impl RawJob {
             started_unix_ms: self.started_unix_ms,
             ended_unix_ms: self.ended_unix_ms,
             fence: self.fence,
+            lost_claims: self.lost_claims as u64,
             progress: JobProgress {
                 epochs: self.epochs as u64,
                 answered: self.answered as u64,
@@ -222,8 +241,8 @@ impl RawJob {
 macro_rules! columns {
     () => {
         "key, tenant, id, state, request, request_hash, created_unix_ms, started_unix_ms, \
-         ended_unix_ms, fence, epochs, answered, read_bytes, result, result_bytes, report, \
-         failure, webhook_state"
+         ended_unix_ms, fence, lost_claims, epochs, answered, read_bytes, result, result_bytes, \
+         report, failure, webhook_state"
     };
 }
 pub(super) use columns;

@@ -22,6 +22,7 @@ pub(in crate::doors) struct Things {
     pub(super) session: String,
     pub(super) base: String,
     pub(super) job: String,
+    pub(super) upload: String,
     pub(super) key: String,
     pub(super) tenant: String,
     /// The name of a request.
@@ -31,9 +32,15 @@ pub(in crate::doors) struct Things {
 impl Things {
     /// A text with these ids replaced by what they are the ids of.
     pub(super) fn hidden(&self, text: &str) -> String {
-        let Self { session, base, job, key, tenant, .. } = self;
-        let ids =
-            [(session, "SESSION"), (base, "BASE"), (job, "JOB"), (key, "KEY"), (tenant, "TENANT")];
+        let Self { session, base, job, upload, key, tenant, .. } = self;
+        let ids = [
+            (session, "SESSION"),
+            (base, "BASE"),
+            (job, "JOB"),
+            (upload, "UPLOAD"),
+            (key, "KEY"),
+            (tenant, "TENANT"),
+        ];
         ids.iter().fold(text.to_owned(), |text, (id, name)| text.replace(&**id, name))
     }
 }
@@ -102,7 +109,7 @@ pub(super) fn case(call: &Call, of: &Things) -> Case {
         "Navigation" => navigation(call),
         "Tenants" => tenants(call, of),
         "Audit" => audit(call, of),
-        _ => return others(call),
+        _ => return others(call, of),
     };
     Case::Requests(requests.unwrap_or_else(|| panic!("no case for {name}")))
 }
@@ -472,10 +479,26 @@ fn other_broadcast() -> Vec<u8> {
     file
 }
 
+/// A request of the protocol tus, for the first bytes of a file.
+fn tus(method: &str, path: &str) -> Request<Body> {
+    let request = Request::builder().method(method).uri(path).header("tus-resumable", "1.0.0");
+    let request = request.header("upload-length", "7").header("upload-offset", "0");
+    let request = request.header("content-type", "application/offset+octet-stream");
+    request.body(Body::from(if method == "PATCH" { "content" } else { "" })).unwrap()
+}
+
 /// Calls of one door, and pages.
-fn others(call: &Call) -> Case {
+fn others(call: &Call, of: &Things) -> Case {
     let name = if call.grpc.is_empty() { call.rest } else { call.grpc };
     match name {
+        "POST /v1/uploads" => Case::Requests(vec![tus("POST", "/v1/uploads")]),
+        "GET /v1/uploads/{upload}"
+        | "PATCH /v1/uploads/{upload}"
+        | "DELETE /v1/uploads/{upload}" => {
+            let method = call.rest.split(' ').next().unwrap();
+            Case::Requests(vec![tus(method, &format!("/v1/uploads/{}", of.upload))])
+        }
+        "OPTIONS /v1/uploads" => Case::Open,
         "GET /v1/sign-in" | "POST /v1/sign-in" | "DELETE /v1/sign-in" | "GET /metrics" => {
             let (method, path) = call.rest.split_once(' ').unwrap();
             Case::Requests(vec![rest(method, path, &Value::Null)])

@@ -79,7 +79,15 @@ async fn check(
         let there = hidden(owned, sent(doors, intruder, theirs).await);
         let nowhere = hidden(&nothing, sent(doors, intruder, nobodys).await);
         assert!(there.status.as_u16() < 500, "{what}: {there:?}");
-        for trace in [MARK, &owned.session, &owned.base, &owned.job, &owned.key, &owned.tenant] {
+        for trace in [
+            MARK,
+            &owned.session,
+            &owned.base,
+            &owned.job,
+            &owned.upload,
+            &owned.key,
+            &owned.tenant,
+        ] {
             assert!(!there.text.contains(trace), "{what} shows {trace}: {}", there.text);
         }
         assert_eq!((&there.status, &there.refusal), (&nowhere.status, &nowhere.refusal), "{what}");

@@ -159,7 +159,13 @@ pub(in crate::doors) async fn furnished(doors: &Doors, key: &Key, tenant: &str) 
     let state = async || get(doors, key, &format!("/v1/jobs/{job}")).await["state"].clone();
     until("the job", state, |state| *state == "SUCCEEDED").await;
     let (tenant, request) = (tenant.to_owned(), REQUEST.to_owned());
-    Things { session, base, job, key: key.id.clone(), tenant, request }
+    let upload = Request::post("/v1/uploads").header("tus-resumable", "1.0.0");
+    let upload = upload.header("upload-length", "7").body(Body::empty()).unwrap();
+    let begun = sent(doors, key, upload).await;
+    assert_eq!(begun.status, StatusCode::CREATED, "{}", begun.text);
+    let upload: Value = serde_json::from_str(&begun.text).unwrap();
+    let upload = upload["upload"].as_str().unwrap().to_owned();
+    Things { session, base, job, upload, key: key.id.clone(), tenant, request }
 }
 
 /// Things that nobody has.
@@ -168,6 +174,7 @@ pub(in crate::doors) fn absent() -> Things {
         session: SessionId::random().to_string(),
         base: BaseId::random().to_string(),
         job: JobId::random().to_string(),
+        upload: JobId::random().to_string().replace("job_", "upl_"),
         key: KeyId::random().to_string(),
         tenant: "nobody".to_owned(),
         request: "another".to_owned(),
@@ -176,7 +183,7 @@ pub(in crate::doors) fn absent() -> Things {
 
 /// Everything that a tenant sees of what it has, without what changes with time.
 pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec<(String, Value)> {
-    let Things { session, base, job, .. } = of;
+    let Things { session, base, job, upload, .. } = of;
     let (session, job) = (format!("/v1/sessions/{session}"), format!("/v1/jobs/{job}"));
     let paths = [
         "/v1/sessions".to_owned(),
@@ -193,6 +200,7 @@ pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec
         format!("/v1/bases/{base}"),
         "/v1/jobs".to_owned(),
         job.clone(),
+        format!("/v1/uploads/{upload}"),
         format!("{job}/report"),
         format!("{job}/result"),
         "/v1/keys".to_owned(),

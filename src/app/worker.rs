@@ -1,0 +1,55 @@
+//! A worker's desks: what runs jobs beside a service.
+
+use crate::config::ServiceConfiguration;
+use crate::feeds::{Connector, FetchPolicy, TimeLimits};
+use crate::jobs::Worker;
+use crate::quotas::{Meters, TenantQuotas};
+use crate::session::BatchLane;
+use crate::store::Store;
+
+use super::{AppError, aiding_limits, geoid_table, node_name};
+
+/// A worker that runs jobs.
+pub struct WorkerApp {
+    store: Store,
+    quotas: TenantQuotas,
+    worker: Worker,
+}
+
+/// Opens the database of a service, and starts to run its jobs. The configuration is the service's.
+///
+/// # Errors
+/// The database cannot be opened or is SQLite, the folder of jobs is not the service's, or the
+/// table of the geoid cannot be read.
+pub async fn open_worker(
+    configuration: &ServiceConfiguration,
+    time_limits: TimeLimits,
+) -> Result<WorkerApp, AppError> {
+    let ServiceConfiguration { database, fetch, jobs, limits, .. } = configuration;
+    let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
+    let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
+    let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
+    let node = node_name(configuration);
+    let store = Store::open_existing(database).await?;
+    let meters = Meters::default();
+    let quotas = TenantQuotas::open(store.clone(), meters.clone()).await?;
+    let lane = BatchLane::alone(jobs.running, meters);
+    let stored = (store.clone(), aiding_limits(limits));
+    let worker = Worker::start(stored, (lane, connector), jobs.clone(), node, geoid).await?;
+    Ok(WorkerApp { store, quotas, worker })
+}
+
+impl WorkerApp {
+    /// Works until `stop` is ready. Then it returns the running jobs to the queue. Returns false if
+    /// it had to end before.
+    pub async fn work(mut self, stop: impl Future<Output = ()>) -> bool {
+        let is_asked = tokio::select! {
+            () = stop => true,
+            () = self.worker.broken() => false,
+        };
+        self.worker.stop().await;
+        self.quotas.close().await;
+        self.store.close().await;
+        is_asked
+    }
+}

@@ -1,0 +1,65 @@
+//! Which files of the folder jobs name, in the store.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::store::Store;
+
+use super::JobError;
+use super::request::JobRequest;
+
+/// What jobs name of the folder.
+#[derive(Debug, Default)]
+pub(super) struct Named {
+    files: HashSet<String>,
+    /// By job that has not ended, the number of its last claim.
+    fences: HashMap<String, i64>,
+}
+
+impl Named {
+    /// Reads the names.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(super) async fn read(store: &Store) -> Result<Self, JobError> {
+        let mut named = Self::default();
+        for row in store.job_files().await? {
+            named.files.extend(row.result);
+            // A request that cannot be read is reported where its job is.
+            let request: Option<JobRequest> = serde_json::from_str(&row.request).ok();
+            named
+                .files
+                .extend(request.into_iter().flat_map(|request| request.inputs).map(|i| i.hash));
+            if !row.is_ended {
+                named.fences.insert(row.id, row.fence);
+            }
+        }
+        for (upload, hash) in store.upload_files().await? {
+            named.files.insert(upload);
+            named.files.extend(hash);
+        }
+        Ok(named)
+    }
+
+    /// These files, and the numbers of the last claims of jobs that have not ended.
+    #[cfg(test)]
+    pub(super) fn of<const N: usize, const M: usize>(
+        files: [String; N],
+        fences: [(String, i64); M],
+    ) -> Self {
+        Self { files: files.into(), fences: fences.into() }
+    }
+
+    /// Whether a job names the file, or its last claim, or a later one, writes it.
+    pub(super) fn has(&self, file: &str) -> bool {
+        let writes = || {
+            let (job, fence) = file.rsplit_once('.')?;
+            Some(*self.fences.get(job)? <= fence.parse().ok()?)
+        };
+        self.files.contains(file) || writes().unwrap_or(false)
+    }
+}
+
+/// Name of the file of a result that a claim writes.
+pub(super) fn result_name(job: &str, fence: i64) -> String {
+    format!("{job}.{fence}")
+}

@@ -1,0 +1,64 @@
+//! A worker: a process that runs the jobs of a service beside it, and nothing else.
+//!
+//! It needs the database, which several processes write to, and the service's folder of jobs. It
+//! creates, fetches, removes and reports no job.
+
+use std::sync::Arc;
+
+use tokio::task::JoinSet;
+
+use crate::aiding::AidingLimits;
+use crate::config::JobsConfiguration;
+use crate::feeds::Connector;
+use crate::gnss::Geoid;
+use crate::session::BatchLane;
+use crate::store::Store;
+
+use super::JobError;
+use super::files::JobFiles;
+use super::queue;
+use super::state::{Aiding, Desk};
+
+/// A process that runs jobs of a service.
+pub struct Worker {
+    desk: Arc<Desk>,
+    tasks: JoinSet<()>,
+}
+
+impl Worker {
+    /// Opens the service's folder, and starts to claim jobs: `limits.running` at the same time.
+    ///
+    /// # Errors
+    /// The database is SQLite, the folder is not the service's, or the store fails.
+    pub async fn start(
+        (store, aiding): (Store, AidingLimits),
+        (lane, connector): (BatchLane, Connector),
+        limits: JobsConfiguration,
+        node: String,
+        geoid: Option<Arc<Geoid>>,
+    ) -> Result<Self, JobError> {
+        if store.file().is_some() {
+            return Err(JobError::WorkerOnSqlite);
+        }
+        let folder = limits.folder.clone().ok_or(JobError::Off)?;
+        let id = store.job_folder().await?;
+        let files = Some(Arc::new(JobFiles::join(folder, limits.clone(), id.as_deref())?));
+        let (stored, running) = ((store, Aiding::Worker(aiding)), limits.running);
+        let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
+        let (desk, mut tasks) = (Arc::new(desk), JoinSet::new());
+        (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
+        tasks.spawn(queue::count(desk.clone()));
+        Ok(Self { desk, tasks })
+    }
+
+    /// Waits until a task has ended, which none does but by a defect or for want of threads.
+    pub async fn broken(&mut self) {
+        self.tasks.join_next().await;
+    }
+
+    /// Returns the running jobs to the queue, and ends.
+    pub async fn stop(mut self) {
+        self.desk.stop_all();
+        while self.tasks.join_next().await.is_some() {}
+    }
+}
