@@ -22,7 +22,8 @@ use uuid::Uuid;
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::config::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, Limits,
-    NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
+    NavigationConfiguration, NetworkConfiguration, SecretsConfiguration, ServiceConfiguration,
+    TelemetryConfiguration,
 };
 use crate::contract::Service;
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
@@ -36,9 +37,11 @@ use crate::http;
 use crate::jobs::Jobs;
 use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
+use crate::secrets::{Secrets, SecretsError, SecretsKey};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
 use crate::tls::ServerTls;
+use crate::traces::{Exporter, TraceOptions, TracesError};
 
 pub use error::AppError;
 
@@ -49,6 +52,8 @@ const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
 pub struct App {
     store: Store,
     service: Service,
+    /// Sends traces; `None` without a collector.
+    exporter: Option<Exporter>,
 }
 
 /// Opens the database and the desks, and starts the sources of ephemerides and bases. `time_limits`
@@ -77,7 +82,9 @@ pub async fn open(
         configured if configured.is_empty() => random_node(),
         configured => configured.clone(),
     };
-    let store = open_alone(database, &node).await?;
+    let secrets = secrets(&configuration.secrets)?;
+    let exporter = exporter(&configuration.telemetry, &node)?;
+    let store = open_alone(database, &node, secrets).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
@@ -91,12 +98,13 @@ pub async fn open(
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
-    Ok(App { store, service })
+    let service = service.with_tracer(exporter.as_ref().map(Exporter::tracer).cloned());
+    Ok(App { store, service, exporter })
 }
 
 /// Opens the database as its only service, and logs the settings on which durability depends.
-async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
-    let store = Store::open_alone(database, node).await?;
+async fn open_alone(database: &str, node: &str, secrets: Secrets) -> Result<Store, AppError> {
+    let store = Store::open_alone(database, node).await?.with_secrets(secrets);
     tracing::info!(node, "this node has the lease of the database");
     for setting in store.durability() {
         let (name, value) = (setting.name, &setting.value);
@@ -105,7 +113,52 @@ async fn open_alone(database: &str, node: &str) -> Result<Store, AppError> {
             false => tracing::warn!(name, value, "a power failure may lose acknowledged data"),
         }
     }
+    if let Err(error) = encrypt_secrets(&store).await {
+        store.close().await;
+        return Err(error);
+    }
     Ok(store)
+}
+
+/// What sends traces, if the configuration names a collector.
+fn exporter(
+    configuration: &TelemetryConfiguration,
+    node: &str,
+) -> Result<Option<Exporter>, TracesError> {
+    let TelemetryConfiguration { otlp_endpoint, otlp_ca_file, otlp_ratio } = configuration.clone();
+    let options = otlp_endpoint.map(|endpoint| TraceOptions {
+        endpoint,
+        ca_file: otlp_ca_file,
+        ratio: otlp_ratio,
+        node: node.to_owned(),
+    });
+    options.map(Exporter::start).transpose()
+}
+
+/// Encrypts the stored secrets with the key in force, or warns that they are not.
+async fn encrypt_secrets(store: &Store) -> Result<(), AppError> {
+    match store.reseal().await? {
+        0 => {}
+        secrets => tracing::info!(secrets, "encrypted stored secrets with the key in force"),
+    }
+    let stored = store.secrets_by_key().await?;
+    if let Some(plain) = stored.iter().find(|under| under.key.is_none()) {
+        let secrets = plain.secrets;
+        tracing::warn!(secrets, "secrets are stored as they are; name a key (secrets.key_file)");
+    }
+    Ok(())
+}
+
+/// The keys of stored secrets.
+fn secrets(configuration: &SecretsConfiguration) -> Result<Secrets, SecretsError> {
+    let SecretsConfiguration { key_file, former_key_files, key } = configuration;
+    let current = match (key_file, key) {
+        (Some(path), _) => SecretsKey::read(path)?,
+        (None, Some(text)) => SecretsKey::parse(text)?,
+        (None, None) => return Ok(Secrets::default()),
+    };
+    let former = former_key_files.iter().map(|path| SecretsKey::read(path));
+    Ok(Secrets::new(current, former.collect::<Result<_, _>>()?))
 }
 
 /// Opens the database for reading, with the stored ephemerides, bases and antennas, for a
@@ -193,6 +246,9 @@ impl App {
             service.quotas().close().await;
         };
         end_within(limit, feeds, "tasks beside the requests still run; cut off").await;
+        if let Some(exporter) = self.exporter {
+            exporter.close().await;
+        }
         self.store.close().await;
     }
 }

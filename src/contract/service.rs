@@ -13,6 +13,7 @@ use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
 use crate::tls::ServerTls;
+use crate::traces::Tracer;
 
 use super::refused_acts::RefusedActs;
 use super::{Budget, Refusal, RequestMeters};
@@ -47,6 +48,8 @@ struct Desks {
     refused_acts: Arc<RefusedActs>,
     /// TLS of the port; `None` if it is not encrypted.
     tls: Option<ServerTls>,
+    /// Begins traces; `None` if nobody collects them.
+    tracer: Option<Tracer>,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
     /// Limits the open watches.
@@ -83,6 +86,7 @@ impl Service {
             meters: RequestMeters::new(),
             refused_acts: Arc::default(),
             tls: None,
+            tracer: None,
             streams,
             watches,
         }))
@@ -112,6 +116,18 @@ impl Service {
     pub(crate) fn with_tls(mut self, tls: Option<ServerTls>) -> Self {
         Arc::make_mut(&mut self.0).tls = tls;
         self
+    }
+
+    /// The service with traces, unless `tracer` is `None`.
+    #[must_use]
+    pub(crate) fn with_tracer(mut self, tracer: Option<Tracer>) -> Self {
+        Arc::make_mut(&mut self.0).tracer = tracer;
+        self
+    }
+
+    /// Begins traces; `None` if nobody collects them.
+    pub(crate) fn tracer(&self) -> Option<&Tracer> {
+        self.0.tracer.as_ref()
     }
 
     /// TLS of the port; `None` if it is not encrypted.

@@ -32,6 +32,7 @@ mod sessions;
 mod sign_in;
 mod solutions;
 mod tenants;
+mod traced;
 mod track;
 mod watch;
 

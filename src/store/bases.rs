@@ -11,7 +11,7 @@ use crate::tenant::Tenant;
 use super::antennas::calibration_hash;
 use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
-use super::feeds::{RawFeed, feed};
+use super::feeds::{RawFeed, feed, password_owner};
 use super::pool::{reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
@@ -355,7 +355,8 @@ impl Store {
                     site!(key, 1_u64, site).execute(&mut *transaction).await?;
                 }
                 if let Some(feed) = feed {
-                    feed!(key, feed).execute(&mut *transaction).await?;
+                    let password = self.secrets.seal(&password_owner(key.0), &feed.password);
+                    feed!(key, feed, password).execute(&mut *transaction).await?;
                 }
                 note!(transaction, entry);
                 transaction.commit().await?;
@@ -396,7 +397,7 @@ impl Store {
         }
         for feed in feeds.map_err(StoreError::database(failed))? {
             if let Ok(index) = bases.binary_search_by_key(&feed.base, |base| base.key.0) {
-                bases[index].feed = Some(feed.parse()?);
+                bases[index].feed = Some(feed.parse(&self.secrets)?);
             }
         }
         Ok(bases)

@@ -37,6 +37,7 @@ mod navigation;
 mod page;
 mod pool;
 mod raw;
+mod resealing;
 mod retention;
 mod rollup;
 #[cfg(test)]
@@ -55,6 +56,8 @@ use std::sync::Arc;
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
+
+use crate::secrets::Secrets;
 
 pub use antennas::AntennaName;
 pub use audit::{
@@ -88,6 +91,7 @@ pub use navigation::{
 pub(crate) use navigation::{OWNER_PREFIX, owner_of};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
+pub use resealing::SecretsUnder;
 pub use retention::Expired;
 pub use rollup::{Bounds, Rollup, Spread, StatusCounts};
 pub(crate) use rollup::{HOUR_S, MINUTE_S};
@@ -117,6 +121,7 @@ pub struct Store {
     file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
     days: Arc<Days>,
+    secrets: Arc<Secrets>,
 }
 
 impl Store {
@@ -153,7 +158,8 @@ impl Store {
         let (committer, task) = Committer::start(connector, Timing::service()).await?;
         let task = Arc::new(Mutex::new(Some(task)));
         let lease = lease.map(Arc::new);
-        Ok(Self { pool, key_pool, committer, task, durability, folder, file, lease, days })
+        let secrets = Arc::default();
+        Ok(Self { pool, key_pool, committer, task, durability, folder, file, lease, days, secrets })
     }
 
     /// Opens the database of `url` to change what no service has in its memory alone, such as keys;
@@ -190,8 +196,22 @@ impl Store {
         let folder = database.folder().map(Into::into);
         let file = database.file().map(Into::into);
         let (committer, task) = (Committer::stopped(), Arc::default());
-        let (durability, lease, days) = (Arc::new([]), None, Arc::default());
-        Self { pool, key_pool, committer, task, durability, folder, file, lease, days }
+        let (durability, lease) = (Arc::new([]), None);
+        let (days, secrets) = (Arc::default(), Arc::default());
+        Self { pool, key_pool, committer, task, durability, folder, file, lease, days, secrets }
+    }
+
+    /// The store with the keys of what it stores encrypted. Without them it stores secrets as they
+    /// are, and reads no other.
+    #[must_use]
+    pub fn with_secrets(mut self, secrets: Secrets) -> Self {
+        self.secrets = Arc::new(secrets);
+        self
+    }
+
+    /// The keys of what is stored encrypted.
+    pub(crate) fn secrets(&self) -> &Secrets {
+        &self.secrets
     }
 
     /// The settings of the database on which durability depends, as they were at the start.

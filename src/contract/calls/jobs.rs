@@ -123,6 +123,9 @@ impl Arriving {
         };
         let (has_base, has_navigation) = (has(Part::Base), has(Part::Navigation));
         let webhook = job_options::webhook(options.webhook.take())?;
+        if webhook.is_some() {
+            caller.check_secret("options.webhook.secret")?;
+        }
         let options = job_options::read(caller, options, has_base)?;
         if options.session.is_none() && !has_navigation {
             self.add_own_navigation(caller).await?;

@@ -35,7 +35,7 @@ use crate::session::SessionId;
 use crate::store::{Bounds, NamedRequest};
 
 use super::texts::{self, brief};
-use super::{Caller, Refusal, v1};
+use super::{Caller, Lease, Refusal, v1};
 
 /// The mode if the request has none.
 const MODE: &str = "spp";
@@ -45,7 +45,11 @@ const PROFILE: &str = "general";
 const NEAREST: &str = "nearest";
 
 fn session_id(text: &str) -> Result<SessionId, Refusal> {
-    SessionId::parse(text).ok_or_else(|| {
+    let id = SessionId::parse(text);
+    if let Some(lease) = Lease::current().filter(|_| id.is_some()) {
+        lease.set_session(text);
+    }
+    id.ok_or_else(|| {
         Refusal::new(Code::SessionNotFound, format!("there is no session {:?}", brief(text)))
             .at("session")
     })
@@ -141,9 +145,19 @@ fn is_full(view: i32) -> Result<bool, Refusal> {
 /// The name of a request that creates something, with the hash of its content; `None` without a
 /// name. `content` is the request without its name.
 fn named_request<M: Message>(name: String, content: &M) -> Result<Option<NamedRequest>, Refusal> {
+    let hash = |content: &[u8]| blake3::hash(content).to_hex().to_string();
+    named_request_by(name, content, hash)
+}
+
+/// The same with another hash, for a content with a secret.
+fn named_request_by<M: Message>(
+    name: String,
+    content: &M,
+    hash: impl Fn(&[u8]) -> String,
+) -> Result<Option<NamedRequest>, Refusal> {
     texts::check("requestId", &name, texts::NAME_MAX)?;
-    let hash = || blake3::hash(&content.encode_to_vec()).to_hex().to_string();
-    Ok((!name.is_empty()).then(|| NamedRequest { name, hash: hash() }))
+    let is_named = !name.is_empty();
+    Ok(is_named.then(|| NamedRequest { name, hash: hash(&content.encode_to_vec()) }))
 }
 
 /// The page size of a request, or the call's standard size if it is zero.
