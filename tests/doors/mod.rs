@@ -47,6 +47,7 @@ mod tenants;
 mod tls;
 mod traces;
 mod tracks;
+mod typed;
 mod upgrade;
 mod watches;
 mod webhooks;

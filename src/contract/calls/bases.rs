@@ -17,7 +17,7 @@ use super::feeds;
 use super::paging::Pages;
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, skipped_entry};
-use super::{base_id, named_request, named_request_by, page_size, utc};
+use super::{base_id, named_request, named_request_by, page_size, timestamp, utc};
 
 /// Bases on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -306,6 +306,8 @@ fn message(caller: &Caller, info: &BaseInfo) -> v1::Base {
         }),
         frame: info.frame.map(|frame| frame.name.to_owned()).unwrap_or_default(),
         frame_epoch_year: info.frame.and_then(|frame| frame.epoch_year),
+        create_time: timestamp(info.created_unix_ms),
+        last_stored_time: info.stored_unix_ms.and_then(timestamp),
     }
 }
 

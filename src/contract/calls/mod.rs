@@ -25,6 +25,7 @@ mod upload;
 pub mod watch;
 
 use prost::Message;
+use prost_types::Timestamp;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::clock::unix_epoch;
@@ -140,6 +141,17 @@ fn is_full(view: i32) -> Result<bool, Refusal> {
             Err(Refusal::new(Code::InvalidField, message).at("view"))
         }
     }
+}
+
+/// A time (ms since 1970-01-01 UTC) with its type.
+fn timestamp(unix_ms: i64) -> Option<Timestamp> {
+    let nanos = i32::try_from(unix_ms.rem_euclid(1000) * 1_000_000).unwrap_or_default();
+    Some(Timestamp { seconds: unix_ms.div_euclid(1000), nanos })
+}
+
+/// The number of an enumeration's value; unspecified if it has none of this name.
+fn typed<E: Into<i32>>(name: &str, of_name: impl Fn(&str) -> Option<E>) -> i32 {
+    of_name(name).map_or(0, Into::into)
 }
 
 /// The name of a request that creates something, with the hash of its content; `None` without a
