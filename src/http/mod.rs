@@ -1,6 +1,7 @@
 //! The REST door, and the port that both doors share. The router is in this file.
 
 mod admission;
+mod answer;
 mod audit;
 mod bases;
 mod body;

@@ -15,3 +15,4 @@ mod navigation;
 mod robustness;
 mod server;
 mod streams;
+mod windows;
