@@ -65,7 +65,7 @@ impl Secrets {
         opened.ok_or_else(|| SecretsError::Damaged { owner: owner.to_owned() })
     }
 
-    /// Hash of what has a secret in it, so that nobody without the key can find the secret by trying.
+    /// Hash of what has a secret in it: nobody without the key can find the secret by trying.
     pub(crate) fn hash(&self, content: &[u8]) -> String {
         let hash = match &self.current {
             None => blake3::hash(content),

@@ -11,7 +11,7 @@ use crate::tenant::Tenant;
 use super::antennas::calibration_hash;
 use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
-use super::feeds::{RawFeed, feed, password_owner};
+use super::feeds::{RawFeed, feed};
 use super::pool::{reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
@@ -355,8 +355,7 @@ impl Store {
                     site!(key, 1_u64, site).execute(&mut *transaction).await?;
                 }
                 if let Some(feed) = feed {
-                    let password = self.secrets.seal(&password_owner(key.0), &feed.password);
-                    feed!(key, feed, password).execute(&mut *transaction).await?;
+                    feed!(key, feed, &self.secrets).execute(&mut *transaction).await?;
                 }
                 note!(transaction, entry);
                 transaction.commit().await?;

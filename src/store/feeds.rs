@@ -92,16 +92,18 @@ pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
      follows_rover, on_demand, password_key)
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)";
 
-/// Binds a feed, with its password as it is stored, after its base.
+/// Binds a feed, its password sealed by these secrets, after its base.
 macro_rules! feed {
-    ($base:expr, $feed:expr, $password:expr) => {{
+    ($base:expr, $feed:expr, $secrets:expr) => {{
+        let owner = $crate::store::feeds::password_owner($base.0);
+        let password = $secrets.seal(&owner, &$feed.password);
         let axis = |axis: usize| $feed.position.map(|position| position.0[axis]);
         sqlx::query($crate::store::feeds::INSERT_FEED)
             .bind($base.0)
             .bind(&$feed.caster)
             .bind(&$feed.mountpoint)
             .bind(&$feed.name)
-            .bind(&$password.text)
+            .bind(password.text)
             .bind(i32::from($feed.version))
             .bind($feed.near.map(crate::gnss::GpsTime::as_ns))
             .bind(axis(0))
@@ -109,7 +111,7 @@ macro_rules! feed {
             .bind(axis(2))
             .bind(i32::from($feed.follows_rover))
             .bind(i32::from($feed.is_on_demand))
-            .bind(&$password.key)
+            .bind(password.key)
     }};
 }
 pub(super) use feed;

@@ -141,8 +141,8 @@ impl Store {
         written.map_err(StoreError::database("encrypting secrets"))
     }
 
-    /// Gives up the secrets under a key, with this entry in the audit log: their casters are asked without a password, and their
-    /// webhooks are told nothing more. Returns their number.
+    /// Gives up the secrets under a key, with this entry in the audit log: their casters are asked
+    /// without a password, and their webhooks are told nothing more. Returns their number.
     ///
     /// # Errors
     /// The database fails.

@@ -28,8 +28,8 @@ fn get(port: u16, path: &str) -> Request<()> {
     Request::get(format!("http://localhost:{port}{path}")).body(()).unwrap()
 }
 
-/// Their memory is free again after the time that a reader has, and others are served meanwhile: also
-/// a watch without anything to send.
+/// Their memory is free again after the time that a reader has, and others are served meanwhile,
+/// also a watch without anything to send.
 #[tokio::test]
 async fn a_window_that_stays_closed_keeps_no_memory() {
     let doors = Doors::with(Limits { body_silence_s: 1, ..Limits::standard() }).await;
