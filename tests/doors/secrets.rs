@@ -116,6 +116,13 @@ async fn a_password_is_stored_under_the_key_in_force(database: Database) {
         assert!(why.contains(&unknown), "{why}");
     }
 
+    let (listen, wrong) = (format!("127.0.0.1:{}", free_port()), file(folder.path(), 'a'));
+    let serve = ["serve", "--listen", &listen, "--database", &database.url];
+    let started =
+        graphfix(&[&serve[..], &["--secrets-key-file", wrong.to_str().unwrap()]].concat());
+    let line = String::from_utf8(started.stderr).unwrap();
+    assert!(line.contains("error[SECRETS_KEY_UNKNOWN]"), "{line}");
+
     // The key is lost: its secrets are given up.
     assert!(done(&["secrets", "list", "--database", &database.url]).contains(&ids[1]));
     let forgotten = done(&["secrets", "forget", &ids[1], "--database", &database.url]);

@@ -42,7 +42,7 @@ macro_rules! operation {
         "name a file with 64 hexadecimal digits, such as `openssl rand -hex 32` prints";
     /// Stored secrets are encrypted with a key that is not given.
     SecretsKeyUnknown = "SECRETS_KEY_UNKNOWN", NoCall,
-        "name this key in secrets.former_key_files, or give the secrets up: graphfix secrets forget";
+        "name it in secrets.former_key_files, or give the secrets up (graphfix secrets forget)";
     /// The address of the collector of traces is invalid.
     TelemetryEndpointInvalid = "TELEMETRY_ENDPOINT_INVALID", NoCall,
         "name the collector's gRPC port as http://HOST:4317 or https://HOST:4317";
