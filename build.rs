@@ -72,6 +72,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         #[schema(value_type = String, example = \"SINGLE\", default = json!(\"UNSPECIFIED\"))]";
     let as_object = "#[serde(with = \"crate::contract::json::values\")]
         #[schema(value_type = Object)]";
+    // JSON has them as the texts beside them.
+    for file in descriptors.file.iter().filter(|file| file.package() == PACKAGE) {
+        for message in &file.message_type {
+            for field in message.field.iter().filter(|field| is_typed_twin(field)) {
+                let path = format!(".{PACKAGE}.{}.{}", message.name(), field.name());
+                build = build.field_attribute(path, "#[serde(skip)]");
+            }
+        }
+    }
     build
         .field_attribute(".graphfix.v1.Solution.status", as_name)
         .field_attribute(".graphfix.v1.ListSolutionsRequest.status", as_name)
@@ -92,6 +101,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .codec_path("crate::grpc::Codec")
         .compile_fds(descriptors)?;
     Ok(())
+}
+
+/// Whether a field has the type of what another field of its message has as text.
+fn is_typed_twin(field: &prost_types::FieldDescriptorProto) -> bool {
+    let kinds = ["JobState", "DeliveryState", "SourceState", "SatelliteRole"];
+    let kinds = kinds.map(|kind| format!(".{PACKAGE}.{kind}"));
+    field.type_name() == ".google.protobuf.Timestamp"
+        || kinds.iter().any(|k| field.type_name() == k)
 }
 
 /// Writes the table of the dashboard's files: path of the service, and content.

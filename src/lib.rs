@@ -81,12 +81,16 @@ pub mod evaluation;
 
 pub mod reception;
 
+pub mod secrets;
+
 pub mod store;
 
 pub mod clock;
 mod meters;
 
 pub mod tls;
+
+pub mod traces;
 
 pub mod keys;
 pub mod quotas;

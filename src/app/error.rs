@@ -9,8 +9,10 @@ use crate::formats::geoid::GeoidError;
 use crate::jobs::JobError;
 use crate::keys::KeyError;
 use crate::refusal::Code;
+use crate::secrets::SecretsError;
 use crate::store::StoreError;
 use crate::tls::TlsError;
+use crate::traces::TracesError;
 
 /// Why a service does not open, or stops.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +41,12 @@ pub enum AppError {
     /// The certificate of the service.
     #[error(transparent)]
     Tls(#[from] TlsError),
+    /// A key of stored secrets.
+    #[error(transparent)]
+    Secrets(#[from] SecretsError),
+    /// The traces.
+    #[error(transparent)]
+    Traces(#[from] TracesError),
     /// The operator's calibrations of antennas.
     #[error("{}: {reason}", path.display())]
     Antex {
@@ -69,6 +77,8 @@ impl AppError {
             Self::NotLoopback(_) => Code::ListenNotLoopback,
             Self::NotEncrypted(_) => Code::ListenNotEncrypted,
             Self::Tls(error) => error.code(),
+            Self::Secrets(error) => error.code(),
+            Self::Traces(error) => error.code(),
             Self::Antex { .. } => Code::AntexInvalid,
             Self::Geoid { .. } => Code::GeoidInvalid,
         }

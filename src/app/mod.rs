@@ -24,7 +24,8 @@ use crate::aiding::{AidingDesk, AidingLimits};
 use crate::cluster::Cluster;
 use crate::config::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, ClusterConfiguration, Limits,
-    NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
+    NavigationConfiguration, NetworkConfiguration, SecretsConfiguration, ServiceConfiguration,
+    TelemetryConfiguration,
 };
 use crate::contract::Service;
 use crate::contract::nodes::Nodes;
@@ -39,9 +40,11 @@ use crate::http;
 use crate::jobs::Jobs;
 use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
+use crate::secrets::{Secrets, SecretsError, SecretsKey};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{Store, StoreError};
 use crate::tls::{ClientFiles, ClientTls, ServerTls};
+use crate::traces::{Exporter, TraceOptions, TracesError};
 
 pub use error::AppError;
 pub use worker::{WorkerApp, open_worker};
@@ -56,6 +59,8 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 pub struct App {
     store: Store,
     service: Service,
+    /// Sends traces; `None` without a collector.
+    exporter: Option<Exporter>,
 }
 
 /// Opens the database and the desks, and starts the sources of ephemerides and bases. `time_limits`
@@ -81,7 +86,9 @@ pub async fn open(
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
     let node = node_name(configuration);
-    let store = open_store(database, &node, &configuration.cluster).await?;
+    let secrets = secrets(&configuration.secrets)?;
+    let exporter = exporter(&configuration.telemetry, &node)?;
+    let store = open_store(database, &node, &configuration.cluster, secrets).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
@@ -104,7 +111,8 @@ pub async fn open(
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
     let service = service.with_nodes(nodes);
-    Ok(App { store, service })
+    let service = service.with_tracer(exporter.as_ref().map(Exporter::tracer).cloned());
+    Ok(App { store, service, exporter })
 }
 
 /// What a node does for itself each second, and for the cluster once it leads.
@@ -143,11 +151,13 @@ async fn open_store(
     database: &str,
     node: &str,
     cluster: &ClusterConfiguration,
+    secrets: Secrets,
 ) -> Result<Store, AppError> {
     let store = match cluster.is_on() {
         false => Store::open_alone(database, node).await?,
         true => Store::open_in_cluster(database, node, &cluster.address).await?,
     };
+    let store = store.with_secrets(secrets);
     match cluster.is_on() {
         false => tracing::info!(node, "this node has the lease of the database"),
         true => {
@@ -162,7 +172,52 @@ async fn open_store(
             false => tracing::warn!(name, value, "a power failure may lose acknowledged data"),
         }
     }
+    if let Err(error) = encrypt_secrets(&store).await {
+        store.close().await;
+        return Err(error);
+    }
     Ok(store)
+}
+
+/// What sends traces, if the configuration names a collector.
+fn exporter(
+    configuration: &TelemetryConfiguration,
+    node: &str,
+) -> Result<Option<Exporter>, TracesError> {
+    let TelemetryConfiguration { otlp_endpoint, otlp_ca_file, otlp_ratio } = configuration.clone();
+    let options = otlp_endpoint.map(|endpoint| TraceOptions {
+        endpoint,
+        ca_file: otlp_ca_file,
+        ratio: otlp_ratio,
+        node: node.to_owned(),
+    });
+    options.map(Exporter::start).transpose()
+}
+
+/// Encrypts the stored secrets with the key in force, or warns that they are not.
+async fn encrypt_secrets(store: &Store) -> Result<(), AppError> {
+    match store.reseal().await? {
+        0 => {}
+        secrets => tracing::info!(secrets, "encrypted stored secrets with the key in force"),
+    }
+    let stored = store.secrets_by_key().await?;
+    if let Some(plain) = stored.iter().find(|under| under.key.is_none()) {
+        let secrets = plain.secrets;
+        tracing::warn!(secrets, "secrets are stored as they are; name a key (secrets.key_file)");
+    }
+    Ok(())
+}
+
+/// The keys of stored secrets.
+fn secrets(configuration: &SecretsConfiguration) -> Result<Secrets, SecretsError> {
+    let SecretsConfiguration { key_file, former_key_files, key } = configuration;
+    let current = match (key_file, key) {
+        (Some(path), _) => SecretsKey::read(path)?,
+        (None, Some(text)) => SecretsKey::parse(text)?,
+        (None, None) => return Ok(Secrets::default()),
+    };
+    let former = former_key_files.iter().map(|path| SecretsKey::read(path));
+    Ok(Secrets::new(current, former.collect::<Result<_, _>>()?))
 }
 
 /// Opens the database for reading, with the stored ephemerides, bases and antennas, for a
@@ -253,6 +308,9 @@ impl App {
             service.quotas().close().await;
         };
         end_within(limit, feeds, "tasks beside the requests still run; cut off").await;
+        if let Some(exporter) = self.exporter {
+            exporter.close().await;
+        }
         self.store.close().await;
     }
 }

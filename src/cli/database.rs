@@ -1,25 +1,37 @@
 //! The database that a command works in beside the service.
 
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
 use clap::Args;
 
 use crate::app;
+use crate::config::STANDARD_DATABASE;
+use crate::refusal::Code;
 use crate::store::{Author, COMMAND_LINE, Store};
 use crate::tenant::Tenant;
 
 use super::Failure;
 
-/// The argument that names the service's database.
-#[derive(Debug, Args)]
+/// Longest file with a URL that is read (bytes).
+const FILE_BYTES: u64 = 4096;
+
+/// The arguments that name the service's database.
+#[derive(Clone, Debug, Args)]
 pub(super) struct DatabaseArgument {
-    /// The service's database: sqlite://FILE or postgres://….
+    /// The service's database: sqlite://FILE or postgres://…. Default: sqlite://graphfix.db.
     #[arg(
         long,
         value_name = "URL",
         env = "GRAPHFIX_DATABASE",
-        default_value = "sqlite://graphfix.db",
-        global = true
+        global = true,
+        conflicts_with = "database_file"
     )]
-    database: String,
+    database: Option<String>,
+    /// File with that URL, which may have a password.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE", global = true)]
+    database_file: Option<PathBuf>,
 }
 
 impl DatabaseArgument {
@@ -28,8 +40,34 @@ impl DatabaseArgument {
     /// # Errors
     /// It cannot be opened, or its schema is another version's.
     pub(super) async fn open(&self) -> Result<Store, Failure> {
-        Ok(Store::open_beside(&self.database, &app::random_node()).await?)
+        Ok(Store::open_beside(&self.url()?, &app::random_node()).await?)
     }
+
+    /// URL of the database.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub(super) fn url(&self) -> Result<String, Failure> {
+        match (&self.database, &self.database_file) {
+            (_, Some(file)) => url_in(file),
+            (Some(url), None) => Ok(url.clone()),
+            (None, None) => Ok(STANDARD_DATABASE.to_owned()),
+        }
+    }
+}
+
+/// The URL in a file, without blanks around it.
+///
+/// # Errors
+/// The file cannot be read.
+pub(super) fn url_in(path: &Path) -> Result<String, Failure> {
+    let mut text = String::new();
+    let file = File::open(path);
+    let read = file.and_then(|file| file.take(FILE_BYTES).read_to_string(&mut text));
+    read.map_err(|error| {
+        Failure::of(Code::FileNotReadable, format!("{}: {error}", path.display()))
+    })?;
+    Ok(text.trim().to_owned())
 }
 
 /// Who works by a command, for the audit log.

@@ -22,6 +22,7 @@ mod option_arguments;
 mod progress;
 mod recording;
 mod replay;
+mod secrets;
 mod serve;
 mod simulate;
 mod solve;
@@ -64,6 +65,7 @@ enum Command {
     Replay(replay::ReplayArguments),
     Keys(keys::KeysArguments),
     Tenants(tenants::TenantsArguments),
+    Secrets(secrets::SecretsArguments),
 }
 
 impl Command {
@@ -83,6 +85,7 @@ impl Command {
             Self::Replay(arguments) => replay::run(&arguments),
             Self::Keys(arguments) => keys::run(arguments),
             Self::Tenants(arguments) => tenants::run(arguments),
+            Self::Secrets(arguments) => secrets::run(arguments),
         }
     }
 }

@@ -15,6 +15,7 @@ use crate::refusal::Code;
 use crate::session::{Check, Recomputation, SessionError, SessionId, SolveRequest};
 
 use super::Failure;
+use super::database::DatabaseArgument;
 use super::host;
 use super::option_arguments::{assignments, check_as_computed};
 use super::solve::{create, unwritable};
@@ -28,9 +29,8 @@ use super::solve::{create, unwritable};
 pub(super) struct ReplayArguments {
     /// Id of the session.
     session: String,
-    /// sqlite://FILE or postgres://….
-    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
-    database: String,
+    #[command(flatten)]
+    database: DatabaseArgument,
     /// Another estimator than the session's.
     #[arg(long, value_name = "MODE")]
     mode: Option<String>,
@@ -62,7 +62,8 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
     let id = SessionId::parse(&arguments.session)
         .ok_or_else(|| SessionError::NotFound { id: arguments.session.clone() })?;
     let limits = Limits::standard();
-    let opened = app::open_stored(&arguments.database, &limits, AntennaCatalogue::default());
+    let database = arguments.database.url()?;
+    let opened = app::open_stored(&database, &limits, AntennaCatalogue::default());
     let (store, aiding) = opened.await?;
     let again = Recomputation::open(store.clone(), aiding, &id, change.as_ref()).await?;
     let report = match (&change, &arguments.output) {

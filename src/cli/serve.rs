@@ -7,12 +7,15 @@ use clap::Args;
 use tokio::net::TcpListener;
 
 use crate::app;
-use crate::config::ServiceConfiguration;
+use crate::config::{STANDARD_DATABASE, ServiceConfiguration};
 use crate::feeds::{FeedOptions, TimeLimits};
 use crate::refusal::Code;
 
 use super::Failure;
-use super::host;
+use super::{database, host};
+
+/// Variable with the key of stored secrets.
+const SECRETS_KEY: &str = "GRAPHFIX_SECRETS_KEY";
 
 /// Runs the service until it is interrupted.
 #[derive(Clone, Debug, Args)]
@@ -58,6 +61,23 @@ pub(super) struct ServeArguments {
     /// Authorities of the certificates of the other nodes (PEM). Default: those of browsers.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CLUSTER_CA")]
     cluster_ca: Option<PathBuf>,
+    /// File with the URL of the database, which may have a password.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE", conflicts_with = "database")]
+    database_file: Option<PathBuf>,
+    /// File of the key (64 hexadecimal digits) with which passwords at casters and secrets of
+    /// webhooks are encrypted before they are stored; GRAPHFIX_SECRETS_KEY may be the key itself.
+    /// Default: none.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_SECRETS_KEY_FILE")]
+    secrets_key_file: Option<PathBuf>,
+    /// File of a former key: what is stored under it is encrypted with the key in force at the
+    /// start; may be repeated.
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "GRAPHFIX_SECRETS_FORMER_KEY_FILES",
+        value_delimiter = ','
+    )]
+    secrets_former_key_file: Vec<PathBuf>,
     /// Host that the service may connect to for clients, such as a caster: HOST, HOST:PORT or
     /// *.DOMAIN; may be repeated. Default: none.
     #[arg(long, value_name = "HOST", env = "GRAPHFIX_FETCH_HOSTS", value_delimiter = ',')]
@@ -77,6 +97,10 @@ pub(super) struct ServeArguments {
     /// the option geoid. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_GEOID_FILE")]
     geoid: Option<PathBuf>,
+    /// Send traces of requests to a collector that takes OTLP over gRPC, such as
+    /// http://127.0.0.1:4317. Default: none.
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_OTLP_ENDPOINT")]
+    otlp_endpoint: Option<String>,
     /// Filter of the log, such as info or graphfix=debug.
     #[arg(long, value_name = "FILTER", env = "GRAPHFIX_LOG")]
     log: Option<String>,
@@ -98,7 +122,18 @@ impl ServeArguments {
         tls.client_crl_file = self.tls_client_crl.or(tls.client_crl_file.take());
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
-        configuration.database = self.database.unwrap_or(configuration.database);
+        if let Some(url) = self.database {
+            (configuration.database, configuration.database_file) = (url, None);
+        }
+        if let Some(file) = self.database_file {
+            configuration.database = STANDARD_DATABASE.to_owned();
+            configuration.database_file = Some(file);
+        }
+        let secrets = &mut configuration.secrets;
+        secrets.key_file = self.secrets_key_file.or(secrets.key_file.take());
+        secrets.former_key_files.extend(self.secrets_former_key_file);
+        // Not an argument, as everybody on the machine sees those.
+        secrets.key = std::env::var(SECRETS_KEY).ok().filter(|key| !key.is_empty());
         let cluster = &mut configuration.cluster;
         cluster.address = self.cluster.unwrap_or(std::mem::take(&mut cluster.address));
         cluster.ca_file = self.cluster_ca.or(cluster.ca_file.take());
@@ -107,12 +142,17 @@ impl ServeArguments {
         configuration.navigation.archives.extend(self.nav_archive);
         configuration.geoid_file = self.geoid.or(configuration.geoid_file);
         configuration.antennas.antex = self.antex.or(configuration.antennas.antex);
+        let telemetry = &mut configuration.telemetry;
+        telemetry.otlp_endpoint = self.otlp_endpoint.or(telemetry.otlp_endpoint.take());
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         if configuration.node.is_empty() {
             configuration.node = app::random_node(); // For the log, too.
         }
         configuration.check()?;
+        if let Some(file) = configuration.database_file.take() {
+            configuration.database = database::url_in(&file)?;
+        }
         Ok(configuration)
     }
 }

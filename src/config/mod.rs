@@ -19,7 +19,9 @@ mod output_table;
 mod positioning;
 mod rtk_options;
 mod rtk_table;
+mod secrets;
 mod service;
+mod telemetry;
 mod tls;
 
 pub use choices::{BandSet, Beyond, ConstellationSet, Mode, OutputFrame, Profile};
@@ -37,9 +39,11 @@ pub use output_options::OutputOptions;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
+pub use secrets::SecretsConfiguration;
 pub use service::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, FetchConfiguration,
     LogConfiguration, NavigationConfiguration, NetworkConfiguration, ServiceConfiguration,
 };
-pub(crate) use service::{RETENTION_MAX_DAYS, ServiceConfigurationError};
+pub(crate) use service::{RETENTION_MAX_DAYS, STANDARD_DATABASE, ServiceConfigurationError};
+pub use telemetry::TelemetryConfiguration;
 pub use tls::TlsConfiguration;

@@ -14,6 +14,8 @@ use crate::refusal::Code;
 use super::cluster::ClusterConfiguration;
 use super::jobs::JobsConfiguration;
 use super::limits::Limits;
+use super::secrets::SecretsConfiguration;
+use super::telemetry::TelemetryConfiguration;
 use super::tls::TlsConfiguration;
 
 /// Shortest interval between requests (s): ephemerides change once an hour, and archives serve
@@ -22,6 +24,9 @@ const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 
 /// Longest retention (days): a century.
 pub(crate) const RETENTION_MAX_DAYS: u32 = 36_500;
+
+/// The database if none is named.
+pub(crate) const STANDARD_DATABASE: &str = "sqlite://graphfix.db";
 
 /// Options of the service.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -45,8 +50,14 @@ pub struct ServiceConfiguration {
     pub database: String,
     /// The other nodes on the same database.
     pub cluster: ClusterConfiguration,
+    /// File with the URL of the database, in place of `database`: a URL may have a password.
+    pub database_file: Option<PathBuf>,
+    /// Keys that encrypt stored secrets.
+    pub secrets: SecretsConfiguration,
     /// Format and filter of the log.
     pub log: LogConfiguration,
+    /// Traces for OpenTelemetry.
+    pub telemetry: TelemetryConfiguration,
     /// Hosts that the service may connect to at a client's request.
     pub fetch: FetchConfiguration,
     /// Sources of ephemerides besides uploads.
@@ -217,9 +228,12 @@ impl ServiceConfiguration {
             tls: TlsConfiguration::default(),
             node: String::new(),
             hosts: Vec::new(),
-            database: "sqlite://graphfix.db".to_owned(),
+            database: STANDARD_DATABASE.to_owned(),
+            database_file: None,
+            secrets: SecretsConfiguration::default(),
             cluster: ClusterConfiguration::default(),
             log: LogConfiguration { json: false, filter: "info".to_owned() },
+            telemetry: TelemetryConfiguration::standard(),
             fetch: FetchConfiguration {
                 hosts: Vec::new(),
                 private_addresses: false,
@@ -257,6 +271,13 @@ impl ServiceConfiguration {
         }
         if let Some(missing) = self.tls.missing() {
             return Err(ServiceConfigurationError::Malformed(missing.to_owned()));
+        }
+        if let Some(wrong) = self.secrets.wrong().or_else(|| self.telemetry.wrong()) {
+            return Err(ServiceConfigurationError::Malformed(wrong.to_owned()));
+        }
+        if self.database_file.is_some() && self.database != STANDARD_DATABASE {
+            let why = "database and database_file are given, and one of them is to be left out";
+            return Err(ServiceConfigurationError::Malformed(why.to_owned()));
         }
         if self.navigation.archive_interval_s < ARCHIVE_INTERVAL_MIN_S {
             return Err(ServiceConfigurationError::ArchiveInterval);

@@ -4,8 +4,8 @@
 //! before a message is decoded. It ends with the request. A quarter of the budget is for small
 //! requests only, so that large ones cannot keep devices from pushing their epochs.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use uuid::Uuid;
 
@@ -13,6 +13,7 @@ use crate::config::IntakeLimits;
 use crate::formats;
 use crate::keys::Pass;
 use crate::refusal::Code;
+use crate::traces::Trace;
 
 use super::Refusal;
 
@@ -55,6 +56,10 @@ struct Leased {
     id: Uuid,
     /// Who sends it; `None` if nobody needs a key for it.
     pass: Option<Pass>,
+    /// The trace of the request, if it is traced.
+    trace: OnceLock<Arc<Trace>>,
+    /// Id of the session that the request names, for the log.
+    session: OnceLock<Box<str>>,
 }
 
 impl Budget {
@@ -76,6 +81,8 @@ impl Budget {
             message: AtomicUsize::new(0),
             id: Uuid::now_v7(),
             pass,
+            trace: OnceLock::new(),
+            session: OnceLock::new(),
         }));
         lease.reserve(REQUEST_BYTES)?;
         Ok(lease)
@@ -116,6 +123,28 @@ impl Lease {
     /// Who sends the request; `None` if nobody needs a key for it.
     pub(crate) fn pass(&self) -> Option<&Pass> {
         self.0.pass.as_ref()
+    }
+
+    /// Notes that the request is traced.
+    pub(crate) fn set_trace(&self, trace: Trace) {
+        // Err: it has a trace already, which stays.
+        self.0.trace.set(Arc::new(trace)).ok();
+    }
+
+    /// Notes the session that the request names.
+    pub(crate) fn set_session(&self, id: &str) {
+        // Err: it names another one, too; the first is that of its path.
+        self.0.session.set(id.into()).ok();
+    }
+
+    /// Id of the session that the request names; `None` if it names none.
+    pub(crate) fn session(&self) -> Option<&str> {
+        self.0.session.get().map(|id| &**id)
+    }
+
+    /// The trace of the request; `None` if it is not traced.
+    pub(crate) fn trace(&self) -> Option<&Arc<Trace>> {
+        self.0.trace.get()
     }
 
     /// The limits on the content of a request.

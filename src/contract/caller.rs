@@ -3,6 +3,8 @@
 //! Calls have a [`Caller`] and no [`Service`], so none of them reaches what belongs to another
 //! tenant. `tests/tidy` checks it.
 
+use std::sync::Arc;
+
 use tokio::sync::OwnedSemaphorePermit;
 
 use crate::aiding::bases::{BaseFileLimits, TenantBases};
@@ -14,9 +16,11 @@ use crate::jobs::Jobs;
 use crate::keys::{Keys, Pass, Right, Rights};
 use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
+use crate::secrets::Secrets;
 use crate::session::Sessions;
 use crate::store::{Act, AuditEntry, AuditFilter, Author, Page, StoreError};
 use crate::tenant::Tenant;
+use crate::traces::Trace;
 
 use super::audit::{ADMINISTRATIVE, author_of};
 use super::{Lease, Refusal, Service};
@@ -36,11 +40,13 @@ impl Service {
     /// Nobody is known to have sent it: the call is not one that asks for a key, or there is no
     /// request.
     pub(crate) fn caller(&self) -> Result<Caller, Refusal> {
-        let pass = Lease::current().and_then(|lease| lease.pass().cloned());
+        let lease = Lease::current();
+        let pass = lease.as_ref().and_then(|lease| lease.pass().cloned());
         let pass = pass.ok_or_else(|| {
             Refusal::new(Code::KeyRequired, "nobody is known to have sent this request")
         })?;
-        Ok(self.caller_of(pass))
+        let trace = lease.as_ref().and_then(|lease| lease.trace().cloned());
+        Ok(self.caller_of(pass, trace))
     }
 
     /// Who calls within this process, while nobody needs a key.
@@ -48,11 +54,11 @@ impl Service {
     /// # Errors
     /// The service has keys.
     pub fn without_key(&self) -> Result<Caller, Refusal> {
-        Ok(self.caller_of(self.keys().admit(None, None)?))
+        Ok(self.caller_of(self.keys().admit(None, None)?, None))
     }
 
-    fn caller_of(&self, pass: Pass) -> Caller {
-        let sessions = self.sessions().of(pass.tenant());
+    fn caller_of(&self, pass: Pass, trace: Option<Arc<Trace>>) -> Caller {
+        let sessions = self.sessions().of(pass.tenant()).traced(trace);
         Caller { service: self.clone(), pass, sessions }
     }
 }
@@ -93,6 +99,24 @@ impl Caller {
         }
         let message = format!("the key {} has {has}, and a session's epochs need read", self.key());
         Err(Refusal::new(Code::RightMissing, message))
+    }
+
+    /// Checks that a secret of the caller's may be stored: encrypted, or while the service needs no
+    /// API key, as it then serves this machine only.
+    ///
+    /// # Errors
+    /// The operator has given no key of secrets.
+    pub(super) fn check_secret(&self, field: &'static str) -> Result<(), Refusal> {
+        if self.secrets().key_id().is_some() || !self.service.keys().are_needed() {
+            return Ok(());
+        }
+        let message = "the service has no key with which it could encrypt the secret";
+        Err(Refusal::new(Code::SecretsKeyMissing, message).at(field))
+    }
+
+    /// The keys of secrets.
+    pub(super) fn secrets(&self) -> &Secrets {
+        self.service.sessions().store().secrets()
     }
 
     /// The sessions of the tenant.

@@ -121,6 +121,11 @@ impl Service {
         page.bytes("request_memory", "Memory that all requests have reserved", used);
         let total = self.budget().total() as u64;
         page.bytes("request_memory_limit", "Memory that all requests may reserve", total);
+        let traces = self.tracer().map(|tracer| tracer.meters().clone()).unwrap_or_default();
+        let help = "Spans of traces that the collector has taken";
+        page.0.register("trace_spans_exported", help, traces.exported);
+        let help = "Spans of traces that were dropped, as the collector has not taken them";
+        page.0.register("trace_spans_dropped", help, traces.dropped);
         let is_draining = f64::from(self.is_draining());
         page.gauge("draining", "1 while the service is about to stop, otherwise 0", is_draining);
     }

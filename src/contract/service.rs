@@ -13,6 +13,7 @@ use crate::quotas::TenantQuotas;
 use crate::refusal::Code;
 use crate::session::Sessions;
 use crate::tls::ServerTls;
+use crate::traces::Tracer;
 
 use super::nodes::Nodes;
 use super::refused_acts::RefusedActs;
@@ -50,6 +51,8 @@ struct Desks {
     tls: Option<ServerTls>,
     /// The other nodes; `None` for a service without a cluster.
     nodes: Option<Nodes>,
+    /// Begins traces; `None` if nobody collects them.
+    tracer: Option<Tracer>,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
     /// Limits the open watches.
@@ -87,6 +90,7 @@ impl Service {
             refused_acts: Arc::default(),
             tls: None,
             nodes: None,
+            tracer: None,
             streams,
             watches,
         }))
@@ -116,6 +120,18 @@ impl Service {
     pub(crate) fn with_tls(mut self, tls: Option<ServerTls>) -> Self {
         Arc::make_mut(&mut self.0).tls = tls;
         self
+    }
+
+    /// The service with traces, unless `tracer` is `None`.
+    #[must_use]
+    pub(crate) fn with_tracer(mut self, tracer: Option<Tracer>) -> Self {
+        Arc::make_mut(&mut self.0).tracer = tracer;
+        self
+    }
+
+    /// Begins traces; `None` if nobody collects them.
+    pub(crate) fn tracer(&self) -> Option<&Tracer> {
+        self.0.tracer.as_ref()
     }
 
     /// TLS of the port; `None` if it is not encrypted.

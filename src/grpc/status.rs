@@ -6,7 +6,7 @@ use prost::Message;
 use tonic::{Code as GrpcCode, Response, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-use crate::contract::Refusal;
+use crate::contract::{Refusal, log_failure};
 use crate::refusal::{Class, Code};
 
 /// Answers are compressed from this length on (bytes). Shorter ones are not worth the time.
@@ -44,7 +44,7 @@ impl From<Refusal> for Status {
 pub(crate) fn to_status(refusal: &Refusal) -> Status {
     let is_failure = matches!(refusal.code.class(), Class::Internal | Class::Unavailable);
     if is_failure && refusal.code != Code::Draining {
-        tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
+        log_failure(refusal, "");
     }
     let mut metadata = HashMap::from([
         ("remedy".to_owned(), refusal.code.remedy().to_owned()),

@@ -26,7 +26,7 @@ use super::forwarding::{self, Mark, Peers, Route};
 use super::jobs;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
-use super::{sign_in, uploads};
+use super::{sign_in, traced, uploads};
 
 /// Header with the name of the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
@@ -71,7 +71,9 @@ pub(super) async fn admit(
     };
     let mut response = match admitted {
         Ok((request, lease)) => {
+            let span = traced::begun(&service, &target, &request, &lease, begun);
             let mut response = lease.clone().scope(next.run(request)).await;
+            traced::ended(span, &response, outcome(&response));
             let id = lease.request_id();
             tracing::debug!(request = %id, status = %response.status(), "answered");
             let mut text = [0; Hyphenated::LENGTH];

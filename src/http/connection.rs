@@ -22,7 +22,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep, sleep_until};
 use tower::ServiceExt;
 
-use super::metered::Keeping;
+use super::answer::{Answer, PART_BYTES, WaitingAnswers};
 
 /// Largest head of a request (bytes).
 const HEAD_BYTES: usize = 16 << 10;
@@ -36,6 +36,8 @@ const STREAMS: u32 = 128;
 /// Interval of pings to a peer of HTTP/2, and the time that it has to answer.
 const PING_INTERVAL: Duration = Duration::from_secs(20);
 const PING_TIMEOUT: Duration = Duration::from_secs(20);
+/// Slowest rate of a reader (bytes/s).
+const RATE_MIN: u64 = 16 << 10;
 /// Interval at which a connection that serves a request is checked.
 const LOOK_INTERVAL: Duration = Duration::from_secs(5);
 /// Time that a connection has for its shutdown.
@@ -74,6 +76,10 @@ struct Activity {
     /// but requests.
     head_ms: AtomicU64,
     is_http1: AtomicBool,
+    /// Number of requests so far.
+    requests: AtomicU64,
+    /// Answers whose reader takes nothing.
+    waiting: Arc<WaitingAnswers>,
 }
 
 /// A request that is served. Dropping it ends it.
@@ -103,7 +109,10 @@ impl Activity {
             return Some(after(blocked_ms, patience.silence));
         }
         if self.is_running() {
-            return None;
+            // As for a body: twice the silence, and the time of what it has been given.
+            let part = Duration::from_secs(PART_BYTES as u64 / RATE_MIN);
+            let wait = patience.silence + patience.silence + part;
+            return self.waiting.since().map(|since| since + wait);
         }
         let ended_ms = self.ended_ms.load(Ordering::Acquire);
         let head_ms = self.head_ms.load(Ordering::Acquire);
@@ -112,6 +121,16 @@ impl Activity {
             (_, 0) => Some(after(ended_ms, patience.idle)),
             _ => Some(after(head_ms, patience.head)),
         }
+    }
+}
+
+impl Running {
+    /// The body of its answer, which keeps it.
+    fn answer(self, body: Body) -> Body {
+        let Self(activity) = &self;
+        let number = activity.requests.fetch_add(1, Ordering::Relaxed);
+        let waiting = activity.waiting.clone();
+        Answer::body(body, (number, waiting), self)
     }
 }
 
@@ -137,6 +156,8 @@ pub(super) async fn serve_connection(
         blocked_ms: AtomicU64::new(0),
         head_ms: AtomicU64::new(0),
         is_http1: AtomicBool::new(false),
+        requests: AtomicU64::new(0),
+        waiting: Arc::default(),
     });
     let of_service = activity.clone();
     let service = service_fn(move |mut request: Request<Incoming>| {
@@ -144,7 +165,7 @@ pub(super) async fn serve_connection(
         let (running, router) = (of_service.begin(request.version()), router.clone());
         async move {
             let response = router.oneshot(request.map(Body::new)).await?;
-            Ok::<_, Infallible>(response.map(|body| Keeping::body(body, running)))
+            Ok::<_, Infallible>(response.map(|body| running.answer(body)))
         }
     });
     let io = Watched { io: TokioIo::new(stream), activity: activity.clone() };

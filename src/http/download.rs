@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::{Stream, TryStreamExt};
 
-use crate::contract::Refusal;
+use crate::contract::{Refusal, log_failure};
 
 /// A file of this name and media type. If its content breaks off, so does the connection.
 pub(super) fn download(
@@ -15,7 +15,7 @@ pub(super) fn download(
     content: impl Stream<Item = Result<Bytes, Refusal>> + Send + 'static,
 ) -> Response {
     let content = content.inspect_err(|refusal| {
-        tracing::error!(code = refusal.code.name(), "a file breaks off: {}", refusal.logged());
+        log_failure(refusal, "a file breaks off: ");
     });
     let disposition = format!("attachment; filename=\"{name}\"");
     let headers =

@@ -9,7 +9,7 @@ use futures::TryStreamExt;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Caller, Refusal, calls, v1};
+use crate::contract::{Caller, Refusal, calls, log_failure, v1};
 
 use super::body::{StrictQuery, json};
 use super::conditions::{IdempotencyKey, Location, created, location};
@@ -149,7 +149,7 @@ pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Re
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", result.name)),
     ];
     let content = result.content().inspect_err(|refusal: &Refusal| {
-        tracing::error!(code = refusal.code.name(), "a result breaks off: {}", refusal.logged());
+        log_failure(refusal, "a result breaks off: ");
     });
     Ok((headers, Body::from_stream(content)).into_response())
 }

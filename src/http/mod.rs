@@ -1,6 +1,7 @@
 //! The REST door, and the port that both doors share. The router is in this file.
 
 mod admission;
+mod answer;
 mod audit;
 mod bases;
 mod body;
@@ -33,6 +34,7 @@ mod sessions;
 mod sign_in;
 mod solutions;
 mod tenants;
+mod traced;
 mod track;
 mod uploads;
 mod watch;

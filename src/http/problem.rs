@@ -10,7 +10,7 @@ use utoipa::openapi::schema::{ObjectBuilder, Type};
 use utoipa::openapi::{ContentBuilder, HeaderBuilder, Ref, RefOr, ResponseBuilder};
 use utoipa::{IntoResponses, ToSchema};
 
-use crate::contract::Refusal;
+use crate::contract::{Refusal, log_failure};
 use crate::refusal::{Class, Code};
 
 /// Media type of the documents.
@@ -163,7 +163,7 @@ impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let Self(refusal) = self;
         if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
-            tracing::error!(code = refusal.code.name(), "{}", refusal.logged());
+            log_failure(&refusal, "");
         }
         let status = http_status(refusal.code.class());
         let mut response = (status, Json(Problem::of(&refusal))).into_response();

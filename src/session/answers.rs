@@ -65,6 +65,13 @@ impl<T> Answers<T> {
     }
 }
 
+impl<T> Reply<T> {
+    /// Whether it goes to a stream.
+    pub(super) const fn is_streamed(&self) -> bool {
+        matches!(self, Self::Stream(_))
+    }
+}
+
 impl<T> Shared<T> {
     fn waiting(&self) -> MutexGuard<'_, Vec<Result<T, SessionError>>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)

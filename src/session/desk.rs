@@ -16,6 +16,7 @@ use crate::clock::Clock;
 use crate::quotas::{Meter, Meters};
 use crate::store::{Author, Claim, SessionKey, SessionRow, Store};
 use crate::tenant::Tenant;
+use crate::traces::{Trace, TraceSpan};
 
 use super::answers::Reply;
 use super::counters::Counters;
@@ -23,7 +24,7 @@ use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
 use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
-use super::task::{MailboxPermit, Message, RawSubmission, Submission, Task};
+use super::task::{MailboxPermit, Message, RawSubmission, Stages, Submission, Task};
 use super::tasks::{Handle, Start, Tasks};
 use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
@@ -45,6 +46,8 @@ const STARTING_LOCKS: usize = 64;
 pub struct Sessions {
     desk: Arc<Desk>,
     meter: Arc<Meter>,
+    /// The trace of the request for which this handle is.
+    trace: Option<Arc<Trace>>,
 }
 
 struct Desk {
@@ -104,13 +107,19 @@ impl Sessions {
             removal: Mutex::new(removal),
         };
         let meter = desk.meters.of(&Tenant::operator());
-        Self { desk: Arc::new(desk), meter }
+        Self { desk: Arc::new(desk), meter, trace: None }
     }
 
     /// The desk for the sessions of a tenant.
     #[must_use]
     pub fn of(&self, tenant: &Tenant) -> Self {
-        Self { desk: self.desk.clone(), meter: self.desk.meters.of(tenant) }
+        Self { desk: self.desk.clone(), meter: self.desk.meters.of(tenant), trace: None }
+    }
+
+    /// The desk for a request; pushes are part of its trace, if it has one.
+    #[must_use]
+    pub(crate) fn traced(self, trace: Option<Arc<Trace>>) -> Self {
+        Self { trace, ..self }
     }
 
     /// Begins a new arc of a session, after the epochs that wait: its next epoch may have any time,
@@ -379,23 +388,36 @@ impl Sessions {
             return Err(SessionError::Overloaded { waiting: all, limit, retry_after });
         }
         let Some(mut posting) = message.take() else { return Ok(true) };
-        posting.set_permit(MailboxPermit::take(epochs, &handle.waiting, of_all));
+        let mut permit = MailboxPermit::take(epochs, &handle.waiting, of_all);
+        permit.trace = self.span(id, epochs, &posting);
+        posting.set_permit(permit);
         match handle.mailbox.try_send(posting) {
             Ok(()) => {
                 handle.last_used = posted;
                 Ok(true)
             }
-            Err(TrySendError::Full(posting)) => {
+            Err(TrySendError::Full(mut posting)) => {
+                posting.forget_trace();
                 *message = Some(posting);
                 let limit = limits.mailbox_epochs;
                 Err(SessionError::MailboxFull { waiting, limit, retry_after })
             }
-            Err(TrySendError::Closed(posting)) => {
+            Err(TrySendError::Closed(mut posting)) => {
+                posting.forget_trace();
                 *message = Some(posting);
                 tasks.handles.remove(id);
                 Ok(false)
             }
         }
+    }
+
+    /// The span of a push, if its request is traced.
+    fn span(&self, id: &SessionId, epochs: usize, push: &Message) -> Option<TraceSpan> {
+        let mut span = self.trace.as_ref()?.push(push.is_streamed())?;
+        span.set("graphfix.session", id);
+        span.set("graphfix.tenant", self.tenant());
+        span.set("graphfix.epochs", epochs);
+        Some(span)
     }
 
     /// Starts a session's task. If as many run as allowed, some of them are parked.
@@ -433,6 +455,7 @@ impl Sessions {
             outdated: outdated.clone(),
             counters: counters.clone(),
             live: live.clone(),
+            stages: Stages::default(),
             parked: Mutex::new(tasks.parked.take(id, row)),
             desk: Arc::downgrade(&desk),
         };

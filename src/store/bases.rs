@@ -363,7 +363,7 @@ impl Store {
                     site!(key, 1_u64, site).execute(&mut *transaction).await?;
                 }
                 if let Some(feed) = feed {
-                    feed!(key, feed).execute(&mut *transaction).await?;
+                    feed!(key, feed, &self.secrets).execute(&mut *transaction).await?;
                 }
                 note!(transaction, entry);
                 notify!(self, transaction, Change::Bases);
@@ -405,7 +405,7 @@ impl Store {
         }
         for feed in feeds.map_err(StoreError::database(failed))? {
             if let Ok(index) = bases.binary_search_by_key(&feed.base, |base| base.key.0) {
-                bases[index].feed = Some(feed.parse()?);
+                bases[index].feed = Some(feed.parse(&self.secrets)?);
             }
         }
         Ok(bases)

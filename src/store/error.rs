@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::refusal::Code;
+use crate::secrets::SecretsError;
 
 use super::codec::CodecError;
 
@@ -124,6 +125,9 @@ pub enum StoreError {
         /// Primary key of the base.
         base: i64,
     },
+    /// A stored secret cannot be read.
+    #[error(transparent)]
+    Secrets(#[from] SecretsError),
     /// The page token does not come from an answer to this call.
     #[error("{token:?} is not a page token of this list")]
     PageToken {
@@ -170,6 +174,7 @@ impl StoreError {
             Self::Corrupt { .. } | Self::CorruptText { .. } => Code::StoredDataCorrupt,
             Self::NavigationForgotten { .. } => Code::NavigationForgotten,
             Self::BaseForgotten { .. } => Code::BaseForgotten,
+            Self::Secrets(error) => error.code(),
             Self::PageToken { .. } => Code::PageTokenInvalid,
             Self::PageSize { .. } => Code::PageSizeInvalid,
             Self::Closed => Code::Draining,

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::gnss::{Ecef, GpsTime};
+use crate::secrets::{Secrets, SecretsError, StoredSecret};
 
 use super::StoreError;
 
@@ -43,6 +44,7 @@ pub(super) struct RawFeed {
     mountpoint: String,
     name: String,
     password: String,
+    password_key: Option<String>,
     version: i32,
     near_ns: Option<i64>,
     x_m: Option<f64>,
@@ -53,7 +55,14 @@ pub(super) struct RawFeed {
 }
 
 impl RawFeed {
-    pub(super) fn parse(self) -> Result<BaseFeed, StoreError> {
+    /// The feed. Without the key of its password it has none: a command that reads a database
+    /// beside a service connects to no caster. A service has the keys of all (`Store::reseal`).
+    pub(super) fn parse(self, secrets: &Secrets) -> Result<BaseFeed, StoreError> {
+        let stored = StoredSecret { text: self.password, key: self.password_key };
+        let password = match secrets.unseal(&password_owner(self.base), &stored) {
+            Err(SecretsError::KeyUnknown { .. }) => String::new(),
+            password => password?,
+        };
         let version = u8::try_from(self.version).map_err(|_| StoreError::CorruptText {
             what: "feed",
             why: format!("{} is not a version of NTRIP", self.version),
@@ -63,7 +72,7 @@ impl RawFeed {
             caster: self.caster,
             mountpoint: self.mountpoint,
             name: self.name,
-            password: self.password,
+            password,
             version,
             near: self.near_ns.map(GpsTime::from_ns),
             position: position.map(|((x, y), z)| Ecef::new(x, y, z)),
@@ -73,21 +82,28 @@ impl RawFeed {
     }
 }
 
+/// To what a password belongs, so that it opens for this base only.
+pub(super) fn password_owner(base: i64) -> String {
+    format!("base {base}")
+}
+
 pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
     (base, caster, mountpoint, name, password, version, near_ns, x_m, y_m, z_m,
-     follows_rover, on_demand)
-    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
+     follows_rover, on_demand, password_key)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)";
 
-/// Binds a feed after its base.
+/// Binds a feed, its password sealed by these secrets, after its base.
 macro_rules! feed {
-    ($base:expr, $feed:expr) => {{
+    ($base:expr, $feed:expr, $secrets:expr) => {{
+        let owner = $crate::store::feeds::password_owner($base.0);
+        let password = $secrets.seal(&owner, &$feed.password);
         let axis = |axis: usize| $feed.position.map(|position| position.0[axis]);
         sqlx::query($crate::store::feeds::INSERT_FEED)
             .bind($base.0)
             .bind(&$feed.caster)
             .bind(&$feed.mountpoint)
             .bind(&$feed.name)
-            .bind(&$feed.password)
+            .bind(password.text)
             .bind(i32::from($feed.version))
             .bind($feed.near.map(crate::gnss::GpsTime::as_ns))
             .bind(axis(0))
@@ -95,6 +111,7 @@ macro_rules! feed {
             .bind(axis(2))
             .bind(i32::from($feed.follows_rover))
             .bind(i32::from($feed.is_on_demand))
+            .bind(password.key)
     }};
 }
 pub(super) use feed;

@@ -40,6 +40,7 @@ mod notices;
 mod page;
 mod pool;
 mod raw;
+mod resealing;
 mod retention;
 mod rollup;
 #[cfg(test)]
@@ -58,6 +59,8 @@ use std::sync::Arc;
 use tokio::sync::Mutex;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
+
+use crate::secrets::Secrets;
 
 pub use antennas::AntennaName;
 pub use audit::{
@@ -94,6 +97,7 @@ pub(crate) use nodes::{Claim, NODE_LEASE};
 pub(crate) use notices::{Change, Notices};
 pub use page::Page;
 pub use raw::{RawChange, RawChunkSpan, RawPosition};
+pub use resealing::SecretsUnder;
 pub use retention::Expired;
 pub use rollup::{Bounds, Rollup, Spread, StatusCounts};
 pub(crate) use rollup::{HOUR_S, MINUTE_S};
@@ -127,6 +131,7 @@ pub struct Store {
     member: Option<Arc<Member>>,
     /// Name of the node.
     node: Arc<str>,
+    secrets: Arc<Secrets>,
 }
 
 impl Store {
@@ -200,6 +205,7 @@ impl Store {
             days,
             member,
             node,
+            secrets: Arc::default(),
         })
     }
 
@@ -262,12 +268,26 @@ impl Store {
             days,
             member,
             node,
+            secrets: Arc::default(),
         }
     }
 
     /// Name of the node; empty without a lease.
     pub(crate) fn node(&self) -> &str {
         &self.node
+    }
+
+    /// The store with the keys of what it stores encrypted. Without them it stores secrets as they
+    /// are, and reads no other.
+    #[must_use]
+    pub fn with_secrets(mut self, secrets: Secrets) -> Self {
+        self.secrets = Arc::new(secrets);
+        self
+    }
+
+    /// The keys of what is stored encrypted.
+    pub(crate) fn secrets(&self) -> &Secrets {
+        &self.secrets
     }
 
     /// The settings of the database on which durability depends, as they were at the start.

@@ -153,7 +153,7 @@ fn the_schema_is_written_by_its_rules() {
             let name = choice.name();
             check(commented.contains(&vec![5, index as i32]), format!("{name} has no comment"));
             for (number, value) in choice.value.iter().enumerate() {
-                let rest = value.name().strip_prefix(&format!("{}_", name.to_uppercase()));
+                let rest = value.name().strip_prefix(&format!("{}_", upper_snake(name)));
                 check(rest.is_some(), format!("{} lacks the prefix of {name}", value.name()));
                 let is_first = number == 0;
                 let is_unspecified = rest == Some("UNSPECIFIED");
@@ -175,6 +175,18 @@ fn check_numbers(message: &DescriptorProto, check: &mut impl FnMut(bool, String)
         let name = field.name();
         check(name.chars().all(plain), format!("{}.{name} is not snake_case", message.name()));
     }
+}
+
+/// `JOB_STATE` of `JobState`.
+fn upper_snake(name: &str) -> String {
+    let mut text = String::new();
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && !text.is_empty() {
+            text.push('_');
+        }
+        text.push(letter.to_ascii_uppercase());
+    }
+    text
 }
 
 fn is_pascal(name: &str) -> bool {

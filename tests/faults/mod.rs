@@ -16,4 +16,5 @@ mod nodes;
 mod robustness;
 mod server;
 mod streams;
+mod windows;
 mod workers;

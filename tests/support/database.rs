@@ -83,6 +83,18 @@ impl Database {
         }
     }
 
+    /// The text that a statement selects; empty if it is NULL.
+    pub(crate) async fn text(&self, sql: &str) -> String {
+        let text: Option<String> = if self.url.starts_with("sqlite") {
+            let mut connection = SqliteConnection::connect(&self.url).await.unwrap();
+            sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
+        } else {
+            let mut connection = PgConnection::connect(&self.url).await.unwrap();
+            sqlx::query_scalar(sql).fetch_one(&mut connection).await.unwrap()
+        };
+        text.unwrap_or_default()
+    }
+
     /// Number of rows of a table.
     pub(crate) async fn count(&self, table: &str) -> i64 {
         let sql = &format!("SELECT COUNT(*) FROM {table}");

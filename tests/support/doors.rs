@@ -5,7 +5,8 @@ use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use graphfix::app::{self, App};
 use graphfix::config::{
-    AntennasConfiguration, FetchConfiguration, JobsConfiguration, Limits, ServiceConfiguration,
+    AntennasConfiguration, FetchConfiguration, JobsConfiguration, Limits, SecretsConfiguration,
+    ServiceConfiguration, TelemetryConfiguration,
 };
 use graphfix::contract::{Caller, Service};
 use graphfix::feeds::FeedOptions;
@@ -30,6 +31,26 @@ pub(crate) struct Doors {
 }
 
 impl Doors {
+    /// With the database of this URL and these keys of secrets.
+    pub(crate) async fn on_with_secrets(database: &str, secrets: SecretsConfiguration) -> Self {
+        let (folder, limits) = (tempfile::tempdir().unwrap(), Limits::standard());
+        let jobs = JobsConfiguration::standard();
+        let jobs = JobsConfiguration { folder: Some(folder.path().join("jobs")), ..jobs };
+        let place = (folder, Some(database.to_owned()));
+        let change = |configuration| ServiceConfiguration { secrets, ..configuration };
+        Self::changed(place, limits, jobs, BRISK, change).await
+    }
+
+    /// With traces that go to this collector.
+    pub(crate) async fn with_collector(endpoint: &str) -> Self {
+        let otlp_endpoint = Some(endpoint.to_owned());
+        let telemetry = TelemetryConfiguration { otlp_endpoint, ..Default::default() };
+        let place = (tempfile::tempdir().unwrap(), None);
+        let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
+        let change = |configuration| ServiceConfiguration { telemetry, ..configuration };
+        Self::changed(place, limits, jobs, BRISK, change).await
+    }
+
     pub(crate) async fn open() -> Self {
         Self::with(Limits::standard()).await
     }
@@ -108,6 +129,16 @@ impl Doors {
         jobs: JobsConfiguration,
         options: FeedOptions,
     ) -> Self {
+        Self::changed((folder, database), limits, jobs, options, |same| same).await
+    }
+
+    async fn changed(
+        (folder, database): (tempfile::TempDir, Option<String>),
+        limits: Limits,
+        jobs: JobsConfiguration,
+        options: FeedOptions,
+        change: impl FnOnce(ServiceConfiguration) -> ServiceConfiguration,
+    ) -> Self {
         let own = || format!("sqlite://{}", folder.path().join("test.db").display());
         let database = database.unwrap_or_else(own);
         let hosts = ["localhost", "127.0.0.1"].map(str::to_owned).to_vec();
@@ -118,9 +149,12 @@ impl Doors {
             antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
             geoid_file: geoid.is_file().then_some(geoid),
             jobs: jobs.clone(),
+            // Stored secrets are encrypted in all tests but those of what happens without a key.
+            secrets: SecretsConfiguration { key: Some("5e".repeat(32)), ..Default::default() },
             limits,
             ..ServiceConfiguration::standard()
         };
+        let configuration = change(configuration);
         let app = app::open(&configuration, PATIENCE, options).await.unwrap();
         let service = app.service().clone();
         Self { router: graphfix::http::router(&service), service, app, jobs, folder, database }

@@ -6,7 +6,7 @@ use crate::contract::{Caller, Refusal, texts, v1};
 use crate::store::{AuditEntry, AuditFilter};
 
 use super::paging::Pages;
-use super::{oldest_first, page_size, unix_ms, utc};
+use super::{oldest_first, page_size, timestamp, unix_ms, utc};
 
 /// Entries on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -65,5 +65,6 @@ fn message(entry: AuditEntry) -> v1::AuditEntry {
         request: author.request,
         node: author.node,
         change,
+        create_time: timestamp(unix_ms),
     }
 }

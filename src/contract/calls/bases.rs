@@ -17,7 +17,7 @@ use super::feeds;
 use super::paging::Pages;
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, skipped_entry};
-use super::{base_id, named_request, page_size, utc};
+use super::{base_id, named_request, named_request_by, page_size, timestamp, utc};
 
 /// Bases on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -46,7 +46,14 @@ async fn created(
     caller: &Caller,
     mut request: v1::CreateBaseRequest,
 ) -> Result<(v1::Base, bool), Refusal> {
-    let named = named_request(mem::take(&mut request.request_id), &request)?;
+    let name = mem::take(&mut request.request_id);
+    let named = match request.ntrip.as_ref().is_some_and(|source| !source.password.is_empty()) {
+        false => named_request(name, &request)?,
+        true => {
+            caller.check_secret("ntrip.password")?;
+            named_request_by(name, &request, |content| caller.secrets().hash(content))?
+        }
+    };
     texts::check_label(&request.label)?;
     texts::check("antenna", &request.antenna, texts::ANTENNA_MAX)?;
     let site = site(&request)?;
@@ -299,6 +306,8 @@ fn message(caller: &Caller, info: &BaseInfo) -> v1::Base {
         }),
         frame: info.frame.map(|frame| frame.name.to_owned()).unwrap_or_default(),
         frame_epoch_year: info.frame.and_then(|frame| frame.epoch_year),
+        create_time: timestamp(info.created_unix_ms),
+        last_stored_time: info.stored_unix_ms.and_then(timestamp),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::gnss::{Ecef, Geodetic};
 use crate::refusal::Code;
 
 use super::raw::statistics;
-use super::utc;
+use super::{timestamp, typed, utc};
 
 /// Longest user name and longest password at a caster (characters).
 const CREDENTIAL_LIMIT: usize = 200;
@@ -92,7 +92,7 @@ pub(super) fn message(caller: &Caller, base: &str, feed: &BaseFeed) -> v1::Feed 
     let health = BaseId::parse(base).and_then(|id| caller.feeds().health(&id));
     let Some(health) = health else {
         let state = if feed.is_on_demand { "IDLE" } else { "" };
-        return v1::Feed { state: state.to_owned(), ..named };
+        return v1::Feed { state: state.to_owned(), source_state: source_state(state), ..named };
     };
     let now = unix_ms();
     let FeedHealth { state, problem, refusal, statistics: counted, .. } = &health;
@@ -100,6 +100,8 @@ pub(super) fn message(caller: &Caller, base: &str, feed: &BaseFeed) -> v1::Feed 
     v1::Feed {
         state: state.name().to_owned(),
         since_utc: utc(health.since_unix_ms),
+        source_state: source_state(state.name()),
+        since_time: timestamp(health.since_unix_ms),
         retry_in_s: health.retry_unix_ms.map(|retry| seconds_between(now, retry)),
         problem: problem.as_ref().map(problem_message),
         refusal: refusal.as_ref().map(problem_message),
@@ -134,6 +136,8 @@ pub(super) fn archive_message(caller: &Caller, base: &str, template: &str) -> v1
     v1::BaseArchive {
         state: state.name().to_owned(),
         since_utc: utc(since_unix_ms),
+        source_state: source_state(state.name()),
+        since_time: timestamp(since_unix_ms),
         retry_in_s: retry_unix_ms.map(|retry| seconds_between(unix_ms(), retry)),
         problem: problem.as_ref().map(problem_message),
         refusal: refusal.as_ref().map(problem_message),
@@ -178,6 +182,9 @@ pub(super) fn source_message((name, status): (String, SourceStatus)) -> v1::Navi
         problem: problem.as_ref().map(problem_message),
         ephemerides,
         last_utc: last.map(utc).unwrap_or_default(),
+        source_state: source_state(state),
+        since_time: timestamp(since),
+        last_time: last.and_then(timestamp),
     }
 }
 
@@ -194,7 +201,15 @@ pub(super) fn network_message(health: &NetworkHealth) -> v1::Network {
         listed: health.listed as u64,
         usable: health.usable as u64,
         connected: health.connected as u64,
+        source_state: source_state(health.state.name()),
+        since_time: timestamp(health.since_unix_ms),
+        last_time: health.succeeded_unix_ms.and_then(timestamp),
     }
+}
+
+/// The state of a source, with its type.
+fn source_state(name: &str) -> i32 {
+    typed(&format!("SOURCE_STATE_{name}"), v1::SourceState::from_str_name)
 }
 
 /// The time between two instants (s).

@@ -3,8 +3,8 @@
 use crate::contract::{Caller, Refusal, v1};
 use crate::store::{DeliveryAttempt, WebhookState};
 
-use super::jobs::job_id;
-use super::utc;
+use super::jobs::{delivery_state, job_id};
+use super::{timestamp, utc};
 
 /// The attempts to tell the webhook of a job of its end.
 ///
@@ -21,6 +21,8 @@ pub async fn list(
         state: deliveries.job.webhook_state.map_or("", WebhookState::name).to_owned(),
         deliveries: deliveries.attempts.iter().map(delivery).collect(),
         next_utc: deliveries.next_unix_ms.map(utc).unwrap_or_default(),
+        delivery_state: delivery_state(deliveries.job.webhook_state),
+        next_time: deliveries.next_unix_ms.and_then(timestamp),
     })
 }
 
@@ -33,5 +35,7 @@ fn delivery(attempt: &DeliveryAttempt) -> v1::JobDelivery {
         http_status: attempt.http_status.map(u32::from),
         code,
         message,
+        begin_time: timestamp(attempt.begun_unix_ms),
+        end_time: attempt.ended_unix_ms.and_then(timestamp),
     }
 }

@@ -22,7 +22,7 @@ use crate::store::{JobState, WebhookState};
 
 use super::paging::Pages;
 use super::uploads::upload_id;
-use super::{job_options, oldest_first, page_size, utc};
+use super::{job_options, oldest_first, page_size, timestamp, typed, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -125,6 +125,9 @@ impl Arriving {
         };
         let (has_base, has_navigation) = (has(Part::Base), has(Part::Navigation));
         let webhook = job_options::webhook(options.webhook.take())?;
+        if webhook.is_some() {
+            caller.check_secret("options.webhook.secret")?;
+        }
         let options = job_options::read(caller, options, has_base)?;
         if options.session.is_none() && !has_navigation {
             self.add_own_navigation(caller).await?;
@@ -389,6 +392,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         own: input.is_own,
         url: input.url.clone().unwrap_or_default(),
     };
+    let expires_unix_ms = job.ended_unix_ms.map(|ended| ended + caller.jobs().kept_ms());
     v1::Job {
         job: job.id.to_string(),
         state: job.state.name().to_owned(),
@@ -397,7 +401,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         created_utc: utc(job.created_unix_ms),
         started_utc: time(job.started_unix_ms),
         ended_utc: time(job.ended_unix_ms),
-        expires_utc: time(job.ended_unix_ms.map(|ended| ended + caller.jobs().kept_ms())),
+        expires_utc: time(expires_unix_ms),
         progress: Some(v1::JobProgress {
             percent: job.percent(),
             epochs: job.progress.epochs,
@@ -408,7 +412,19 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
         result_bytes: job.result.as_ref().map(|result| result.bytes),
         failure: job.failure.as_ref().map(failure_message),
         webhook_state: job.webhook_state.map_or("", WebhookState::name).to_owned(),
+        job_state: typed(&format!("JOB_STATE_{}", job.state.name()), v1::JobState::from_str_name),
+        delivery_state: delivery_state(job.webhook_state),
+        create_time: timestamp(job.created_unix_ms),
+        start_time: job.started_unix_ms.and_then(timestamp),
+        end_time: job.ended_unix_ms.and_then(timestamp),
+        expire_time: expires_unix_ms.and_then(timestamp),
     }
+}
+
+/// What has become of the message to a webhook, with its type.
+pub(super) fn delivery_state(state: Option<WebhookState>) -> i32 {
+    let name = state.map_or("UNSPECIFIED", WebhookState::name);
+    typed(&format!("DELIVERY_STATE_{name}"), v1::DeliveryState::from_str_name)
 }
 
 fn failure_message(failure: &Failure) -> v1::Refusal {

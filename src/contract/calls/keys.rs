@@ -8,7 +8,7 @@ use crate::refusal::Code;
 use crate::tenant::Tenant;
 
 use super::paging::Pages;
-use super::{page_size, utc};
+use super::{page_size, timestamp, utc};
 
 /// Keys on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -116,5 +116,9 @@ fn message(key: KeyInfo) -> v1::Key {
         expires_utc: key.expires_unix_ms.map(utc),
         revoked_utc: key.revoked_unix_ms.map(utc),
         last_used_utc: key.last_used_unix_ms.map(utc),
+        create_time: timestamp(key.created_unix_ms),
+        expire_time: key.expires_unix_ms.and_then(timestamp),
+        revoke_time: key.revoked_unix_ms.and_then(timestamp),
+        last_use_time: key.last_used_unix_ms.and_then(timestamp),
     }
 }

@@ -26,6 +26,7 @@ pub mod uploads;
 pub mod watch;
 
 use prost::Message;
+use prost_types::Timestamp;
 
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::clock::unix_epoch;
@@ -36,7 +37,7 @@ use crate::session::SessionId;
 use crate::store::{Bounds, NamedRequest};
 
 use super::texts::{self, brief};
-use super::{Caller, Refusal, v1};
+use super::{Caller, Lease, Refusal, v1};
 
 /// The mode if the request has none.
 const MODE: &str = "spp";
@@ -46,7 +47,11 @@ const PROFILE: &str = "general";
 const NEAREST: &str = "nearest";
 
 fn session_id(text: &str) -> Result<SessionId, Refusal> {
-    SessionId::parse(text).ok_or_else(|| {
+    let id = SessionId::parse(text);
+    if let Some(lease) = Lease::current().filter(|_| id.is_some()) {
+        lease.set_session(text);
+    }
+    id.ok_or_else(|| {
         Refusal::new(Code::SessionNotFound, format!("there is no session {:?}", brief(text)))
             .at("session")
     })
@@ -139,12 +144,33 @@ fn is_full(view: i32) -> Result<bool, Refusal> {
     }
 }
 
+/// A time (ms since 1970-01-01 UTC) with its type.
+fn timestamp(unix_ms: i64) -> Option<Timestamp> {
+    let nanos = i32::try_from(unix_ms.rem_euclid(1000) * 1_000_000).unwrap_or_default();
+    Some(Timestamp { seconds: unix_ms.div_euclid(1000), nanos })
+}
+
+/// The number of an enumeration's value; unspecified if it has none of this name.
+fn typed<E: Into<i32>>(name: &str, of_name: impl Fn(&str) -> Option<E>) -> i32 {
+    of_name(name).map_or(0, Into::into)
+}
+
 /// The name of a request that creates something, with the hash of its content; `None` without a
 /// name. `content` is the request without its name.
 fn named_request<M: Message>(name: String, content: &M) -> Result<Option<NamedRequest>, Refusal> {
+    let hash = |content: &[u8]| blake3::hash(content).to_hex().to_string();
+    named_request_by(name, content, hash)
+}
+
+/// The same with another hash, for a content with a secret.
+fn named_request_by<M: Message>(
+    name: String,
+    content: &M,
+    hash: impl Fn(&[u8]) -> String,
+) -> Result<Option<NamedRequest>, Refusal> {
     texts::check("requestId", &name, texts::NAME_MAX)?;
-    let hash = || blake3::hash(&content.encode_to_vec()).to_hex().to_string();
-    Ok((!name.is_empty()).then(|| NamedRequest { name, hash: hash() }))
+    let is_named = !name.is_empty();
+    Ok(is_named.then(|| NamedRequest { name, hash: hash(&content.encode_to_vec()) }))
 }
 
 /// The page size of a request, or the call's standard size if it is zero.

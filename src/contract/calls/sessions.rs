@@ -12,7 +12,7 @@ use crate::store::{SCANNED_HEADS, SessionFilter};
 use super::paging::Pages;
 use super::{
     MODE, NEAREST, PROFILE, base_choice, bounds, is_full, named_request, oldest_first, or_standard,
-    page_size, session_id, utc,
+    page_size, session_id, timestamp, utc,
 };
 
 /// Sessions on a page if the request gives no size.
@@ -223,6 +223,7 @@ fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {
         age_s: head.last_time.map(|last| now - last),
         status: head.status.map_or(v1::Status::Unspecified, convert::status).into(),
         position: head.position.map(convert::geodetic),
+        create_time: timestamp(head.created_unix_ms),
     }
 }
 
@@ -264,5 +265,6 @@ fn message(info: SessionInfo) -> v1::Session {
         retention_days: info.retention_days,
         oldest_available_seq: info.oldest_available,
         etag: info.etag,
+        create_time: timestamp(info.created_unix_ms),
     }
 }

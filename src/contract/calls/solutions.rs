@@ -12,7 +12,7 @@ use crate::session::{
 use crate::store::{Revisions, SolutionQuery};
 
 use super::paging::Pages;
-use super::{is_full, page_size, session_id};
+use super::{is_full, page_size, session_id, typed};
 
 /// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
@@ -218,6 +218,10 @@ fn view_message(view: &SatelliteView, observations: &[Observation]) -> v1::Satel
         slipped: view.is_slipped,
         half_cycle: view.has_half_cycle,
         signals: observations.iter().map(signal).collect(),
+        satellite_role: typed(
+            &format!("SATELLITE_ROLE_{}", role_text(view.role)),
+            v1::SatelliteRole::from_str_name,
+        ),
     }
 }
 

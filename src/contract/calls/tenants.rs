@@ -8,7 +8,7 @@ use crate::refusal::Code;
 use crate::tenant::{Quotas, Tenant};
 
 use super::paging::Pages;
-use super::{page_size, utc};
+use super::{page_size, timestamp, utc};
 
 /// Tenants on a page if the request gives no size.
 const PAGE: usize = 100;
@@ -127,5 +127,6 @@ fn message(info: TenantInfo) -> v1::Tenant {
             stored_bytes: stored.stored_bytes,
         }),
         etag: changed.to_string(),
+        create_time: timestamp(created_unix_ms),
     }
 }

@@ -43,6 +43,15 @@ macro_rules! operation {
     /// The certificate, or a list of revoked ones, has expired, or is not valid yet.
     TlsCertificateExpired = "TLS_CERTIFICATE_EXPIRED", NoCall,
         "renew the certificate or the list, or correct the clock of this machine";
+    /// A key of stored secrets cannot be read.
+    SecretsKeyInvalid = "SECRETS_KEY_INVALID", NoCall,
+        "name a file with 64 hexadecimal digits, such as `openssl rand -hex 32` prints";
+    /// Stored secrets are encrypted with a key that is not given.
+    SecretsKeyUnknown = "SECRETS_KEY_UNKNOWN", NoCall,
+        "name it in secrets.former_key_files, or give the secrets up (graphfix secrets forget)";
+    /// The address of the collector of traces is invalid.
+    TelemetryEndpointInvalid = "TELEMETRY_ENDPOINT_INVALID", NoCall,
+        "name the collector's gRPC port as http://HOST:4317 or https://HOST:4317";
     /// The port is taken, or the process may not open it.
     AddressUnavailable = "ADDRESS_UNAVAILABLE", NoCall,
         "choose another address with --listen, or let the process open this one";

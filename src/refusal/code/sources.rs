@@ -27,6 +27,9 @@ macro_rules! sources {
     /// Heights above the geoid are asked for, and there is no table of it.
     GeoidMissing = "GEOID_MISSING", Malformed,
         "leave out the option geoid, or let the operator name a table as geoid_file";
+    /// The service has API keys, and no key that encrypts the secrets that it must store.
+    SecretsKeyMissing = "SECRETS_KEY_MISSING", Precondition,
+        "let the operator name a key of secrets (serve --secrets-key-file), or send no password";
     /// An open session uses the base.
     BaseInUse = "BASE_IN_USE", Precondition,
         "close the sessions that use it, or let them use another base";

@@ -9,6 +9,7 @@ use tokio::sync::oneshot;
 use crate::session::answers::Reply;
 use crate::session::{RawChunk, RawReceived, SequencedEpoch, SessionError, Submitted};
 use crate::store::AuditEntry;
+use crate::traces::TraceSpan;
 
 /// A message in the mailbox.
 pub(in crate::session) enum Message {
@@ -60,6 +61,28 @@ impl Message {
         }
     }
 
+    /// Whether it belongs to a stream.
+    pub(in crate::session) fn is_streamed(&self) -> bool {
+        match self {
+            Self::Submission(submission) => submission.reply.is_streamed(),
+            Self::Raw(submission) => submission.reply.is_streamed(),
+            Self::Reset { .. } | Self::Close { .. } => false,
+        }
+    }
+
+    /// Drops its span, as the mailbox has not taken it.
+    pub(in crate::session) fn forget_trace(&mut self) {
+        let permit = match self {
+            Self::Submission(submission) => submission.permit.as_mut(),
+            Self::Raw(submission) => submission.permit.as_mut(),
+            Self::Reset { permit, .. } => permit.as_mut(),
+            Self::Close { .. } => None,
+        };
+        if let Some(span) = permit.and_then(|permit| permit.trace.take()) {
+            span.forget();
+        }
+    }
+
     /// Drops it, if it belongs to a stream that will not post it.
     pub(in crate::session) fn cancel(self) {
         match self {
@@ -96,6 +119,8 @@ pub(in crate::session) struct MailboxPermit {
     since: Instant,
     of_session: Arc<AtomicUsize>,
     of_all: Arc<AtomicUsize>,
+    /// The span of the push, if it is traced; it ends with the permit.
+    pub(in crate::session) trace: Option<TraceSpan>,
 }
 
 impl MailboxPermit {
@@ -107,7 +132,7 @@ impl MailboxPermit {
         of_session.fetch_add(epochs, Ordering::AcqRel);
         of_all.fetch_add(epochs, Ordering::AcqRel);
         let (of_session, of_all) = (of_session.clone(), of_all.clone());
-        Self { epochs, since: Instant::now(), of_session, of_all }
+        Self { epochs, since: Instant::now(), of_session, of_all, trace: None }
     }
 }
 

@@ -4,6 +4,7 @@ mod message;
 mod parking;
 mod positioning;
 mod receive;
+mod stages;
 
 use std::collections::HashMap;
 use std::mem;
@@ -23,6 +24,7 @@ use crate::store::{
     StoredEpoch, StoredSolution,
 };
 use crate::tenant::Tenant;
+use crate::traces::Work;
 
 use super::batch::{Plan, SolvedBatch};
 use super::counters::{Counters, Stage};
@@ -38,6 +40,7 @@ use super::{
 };
 
 pub(super) use message::{MailboxPermit, Message, RawSubmission, Submission};
+pub(super) use stages::Stages;
 
 /// A batch takes no further push once it has this many epochs.
 const EPOCHS_PER_BATCH: usize = 1_024;
@@ -68,6 +71,8 @@ pub(super) struct Task {
     pub(super) counters: Arc<Counters>,
     /// Where those who watch see what is committed.
     pub(super) live: Arc<Live>,
+    /// The stages of the batch that is being answered.
+    pub(super) stages: Stages,
     /// The state with which the session was parked, if the desk has it.
     pub(super) parked: Mutex<Option<ParkedState>>,
     /// Where the state is kept when the session is parked.
@@ -134,8 +139,11 @@ impl Task {
             match other {
                 Some(Message::Raw(submission)) => {
                     let RawSubmission { chunk, mut permit, reply } = *submission;
+                    self.stages.begin(std::iter::once(&permit));
                     // Boxed, because a task at rest needs as much memory as its largest future.
                     let answer = Box::pin(self.receive(&mut active, chunk, &mut permit)).await;
+                    let stages = self.stages.take();
+                    permit.iter_mut().for_each(|permit| permit.answered(&stages, &answer));
                     drop(permit);
                     reply.send(answer);
                 }
@@ -216,10 +224,12 @@ impl Task {
     async fn answer(&self, active: &mut Option<Active>, mut submissions: Vec<Submission>) {
         let pushes: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
         let lengths: Vec<usize> = pushes.iter().map(Vec::len).collect();
+        self.stages.begin(submissions.iter().map(|submission| &submission.permit));
         let answers = self.advance(active, pushes.into_iter().flatten().collect()).await;
+        let stages = self.stages.take();
         let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         let mut answers = answers.map(|(outcomes, through)| (outcomes.into_iter(), through));
-        for (Submission { permit, reply, .. }, length) in submissions.into_iter().zip(lengths) {
+        for (Submission { mut permit, reply, .. }, length) in submissions.into_iter().zip(lengths) {
             let answer = match &mut answers {
                 Ok((outcomes, durable_through)) => Ok(Submitted {
                     outcomes: outcomes.take(length).collect(),
@@ -228,6 +238,7 @@ impl Task {
                 }),
                 Err(error) => Err(error.clone()),
             };
+            permit.iter_mut().for_each(|permit| permit.answered(&stages, &answer));
             drop(permit);
             reply.send(answer);
         }
@@ -287,6 +298,7 @@ impl Task {
             let committed = self.store.commit(batch).await;
             committed.map_err(|error| failed(active, Arc::new(state.clone()), error))?;
             self.counters.record(Stage::Committing, begun.elapsed());
+            self.stages.note(Work::Commit, begun);
         }
         self.live.publish(self.key, solutions.iter().chain(&revised));
         let current = active.as_mut().expect("it stays after a commit");

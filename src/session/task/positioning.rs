@@ -1,7 +1,7 @@
 //! Epochs that are being positioned, one after another, on the solver pool.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::vec::IntoIter;
 
 use crate::clock::Stopwatch;
@@ -13,6 +13,7 @@ use crate::session::replay::ActiveConfiguration;
 use crate::session::solvers::{Lane, MemoryPool, Progress};
 use crate::session::state::State;
 use crate::session::{SequencedEpoch, SessionError};
+use crate::traces::Work;
 
 use super::{Active, Task};
 
@@ -40,11 +41,13 @@ impl Task {
         let used = Duration::ZERO;
         let work = Positioning { progress, waiting, aiding, configuration, rules, used };
         let is_short = epoch_time.is_some_and(|each| each.saturating_mul(count) <= HERE_MAX);
+        let begun = Instant::now();
         let done = match is_short {
             true => self.solvers.run_here(work, Positioning::step)?,
             false => self.solvers.in_quanta(Lane::RealTime, work, Positioning::step).await?,
         };
         self.counters.record(Stage::Solving, done.used);
+        self.stages.note(Work::Solve, begun);
         let each = done.used / count.max(1);
         // Follows a rise at once, and a fall slowly.
         *epoch_time = Some(epoch_time.map_or(each, |before| each.max(before * 7 / 8)));

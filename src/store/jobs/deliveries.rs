@@ -3,6 +3,7 @@
 //! An attempt is written before it is made, together with the time of the next one. So a message
 //! whose attempt no one ends, because the service has stopped, is due again.
 
+use crate::secrets::StoredSecret;
 use crate::store::pool::{Pool, reading, writing};
 use crate::store::{Store, StoreError};
 use crate::tenant::Tenant;
@@ -54,6 +55,7 @@ struct RawDue {
     #[sqlx(flatten)]
     job: RawJob,
     webhook_secret: String,
+    webhook_secret_key: Option<String>,
     webhook_attempts: i64,
 }
 
@@ -79,6 +81,11 @@ impl From<RawAttempt> for DeliveryAttempt {
     }
 }
 
+/// To what the secret of a webhook belongs, so that it opens for this job only.
+pub(in crate::store) fn webhook_owner(job: &str) -> String {
+    format!("job {job}")
+}
+
 /// Attempts, and when the next one is due.
 type Deliveries = (Vec<RawAttempt>, Option<Option<i64>>);
 
@@ -90,7 +97,7 @@ macro_rules! take {
             "WHERE key = (SELECT key FROM jobs WHERE webhook_due_unix_ms <= $2 AND tenant = $1 ",
             "AND ended_unix_ms IS NOT NULL ORDER BY webhook_due_unix_ms, key LIMIT 1",
             $lock,
-            ") RETURNING webhook_secret, webhook_attempts, ",
+            ") RETURNING webhook_secret, webhook_secret_key, webhook_attempts, ",
             columns!()
         )
     };
@@ -146,10 +153,11 @@ impl Store {
             begin.await
         });
         let begun = begun.map_err(StoreError::database("beginning a delivery"))?;
-        let Some(RawDue { job, webhook_secret: secret, webhook_attempts }) = begun else {
-            return Ok(None);
-        };
-        Ok(Some(DueWebhook { job: job.parse()?, secret, attempt: webhook_attempts as u32 }))
+        let Some(due) = begun else { return Ok(None) };
+        let stored = StoredSecret { text: due.webhook_secret, key: due.webhook_secret_key };
+        let (job, attempt) = (due.job.parse()?, due.webhook_attempts as u32);
+        let secret = self.secrets.unseal(&webhook_owner(&job.id), &stored)?;
+        Ok(Some(DueWebhook { job, secret, attempt }))
     }
 
     /// Ends an attempt. It changes the message only if no further attempt has begun.

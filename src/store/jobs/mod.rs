@@ -15,6 +15,7 @@ use super::page::rows_asked;
 use super::pool::{reading, writing};
 use super::{Page, Store, StoreError};
 
+pub(super) use deliveries::webhook_owner;
 pub use deliveries::{DeliveryAttempt, DeliveryEnd, DueWebhook};
 pub use queue::JobClaim;
 pub use rows::{JobEnd, JobFilesRow, JobKey, JobProgress, JobRow, JobState, NewJob, WebhookState};
@@ -40,11 +41,15 @@ impl Store {
     pub async fn create_job(&self, new: &NewJob) -> Result<(JobRow, bool), StoreError> {
         // Due at once, when the job has ended.
         let webhook = new.webhook_secret.as_ref().map(|_| (WebhookState::Waiting, 0));
+        let owner = webhook_owner(&new.id);
+        let sealed = new.webhook_secret.as_ref().map(|secret| self.secrets.seal(&owner, secret));
+        let (secret, secret_key) = sealed.map(|stored| (stored.text, stored.key)).unzip();
         let created: Result<Option<RawJob>, _> = writing!(&self.pool, pool => {
             let sql = concat!(
                 "INSERT INTO jobs (id, state, request, request_hash, request_name, ",
                 "created_unix_ms, tenant, webhook_secret, webhook_state, webhook_due_unix_ms, ",
-                "unfetched) VALUES ($1, 'QUEUED', $2, $3, $4, $5, $6, $7, $8, $9, $10) ",
+                "unfetched, webhook_secret_key) ",
+                "VALUES ($1, 'QUEUED', $2, $3, $4, $5, $6, $7, $8, $9, $10, $11) ",
                 "ON CONFLICT (tenant, request_name) DO NOTHING RETURNING ",
                 columns!()
             );
@@ -55,10 +60,11 @@ impl Store {
                 .bind(&new.idempotency_key)
                 .bind(new.created_unix_ms)
                 .bind(new.tenant.name())
-                .bind(&new.webhook_secret)
+                .bind(&secret)
                 .bind(webhook.map(|(state, _)| state.name()))
                 .bind(webhook.map(|(_, due_unix_ms)| due_unix_ms))
                 .bind(i64::from(new.is_unfetched))
+                .bind(secret_key.as_ref().and_then(Option::as_ref))
                 .fetch_optional(pool)
                 .await
         });

@@ -1,6 +1,7 @@
 //! Tenants by both doors: no call of one reads, changes or learns of anything of another's.
 
 mod cases;
+mod mutated;
 pub(super) mod world;
 
 use axum::http::StatusCode;
@@ -17,6 +18,7 @@ use crate::support::jobs::MINUTE;
 use crate::support::pair::PAIR;
 
 use cases::{Case, Things, case, posted_job};
+use mutated::ten_thousand_mutated_calls_learn_and_change_nothing;
 use world::{
     Answer, Key, MARK, absent, asked, base, furnished, get, key_of, marker, operator, seen, sent,
     session, uploaded,
@@ -28,6 +30,7 @@ on_both_databases!(
     navigation_serves_its_tenant_until_another_agrees,
     the_bases_of_the_operator_serve_all,
     a_tenant_uses_its_own_bases_as_the_nearest,
+    ten_thousand_mutated_calls_learn_and_change_nothing,
 );
 
 /// Asks for things of another tenant and for things that do not exist, by every call: the answers

@@ -1,0 +1,73 @@
+//! `graphfix secrets`: under which keys the secrets in a database are stored.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use clap::{Args, Subcommand};
+
+use crate::clock::unix_ms;
+use crate::store::{Act as AuditedAct, Store, StoreError};
+use crate::tenant::Tenant;
+
+use super::database::{DatabaseArgument, author};
+use super::{Failure, host};
+
+/// Lists the keys under which secrets are stored (passwords at casters, secrets of webhooks), and
+/// gives up those whose key is lost. `serve --secrets-key-file` names the key.
+#[derive(Debug, Args)]
+pub(super) struct SecretsArguments {
+    #[command(subcommand)]
+    act: Act,
+    #[command(flatten)]
+    database: DatabaseArgument,
+}
+
+#[derive(Debug, Subcommand)]
+enum Act {
+    /// Lists the ids of the keys, each with the number of its secrets.
+    List,
+    /// Removes the secrets under a key that is lost. Their casters are then asked without a
+    /// password, and their webhooks are told nothing more. With the service stopped.
+    Forget {
+        /// Id of the key.
+        #[arg(value_name = "KEY")]
+        key: String,
+    },
+}
+
+/// Does one act.
+///
+/// # Errors
+/// The database cannot be opened, or fails.
+pub(super) fn run(arguments: SecretsArguments) -> Result<(), Failure> {
+    let text = host::block_on(async {
+        let store = arguments.database.open().await?;
+        let done = act(&store, arguments.act).await;
+        store.close().await;
+        Ok(done?)
+    })?;
+    // An error means that the reader of the pipe has closed it.
+    std::io::stdout().write_all(text.as_bytes()).ok();
+    Ok(())
+}
+
+/// Does one act; returns what to print.
+async fn act(store: &Store, act: Act) -> Result<String, StoreError> {
+    match act {
+        Act::List => {
+            let mut text = String::new();
+            for under in store.secrets_by_key().await? {
+                let key = under.key.as_deref().unwrap_or("not encrypted");
+                let count = under.secrets;
+                writeln!(text, "{key}: {count} secrets").expect("a text takes any text");
+            }
+            Ok(text)
+        }
+        Act::Forget { key } => {
+            let (tenant, change) = (Tenant::operator(), "gives the secrets under it up".to_owned());
+            let act = AuditedAct { call: "Secrets.Forget", tenant: &tenant, object: &key, change };
+            let forgotten = store.forget_secrets(&key, &author().does(act, unix_ms())).await?;
+            Ok(format!("{forgotten} secrets are given up\n"))
+        }
+    }
+}

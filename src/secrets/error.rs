@@ -1,0 +1,39 @@
+//! Why a stored secret cannot be used.
+
+use crate::refusal::Code;
+
+/// Why a stored secret, or the key of secrets, cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SecretsError {
+    /// A key is not one.
+    #[error("{what}: {why}")]
+    Key {
+        /// The file.
+        what: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A secret is under a key that the service does not have.
+    #[error("stored secrets are encrypted with the key {key}, which is not given")]
+    KeyUnknown {
+        /// Id of the key.
+        key: String,
+    },
+    /// A secret has changed, or was made for something else.
+    #[error("the stored secret of {owner} has been changed")]
+    Damaged {
+        /// What it belongs to.
+        owner: String,
+    },
+}
+
+impl SecretsError {
+    /// The stable code.
+    pub(crate) const fn code(&self) -> Code {
+        match self {
+            Self::Key { .. } => Code::SecretsKeyInvalid,
+            Self::KeyUnknown { .. } => Code::SecretsKeyUnknown,
+            Self::Damaged { .. } => Code::StoredDataCorrupt,
+        }
+    }
+}
