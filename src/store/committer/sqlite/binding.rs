@@ -36,7 +36,27 @@ impl<'s, 'c> Binding<'s, 'c> {
     }
 }
 
+/// A statement that Postgres has, too, with its parameters by their numbers. SQLite takes `$2` for
+/// a name, and gives names their numbers in the order in which they come.
+pub(super) fn by_number(sql: &str) -> String {
+    sql.replace('$', "?")
+}
+
 /// The text of an insert of one row.
 pub(super) fn with_values(insert: &str, columns: usize, conflict: &str) -> String {
     format!("{insert} VALUES ({}){conflict}", vec!["?"; columns].join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The second parameter comes first in the text.
+    #[test]
+    fn parameters_have_their_numbers() {
+        let connection = rusqlite::Connection::open_in_memory().unwrap();
+        let difference = by_number("SELECT $2 - $1");
+        let difference: i64 = connection.query_row(&difference, (3, 10), |row| row.get(0)).unwrap();
+        assert_eq!(difference, 7);
+    }
 }

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use rusqlite::{
-    Connection, ErrorCode, OptionalExtension, Statement, Transaction, TransactionBehavior, ffi,
+    CachedStatement, Connection, ErrorCode, OptionalExtension, Statement, Transaction,
+    TransactionBehavior, ffi,
 };
 
 use crate::store::audit;
@@ -18,7 +19,7 @@ use crate::store::committer::statements::{
 };
 use crate::store::{ArcStart, AuditEntry, RawChange, RawPosition};
 
-use super::binding::{Binding, with_values};
+use super::binding::{Binding, by_number, with_values};
 use super::rollups::Rollups;
 
 /// A connection with its statements, and what it knows of the database.
@@ -47,7 +48,7 @@ impl<'c> Writer<'c> {
             revision: prepare(INSERT_REVISIONS, REVISION_COLUMNS, ONCE)?,
             piece: prepare(raw::INSERT_PIECES, raw::PIECE_COLUMNS, "")?,
             stream: prepare(raw::INSERT_STREAMS, raw::STREAM_COLUMNS, raw::REPLACE_STREAMS)?,
-            forget: connection.prepare(raw::FORGET)?,
+            forget: connection.prepare(&by_number(raw::FORGET))?,
             rollups: Rollups::new(connection)?,
             origins: Origins::default(),
         })
@@ -214,6 +215,11 @@ impl<'c> Writer<'c> {
             .map(drop)
     }
 
+    /// A statement that few batches need.
+    fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'c>> {
+        self.connection.prepare_cached(&by_number(sql))
+    }
+
     /// Writes the parts of a batch that few batches have.
     fn write_changes(&self, batch: &Batch) -> rusqlite::Result<()> {
         let session = batch.session.0;
@@ -225,8 +231,8 @@ impl<'c> Writer<'c> {
             self.begin_arc(session, arc)?;
         }
         if let Some(unix_ms) = batch.closed_unix_ms {
-            self.connection.prepare_cached(CLOSE)?.execute((session, unix_ms))?;
-            self.connection.prepare_cached(FORGET_ALL_RAW)?.execute([session])?;
+            self.prepared(CLOSE)?.execute((session, unix_ms))?;
+            self.prepared(FORGET_ALL_RAW)?.execute([session])?;
         }
         batch.entry.as_deref().map_or(Ok(()), |entry| self.note(entry))
     }
@@ -239,24 +245,24 @@ impl<'c> Writer<'c> {
     ) -> rusqlite::Result<()> {
         let EncodedSnapshot { seq, configuration_hash: hash, content } = snapshot;
         let row = (session, seq, &**hash, content);
-        self.connection.prepare_cached(UPSERT_SNAPSHOT)?.execute(row)?;
+        self.prepared(UPSERT_SNAPSHOT)?.execute(row)?;
         if let Some(day) = kept_on {
             let row = (session, day, seq, &**hash, content);
-            self.connection.prepare_cached(KEEP_SNAPSHOT)?.execute(row)?;
+            self.prepared(KEEP_SNAPSHOT)?.execute(row)?;
         }
         Ok(())
     }
 
     fn begin_arc(&self, session: i64, arc: &ArcStart) -> rusqlite::Result<()> {
         let row = (session, arc.after_seq as i64, arc.unix_ms);
-        self.connection.prepare_cached(INSERT_ARC)?.execute(row)?;
+        self.prepared(INSERT_ARC)?.execute(row)?;
         let date = (session, gps_time_ns(arc.unix_ms), arc.unix_ms);
-        self.connection.prepare_cached(DATE_RAW)?.execute(date).map(drop)
+        self.prepared(DATE_RAW)?.execute(date).map(drop)
     }
 
     /// Writes an entry of the audit log.
     fn note(&self, entry: &AuditEntry) -> rusqlite::Result<()> {
-        Binding::of(&mut *self.connection.prepare_cached(audit::INSERT)?)
+        Binding::of(&mut *self.prepared(audit::INSERT)?)
             .bind(&entry.id)?
             .bind(entry.unix_ms)?
             .bind(entry.tenant.name())?
