@@ -163,6 +163,7 @@ async fn open_store(
         true => {
             let address = &cluster.address;
             tracing::info!(node, address, fence = store.fence(), "this node is in the cluster");
+            tracing::warn!("clusters are a preview: docs/cluster.md lists what is not shown yet");
         }
     }
     for setting in store.durability() {

@@ -105,7 +105,13 @@ impl Cluster {
     /// The database fails.
     pub(crate) async fn owner(&self, session: &str) -> Result<Option<NodeRow>, StoreError> {
         let owner = self.0.store.owner_of_session(session).await?;
-        Ok(owner.and_then(|fence| self.other(fence)))
+        let Some(fence) = owner.filter(|fence| *fence != self.0.own) else { return Ok(None) };
+        if let Some(node) = self.other(fence) {
+            return Ok(Some(node));
+        }
+        // It may have begun since the last look.
+        let (nodes, _) = self.0.store.nodes().await?;
+        Ok(nodes.into_iter().find(|node| node.fence == fence))
     }
 
     /// This node, as the others know it.

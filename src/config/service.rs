@@ -316,7 +316,8 @@ impl ServiceConfiguration {
         if !self.cluster.is_on() {
             return Ok(());
         }
-        if !self.database.starts_with("postgres") {
+        // What a file names is checked when the database is opened.
+        if self.database_file.is_none() && !self.database.starts_with("postgres") {
             return Err(ServiceConfigurationError::ClusterOfFile);
         }
         if self.cluster.authority().is_none() {
