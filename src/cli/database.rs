@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::app;
-use crate::config::STANDARD_DATABASE;
+use crate::config::{STANDARD_DATABASE, ServiceConfiguration};
 use crate::refusal::Code;
 use crate::store::{Author, COMMAND_LINE, Store};
 use crate::tenant::Tenant;
@@ -56,11 +56,37 @@ impl DatabaseArgument {
     }
 }
 
+/// Prefers the database of the arguments to that of the configuration's file.
+pub(super) fn choose(
+    configuration: &mut ServiceConfiguration,
+    url: Option<String>,
+    file: Option<PathBuf>,
+) {
+    if let Some(url) = url {
+        (configuration.database, configuration.database_file) = (url, None);
+    }
+    if let Some(file) = file {
+        configuration.database = STANDARD_DATABASE.to_owned();
+        configuration.database_file = Some(file);
+    }
+}
+
+/// Reads the URL of the database from its file, if the configuration names one.
+///
+/// # Errors
+/// The file cannot be read.
+pub(super) fn read_url(configuration: &mut ServiceConfiguration) -> Result<(), Failure> {
+    if let Some(file) = configuration.database_file.take() {
+        configuration.database = url_in(&file)?;
+    }
+    Ok(())
+}
+
 /// The URL in a file, without blanks around it.
 ///
 /// # Errors
 /// The file cannot be read.
-pub(super) fn url_in(path: &Path) -> Result<String, Failure> {
+fn url_in(path: &Path) -> Result<String, Failure> {
     let mut text = String::new();
     let file = File::open(path);
     let read = file.and_then(|file| file.take(FILE_BYTES).read_to_string(&mut text));

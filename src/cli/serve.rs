@@ -7,12 +7,12 @@ use clap::Args;
 use tokio::net::TcpListener;
 
 use crate::app;
-use crate::config::{STANDARD_DATABASE, ServiceConfiguration};
+use crate::config::ServiceConfiguration;
 use crate::feeds::{FeedOptions, TimeLimits};
 use crate::refusal::Code;
 
-use super::Failure;
-use super::{database, host};
+use super::database::{choose, read_url};
+use super::{Failure, host};
 
 /// Variable with the key of stored secrets.
 const SECRETS_KEY: &str = "GRAPHFIX_SECRETS_KEY";
@@ -122,13 +122,7 @@ impl ServeArguments {
         tls.client_crl_file = self.tls_client_crl.or(tls.client_crl_file.take());
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
-        if let Some(url) = self.database {
-            (configuration.database, configuration.database_file) = (url, None);
-        }
-        if let Some(file) = self.database_file {
-            configuration.database = STANDARD_DATABASE.to_owned();
-            configuration.database_file = Some(file);
-        }
+        choose(&mut configuration, self.database, self.database_file);
         let secrets = &mut configuration.secrets;
         secrets.key_file = self.secrets_key_file.or(secrets.key_file.take());
         secrets.former_key_files.extend(self.secrets_former_key_file);
@@ -150,9 +144,7 @@ impl ServeArguments {
             configuration.node = app::random_node(); // For the log, too.
         }
         configuration.check()?;
-        if let Some(file) = configuration.database_file.take() {
-            configuration.database = database::url_in(&file)?;
-        }
+        read_url(&mut configuration)?;
         Ok(configuration)
     }
 }

@@ -10,6 +10,7 @@ use crate::config::ServiceConfiguration;
 use crate::feeds::TimeLimits;
 use crate::refusal::Code;
 
+use super::database::{choose, read_url};
 use super::serve::configuration_of;
 use super::{Failure, host};
 
@@ -26,8 +27,11 @@ pub(super) struct WorkerArguments {
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
     /// The service's database: postgres://….
-    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE", conflicts_with = "database_file")]
     database: Option<String>,
+    /// File with that URL, which may have a password.
+    #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE")]
+    database_file: Option<PathBuf>,
     /// The service's folder of jobs. Default: jobs.folder of the configuration file.
     #[arg(long, value_name = "FOLDER")]
     folder: Option<PathBuf>,
@@ -60,7 +64,7 @@ impl WorkerArguments {
     /// The configuration of file and arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
         let mut configuration = configuration_of(self.config.as_deref())?;
-        configuration.database = self.database.unwrap_or(configuration.database);
+        choose(&mut configuration, self.database, self.database_file);
         configuration.jobs.folder = self.folder.or(configuration.jobs.folder);
         configuration.jobs.running = usize::from(self.running);
         configuration.node = self.node.unwrap_or(configuration.node);
@@ -70,6 +74,7 @@ impl WorkerArguments {
             configuration.node = app::random_node(); // For the log, too.
         }
         configuration.check()?;
+        read_url(&mut configuration)?;
         Ok(configuration)
     }
 }
