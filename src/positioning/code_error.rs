@@ -21,6 +21,9 @@ use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 use crate::snapshot::snapshot_fields;
 
+/// The largest error that multipath can cause (m): 1.5 chips of 1/1.023 MHz. A reflection with a
+/// longer delay does not correlate with the signal (Van Nee 1993).
+pub(super) const WILD_M: f64 = 1.5 * 293.052_256;
 /// H (m): height of walls above the antenna, as of houses of a dozen floors.
 const WALL_M: f64 = 40.0;
 /// Least λ (m): diffraction at a roof, and what reflects beside the antenna, delay high satellites
@@ -57,8 +60,8 @@ snapshot_fields!(CodeError { sigma_m, reflected, extra_path_m });
 ///
 /// A vertical wall at the horizontal distance d, whose normal is α away from the satellite's
 /// azimuth, reflects with the extra path 2d·cos E·cos α at the height d·tan E/cos α. The wall is no
-/// higher than H, so d is at most H·cos α/tan E. The mean over d up to there, and over α, is λ: high
-/// satellites are reflected by near walls only.
+/// higher than H, so d is at most H·cos α/tan E. λ is the mean over d up to there, and over α: near
+/// walls only reflect high satellites.
 pub(super) fn extra_path_m(sin_elevation: f64) -> f64 {
     let cos2 = 1.0 - sin_elevation * sin_elevation;
     (0.5 * WALL_M * cos2 / sin_elevation.max(LOWEST_SINE)).max(EXTRA_PATH_MIN_M)

@@ -10,10 +10,14 @@
 //! is √(2·F(2, ν)), whose tail is (1 + r²/ν)^(−ν/2) (Kotz & Nadarajah 2004, *Multivariate t
 //! distributions and their applications*, section 1.7), which also bounds one component.
 //!
-//! A fixed solution whose integers are wrong with a probability above the risk has no level.
+//! A fixed solution whose integers are wrong with a probability above the risk has no level. While
+//! a start is unproven, another position may be as likely, which no covariance contains: the levels
+//! are then at least the longest delay of multipath.
 
 use crate::config::{Beyond, IntegrityOptions};
 use crate::gnss::{LocalFrame, Protection, Reason, Solution, SolutionEstimate, Status};
+
+use super::code_error::WILD_M;
 
 /// ν.
 const DEGREES: f64 = 4.0;
@@ -23,6 +27,13 @@ pub(super) fn complete(solution: &mut Solution, options: &IntegrityOptions) {
     let Some(estimate) = &solution.estimate else { return };
     if solution.protection.is_none() {
         solution.protection = of_covariance(solution.status, estimate, options.risk);
+        let is_unproven = |reason: &Reason| matches!(reason, Reason::StartUnproven { .. });
+        if let Some(levels) = &mut solution.protection
+            && solution.reasons.iter().any(is_unproven)
+        {
+            levels.horizontal_m = levels.horizontal_m.max(WILD_M);
+            levels.vertical_m = levels.vertical_m.max(WILD_M);
+        }
     }
     let levels = solution.protection;
     let exceeded = [
@@ -126,6 +137,16 @@ mod tests {
         assert_eq!(level(0.99), None);
         let sure = level(0.9999).unwrap();
         assert!((sure.horizontal_m - radius(1e-3)).abs() < 1e-9);
+    }
+
+    /// 440 m is 1.5 chips of 293 m.
+    #[test]
+    fn an_unproven_start_may_be_anywhere_that_multipath_leads() {
+        let mut answer = solution();
+        answer.reasons.push(Reason::StartUnproven { age_s: 3.0 });
+        complete(&mut answer, &options());
+        let levels = answer.protection.unwrap();
+        assert!((levels.horizontal_m - 439.6).abs() < 0.1 && levels.vertical_m == WILD_M);
     }
 
     /// Eigenvalues of [4 2; 2 1] are 5 and 0.

@@ -29,8 +29,8 @@ const FILLING_S: f64 = 3.0 * POOL_S;
 /// Time from then on until the position counts as settled (s).
 const SETTLING_S: f64 = 30.0;
 /// Number of independent errors of a satellite in one pool, of three whose errors have the
-/// correlation 1/e: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946). Multipath that is nearly constant in a
-/// pool does not end with it.
+/// correlation 1/e: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946). Multipath that is nearly constant in
+/// a pool does not end with it.
 const OF_ONE_POOL: f64 = 0.633;
 /// Log odds above which the window moves: at a start, and from a settled position (nats).
 const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);

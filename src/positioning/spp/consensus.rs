@@ -20,14 +20,13 @@
 use crate::gnss::{Constellation, Ecef, Reason};
 use crate::models::geometric_range;
 use crate::positioning::Measurement;
+use crate::positioning::code_error::WILD_M;
 use crate::positioning::draws::Draws;
 
 use super::exclusion::REDUNDANCY_MIN;
 use super::least_squares::{Row, Step, Tie};
 use super::{EpochInputs, STEPS_MAX, SinglePoint};
 
-/// W (m): 1.5 chips of 1/1.023 MHz.
-pub(super) const WILD_M: f64 = 1.5 * 293.052_256;
 /// λ (m): the width of a street.
 const LATE_M: f64 = 40.0;
 /// Maximum number of subsets. If 51 % of the satellites are good, one of the subsets contains only

@@ -20,11 +20,10 @@ use nalgebra::Vector3;
 
 use crate::gnss::{LocalFrame, Protection};
 use crate::positioning::Measurement;
-use crate::positioning::code_error::{FAULT_SHARE, extra_path_m};
+use crate::positioning::code_error::{FAULT_SHARE, WILD_M, extra_path_m};
 use crate::positioning::integrity::{major_m2, normal_one_sided};
 use crate::positioning::receiver::reflected_before_learning;
 
-use super::consensus::WILD_M;
 use super::exclusion::REDUNDANCY_MIN;
 use super::{Fit, SinglePoint};
 
