@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use serde_json::Value;
 
 use crate::support::database::{Database, on_postgres};
-use crate::support::jobs::{LONG, MINUTE};
+use crate::support::jobs::{HOUR, MINUTE};
 use crate::support::server::{Server, free_port};
 use crate::support::wait::until;
 
@@ -167,7 +167,7 @@ async fn kill_9_of_service_and_workers_loses_no_job() {
 async fn a_frozen_worker_loses_its_job() {
     on_postgres(async |database| {
         let world = World::new(database);
-        let files = LONG.write(world.folder.path());
+        let files = HOUR.write(world.folder.path());
         let server = world.served().await;
         let frozen = world.worker(&["--node", "frozen"]);
         let job = world.create(0, &files, "{\"mode\": \"rtk-fgo\"}");
@@ -178,7 +178,7 @@ async fn a_frozen_worker_loses_its_job() {
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let result = || world.curl(0, &format!("/{job}/result"), &[]).unwrap();
         let (first, report) = (result(), world.get(0, &format!("/{job}/report")));
-        assert_eq!(first, LONG.solved(&["--mode", "rtk-fgo"], "pos"));
+        assert_eq!(first, HOUR.solved(&["--mode", "rtk-fgo"], "pos"));
         frozen.signal("CONT");
         // It has noticed once it takes another job.
         drop(other);
@@ -197,7 +197,7 @@ async fn a_frozen_worker_loses_its_job() {
 async fn a_worker_is_told_to_stop() {
     on_postgres(async |database| {
         let world = World::new(database);
-        let files = LONG.write(world.folder.path());
+        let files = HOUR.write(world.folder.path());
         let server = world.served().await;
         let mut worker = world.worker(&[]);
         let job = world.create(0, &files, "{\"mode\": \"rtk-fgo\"}");
@@ -222,7 +222,7 @@ async fn a_worker_is_told_to_stop() {
 async fn a_job_that_ends_its_workers_fails() {
     on_postgres(async |database| {
         let world = World::new(database);
-        let files = LONG.write(world.folder.path());
+        let files = HOUR.write(world.folder.path());
         let server = world.served().await;
         let job = world.create(0, &files, "{\"mode\": \"rtk-fgo\"}");
         let small = world.worker(&["--memory", "100"]);

@@ -25,6 +25,8 @@ pub(crate) struct Files {
 pub(crate) static MINUTE: LazyLock<Files> = LazyLock::new(|| simulated(60.0));
 /// Five minutes.
 pub(crate) static LONG: LazyLock<Files> = LazyLock::new(|| simulated(300.0));
+/// An hour: what a fast machine needs some seconds for.
+pub(crate) static HOUR: LazyLock<Files> = LazyLock::new(|| simulated(3_600.0));
 
 fn simulated(duration_s: f64) -> Files {
     let scenario = Scenario { duration_s, ..Scenario::by_name("rtk-open").unwrap() };
