@@ -106,12 +106,12 @@ impl Cluster {
     pub(crate) async fn owner(&self, session: &str) -> Result<Option<NodeRow>, StoreError> {
         let owner = self.0.store.owner_of_session(session).await?;
         let Some(fence) = owner.filter(|fence| *fence != self.0.own) else { return Ok(None) };
-        if let Some(node) = self.other(fence) {
-            return Ok(Some(node));
+        if self.other(fence).is_none() {
+            // It may have begun since the last look.
+            let members = self.0.read().await?;
+            self.0.members.send_replace(members);
         }
-        // It may have begun since the last look.
-        let (nodes, _) = self.0.store.nodes().await?;
-        Ok(nodes.into_iter().find(|node| node.fence == fence))
+        Ok(self.other(fence))
     }
 
     /// This node, as the others know it.

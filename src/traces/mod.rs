@@ -1,11 +1,11 @@
 //! Traces for OpenTelemetry: how long the parts of a request's work have taken, sent to a collector
 //! by OTLP over gRPC.
 //!
-//! A request that is traced has a [`TraceSpan`], and so has each push in a session's mailbox, with
+//! A request that is traced has a `TraceSpan`, and so has each push in a session's mailbox, with
 //! its computation and its commit. What belongs together has one trace id, which may be that of the
-//! caller (W3C Trace Context). Spans wait in a queue for [`exporter`]; when it is full they are
+//! caller (W3C Trace Context). Spans wait in a queue for `exporter`; when it is full they are
 //! counted and dropped, so a collector that is slow or gone costs memory for that queue and nothing
-//! else. Without a collector there is no [`Tracer`], and nothing of this is done.
+//! else. Without a collector there is no `Tracer`, and nothing of this is done.
 
 mod context;
 mod error;
