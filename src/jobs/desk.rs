@@ -15,9 +15,10 @@ use crate::store::{JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
 use super::JobError;
+use super::arriving::Upload;
 use super::deliveries::{self, Deliveries};
 use super::fetching::{self, InputUrl};
-use super::files::{JobFiles, StoredFile, Upload};
+use super::files::{JobFiles, StoredFile};
 use super::info::{JobId, JobInfo};
 use super::named::Named;
 use super::queue;
@@ -116,7 +117,7 @@ impl Jobs {
     pub async fn upload(&self) -> Result<Upload, JobError> {
         let files = self.desk.files()?;
         self.check_waiting().await?;
-        files.upload()
+        Upload::begin_at(files)
     }
 
     /// Queues a job. Returns it, and whether it is new: a repetition with the same idempotency key

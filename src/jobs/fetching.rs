@@ -17,7 +17,8 @@ use crate::store::JobRow;
 use crate::tenant::Tenant;
 
 use super::JobError;
-use super::files::{ArrivingFile, StoredFile, Upload};
+use super::arriving::{ArrivingFile, Upload};
+use super::files::StoredFile;
 use super::info::JobInfo;
 use super::report::Failure;
 use super::request::{JobInput, JobRequest, Part};
@@ -114,7 +115,7 @@ async fn inputs(
     let refused = |error: &JobError, part| Failure::new(error.code(), error.to_string(), part);
     let mut request = JobInfo::of(row).map_err(|error| refused(&error.into(), None))?.request;
     let files = desk.files().map_err(|error| refused(&error, None))?;
-    let (mut upload, mut stored) = (files.fetch(), Vec::new());
+    let (mut upload, mut stored) = (Upload::fetch_to(files), Vec::new());
     for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
         let part = Some(input.part.name());
         let fetching = tried(desk, &mut upload, input, running);

@@ -1,4 +1,4 @@
-//! The files of jobs: uploads, named after the hash of their content, and results.
+//! The folder of jobs: inputs, named after the hash of their content, and results.
 //!
 //! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
 //! `inputs` and `results` stand in the store. What does not is removed once it is old, and at the
@@ -13,8 +13,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::fs::File;
-use tokio::io::AsyncWriteExt;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
@@ -48,29 +46,6 @@ pub(super) struct JobFiles {
     /// Number of uploads that have each input and are not a job yet.
     held: Mutex<HashMap<String, usize>>,
     uploads: Arc<Semaphore>,
-}
-
-/// Files that arrive together. One that does not become a job leaves nothing.
-pub struct Upload {
-    files: Arc<JobFiles>,
-    begun: usize,
-    /// `None` if the service fetches the files itself.
-    _permit: Option<OwnedSemaphorePermit>,
-}
-
-/// A file that arrives.
-pub struct ArrivingFile {
-    files: Arc<JobFiles>,
-    file: File,
-    hasher: blake3::Hasher,
-    leftover: Leftover,
-}
-
-/// A file and its bytes in the quota, both of which are given up on drop.
-struct Leftover {
-    files: Arc<JobFiles>,
-    path: PathBuf,
-    bytes: u64,
 }
 
 /// An uploaded file that is stored. It is kept while this value, or a job, names it.
@@ -152,20 +127,19 @@ impl JobFiles {
         Ok(())
     }
 
-    /// Begins an upload.
+    /// The right to upload files.
     ///
     /// # Errors
     /// As many uploads arrive as allowed.
-    pub(super) fn upload(self: &Arc<Self>) -> Result<Upload, JobError> {
+    pub(super) fn permit(&self) -> Result<OwnedSemaphorePermit, JobError> {
         let limit = self.limits.uploads;
         let permit = self.uploads.clone().try_acquire_owned();
-        let permit = permit.map_err(|_| JobError::TooManyUploads { limit })?;
-        Ok(Upload { files: self.clone(), begun: 0, _permit: Some(permit) })
+        permit.map_err(|_| JobError::TooManyUploads { limit })
     }
 
-    /// Begins to fetch files. It takes no part of the uploads.
-    pub(super) fn fetch(self: &Arc<Self>) -> Upload {
-        Upload { files: self.clone(), begun: 0, _permit: None }
+    /// The limits of files.
+    pub(super) const fn limits(&self) -> &JobsConfiguration {
+        &self.limits
     }
 
     /// The path of an input.
@@ -284,82 +258,6 @@ impl JobFiles {
     }
 }
 
-impl Upload {
-    /// Begins a file.
-    ///
-    /// # Errors
-    /// The upload has as many as allowed, or the disk fails.
-    pub async fn begin(&mut self) -> Result<ArrivingFile, JobError> {
-        self.count()?;
-        self.begin_again().await
-    }
-
-    /// Counts a file.
-    ///
-    /// # Errors
-    /// The upload has as many as allowed.
-    pub fn count(&mut self) -> Result<(), JobError> {
-        let limit = self.files.limits.files;
-        if limit <= self.begun {
-            return Err(JobError::TooManyFiles { limit });
-        }
-        self.begun += 1;
-        Ok(())
-    }
-
-    /// Begins a file that is not counted: another try of one that is.
-    ///
-    /// # Errors
-    /// The disk fails.
-    pub(super) async fn begin_again(&mut self) -> Result<ArrivingFile, JobError> {
-        let path = self.files.folder.join(INCOMING).join(Uuid::new_v4().simple().to_string());
-        let file = File::create_new(&path).await;
-        let file = file.map_err(JobError::disk("creating the file of an upload"))?;
-        let leftover = Leftover { files: self.files.clone(), path, bytes: 0 };
-        Ok(ArrivingFile {
-            files: self.files.clone(),
-            file,
-            hasher: blake3::Hasher::new(),
-            leftover,
-        })
-    }
-}
-
-impl ArrivingFile {
-    /// Appends bytes.
-    ///
-    /// # Errors
-    /// The file, or all files together, exceed their limit, or the disk fails.
-    pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
-        let (more, limit) = (bytes.len() as u64, self.files.limits.file_bytes);
-        if limit < self.leftover.bytes + more {
-            return Err(JobError::FileTooLarge { limit });
-        }
-        self.files.reserve(more)?;
-        self.leftover.bytes += more;
-        self.hasher.update(bytes);
-        let written = self.file.write_all(bytes).await;
-        written.map_err(JobError::disk("writing the file of an upload"))
-    }
-
-    /// Stores the file under its hash. It is on the disk when this returns.
-    ///
-    /// # Errors
-    /// The disk fails.
-    pub async fn finish(mut self) -> Result<StoredFile, JobError> {
-        let failed = JobError::disk;
-        self.file.flush().await.map_err(failed("writing the file of an upload"))?;
-        self.file.sync_all().await.map_err(failed("writing the file of an upload"))?;
-        let hash = self.hasher.finalize().to_hex().to_string();
-        let (path, bytes) = (self.leftover.path.clone(), self.leftover.bytes);
-        let (stored, is_new) = self.files.store(path, hash, bytes).await?;
-        if is_new {
-            self.leftover.bytes = 0; // It stays.
-        }
-        Ok(stored)
-    }
-}
-
 /// The identity of a folder, which it gets if it has none.
 fn identified(folder: &Path) -> io::Result<String> {
     let path = folder.join(FOLDER_ID);
@@ -378,14 +276,6 @@ pub(super) fn sync(folder: &Path) -> io::Result<()> {
     fs::File::open(folder)?.sync_all()
 }
 
-impl Drop for Leftover {
-    fn drop(&mut self) {
-        // Err: it is stored under its hash.
-        fs::remove_file(&self.path).ok();
-        self.files.release(self.bytes);
-    }
-}
-
 impl Drop for StoredFile {
     fn drop(&mut self) {
         let mut held = self.files.held();
@@ -400,6 +290,7 @@ impl Drop for StoredFile {
 
 #[cfg(test)]
 mod tests {
+    use super::super::arriving::Upload;
     use super::*;
 
     fn files(folder: &Path, total_bytes: u64) -> Arc<JobFiles> {
@@ -428,14 +319,14 @@ mod tests {
     async fn equal_files_are_one_and_limits_leave_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 150);
-        let mut upload = files.upload().unwrap();
-        assert!(matches!(files.upload(), Err(JobError::TooManyUploads { limit: 1 })));
+        let mut upload = Upload::begin_at(&files).unwrap();
+        assert!(matches!(Upload::begin_at(&files), Err(JobError::TooManyUploads { limit: 1 })));
         let first = stored(&mut upload, &[7; 90]).await.unwrap();
         let again = stored(&mut upload, &[7; 60]).await.unwrap();
         assert_ne!(first.hash, again.hash);
         assert!(matches!(upload.begin().await, Err(JobError::TooManyFiles { limit: 2 })));
         drop(upload);
-        let mut upload = files.upload().unwrap();
+        let mut upload = Upload::begin_at(&files).unwrap();
         // 150 bytes are used.
         let refused = stored(&mut upload, &[7; 60]).await;
         assert!(matches!(refused, Err(JobError::SpaceExhausted { limit: 150 })));
@@ -483,7 +374,7 @@ mod tests {
     async fn a_file_stays_while_it_is_held_or_named() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 1000);
-        let mut upload = files.upload().unwrap();
+        let mut upload = Upload::begin_at(&files).unwrap();
         let held = stored(&mut upload, b"held").await.unwrap();
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
@@ -499,7 +390,7 @@ mod tests {
         assert_eq!(count(folder.path()), 1);
         assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
         assert_eq!(files.used.load(Ordering::Acquire), 5);
-        let mut twice = files.upload().unwrap();
+        let mut twice = Upload::begin_at(&files).unwrap();
         stored(&mut twice, b"named").await.unwrap();
         assert_eq!((count(folder.path()), files.used.load(Ordering::Acquire)), (1, 5));
     }

@@ -19,6 +19,7 @@
 //! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
 //!   are computed again from the beginning.
 
+mod arriving;
 mod deliveries;
 mod desk;
 mod error;
@@ -38,11 +39,12 @@ mod watched;
 mod webhook;
 mod worker;
 
+pub use arriving::{ArrivingFile, Upload};
 pub use deliveries::Deliveries;
 pub use desk::{Jobs, Submission, UploadedFile};
 pub use error::JobError;
 pub use fetching::InputUrl;
-pub use files::{ArrivingFile, StoredFile, Upload};
+pub use files::StoredFile;
 pub use info::{JobId, JobInfo, JobResult};
 pub use report::{Failure, Report};
 pub use request::{

@@ -1,0 +1,136 @@
+//! Files that arrive, until they are stored under the hash of their content.
+//!
+//! What does not become an input leaves nothing: neither a file nor bytes in the space of all files.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::fs::File;
+use tokio::io::AsyncWriteExt;
+use tokio::sync::OwnedSemaphorePermit;
+use uuid::Uuid;
+
+use super::JobError;
+use super::files::{JobFiles, StoredFile};
+
+/// Files that arrive together. One that does not become a job leaves nothing.
+pub struct Upload {
+    files: Arc<JobFiles>,
+    begun: usize,
+    /// `None` if the service fetches the files itself.
+    _permit: Option<OwnedSemaphorePermit>,
+}
+
+/// A file that arrives.
+pub struct ArrivingFile {
+    files: Arc<JobFiles>,
+    file: File,
+    hasher: blake3::Hasher,
+    leftover: Leftover,
+}
+
+/// A file and its bytes in the quota, both of which are given up on drop.
+struct Leftover {
+    files: Arc<JobFiles>,
+    path: PathBuf,
+    bytes: u64,
+}
+
+impl Upload {
+    /// Begins an upload to a folder.
+    ///
+    /// # Errors
+    /// As many uploads arrive as allowed.
+    pub(super) fn begin_at(files: &Arc<JobFiles>) -> Result<Self, JobError> {
+        let permit = files.permit()?;
+        Ok(Self { files: files.clone(), begun: 0, _permit: Some(permit) })
+    }
+
+    /// Begins to fetch files to a folder. It takes no part of the uploads.
+    pub(super) fn fetch_to(files: &Arc<JobFiles>) -> Self {
+        Self { files: files.clone(), begun: 0, _permit: None }
+    }
+
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// The upload has as many as allowed, or the disk fails.
+    pub async fn begin(&mut self) -> Result<ArrivingFile, JobError> {
+        self.count()?;
+        self.begin_again().await
+    }
+
+    /// Counts a file.
+    ///
+    /// # Errors
+    /// The upload has as many as allowed.
+    pub fn count(&mut self) -> Result<(), JobError> {
+        let limit = self.files.limits().files;
+        if limit <= self.begun {
+            return Err(JobError::TooManyFiles { limit });
+        }
+        self.begun += 1;
+        Ok(())
+    }
+
+    /// Begins a file that is not counted: another try of one that is.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub(super) async fn begin_again(&mut self) -> Result<ArrivingFile, JobError> {
+        let path = self.files.arriving(&Uuid::new_v4().simple().to_string());
+        let file = File::create_new(&path).await;
+        let file = file.map_err(JobError::disk("creating the file of an upload"))?;
+        let leftover = Leftover { files: self.files.clone(), path, bytes: 0 };
+        Ok(ArrivingFile {
+            files: self.files.clone(),
+            file,
+            hasher: blake3::Hasher::new(),
+            leftover,
+        })
+    }
+}
+
+impl ArrivingFile {
+    /// Appends bytes.
+    ///
+    /// # Errors
+    /// The file, or all files together, exceed their limit, or the disk fails.
+    pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
+        let (more, limit) = (bytes.len() as u64, self.files.limits().file_bytes);
+        if limit < self.leftover.bytes + more {
+            return Err(JobError::FileTooLarge { limit });
+        }
+        self.files.reserve(more)?;
+        self.leftover.bytes += more;
+        self.hasher.update(bytes);
+        let written = self.file.write_all(bytes).await;
+        written.map_err(JobError::disk("writing the file of an upload"))
+    }
+
+    /// Stores the file under its hash. It is on the disk when this returns.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub async fn finish(mut self) -> Result<StoredFile, JobError> {
+        let failed = JobError::disk;
+        self.file.flush().await.map_err(failed("writing the file of an upload"))?;
+        self.file.sync_all().await.map_err(failed("writing the file of an upload"))?;
+        let hash = self.hasher.finalize().to_hex().to_string();
+        let (path, bytes) = (self.leftover.path.clone(), self.leftover.bytes);
+        let (stored, is_new) = self.files.store(path, hash, bytes).await?;
+        if is_new {
+            self.leftover.bytes = 0; // It stays.
+        }
+        Ok(stored)
+    }
+}
+
+impl Drop for Leftover {
+    fn drop(&mut self) {
+        // Err: it is stored under its hash.
+        fs::remove_file(&self.path).ok();
+        self.files.release(self.bytes);
+    }
+}
