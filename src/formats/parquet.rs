@@ -214,7 +214,7 @@ impl Row<'_> {
         }
     }
 
-    /// A number; null if it is none, as an infinite dilution of precision.
+    /// A number; null if it is not finite, as an infinite dilution of precision.
     fn fraction(&mut self, value: Option<f64>) {
         let value = value.filter(|value| value.is_finite());
         match &mut self.next(value.is_some()).values {

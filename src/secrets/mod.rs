@@ -34,7 +34,7 @@ impl Secrets {
         Self { current: Some(current), former }
     }
 
-    /// Id of the key that encrypts; `None` if there is none.
+    /// Id of the key that encrypts; `None` while nothing is encrypted.
     pub fn key_id(&self) -> Option<&str> {
         self.current.as_ref().map(SecretsKey::id)
     }

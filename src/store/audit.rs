@@ -60,7 +60,7 @@ pub struct Act<'a> {
     pub call: &'static str,
     /// To whom the object belongs.
     pub tenant: &'a Tenant,
-    /// Id of what is changed; empty if there is none.
+    /// Id of what is changed; empty if it has no id.
     pub object: &'a str,
     /// What changes, for people. It has no secret.
     pub change: String,
@@ -79,7 +79,7 @@ pub struct AuditEntry {
     pub author: Author,
     /// The call, such as `Keys.Create`.
     pub call: String,
-    /// Id of what is changed; empty if there is none.
+    /// Id of what is changed; empty if it has no id.
     pub object: String,
     /// [`DONE`], or the code of the refusal.
     pub outcome: String,

@@ -184,7 +184,7 @@ impl Store {
         released.map(drop).map_err(StoreError::database("giving up a session"))
     }
 
-    /// The fence of the last owner of the session of this id; `None` if there is none.
+    /// The fence of the last owner of the session of this id; `None` if nobody has owned it.
     ///
     /// # Errors
     /// The database fails.

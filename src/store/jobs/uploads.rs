@@ -78,7 +78,7 @@ impl Store {
         set.map_err(StoreError::database("completing an upload"))
     }
 
-    /// Deletes an upload of a tenant; false if there is none.
+    /// Deletes an upload of a tenant; false if the tenant has no such upload.
     ///
     /// # Errors
     /// The database fails.
