@@ -1,12 +1,14 @@
-//! Compiles `proto/` to Rust: messages once, with their JSON twins, and the services over them; and
+//! Compiles `proto/` to Rust: messages once, with their JSON twins, and the services over them; with
+//! them `proto-google/`, which is apart because clients have code for it already; and
 //! lists the files of the dashboard, which `scripts/web` makes.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use prost::Message;
+use prost_types::{FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 
-const SERVICES: [&str; 10] = [
+const SERVICES: [&str; 11] = [
     "proto/graphfix/v1/sessions.proto",
     "proto/graphfix/v1/positioning.proto",
     "proto/graphfix/v1/solutions.proto",
@@ -17,6 +19,7 @@ const SERVICES: [&str; 10] = [
     "proto/graphfix/v1/tenants.proto",
     "proto/graphfix/v1/audit.proto",
     "proto/graphfix/v1/history.proto",
+    "proto-google/google/longrunning/operations.proto",
 ];
 const PACKAGE: &str = "graphfix.v1";
 /// Names of messages of gRPC's streams, which HTTP does not have, begin with this.
@@ -39,15 +42,20 @@ const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSch
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=proto");
+    println!("cargo::rerun-if-changed=proto-google");
     println!("cargo::rerun-if-changed=web/dist");
     list_dashboard()?;
-    let descriptors = protox::compile(SERVICES, ["proto"])?;
+    let descriptors = protox::compile(SERVICES, ["proto", "proto-google"])?;
     let folder = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(folder.join("descriptors.bin"), descriptors.encode_to_vec())?;
     let (messages, services) = (folder.join("messages"), folder.join("services"));
     std::fs::create_dir_all(&messages)?;
     std::fs::create_dir_all(&services)?;
 
+    // Those of other packages have no JSON, and stand beside their service.
+    let messages_of = FileDescriptorSet {
+        file: descriptors.file.iter().filter(|file| is_message_file(file)).cloned().collect(),
+    };
     let mut build = tonic_prost_build::configure()
         .build_client(false)
         .build_server(false)
@@ -93,18 +101,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .field_attribute(".graphfix.v1.HistoryInterval.worst_status", as_name)
         .field_attribute(".graphfix.v1.HistoryInterval.best_status", as_name)
         .field_attribute(".graphfix.v1.Reason.values", as_object)
-        .compile_fds(descriptors.clone())?;
+        .compile_fds(messages_of)?;
 
     tonic_prost_build::configure()
         .out_dir(services)
         .extern_path(".graphfix.v1", "crate::contract::v1")
+        .extern_path(".google.rpc", "::tonic_types::pb")
         .codec_path("crate::grpc::Codec")
         .compile_fds(descriptors)?;
     Ok(())
 }
 
+/// Whether a file has messages of this service, or what they are made of.
+fn is_message_file(file: &FileDescriptorProto) -> bool {
+    [PACKAGE, "google.protobuf"].contains(&file.package())
+}
+
 /// Whether a field has the type of what another field of its message has as text.
-fn is_typed_twin(field: &prost_types::FieldDescriptorProto) -> bool {
+fn is_typed_twin(field: &FieldDescriptorProto) -> bool {
     let kinds = ["JobState", "DeliveryState", "SourceState", "SatelliteRole"];
     let kinds = kinds.map(|kind| format!(".{PACKAGE}.{kind}"));
     field.type_name() == ".google.protobuf.Timestamp"

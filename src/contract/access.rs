@@ -27,7 +27,8 @@ pub enum Need {
 /// A call, or a page.
 #[derive(Clone, Copy, Debug)]
 pub struct Call {
-    /// Its path on gRPC, without the package of this service; empty if it is of REST only.
+    /// Its path on gRPC, without the package of this service; with its package, and with `/` at the
+    /// front, if that is another one. Empty if it is of REST only.
     pub grpc: &'static str,
     /// Its method and path on REST; empty if it is of gRPC only.
     pub rest: &'static str,
@@ -101,6 +102,12 @@ pub const CALLS: &[Call] = &[
     call("Jobs/Report", "GET /v1/jobs/{job}/report", &[Read]),
     call("Jobs/Result", "GET /v1/jobs/{job}/result", &[Read]),
     call("Jobs/Deliveries", "GET /v1/jobs/{job}/deliveries", &[Read]),
+    call("/google.longrunning.Operations/GetOperation", "", &[Read]),
+    call("/google.longrunning.Operations/ListOperations", "", &[Read]),
+    call("/google.longrunning.Operations/WaitOperation", "", &[Read]),
+    call("/google.longrunning.Operations/CancelOperation", "", &[Operate]),
+    call("/google.longrunning.Operations/DeleteOperation", "", &[Operate])
+        .act("Operations.DeleteOperation"),
     page("OPTIONS /v1/uploads"),
     call("", "POST /v1/uploads", &[Operate]),
     call("", "GET /v1/uploads/{upload}", &[Operate, Read]),

@@ -25,7 +25,7 @@ const ENCODING: &str = "grpc-encoding";
 const ACCEPTED_ENCODINGS: &str = "grpc-accept-encoding";
 const TIMEOUT: &str = "grpc-timeout";
 /// The calls of these services have one message, except the streams.
-const SERVICES: &str = "/graphfix.v1.";
+const SERVICES: [&str; 2] = ["/graphfix.v1.", "/google.longrunning."];
 /// Calls with a stream of messages.
 const STREAMS: [&str; 3] = [
     "/graphfix.v1.Positioning/Stream",
@@ -128,7 +128,8 @@ async fn unpacked_request(mut request: Request, limit: usize) -> Result<Request,
     if WATCHES.contains(&request.uri().path()) {
         request.headers_mut().remove(ACCEPTED_ENCODINGS);
     }
-    if !request.uri().path().starts_with(SERVICES) {
+    let path = request.uri().path();
+    if !SERVICES.iter().any(|service| path.starts_with(service)) {
         return Ok(request);
     }
     let encoding = match request.headers().get(ENCODING).map(|name| name.as_bytes()) {

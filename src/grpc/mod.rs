@@ -9,6 +9,7 @@ mod history;
 mod jobs;
 mod keys;
 mod navigation;
+mod operations;
 mod positioning;
 mod routes;
 mod sessions;
@@ -35,6 +36,12 @@ pub(crate) use stream_body::PREFIX_BYTES;
 #[allow(missing_docs, unreachable_pub, clippy::all)]
 pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/services/graphfix.v1.rs"));
+}
+
+/// `google.longrunning` of `proto-google/`, messages, server and client.
+#[allow(missing_docs, unreachable_pub, clippy::all)]
+pub mod longrunning {
+    include!(concat!(env!("OUT_DIR"), "/services/google.longrunning.rs"));
 }
 
 /// The schema, for reflection.

@@ -16,6 +16,7 @@ use tonic_health::server::HealthReporter;
 use crate::contract::Service;
 
 use super::admission::MessageLimits;
+use super::longrunning::operations_server::OperationsServer;
 use super::v1::audit_server::AuditServer;
 use super::v1::bases_server::BasesServer;
 use super::v1::history_server::HistoryServer;
@@ -65,6 +66,7 @@ pub(crate) fn routes(service: &Service) -> Router {
         .add_service(limited!(NavigationServer))
         .add_service(limited!(BasesServer))
         .add_service(limited!(JobsServer))
+        .add_service(limited!(OperationsServer))
         .add_service(limited!(KeysServer))
         .add_service(limited!(TenantsServer))
         .add_service(limited!(AuditServer))
@@ -83,7 +85,7 @@ async fn serve(State(limits): State<MessageLimits>, request: Request, next: Next
 
 /// Reports each second whether the services, and the whole, are serving, until the service drains.
 async fn report_health(service: Service, health: HealthReporter) {
-    const NAMES: [&str; 10] = [
+    const NAMES: [&str; 11] = [
         "",
         "graphfix.v1.Sessions",
         "graphfix.v1.Positioning",
@@ -91,6 +93,7 @@ async fn report_health(service: Service, health: HealthReporter) {
         "graphfix.v1.Navigation",
         "graphfix.v1.Bases",
         "graphfix.v1.Jobs",
+        "google.longrunning.Operations",
         "graphfix.v1.Keys",
         "graphfix.v1.Tenants",
         "graphfix.v1.Audit",

@@ -46,6 +46,11 @@ pub(crate) fn to_status(refusal: &Refusal) -> Status {
     if is_failure && refusal.code != Code::Draining {
         log_failure(refusal, "");
     }
+    status_of(refusal)
+}
+
+/// The same without a line in the log.
+pub(super) fn status_of(refusal: &Refusal) -> Status {
     let mut metadata = HashMap::from([
         ("remedy".to_owned(), refusal.code.remedy().to_owned()),
         ("link".to_owned(), refusal.code.link()),

@@ -11,7 +11,7 @@ use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
 use crate::session::{BatchLane, SessionError};
-use crate::store::{JobRow, JobState, NewJob, Page, Store, StoreError};
+use crate::store::{Act, Author, JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
 
 use super::JobError;
@@ -19,7 +19,7 @@ use super::arriving::Upload;
 use super::deliveries::{self, Deliveries};
 use super::fetching::{self, InputUrl};
 use super::files::{JobFiles, StoredFile};
-use super::info::{JobId, JobInfo};
+use super::info::{JobId, JobInfo, JobResult};
 use super::named::Named;
 use super::queue;
 use super::request::{JobInput, JobOptions, JobRequest, Part, SessionInput};
@@ -229,6 +229,28 @@ impl Jobs {
         }
         self.desk.changed();
         self.get(id).await
+    }
+
+    /// Deletes a job that has ended, with its result, as an act of `author`. A message that waits
+    /// for its webhook is given up.
+    ///
+    /// # Errors
+    /// No job has this id, it has not ended, or the store fails.
+    pub(crate) async fn delete(&self, id: &JobId, author: &Author) -> Result<(), JobError> {
+        let job = self.ended(id).await?;
+        let change = format!("state {}", job.state.name());
+        let call = "Operations.DeleteOperation";
+        let act = Act { call, tenant: &self.tenant, object: id.as_str(), change };
+        let entry = author.does(act, self.unix_ms());
+        if !self.desk.store.delete_job(&self.tenant, id.as_str(), &entry).await? {
+            return Err(JobError::NotFound { id: id.to_string() });
+        }
+        // Its inputs are removed later: other jobs may name them, too.
+        if let Some(JobResult { file, bytes }) = &job.result {
+            self.desk.files()?.remove_result(file, *bytes);
+        }
+        self.desk.changed();
+        Ok(())
     }
 
     /// The number of changes of all jobs. It wakes whoever watches one.

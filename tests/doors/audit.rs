@@ -9,16 +9,19 @@ use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::clock::Clock;
 use graphfix::contract::access::CALLS;
 use graphfix::contract::v1;
+use graphfix::grpc::longrunning::DeleteOperationRequest;
+use graphfix::grpc::longrunning::operations_client::OperationsClient;
 use graphfix::grpc::v1::audit_client::AuditClient;
 use graphfix::session::{SessionLimits, Sessions};
 use graphfix::store::AuditFilter;
 use serde_json::{Value, json};
 use sqlx::{Connection, PgConnection, SqliteConnection};
+use tonic::Status;
 use tower::ServiceExt;
 
 use crate::support::database::{Database, on_both_databases};
 use crate::support::doors::{Doors, code, epoch};
-use crate::support::jobs::MINUTE;
+use crate::support::jobs::{BOUNDARY, MINUTE, body};
 use crate::support::wait::until;
 
 use super::tenants::world::{Key, asked, base, get, key_of, marker, operator, session, uploaded};
@@ -119,8 +122,34 @@ async fn done(doors: &Doors, key: &Key, act: &str) -> String {
             ok(doors, key, "DELETE", &format!("{path}?purge=true"), Value::Null).await;
             id
         }
+        "Operations.DeleteOperation" => {
+            let id = job(doors, key).await;
+            ok(doors, key, "DELETE", &format!("/v1/jobs/{id}"), Value::Null).await;
+            deleted_job(doors, key, &id).await.unwrap();
+            id
+        }
         other => panic!("{other} has no case"),
     }
+}
+
+/// Creates a job.
+async fn job(doors: &Doors, key: &Key) -> String {
+    let parts: [(&str, &[u8]); 2] = [("rover", &MINUTE.rover), ("navigation", &MINUTE.navigation)];
+    let kind = format!("multipart/form-data; boundary={BOUNDARY}");
+    let request = Request::post("/v1/jobs").header("content-type", kind);
+    let request = request.header("authorization", format!("Bearer {}", key.secret));
+    let (status, job) = doors.ask(request.body(Body::from(body(&parts))).unwrap()).await;
+    assert_eq!(status, StatusCode::CREATED, "{job}");
+    job["job"].as_str().unwrap().to_owned()
+}
+
+/// Deletes a job that has ended.
+async fn deleted_job(doors: &Doors, key: &Key, id: &str) -> Result<(), Status> {
+    let mut request = tonic::Request::new(DeleteOperationRequest { name: id.to_owned() });
+    let bearer = format!("Bearer {}", key.secret).parse().unwrap();
+    request.metadata_mut().insert("authorization", bearer);
+    let mut client = OperationsClient::new(doors.router.clone());
+    client.delete_operation(request).await.map(drop)
 }
 
 /// What the entry of each act says of the change.
@@ -134,6 +163,7 @@ fn expected_change(act: &str) -> &'static str {
         "Navigation.Push" => "ephemerides, ",
         "Sessions.Update" => "label \"rover\" → \"boat\", retentionDays the service's → 3",
         "Sessions.Delete" => "label \"rover\"",
+        "Operations.DeleteOperation" => "state ",
         _ => "",
     }
 }
@@ -145,7 +175,7 @@ async fn each_act_leaves_an_entry(database: Database) {
     let opened = ["default", "loopback", "Keys.Create", &operator.id, "DONE"];
     assert_eq!(shorts(&first), [opened], "the key that ended the time without keys");
     let acts: Vec<&str> = CALLS.iter().filter_map(|call| call.act).collect();
-    assert_eq!(acts.len(), 10);
+    assert_eq!(acts.len(), 11);
     for act in acts {
         let object = done(&doors, &operator, act).await;
         let newest = entries(&doors, &operator, "").await.remove(0);
@@ -200,6 +230,8 @@ async fn an_act_without_an_entry_is_not_done(database: Database) {
         ("PATCH", path.clone(), json!({"label": "boat"})),
         ("POST", format!("{path}:reset"), Value::Null),
     ];
+    let ended = job(&doors, &operator).await;
+    ok(&doors, &operator, "DELETE", &format!("/v1/jobs/{ended}"), Value::Null).await;
     let things = async || {
         let mut things = Vec::new();
         for (path, list, passing) in [
@@ -215,6 +247,7 @@ async fn an_act_without_an_entry_is_not_done(database: Database) {
         }
         things.push(json!(database.count("api_keys").await));
         things.push(json!(database.count("session_arcs").await));
+        things.push(json!(database.count("jobs").await));
         things
     };
     let before = things().await;
@@ -224,6 +257,8 @@ async fn an_act_without_an_entry_is_not_done(database: Database) {
         let failed = (StatusCode::SERVICE_UNAVAILABLE, "DATABASE_FAILED");
         assert_eq!((status, code(&answer)), failed, "{method} {path}: {answer}");
     }
+    let failed = deleted_job(&doors, &operator, &ended).await.unwrap_err();
+    assert_eq!(graphfix::grpc::code_of(&failed).as_deref(), Some("DATABASE_FAILED"));
     assert_eq!(things().await, before);
     database.execute("ALTER TABLE taken_away RENAME TO audit_entries").await;
     for (method, path, body) in &acts {

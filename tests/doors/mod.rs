@@ -30,6 +30,7 @@ mod network_casters;
 mod networks;
 mod observations;
 mod odometry;
+mod operations;
 mod operator_keys;
 mod quotas;
 mod raw;

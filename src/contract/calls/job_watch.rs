@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use futures::Stream;
-use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::contract::{Caller, Lease, Refusal, v1};
@@ -20,7 +20,7 @@ const WATCH_BYTES: usize = 32 << 10;
 /// Interval at which the store is asked for changes of which no one told.
 const ASK: Duration = Duration::from_secs(1);
 /// Shortest interval between two looks into the store.
-const PAUSE: Duration = Duration::from_millis(200);
+pub(super) const PAUSE: Duration = Duration::from_millis(200);
 /// Time after which an unchanged job is sent again, so that no proxy takes the watch for dead.
 const KEEPALIVE: Duration = Duration::from_secs(15);
 
@@ -65,18 +65,20 @@ async fn run(
             outlet.send(message.clone()).await?;
             (sent, sent_at) = (Some(message), Instant::now());
         }
-        let changed = async {
-            tokio::select! {
-                // Err: the desk no longer exists, and the service drains.
-                _ = changes.changed() => {}
-                () = sleep(ASK) => {}
-            }
-            sleep_until(pause_ends).await;
-        };
         tokio::select! {
-            () = changed => {}
+            () = changed(&mut changes, pause_ends) => {}
             () = &mut drained => return Err(JobError::Draining.into()),
             () = outlet.closed() => return Ok(()),
         }
     }
+}
+
+/// Waits until a job may have changed, and at least for the pause between two looks.
+pub(super) async fn changed(changes: &mut watch::Receiver<u64>, pause_ends: Instant) {
+    tokio::select! {
+        // Err: the desk no longer exists, and the service drains.
+        _ = changes.changed() => {}
+        () = sleep(ASK) => {}
+    }
+    sleep_until(pause_ends).await;
 }

@@ -285,17 +285,27 @@ pub async fn get(caller: &Caller, request: v1::GetJobRequest) -> Result<v1::Job,
 /// The page token or size, the state or the order is invalid.
 pub async fn list(
     caller: &Caller,
-    mut request: v1::ListJobsRequest,
+    request: v1::ListJobsRequest,
 ) -> Result<v1::ListJobsResponse, Refusal> {
+    let (jobs, next_page_token) = page(caller, request).await?;
+    let jobs = jobs.iter().map(|job| message(caller, job)).collect();
+    Ok(v1::ListJobsResponse { jobs, next_page_token })
+}
+
+/// The jobs of a page, and the token of the next one.
+///
+/// # Errors
+/// The page token or size, the state or the order is invalid.
+pub(super) async fn page(
+    caller: &Caller,
+    mut request: v1::ListJobsRequest,
+) -> Result<(Vec<JobInfo>, String), Refusal> {
     let size = page_size(mem::take(&mut request.page_size), PAGE);
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Jobs/List", &request, &token)?;
     let filter = (state(&request.state)?, oldest_first(request.order)?);
     let page = caller.jobs().list(filter, size, pages.after()).await?;
-    Ok(v1::ListJobsResponse {
-        jobs: page.items.iter().map(|job| message(caller, job)).collect(),
-        next_page_token: pages.token(page.next_page_token),
-    })
+    Ok((page.items, pages.token(page.next_page_token)))
 }
 
 /// The state that a list asks for; none if the name is empty.
@@ -436,7 +446,8 @@ fn failure_message(failure: &Failure) -> v1::Refusal {
     }
 }
 
-fn report_message(id: &JobId, report: &Report) -> v1::JobReport {
+/// The report of a job as a message.
+pub(super) fn report_message(id: &JobId, report: &Report) -> v1::JobReport {
     let counts = |counts: &[(String, u64)]| {
         let count = |(name, epochs): &(String, u64)| v1::JobCount {
             name: name.clone(),

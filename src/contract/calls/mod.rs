@@ -12,6 +12,7 @@ pub mod jobs;
 pub mod keys;
 pub mod navigation;
 pub mod observations;
+pub mod operations;
 mod outlet;
 mod paging;
 pub mod positioning;

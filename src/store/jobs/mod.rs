@@ -11,9 +11,10 @@ mod uploads;
 
 use crate::tenant::Tenant;
 
+use super::audit::note;
 use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::{Page, Store, StoreError};
+use super::{AuditEntry, Page, Store, StoreError};
 
 pub(super) use deliveries::webhook_owner;
 pub use deliveries::{DeliveryAttempt, DeliveryEnd, DueWebhook};
@@ -193,6 +194,34 @@ impl Store {
             done.map(|done| done.rows_affected())
         });
         changed.map_err(StoreError::database("deleting jobs"))
+    }
+
+    /// Deletes a job of a tenant that has ended, and notes it with `entry`; false if there is no
+    /// such job.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn delete_job(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        entry: &AuditEntry,
+    ) -> Result<bool, StoreError> {
+        let deleted: Result<bool, sqlx::Error> = writing!(&self.pool, pool => {
+            let delete = async {
+                let mut transaction = pool.begin().await?;
+                let sql = "DELETE FROM jobs WHERE id = $1 AND tenant = $2
+                           AND ended_unix_ms IS NOT NULL";
+                let delete = sqlx::query(sql).bind(id).bind(tenant.name());
+                let is_done = delete.execute(&mut *transaction).await?.rows_affected() == 1;
+                if is_done {
+                    note!(transaction, entry);
+                }
+                transaction.commit().await.map(|()| is_done)
+            };
+            delete.await
+        });
+        deleted.map_err(StoreError::database("deleting a job"))
     }
 
     /// What every job names of the folder of jobs.

@@ -9,6 +9,7 @@ use graphfix::contract::v1;
 use graphfix::contract::v1::create_job_request::Content;
 use graphfix::formats::rinex::write_navigation;
 use graphfix::gnss::{Ephemeris, KeplerianEphemeris, Navigation};
+use graphfix::grpc::longrunning::{GetOperationRequest, ListOperationsRequest};
 use prost::Message;
 use serde_json::{Value, json};
 
@@ -53,7 +54,7 @@ pub(super) enum Case {
     Requests(Vec<Request<Body>>),
 }
 
-/// A request of a gRPC method with these messages.
+/// A request of a gRPC method, of this service's package or with its own, with these messages.
 fn grpc(method: &str, messages: &[Vec<u8>]) -> Request<Body> {
     let mut content = Vec::new();
     for message in messages {
@@ -61,7 +62,11 @@ fn grpc(method: &str, messages: &[Vec<u8>]) -> Request<Body> {
         content.extend_from_slice(&(message.len() as u32).to_be_bytes());
         content.extend_from_slice(message);
     }
-    let request = Request::post(format!("/graphfix.v1.{method}"));
+    let path = match method.starts_with('/') {
+        true => method.to_owned(),
+        false => format!("/graphfix.v1.{method}"),
+    };
+    let request = Request::post(path);
     let request = request.header("content-type", "application/grpc").header("te", "trailers");
     request.body(Body::from(content)).unwrap()
 }
@@ -491,6 +496,16 @@ fn tus(method: &str, path: &str) -> Request<Body> {
 fn others(call: &Call, of: &Things) -> Case {
     let name = if call.grpc.is_empty() { call.rest } else { call.grpc };
     match name {
+        "/google.longrunning.Operations/ListOperations" => {
+            let token = ListOperationsRequest { page_token: of.job.clone(), ..Default::default() };
+            let requests = [ListOperationsRequest::default(), token];
+            Case::Requests(requests.map(|list| grpc(name, &[list.encode_to_vec()])).into())
+        }
+        // All have one field, the id.
+        _ if name.starts_with("/google.longrunning.Operations/") => {
+            let named = GetOperationRequest { name: of.job.clone() };
+            Case::Requests(vec![grpc(name, &[named.encode_to_vec()])])
+        }
         "POST /v1/uploads" => Case::Requests(vec![tus("POST", "/v1/uploads")]),
         "GET /v1/uploads/{upload}"
         | "PATCH /v1/uploads/{upload}"
