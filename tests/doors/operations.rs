@@ -117,7 +117,8 @@ async fn what_fails_and_what_is_cancelled_is_an_error() {
     let Some(Outcome::Error(error)) = got(&mut client, &failed).await.result else {
         panic!("no error")
     };
-    assert_eq!((error.code, &json!(error.message)), (3, &failure["message"]));
+    let expected = (Code::FailedPrecondition as i32, &failure["message"]);
+    assert_eq!((error.code, &json!(error.message)), expected);
     let status = Status::with_details(
         Code::from_i32(error.code),
         error.message.clone(),
@@ -243,7 +244,7 @@ async fn googles_client_follows_jobs() {
     assert!(listed.contains(&json!(good)) && !listed.contains(&json!(bad)), "{seen}");
     assert_eq!(seen["epochs"], 61);
     assert_eq!(seen["state"], "SUCCEEDED");
-    assert_eq!(seen["failure"][0], "INVALID_ARGUMENT");
+    assert_eq!(seen["failure"][0], "FAILED_PRECONDITION");
     assert!(seen["failure"][1].as_str().is_some_and(|reason| !reason.is_empty()), "{seen}");
     assert_eq!(seen["cancelled"], true);
     assert_eq!((&seen["waited"], &seen["gone"]), (&json!(true), &json!("JOB_NOT_FOUND")));

@@ -14,6 +14,7 @@ sys.path.insert(0, stubs)
 import grpc
 from google.api_core import exceptions, operation, operations_v1
 from google.longrunning import operations_pb2, operations_pb2_grpc
+from google.rpc import error_details_pb2
 from graphfix.v1 import jobs_pb2
 
 channel = grpc.insecure_channel(server)
@@ -25,6 +26,12 @@ def future(job):
     """Polls until the job has ended."""
     begun = client.get_operation(job)
     return operation.from_gapic(begun, client, jobs_pb2.JobReport, metadata_type=jobs_pb2.Job)
+
+
+def reason(failure):
+    """The stable code among the details of a failure."""
+    info = error_details_pb2.ErrorInfo()
+    return next(info.reason for detail in failure.errors[0].details if detail.Unpack(info))
 
 
 client.cancel_operation(cancelled)
@@ -46,7 +53,7 @@ print(
         {
             "epochs": report.epochs,
             "state": metadata.state,
-            "failure": [failure.grpc_status_code.name, failure.reason],
+            "failure": [failure.grpc_status_code.name, reason(failure)],
             "cancelled": stopped.cancelled(),
             "waited": waited.done,
             "listed": listed,
