@@ -7,9 +7,9 @@ use crate::gnss::Reason;
 use crate::snapshot::state_fields;
 
 use super::ambiguity::{
-    Confirmation, FloatSolution, HoldState, IntegerQuestion, IntegerSearch, PhasePosition,
-    Resolution, Verdict as Separated, position_from_fixed_phases, subtract_common_cycles,
-    subtract_integers,
+    Confirmation, FOUND_EPOCHS, FloatSolution, HoldState, IntegerQuestion, IntegerSearch,
+    NEARLY_CERTAIN, PhasePosition, Resolution, Verdict as Separated, position_from_fixed_phases,
+    subtract_common_cycles, subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
 
@@ -18,11 +18,8 @@ const MISFIT_SIGMAS: f64 = 4.0;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
 const UNDETECTED_SHIFT_MAX_M: f64 = 0.1;
 
-/// Consecutive epochs that must find the same integers, unless they are as probable as
-/// [`CONFIRMED`]: multipath of phases changes within seconds and integers do not.
-const FOUND_EPOCHS: u32 = 2;
 /// Prior probability of confirmed integers in the test without one satellite.
-const CONFIRMED: f64 = 0.9999;
+const CONFIRMED: f64 = NEARLY_CERTAIN;
 /// The same for integers that are not confirmed yet.
 const UNKNOWN: f64 = 0.5;
 
@@ -103,6 +100,7 @@ impl Tracking {
             return resolution.refused(Reason::FixRejected);
         }
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
+        fixed.probability *= self.hold.reliability;
         let by_phases =
             position_from_fixed_phases(epoch, &fixed.position, border, &self.arcs, scratch);
         let Some(by_phases) = by_phases else { return resolution.refused(Reason::FixRejected) };
@@ -134,10 +132,11 @@ impl Tracking {
         question: &IntegerQuestion<'_>,
         search: &mut IntegerSearch,
     ) -> bool {
+        let Self { arcs, hold, confirmation, .. } = self;
+        hold.reliability = 1.0;
         if question.options.single_epoch {
             return true;
         }
-        let Self { arcs, hold, confirmation, .. } = self;
         if self.confirmed_period != Some(hold.period) {
             confirmation.clear();
             self.confirmed_period = Some(hold.period);
@@ -150,12 +149,13 @@ impl Tracking {
         let prior = if was_confirmed { CONFIRMED } else { UNKNOWN };
         let test = |satellite| search.separate(arcs, (satellite, prior), question);
         let verdict = confirmation.update(&satellites, test);
+        hold.reliability = confirmation.reliability();
         if was_confirmed && !confirmation.is_confirmed() {
             hold.drop_all(arcs, verdict == Separated::Contradicts);
         }
         hold.was_held |= confirmation.is_confirmed();
         let is_repeated = FOUND_EPOCHS <= hold.consecutive_epochs;
-        confirmation.is_confirmed() && (is_repeated || CONFIRMED <= probability)
+        confirmation.is_confirmed() && (is_repeated || NEARLY_CERTAIN <= probability)
     }
 
     /// Writes the residuals of the phases with integers at a position to the scratch; returns the

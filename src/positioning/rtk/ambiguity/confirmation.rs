@@ -5,11 +5,19 @@
 //! confirmed if the search finds them again without most of the satellites, left out one at a time,
 //! and never finds other likely ones.
 //!
+//! The searches also say how far a fix depends on single satellites. With the probability ε that
+//! one carrier is faulty, the mean of their probabilities counts as much as ε, the search with all
+//! satellites as much as 1 − ε: Bayesian model averaging over who is faulty.
+//!
 //! Source: the idea is that of solution separation, Brown & McBurney (1988), *Self-contained GPS
-//! integrity check using maximum solution separation*, Navigation 35(1), 41–53.
+//! integrity check using maximum solution separation*, Navigation 35(1), 41–53. Model averaging:
+//! Hoeting, Madigan, Raftery & Volinsky (1999), *Bayesian model averaging: a tutorial*, Statistical
+//! Science 14(4), 382–417.
 
 use crate::gnss::SatelliteId;
 use crate::snapshot::{snapshot_fields, snapshot_variants, state_fields};
+
+use super::joint::FAULTY;
 
 /// Fraction of the satellites for which a search without that satellite must find the integers
 /// again.
@@ -30,11 +38,21 @@ pub(crate) enum Verdict {
     Contradicts,
 }
 
-/// A satellite with the verdict of the last search that left it out.
+/// Outcome of a search without one satellite.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Separated {
+    pub(crate) verdict: Verdict,
+    /// Probability that the held integers are right.
+    pub(crate) probability: f64,
+}
+
+/// A satellite with the outcome of the last search that left it out.
 #[derive(Clone, Copy, Debug)]
 struct Separation {
     satellite: SatelliteId,
     verdict: Verdict,
+    /// `None` before a search was possible.
+    probability: Option<f64>,
 }
 
 /// Verdicts of the searches without one satellite on the held integers.
@@ -46,7 +64,7 @@ pub(crate) struct Confirmation {
 }
 
 snapshot_variants!(Verdict { 0 => Agrees {}, 1 => Silent {}, 2 => Contradicts {} });
-snapshot_fields!(Separation { satellite, verdict });
+snapshot_fields!(Separation { satellite, verdict, probability });
 state_fields!(Confirmation { separations, is_confirmed });
 
 impl Confirmation {
@@ -61,6 +79,14 @@ impl Confirmation {
         self.is_confirmed
     }
 
+    /// Factor on the probability of the integers, because one satellite may be faulty:
+    /// 1 − ε·(1 − p̄), with the mean p̄ of the searches without one satellite.
+    pub(crate) fn reliability(&self) -> f64 {
+        let searches = self.separations.iter().filter_map(|separation| separation.probability);
+        let (sum, count) = searches.fold((0.0, 0.0), |(sum, count), p| (sum + p, count + 1.0));
+        if count == 0.0 { 1.0 } else { 1.0 - FAULTY * (1.0 - sum / count) }
+    }
+
     /// Tests the integers of `satellites`, each test being a search without one of them. Returns
     /// the verdict on the integers as a whole.
     ///
@@ -70,7 +96,7 @@ impl Confirmation {
     pub(crate) fn update(
         &mut self,
         satellites: &[SatelliteId],
-        mut test: impl FnMut(SatelliteId) -> Verdict,
+        mut test: impl FnMut(SatelliteId) -> Option<Separated>,
     ) -> Verdict {
         self.follow(satellites);
         let Self { separations, is_confirmed } = self;
@@ -79,8 +105,10 @@ impl Confirmation {
         let needed = most.max(CONFIRMING_LEAST);
         let (mut agreeing, mut left) = (0, separations.len());
         for _ in 0..tests.min(separations.len()) {
-            let verdict = test(separations[0].satellite);
-            separations[0].verdict = verdict;
+            let separated = test(separations[0].satellite);
+            let verdict = separated.map_or(Verdict::Silent, |separated| separated.verdict);
+            let first = &mut separations[0];
+            (first.verdict, first.probability) = (verdict, separated.map(|s| s.probability));
             if verdict == Verdict::Contradicts {
                 *is_confirmed = false;
                 return verdict;
@@ -103,7 +131,8 @@ impl Confirmation {
         separations.retain(|separation| satellites.contains(&separation.satellite));
         for &satellite in satellites {
             if separations.iter().all(|separation| separation.satellite != satellite) {
-                separations.insert(0, Separation { satellite, verdict: Verdict::Silent });
+                let (verdict, probability) = (Verdict::Silent, None);
+                separations.insert(0, Separation { satellite, verdict, probability });
             }
         }
         if !*is_confirmed {
@@ -117,6 +146,11 @@ mod tests {
     use super::*;
     use crate::gnss::Constellation;
 
+    fn with(verdict: Verdict) -> Option<Separated> {
+        let probability = if verdict == Verdict::Agrees { 0.99 } else { 0.1 };
+        Some(Separated { verdict, probability })
+    }
+
     fn satellites(count: u8) -> Vec<SatelliteId> {
         (1..=count).map(|k| SatelliteId::new(Constellation::Gps, k).unwrap()).collect()
     }
@@ -127,15 +161,15 @@ mod tests {
         for (count, needed, agreeing) in [(12, 6, 5), (12, 6, 6), (6, 5, 4), (6, 5, 5), (4, 5, 4)] {
             let mut confirmation = Confirmation::default();
             let test = |satellite: SatelliteId| match satellite.number <= agreeing {
-                true => Verdict::Agrees,
-                false => Verdict::Silent,
+                true => with(Verdict::Agrees),
+                false => with(Verdict::Silent),
             };
             let verdict = confirmation.update(&satellites(count), test);
             assert_eq!(confirmation.is_confirmed(), needed <= agreeing, "{agreeing} of {count}");
             assert_eq!(verdict == Verdict::Agrees, needed <= agreeing);
         }
         let mut nothing = Confirmation::default();
-        assert_eq!(nothing.update(&[], |_| Verdict::Agrees), Verdict::Silent);
+        assert_eq!(nothing.update(&[], |_| with(Verdict::Agrees)), Verdict::Silent);
     }
 
     /// One contradiction among many agreements refuses integers, at once or later; confirmed
@@ -145,8 +179,8 @@ mod tests {
         let mut confirmation = Confirmation::default();
         let against = |number: u8| {
             move |satellite: SatelliteId| match satellite.number == number {
-                true => Verdict::Contradicts,
-                false => Verdict::Agrees,
+                true => with(Verdict::Contradicts),
+                false => with(Verdict::Agrees),
             }
         };
         assert_eq!(confirmation.update(&satellites(8), against(5)), Verdict::Contradicts);
@@ -169,9 +203,24 @@ mod tests {
             tested.clear();
             confirmation.update(&satellites(8), |satellite| {
                 tested.push(satellite.number);
-                if satellite.number == 4 { Verdict::Contradicts } else { Verdict::Agrees }
+                with(if satellite.number == 4 { Verdict::Contradicts } else { Verdict::Agrees })
             });
         }
         assert_eq!(tested, [4]);
+    }
+
+    /// Eight searches, six with 0.99, one with 0.1 and one that was not possible: the mean of seven is
+    /// 6.04/7, and the factor 1 − 0.1·0.96/7.
+    #[test]
+    fn reliability_worked_by_hand() {
+        let mut confirmation = Confirmation::default();
+        assert_eq!(confirmation.reliability(), 1.0);
+        let test = |satellite: SatelliteId| match satellite.number {
+            1 => with(Verdict::Silent),
+            2 => None,
+            _ => with(Verdict::Agrees),
+        };
+        assert_eq!(confirmation.update(&satellites(8), test), Verdict::Agrees);
+        assert!((confirmation.reliability() - (1.0 - 0.1 * 0.96 / 7.0)).abs() < 1e-12);
     }
 }

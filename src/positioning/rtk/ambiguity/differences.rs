@@ -13,6 +13,8 @@ pub(super) struct DoubleDifference {
     pub(super) reference: usize,
     /// Its integer, if both arcs hold one of the same datum.
     pub(super) known: Option<i64>,
+    /// Whether it is known and both arcs are proven.
+    pub(super) is_proven: bool,
 }
 
 /// The double differences of an epoch; their memory is used again.
@@ -25,7 +27,7 @@ pub(super) struct Differences {
 
 impl Differences {
     /// Forms the double differences of the eligible arcs, each against the reference satellite of
-    /// its group: the highest of those that hold an integer, or of all if none does.
+    /// its group: the highest of those with a proven integer, else with an integer, else of all.
     pub(super) fn form(
         &mut self,
         arcs: &[CarrierArc],
@@ -40,7 +42,7 @@ impl Differences {
             if self.indices[arc].is_none() {
                 continue;
             }
-            let rank = |arc: &CarrierArc| (arc.held.is_some(), arc.elevation_rad);
+            let rank = |arc: &CarrierArc| (arc.is_proven, arc.held.is_some(), arc.elevation_rad);
             let mut reference = arc;
             for (other, candidate) in arcs.iter().enumerate() {
                 let is_better = rank(&arcs[reference]) < rank(candidate);
@@ -51,7 +53,9 @@ impl Differences {
             if reference != arc {
                 let both = own.held.zip(arcs[reference].held);
                 let known = both.and_then(|(own, zero)| own.minus(zero));
-                self.pairs.push(DoubleDifference { arc, reference, known });
+                let are_proven = own.is_proven && arcs[reference].is_proven;
+                let is_proven = are_proven && known.is_some();
+                self.pairs.push(DoubleDifference { arc, reference, known, is_proven });
             }
         }
     }

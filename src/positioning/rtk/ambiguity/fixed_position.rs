@@ -342,6 +342,8 @@ mod tests {
                 half_cycle: false,
                 elevation_rad: elevation,
                 held: Some(HeldInteger { datum: 1, cycles: 3 * k as i64 }),
+                found: 1,
+                is_proven: true,
             });
         }
         epoch.groups.push(Group { begin: 0, end: satellites, is_carrier: true });

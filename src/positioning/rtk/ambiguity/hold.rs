@@ -6,12 +6,20 @@ use crate::snapshot::snapshot_fields;
 /// Upper bound of the probability of held integers: a cycle slip may be undetected.
 const CERTAIN: f64 = 1.0 - 1e-6;
 
+/// An integer is proven by two epochs in a row if the search of the later one is nearly certain:
+/// multipath of phases changes within seconds and integers do not.
+pub(crate) const FOUND_EPOCHS: u32 = 2;
+/// The probability of that search.
+pub(crate) const NEARLY_CERTAIN: f64 = 0.9999;
+
 /// The history of the held integers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HoldState {
     /// Consecutive epochs that found the same integers.
     pub(crate) consecutive_epochs: u32,
     pub(crate) probability: f64,
+    /// Factor on it by the searches without one satellite.
+    pub(crate) reliability: f64,
     pub(crate) ratio: Option<f64>,
     pub(crate) success_rate: Option<f64>,
     /// Number of the period: how often all integers have been dropped.
@@ -27,6 +35,7 @@ pub(crate) struct HoldState {
 snapshot_fields!(HoldState {
     consecutive_epochs,
     probability,
+    reliability,
     ratio,
     success_rate,
     period,
@@ -43,19 +52,29 @@ pub(crate) struct Found {
 }
 
 impl HoldState {
-    /// Holds an integer of `arc` against `reference`, which begins a datum if it has none.
-    pub(crate) fn hold(&mut self, arcs: &mut Arcs, arc: usize, reference: usize, integer: i64) {
-        let zero = arcs.list()[reference].held.unwrap_or_else(|| {
-            self.datums += 1;
-            HeldInteger { datum: self.datums, cycles: 0 }
-        });
-        arcs.hold(reference, Some(zero));
-        arcs.hold(arc, Some(HeldInteger { cycles: zero.cycles + integer, ..zero }));
-    }
-
-    /// Forgets the integer of one arc, which refers to another datum than its group's.
-    pub(crate) fn forget(&mut self, arcs: &mut Arcs, arc: usize) {
-        arcs.hold(arc, None);
+    /// Holds the integers that the search of this epoch found: arc, reference and difference of
+    /// each. A reference without an integer begins a datum.
+    pub(crate) fn hold(
+        &mut self,
+        arcs: &mut Arcs,
+        found: &[(usize, usize, i64)],
+        proven_after: u32,
+    ) {
+        let mut references: Vec<usize> = found.iter().map(|(_, reference, _)| *reference).collect();
+        references.sort_unstable();
+        references.dedup();
+        for reference in references {
+            let zero = arcs.list()[reference].held.unwrap_or_else(|| {
+                self.datums += 1;
+                HeldInteger { datum: self.datums, cycles: 0 }
+            });
+            arcs.find(reference, zero, proven_after);
+        }
+        for &(arc, reference, integer) in found {
+            let zero = arcs.list()[reference].held.expect("references have one now");
+            let cycles = zero.cycles + integer;
+            arcs.find(arc, HeldInteger { cycles, ..zero }, proven_after);
+        }
     }
 
     /// Records that a search of all ambiguities found the integers.

@@ -26,6 +26,8 @@ pub(crate) struct HoldPeriod {
     /// They were found to be wrong.
     is_refuted: bool,
     pub(crate) probability: f64,
+    /// [`HoldState::reliability`].
+    pub(crate) reliability: f64,
     pub(crate) ratio: Option<f64>,
     pub(crate) success_rate: Option<f64>,
 }
@@ -40,7 +42,15 @@ pub(crate) struct IntegerHistory {
 }
 
 snapshot_fields!(KnownInteger { serial, held, period, last });
-snapshot_fields!(HoldPeriod { number, was_held, is_refuted, probability, ratio, success_rate });
+snapshot_fields!(HoldPeriod {
+    number,
+    was_held,
+    is_refuted,
+    probability,
+    reliability,
+    ratio,
+    success_rate,
+});
 state_fields!(IntegerHistory { known, periods });
 
 impl IntegerHistory {
@@ -60,6 +70,7 @@ impl IntegerHistory {
             was_held: hold.was_held,
             is_refuted: false,
             probability: hold.probability,
+            reliability: hold.reliability,
             ratio: hold.ratio,
             success_rate: hold.success_rate,
         };
@@ -71,7 +82,7 @@ impl IntegerHistory {
             let (serial, last) = (arc.serial, arc.last);
             let key = (serial, held.datum);
             match self.known.binary_search_by_key(&key, |known| (known.serial, known.held.datum)) {
-                Ok(index) => self.known[index].last = last,
+                Ok(index) => (self.known[index].held, self.known[index].last) = (held, last),
                 Err(index) => {
                     self.known
                         .insert(index, KnownInteger { serial, held, period: hold.period, last });
@@ -138,6 +149,8 @@ mod tests {
             half_cycle: false,
             elevation_rad: 1.0,
             held: held.map(|(datum, cycles)| HeldInteger { datum, cycles }),
+            found: 1,
+            is_proven: true,
         }
     }
 

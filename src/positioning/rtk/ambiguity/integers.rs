@@ -1,23 +1,24 @@
 //! The search for integers among float ambiguities.
 //!
 //! An integer that was found is held with its arc, relative to a datum of the arc's group. Held
-//! integers are not part of the graph. At each epoch the float solution is conditioned on them
-//! after a test of whether it still agrees; if it does not, they are dropped. The conditioned
-//! solution is then searched for the integers of the other ambiguities.
+//! integers are not part of the graph. At each epoch the float solution is conditioned on those
+//! that are proven, after a test of whether it still agrees; if it does not, they are dropped. The
+//! conditioned solution is then searched for the integers of the other ambiguities. These are on
+//! trial, and searched again, until enough epochs in a row have found them.
 
 use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason, SatelliteId};
-use crate::lambda::{Options, Outcome, Partial, Resolver, odds_at_scale};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
-use super::confirmation::Verdict;
+use super::confirmation::{Separated, Verdict};
 use super::differences::{Differences, DoubleDifference};
 use super::fixed_position::{FixedPosition, fixed_position};
 use super::float::FloatSolution;
-use super::hold::{Found, HoldState};
+use super::hold::{FOUND_EPOCHS, Found, HoldState, NEARLY_CERTAIN};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
 
 /// Number of ambiguities for which storage is reserved at first.
@@ -72,14 +73,26 @@ pub(crate) struct IntegerQuestion<'a> {
     pub(crate) options: &'a RtkOptions,
 }
 
-/// How a search of all ambiguities is judged.
+/// How a search is judged.
 #[derive(Clone, Copy, Debug)]
 struct Judgement<'a> {
     options: &'a Options,
     /// Divisor of the odds.
     odds_divisor: f64,
+    /// Epochs in a row that prove an integer.
+    hold_epochs: u32,
     /// Integers were held, and the float solution no longer agrees with them.
     were_held: bool,
+}
+
+impl Judgement<'_> {
+    /// Epochs in a row that prove an integer, given the probability of the search of the last one.
+    fn proven_after(&self, probability: f64) -> u32 {
+        match NEARLY_CERTAIN <= probability {
+            true => FOUND_EPOCHS.min(self.hold_epochs),
+            false => self.hold_epochs,
+        }
+    }
 }
 
 /// Searches for integers; its memory is used again.
@@ -114,7 +127,7 @@ impl IntegerSearch {
         self.differences.form(arcs.list(), is_eligible, float);
         for pair in self.differences.pairs.iter().filter(|pair| pair.known.is_none()) {
             if arcs.list()[pair.reference].held.is_some() {
-                hold.forget(arcs, pair.arc);
+                arcs.forget(pair.arc);
             }
         }
         if self.differences.pairs.len() < options.fixed_min {
@@ -124,12 +137,13 @@ impl IntegerSearch {
         let joint = self.differences.joint(float);
         let lambda = lambda_options(options, noise.scale);
         let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
+        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
+        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
-        if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &held) {
+        let of_held = Judgement { options: &held, ..judgement };
+        if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
             return resolution;
         }
-        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, were_held };
         let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
         if resolution.outcome.is_err() && !were_held {
             hold.missed();
@@ -141,8 +155,8 @@ impl IntegerSearch {
         resolution
     }
 
-    /// Searches without one satellite, and returns its verdict on the held integers, whose
-    /// probability is `prior`.
+    /// Searches without one satellite: its verdict on the held integers, whose probability is
+    /// `prior`, and the probability that it gives to them. `None` where too few are left.
     ///
     /// It agrees if it finds them again. It contradicts them if other integers are likely, and
     /// likelier than the held ones in spite of their prior odds.
@@ -151,7 +165,7 @@ impl IntegerSearch {
         arcs: &Arcs,
         (left_out, prior): (SatelliteId, f64),
         question: &IntegerQuestion<'_>,
-    ) -> Verdict {
+    ) -> Option<Separated> {
         let IntegerQuestion { time, float, noise, options } = *question;
         let list = arcs.list();
         let is_eligible = |arc: &CarrierArc| {
@@ -161,28 +175,41 @@ impl IntegerSearch {
         self.differences.form(list, is_eligible, float);
         self.differences.pairs.retain(|pair| pair.known.is_some());
         if self.differences.pairs.len() < options.fixed_min {
-            return Verdict::Silent;
+            return None;
         }
         let (joint, all) = (self.differences.joint(float), self.differences.which(|_| true));
         let lambda = any_integers(&lambda_options(options, noise.scale), all.len());
-        let found = self.search(list, &joint, &all, &all, &lambda);
-        let Some(found) = found else { return Verdict::Silent };
-        let stated = bonferroni(noise.odds_divisor, found.probability.unwrap_or(0.0));
-        if stated < LIKELY {
-            return Verdict::Silent;
-        }
-        if let [_, 0] = self.compare_with_known(&all) {
-            return Verdict::Agrees;
-        }
-        let known = |pair: &DoubleDifference| pair.known.unwrap_or(0) as f64;
-        let values: Vec<f64> = self.differences.pairs.iter().map(known).collect();
-        let own = condition(&joint, &all, &values, &[]).map(|(_, squared_norm)| squared_norm);
-        let Some((own, best)) = own.zip(found.squared_norm) else { return Verdict::Silent };
-        let odds = odds_at_scale([own, best.min(own)], all.len(), noise.scale);
-        match scale_odds(odds, prior) < LIKELY {
-            true => Verdict::Contradicts,
-            false => Verdict::Silent,
-        }
+        let found = self.search(list, &joint, &all, &all, &lambda)?;
+        let stated = bonferroni(noise.odds_divisor, found.probability?);
+        let agrees = self.compare_with_known(&all)[1] == 0;
+        let odds = match agrees {
+            true => 1.0,
+            false => self.odds_of_known(&joint, &all, found.squared_norm?, noise.scale)?,
+        };
+        let verdict = match () {
+            () if stated < LIKELY => Verdict::Silent,
+            () if agrees => Verdict::Agrees,
+            () if scale_odds(odds, prior) < LIKELY => Verdict::Contradicts,
+            () => Verdict::Silent,
+        };
+        Some(Separated { verdict, probability: stated * odds })
+    }
+
+    /// Odds of the known integers of the pairs `all` against others of the squared norm `best`.
+    fn odds_of_known(
+        &self,
+        joint: &Joint,
+        all: &[usize],
+        best: f64,
+        scale: KnownScale,
+    ) -> Option<f64> {
+        let (_, own) = condition(joint, all, &self.known_values(all), &[])?;
+        Some(odds_at_scale([own, best.min(own)], all.len(), scale))
+    }
+
+    /// The known integers of the pairs `wanted`.
+    fn known_values(&self, wanted: &[usize]) -> Vec<f64> {
+        wanted.iter().map(|&i| self.differences.pairs[i].known.unwrap_or(0) as f64).collect()
     }
 
     fn refused(&self, reason: Reason) -> Resolution {
@@ -191,27 +218,28 @@ impl IntegerSearch {
         Resolution { ambiguities, ratio, success_rate, outcome: Err(reason) }
     }
 
-    /// Conditions on the held integers, then searches for those of the others. `None` where too few
-    /// are held, or these no longer agree with the float solution.
+    /// Conditions on the proven integers, then searches for those of the others. Where too few are
+    /// proven, those on trial are held as well, at the least probability with which they were found.
+    /// `None` where too few are held, or these no longer agree with the float solution.
     fn resolve_held(
         &mut self,
         arcs: &mut Arcs,
         hold: &mut HoldState,
         joint: &Joint,
-        options: &Options,
+        judgement: &Judgement<'_>,
     ) -> Option<Resolution> {
-        let known = self.differences.which(|pair| pair.known.is_some());
-        let others = self.differences.which(|pair| pair.known.is_none());
-        if known.len() < options.fixed_min {
+        let Judgement { options, .. } = *judgement;
+        let is_enough = options.fixed_min <= self.differences.which(|pair| pair.is_proven).len();
+        let is_held =
+            |pair: &DoubleDifference| pair.is_proven || !is_enough && pair.known.is_some();
+        let held = self.differences.which(is_held);
+        let others = self.differences.which(|pair| !is_held(pair));
+        if held.len() < options.fixed_min {
             return None;
         }
-        let values: Vec<f64> =
-            known.iter().map(|&i| self.differences.pairs[i].known.unwrap_or(0) as f64).collect();
-        let (mut rest, squared_norm) = condition(joint, &known, &values, &others)?;
-        let odds = match DISAGREEMENT * (known.len() as f64) < squared_norm {
-            true => {
-                self.odds_against_the_best(arcs.list(), joint, &known, squared_norm, options)?
-            }
+        let (rest, squared_norm) = condition(joint, &held, &self.known_values(&held), &others)?;
+        let odds = match DISAGREEMENT * (held.len() as f64) < squared_norm {
+            true => self.odds_against_the_best(arcs.list(), joint, &held, squared_norm, options)?,
             false => 1.0,
         };
         let against_others = scale_odds(odds, hold.probability);
@@ -219,24 +247,53 @@ impl IntegerSearch {
         if probability < options.probability_min {
             return None;
         }
-        let mut held = known.len();
-        if !others.is_empty() {
-            let lambda = Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*options };
-            let indices: Vec<usize> = (0..others.len()).collect();
-            let outcome = self.search(arcs.list(), &rest, &indices, &others, &lambda);
-            if outcome.is_some_and(|outcome| outcome.rejection.is_none())
-                && let Some(left) = self.condition_on_found(&rest, &indices)
-            {
-                held += self.hold_found(arcs, hold, &others);
-                rest = left;
-            }
-        }
+        let least = if is_enough { 1.0 } else { options.probability_min };
+        let trial = self.try_others(arcs, hold, &rest, &others, judgement);
+        let (rest, added, likely) = trial.unwrap_or((rest, 0, 1.0));
         Some(Resolution {
             ambiguities: self.differences.pairs.len(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
-            outcome: Ok(fixed_position(&rest, held, probability)),
+            outcome: Ok(fixed_position(&rest, held.len() + added, probability * likely * least)),
         })
+    }
+
+    /// Searches for the integers of the pairs `others`, whose ambiguities are those of `joint`:
+    /// what is left after conditioning on the integers found, their number and probability. Arcs on
+    /// trial whose integers are not found again lose them.
+    fn try_others(
+        &mut self,
+        arcs: &mut Arcs,
+        hold: &mut HoldState,
+        joint: &Joint,
+        others: &[usize],
+        judgement: &Judgement<'_>,
+    ) -> Option<(Joint, usize, f64)> {
+        let before: Vec<(usize, u32)> = others
+            .iter()
+            .flat_map(|&i| [self.differences.pairs[i].arc, self.differences.pairs[i].reference])
+            .filter(|&arc| arcs.list()[arc].held.is_some() && !arcs.list()[arc].is_proven)
+            .map(|arc| (arc, arcs.list()[arc].found))
+            .collect();
+        let lambda =
+            Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*judgement.options };
+        let indices: Vec<usize> = (0..others.len()).collect();
+        let found = match others.is_empty() {
+            true => None,
+            false => self.search(arcs.list(), joint, &indices, others, &lambda),
+        };
+        let accepted = found.filter(|outcome| outcome.rejection.is_none()).and_then(|outcome| {
+            let left = self.condition_on_found(joint, &indices)?;
+            let likely = outcome.probability.unwrap_or(0.0);
+            let added = self.hold_found(arcs, hold, others, judgement.proven_after(likely));
+            Some((left, added, likely))
+        });
+        for (arc, found) in before {
+            if arcs.list()[arc].found == found {
+                arcs.forget(arc);
+            }
+        }
+        accepted
     }
 
     /// Odds of the integers of the pairs `known`, with the given squared norm, against the best
@@ -270,7 +327,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, were_held } = *judgement;
+        let Judgement { options, odds_divisor, were_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -301,7 +358,8 @@ impl IntegerSearch {
             if were_held {
                 hold.drop_all(arcs, false);
             }
-            let held = self.hold_found(arcs, hold, &wanted);
+            let proven_after = judgement.proven_after(probability);
+            let held = self.hold_found(arcs, hold, &wanted, proven_after);
             let Outcome { ratio, success_rate, .. } = outcome;
             let found = Found { probability, ratio, success_rate };
             hold.found(&found);
@@ -363,16 +421,21 @@ impl IntegerSearch {
     }
 
     /// Holds the integers found last of the pairs `wanted`; returns their number.
-    fn hold_found(&self, arcs: &mut Arcs, hold: &mut HoldState, wanted: &[usize]) -> usize {
-        let entries = self.resolver.fix().entries();
-        let found = wanted.iter().zip(entries).filter_map(|(&i, entry)| Some((i, (*entry)?)));
-        let mut count = 0;
-        for (i, integer) in found {
+    fn hold_found(
+        &self,
+        arcs: &mut Arcs,
+        hold: &mut HoldState,
+        wanted: &[usize],
+        proven_after: u32,
+    ) -> usize {
+        let entries = wanted.iter().zip(self.resolver.fix().entries());
+        let integer = |(&i, entry): (&usize, &Option<i64>)| {
             let DoubleDifference { arc, reference, .. } = self.differences.pairs[i];
-            hold.hold(arcs, arc, reference, integer);
-            count += 1;
-        }
-        count
+            Some((arc, reference, (*entry)?))
+        };
+        let found: Vec<_> = entries.filter_map(integer).collect();
+        hold.hold(arcs, &found, proven_after);
+        found.len()
     }
 }
 
@@ -407,6 +470,8 @@ mod tests {
             half_cycle: false,
             elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },
             held: None,
+            found: 0,
+            is_proven: false,
         };
         Arcs::of((0..N).map(arc).collect())
     }
@@ -449,7 +514,7 @@ mod tests {
 
     fn hold_all(arcs: &mut Arcs, integers: impl Iterator<Item = i64>) {
         for (index, cycles) in integers.enumerate() {
-            arcs.hold(index, Some(HeldInteger { datum: 1, cycles }));
+            arcs.find(index, HeldInteger { datum: 1, cycles }, 1);
         }
     }
 
@@ -519,6 +584,33 @@ mod tests {
         let resolution = resolved(&mut arcs, &mut hold, &off);
         assert_eq!(resolution.outcome.unwrap().held, N - 1);
         assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
+    }
+
+    /// An arc that joins proven integers is on trial: another integer at the next epoch replaces its
+    /// first one; two epochs in a row that are nearly certain prove it.
+    #[test]
+    fn new_integers_are_on_trial() {
+        let mut arcs = arcs(0);
+        hold_all(&mut arcs, (0..N as i64 - 1).map(|k| k * k));
+        let (consecutive_epochs, probability) = (1000, 1.0 - 1e-6);
+        let mut hold =
+            HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+        let new = |arcs: &Arcs| {
+            let arc = &arcs.list()[N - 1];
+            (arc.held.map(|held| held.cycles), arc.found, arc.is_proven)
+        };
+        let right = ((N - 1) * (N - 1)) as i64;
+        let mut off = float();
+        off.ambiguities[N - 1] += 1.0;
+        for (float, expected) in [
+            (&off, (Some(right + 1), 1, false)),
+            (&float(), (Some(right), 1, false)),
+            (&float(), (Some(right), 2, true)),
+        ] {
+            let resolution = resolved(&mut arcs, &mut hold, float);
+            assert_eq!(resolution.outcome.unwrap().held, N - 1);
+            assert_eq!(new(&arcs), expected);
+        }
     }
 
     /// Integers that leave the position uncertain by more than 5 cm, or the height by more than

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::float::FloatSolution;
 
 /// Prior probability that a carrier tracks a reflection or hides a slip.
-const FAULTY: f64 = 0.1;
+pub(crate) const FAULTY: f64 = 0.1;
 /// Above this σ (cycles) a wrapped normal is uniform to 1.4 %: the ambiguity is no evidence.
 const SILENT_CYCLES: f64 = 0.5;
 /// Least σ of an ambiguity given the others (cycles): carrier multipath.

@@ -19,7 +19,7 @@ pub(crate) use fixed_position::{
     subtract_integers,
 };
 pub(crate) use float::FloatSolution;
-pub(crate) use hold::HoldState;
+pub(crate) use hold::{FOUND_EPOCHS, HoldState, NEARLY_CERTAIN};
 pub(crate) use integer_history::{HoldPeriod, IntegerHistory};
 pub(crate) use integers::{IntegerQuestion, IntegerSearch, Resolution, may_be_integer};
 pub(crate) use joint::{Joint, condition};

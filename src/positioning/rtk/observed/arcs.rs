@@ -32,6 +32,10 @@ pub(crate) struct CarrierArc {
     pub(crate) elevation_rad: f64,
     /// Its integer, once found.
     pub(crate) held: Option<HeldInteger>,
+    /// Epochs in a row whose searches have found this integer.
+    pub(crate) found: u32,
+    /// Whether these were enough: the integer is not searched again.
+    pub(crate) is_proven: bool,
 }
 
 /// The ambiguity of an arc relative to a datum (cycles). Only differences between arcs of one datum
@@ -60,6 +64,10 @@ pub(crate) struct ArcReference {
 }
 
 impl CarrierArc {
+    fn forget_integer(&mut self) {
+        (self.held, self.found, self.is_proven) = (None, 0, false);
+    }
+
     /// What the arcs have in common whose ambiguities differ by integers.
     pub(crate) fn group(&self) -> DifferenceGroup {
         DifferenceGroup::of(self.satellite, self.band, self.codes)
@@ -121,6 +129,8 @@ snapshot_fields!(CarrierArc {
     half_cycle,
     elevation_rad,
     held,
+    found,
+    is_proven,
 });
 snapshot_fields!(Flipped { satellite, codes, variable, last });
 state_fields!(Arcs { list, in_use, begun, flipped });
@@ -261,6 +271,8 @@ impl Arcs {
             half_cycle: difference.half_cycle,
             elevation_rad,
             held: None,
+            found: 0,
+            is_proven: false,
         });
         variable
     }
@@ -275,18 +287,31 @@ impl Arcs {
         }
         let (variable, serial) = (self.take_variable(), self.take_serial());
         let arc = &mut self.list[index];
-        (arc.variable, arc.serial, arc.epochs, arc.held) = (variable, serial, 1, None);
+        (arc.variable, arc.serial, arc.epochs) = (variable, serial, 1);
+        arc.forget_integer();
         Some((arc.satellite, variable))
     }
 
-    /// Sets or forgets the integer of one arc.
-    pub(crate) fn hold(&mut self, index: usize, held: Option<HeldInteger>) {
-        self.list[index].held = held;
+    /// Records that the search of this epoch has found the integer of one arc, which is proven
+    /// after `proven_after` such epochs in a row.
+    pub(crate) fn find(&mut self, index: usize, integer: HeldInteger, proven_after: u32) {
+        let arc = &mut self.list[index];
+        if arc.held != Some(integer) {
+            arc.forget_integer();
+        }
+        arc.held = Some(integer);
+        arc.found += 1;
+        arc.is_proven |= proven_after <= arc.found;
+    }
+
+    /// Forgets the integer of one arc.
+    pub(crate) fn forget(&mut self, index: usize) {
+        self.list[index].forget_integer();
     }
 
     /// Forgets the integers of all arcs.
     pub(crate) fn drop_held(&mut self) {
-        self.list.iter_mut().for_each(|arc| arc.held = None);
+        self.list.iter_mut().for_each(CarrierArc::forget_integer);
     }
 
     fn take_serial(&mut self) -> u64 {

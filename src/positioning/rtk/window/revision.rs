@@ -100,7 +100,7 @@ impl<'a> Revision<'a> {
             relative.fixed_ambiguities = fixed.held;
             relative.ambiguities = relative.ambiguities.max(fixed.held);
             (relative.ratio, relative.success_rate) = (period.ratio, period.success_rate);
-            relative.fix_probability = Some(fixed.probability);
+            relative.fix_probability = Some(fixed.probability * period.reliability);
         }
         solution
     }
