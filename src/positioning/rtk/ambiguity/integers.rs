@@ -269,11 +269,11 @@ impl IntegerSearch {
         others: &[usize],
         judgement: &Judgement<'_>,
     ) -> Option<(Joint, usize, f64)> {
-        let before: Vec<(usize, u32)> = others
+        let before: Vec<_> = others
             .iter()
             .flat_map(|&i| [self.differences.pairs[i].arc, self.differences.pairs[i].reference])
             .filter(|&arc| arcs.list()[arc].held.is_some() && !arcs.list()[arc].is_proven)
-            .map(|arc| (arc, arcs.list()[arc].found))
+            .map(|arc| (arc, arcs.list()[arc].held, arcs.list()[arc].found))
             .collect();
         let lambda =
             Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*judgement.options };
@@ -288,8 +288,8 @@ impl IntegerSearch {
             let added = self.hold_found(arcs, hold, others, judgement.proven_after(likely));
             Some((left, added, likely))
         });
-        for (arc, found) in before {
-            if arcs.list()[arc].found == found {
+        for (arc, held, found) in before {
+            if (arcs.list()[arc].held, arcs.list()[arc].found) == (held, found) {
                 arcs.forget(arc);
             }
         }
