@@ -74,6 +74,7 @@ pub use committer::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
 pub use epochs::StoredEpoch;
+pub(crate) use epochs::StoredState;
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub(crate) use heads::SCANNED_HEADS;
