@@ -1,4 +1,4 @@
-//! The options and bases of sessions. Options are prepared once for all sessions that have the same.
+//! The options and bases of sessions. Options are prepared once for all sessions that share them.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -21,10 +21,11 @@ use super::answers::Reply;
 use super::configurations::Configurations;
 use super::counters::Counters;
 use super::live::Live;
+use super::parked::stores_until;
 use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission};
-use super::tasks::{Handle, Start, Tasks, stores_until};
+use super::tasks::{Handle, Start, Tasks};
 use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
     SessionLimits, Submitted,

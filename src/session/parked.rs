@@ -21,6 +21,15 @@ const OVERHEAD: usize = 3_072;
 /// that none is allocated.
 const SPARE: usize = 16 << 10;
 
+/// Time in which a desk that stops stores the states of its sessions. The epochs of the others are
+/// replayed.
+const STORING_AT_STOP: Duration = Duration::from_secs(5);
+
+/// The end of the time in which states are stored, if the desk stops now.
+pub(super) fn stores_until() -> Instant {
+    Instant::now() + STORING_AT_STOP
+}
+
 /// Who keeps the states of parked sessions: the desk.
 pub(super) trait KeepsParked: Send + Sync {
     /// Until when the states of sessions are stored, if no session will start any more.

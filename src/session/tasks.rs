@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -18,14 +18,6 @@ use super::task::Message;
 /// To make room, this part of the allowed tasks is parked at once, so that a start does not look
 /// through all of them each time.
 const PARKED_PART: usize = 64;
-/// Time in which a desk that stops stores the states of its sessions. The epochs of the others are
-/// replayed.
-const STORING_AT_STOP: Duration = Duration::from_secs(5);
-
-/// The end of the time in which states are stored, if the desk stops now.
-pub(super) fn stores_until() -> Instant {
-    Instant::now() + STORING_AT_STOP
-}
 
 /// The running tasks. Messages are sent while this is locked, so a task that was removed from
 /// `handles` with an empty mailbox receives no further message.

@@ -16,11 +16,10 @@ use crate::session::SessionError;
 use crate::session::batch::EpochRules;
 use crate::session::configurations::ActiveConfiguration;
 use crate::session::panics::caught;
-use crate::session::parked::ParkedState;
+use crate::session::parked::{ParkedState, stores_until};
 use crate::session::replay::{PAGE, Replay, ReplayWith, restored};
 use crate::session::solvers::Lane;
 use crate::session::state::State;
-use crate::session::tasks::stores_until;
 use crate::store::{Batch, SessionRow, StoreError};
 
 use super::{Active, Known, Task};
