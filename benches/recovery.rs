@@ -28,6 +28,9 @@ const CONCURRENT: usize = 64;
 const FILLING: u64 = 16;
 /// Most epochs of a session before the crash, if no other number is given.
 const EPOCHS_MAX: u64 = 256;
+/// The last of them, which come one by one as from live devices, so that states of all ages are
+/// lost in the crash, if no other number is given.
+const LIVE: u64 = 8;
 /// Time between two ephemerides of the stream, if no other is given (ms).
 const STREAM_MS: u64 = 100;
 /// Rounds of one epoch for each session.
@@ -38,8 +41,9 @@ const FITTING: f64 = 0.4096;
 struct Drive {
     navigation: Navigation,
     epochs: Vec<Epoch>,
-    /// Most epochs of a session before the crash.
+    /// Most epochs of a session before the crash, and how many of them come one by one.
     epochs_max: u64,
+    live: u64,
 }
 
 /// The number in a variable of the environment.
@@ -54,7 +58,8 @@ fn drive() -> Drive {
     let scenario = Scenario { duration_s, elevation_mask_rad: 0.5, ..Scenario::open_sky() };
     let simulator = Simulator::new(Scenario { base: None, ..scenario }, 3);
     let navigation = Navigation::clone(simulator.navigation());
-    Drive { navigation, epochs: simulator.map(|epoch| epoch.rover).collect(), epochs_max }
+    let live = number("GRAPHFIX_BENCH_LIVE", LIVE);
+    Drive { navigation, epochs: simulator.map(|epoch| epoch.rover).collect(), epochs_max, live }
 }
 
 /// A desk on a database, with room for this many sessions.
@@ -210,14 +215,25 @@ async fn measure(count: usize) {
     let filling = each(count, CONCURRENT, |index| {
         let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
         async move {
-            let end = drive.filled(index);
+            let end = drive.filled(index) - drive.live;
             for first in (0..end).step_by(FILLING as usize) {
                 push(sessions, drive, id, first..end.min(first + FILLING)).await;
             }
         }
     });
+    let filled = async {
+        filling.await;
+        for left in (1..=drive.live).rev() {
+            each(count, CONCURRENT, |index| {
+                let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
+                let seq = drive.filled(index) - left;
+                async move { push(sessions, drive, id, seq..seq + 1).await }
+            })
+            .await;
+        }
+    };
     tokio::select! {
-        () = filling => {}
+        () = filled => {}
         () = stream(&aiding, &drive) => {}
     }
     println!(

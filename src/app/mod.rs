@@ -42,7 +42,7 @@ use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
 use crate::secrets::{Secrets, SecretsError, SecretsKey};
 use crate::session::{SessionLimits, Sessions};
-use crate::store::{Store, StoreError};
+use crate::store::Store;
 use crate::tls::{ClientFiles, ClientTls, ServerTls};
 use crate::traces::{Exporter, TraceOptions, TracesError};
 
@@ -280,7 +280,7 @@ impl App {
             async move {
                 tokio::select! {
                     () = stop => {}
-                    holder = store.lease_lost() => drop(lost.set(holder)),
+                    error = store.lease_lost() => drop(lost.set(error)),
                 }
             }
         };
@@ -288,7 +288,7 @@ impl App {
         self.close().await;
         match lost.get() {
             None => Ok(()),
-            Some(holder) => Err(StoreError::LeaseLost { holder: holder.to_string() }.into()),
+            Some(error) => Err(error.clone().into()),
         }
     }
 

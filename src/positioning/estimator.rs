@@ -1,5 +1,6 @@
 //! The estimators that sessions and the command line run.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use crate::config::{Mode, PositioningOptions};
@@ -151,6 +152,26 @@ impl Kind {
     }
 }
 
+/// Options with the tests and models that follow from them, whose computing takes as long as an
+/// epoch. Clones share them.
+#[derive(Clone, Debug)]
+pub struct PreparedOptions(Arc<Setup>);
+
+impl PreparedOptions {
+    /// Prepares options.
+    pub fn new(options: PositioningOptions) -> Self {
+        Self(Arc::new(Setup::new(options)))
+    }
+}
+
+impl Deref for PreparedOptions {
+    type Target = PositioningOptions;
+
+    fn deref(&self) -> &PositioningOptions {
+        &self.0.options
+    }
+}
+
 /// The state of an estimator, separate from its scratch. It is plain data: copies and snapshots
 /// continue with the same bits.
 ///
@@ -172,9 +193,14 @@ impl EstimatorState {
     /// The state before the first epoch. With `revises`, a mode with a window revises epochs when
     /// they leave it.
     pub fn new(options: PositioningOptions, revises: bool) -> Self {
-        let setup = Setup::new(options);
+        Self::prepared(&PreparedOptions::new(options), revises)
+    }
+
+    /// The same with prepared options.
+    pub fn prepared(options: &PreparedOptions, revises: bool) -> Self {
+        let setup = options.0.clone();
         let mode = ModeState::new(&setup, revises);
-        Self { setup: Arc::new(setup), mode, revisions: Vec::new() }
+        Self { setup, mode, revisions: Vec::new() }
     }
 
     /// A new state with the same options, before the first epoch.
@@ -233,13 +259,41 @@ impl EstimatorState {
     /// # Errors
     /// The bytes are not such a snapshot, or have another layout.
     pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
-        let setup = Arc::new(Setup::new(options));
         let mut reader = SnapshotReader::open(snapshot, LAYOUT)?;
-        let mode = ModeState::load(&mut reader)?;
+        let state = Self::read(&PreparedOptions::new(options), &mut reader)?;
+        reader.finish()?;
+        Ok(state)
+    }
+
+    /// The same as [`Self::snapshot`] as a part of another snapshot, which has the only hash.
+    pub fn save_in(&self, writer: &mut SnapshotWriter) {
+        LAYOUT.save(writer);
+        self.mode.save(writer);
+    }
+
+    /// The state that [`Self::save_in`] stored, with the same options.
+    ///
+    /// # Errors
+    /// The bytes are not such a part, or have another layout.
+    pub fn load_in(
+        options: &PreparedOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        match u16::load(reader)? {
+            LAYOUT => Self::read(options, reader),
+            found => Err(SnapshotError::UnknownLayout { found, known: LAYOUT }),
+        }
+    }
+
+    fn read(
+        options: &PreparedOptions,
+        reader: &mut SnapshotReader<'_>,
+    ) -> Result<Self, SnapshotError> {
+        let setup = options.0.clone();
+        let mode = ModeState::load(reader)?;
         if !mode.fits(&setup) {
             return Err(reader.invalid("mode"));
         }
-        reader.finish()?;
         Ok(Self { setup, mode, revisions: Vec::new() })
     }
 }

@@ -46,6 +46,6 @@ pub use aiding::{Aiding, BASE_LATER_S, BaseAiding};
 pub(crate) use aiding::{BASE_MOVED_M, TAG_SLACK_S};
 pub use antenna::correct_for_antenna;
 pub use base_position::{BasePositionCheck, BasePositionVerdict};
-pub use estimator::{Batch, Estimator, EstimatorState, Scratch};
+pub use estimator::{Batch, Estimator, EstimatorState, PreparedOptions, Scratch};
 pub use measurements::{CarrierPhase, Measurement, Measurements, SecondFrequency};
 pub use sky::{SatelliteRole, SatelliteView, satellite_views};

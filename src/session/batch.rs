@@ -116,7 +116,7 @@ impl SolvedBatch {
         let is_long = EPOCHS_PER_SNAPSHOT <= state.unsaved || rules.replay_max < state.unsaved_time;
         if is_long || (rules.is_new_day && !self.rows.is_empty()) {
             self.snapshot = state.encoded();
-            state.note_stored(rules.keeps_snapshot);
+            state.note_stored();
         }
     }
 

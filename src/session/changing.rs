@@ -1,7 +1,5 @@
 //! Creates sessions, and changes their settings.
 
-use std::sync::atomic::Ordering;
-
 use crate::store::{Author, Created, NamedRequest, SessionSettings};
 
 use super::configuration::{base_of, settings, stored_options};
@@ -143,9 +141,7 @@ impl Sessions {
         self.store().update_session(row.key, &row.settings, entry.as_deref()).await?;
         // Those who watch read the settings again.
         self.live().publish_unknown(row.key);
-        if let Some(handle) = self.tasks().own(id, self.tenant()) {
-            handle.outdated.store(true, Ordering::Release);
-        }
+        self.tasks().outdate(id);
         self.info(id.clone(), row)
     }
 }

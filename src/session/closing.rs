@@ -88,7 +88,7 @@ impl Sessions {
         }
         if !self.runs(id) {
             let row = self.claimed(row, id).await?;
-            self.start(id, &row, Start::Closing)?;
+            self.start(id, row, Start::Closing)?;
         }
         // Removed first, so that no message follows the closing one.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;

@@ -68,7 +68,7 @@ impl Computation {
         limit: Duration,
     ) -> Self {
         Self {
-            estimator: EstimatorState::new(estimation.options.clone(), false),
+            estimator: EstimatorState::prepared(&estimation.options, false),
             estimation,
             navigation,
             source,

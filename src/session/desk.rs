@@ -3,15 +3,14 @@
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
 
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::{Notify, mpsc, oneshot};
+use tokio::sync::{Notify, oneshot};
 use tokio::task::JoinSet;
 
-use crate::aiding::{AidingDesk, rover_source};
+use crate::aiding::AidingDesk;
 use crate::clock::Clock;
 use crate::quotas::{Meter, Meters};
 use crate::store::{Author, Claim, SessionKey, SessionRow, Store};
@@ -19,12 +18,13 @@ use crate::tenant::Tenant;
 use crate::traces::{Trace, TraceSpan};
 
 use super::answers::Reply;
+use super::configurations::Configurations;
 use super::counters::Counters;
 use super::live::Live;
-use super::parked::{KeepsParked, ParkedState};
+use super::parked::stores_until;
 use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
-use super::task::{MailboxPermit, Message, RawSubmission, Stages, Submission, Task};
+use super::task::{MailboxPermit, Message, RawSubmission, Submission};
 use super::tasks::{Handle, Start, Tasks};
 use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
@@ -50,15 +50,16 @@ pub struct Sessions {
     trace: Option<Arc<Trace>>,
 }
 
-struct Desk {
-    store: Store,
-    aiding: AidingDesk,
-    limits: SessionLimits,
+pub(super) struct Desk {
+    pub(super) store: Store,
+    pub(super) aiding: AidingDesk,
+    pub(super) limits: SessionLimits,
     solvers: Solvers,
     meters: Meters,
-    counters: Arc<Counters>,
-    live: Arc<Live>,
-    clock: Clock,
+    pub(super) counters: Arc<Counters>,
+    pub(super) live: Arc<Live>,
+    pub(super) clock: Clock,
+    pub(super) configurations: Configurations,
     /// Locked from reading a session's row until its task is started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
@@ -100,6 +101,7 @@ impl Sessions {
             limits,
             counters: Arc::new(Counters::new()),
             clock,
+            configurations: Configurations::default(),
             starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
             tasks: Mutex::new(tasks),
             deleted,
@@ -212,8 +214,10 @@ impl Sessions {
         if self.post(id, message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
         }
-        let row = self.claimed(self.open_row(id).await?, id).await?;
-        self.start(id, &row, Start::Epochs)?;
+        if !self.resume(id)? {
+            let row = self.claimed(self.open_row(id).await?, id).await?;
+            self.start(id, row, Start::Epochs)?;
+        }
         if self.post(id, message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
@@ -221,8 +225,9 @@ impl Sessions {
     pub async fn drain(&self) {
         let mut running = {
             let mut tasks = self.tasks();
-            tasks.draining = true;
+            tasks.stops.get_or_insert_with(stores_until);
             tasks.handles.clear();
+            tasks.parking.clear();
             tasks.parked.clear();
             mem::take(&mut tasks.running)
         };
@@ -232,7 +237,7 @@ impl Sessions {
 
     /// Whether [`Self::drain`] was called.
     pub fn is_draining(&self) -> bool {
-        self.tasks().draining
+        self.tasks().stops.is_some()
     }
 
     /// What all sessions have done since the start.
@@ -331,6 +336,7 @@ impl Sessions {
         match self.desk.store.claim(row.key).await? {
             Claim::Own => Ok(row),
             Claim::Taken => {
+                self.tasks().forget_parked(id); // It is another node's work from now on.
                 if !row.settings.base.is_none() {
                     // What its former node has received must be known before it is replayed.
                     self.desk.aiding.bases.follow().await?;
@@ -349,6 +355,10 @@ impl Sessions {
     pub(crate) fn wake_watches(&self) {
         let here: HashSet<SessionKey> = self.tasks().handles.values().map(|h| h.key).collect();
         self.live().publish_elsewhere(|key| here.contains(&key));
+    }
+
+    pub(super) fn desk(&self) -> &Arc<Desk> {
+        &self.desk
     }
 
     pub(super) fn tasks(&self) -> MutexGuard<'_, Tasks> {
@@ -372,7 +382,7 @@ impl Sessions {
         let (limits, of_all) = (&self.desk.limits, &self.desk.counters.waiting);
         let retry_after = limits.retry_after;
         let mut tasks = self.tasks();
-        if tasks.draining {
+        if tasks.stops.is_some() {
             return Err(SessionError::Draining);
         }
         tasks.posted += 1;
@@ -419,75 +429,10 @@ impl Sessions {
         span.set("graphfix.epochs", epochs);
         Some(span)
     }
-
-    /// Starts a session's task. If as many run as allowed, some of them are parked.
-    pub(super) fn start(
-        &self,
-        id: &SessionId,
-        row: &SessionRow,
-        start: Start,
-    ) -> Result<(), SessionError> {
-        let Desk { store, aiding, limits, solvers, counters, live, clock, .. } = &*self.desk;
-        let mut tasks = self.tasks();
-        if tasks.draining {
-            return Err(SessionError::Draining);
-        }
-        let limit = limits.active_sessions;
-        if limit <= tasks.handles.len() && !tasks.park_some(limit) && start == Start::Epochs {
-            return Err(SessionError::TooManyActive { limit, retry_after: limits.retry_after });
-        }
-        let (mailbox, inbox) = mpsc::channel(limits.mailbox_epochs);
-        let outdated = Arc::new(AtomicBool::new(false));
-        let desk: Arc<dyn KeepsParked> = self.desk.clone();
-        let task = Task {
-            id: id.clone(),
-            key: row.key,
-            tenant: row.tenant.clone(),
-            device: rover_source(&row.tenant, id.as_str()),
-            store: store.clone(),
-            aiding: aiding.clone(),
-            solvers: solvers.of(self.meter.clone()),
-            epochs_per_push: limits.epochs_per_push,
-            observations_per_epoch: limits.observations_per_epoch,
-            future_s: limits.future_s,
-            retention_days: limits.retention_days,
-            clock: clock.clone(),
-            outdated: outdated.clone(),
-            counters: counters.clone(),
-            live: live.clone(),
-            stages: Stages::default(),
-            parked: Mutex::new(tasks.parked.take(id, row)),
-            desk: Arc::downgrade(&desk),
-        };
-        while tasks.running.try_join_next().is_some() {} // Forgets the tasks that have ended.
-        tasks.running.spawn(task.run(inbox));
-        let last_used = tasks.posted;
-        let tenant = row.tenant.clone();
-        let key = row.key;
-        let (waiting, started) = (Arc::default(), Instant::now());
-        let handle = Handle { key, tenant, mailbox, waiting, outdated, last_used, started };
-        tasks.handles.insert(id.clone(), handle);
-        counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
-        Ok(())
-    }
-}
-
-impl KeepsParked for Desk {
-    fn is_draining(&self) -> bool {
-        self.tasks().draining
-    }
-
-    fn keep_parked(&self, id: &SessionId, parked: ParkedState) {
-        let mut tasks = self.tasks();
-        if !tasks.draining && !tasks.handles.contains_key(id) {
-            tasks.parked.insert(id, parked);
-            self.counters.in_memory.store(tasks.in_memory(), Ordering::Relaxed);
-        }
-    }
 }
 
 impl Desk {
-    fn tasks(&self) -> MutexGuard<'_, Tasks> {
+    pub(super) fn tasks(&self) -> MutexGuard<'_, Tasks> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

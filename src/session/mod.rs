@@ -16,11 +16,11 @@
 //! # State and reproducibility
 //! A session's state is the state of its estimator. It is stored every 256 epochs, or when
 //! computing the epochs since again would take too long, in the same transaction. A session that is
-//! parked leaves its encoded state in memory, up to a limit. To restore a state from the store, the
-//! epochs stored since then are replayed, each with the configuration and navigation data of its
-//! solution. So the state after a crash is the same bit by bit, and so are all later solutions. An
-//! epoch with another configuration than the previous one starts a new estimator, both originally
-//! and in replay.
+//! parked leaves its encoded state in memory, up to a limit, and goes on from there. To restore a
+//! state from the store, the epochs stored since then are replayed, each with the configuration and
+//! navigation data of its solution. So the state after a crash is the same bit by bit, and so are
+//! all later solutions. An epoch with another configuration than the previous one starts a new
+//! estimator, both originally and in replay.
 //!
 //! # Revisions
 //! Revision 0 is the immediate answer. When an epoch leaves the window, it is answered again,
@@ -92,6 +92,7 @@ mod checks;
 mod closing;
 mod computation;
 mod configuration;
+mod configurations;
 mod counters;
 
 mod desk;
@@ -115,6 +116,7 @@ mod rerun;
 mod series;
 mod solve;
 mod solvers;
+mod starting;
 mod state;
 mod streamed;
 mod submission;

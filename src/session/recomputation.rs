@@ -6,13 +6,12 @@ use std::sync::Arc;
 
 use crate::aiding::{AidingDesk, rover_source};
 use crate::gnss::LeapSeconds;
-use crate::positioning::Scratch;
+use crate::positioning::{PreparedOptions, Scratch};
 use crate::store::{EncodedSolution, Revisions, SessionKey, SolutionQuery, Store, StoredSolution};
 
 use super::configuration::{base_of, configuration_hash};
-use super::replay::{
-    ActiveConfiguration, Replay, ReplayWith, active_configuration, calibration, oldest_state,
-};
+use super::configurations::{ActiveConfiguration, Configurations, calibration};
+use super::replay::{Replay, ReplayWith, oldest_state};
 use super::solvers::{Lane, Solvers};
 use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits, SolveRequest};
@@ -71,7 +70,7 @@ impl Recomputation {
         let row = store.session_of_any(id.as_str()).await?;
         let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_string() })?;
         let active = match change {
-            None => active_configuration(&store, &aiding, id.as_str()).await?,
+            None => Configurations::default().active(&aiding, &row).await?,
             Some(request) => {
                 let options = request.options(&row.settings)?;
                 let bases = aiding.bases.of(&row.tenant);
@@ -82,6 +81,7 @@ impl Recomputation {
                 let hash = configuration_hash(&options, antenna).into();
                 let antenna = calibration(&aiding, antenna).await?;
                 let version = VERSION.into();
+                let options = PreparedOptions::new(options);
                 let estimation = Configuration { version, hash, options, antenna };
                 let (is_closed, retention_days) = (false, None);
                 ActiveConfiguration { estimation, bases, is_closed, retention_days }

@@ -2,24 +2,26 @@
 //! with other options.
 
 use std::collections::BTreeMap;
+use std::mem;
 use std::sync::Arc;
 use std::vec::IntoIter;
 
-use crate::aiding::bases::{BaseChoice, BaseInput, BaseView};
+use crate::aiding::bases::{BaseInput, BaseView};
 use crate::aiding::{AidingDesk, PushedNavigation};
 use crate::clock::Stopwatch;
-use crate::config::PositioningOptions;
-use crate::gnss::{AntennaCalibration, Epoch, Reason};
-use crate::positioning::Scratch;
+use crate::gnss::{Epoch, Reason};
+use crate::positioning::{PreparedOptions, Scratch};
 use crate::snapshot::SnapshotError;
 use crate::store::{
     BaseUse, SessionKey, Store, StoreError, StoredEpoch, StoredSnapshot, StoredSolution,
+    StoredState,
 };
 use crate::tenant::Tenant;
 
 use super::SessionError;
 use super::base_selection::BaseSource;
-use super::configuration::{base_of, kept_options, stored_options};
+use super::configuration::kept_options;
+use super::configurations::{ActiveConfiguration, calibration};
 use super::panics::caught;
 use super::solvers::{Lane, Progress, Solvers};
 use super::state::{Advanced, Configuration, State, VERSION};
@@ -37,18 +39,6 @@ pub(super) enum ReplayWith {
     Stored,
     /// These options and bases for all epochs.
     Options(Arc<ActiveConfiguration>),
-}
-
-/// The options and bases for new epochs.
-#[derive(Clone, Debug)]
-pub(super) struct ActiveConfiguration {
-    pub(super) estimation: Configuration,
-    /// The bases, if the mode is relative to one.
-    pub(super) bases: BaseChoice,
-    /// The session is closed and takes no more epochs.
-    pub(super) is_closed: bool,
-    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
-    pub(super) retention_days: Option<u32>,
 }
 
 /// Replays a session's stored epochs.
@@ -158,7 +148,59 @@ impl Page {
     }
 }
 
+/// A snapshot that is being read, and advanced by the epochs after it.
+enum Resuming {
+    Encoded {
+        snapshot: StoredSnapshot,
+        configuration: Arc<Configuration>,
+        steps: IntoIter<Step>,
+        arcs: Arc<[u64]>,
+    },
+    Read(Box<Page>),
+    Unreadable(SnapshotError),
+}
+
+impl Resuming {
+    /// Reads the snapshot, or computes the next epoch.
+    fn advance(&mut self, scratch: &mut Scratch) -> Progress {
+        match self {
+            Self::Read(page) => page.advance(scratch),
+            Self::Unreadable(_) => Progress::Done,
+            Self::Encoded { snapshot, configuration, steps, arcs } => {
+                let (arcs, steps) = (arcs.clone(), mem::take(steps));
+                *self = match State::decode(snapshot.seq, &snapshot.content, configuration) {
+                    Ok(state) => {
+                        Self::Read(Box::new(Page { state, steps, arcs, answers: Vec::new() }))
+                    }
+                    Err(error) => Self::Unreadable(error),
+                };
+                Progress::Remaining
+            }
+        }
+    }
+}
+
 impl Replay {
+    /// The state of a snapshot, advanced by the epochs after it; `None` if it cannot be read.
+    async fn resumed(
+        &self,
+        snapshot: StoredSnapshot,
+        epochs: Vec<StoredEpoch>,
+    ) -> Result<Option<State>, SessionError> {
+        let steps = self.steps(epochs).await?.into_iter();
+        let configuration = self.stored_configuration(&snapshot.configuration_hash).await?;
+        let arcs = self.arcs.clone();
+        let resuming = Resuming::Encoded { snapshot, configuration, steps, arcs };
+        match self.solvers.in_quanta(Lane::Restore, resuming, Resuming::advance).await? {
+            Resuming::Read(page) => Ok(Some(page.state)),
+            Resuming::Unreadable(error) => {
+                tracing::warn!(%error, "a session's state is rebuilt from its last epochs");
+                Ok(None)
+            }
+            Resuming::Encoded { .. } => unreachable!("it is read first"),
+        }
+    }
+
     /// Computes the next epochs after those of `state`. Returns their solutions and revisions; none
     /// once everything is computed.
     pub(super) async fn next(
@@ -291,38 +333,9 @@ async fn configuration_of(
     hash: &Arc<str>,
 ) -> Result<Configuration, SessionError> {
     let kept = store.configuration(hash).await?;
-    let options = kept_options(&kept)?;
+    let options = PreparedOptions::new(kept_options(&kept)?);
     let antenna = calibration(aiding, kept.calibration.as_deref()).await?;
     Ok(Configuration { version: VERSION.into(), hash: hash.clone(), options, antenna })
-}
-
-/// The stored calibration of a hash, if there is one.
-pub(super) async fn calibration(
-    aiding: &AidingDesk,
-    hash: Option<&str>,
-) -> Result<Option<Arc<AntennaCalibration>>, SessionError> {
-    match hash {
-        Some(hash) => Ok(Some(aiding.antennas.kept(hash).await?)),
-        None => Ok(None),
-    }
-}
-
-/// The options and bases for a session's next epochs.
-pub(super) async fn active_configuration(
-    store: &Store,
-    aiding: &AidingDesk,
-    id: &str,
-) -> Result<ActiveConfiguration, SessionError> {
-    let row = store.session_of_any(id).await?;
-    let row = row.ok_or_else(|| SessionError::NotFound { id: id.to_owned() })?;
-    let options: PositioningOptions = stored_options(&row.settings)?;
-    let bases = base_of(options.mode, &row.settings.base)?;
-    let antenna = row.settings.antenna.map(|antenna| antenna.calibration);
-    let antenna = calibration(aiding, antenna.as_deref()).await?;
-    let hash = row.settings.configuration_hash;
-    let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
-    let (is_closed, retention_days) = (row.closed_unix_ms.is_some(), row.settings.retention_days);
-    Ok(ActiveConfiguration { estimation, bases, is_closed, retention_days })
 }
 
 /// The state after a session's last stored epoch: its newest snapshot, advanced by the epochs
@@ -333,25 +346,30 @@ pub(super) async fn active_configuration(
 /// equally good, but not the same bit by bit.
 pub(super) async fn restored(
     replay: &Replay,
+    StoredState { snapshot, epochs, .. }: StoredState,
     configuration: &Configuration,
 ) -> Result<State, SessionError> {
-    let (mut state, mut after) = match snapshot(replay).await? {
+    let mut is_complete = epochs.len() < PAGE;
+    let resumed = match snapshot {
+        Some(snapshot) => replay.resumed(snapshot, epochs).await?,
+        None => None,
+    };
+    let (mut state, mut after) = match resumed {
         Some(state) => {
             let last = state.last_seq();
             (state, last)
         }
         None => {
+            is_complete = false;
             let after = replay.store.number_before_last(replay.key, REBUILT_EPOCHS).await?;
             (State::new(configuration), after)
         }
     };
-    loop {
+    while !is_complete {
         let (next, answers) = replay.next(state, after).await?;
         state = next;
         after = state.last_seq();
-        if answers.iter().filter(|answer| answer.revision == 0).count() < PAGE {
-            break;
-        }
+        is_complete = answers.iter().filter(|answer| answer.revision == 0).count() < PAGE;
     }
     let ends_arc = state.last_seq().is_some_and(|last| replay.arcs.contains(&last));
     if !ends_arc || state.begins_arc() {
@@ -363,17 +381,6 @@ pub(super) async fn restored(
         state
     };
     replay.solvers.estimate(Lane::Restore, work).await
-}
-
-async fn snapshot(replay: &Replay) -> Result<Option<State>, SessionError> {
-    let Some(stored) = replay.store.snapshot(replay.key).await? else { return Ok(None) };
-    match decoded(replay, stored).await? {
-        Ok(state) => Ok(Some(state)),
-        Err(error) => {
-            tracing::warn!(%error, "a session's state is rebuilt from its last epochs");
-            Ok(None)
-        }
-    }
 }
 
 async fn decoded(

@@ -7,12 +7,13 @@ use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::aiding::rover_source;
 use crate::config::{Mode, PositioningOptions};
 use crate::gnss::Navigation;
+use crate::positioning::PreparedOptions;
 use crate::store::SessionSettings;
 
 use super::base_selection::BaseSource;
 use super::computation::{Computation, Computed};
+use super::configurations::calibration;
 use super::desk::Sessions;
-use super::replay::calibration;
 use super::state::{Configuration, VERSION};
 use super::{SequencedEpoch, SessionError, SessionId, configuration};
 
@@ -127,7 +128,7 @@ impl Sessions {
         let estimation = Configuration {
             version: VERSION.into(),
             hash: configuration::configuration_hash(&options, hash).into(),
-            options,
+            options: PreparedOptions::new(options),
             antenna: calibration(self.aiding(), hash).await?,
         };
         let computed = self.compute(estimation, epochs, navigation, base).await?;
@@ -175,7 +176,7 @@ impl Sessions {
         let estimation = Configuration {
             version: VERSION.into(),
             hash: configuration::configuration_hash(&options, calibration_hash).into(),
-            options,
+            options: PreparedOptions::new(options),
             antenna: named.map(|(_, calibration)| calibration),
         };
         self.compute(estimation, burst.epochs, navigation, base).await

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::aiding::bases::BaseInput;
-use crate::config::PositioningOptions;
 use crate::gnss::{AntennaCalibration, Epoch, GpsTime, Navigation, Reason, Solution};
-use crate::positioning::{Aiding, EstimatorState, Scratch};
+use crate::positioning::{Aiding, EstimatorState, PreparedOptions, Scratch};
 use crate::recording::ApproximatePosition;
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
+use crate::snapshot::{
+    Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields, seal,
+};
 use crate::store::{
     BaseKey, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
     StoredSolution,
@@ -22,8 +23,12 @@ use super::panics::caught;
 
 /// Version of this program, stored with each solution.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
-/// Version of the layout around an estimator's snapshot.
-const LAYOUT: u16 = 4;
+/// Version of the layout, with an estimator's state in it.
+const LAYOUT: u16 = 5;
+/// The layout before, around an estimator's snapshot with a hash of its own. It is still read.
+const LAYOUT_BEFORE: u16 = 4;
+/// Bytes for each epoch in the window, for which a new buffer has room.
+const BYTES_PER_EPOCH: usize = 8 << 10;
 
 /// In unit tests the estimator panics on epochs of this fraction of a second (ns).
 #[cfg(test)]
@@ -39,7 +44,7 @@ const BEFORE_ALL: GpsTime = GpsTime::from_ns(i64::MIN);
 pub(super) struct Configuration {
     pub(super) version: Arc<str>,
     pub(super) hash: Arc<str>,
-    pub(super) options: PositioningOptions,
+    pub(super) options: PreparedOptions,
     /// Calibration of the rover's antenna, if the session corrects for antennas.
     pub(super) antenna: Option<Arc<AntennaCalibration>>,
 }
@@ -80,10 +85,9 @@ pub(super) struct Carried {
 }
 
 impl Carried {
-    /// Notes that the state is stored; see [`State::note_stored`].
-    pub(super) fn note_stored(&mut self, is_kept: bool) {
-        (self.unsaved, self.unsaved_time) = (0, Duration::ZERO);
-        self.reference.take_if(|_| is_kept);
+    /// Processor time that a replay of the epochs since the state was stored would take.
+    pub(super) fn unsaved_time(&self) -> Duration {
+        self.unsaved_time
     }
 
     /// Bytes of memory.
@@ -117,7 +121,7 @@ impl State {
     /// The state before the first epoch.
     pub(super) fn new(configuration: &Configuration) -> Self {
         Self {
-            estimator: EstimatorState::new(configuration.options.clone(), true),
+            estimator: EstimatorState::prepared(&configuration.options, true),
             configuration_hash: configuration.hash.clone(),
             base_selection: BaseSelection::default(),
             antenna_position: ApproximatePosition::default(),
@@ -155,6 +159,17 @@ impl State {
         self.last.map(|(seq, _)| seq)
     }
 
+    /// Mean processor time of the epochs since the state was stored, if there are any.
+    pub(super) fn epoch_time(&self) -> Option<Duration> {
+        let epochs = u32::try_from(self.unsaved).ok().filter(|epochs| *epochs != 0)?;
+        Some(self.unsaved_time / epochs)
+    }
+
+    /// Number of the epochs that may be revised.
+    pub(super) fn window_epochs(&self) -> usize {
+        self.unrevised.len()
+    }
+
     /// Whether the estimator has this configuration.
     fn continues_with(&self, configuration: &Configuration) -> bool {
         self.configuration_hash == configuration.hash
@@ -182,7 +197,7 @@ impl State {
         let is_recalibrated = is_corrected && base.is_some_and(BaseInput::is_recalibrated);
         if !self.continues_with(configuration) || is_recalibrated {
             revisions = self.finish(scratch);
-            self.estimator = EstimatorState::new(configuration.options.clone(), true);
+            self.estimator = EstimatorState::prepared(&configuration.options, true);
             self.configuration_hash = configuration.hash.clone();
             self.base_selection.restart();
         }
@@ -321,14 +336,14 @@ impl State {
         encoded
     }
 
-    /// Notes that the state is stored. If it is kept for replay, retention may remove the epochs
-    /// before it, so the next one is stored whole.
-    pub(super) fn note_stored(&mut self, is_kept: bool) {
+    /// Notes that the state is stored. The next epoch is stored whole: a restore then reads no
+    /// epoch before it, and retention may remove those. Its bytes are few beside the state's.
+    pub(super) fn note_stored(&mut self) {
         (self.unsaved, self.unsaved_time) = (0, Duration::ZERO);
-        self.reference.take_if(|_| is_kept);
+        self.reference = None;
     }
 
-    /// What [`Self::encoded_content`] leaves.
+    /// What [`Self::unsealed`] leaves.
     pub(super) fn carried(&self) -> Carried {
         Carried {
             unsaved: self.unsaved,
@@ -346,20 +361,24 @@ impl State {
 
     /// The encoded state; `None` before the first epoch.
     pub(super) fn encoded(&self) -> Option<EncodedSnapshot> {
-        let (seq, content) = self.encoded_content()?;
-        Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), content))
+        let (seq, content) = self.unsealed(Vec::new())?;
+        Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), seal(content)))
     }
 
-    /// The content of the encoded state, and the number of the epoch after which it is.
-    pub(super) fn encoded_content(&self) -> Option<(u64, Vec<u8>)> {
+    /// The content of the encoded state, not yet sealed, in a buffer, and the number of the epoch
+    /// after which it is.
+    pub(super) fn unsealed(&self, mut buffer: Vec<u8>) -> Option<(u64, Vec<u8>)> {
         let (seq, time) = self.last?;
-        let mut writer = SnapshotWriter::new(LAYOUT);
+        if buffer.capacity() == 0 {
+            buffer.reserve(BYTES_PER_EPOCH * (self.unrevised.len() + 1));
+        }
+        let mut writer = SnapshotWriter::within(LAYOUT, buffer);
         time.save(&mut writer);
         self.base_selection.save(&mut writer);
         self.antenna_position.save(&mut writer);
         self.unrevised.save(&mut writer);
-        writer.bytes(&self.estimator.snapshot());
-        Some((seq, writer.finish()))
+        self.estimator.save_in(&mut writer);
+        Some((seq, writer.finish_unsealed()))
     }
 
     /// Decodes the state that [`Self::encoded`] gave after epoch `seq`, with its configuration.
@@ -368,12 +387,43 @@ impl State {
         content: &[u8],
         configuration: &Configuration,
     ) -> Result<Self, SnapshotError> {
-        let mut reader = SnapshotReader::open(content, LAYOUT)?;
+        let reader = match SnapshotReader::open(content, LAYOUT) {
+            Err(SnapshotError::UnknownLayout { found: LAYOUT_BEFORE, .. }) => {
+                let reader = SnapshotReader::open(content, LAYOUT_BEFORE)?;
+                return Self::read(seq, reader, configuration, |options, reader| {
+                    EstimatorState::restore((**options).clone(), reader.bytes()?)
+                });
+            }
+            opened => opened?,
+        };
+        Self::read(seq, reader, configuration, EstimatorState::load_in)
+    }
+
+    /// The same of what [`Self::unsealed`] gave.
+    pub(super) fn decode_unsealed(
+        seq: u64,
+        content: &[u8],
+        configuration: &Configuration,
+    ) -> Result<Self, SnapshotError> {
+        let reader = SnapshotReader::open_unsealed(content, LAYOUT)?;
+        Self::read(seq, reader, configuration, EstimatorState::load_in)
+    }
+
+    /// Reads a state, and its estimator by `estimator`.
+    fn read(
+        seq: u64,
+        mut reader: SnapshotReader<'_>,
+        configuration: &Configuration,
+        estimator: impl FnOnce(
+            &PreparedOptions,
+            &mut SnapshotReader<'_>,
+        ) -> Result<EstimatorState, SnapshotError>,
+    ) -> Result<Self, SnapshotError> {
         let time = GpsTime::load(&mut reader)?;
         let base_selection = Snapshot::load(&mut reader)?;
         let antenna_position = Snapshot::load(&mut reader)?;
         let unrevised = Snapshot::load(&mut reader)?;
-        let estimator = EstimatorState::restore(configuration.options.clone(), reader.bytes()?)?;
+        let estimator = estimator(&configuration.options, &mut reader)?;
         reader.finish()?;
         let configuration_hash = configuration.hash.clone();
         let last = Some((seq, time));
@@ -389,5 +439,61 @@ impl State {
             reference: None,
             first_answers: VecDeque::new(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::{Mode, PositioningOptions, Profile};
+    use crate::simulation::{Scenario, Simulator};
+
+    use super::*;
+
+    /// A state of the layout before is read, and goes on with the same bits; so does one that never
+    /// left the memory.
+    #[test]
+    fn states_of_both_layouts_go_on_with_the_same_bits() {
+        let simulator = Simulator::new(Scenario { duration_s: 20.0, ..Scenario::open_sky() }, 1);
+        let navigation = Navigation::clone(simulator.navigation());
+        let options = PositioningOptions::new(Mode::Fgo, Profile::General);
+        let configuration = Configuration {
+            version: VERSION.into(),
+            hash: "hash".into(),
+            options: PreparedOptions::new(options),
+            antenna: None,
+        };
+        let mut scratch = Scratch::default();
+        let mut advance = |state: &mut State, (seq, epoch): (u64, &Epoch)| {
+            let advanced =
+                state.advance(seq, epoch, &navigation, None, &configuration, &mut scratch);
+            format!("{:?} {:?}", advanced.solution, advanced.revisions)
+        };
+        let epochs: Vec<Epoch> = simulator.map(|epoch| epoch.rover).collect();
+        let (before, after) = epochs.split_at(15);
+        let mut state = State::new(&configuration);
+        for epoch in (1..).zip(before) {
+            advance(&mut state, epoch);
+        }
+        let (seq, time) = state.last.unwrap();
+        let mut writer = SnapshotWriter::new(LAYOUT_BEFORE);
+        time.save(&mut writer);
+        state.base_selection.save(&mut writer);
+        state.antenna_position.save(&mut writer);
+        state.unrevised.save(&mut writer);
+        writer.bytes(&state.estimator.snapshot());
+        let earlier = writer.finish();
+        let (_, unsealed) = state.unsealed(vec![7; 9]).unwrap();
+        let mut states = vec![
+            State::decode(seq, &earlier, &configuration).unwrap(),
+            State::decode(seq, &seal(unsealed.clone()), &configuration).unwrap(),
+            State::decode_unsealed(seq, &unsealed, &configuration).unwrap(),
+        ];
+        assert!(5 <= after.len());
+        for epoch in (seq + 1..).zip(after) {
+            let expected = advance(&mut state, epoch);
+            for state in &mut states {
+                assert_eq!(advance(state, epoch), expected);
+            }
+        }
     }
 }

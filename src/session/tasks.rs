@@ -24,10 +24,13 @@ const PARKED_PART: usize = 64;
 pub(super) struct Tasks {
     pub(super) handles: HashMap<SessionId, Handle>,
     pub(super) parked: ParkedStates,
+    /// The marks of tasks that have been told to end and have not left their states yet.
+    pub(super) parking: HashMap<SessionId, Arc<AtomicBool>>,
     pub(super) running: JoinSet<()>,
     /// Counts messages, to find the least recently used sessions.
     pub(super) posted: u64,
-    pub(super) draining: bool,
+    /// Set once no session starts any more: until when states are stored.
+    pub(super) stops: Option<Instant>,
 }
 
 /// What a task is started for.
@@ -45,6 +48,7 @@ pub(super) struct Handle {
     pub(super) tenant: Tenant,
     pub(super) mailbox: mpsc::Sender<Message>,
     pub(super) waiting: Arc<AtomicUsize>,
+    /// The settings have changed since the task read them. It is also the mark of the task.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) last_used: u64,
     pub(super) started: Instant,
@@ -54,12 +58,27 @@ impl Tasks {
     /// No tasks; parked states may have `parked_bytes` bytes.
     pub(super) fn new(parked_bytes: usize) -> Self {
         let (handles, parked) = (HashMap::new(), ParkedStates::new(parked_bytes));
-        Self { handles, parked, running: JoinSet::new(), posted: 0, draining: false }
+        let (parking, running) = (HashMap::new(), JoinSet::new());
+        Self { handles, parked, parking, running, posted: 0, stops: None }
     }
 
     /// The running task of a tenant's session.
     pub(super) fn own(&self, id: &SessionId, tenant: &Tenant) -> Option<&Handle> {
         self.handles.get(id).filter(|handle| handle.tenant == *tenant)
+    }
+
+    /// The settings of a session have changed: its task reads them before its next epochs.
+    pub(super) fn outdate(&mut self, id: &SessionId) {
+        if let Some(handle) = self.handles.get(id) {
+            handle.outdated.store(true, Ordering::Release);
+        }
+        self.forget_parked(id);
+    }
+
+    /// Drops the state with which a session was parked.
+    pub(super) fn forget_parked(&mut self, id: &SessionId) {
+        self.parking.remove(id);
+        self.parked.remove(id);
     }
 
     /// Sessions with a state in memory.
@@ -79,7 +98,9 @@ impl Tasks {
             idle.truncate(count);
         }
         for (_, id) in &idle {
-            self.handles.remove(id);
+            if let Some(handle) = self.handles.remove(id) {
+                self.parking.insert(id.clone(), handle.outdated);
+            }
         }
         !idle.is_empty()
     }

@@ -8,7 +8,8 @@
 //! A snapshot is `layout` (16 bits, little-endian), the values one after the other without names,
 //! and the first eight bytes of the BLAKE3 hash of all that. `f64` are little-endian IEEE 754,
 //! integers LEB128, lists preceded by their length. A change of the stored fields must raise the
-//! layout, so that older snapshots are refused and not misread. Corrupt bytes give a
+//! layout, so that older snapshots are refused and not misread. A snapshot that stays in memory
+//! needs no hash. Corrupt bytes give a
 //! [`SnapshotError`] with their position; reading allocates at most a small multiple of their
 //! length.
 
@@ -19,7 +20,7 @@ mod writer;
 
 pub use error::SnapshotError;
 pub use reader::SnapshotReader;
-pub use writer::SnapshotWriter;
+pub use writer::{SnapshotWriter, seal};
 
 /// A value that can be stored and read back bit by bit.
 pub trait Snapshot: Sized {

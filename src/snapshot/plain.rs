@@ -8,20 +8,24 @@ use nalgebra::SMatrix;
 use super::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 impl Snapshot for f64 {
+    #[inline]
     fn save(&self, writer: &mut SnapshotWriter) {
         writer.f64(*self);
     }
 
+    #[inline]
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
         reader.f64()
     }
 }
 
 impl Snapshot for u64 {
+    #[inline]
     fn save(&self, writer: &mut SnapshotWriter) {
         writer.unsigned(*self);
     }
 
+    #[inline]
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
         reader.unsigned()
     }
@@ -42,10 +46,12 @@ impl Snapshot for i64 {
 macro_rules! narrow {
     ($($type:ty as $wide:ty),*) => {$(
         impl Snapshot for $type {
+            #[inline]
             fn save(&self, writer: &mut SnapshotWriter) {
                 (*self as $wide).save(writer);
             }
 
+            #[inline]
             fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
                 let value = <$wide>::load(reader)?;
                 value.try_into().map_err(|_| reader.invalid(stringify!($type)))
@@ -136,6 +142,9 @@ impl Snapshot for String {
     }
 }
 
+/// Largest usual ratio of an item's memory to its bytes.
+const LOADED_TO_BYTES: usize = 4;
+
 /// Every item takes a byte or more, which bounds what a corrupt length can ask for.
 impl<T: Snapshot> Snapshot for Vec<T> {
     fn save(&self, writer: &mut SnapshotWriter) {
@@ -145,8 +154,14 @@ impl<T: Snapshot> Snapshot for Vec<T> {
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
         let count = reader.count()?;
-        // Not allocated beforehand: items in memory are larger than their bytes.
-        (0..count).map(|_| T::load(reader)).collect()
+        // Items in memory are larger than their bytes, and a corrupt count may be anything: at most
+        // a multiple of the bytes that are left is allocated beforehand.
+        let most = LOADED_TO_BYTES * reader.left() / size_of::<T>().max(1);
+        let mut items = Self::with_capacity(count.min(most));
+        for _ in 0..count {
+            items.push(T::load(reader)?);
+        }
+        Ok(items)
     }
 }
 
@@ -167,8 +182,11 @@ impl<T: Snapshot, const N: usize> Snapshot for [T; N] {
     }
 
     fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
-        let items = (0..N).map(|_| T::load(reader)).collect::<Result<Vec<T>, _>>()?;
-        items.try_into().map_err(|_| reader.invalid("array"))
+        let mut items = std::array::from_fn(|_| None);
+        for item in &mut items {
+            *item = Some(T::load(reader)?);
+        }
+        Ok(items.map(|item| item.expect("each was loaded")))
     }
 }
 
@@ -195,7 +213,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::snapshot::snapshot_variants;
+    use crate::snapshot::{seal, snapshot_variants};
 
     #[derive(Clone, Debug, PartialEq)]
     enum Shape {
@@ -247,6 +265,19 @@ mod tests {
         let other = SnapshotWriter::new(8).finish();
         let error = SnapshotError::UnknownLayout { found: 8, known: 7 };
         assert_eq!(read::<u8>(&other), Err(error));
+    }
+
+    /// Only its hash distinguishes a snapshot from one that stays in memory.
+    #[test]
+    fn an_unsealed_snapshot_is_sealed_later() {
+        let mut writer = SnapshotWriter::within(7, vec![9; 100]);
+        vec![1.5_f64; 3].save(&mut writer);
+        let unsealed = writer.finish_unsealed();
+        let mut reader = SnapshotReader::open_unsealed(&unsealed, 7).unwrap();
+        assert_eq!(Vec::<f64>::load(&mut reader), Ok(vec![1.5; 3]));
+        let error = SnapshotError::UnknownLayout { found: 7, known: 8 };
+        assert_eq!(SnapshotReader::open_unsealed(&unsealed, 8).unwrap_err(), error);
+        assert_eq!(seal(unsealed), bytes(&vec![1.5_f64; 3]));
     }
 
     proptest! {

@@ -22,6 +22,14 @@ impl<'a> SnapshotReader<'a> {
         if blake3::hash(bytes).as_bytes()[..HASH] != *hash {
             return Err(SnapshotError::Corrupt);
         }
+        Self::open_unsealed(bytes, layout)
+    }
+
+    /// Opens a snapshot without a hash, whose bytes have not left the memory of the process.
+    ///
+    /// # Errors
+    /// It is of another layout.
+    pub fn open_unsealed(bytes: &'a [u8], layout: u16) -> Result<Self, SnapshotError> {
         let mut reader = Self { bytes, offset: 0 };
         let found = reader.take::<2>().map(|bytes| u16::from_le_bytes(*bytes))?;
         match found == layout {
@@ -35,7 +43,7 @@ impl<'a> SnapshotReader<'a> {
     /// # Errors
     /// There are more bytes.
     pub fn finish(self) -> Result<(), SnapshotError> {
-        match self.bytes.len() - self.offset {
+        match self.left() {
             0 => Ok(()),
             extra => Err(SnapshotError::TrailingBytes { extra }),
         }
@@ -46,6 +54,12 @@ impl<'a> SnapshotReader<'a> {
         SnapshotError::Invalid { what, offset: self.offset }
     }
 
+    /// Number of bytes that are left.
+    pub(super) fn left(&self) -> usize {
+        self.bytes.len() - self.offset
+    }
+
+    #[inline]
     fn take<const N: usize>(&mut self) -> Result<&'a [u8; N], SnapshotError> {
         let taken = self.bytes[self.offset..].first_chunk::<N>();
         let taken = taken.ok_or(SnapshotError::Truncated { offset: self.bytes.len() })?;
@@ -57,6 +71,7 @@ impl<'a> SnapshotReader<'a> {
     ///
     /// # Errors
     /// The bytes end.
+    #[inline]
     pub fn u8(&mut self) -> Result<u8, SnapshotError> {
         self.take::<1>().map(|[byte]| *byte)
     }
@@ -65,6 +80,7 @@ impl<'a> SnapshotReader<'a> {
     ///
     /// # Errors
     /// The bytes end, or it has more than 64 bits.
+    #[inline]
     pub fn unsigned(&mut self) -> Result<u64, SnapshotError> {
         let mut value = 0_u64;
         for shift in (0..64).step_by(7) {
@@ -85,6 +101,7 @@ impl<'a> SnapshotReader<'a> {
     ///
     /// # Errors
     /// The bytes end.
+    #[inline]
     pub fn f64(&mut self) -> Result<f64, SnapshotError> {
         self.take::<8>().map(|bytes| f64::from_le_bytes(*bytes))
     }
@@ -106,8 +123,7 @@ impl<'a> SnapshotReader<'a> {
     /// The bytes end, or would within the items.
     pub fn count(&mut self) -> Result<usize, SnapshotError> {
         let count = self.unsigned()?;
-        let left = self.bytes.len() - self.offset;
-        let possible = usize::try_from(count).ok().filter(|count| *count <= left);
+        let possible = usize::try_from(count).ok().filter(|count| *count <= self.left());
         possible.ok_or_else(|| self.invalid("number of items"))
     }
 }

@@ -12,15 +12,24 @@ pub struct SnapshotWriter {
 impl SnapshotWriter {
     /// One of `layout`, with nothing in it yet.
     pub fn new(layout: u16) -> Self {
-        Self { bytes: layout.to_le_bytes().to_vec() }
+        Self::within(layout, Vec::new())
+    }
+
+    /// The same in the memory of a buffer, whose content is dropped.
+    pub fn within(layout: u16, mut buffer: Vec<u8>) -> Self {
+        buffer.clear();
+        buffer.extend_from_slice(&layout.to_le_bytes());
+        Self { bytes: buffer }
     }
 
     /// One byte.
+    #[inline]
     pub fn u8(&mut self, value: u8) {
         self.bytes.push(value);
     }
 
     /// An integer, small ones in few bytes.
+    #[inline]
     pub fn unsigned(&mut self, mut value: u64) {
         while 0x80 <= value {
             self.bytes.push(value as u8 | 0x80);
@@ -30,6 +39,7 @@ impl SnapshotWriter {
     }
 
     /// A number, bit by bit.
+    #[inline]
     pub fn f64(&mut self, value: f64) {
         self.bytes.extend_from_slice(&value.to_le_bytes());
     }
@@ -41,9 +51,20 @@ impl SnapshotWriter {
     }
 
     /// The snapshot.
-    pub fn finish(mut self) -> Vec<u8> {
-        let hash = blake3::hash(&self.bytes);
-        self.bytes.extend_from_slice(&hash.as_bytes()[..HASH]);
+    pub fn finish(self) -> Vec<u8> {
+        seal(self.bytes)
+    }
+
+    /// The snapshot without its hash, for bytes that do not leave the memory of the process.
+    /// [`seal`] makes it a snapshot that may.
+    pub fn finish_unsealed(self) -> Vec<u8> {
         self.bytes
     }
+}
+
+/// Adds its hash to an unsealed snapshot.
+pub fn seal(mut unsealed: Vec<u8>) -> Vec<u8> {
+    let hash = blake3::hash(&unsealed);
+    unsealed.extend_from_slice(&hash.as_bytes()[..HASH]);
+    unsealed
 }

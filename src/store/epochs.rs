@@ -9,7 +9,7 @@ use super::codec::{CodecError, encode_epoch};
 use super::deadline::{DEADLINE, within};
 use super::pool::{Pool, reading};
 use super::solutions::RawSolution;
-use super::{BaseKey, BaseUse, SessionKey, Store, StoreError, StoredSolution};
+use super::{BaseKey, BaseUse, SessionKey, Store, StoreError, StoredSnapshot, StoredSolution};
 
 /// A stored epoch with its real-time answer.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +23,22 @@ pub struct StoredEpoch {
     /// The base epochs it was solved with.
     pub base: Option<BaseUse>,
 }
+
+/// What a session is restored from.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StoredState {
+    /// The newest snapshot.
+    pub(crate) snapshot: Option<StoredSnapshot>,
+    /// Whether the session may have begun a new arc.
+    pub(crate) has_arcs: bool,
+    /// The first epochs after the snapshot; none without one.
+    pub(crate) epochs: Vec<StoredEpoch>,
+}
+
+/// The newest snapshot of a session, and whether it has arcs.
+const SELECT_STATE: &str = "SELECT seq, configuration_hash, content, \
+    EXISTS (SELECT 1 FROM session_arcs a WHERE a.session = $1) AS has_arcs \
+    FROM snapshots WHERE session = $1";
 
 impl StoredEpoch {
     /// Whether `epoch` is the stored one, bit by bit.
@@ -116,6 +132,45 @@ impl Store {
         .await);
         let rows = rows.map_err(StoreError::database("reading a session's epochs"))?;
         self.decoded(session, rows).await
+    }
+
+    /// What a session is restored from: its newest snapshot, and up to `count` epochs after it. It
+    /// is read on one connection.
+    ///
+    /// # Errors
+    /// The database fails, or a row is corrupt.
+    pub(crate) async fn stored_state(
+        &self,
+        session: SessionKey,
+        count: usize,
+    ) -> Result<StoredState, StoreError> {
+        let read = reading!(&self.pool, pool => {
+            let reading = async {
+                let mut connection = pool.acquire().await?;
+                let snapshot: Option<(i64, String, Vec<u8>, bool)> =
+                    sqlx::query_as(SELECT_STATE)
+                        .bind(session.0)
+                        .fetch_optional(&mut *connection)
+                        .await?;
+                let Some(snapshot) = snapshot else { return Ok(None) };
+                let rows: Vec<RawEpoch> =
+                    sqlx::query_as(select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3"))
+                        .bind(session.0)
+                        .bind(snapshot.0)
+                        .bind(count as i64)
+                        .fetch_all(&mut *connection)
+                        .await?;
+                Ok::<_, sqlx::Error>(Some((snapshot, rows)))
+            };
+            reading.await
+        });
+        let read = read.map_err(StoreError::database("reading a session's state"))?;
+        let Some(((seq, hash, content, has_arcs), rows)) = read else {
+            return Ok(StoredState { snapshot: None, has_arcs: true, epochs: Vec::new() });
+        };
+        let snapshot = StoredSnapshot { seq: seq as u64, configuration_hash: hash.into(), content };
+        let epochs = self.decoded(session, rows).await?;
+        Ok(StoredState { snapshot: Some(snapshot), has_arcs, epochs })
     }
 
     /// Number of the epoch that `count` epochs of the session follow, if there are that many.

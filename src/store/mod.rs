@@ -74,6 +74,7 @@ pub use committer::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
 pub use epochs::StoredEpoch;
+pub(crate) use epochs::StoredState;
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub(crate) use heads::SCANNED_HEADS;
@@ -301,8 +302,8 @@ impl Store {
     }
 
     /// Waits until another service turns out to have had the lease of the database since this one
-    /// last committed. This one must then start again. Returns the name of the other node.
-    pub async fn lease_lost(&self) -> Arc<str> {
+    /// last committed. This one must then start again: returns the error with which it ends.
+    pub async fn lease_lost(&self) -> StoreError {
         self.committer.lease_lost().await
     }
 

@@ -86,6 +86,11 @@ impl Store {
         }
     }
 
+    /// Whether other nodes may write to the same database.
+    pub(crate) fn is_of_cluster(&self) -> bool {
+        self.cluster().is_some()
+    }
+
     /// The member's pool; `None` without a cluster.
     fn cluster(&self) -> Option<(&PgPool, &Arc<Member>)> {
         match (&self.pool, &self.member) {

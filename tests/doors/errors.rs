@@ -58,6 +58,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::DatabaseFailed, "tests/doors/store.rs"),
     (Code::DatabaseSchemaNewer, "tests/doors/store.rs"),
     (Code::DatabaseInUse, "tests/faults/lease.rs"),
+    (Code::LeaseLost, "tests/faults/lease.rs"),
     (Code::DatabaseSchemaOlder, "tests/faults/database.rs"),
     (Code::DatabaseMigrationFailed, "tests/doors/store.rs"),
     (Code::TimeImplausible, "tests/doors/sessions.rs"),

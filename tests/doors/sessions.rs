@@ -424,8 +424,16 @@ async fn parked_sessions_go_on(database: Database) {
     // Another writer's epochs are not overwritten.
     let other = desk_with(&database.store().await, limits()).await;
     other.submit(&ids[1], batch([5])).await.unwrap();
-    let next = sessions.submit(&ids[1], batch([6])).await;
+    let next = match sessions.submit(&ids[1], batch([6])).await {
+        // The parked state is not the newest one, and is dropped.
+        Err(refused) => {
+            assert_eq!(refused.code().name(), "WRITTEN_ELSEWHERE");
+            sessions.submit(&ids[1], batch([6])).await
+        }
+        restored => restored,
+    };
     assert_eq!(next.unwrap().durable_through, Some(6));
+    assert_eq!(stored_numbers(&sessions, &ids[1]).await, [1, 2, 3, 4, 5, 6]);
     let busy_one = sessions.enqueue(&ids[3], batch([5])).await.unwrap();
     let busy_other = sessions.enqueue(&ids[4], batch([5])).await.unwrap();
     busy_one.answer().await.unwrap();

@@ -110,7 +110,9 @@ async fn a_service_that_lost_the_lease_commits_nothing() {
         assert!(!answer.outcomes[0].result.as_ref().unwrap().resent);
         second.close().await;
         // The first gets the lease again, but what it has in memory is outdated.
-        assert_eq!(&*first.lease_lost().await, "second");
+        let lost = first.lease_lost().await;
+        assert_eq!(lost.code().name(), "LEASE_LOST");
+        assert!(lost.to_string().contains("second"), "{lost}");
         let refused = sessions.submit(&id, vec![epoch(3, 3.0)]).await.unwrap_err();
         assert_eq!(refused.code().name(), "DATABASE_FAILED", "{refused}");
         assert!(refused.to_string().contains("second"), "{refused}");

@@ -21,6 +21,7 @@ on_both_databases!(
     another_configuration_begins_anew,
     a_window_is_solved_on_request,
     a_state_that_cannot_be_read_is_rebuilt,
+    a_stop_stores_the_state,
     forgotten_navigation_data_is_said,
 );
 
@@ -241,6 +242,22 @@ async fn a_state_that_cannot_be_read_is_rebuilt(database: Database) {
     database.execute("UPDATE snapshots SET content = '\\x'").await;
     submit(&desk(&database).await, &id, &DRIVE.epochs[300..310]).await;
     // The window contains all epochs, so that the bits are the same here.
+    assert!(checked(&database, &id).await.is_same());
+}
+
+/// A desk that stops stores the state of a session whose epochs take long to repeat, and one that
+/// is killed repeats them.
+async fn a_stop_stores_the_state(database: Database) {
+    let store = database.store().await;
+    broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
+    let sessions = desk(&database).await;
+    let id = created(&sessions, "fgo").await;
+    submit(&sessions, &id, &DRIVE.epochs[..40]).await;
+    sessions.drain().await;
+    let key = sessions_key(&store, &id).await;
+    let stored = store.snapshot(key).await.unwrap().expect("40 epochs take more than 1 ms");
+    assert_eq!(stored.seq, DRIVE.epochs[39].seq);
+    submit(&desk(&database).await, &id, &DRIVE.epochs[40..45]).await;
     assert!(checked(&database, &id).await.is_same());
 }
 

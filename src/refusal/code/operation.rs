@@ -83,6 +83,9 @@ macro_rules! operation {
     /// Another service has the lease of the database.
     DatabaseInUse = "DATABASE_IN_USE", NoCall,
         "stop the service that the message names, or give this one another database";
+    /// The lease of the database ended while the service could not renew it.
+    LeaseLost = "LEASE_LOST", NoCall,
+        "start it again, as a supervisor does; if that is refused, stop what the message names";
     /// A cluster is configured, and the database is not on Postgres.
     ClusterNeedsPostgres = "CLUSTER_NEEDS_POSTGRES", NoCall,
         "give a database on Postgres, or remove the section [cluster]";

@@ -13,16 +13,14 @@ use std::vec::IntoIter;
 use crate::aiding::bases::BaseInput;
 use crate::aiding::{AidingDesk, rover_source};
 use crate::gnss::{GpsTime, LeapSeconds, Navigation, Solution};
-use crate::positioning::Scratch;
+use crate::positioning::{PreparedOptions, Scratch};
 use crate::recording::{AnswerKind, BaseRecording, RecordingError};
 use crate::store::{SessionRow, Store, StoredEpoch, StoredSolution};
 use crate::tenant::Tenant;
 
 use super::configuration::configuration_hash;
-use super::replay::{
-    ActiveConfiguration, PAGE, Replay, ReplayWith, Step, StepBase, active_configuration,
-    calibration, oldest_state,
-};
+use super::configurations::{ActiveConfiguration, Configurations, calibration};
+use super::replay::{PAGE, Replay, ReplayWith, Step, StepBase, oldest_state};
 use super::solvers::Solvers;
 use super::state::{Configuration, State, VERSION};
 use super::{SessionError, SessionId, SessionLimits};
@@ -73,7 +71,7 @@ impl<'a> Rerun<'a> {
     ) -> Result<Self, SessionError> {
         let row = session(&store, tenant, id).await?;
         let active = match plan.is_as_answered {
-            true => active_configuration(&store, &aiding, id.as_str()).await?,
+            true => Configurations::default().active(&aiding, &row).await?,
             false => changed(request, &plan, &aiding, &row).await?,
         };
         let estimation = active.estimation.clone();
@@ -251,6 +249,7 @@ async fn changed(
     let antenna = row.settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
     let hash = configuration_hash(&options, antenna).into();
     let antenna = calibration(aiding, antenna).await?;
+    let options = PreparedOptions::new(options);
     let estimation = Configuration { version: VERSION.into(), hash, options, antenna };
     Ok(ActiveConfiguration { estimation, bases, is_closed: false, retention_days: None })
 }

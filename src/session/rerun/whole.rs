@@ -25,7 +25,7 @@ pub(super) struct WholeSession {
 impl WholeSession {
     pub(super) fn new(configuration: Configuration, arcs: Arc<[u64]>) -> Self {
         Self {
-            batch: Batch::new(configuration.options.clone()),
+            batch: Batch::new((*configuration.options).clone()),
             configuration,
             selection: BaseSelection::default(),
             antenna_position: ApproximatePosition::default(),
@@ -63,7 +63,7 @@ impl WholeSession {
 
     /// The answers of the arc so far; another one begins.
     pub(super) fn end_arc(&mut self) -> Vec<Solution> {
-        let next = Batch::new(self.configuration.options.clone());
+        let next = Batch::new((*self.configuration.options).clone());
         self.selection = BaseSelection::default();
         std::mem::replace(&mut self.batch, next).finish()
     }

@@ -36,8 +36,12 @@ const RESTORES_PER_THREAD: usize = 4;
 const STREAM_MEMORY_BYTES: usize = 48 << 20;
 /// Copies of the stored bytes while a stream is restored: the rows, the whole, the decoder's.
 const STREAM_COPIES: u64 = 3;
-/// Most spare states that are kept.
+/// States that are stored at the same time when the service stops: those of three transactions.
+const STATES_STORED: usize = 512;
+/// Most spare states, and buffers of encoded ones, that are kept.
 const SPARE_STATES: usize = 64;
+/// Longest buffer that is kept (bytes).
+const SPARE_BUFFER_BYTES: usize = 256 << 10;
 
 /// A bounded number of threads for estimation, which lanes share. A handle works for one tenant, on
 /// whose meter its time is counted.
@@ -50,6 +54,8 @@ pub(super) struct Solvers {
     restores: Newest,
     /// Kilobytes that streams which are restored may use.
     stream_memory: Arc<Semaphore>,
+    /// States that are being encoded and stored.
+    storing: Arc<Semaphore>,
 }
 
 /// Time after which a batch job ends its turn.
@@ -116,6 +122,8 @@ pub(super) struct MemoryPool {
 #[derive(Default)]
 struct Shared {
     states: Vec<State>,
+    /// Of encoded states.
+    buffers: Vec<Vec<u8>>,
     /// One for each estimation that has run at the same time.
     scratches: Vec<Box<Scratch>>,
 }
@@ -127,8 +135,9 @@ impl Solvers {
         let (lanes, memory) = (Lanes::new(threads), MemoryPool::default());
         let restores = Newest::new(RESTORES_PER_THREAD * threads);
         let stream_memory = Arc::new(Semaphore::new(STREAM_MEMORY_BYTES >> 10));
+        let storing = Arc::new(Semaphore::new(STATES_STORED));
         let meter = Meters::default().of(&Tenant::operator());
-        Self { lanes, meter, memory, threads, restores, stream_memory }
+        Self { lanes, meter, memory, threads, restores, stream_memory, storing }
     }
 
     /// The meter on which the time is counted.
@@ -150,6 +159,12 @@ impl Solvers {
     /// read the store.
     pub(super) async fn admitted_restore(&self) -> Admitted {
         self.restores.admitted().await
+    }
+
+    /// Waits until a state may be stored: as many at a time as fill some transactions.
+    pub(super) async fn admitted_storing(&self) -> OwnedSemaphorePermit {
+        let permit = self.storing.clone().acquire_owned().await;
+        permit.expect("the semaphore is never closed")
     }
 
     /// Waits until the memory is free that a stream of so many stored bytes needs while it is
@@ -289,6 +304,19 @@ impl MemoryPool {
         let mut shared = self.shared();
         if shared.states.len() < SPARE_STATES {
             shared.states.push(state);
+        }
+    }
+
+    /// A buffer for an encoded state, that of an earlier one if there is any.
+    pub(super) fn buffer(&self) -> Vec<u8> {
+        self.shared().buffers.pop().unwrap_or_default()
+    }
+
+    /// Keeps the buffer of a state that is decoded.
+    pub(super) fn recycle_buffer(&self, buffer: Vec<u8>) {
+        let mut shared = self.shared();
+        if shared.buffers.len() < SPARE_STATES && buffer.capacity() <= SPARE_BUFFER_BYTES {
+            shared.buffers.push(buffer);
         }
     }
 

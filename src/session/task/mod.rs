@@ -20,19 +20,19 @@ use crate::clock::Clock;
 use crate::config::OutputOptions;
 use crate::positioning::Scratch;
 use crate::store::{
-    ArcStart, AuditEntry, Batch, EncodedSolution, RawChange, SessionKey, Store, StoreError,
-    StoredEpoch, StoredSolution,
+    ArcStart, AuditEntry, Batch, EncodedSolution, RawChange, SessionKey, SessionRow, Store,
+    StoreError, StoredEpoch, StoredSolution,
 };
 use crate::tenant::Tenant;
 use crate::traces::Work;
 
 use super::batch::{Plan, SolvedBatch};
+use super::configurations::{ActiveConfiguration, Configurations};
 use super::counters::{Counters, Stage};
 use super::info::oldest_available;
 use super::live::Live;
 use super::parked::{KeepsParked, ParkedState};
 use super::raw::Reception;
-use super::replay::{ActiveConfiguration, active_configuration};
 use super::solvers::{Lane, Solvers};
 use super::state::State;
 use super::{
@@ -73,10 +73,19 @@ pub(super) struct Task {
     pub(super) live: Arc<Live>,
     /// The stages of the batch that is being answered.
     pub(super) stages: Stages,
-    /// The state with which the session was parked, if the desk has it.
-    pub(super) parked: Mutex<Option<ParkedState>>,
+    pub(super) configurations: Configurations,
+    /// What is known of the session when the task begins.
+    pub(super) known: Mutex<Option<Known>>,
     /// Where the state is kept when the session is parked.
     pub(super) desk: Weak<dyn KeepsParked>,
+}
+
+/// What is known of a session when its task begins.
+pub(in crate::session) enum Known {
+    /// The state with which it was parked.
+    State(Box<ParkedState>),
+    /// Its row.
+    Row(Box<SessionRow>),
 }
 
 /// A session in memory.
@@ -354,10 +363,10 @@ impl Task {
         active: &'a mut Option<Active>,
     ) -> Result<&'a mut Active, SessionError> {
         self.confirm(active).await?;
-        self.unpark(active).await;
+        let row = self.begin(active).await;
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if is_outdated || active.is_none() {
-            let read = self.active_configuration().await;
+            let read = self.active_configuration(row.filter(|_| !is_outdated)).await;
             // Read again by the next batch.
             let failed = |_: &SessionError| self.outdated.store(true, Ordering::Release);
             let configuration = Arc::new(read.inspect_err(failed)?);
@@ -370,13 +379,14 @@ impl Task {
                 current.epoch_time = None;
             } else {
                 let committed = Arc::new(self.restored(&configuration).await?);
+                let epoch_time = committed.epoch_time();
                 self.counters.meters.restores.inc();
                 self.live.publish_unknown(self.key);
                 *active = Some(Active {
                     committed,
                     unconfirmed: None,
                     configuration,
-                    epoch_time: None,
+                    epoch_time,
                     raw: None,
                     kept_day: None,
                 });
@@ -418,8 +428,20 @@ impl Task {
         Ok(Earlier { stored, removed_through })
     }
 
-    async fn active_configuration(&self) -> Result<ActiveConfiguration, SessionError> {
-        active_configuration(&self.store, &self.aiding, self.id.as_str()).await
+    /// The options and bases in force, by the session's row.
+    async fn active_configuration(
+        &self,
+        row: Option<Box<SessionRow>>,
+    ) -> Result<ActiveConfiguration, SessionError> {
+        let row = match row {
+            Some(row) => row,
+            None => {
+                let row = self.store.session_of_any(self.id.as_str()).await?;
+                let missing = || SessionError::NotFound { id: self.id.to_string() };
+                Box::new(row.ok_or_else(missing)?)
+            }
+        };
+        self.configurations.active(&self.aiding, &row).await
     }
 }
 

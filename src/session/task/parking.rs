@@ -9,24 +9,34 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
+use tokio::time::timeout_at;
+
 use crate::clock::gps_time;
 use crate::session::SessionError;
 use crate::session::batch::EpochRules;
-use crate::session::parked::ParkedState;
-use crate::session::replay::{ActiveConfiguration, Replay, ReplayWith, restored};
+use crate::session::configurations::ActiveConfiguration;
+use crate::session::panics::caught;
+use crate::session::parked::{ParkedState, stores_until};
+use crate::session::replay::{PAGE, Replay, ReplayWith, restored};
 use crate::session::solvers::Lane;
 use crate::session::state::State;
-use crate::store::Batch;
+use crate::store::{Batch, SessionRow, StoreError};
 
-use super::{Active, Task};
+use super::{Active, Known, Task};
 
 /// After a restart, the sessions that were in memory repeat this much computing on each thread.
 const RESTART: Duration = Duration::from_secs(10);
 /// Bounds of what one session repeats (empirical).
 const REPLAY_LEAST: Duration = Duration::from_millis(2);
 const REPLAY_MOST: Duration = Duration::from_millis(50);
-/// A parked state is stored if at least this part of what may be repeated would be.
-const WORTH_STORING: u32 = 4;
+/// A state that leaves the memory is stored if to repeat its epochs takes longer: about what it
+/// costs to store and to read it again (benches/recovery).
+const WORTH_STORING: Duration = Duration::from_millis(1);
+/// Parked states up to this length are decoded by the session's task (bytes), and those of windows
+/// up to this number of epochs encoded: that takes some 0.1 ms, and a change of threads is dearer
+/// than most of them.
+const DECODED_HERE: usize = 256 << 10;
+const ENCODED_HERE: usize = 64;
 
 impl Task {
     /// A batch of today without changes, which continues the session after number `previous`.
@@ -72,62 +82,115 @@ impl Task {
         share.clamp(REPLAY_LEAST, REPLAY_MOST).mul_f64(0.5 + fraction)
     }
 
-    /// Ends the task: leaves the state to the desk, and stores it if a restart would repeat much.
+    /// Ends the task. It leaves the state to the desk, and stores those that make room for it; if
+    /// no session starts any more, it stores its own.
     pub(super) async fn park(&self, active: Option<Active>) {
-        let Some(active) = active else { return };
-        let desk = self.desk.upgrade().filter(|desk| !desk.is_draining());
-        let is_stored = self.replay_max() < active.committed.unsaved_time * WORTH_STORING;
-        if active.unconfirmed.is_some() || (desk.is_none() && !is_stored) {
-            return;
-        }
-        let keeps_snapshot = is_stored && self.keeps_snapshot(&active);
-        let Active { committed, configuration, .. } = active;
-        let encoding = self.solvers.run(Lane::Restore, {
-            let committed = committed.clone();
-            move || committed.encoded_content()
-        });
-        let Ok(Some((seq, content))) = encoding.await else { return };
-        let mut parked = ParkedState::new(committed, configuration, (seq, content));
-        if is_stored {
-            let snapshot = Some(parked.snapshot());
-            let batch = Batch { snapshot, keeps_snapshot, ..self.batch(Some(seq)) };
-            match self.store.commit(batch).await {
-                Ok(()) => parked.note_stored(keeps_snapshot),
-                // Nothing is lost, because the epochs are replayed.
-                Err(error) => {
-                    tracing::warn!(session = %self.id, %error, "a session's state was not stored");
-                    return;
-                }
+        let active = active.filter(|active| active.unconfirmed.is_none());
+        let desk = self.desk.upgrade();
+        let stops = desk.as_ref().map_or_else(|| Some(stores_until()), |desk| desk.stops());
+        let Some(desk) = desk.filter(|_| stops.is_none()) else {
+            if let (Some(active), Some(until)) = (active, stops) {
+                // Err: nothing is lost, because the epochs are replayed.
+                timeout_at(until.into(), self.store_at_stop(active)).await.ok();
             }
-        }
-        if let Some(desk) = desk {
-            desk.keep_parked(&self.id, parked);
+            return;
+        };
+        let parked = match active {
+            Some(active) => self.encoded(active).await,
+            None => None,
+        };
+        for dropped in desk.keep_parked(&self.id, &self.outdated, parked) {
+            self.store_dropped(dropped).await;
         }
     }
 
-    /// Continues with the state that the desk has kept, if there is one.
-    pub(super) async fn unpark(&self, active: &mut Option<Active>) {
-        let parked = self.parked.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Some(parked) = parked.filter(|_| active.is_none()) else { return };
-        let configuration = parked.configuration().clone();
-        let decoding = self.solvers.run(Lane::Restore, move || parked.decoded());
-        match decoding.await {
-            Ok(Ok(state)) => {
-                let (committed, raw) = (Arc::new(state), None);
-                let (unconfirmed, epoch_time, kept_day) = (None, None, None);
-                *active = Some(Active {
-                    committed,
-                    unconfirmed,
-                    configuration,
-                    epoch_time,
-                    raw,
-                    kept_day,
-                });
+    /// The state of a session that is parked. A short one is encoded here.
+    async fn encoded(&self, active: Active) -> Option<ParkedState> {
+        let Active { committed, configuration, epoch_time, .. } = active;
+        let (key, tenant) = (self.key, self.tenant.clone());
+        let is_short = committed.window_epochs() <= ENCODED_HERE;
+        let buffer = self.solvers.memory().buffer();
+        let encode =
+            move || ParkedState::of((key, &tenant), &committed, configuration, epoch_time, buffer);
+        match is_short {
+            true => encode(),
+            false => self.solvers.run(Lane::Restore, encode).await.ok().flatten(),
+        }
+    }
+
+    /// Stores the state before the service stops, if that takes less than to repeat the epochs.
+    async fn store_at_stop(&self, active: Active) {
+        if active.committed.unsaved_time < WORTH_STORING {
+            return;
+        }
+        let _admitted = self.solvers.admitted_storing().await;
+        let keeps_snapshot = self.keeps_snapshot(&active);
+        let previous = active.last_seq();
+        let encoding = self.solvers.run(Lane::Restore, move || active.committed.encoded());
+        let Ok(snapshot) = encoding.await else { return };
+        let batch = Batch { snapshot, keeps_snapshot, ..self.batch(previous) };
+        self.store_state(batch).await;
+    }
+
+    /// Stores a parked state that leaves the memory, if that takes less than to repeat the epochs.
+    async fn store_dropped(&self, state: ParkedState) {
+        if state.unsaved_time() < WORTH_STORING {
+            return;
+        }
+        let (key, previous) = (state.key, Some(state.seq));
+        let snapshot = Some(state.into_snapshot());
+        let day = Some(self.clock.day());
+        self.store_state(Batch { snapshot, day, ..Batch::new(key, previous) }).await;
+    }
+
+    async fn store_state(&self, batch: Batch) {
+        match self.store.commit(batch).await {
+            // The session has gone on meanwhile.
+            Ok(()) | Err(StoreError::AlreadyStored) => {}
+            // Nothing is lost, because the epochs are replayed.
+            Err(error) => {
+                tracing::warn!(session = %self.id, %error, "a session's state was not stored");
             }
-            Ok(Err(error)) => {
+        }
+    }
+
+    /// Takes what is known of the session when the task begins: its parked state, or its row.
+    pub(super) async fn begin(&self, active: &mut Option<Active>) -> Option<Box<SessionRow>> {
+        let known = self.known.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match known.filter(|_| active.is_none())? {
+            Known::Row(row) => Some(row),
+            Known::State(state) => {
+                *active = self.unparked(*state).await;
+                None
+            }
+        }
+    }
+
+    /// The session with the state with which it was parked.
+    async fn unparked(&self, parked: ParkedState) -> Option<Active> {
+        let (configuration, epoch_time) = (parked.configuration().clone(), parked.epoch_time);
+        let decoded = match parked.length() <= DECODED_HERE {
+            true => caught(|| parked.decoded()),
+            false => {
+                let decoding = self.solvers.run(Lane::Restore, || parked.decoded());
+                decoding.await.map_err(|error| error.to_string())
+            }
+        };
+        let (unconfirmed, raw, kept_day) = (None, None, None);
+        match decoded {
+            Ok((Ok(state), buffer)) => {
+                self.solvers.memory().recycle_buffer(buffer);
+                let committed = Arc::new(state);
+                Some(Active { committed, unconfirmed, configuration, epoch_time, raw, kept_day })
+            }
+            Ok((Err(error), _)) => {
                 tracing::error!(session = %self.id, %error, "a parked state cannot be read");
+                None
             }
-            Err(error) => tracing::error!(session = %self.id, %error, "a parked state is lost"),
+            Err(error) => {
+                tracing::error!(session = %self.id, error, "a parked state is lost");
+                None
+            }
         }
     }
 
@@ -138,6 +201,11 @@ impl Task {
     ) -> Result<State, SessionError> {
         // Few at a time, so that the first are ready long before the last.
         let _admitted = self.solvers.admitted_restore().await;
+        let stored = self.store.stored_state(self.key, PAGE).await?;
+        let arcs = match stored.has_arcs {
+            true => self.store.arcs(self.key).await?,
+            false => Vec::new(),
+        };
         let replay = Replay {
             store: self.store.clone(),
             aiding: self.aiding.clone(),
@@ -146,10 +214,10 @@ impl Task {
             key: self.key,
             device: self.device.clone(),
             with: ReplayWith::Stored,
-            arcs: self.store.arcs(self.key).await?.into(),
+            arcs: arcs.into(),
             known: Some(Arc::new(configuration.estimation.clone())),
             tolerates_missing: true,
         };
-        restored(&replay, &configuration.estimation).await
+        restored(&replay, stored, &configuration.estimation).await
     }
 }

@@ -176,15 +176,15 @@ impl Committer {
         health
     }
 
-    /// Waits until another service turns out to have had the lease. Returns the name of its node.
-    pub(super) async fn lease_lost(&self) -> Arc<str> {
+    /// Waits until another service turns out to have had the lease.
+    pub(super) async fn lease_lost(&self) -> StoreError {
         let mut health = self.health.clone();
         let is_lost =
             |health: &CommitterHealth| matches!(health.state, CommitterState::LeaseLost { .. });
         if let Ok(lost) = health.wait_for(is_lost).await
             && let CommitterState::LeaseLost { holder } = &lost.state
         {
-            return holder.clone();
+            return StoreError::LeaseLost { holder: holder.to_string() };
         }
         std::future::pending().await // It was stopped.
     }
