@@ -105,7 +105,13 @@ pub async fn open(
     let nodes = cluster.map(|cluster| nodes(cluster, &configuration.cluster)).transpose()?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
     let desks = (store.clone(), aiding.clone());
-    let jobs = Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await?;
+    let jobs = match Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await {
+        Ok(jobs) => jobs,
+        Err(error) => {
+            store.close().await; // A node gives up its lease at once.
+            return Err(error.into());
+        }
+    };
     let keys = Keys::open(store.clone()).await?;
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());

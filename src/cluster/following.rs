@@ -3,14 +3,14 @@
 
 use std::time::Duration;
 
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use crate::aiding::{AidingDesk, AidingError};
 use crate::store::{Change, Notices, Store, StoreError};
 
 /// Time without a notice after which the store is asked.
 const POLL: Duration = Duration::from_secs(2);
-/// After a notice, for others to come: they are taken over together.
+/// Between two reads, for notices to come: they are taken over together.
 const GATHER: Duration = Duration::from_millis(50);
 const RETRY: Duration = Duration::from_secs(1);
 
@@ -31,18 +31,20 @@ async fn listened(store: &Store, aiding: &AidingDesk) -> Result<(), AidingError>
     let Some(mut notices) = store.notices().await? else { return Ok(()) };
     let mut changed = [true, true];
     loop {
+        let next = Instant::now() + GATHER;
         if changed[0] {
             aiding.navigation.refresh().await?;
         }
         if changed[1] {
             aiding.bases.follow().await?;
         }
-        changed = gathered(&mut notices).await?;
+        changed = gathered(&mut notices, next).await?;
     }
 }
 
-/// Whether navigation data and bases may have changed, at the next notice or after some time.
-async fn gathered(notices: &mut Notices) -> Result<[bool; 2], StoreError> {
+/// Whether navigation data and bases may have changed, at the next notice or after some time, and
+/// not before `next`.
+async fn gathered(notices: &mut Notices, next: Instant) -> Result<[bool; 2], StoreError> {
     let mut changed = [false, false];
     let mut note = |change: Option<Change>| match change {
         Some(Change::Navigation) => changed[0] = true,
@@ -54,7 +56,7 @@ async fn gathered(notices: &mut Notices) -> Result<[bool; 2], StoreError> {
         Ok(notice) => note(notice?),
         Err(_) => note(None),
     }
-    sleep(GATHER).await;
+    sleep_until(next).await;
     while let Ok(notice) = timeout(Duration::ZERO, notices.next()).await {
         note(notice?);
     }

@@ -9,7 +9,7 @@ use serde::Deserialize;
 #[serde(default, deny_unknown_fields)]
 pub struct JobsConfiguration {
     /// Folder of the uploaded files and of the results. If absent, `DATABASE.jobs` beside a SQLite
-    /// database; a service on Postgres then takes no jobs.
+    /// database; a service on Postgres then takes no jobs. The nodes of a cluster need the same.
     pub folder: Option<PathBuf>,
     /// Bytes of one uploaded file.
     pub file_bytes: u64,

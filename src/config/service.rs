@@ -326,7 +326,6 @@ impl ServiceConfiguration {
         }
         for (name, is_set) in [
             ("bases.networks", !self.bases.networks.is_empty()),
-            ("jobs.folder", self.jobs.folder.is_some()),
             ("tls.client_ca_file", self.tls.client_ca_file.is_some()),
         ] {
             if is_set {

@@ -270,6 +270,7 @@ impl From<JobError> for Refusal {
             | JobError::UploadIncomplete { .. }
             | JobError::WorkerOnSqlite
             | JobError::FolderDiffers { .. }
+            | JobError::FolderNotShared { .. }
             | JobError::Draining => None,
         };
         Self::new(error.code(), error.to_string()).at_some(field)

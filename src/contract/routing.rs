@@ -9,7 +9,7 @@ use crate::refusal::Code;
 use crate::session::{SessionError, SessionId};
 use crate::store::NodeRow;
 
-use super::access::{Call, Pass};
+use super::access::{Call, Credential, Pass};
 use super::nodes::Nodes;
 use super::{Refusal, Service};
 
@@ -74,6 +74,27 @@ impl Service {
             Some((id, pass)) => Ok(self.sessions().of(pass.tenant()).give_up(&id).await?),
             None => Ok(false),
         }
+    }
+
+    /// Whether a request brings a sign-in, or the id of a key (`forwarded`), that another node may
+    /// have made just now: it is not known here.
+    pub(crate) fn may_be_new(&self, credential: Credential<'_>, forwarded: Option<&str>) -> bool {
+        if self.nodes().is_none() {
+            return false;
+        }
+        match (credential, forwarded) {
+            (_, Some(key)) => !key.is_empty() && !self.keys().has_id(key),
+            (Credential::Cookie(cookie, _), None) => self.keys().signed_in(cookie).is_none(),
+            _ => false,
+        }
+    }
+
+    /// Reads which keys and sign-ins other nodes have made and ended until now.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn catch_up(&self) -> Result<(), Refusal> {
+        Ok(self.keys().catch_up().await?)
     }
 
     /// Who sends a request that another node has checked and sent on with the id of its key, empty

@@ -23,14 +23,22 @@ impl Service {
     /// too. `None` where nobody needs a key.
     ///
     /// # Errors
-    /// The system has no random bits.
-    pub(crate) fn sign_in(&self) -> Result<Option<(String, SignedIn)>, Refusal> {
+    /// The system has no random bits, or the store fails.
+    pub(crate) async fn sign_in(&self) -> Result<Option<(String, SignedIn)>, Refusal> {
         let lease = Lease::current();
         let pass = lease.as_ref().and_then(Lease::pass).filter(|pass| pass.key().is_some());
         let Some(pass) = pass else { return Ok(None) };
-        let (cookie, sign_in) = self.keys().sign_in(pass.clone())?;
+        let (cookie, sign_in) = self.keys().sign_in(pass.clone()).await?;
         tracing::info!(key = pass.key(), "a browser signs in");
         Ok(Some((cookie.text().to_owned(), signed_in(sign_in))))
+    }
+
+    /// Signs the browser with this cookie out.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(crate) async fn sign_out(&self, cookie: &str) -> Result<(), Refusal> {
+        Ok(self.keys().sign_out(cookie).await?)
     }
 
     /// The sign-in of a cookie; `None` if it has ended.

@@ -51,7 +51,12 @@ pub(super) async fn admit(
     let is_named = is_named(&service, &request);
     let target = target(request.method().as_str(), request.uri().path());
     let mark = forwarding::mark(&service, request.headers());
-    let admitted = match checked(&service, &target, &mark, &request) {
+    let caught_up = match service.may_be_new(credential(&request), mark.key()) {
+        // Boxed, so that a service without a cluster needs no memory for it.
+        true => Box::pin(service.catch_up()).await,
+        false => Ok(()),
+    };
+    let admitted = match caught_up.and_then(|()| checked(&service, &target, &mark, &request)) {
         Ok((call, pass)) => {
             match peers.route(&service, call, (&mark, pass.as_ref()), (request, is_grpc)).await {
                 Ok(Route::Here(request)) => leased(&service, request, pass, is_grpc),

@@ -74,7 +74,7 @@ pub(super) async fn create(
     headers: HeaderMap,
     peer: Option<Extension<Peer>>,
 ) -> Result<(StatusCode, SetCookie, Json<SignInState>), Refused> {
-    let (cookie, signed_in) = service.sign_in()?.unzip();
+    let (cookie, signed_in) = service.sign_in().await?.unzip();
     let set = set_cookie(has_tls(&headers, peer.as_deref()), cookie.as_deref());
     Ok((StatusCode::CREATED, set, Json(state(&service, signed_in))))
 }
@@ -87,12 +87,12 @@ pub(super) async fn delete(
     State(service): State<Service>,
     headers: HeaderMap,
     peer: Option<Extension<Peer>>,
-) -> (SetCookie, Json<SignInState>) {
+) -> Result<(SetCookie, Json<SignInState>), Refused> {
     if let Some(cookie) = cookie(&headers) {
-        service.keys().sign_out(cookie);
+        service.sign_out(cookie).await?;
     }
     let set = set_cookie(has_tls(&headers, peer.as_deref()), None);
-    (set, Json(state(&service, None)))
+    Ok((set, Json(state(&service, None))))
 }
 
 fn state(service: &Service, signed_in: Option<SignedIn>) -> SignInState {

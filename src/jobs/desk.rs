@@ -23,6 +23,7 @@ use super::info::{JobId, JobInfo, JobResult};
 use super::named::Named;
 use super::queue;
 use super::request::{JobInput, JobOptions, JobRequest, Part, SessionInput};
+use super::shared;
 use super::state::{Aiding, Desk, folder};
 use super::webhook::Webhook;
 
@@ -65,7 +66,7 @@ impl Jobs {
     /// start of the service has left running are queued again.
     ///
     /// # Errors
-    /// The store or the folder cannot be read.
+    /// The store or the folder cannot be read, or another node of the cluster has another folder.
     pub async fn open(
         (store, aiding): (Store, AidingDesk),
         (lane, connector): (BatchLane, Connector),
@@ -84,6 +85,7 @@ impl Jobs {
                 let is_alone = store.file().is_some();
                 let files = JobFiles::open(folder, limits.clone(), &named, is_alone);
                 let files = files.map_err(JobError::disk("opening the folder of jobs"))?;
+                shared::join(&store, &files).await?;
                 store.set_job_folder(files.id()).await?;
                 Some(Arc::new(files))
             }

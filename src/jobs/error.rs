@@ -159,6 +159,14 @@ pub enum JobError {
         /// The worker's folder.
         folder: String,
     },
+    /// A node without the folder of jobs of another node.
+    #[error("{folder} is not the folder of jobs of node {node}, whose file is not there")]
+    FolderNotShared {
+        /// The folder of this node.
+        folder: String,
+        /// The other node.
+        node: String,
+    },
     /// The service is stopping.
     #[error("the service is stopping")]
     Draining,
@@ -198,7 +206,7 @@ impl JobError {
             Self::UploadOffset { .. } => Code::UploadOffsetDiffers,
             Self::UploadIncomplete { .. } => Code::UploadIncomplete,
             Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
-            Self::FolderDiffers { .. } => Code::JobFolderDiffers,
+            Self::FolderDiffers { .. } | Self::FolderNotShared { .. } => Code::JobFolderDiffers,
             Self::Draining => Code::Draining,
             Self::Store(error) => error.code(),
         }

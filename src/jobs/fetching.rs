@@ -26,6 +26,13 @@ use super::state::{Desk, Running};
 
 /// Interval at which the store is asked for jobs whose inputs are to be fetched.
 const ASK: Duration = Duration::from_secs(1);
+/// A fetch that has begun.
+struct Fetch {
+    tenant: Tenant,
+    job: String,
+    running: Arc<Running>,
+}
+
 /// Jobs whose inputs are fetched at the same time, and those of one tenant.
 const FETCHES: usize = 4;
 const OF_TENANT: usize = 2;
@@ -60,31 +67,32 @@ pub(super) async fn fetch(desk: Arc<Desk>) {
 }
 
 /// Begins to fetch the inputs of as many jobs as allowed.
-async fn begin(
-    desk: &Arc<Desk>,
-    fetches: &mut JoinSet<()>,
-    busy: &mut HashMap<Id, (Tenant, String)>,
-) {
+async fn begin(desk: &Arc<Desk>, fetches: &mut JoinSet<()>, busy: &mut HashMap<Id, Fetch>) {
+    if !desk.store.leads() {
+        return; // The node that leads fetches for all.
+    }
     let rows = match desk.store.unfetched_jobs().await {
         Ok(rows) => rows,
         Err(error) => return tracing::warn!(%error, "inputs of jobs are not fetched yet"),
     };
+    for fetch in busy.values().filter(|fetch| !rows.iter().any(|row| row.id == fetch.job)) {
+        fetch.running.stop(); // Another node has cancelled it, or it is over.
+    }
     for row in rows {
-        let of_tenant = busy.values().filter(|(tenant, _)| *tenant == row.tenant).count();
-        let is_begun = busy.values().any(|(_, id)| *id == row.id);
+        let of_tenant = busy.values().filter(|fetch| fetch.tenant == row.tenant).count();
+        let is_begun = busy.values().any(|fetch| fetch.job == row.id);
         if is_begun || OF_TENANT <= of_tenant || FETCHES <= busy.len() {
             continue;
         }
-        let named = (row.tenant.clone(), row.id.clone());
-        let fetching = fetches.spawn(of_job(desk.clone(), row));
-        busy.insert(fetching.id(), named);
+        let (tenant, job, running) = (row.tenant.clone(), row.id.clone(), desk.begin(&row.id));
+        let fetching = fetches.spawn(of_job(desk.clone(), row, running.clone()));
+        busy.insert(fetching.id(), Fetch { tenant, job, running });
     }
 }
 
 /// Fetches the inputs of a job, and lets it be computed, or ends it.
-async fn of_job(desk: Arc<Desk>, row: JobRow) {
+async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
     let (key, id) = (row.key, row.id.clone());
-    let running = desk.begin(&id);
     let fetched = inputs(&desk, row, &running).await;
     desk.end(&id);
     let stored = match fetched {

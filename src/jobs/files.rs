@@ -3,7 +3,8 @@
 //! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
 //! `inputs` and `results` stand in the store. What does not is removed once it is old, and at the
 //! start of a service that is alone. Other processes may write there, so the bytes of all files are
-//! counted again at an interval. The file `folder.id` identifies the folder.
+//! counted again at an interval. The file `folder.id` identifies the folder. Each node of a cluster
+//! has a file there (`shared`).
 
 use std::collections::HashMap;
 use std::fs;
@@ -103,6 +104,11 @@ impl JobFiles {
         let files = Self { folder, id, limits, used, held, uploads };
         files.count()?;
         Ok(files)
+    }
+
+    /// The folder.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
     }
 
     /// The identity of the folder.
@@ -245,8 +251,12 @@ impl JobFiles {
                     age.is_zero() || metadata.modified()?.elapsed().is_ok_and(|since| age <= since);
                 let held = self.held();
                 if is_old && !named.has(&name) && !held.contains_key(&name) {
-                    fs::remove_file(entry.path())?;
-                    self.release(metadata.len());
+                    match fs::remove_file(entry.path()) {
+                        Ok(()) => self.release(metadata.len()),
+                        // Another process was first.
+                        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                        Err(error) => return Err(error),
+                    }
                 }
             }
         }

@@ -16,6 +16,8 @@
 //!   claimed by another, ends nothing: its result is removed.
 //! - **A webhook** is told of the end of its job, with a signature, until its host takes the
 //!   message or as many attempts as allowed have failed.
+//! - **Nodes of a cluster** share the folder. Each takes, runs and answers jobs; the one that leads
+//!   fetches, and removes what has expired.
 //! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
 //!   are computed again from the beginning.
 
@@ -32,6 +34,7 @@ mod queue;
 mod report;
 mod request;
 mod run;
+mod shared;
 mod sources;
 mod state;
 mod uploads;

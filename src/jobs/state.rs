@@ -100,7 +100,13 @@ impl Desk {
     /// The store fails, or a row is corrupt.
     pub(super) async fn aiding(&self) -> Result<AidingDesk, AidingError> {
         match &self.aiding {
-            Aiding::Service(desk) => Ok(AidingDesk::clone(desk)),
+            Aiding::Service(desk) => {
+                if self.store.fence().is_some() {
+                    // A job may have been created at another node, which knows more.
+                    desk.follow().await?;
+                }
+                Ok(AidingDesk::clone(desk))
+            }
             Aiding::Worker(limits) => AidingDesk::open(self.store.clone(), limits.clone()).await,
         }
     }

@@ -6,6 +6,7 @@
 
 use std::fs::OpenOptions;
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use rustix::fs::{FlockOperation, flock};
@@ -162,11 +163,18 @@ async fn info(files: &Arc<JobFiles>, row: JobUploadRow) -> Result<UploadInfo, Jo
     let length = row.bytes.unsigned_abs();
     let offset = match row.hash {
         Some(_) => length,
-        // Err: nothing has arrived.
-        None => tokio::fs::metadata(files.arriving(id.as_str())).await.map_or(0, |m| m.len()),
+        None => arrived(files.arriving(id.as_str())).await,
     };
     let (name, hash, expires_unix_ms) = (row.name, row.hash, row.expires_unix_ms);
     Ok(UploadInfo { id, name, length, offset, hash, expires_unix_ms })
+}
+
+/// Bytes of a file that has arrived. It is opened, so that a shared file system asks for what other
+/// nodes have written.
+async fn arrived(path: PathBuf) -> u64 {
+    let length = async { File::open(path).await?.metadata().await.map(|metadata| metadata.len()) };
+    // Err: nothing has arrived.
+    length.await.unwrap_or(0)
 }
 
 impl Appending {

@@ -13,11 +13,11 @@ use crate::store::{Author, Page, Store};
 use crate::tenant::Tenant;
 
 use super::attempts::Attempts;
-use super::register::Register;
+use super::known::Known;
 use super::registry::{Created, KeyInfo, KeyRegistry, NewKey};
-use super::sign_ins::{SignIn, SignIns};
-use super::upkeep::{Upkeep, refresh};
-use super::{KeyError, Pass, Secret};
+use super::sign_ins::{LIFETIME_MS, SignIn, csrf_token};
+use super::upkeep::Upkeep;
+use super::{KeyError, Pass, Secret, secret};
 
 /// The keys of a service. All clones share them.
 #[derive(Clone)]
@@ -27,9 +27,8 @@ struct Desk {
     store: Store,
     clock: Clock,
     registry: KeyRegistry,
-    register: Arc<Register>,
+    known: Arc<Known>,
     attempts: Attempts,
-    sign_ins: SignIns,
     /// Stops the upkeep, also when the desk is dropped.
     stop: watch::Sender<bool>,
     upkeep: Mutex<Option<JoinHandle<()>>>,
@@ -51,18 +50,17 @@ impl Keys {
     /// The store fails.
     pub async fn open(store: Store) -> Result<Self, KeyError> {
         let clock = Clock::system();
-        let register = Arc::new(Register::new());
-        refresh(&store, &register).await?;
+        let known = Arc::new(Known::new(store.clone()));
+        known.refresh().await?;
         let (stop, stopped) = watch::channel(false);
         let upkeep = Upkeep { store: store.clone(), clock: clock.clone(), stopped };
-        let upkeep = tokio::spawn(upkeep.run(register.clone()));
+        let upkeep = tokio::spawn(upkeep.run(known.clone()));
         Ok(Self(Arc::new(Desk {
             registry: KeyRegistry::new(store.clone()),
             store,
             clock,
-            register,
+            known,
             attempts: Attempts::default(),
-            sign_ins: SignIns::default(),
             stop,
             upkeep: Mutex::new(Some(upkeep)),
         })))
@@ -70,7 +68,7 @@ impl Keys {
 
     /// Whether requests need a key.
     pub fn are_needed(&self) -> bool {
-        self.0.register.is_closed()
+        self.0.known.register.is_closed()
     }
 
     /// Who sends a request with this key, or without one, from this address.
@@ -78,7 +76,7 @@ impl Keys {
     /// # Errors
     /// The key is missing or not in force, or too many wrong ones have come from this address.
     pub fn admit(&self, key: Option<&str>, peer: Option<IpAddr>) -> Result<Pass, KeyError> {
-        let error = match self.0.register.find(key, self.0.clock.unix_ms()) {
+        let error = match self.0.known.register.find(key, self.0.clock.unix_ms()) {
             Ok(pass) => return Ok(pass),
             Err(KeyError::Required) => return Err(KeyError::Required),
             Err(error) => error,
@@ -96,18 +94,31 @@ impl Keys {
     /// # Errors
     /// No key has this id, or it is not in force.
     pub(crate) fn admit_by_id(&self, id: &str) -> Result<Pass, KeyError> {
-        let register = &self.0.register;
-        if !register.is_closed() {
-            return register.find(None, self.0.clock.unix_ms());
+        let (register, now) = (&self.0.known.register, self.0.clock.unix_ms());
+        if id.is_empty() {
+            return register.find(None, now);
         }
         let pass = register.of_id(id).ok_or(KeyError::Invalid)?;
-        pass.check_at(self.0.clock.unix_ms())?;
+        pass.check_at(now)?;
         Ok(pass)
+    }
+
+    /// Whether a key has this id, in force or not.
+    pub(crate) fn has_id(&self, id: &str) -> bool {
+        self.0.known.register.of_id(id).is_some()
+    }
+
+    /// Reads what other nodes have changed until now.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(crate) async fn catch_up(&self) -> Result<(), KeyError> {
+        Ok(self.0.known.catch_up().await?)
     }
 
     /// The key of this text, whether it is in force or not; `None` if it never existed.
     pub(crate) fn known(&self, key: &str) -> Option<Pass> {
-        self.0.register.known(key)
+        self.0.known.register.known(key)
     }
 
     /// Who sends a request with this cookie. A change brings the token of the sign-in, too.
@@ -115,7 +126,7 @@ impl Keys {
     /// # Errors
     /// The sign-in has ended, or the token is not its own.
     pub fn admit_cookie(&self, cookie: &str, token: CsrfToken<'_>) -> Result<Pass, KeyError> {
-        let register = &self.0.register;
+        let register = &self.0.known.register;
         if !register.is_closed() {
             return register.find(None, self.0.clock.unix_ms());
         }
@@ -127,22 +138,36 @@ impl Keys {
         }
     }
 
-    /// Signs a browser in; returns the value of its cookie, too.
+    /// Signs a browser in by a key; returns the value of its cookie, too.
     ///
     /// # Errors
-    /// The system has no random bits.
-    pub fn sign_in(&self, pass: Pass) -> Result<(Secret, SignIn), KeyError> {
-        self.0.sign_ins.begin(pass, self.0.clock.unix_ms())
+    /// There is no key, the system has no random bits, or the store fails.
+    pub async fn sign_in(&self, pass: Pass) -> Result<(Secret, SignIn), KeyError> {
+        let Desk { store, known, clock, .. } = &*self.0;
+        let key = pass.key().ok_or(KeyError::Required)?;
+        let (cookie, now) = (Secret::random()?, clock.unix_ms());
+        let hash = secret::hash(cookie.text()).expect("a secret has the form of one");
+        let (ended, expires_unix_ms) =
+            (known.sign_ins.make_room(pass.tenant(), now), now + LIFETIME_MS);
+        store.begin_sign_in((&hash, key), expires_unix_ms, &ended, now).await?;
+        known.refresh().await?;
+        let csrf_token = csrf_token(cookie.text());
+        Ok((cookie, SignIn { pass, csrf_token, expires_unix_ms }))
     }
 
     /// The sign-in of a cookie, while it and its key are in force.
     pub fn signed_in(&self, cookie: &str) -> Option<SignIn> {
-        self.0.sign_ins.find(cookie, self.0.clock.unix_ms())
+        self.0.known.sign_ins.find(cookie, self.0.clock.unix_ms())
     }
 
     /// Signs out.
-    pub fn sign_out(&self, cookie: &str) {
-        self.0.sign_ins.end(cookie);
+    ///
+    /// # Errors
+    /// The store fails: other nodes take the cookie still.
+    pub async fn sign_out(&self, cookie: &str) -> Result<(), KeyError> {
+        let Some(hash) = secret::hash(cookie) else { return Ok(()) };
+        self.0.known.sign_ins.end(&hash);
+        Ok(self.0.store.end_sign_in(&hash, self.0.clock.unix_ms()).await?)
     }
 
     /// Creates a key, in force at once, as an act of `author`.
@@ -151,7 +176,7 @@ impl Keys {
     /// It has no right, its label is too long, there are as many as allowed, or the store fails.
     pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
         let created = self.0.registry.create(new, author).await?;
-        refresh(&self.0.store, &self.0.register).await?;
+        self.0.known.refresh().await?;
         Ok(created)
     }
 
@@ -179,7 +204,7 @@ impl Keys {
         author: &Author,
     ) -> Result<KeyInfo, KeyError> {
         let revoked = self.0.registry.revoke(tenant, id, author).await?;
-        refresh(&self.0.store, &self.0.register).await?;
+        self.0.known.refresh().await?;
         Ok(revoked)
     }
 

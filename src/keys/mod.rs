@@ -5,7 +5,7 @@
 //! call costs a hash and a look into a table, and reads changed ones every 0.4 s: what an operator
 //! changes by the command line is in force within a second, in open streams too.
 //!
-//! A browser exchanges a key for a cookie ([`SignIn`]).
+//! A browser exchanges a key for a cookie ([`SignIn`]). Sign-ins are read as keys are.
 //!
 //! As long as the database has no key, everybody who reaches the service has all rights. Revoked
 //! and expired keys count: their end opens nothing.
@@ -13,6 +13,7 @@
 mod attempts;
 mod desk;
 mod error;
+mod known;
 mod register;
 mod registry;
 mod right;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 
 use tokio::sync::watch;
 
@@ -18,7 +18,7 @@ const NEVER: i64 = i64::MAX;
 /// All keys, and what those have who bring none.
 #[derive(Debug)]
 pub(super) struct Register {
-    by_hash: RwLock<HashMap<[u8; 32], Arc<Holder>>>,
+    holders: RwLock<Holders>,
     /// Number of the last change that is here.
     changed: AtomicI64,
     /// Whether requests need a key. Never set back.
@@ -27,10 +27,19 @@ pub(super) struct Register {
     anybody: Arc<Holder>,
 }
 
+/// The holders of all keys.
+#[derive(Debug, Default)]
+struct Holders {
+    /// By the hash of the key's secret.
+    by_hash: HashMap<[u8; 32], Arc<Holder>>,
+    /// By the key's id.
+    by_id: HashMap<Arc<str>, Arc<Holder>>,
+}
+
 /// The holder of a key.
 struct Holder {
     /// Id of the key; empty for who needs none.
-    id: String,
+    id: Arc<str>,
     tenant: Tenant,
     rights: Rights,
     expires_unix_ms: AtomicI64,
@@ -62,7 +71,7 @@ impl Register {
     pub(super) fn of_tenant(tenant: &Tenant) -> Self {
         let anybody = Holder::new("", tenant, Rights::ALL, NEVER);
         Self {
-            by_hash: RwLock::default(),
+            holders: RwLock::default(),
             changed: AtomicI64::new(0),
             is_closed: AtomicBool::new(false),
             anybody: Arc::new(anybody),
@@ -89,12 +98,16 @@ impl Register {
     /// Takes changed keys. They may come twice, or an earlier change after a later one.
     pub(super) fn take(&self, rows: Vec<KeyRow>) {
         let Some(last) = rows.iter().map(|row| row.changed).max() else { return };
-        let mut by_hash = self.by_hash.write().unwrap_or_else(PoisonError::into_inner);
+        let mut holders = self.holders.write().unwrap_or_else(PoisonError::into_inner);
+        let Holders { by_hash, by_id } = &mut *holders;
         for KeyRow { key, revoked_unix_ms, last_used_unix_ms, .. } in rows {
             let expires_unix_ms = key.expires_unix_ms.unwrap_or(NEVER);
             let holder = by_hash.entry(key.secret_sha256).or_insert_with(|| {
                 let rights = Rights::stored(&key.rights);
-                Arc::new(Holder::new(&key.id, &key.tenant, rights, expires_unix_ms))
+                let holder = Holder::new(&key.id, &key.tenant, rights, expires_unix_ms);
+                let holder = Arc::new(holder);
+                by_id.insert(holder.id.clone(), holder.clone());
+                holder
             });
             holder.expires_unix_ms.fetch_min(expires_unix_ms, Ordering::AcqRel);
             let noted = last_used_unix_ms.unwrap_or(0);
@@ -103,7 +116,7 @@ impl Register {
                 holder.end(State::Revoked);
             }
         }
-        drop(by_hash);
+        drop(holders);
         self.changed.fetch_max(last, Ordering::AcqRel);
         self.close();
     }
@@ -122,46 +135,45 @@ impl Register {
     /// Who brings this text, if it is a key, whether that is in force or not.
     pub(super) fn known(&self, presented: &str) -> Option<Pass> {
         let hash = secret::hash(presented)?;
-        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
-        by_hash.get(&hash).cloned().map(Pass)
+        self.read().by_hash.get(&hash).cloned().map(Pass)
     }
 
-    /// Who has the key of this id, whether that is in force or not. It looks through all keys.
+    /// Who has the key of this id, whether that is in force or not.
     pub(super) fn of_id(&self, id: &str) -> Option<Pass> {
-        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
-        let has_it = |holder: &&Arc<Holder>| holder.id == id;
-        by_hash.values().find(has_it).cloned().map(Pass)
+        self.read().by_id.get(id).cloned().map(Pass)
     }
 
     /// Ends the keys that have expired.
     pub(super) fn expire(&self, unix_ms: i64) {
-        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
-        by_hash.values().for_each(|holder| holder.expire(unix_ms));
+        self.read().by_hash.values().for_each(|holder| holder.expire(unix_ms));
     }
 
     /// The last uses that are not stored yet.
     pub(super) fn uses(&self) -> Vec<(String, i64)> {
-        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
-        let holders = by_hash.values();
-        holders.filter_map(|holder| Some((holder.id.clone(), holder.unnoted()?))).collect()
+        let read = self.read();
+        let holders = read.by_hash.values();
+        holders.filter_map(|holder| Some((holder.id.to_string(), holder.unnoted()?))).collect()
     }
 
     /// Notes that uses are stored.
     pub(super) fn note(&self, uses: &[(String, i64)]) {
-        let uses: HashMap<&str, i64> = uses.iter().map(|(id, ms)| (&**id, *ms)).collect();
-        let by_hash = self.by_hash.read().unwrap_or_else(PoisonError::into_inner);
-        for holder in by_hash.values() {
-            if let Some(unix_ms) = uses.get(&*holder.id) {
+        let read = self.read();
+        for (id, unix_ms) in uses {
+            if let Some(holder) = read.by_id.get(&**id) {
                 holder.noted_unix_ms.fetch_max(*unix_ms, Ordering::AcqRel);
             }
         }
+    }
+
+    fn read(&self) -> RwLockReadGuard<'_, Holders> {
+        self.holders.read().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Holder {
     fn new(id: &str, tenant: &Tenant, rights: Rights, expires_unix_ms: i64) -> Self {
         Self {
-            id: id.to_owned(),
+            id: id.into(),
             tenant: tenant.clone(),
             rights,
             expires_unix_ms: AtomicI64::new(expires_unix_ms),
@@ -196,7 +208,7 @@ impl Holder {
 
     /// Why the key is refused in this state.
     fn refused(&self, state: State) -> Result<(), KeyError> {
-        let id = self.id.clone();
+        let id = self.id.to_string();
         match state {
             State::InForce => Ok(()),
             _ if id.is_empty() => Err(KeyError::Required),

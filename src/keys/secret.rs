@@ -30,11 +30,21 @@ impl Secret {
     pub(super) fn random() -> Result<Self, KeyError> {
         let mut bytes = [0; BYTES];
         getrandom::fill(&mut bytes).map_err(|error| KeyError::NoRandomness(error.to_string()))?;
+        Ok(Self::of(&bytes))
+    }
+
+    /// The secret for a purpose that belongs to a secret text: whoever has the text can compute it,
+    /// and it does not tell the text.
+    pub(super) fn derived(purpose: &str, text: &str) -> Self {
+        Self::of(&Sha256::digest(format!("{purpose} {text}")).into())
+    }
+
+    fn of(bytes: &[u8; BYTES]) -> Self {
         let mut text = PREFIX.to_owned();
         for byte in bytes {
             write!(text, "{byte:02x}").expect("a text takes any text");
         }
-        Ok(Self(text))
+        Self(text)
     }
 
     /// The secret as text, for its owner.
@@ -79,6 +89,14 @@ mod tests {
         let digits: String =
             hash(&text).unwrap().iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(digits, expected);
+    }
+
+    /// By `printf 'csrf gfx_00…00' | sha256sum`.
+    #[test]
+    fn a_derived_secret_is_a_hash_of_purpose_and_text() {
+        let text = format!("gfx_{}", "0".repeat(64));
+        let expected = "gfx_05a5596fd15d71ac5bb48888f48aef35242630fa820d2213ebe2344cf6b1bcf8";
+        assert_eq!(Secret::derived("csrf", &text).text(), expected);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep, timeout};
 use crate::clock::Clock;
 use crate::store::{Store, StoreError};
 
-use super::register::Register;
+use super::known::Known;
 
 /// Interval at which changed keys are read, and expired ones ended.
 pub(super) const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
@@ -21,17 +21,6 @@ const LAST_NOTE: Duration = Duration::from_secs(2);
 /// Uses noted in one transaction, so that commits wait for few milliseconds.
 const NOTES: usize = 500;
 
-/// Reads the keys that were changed since the last time.
-pub(super) async fn refresh(store: &Store, register: &Register) -> Result<(), StoreError> {
-    loop {
-        let rows = store.changed_keys(register.changed()).await?;
-        if rows.is_empty() {
-            return Ok(());
-        }
-        register.take(rows);
-    }
-}
-
 /// The task that keeps the keys of a service up to date.
 pub(super) struct Upkeep {
     pub(super) store: Store,
@@ -41,27 +30,27 @@ pub(super) struct Upkeep {
 
 impl Upkeep {
     /// Runs until it is stopped, or nobody can stop it any more.
-    pub(super) async fn run(mut self, register: Arc<Register>) {
+    pub(super) async fn run(mut self, known: Arc<Known>) {
         let mut stopped = self.stopped.clone();
         tokio::select! {
             _ = stopped.wait_for(|stopped| *stopped) => {}
-            () = self.keep(&register) => {}
+            () = self.keep(&known) => {}
         }
         if *self.stopped.borrow_and_update() {
-            let noted = timeout(LAST_NOTE, self.note(&register)).await;
+            let noted = timeout(LAST_NOTE, self.note(&known)).await;
             if !noted.is_ok_and(|noted| noted.is_ok()) {
                 tracing::warn!("the last uses of keys are not stored");
             }
         }
     }
 
-    async fn keep(&self, register: &Register) {
+    async fn keep(&self, known: &Known) {
         let (mut noted, mut is_current) = (Instant::now(), true);
         loop {
             sleep(REFRESH_INTERVAL).await;
-            register.expire(self.clock.unix_ms());
+            known.register.expire(self.clock.unix_ms());
             let was_current = is_current;
-            is_current = match refresh(&self.store, register).await {
+            is_current = match known.refresh().await {
                 Ok(()) => true,
                 Err(error) if was_current => {
                     tracing::warn!(%error, "changes of keys are not read; those known stay");
@@ -71,7 +60,7 @@ impl Upkeep {
             };
             if is_current && NOTE_INTERVAL <= noted.elapsed() {
                 noted = Instant::now();
-                if let Err(error) = self.note(register).await {
+                if let Err(error) = self.note(known).await {
                     tracing::warn!(%error, "the uses of keys are not stored");
                 }
             }
@@ -79,10 +68,10 @@ impl Upkeep {
     }
 
     /// Stores the uses since the last time.
-    async fn note(&self, register: &Register) -> Result<(), StoreError> {
-        for uses in register.uses().chunks(NOTES) {
+    async fn note(&self, known: &Known) -> Result<(), StoreError> {
+        for uses in known.register.uses().chunks(NOTES) {
             self.store.note_key_uses(uses).await?;
-            register.note(uses);
+            known.register.note(uses);
         }
         Ok(())
     }

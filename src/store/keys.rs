@@ -15,7 +15,7 @@ const PAGE_LIMIT: usize = 1_000;
 const CHANGES: i64 = 1_000;
 
 /// Counts a change up. As the first statement of a transaction it lets others wait until the end.
-const COUNT_UP: &str = "UPDATE api_key_changes SET number = number + 1 RETURNING number";
+pub(super) const COUNT_UP: &str = "UPDATE api_key_changes SET number = number + 1 RETURNING number";
 const INSERT: &str = "INSERT INTO api_keys (id, tenant, rights, label, secret_sha256, \
     created_unix_ms, expires_unix_ms, changed) VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
 const REVOKE: &str = "UPDATE api_keys SET revoked_unix_ms = $1, changed = $2 \
@@ -144,6 +144,9 @@ impl Store {
                 tenant.bind(new.created_unix_ms).execute(&mut *transaction).await?;
                 insert!(transaction, new, number);
                 if let Some((earlier, expires_unix_ms)) = replaces {
+                    // A number of its own: readers go on after the last one that they have.
+                    let number: i64 =
+                        sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
                     let expire = sqlx::query(EXPIRE).bind(expires_unix_ms).bind(number);
                     expire.bind(earlier).execute(&mut *transaction).await?;
                 }

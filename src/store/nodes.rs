@@ -43,6 +43,9 @@ const CLAIM: &str = "UPDATE session_heads SET owner = $1, fence = $2 \
     AND NOT EXISTS (SELECT 1 FROM nodes WHERE nodes.fence = $4) \
     AND EXISTS (SELECT 1 FROM nodes WHERE nodes.fence = $2)";
 const RELEASE: &str = "UPDATE session_heads SET fence = 0 WHERE session = $1 AND fence = $2";
+const SET_JOB_FOLDER: &str = "UPDATE nodes SET job_folder = $1 WHERE fence = $2";
+const WITH_JOBS: &str = "SELECT fence, name, address, secret FROM nodes \
+    WHERE fence <> $1 AND job_folder IS NOT NULL ORDER BY name";
 const CLAIMING: &str = "claiming a session";
 const READING: &str = "reading the nodes of the cluster";
 
@@ -140,6 +143,25 @@ impl Store {
         let lead = sqlx::query(LEAD).bind(member.fence()).bind(former).execute(pool);
         let taken = within(DEADLINE, lead).await;
         Ok(taken.map_err(StoreError::database("taking the lead"))?.rows_affected() == 1)
+    }
+
+    /// Notes that this node has the folder of jobs of this identity, or none. Returns the other
+    /// live nodes that have one; there are none without a cluster.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn note_job_folder(
+        &self,
+        id: Option<&str>,
+    ) -> Result<Vec<NodeRow>, StoreError> {
+        let Some((pool, member)) = self.cluster() else { return Ok(Vec::new()) };
+        let noting = async {
+            let set = sqlx::query(SET_JOB_FOLDER).bind(id).bind(member.fence());
+            set.execute(pool).await?;
+            sqlx::query_as(WITH_JOBS).bind(member.fence()).fetch_all(pool).await
+        };
+        let noted = within(DEADLINE, noting).await;
+        noted.map_err(StoreError::database("noting which folder of jobs a node has"))
     }
 
     /// Removes this node, after its last commit.

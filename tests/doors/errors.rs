@@ -613,7 +613,8 @@ fn refused_starts() -> Vec<(&'static str, &'static str, Code)> {
         ),
         (
             "--database=postgres://x/y",
-            "[cluster]\naddress = \"http://127.0.0.1:1\"\n[jobs]\nfolder = \"jobs\"",
+            "[cluster]\naddress = \"http://127.0.0.1:1\"\n\
+             [[bases.networks]]\ncaster = \"ntrip://127.0.0.1:1\"",
             Code::NotInCluster,
         ),
         ("--listen=TAKEN", "", Code::AddressUnavailable),

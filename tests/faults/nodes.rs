@@ -4,6 +4,7 @@
 #![cfg(target_os = "linux")]
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -21,7 +22,9 @@ use tonic::transport::Channel;
 use crate::support::balancer::Balancer;
 use crate::support::database::{Database, on_postgres};
 use crate::support::drive::DRIVE;
-use crate::support::nodes::{Answered, Node, channel, created, drive, of_session, push_of};
+use crate::support::nodes::{
+    self, Ack, Answered, Node, Setting, channel, created, drive, node_of, of_session, push_of,
+};
 use crate::support::pair::PAIR;
 use crate::support::server::{get_with, replayed};
 use crate::support::streams::Random;
@@ -36,22 +39,12 @@ const QUIET: Duration = Duration::from_secs(1);
 const BUSY: Duration = Duration::from_secs(5);
 
 async fn two(database: &Database) -> [Node; 2] {
-    // One after another, so that the first leads.
-    let first = Node::start("first", &database.url).await;
-    first.is_ready().await;
-    let second = Node::start("second", &database.url).await;
-    second.is_ready().await;
-    [first, second]
+    nodes::two(&database.url, &Setting::default()).await
 }
 
 async fn navigate(channel: &Channel) {
     let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };
     NavigationClient::new(channel.clone()).push(push).await.unwrap();
-}
-
-/// The node that has answered.
-fn node_of<T>(answer: &tonic::Response<T>) -> String {
-    answer.metadata().get("x-graphfix-node").unwrap().to_str().unwrap().to_owned()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -219,6 +212,55 @@ enum Fault {
     Cut,
 }
 
+/// How long acknowledgements took in rounds.
+#[derive(Default)]
+struct Times {
+    /// While nothing happened.
+    calm: Vec<Duration>,
+    /// During faults, of sessions that were at another node.
+    others: Vec<Duration>,
+    /// During faults, the longest of each session that was at the node.
+    moved: Vec<Duration>,
+}
+
+impl Times {
+    fn take(&mut self, acks: &[Ack], victim: &str, [begun, quiet]: [Instant; 2]) {
+        let before = acks.iter().rev().find(|ack| ack.at < begun);
+        let is_moved = before.is_none_or(|ack| ack.node == victim);
+        let is_calm = |ack: &&Ack| ack.at < begun || quiet < ack.at - ack.took;
+        let took = |ack: &Ack| ack.took;
+        self.calm.extend(acks.iter().filter(is_calm).map(took));
+        let during = acks.iter().filter(|ack| !is_calm(ack)).map(took);
+        match is_moved {
+            true => self.moved.extend(during.max()),
+            false => self.others.extend(during),
+        }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.calm.extend(other.calm);
+        self.others.extend(other.others);
+        self.moved.extend(other.moved);
+    }
+}
+
+/// 99 of 100 are no longer.
+fn p99(times: &[Duration]) -> Duration {
+    let mut times = times.to_owned();
+    times.sort();
+    times.get(times.len() * 99 / 100).copied().unwrap_or_default()
+}
+
+impl fmt::Display for Times {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { calm, others, moved } = self;
+        let longest = moved.iter().max().copied().unwrap_or_default();
+        write!(f, "p99 {:?} of {} outside faults, ", p99(calm), calm.len())?;
+        write!(f, "{:?} of {} of others during them, ", p99(others), others.len())?;
+        write!(f, "longest of {} moved sessions {longest:?}", moved.len())
+    }
+}
+
 /// One round: devices send through a balancer, a node has a fault and comes again, and everything
 /// that was acknowledged is stored once, with the answers that a replay gives.
 async fn round(
@@ -226,7 +268,7 @@ async fn round(
     nodes: &mut [Node],
     port: u16,
     (fault, victim, lasting): (Fault, usize, Duration),
-) {
+) -> Times {
     let stop = Arc::new(AtomicBool::new(false));
     let devices: Vec<_> = (0..6).map(|_| tokio::spawn(drive(port, stop.clone()))).collect();
     tokio::time::sleep(Duration::from_secs(3)).await;
@@ -253,27 +295,21 @@ async fn round(
     for node in nodes.iter() {
         node.is_ready().await;
     }
-    let (mut calm, mut longest) = (Vec::new(), Duration::ZERO);
+    let (mut times, name) = (Times::default(), nodes[victim].name.clone());
     for device in devices {
         let answered = device.await.unwrap();
-        check(database, &nodes[1 - victim], &answered).await;
-        for (at, took) in answered.acks {
-            let is_calm = at < begun || quiet < at - took;
-            if is_calm { calm.push(took) } else { longest = longest.max(took) }
-        }
+        check(database, &nodes[(victim + 1) % nodes.len()], &answered).await;
+        times.take(&answered.acks, &name, [begun, quiet]);
     }
-    calm.sort();
-    let p99 = calm[calm.len() * 99 / 100];
     let starts: Vec<usize> = nodes.iter().map(|node| node.starts).collect();
-    eprintln!(
-        "{fault:?} of {} for {lasting:?}: longest {longest:?}, p99 outside {p99:?} of {}, \
-         starts {starts:?}",
-        nodes[victim].name,
-        calm.len()
-    );
-    assert!(longest < MOVED, "{fault:?}: an acknowledgement took {longest:?}");
+    eprintln!("{fault:?} of {name} for {lasting:?}: {times}, starts {starts:?}");
+    for took in times.moved.iter().chain(&times.others) {
+        assert!(*took < MOVED, "{fault:?}: an acknowledgement took {took:?}");
+    }
     let limit = if std::env::var_os(SEED).is_some() { QUIET } else { BUSY };
+    let p99 = p99(&times.calm);
     assert!(p99 < limit, "{fault:?}: p99 {p99:?} outside the fault");
+    times
 }
 
 async fn check(database: &Database, node: &Node, answered: &Answered) {
@@ -294,29 +330,32 @@ async fn check(database: &Database, node: &Node, answered: &Answered) {
 }
 
 /// Each fault once, at the leader and at the follower in turns; `GRAPHFIX_NODES_ROUNDS` asks for
-/// more of them, at random by `GRAPHFIX_NODES_SEED`.
+/// more of them, at random by `GRAPHFIX_NODES_SEED`, and `GRAPHFIX_NODES` for more nodes.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn nothing_acknowledged_is_lost_behind_haproxy() {
     on_postgres(async |database| {
-        let mut nodes = two(&database).await;
-        let ports = [nodes[0].port, nodes[1].port];
+        let variable = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
+        let names = ["first", "second", "third", "fourth"];
+        let count = variable("GRAPHFIX_NODES").unwrap_or(2) as usize;
+        let mut nodes = nodes::nodes(&names[..count], &database.url, &Setting::default()).await;
+        let ports: Vec<u16> = nodes.iter().map(|node| node.port).collect();
         let Some(balancer) = Balancer::haproxy(&ports) else { return };
         navigate(&channel(nodes[0].port)).await;
-        let variable = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
         let rounds = variable("GRAPHFIX_NODES_ROUNDS").unwrap_or(3);
-        let seed = variable(SEED);
+        let (seed, mut all) = (variable(SEED), Times::default());
         let mut random = Random::new(1 + seed.unwrap_or(0));
         for index in 0..rounds as usize {
             let faults = [Fault::Kill, Fault::Freeze, Fault::Cut];
             let (fault, victim, extra_ms) = match seed {
-                None => (faults[index % 3], index % 2, 0),
-                Some(_) => (faults[random.below(3)], random.below(2), random.below(8_000)),
+                None => (faults[index % 3], index % count, 0),
+                Some(_) => (faults[random.below(3)], random.below(count), random.below(8_000)),
             };
             let lasting = match fault {
                 Fault::Kill => Duration::from_millis(500 + extra_ms as u64),
                 _ => Duration::from_millis(9_000 + extra_ms as u64),
             };
-            round(&database, &mut nodes, balancer.port, (fault, victim, lasting)).await;
+            all.add(round(&database, &mut nodes, balancer.port, (fault, victim, lasting)).await);
+            eprintln!("{} rounds: {all}; nothing lost or doubled, replays equal", index + 1);
         }
     })
     .await;

@@ -2,6 +2,7 @@
 //! cut, and devices that send to them.
 
 use std::collections::BTreeMap;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -9,12 +10,17 @@ use std::time::{Duration, Instant};
 use graphfix::contract::{convert, v1};
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
+use tokio_rustls::TlsConnector;
 use tonic::Request;
 use tonic::transport::{Channel, Endpoint};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
 
 use super::drive::DRIVE;
 use super::proxy::{Mode, Proxy};
-use super::server::{Server, free_port, get_with};
+use super::server::{Server, free_port, get_with, program};
+use super::tls;
 use super::wait::until;
 
 /// Longest time that a device waits for an answer.
@@ -30,24 +36,59 @@ pub(crate) struct Node {
     server: Option<Server>,
     /// Number of starts.
     pub(crate) starts: usize,
+    setting: Setting,
+}
+
+/// How a node is started, beside its name and database.
+#[derive(Clone, Default)]
+pub(crate) struct Setting {
+    /// Arguments of its command.
+    pub(crate) arguments: Vec<String>,
+    /// What its clients trust, if its port has TLS.
+    pub(crate) client: Option<TlsConnector>,
+}
+
+impl Setting {
+    pub(crate) fn of(arguments: &[&str]) -> Self {
+        let arguments = arguments.iter().map(|argument| (*argument).to_owned()).collect();
+        Self { arguments, client: None }
+    }
+}
+
+/// Nodes of these names on a database, one after another, so that the first leads.
+pub(crate) async fn nodes(names: &[&str], url: &str, setting: &Setting) -> Vec<Node> {
+    let mut nodes = Vec::new();
+    for name in names {
+        let node = Node::start(name, url, setting).await;
+        node.is_ready().await;
+        nodes.push(node);
+    }
+    nodes
+}
+
+/// Two nodes, of which the first leads.
+pub(crate) async fn two(url: &str, setting: &Setting) -> [Node; 2] {
+    nodes(&["first", "second"], url, setting).await.try_into().ok().unwrap()
 }
 
 impl Node {
     /// A node on the database of this URL.
-    pub(crate) async fn start(name: &str, url: &str) -> Self {
+    pub(crate) async fn start(name: &str, url: &str, setting: &Setting) -> Self {
         let proxy = Proxy::before(url).await;
         let url = proxy.url(url);
-        let port = free_port();
-        let mut node = Self { name: name.to_owned(), port, url, proxy, server: None, starts: 0 };
+        let (name, port, setting) = (name.to_owned(), free_port(), setting.clone());
+        let mut node = Self { name, port, url, proxy, server: None, starts: 0, setting };
         node.serve();
         node
     }
 
     /// Starts its process.
     pub(crate) fn serve(&mut self) {
-        let address = format!("http://127.0.0.1:{}", self.port);
+        let Setting { arguments, client } = &self.setting;
+        let scheme = if client.is_some() { "https" } else { "http" };
+        let address = format!("{scheme}://127.0.0.1:{}", self.port);
         let server = Server::start_with(&self.url, self.port, |command| {
-            command.args(["--cluster", &address, "--node", &self.name]);
+            command.args(["--cluster", &address, "--node", &self.name]).args(arguments);
             command.env("GRAPHFIX_LOG", "error");
         });
         self.server = Some(server);
@@ -83,7 +124,10 @@ impl Node {
     }
 
     pub(crate) fn channel(&self) -> Channel {
-        channel(self.port)
+        match &self.setting.client {
+            None => channel(self.port),
+            Some(client) => tls::channel(self.port, client),
+        }
     }
 
     /// What `/readyz` answers.
@@ -94,9 +138,40 @@ impl Node {
 
     /// Waits until it is ready.
     pub(crate) async fn is_ready(&self) {
-        let ask = async || self.readiness()["ready"].as_bool();
+        let ask = async || match &self.setting.client {
+            None => self.readiness()["ready"].as_bool(),
+            Some(_) => Some(self.answers_health().await),
+        };
         until("ready", ask, |ready| *ready == Some(true)).await;
     }
+
+    /// Whether its health on gRPC is good.
+    async fn answers_health(&self) -> bool {
+        let request = HealthCheckRequest { service: String::new() };
+        let checked = HealthClient::new(self.channel()).check(request).await;
+        checked.is_ok_and(|answer| answer.into_inner().status() == ServingStatus::Serving)
+    }
+}
+
+/// A request with a key.
+pub(crate) fn bearing<T>(key: &str, mut request: Request<T>) -> Request<T> {
+    let value = format!("Bearer {key}").parse().unwrap();
+    request.metadata_mut().insert("authorization", value);
+    request
+}
+
+/// The node that has answered.
+pub(crate) fn node_of<T>(answer: &tonic::Response<T>) -> String {
+    answer.metadata().get("x-graphfix-node").unwrap().to_str().unwrap().to_owned()
+}
+
+/// The secret of a new key, which the command line makes.
+pub(crate) fn key_of(url: &str, arguments: &[&str]) -> String {
+    let mut command = Command::new(program());
+    let output = command.args(["keys", "create", "--database", url]).args(arguments).output();
+    let text = String::from_utf8(output.unwrap().stdout).unwrap();
+    let secret = text.split_whitespace().find(|word| word.starts_with("gfx_"));
+    secret.unwrap_or_else(|| panic!("{text}")).to_owned()
 }
 
 pub(crate) fn channel(port: u16) -> Channel {
@@ -136,8 +211,18 @@ pub(crate) fn push_of(session: &str, seq: u64) -> v1::PushEpochsRequest {
 pub(crate) struct Answered {
     pub(crate) session: String,
     pub(crate) solutions: BTreeMap<u64, v1::Solution>,
-    /// When each epoch was answered first, and how long it took since it was first sent.
-    pub(crate) acks: Vec<(Instant, Duration)>,
+    /// The first answer to each epoch.
+    pub(crate) acks: Vec<Ack>,
+}
+
+/// The first answer to an epoch.
+#[derive(Debug)]
+pub(crate) struct Ack {
+    pub(crate) at: Instant,
+    /// Since the epoch was first sent.
+    pub(crate) took: Duration,
+    /// Name of the node that has answered.
+    pub(crate) node: String,
 }
 
 /// A device sends epoch after epoch until it is stopped or the drive ends, each until it is
@@ -155,9 +240,10 @@ pub(crate) async fn drive(port: u16, stop: Arc<AtomicBool>) -> Answered {
             }
             let push = of_session(&session, push_of(&session, seq));
             if let Ok(Ok(answer)) = tokio::time::timeout(ANSWER, client.push_epochs(push)).await {
+                let node = node_of(&answer);
                 let result = answer.into_inner().results.remove(0);
                 let solution = result.solution.unwrap_or_else(|| panic!("{:?}", result.refusal));
-                answered.acks.push((Instant::now(), sent.elapsed()));
+                answered.acks.push(Ack { at: Instant::now(), took: sent.elapsed(), node });
                 answered.solutions.insert(seq, solution);
                 break;
             }

@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -13,6 +14,14 @@ use super::wait::until;
 
 /// Longest time without a byte of an answer.
 const ANSWER: Duration = Duration::from_secs(30);
+
+/// Names another build of the program that the tests start.
+const PROGRAM: &str = "GRAPHFIX_TEST_PROGRAM";
+
+/// The program that the tests start.
+pub(crate) fn program() -> PathBuf {
+    std::env::var_os(PROGRAM).map_or_else(|| env!("CARGO_BIN_EXE_graphfix").into(), PathBuf::from)
+}
 
 /// A `graphfix serve` of its own, killed when dropped.
 pub(crate) struct Server {
@@ -28,7 +37,7 @@ impl Server {
 
     /// Started by a command with these changes.
     pub(crate) fn start_with(database: &str, port: u16, change: impl FnOnce(&mut Command)) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        let mut command = Command::new(program());
         command
             .args(["serve", "--log", "warn", "--database", database])
             .env("GRAPHFIX_LISTEN", format!("127.0.0.1:{port}"))
@@ -81,7 +90,7 @@ pub(crate) fn replayed(
     session: &str,
     arguments: &[&str],
 ) -> (bool, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    let mut command = Command::new(program());
     command.args(["replay", session, "--database", database]).args(arguments);
     let output = command.output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
@@ -119,6 +128,50 @@ pub(crate) fn get_with(
     stream.read_to_string(&mut answer)?;
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
     Ok((head.split(' ').nth(1).unwrap_or_default().parse().unwrap_or(0), body.to_owned()))
+}
+
+/// An answer by HTTP/1.1.
+#[derive(Debug)]
+pub(crate) struct Answer {
+    pub(crate) status: u16,
+    pub(crate) head: String,
+    pub(crate) body: String,
+}
+
+impl Answer {
+    /// The value of a header; empty without it.
+    pub(crate) fn header(&self, name: &str) -> &str {
+        let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
+        lines.find(|(found, _)| found.eq_ignore_ascii_case(name)).map_or("", |(_, value)| value)
+    }
+
+    /// The body as JSON.
+    pub(crate) fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.body).unwrap_or_default()
+    }
+}
+
+/// Sends a request with these headers and a JSON body; an error if the service does not answer.
+pub(crate) fn ask(
+    port: u16,
+    (method, path): (&str, &str),
+    headers: &[(&str, &str)],
+    body: &str,
+) -> std::io::Result<Answer> {
+    let mut stream = connected(port)?;
+    let mut request = format!("{method} {path} HTTP/1.1\r\nHost: localhost\r\n");
+    for (name, value) in headers {
+        request += &format!("{name}: {value}\r\n");
+    }
+    if !body.is_empty() {
+        request += &format!("Content-Type: application/json\r\nContent-Length: {}\r\n", body.len());
+    }
+    write!(stream, "{request}Connection: close\r\n\r\n{body}")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
+    let status = head.split(' ').nth(1).unwrap_or_default().parse().unwrap_or(0);
+    Ok(Answer { status, head: head.to_owned(), body: body.to_owned() })
 }
 
 pub(crate) fn free_port() -> u16 {

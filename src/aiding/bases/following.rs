@@ -25,35 +25,47 @@ impl BaseBroker {
         if self.store.leads() {
             return Ok(()); // It has stored all of it.
         }
-        let mut rows: BTreeMap<BaseId, BaseRow> = BTreeMap::new();
-        for row in self.store.bases().await? {
-            rows.insert(stored_id(&row)?, row);
-        }
-        self.write().retain(|id, _| rows.contains_key(id));
-        let newest = |id: &BaseId, row: &BaseRow| {
-            let known = self.read().get(id).cloned();
-            (row.key, known.map_or(0, |base| base.stored().next_number() - 1))
+        // The epochs of a base that is new here are read in the next round.
+        while self.follow_once().await? {}
+        Ok(())
+    }
+
+    /// Takes over what is new of the bases that are known, and then those that are not, without
+    /// their epochs. Returns whether there were any.
+    async fn follow_once(&self) -> Result<bool, AidingError> {
+        let known: Vec<(BaseKey, u64)> = {
+            let bases = self.read();
+            let newest = |base: &Arc<Base>| (base.name().key, base.stored().next_number() - 1);
+            bases.values().map(newest).collect()
         };
-        let known: Vec<(BaseKey, u64)> = rows.iter().map(|(id, row)| newest(id, row)).collect();
         let mut later: BTreeMap<BaseKey, Later> = BTreeMap::new();
         for (base, epoch, unix_ms) in self.store.base_epochs_after(&known).await? {
             let (epochs, stored_unix_ms) = later.entry(base).or_default();
             epochs.push(epoch);
             *stored_unix_ms = unix_ms;
         }
+        // After the epochs: a site is stored with its first epoch or before, so that no epoch is
+        // seen without its site.
+        let mut rows: BTreeMap<BaseId, BaseRow> = BTreeMap::new();
+        for row in self.store.bases().await? {
+            rows.insert(stored_id(&row)?, row);
+        }
+        self.write().retain(|id, _| rows.contains_key(id));
+        let mut has_new = false;
         for (id, row) in rows {
-            let new = later.remove(&row.key);
             let known = self.read().get(&id).cloned();
             match known {
-                Some(base) => self.take_over(&base, row, new),
+                Some(base) => {
+                    let new = later.remove(&row.key);
+                    self.take_over(&base, row, new);
+                }
                 None => {
-                    let unix_ms = new.as_ref().map(|(_, unix_ms)| *unix_ms);
-                    let epochs = new.map(|(epochs, _)| epochs).unwrap_or_default();
-                    self.write().insert(id, Arc::new(stored_base(row, epochs, unix_ms)));
+                    has_new = true;
+                    self.write().insert(id, Arc::new(stored_base(row, Vec::new(), None)));
                 }
             }
         }
-        Ok(())
+        Ok(has_new)
     }
 
     /// Takes over sites and epochs of a base. What they leave no room for was dropped by the node

@@ -49,6 +49,16 @@ pub(super) enum Mark {
     Node(String),
 }
 
+impl Mark {
+    /// The id of the key of a request that another node has checked.
+    pub(super) fn key(&self) -> Option<&str> {
+        match self {
+            Self::Node(key) => Some(key),
+            Self::None | Self::Unknown => None,
+        }
+    }
+}
+
 /// The mark of a request.
 pub(super) fn mark(service: &Service, headers: &HeaderMap) -> Mark {
     let Some(from) = headers.get(FROM) else { return Mark::None };

@@ -56,10 +56,10 @@ macro_rules! jobs {
     /// Workers need a database that several processes write to.
     WorkerNeedsPostgres = "WORKER_NEEDS_POSTGRES", NoCall,
         "move the service to Postgres, or let it run jobs itself with jobs.running";
-    /// The worker does not see the service's folder of jobs.
+    /// A worker, or a node of a cluster, does not see the folder of jobs of the others.
     JobFolderDiffers = "JOB_FOLDER_DIFFERS", NoCall,
-        "start the service with jobs.folder first, and give the worker the same folder, on a \
-         shared file system if on another machine";
+        "start the service with jobs.folder first, and give every worker and node the same \
+         folder, on a shared file system if on another machine";
 
 } $($rest)* } } }
 pub(super) use jobs;

@@ -1,5 +1,5 @@
 //! The identity of the folder with the files of jobs, by which a worker knows that it has the
-//! service's.
+//! service's, and a node of a cluster which other nodes must have the same.
 
 use crate::store::pool::{reading, writing};
 use crate::store::{Store, StoreError};

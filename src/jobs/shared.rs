@@ -1,0 +1,90 @@
+//! Whether all nodes of a cluster have the same folder of jobs.
+//!
+//! A node writes a file named after its fence before it notes in the store that it has a folder.
+//! A node that begins looks for the files of the others in its own folder: a folder of the same
+//! name on another disk, and a copy of a folder, lack them.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tokio::task::spawn_blocking;
+
+use crate::store::Store;
+
+use super::JobError;
+use super::files::{JobFiles, sync};
+
+/// What the name of a node's file begins with.
+const PREFIX: &str = "node.";
+
+/// Notes that this node has this folder, if all other nodes that take jobs have it, too.
+///
+/// # Errors
+/// Another node has another folder, or the store or the disk fails.
+pub(super) async fn join(store: &Store, files: &JobFiles) -> Result<(), JobError> {
+    let Some(own) = store.fence() else { return Ok(()) };
+    let folder = files.folder().to_owned();
+    write(&folder, own).map_err(JobError::disk("writing to the folder of jobs"))?;
+    let others = store.note_job_folder(Some(files.id())).await?;
+    for other in others {
+        let file = mark(&folder, other.fence);
+        let looked = spawn_blocking(move || file.try_exists()).await;
+        let looked = looked.unwrap_or_else(|error| Err(io::Error::other(error)));
+        if !looked.map_err(JobError::disk("reading the folder of jobs"))? {
+            store.note_job_folder(None).await?;
+            let (folder, node) = (folder.display().to_string(), other.name);
+            return Err(JobError::FolderNotShared { folder, node });
+        }
+    }
+    let found = marks(&folder).map_err(JobError::disk("reading the folder of jobs"))?;
+    // After the files: a file is written by a node that is alive already.
+    let (alive, _) = store.nodes().await?;
+    for fence in found.into_iter().filter(|fence| !alive.iter().any(|node| node.fence == *fence)) {
+        // Err: another node was first.
+        fs::remove_file(mark(&folder, fence)).ok();
+    }
+    Ok(())
+}
+
+fn mark(folder: &Path, fence: i64) -> PathBuf {
+    folder.join(format!("{PREFIX}{fence}"))
+}
+
+fn write(folder: &Path, fence: i64) -> io::Result<()> {
+    fs::write(mark(folder, fence), [])?;
+    sync(folder)
+}
+
+/// The fences of the nodes whose files are there.
+fn marks(folder: &Path) -> io::Result<Vec<i64>> {
+    let mut fences: Vec<i64> = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name();
+        fences.extend(name.to_str().and_then(fence_of));
+    }
+    Ok(fences)
+}
+
+/// The fence of the node whose file has this name.
+fn fence_of(name: &str) -> Option<i64> {
+    name.strip_prefix(PREFIX)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_files_of_nodes_are_found() {
+        let folder = tempfile::tempdir().unwrap();
+        for other in ["folder.id", "node.", "node.x", "nodes.3"] {
+            fs::write(folder.path().join(other), []).unwrap();
+        }
+        write(folder.path(), 7).unwrap();
+        write(folder.path(), 12).unwrap();
+        let mut found = marks(folder.path()).unwrap();
+        found.sort_unstable();
+        assert_eq!(found, [7, 12]);
+    }
+}
