@@ -51,7 +51,7 @@ pub(crate) struct Separated {
 struct Separation {
     satellite: SatelliteId,
     verdict: Verdict,
-    /// `None` before a search was possible.
+    /// `None` before the first search; 0 where none is possible without the satellite.
     probability: Option<f64>,
 }
 
@@ -108,7 +108,8 @@ impl Confirmation {
             let separated = test(separations[0].satellite);
             let verdict = separated.map_or(Verdict::Silent, |separated| separated.verdict);
             let first = &mut separations[0];
-            (first.verdict, first.probability) = (verdict, separated.map(|s| s.probability));
+            first.verdict = verdict;
+            first.probability = Some(separated.map_or(0.0, |separated| separated.probability));
             if verdict == Verdict::Contradicts {
                 *is_confirmed = false;
                 return verdict;
@@ -209,8 +210,8 @@ mod tests {
         assert_eq!(tested, [4]);
     }
 
-    /// Eight searches, six with 0.99, one with 0.1 and one that was not possible: the mean of seven is
-    /// 6.04/7, and the factor 1 − 0.1·0.96/7.
+    /// Eight searches, six with 0.99, one with 0.1 and one that was not possible: their mean is 6.04/8,
+    /// and the factor 1 − 0.1·1.96/8.
     #[test]
     fn reliability_worked_by_hand() {
         let mut confirmation = Confirmation::default();
@@ -221,6 +222,6 @@ mod tests {
             _ => with(Verdict::Agrees),
         };
         assert_eq!(confirmation.update(&satellites(8), test), Verdict::Agrees);
-        assert!((confirmation.reliability() - (1.0 - 0.1 * 0.96 / 7.0)).abs() < 1e-12);
+        assert!((confirmation.reliability() - (1.0 - 0.1 * 1.96 / 8.0)).abs() < 1e-12);
     }
 }
