@@ -5,6 +5,10 @@ use crate::gnss::{Constellation, Ephemeris, GpsTime, Navigation, NavigationMessa
 
 /// Largest distance from toe at which any message is used (s).
 const LONGEST_S: f64 = 24.0 * SECONDS_PER_HOUR;
+/// Validity of Galileo ephemerides around toe (s); a list has one every ten minutes.
+const GALILEO_S: f64 = 4.0 * SECONDS_PER_HOUR;
+/// Validity of GLONASS ephemerides around t_b (s).
+const GLONASS_S: f64 = 0.5 * SECONDS_PER_HOUR;
 /// Validity of BeiDou ephemerides around toe (s): updated hourly, plus one hour of margin.
 const BEIDOU_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
@@ -36,12 +40,18 @@ pub(crate) fn select_ephemeris_within(
         Constellation::BeiDou => beidou_s,
         _ => validity_s(ephemeris),
     };
+    let longest_s = match satellite.constellation {
+        Constellation::BeiDou => beidou_s,
+        Constellation::Galileo => GALILEO_S,
+        Constellation::Glonass => GLONASS_S,
+        _ => LONGEST_S,
+    };
     let list = navigation.of(satellite);
-    let first = list.partition_point(|e| e.toe() < time - LONGEST_S);
+    let first = list.partition_point(|e| e.toe() < time - longest_s);
     let mut best: Option<(u8, f64, &Ephemeris)> = None;
     for ephemeris in &list[first..] {
         let ahead = ephemeris.toe() - time;
-        if LONGEST_S < ahead {
+        if longest_s < ahead {
             break;
         }
         let (rank, distance) = (preference(ephemeris), ahead.abs());
@@ -92,13 +102,13 @@ fn preference(ephemeris: &Ephemeris) -> u8 {
 pub(crate) fn validity_s(ephemeris: &Ephemeris) -> f64 {
     use NavigationMessage as M;
     let Ephemeris::Keplerian(e) = ephemeris else {
-        return 0.5 * SECONDS_PER_HOUR;
+        return GLONASS_S;
     };
     let unstated = match e.message {
         M::D1 | M::D2 | M::Cnv1 | M::Cnv2 | M::Cnv3 => BEIDOU_S,
         M::Lnav | M::Fdma => 2.0 * SECONDS_PER_HOUR,
         M::Cnav | M::Cnav2 => 1.5 * SECONDS_PER_HOUR,
-        M::Inav | M::Fnav => 4.0 * SECONDS_PER_HOUR,
+        M::Inav | M::Fnav => GALILEO_S,
     };
     match (e.message, e.fit_interval_h) {
         // No GPS fit interval is shorter; RINEX 2 writers put the flag (0 or 1) in its place.
