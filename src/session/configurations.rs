@@ -1,6 +1,6 @@
 //! The options and bases of sessions. Options are prepared once for all sessions that share them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::aiding::AidingDesk;
@@ -31,11 +31,19 @@ pub(super) struct ActiveConfiguration {
 /// Configurations in use. Reading the options from texts and preparing them takes as long as an
 /// epoch, and a fleet has few of them. Clones share them.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Configurations(Arc<Mutex<HashMap<Key, Configuration>>>);
+pub(super) struct Configurations(Arc<Mutex<HashMap<Key, Known>>>);
 
 /// The hash of a configuration, and the mode and profile, from which options have their values that
 /// were unknown when it was stored.
 type Key = (Arc<str>, String, String);
+
+/// A configuration with the stored options it was prepared from: those of what is given out of a
+/// session, such as its frame, are not in the hash.
+#[derive(Debug)]
+struct Known {
+    options: BTreeMap<String, String>,
+    prepared: Configuration,
+}
 
 impl Configurations {
     /// The options and bases for a session's next epochs.
@@ -61,8 +69,10 @@ impl Configurations {
     ) -> Result<Configuration, SessionError> {
         let SessionSettings { configuration_hash: hash, mode, profile, .. } = settings;
         let key = (hash.clone(), mode.clone(), profile.clone());
-        if let Some(known) = self.known().get(&key) {
-            return Ok(known.clone());
+        if let Some(known) = self.known().get(&key)
+            && known.options == settings.configuration
+        {
+            return Ok(known.prepared.clone());
         }
         let options = PreparedOptions::new(stored_options(settings)?);
         let antenna = settings.antenna.as_ref().map(|antenna| &*antenna.calibration);
@@ -73,7 +83,8 @@ impl Configurations {
         if KEPT <= known.len() {
             known.clear();
         }
-        known.insert(key, configuration.clone());
+        let options = settings.configuration.clone();
+        known.insert(key, Known { options, prepared: configuration.clone() });
         Ok(configuration)
     }
 
