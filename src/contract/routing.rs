@@ -76,20 +76,21 @@ impl Service {
         }
     }
 
-    /// Whether a request brings a sign-in, or the id of a key (`forwarded`), that another node may
-    /// have made just now: it is not known here.
+    /// Whether a request brings a key, its id (`forwarded`) or a sign-in that the command line or
+    /// another node may have made just now: it is not known here.
     pub(crate) fn may_be_new(&self, credential: Credential<'_>, forwarded: Option<&str>) -> bool {
-        if self.nodes().is_none() {
-            return false;
-        }
+        let (keys, is_of_cluster) = (self.keys(), self.nodes().is_some());
         match (credential, forwarded) {
-            (_, Some(key)) => !key.is_empty() && !self.keys().has_id(key),
-            (Credential::Cookie(cookie, _), None) => self.keys().signed_in(cookie).is_none(),
-            _ => false,
+            (_, Some(key)) => is_of_cluster && !key.is_empty() && !keys.has_id(key),
+            (Credential::Key(key), None) => keys.are_needed() && keys.known(key).is_none(),
+            (Credential::Cookie(cookie, _), None) => {
+                is_of_cluster && keys.signed_in(cookie).is_none()
+            }
+            (Credential::None, None) => false,
         }
     }
 
-    /// Reads which keys and sign-ins other nodes have made and ended until now.
+    /// Reads which keys and sign-ins were made and ended elsewhere until now.
     ///
     /// # Errors
     /// The database fails.

@@ -52,7 +52,7 @@ pub(super) async fn admit(
     let target = target(request.method().as_str(), request.uri().path());
     let mark = forwarding::mark(&service, request.headers());
     let caught_up = match service.may_be_new(credential(&request), mark.key()) {
-        // Boxed, so that a service without a cluster needs no memory for it.
+        // Boxed, so that other requests need no memory for it.
         true => Box::pin(service.catch_up()).await,
         false => Ok(()),
     };

@@ -1,6 +1,7 @@
 //! Files that arrive, until they are stored under the hash of their content.
 //!
-//! What does not become an input leaves nothing: neither a file nor bytes in the space of all files.
+//! What does not become an input leaves nothing: neither a file nor bytes in the space of all
+//! files.
 
 use std::fs;
 use std::path::PathBuf;

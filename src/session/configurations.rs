@@ -88,7 +88,7 @@ impl Configurations {
         Ok(configuration)
     }
 
-    fn known(&self) -> MutexGuard<'_, HashMap<Key, Configuration>> {
+    fn known(&self) -> MutexGuard<'_, HashMap<Key, Known>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

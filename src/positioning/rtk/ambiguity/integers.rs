@@ -219,8 +219,8 @@ impl IntegerSearch {
     }
 
     /// Conditions on the proven integers, then searches for those of the others. Where too few are
-    /// proven, those on trial are held as well, at the least probability with which they were found.
-    /// `None` where too few are held, or these no longer agree with the float solution.
+    /// proven, those on trial are held as well, at the least probability with which they were
+    /// found. `None` where too few are held, or these no longer agree with the float solution.
     fn resolve_held(
         &mut self,
         arcs: &mut Arcs,
