@@ -35,10 +35,12 @@ impl Sessions {
         Ok(())
     }
 
-    /// Starts the task of a parked session whose state is in memory; `false` if there is none.
+    /// Starts the task of a session whose parked state is in memory. Returns `false` if the session
+    /// has no such state.
     ///
     /// Nothing is read: who changes settings removes the state, and no one else writes to the
-    /// database. In a cluster another node may have had the session, so there it is `false`.
+    /// database. In a cluster another node may have had the session, so the answer is `false`
+    /// there.
     pub(super) fn resume(&self, id: &SessionId) -> Result<bool, SessionError> {
         if self.store().is_of_cluster() {
             return Ok(false);

@@ -146,7 +146,7 @@ impl Store {
     }
 
     /// Notes that this node has the folder of jobs of this identity, or none. Returns the other
-    /// live nodes that have one; there are none without a cluster.
+    /// live nodes that have one; without a cluster the list is empty.
     ///
     /// # Errors
     /// The database fails.

@@ -9,12 +9,11 @@
 use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
-use crate::gnss::{GpsTime, Reason, SatelliteId};
-use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver, odds_at_scale};
+use crate::gnss::{GpsTime, Reason};
+use crate::lambda::{Options, Outcome, Partial, Resolver, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
-use super::confirmation::{Separated, Verdict};
 use super::differences::{Differences, DoubleDifference};
 use super::fixed_position::{FixedPosition, fixed_position};
 use super::float::FloatSolution;
@@ -27,9 +26,6 @@ const CAPACITY: usize = 64;
 const OTHERS_ATTEMPTS_MAX: usize = 3;
 /// ‖â − z‖² per held integer below which they are accepted without a search: 2σ rms.
 pub(crate) const DISAGREEMENT: f64 = 4.0;
-
-/// Integers found without one satellite count if they are more likely right than wrong.
-const LIKELY: f64 = 0.5;
 
 /// Outcome of a search.
 #[derive(Clone, Debug)]
@@ -99,7 +95,7 @@ impl Judgement<'_> {
 #[derive(Debug)]
 pub(crate) struct IntegerSearch {
     pub(crate) resolver: Resolver,
-    differences: Differences,
+    pub(super) differences: Differences,
     order: Vec<usize>,
 }
 
@@ -155,60 +151,8 @@ impl IntegerSearch {
         resolution
     }
 
-    /// Searches without one satellite: its verdict on the held integers, whose probability is
-    /// `prior`, and the probability that it gives to them. `None` where too few are left.
-    ///
-    /// It agrees if it finds them again. It contradicts them if other integers are likely, and
-    /// likelier than the held ones in spite of their prior odds.
-    pub(crate) fn separate(
-        &mut self,
-        arcs: &Arcs,
-        (left_out, prior): (SatelliteId, f64),
-        question: &IntegerQuestion<'_>,
-    ) -> Option<Separated> {
-        let IntegerQuestion { time, float, noise, options } = *question;
-        let list = arcs.list();
-        let is_eligible = |arc: &CarrierArc| {
-            let remains = arc.last == time && arc.satellite != left_out && arc.held.is_some();
-            remains && may_be_integer(arc, options)
-        };
-        self.differences.form(list, is_eligible, float);
-        self.differences.pairs.retain(|pair| pair.known.is_some());
-        if self.differences.pairs.len() < options.fixed_min {
-            return None;
-        }
-        let (joint, all) = (self.differences.joint(float), self.differences.which(|_| true));
-        let lambda = any_integers(&lambda_options(options, noise.scale), all.len());
-        let found = self.search(list, &joint, &all, &all, &lambda)?;
-        let stated = bonferroni(noise.odds_divisor, found.probability?);
-        let agrees = self.compare_with_known(&all)[1] == 0;
-        let odds = match agrees {
-            true => 1.0,
-            false => self.odds_of_known(&joint, &all, found.squared_norm?, noise.scale)?,
-        };
-        let verdict = match () {
-            () if stated < LIKELY => Verdict::Silent,
-            () if agrees => Verdict::Agrees,
-            () if scale_odds(odds, prior) < LIKELY => Verdict::Contradicts,
-            () => Verdict::Silent,
-        };
-        Some(Separated { verdict, probability: stated * odds })
-    }
-
-    /// Odds of the known integers of the pairs `all` against others of the squared norm `best`.
-    fn odds_of_known(
-        &self,
-        joint: &Joint,
-        all: &[usize],
-        best: f64,
-        scale: KnownScale,
-    ) -> Option<f64> {
-        let (_, own) = condition(joint, all, &self.known_values(all), &[])?;
-        Some(odds_at_scale([own, best.min(own)], all.len(), scale))
-    }
-
     /// The known integers of the pairs `wanted`.
-    fn known_values(&self, wanted: &[usize]) -> Vec<f64> {
+    pub(super) fn known_values(&self, wanted: &[usize]) -> Vec<f64> {
         wanted.iter().map(|&i| self.differences.pairs[i].known.unwrap_or(0) as f64).collect()
     }
 
@@ -371,7 +315,7 @@ impl IntegerSearch {
 
     /// Numbers of the integers found last, among the pairs `wanted`, that agree with the known ones
     /// and that contradict them.
-    fn compare_with_known(&self, wanted: &[usize]) -> [usize; 2] {
+    pub(super) fn compare_with_known(&self, wanted: &[usize]) -> [usize; 2] {
         let found = wanted.iter().zip(self.resolver.fix().entries());
         let both = found.filter_map(|(&i, entry)| self.differences.pairs[i].known.zip(*entry));
         both.fold([0, 0], |[agreeing, contradicting], (known, found)| match known == found {
@@ -394,7 +338,7 @@ impl IntegerSearch {
 
     /// Searches for the integers of the pairs `wanted`, whose estimates and covariances are at
     /// `indices` of `joint`.
-    fn search(
+    pub(super) fn search(
         &mut self,
         arcs: &[CarrierArc],
         joint: &Joint,

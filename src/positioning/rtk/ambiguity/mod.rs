@@ -10,6 +10,7 @@ mod hold;
 mod integer_history;
 mod integers;
 mod joint;
+mod separation;
 
 pub(crate) use acceptance::refusal;
 pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
