@@ -119,7 +119,7 @@ pub struct RelativeEstimate {
     pub ratio: Option<f64>,
     /// Bootstrapped success rate of the integers, 0 to 1.
     pub success_rate: Option<f64>,
-    /// Estimated probability that the fixed integers are right, 0 to 1.
+    /// Estimated probability that the fix is right, 0 to 1: its integers, and 10 cm horizontally.
     pub fix_probability: Option<f64>,
 }
 

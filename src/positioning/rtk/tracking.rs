@@ -7,16 +7,18 @@ use crate::gnss::Reason;
 use crate::snapshot::state_fields;
 
 use super::ambiguity::{
-    Confirmation, FOUND_EPOCHS, FloatSolution, HoldState, IntegerQuestion, IntegerSearch,
-    NEARLY_CERTAIN, PhasePosition, Resolution, Verdict as Separated, position_from_fixed_phases,
-    subtract_common_cycles, subtract_integers,
+    Confirmation, FOUND_EPOCHS, FixedEpoch, FloatSolution, HoldState, IntegerQuestion,
+    IntegerSearch, KnownPosition, NEARLY_CERTAIN, PhasePosition, Resolution, Verdict as Separated,
+    position_from_fixed_phases, subtract_common_cycles, subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
 
 /// A fix whose phase residuals exceed this rms is rejected (σ).
 const MISFIT_SIGMAS: f64 = 4.0;
+/// A fix with a larger horizontal error counts as wrong (m), as in `docs/judge.md`.
+const RIGHT_WITHIN_M: f64 = 0.1;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
-const UNDETECTED_SHIFT_MAX_M: f64 = 0.1;
+const UNDETECTED_SHIFT_MAX_M: f64 = RIGHT_WITHIN_M;
 
 /// Prior probability of confirmed integers in the test without one satellite.
 const CONFIRMED: f64 = NEARLY_CERTAIN;
@@ -100,11 +102,19 @@ impl Tracking {
             return resolution.refused(Reason::FixRejected);
         }
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
-        fixed.probability *= self.hold.reliability;
-        let by_phases =
-            position_from_fixed_phases(epoch, &fixed.position, border, &self.arcs, scratch);
+        let noise = &self.receivers.carrier_noise;
+        let factor = noise.variance_factor();
+        let known = fixed.by_proven.map(|KnownPosition { position, covariance }| {
+            let covariance = covariance * factor;
+            KnownPosition { position, covariance }
+        });
+        let (start, known) = (fixed.position, known.as_ref());
+        let fixed_epoch = FixedEpoch { epoch, border, arcs: &self.arcs };
+        let by_phases = position_from_fixed_phases(&fixed_epoch, &start, known, scratch);
         let Some(by_phases) = by_phases else { return resolution.refused(Reason::FixRejected) };
-        (fixed.position, fixed.covariance) = (by_phases.position, by_phases.covariance);
+        let near = noise.probability_within(RIGHT_WITHIN_M, by_phases.horizontal_variance_m2());
+        fixed.probability *= self.hold.reliability * near;
+        (fixed.position, fixed.covariance) = (by_phases.position, by_phases.covariance * factor);
         let resolution = resolution.require_precise();
         if resolution.outcome.is_err() {
             return resolution;

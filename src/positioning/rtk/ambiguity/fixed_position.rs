@@ -26,6 +26,37 @@ const FIXED_SIGMA_M: f64 = 0.05;
 /// height is two to three times less certain than the horizontal position.
 const FIXED_SIGMA_UP_M: f64 = 3.0 * FIXED_SIGMA_M;
 
+/// A position with its covariance.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct KnownPosition {
+    /// Local (m).
+    pub(crate) position: Vector3<f64>,
+    /// (m²).
+    pub(crate) covariance: Matrix3<f64>,
+}
+
+impl KnownPosition {
+    /// The position of a joint estimate.
+    pub(crate) fn of(joint: &Joint) -> Self {
+        Self {
+            position: joint.estimate.fixed_rows::<3>(0).into_owned(),
+            covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+        }
+    }
+
+    /// Adds its pull and information to normal equations whose unknown is a shift from `origin`,
+    /// linearised at the shift `moved` (m).
+    fn add_to(
+        &self,
+        (origin, moved): (&Vector3<f64>, &Vector3<f64>),
+        (pull, information): (&mut Vector3<f64>, &mut Matrix3<f64>),
+    ) {
+        let Some(own) = self.covariance.try_inverse() else { return };
+        *pull += own * (self.position - origin - moved);
+        *information += own;
+    }
+}
+
 /// A position with integers held.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FixedPosition {
@@ -37,6 +68,9 @@ pub(crate) struct FixedPosition {
     pub(crate) held: usize,
     /// Probability that all of them are right.
     pub(crate) probability: f64,
+    /// The position that the proven ones give alone, by this epoch and those before, if they are
+    /// enough.
+    pub(crate) by_proven: Option<KnownPosition>,
 }
 
 impl FixedPosition {
@@ -65,6 +99,11 @@ pub(crate) struct PhasePosition {
 }
 
 impl PhasePosition {
+    /// Largest variance along a horizontal direction (m²).
+    pub(crate) fn horizontal_variance_m2(&self) -> f64 {
+        self.covariance.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max()
+    }
+
     /// Largest shift of the position by one faulty satellite (m), given the sum of `squares` of the
     /// whitened residuals and their number.
     ///
@@ -81,7 +120,18 @@ impl PhasePosition {
     }
 }
 
-/// A phase with its integer: satellite, row.
+/// An epoch whose ambiguities have integers.
+#[derive(Clone, Copy)]
+pub(crate) struct FixedEpoch<'a> {
+    pub(crate) epoch: &'a RtkEpoch,
+    /// Float ambiguities by variable (cycles).
+    pub(crate) border: &'a [f64],
+    /// The arcs with their integers.
+    pub(crate) arcs: &'a Arcs,
+}
+
+/// A phase with its integer: satellite, row. The row's share is what the known position does not
+/// have of the phase's information.
 struct Phase {
     sight: usize,
     row: SharingRow<3>,
@@ -94,23 +144,30 @@ struct Phase {
 /// earlier epochs have determined its ambiguity. With integers no ambiguity is left: each phase has
 /// its full weight under [`CARRIER_KERNEL`], which rejects outliers. Each group has an offset and,
 /// where wavelengths differ, a number of cycles that all its phases share.
+///
+/// These offsets are free here, so few phases in many groups determine a position badly, and one
+/// with a large error may draw it to where others are rejected. The `known` position, that of the
+/// proven integers in the graph, has the offsets of earlier epochs. It enters as a prior. It
+/// contains the fraction of a proven phase that the graph has counted; the rest is added here.
 pub(crate) fn position_from_fixed_phases(
-    epoch: &RtkEpoch,
+    fixed: &FixedEpoch<'_>,
     start: &Vector3<f64>,
-    border: &[f64],
-    arcs: &Arcs,
+    known: Option<&KnownPosition>,
     scratch: &mut RowScratch,
 ) -> Option<PhasePosition> {
-    let groups = phases(epoch, start, border, arcs, scratch);
+    let groups = phases(fixed, start, known.is_some(), scratch);
     let convex = std::iter::repeat_n(OFFSET_KERNEL, CONVEX_ITERATIONS);
     let kernels = convex.chain(WIDENINGS.map(|factor| CARRIER_KERNEL.widened(factor)));
     let (mut moved, mut covariance) = (Vector3::zeros(), Matrix3::zeros());
     for kernel in kernels {
-        let (pull, information) = normal_equations(&groups, &moved, &kernel, scratch);
+        let (mut pull, mut information) = normal_equations(&groups, &moved, &kernel, scratch);
+        if let Some(known) = known {
+            known.add_to((start, &moved), (&mut pull, &mut information));
+        }
         covariance = information.try_inverse()?;
         moved += covariance * pull;
     }
-    let slope_m = characteristic_slope_m(&groups, epoch.sights.len());
+    let slope_m = characteristic_slope_m(&groups, known, fixed.epoch.sights.len());
     Some(PhasePosition { position: start + moved, covariance, slope_m })
 }
 
@@ -142,14 +199,15 @@ pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<Shar
     });
 }
 
-/// The phases with integers of each group, linearised at a position.
+/// The phases with integers of each group, linearised at a position. If the proven integers have
+/// given a position, their phases lose the information that it contains.
 fn phases(
-    epoch: &RtkEpoch,
+    fixed: &FixedEpoch<'_>,
     position: &Vector3<f64>,
-    border: &[f64],
-    arcs: &Arcs,
+    proven_count: bool,
     scratch: &mut RowScratch,
 ) -> Vec<Vec<Phase>> {
+    let FixedEpoch { epoch, border, arcs } = *fixed;
     let mut state = State::zeros();
     state.fixed_rows_mut::<3>(0).copy_from(position);
     epoch.see(&state, scratch);
@@ -162,7 +220,13 @@ fn phases(
             let (variable, _) = row.border?;
             let is_its = |ambiguity: EpochAmbiguity| ambiguity.variable == variable;
             let factor = factors.iter().find(|factor| factor.ambiguity.is_some_and(is_its))?;
-            Some(Phase { sight: factor.sight, row: SharingRow { independent_share: 1.0, ..*row } })
+            let is_proven =
+                |arc: &CarrierArc| arc.variable == variable && arc.is_proven && proven_count;
+            let independent_share = match arcs.list().iter().any(is_proven) {
+                true => 1.0 - factor.independent_share,
+                false => 1.0,
+            };
+            Some(Phase { sight: factor.sight, row: SharingRow { independent_share, ..*row } })
         };
         groups.push(scratch.rows.iter().filter_map(phase).collect());
     }
@@ -193,7 +257,7 @@ fn normal_equations(
         numbers.clear();
         for row in rows.iter() {
             let weight = kernel.weight(row.row.residual + row.by_offset * offset_m);
-            let weight = weight * row.by_offset.powi(2);
+            let weight = weight * row.independent_share * row.by_offset.powi(2);
             numbers.push(weight);
             total += weight;
             mean += slope(row) * weight;
@@ -255,9 +319,15 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// [`PhasePosition::slope_m`]; the cycles common to a group count as known.
-fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
-    let mut information = Matrix3::zeros();
+/// [`PhasePosition::slope_m`]; the cycles common to a group count as known. Phases have their full
+/// weight, since an error of a satellite is also in the known position.
+fn characteristic_slope_m(
+    groups: &[Vec<Phase>],
+    known: Option<&KnownPosition>,
+    satellites: usize,
+) -> f64 {
+    let own = known.and_then(|known| known.covariance.try_inverse());
+    let mut information = own.unwrap_or_else(Matrix3::zeros);
     let mut sums = vec![(0.0, Vector3::zeros()); satellites];
     for group in groups {
         let weight = |phase: &Phase| phase.row.by_offset.powi(2);
@@ -285,12 +355,8 @@ fn characteristic_slope_m(groups: &[Vec<Phase>], satellites: usize) -> f64 {
 
 /// The position of a joint estimate after conditioning on `held` integers.
 pub(crate) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
-    FixedPosition {
-        position: joint.estimate.fixed_rows::<3>(0).into_owned(),
-        covariance: joint.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
-        held,
-        probability,
-    }
+    let KnownPosition { position, covariance } = KnownPosition::of(joint);
+    FixedPosition { position, covariance, held, probability, by_proven: None }
 }
 
 #[cfg(test)]
@@ -353,14 +419,9 @@ mod tests {
 
     fn by_phases(satellites: usize, faulty: usize, by_m: f64) -> PhasePosition {
         let (epoch, border, arcs) = epoch(satellites, faulty, by_m);
-        position_from_fixed_phases(
-            &epoch,
-            &Vector3::zeros(),
-            &border,
-            &arcs,
-            &mut RowScratch::default(),
-        )
-        .unwrap()
+        let fixed = FixedEpoch { epoch: &epoch, border: &border, arcs: &arcs };
+        let scratch = &mut RowScratch::default();
+        position_from_fixed_phases(&fixed, &Vector3::zeros(), None, scratch).unwrap()
     }
 
     fn horizontal_error_m(found: &PhasePosition) -> f64 {
@@ -381,6 +442,37 @@ mod tests {
         }
     }
 
+    /// Three satellites with σ of 1 cm leave the position uncertain by metres; a position known to
+    /// 2 cm makes the fix that good. Beside it phases keep four fifths of their information. Four of
+    /// ten satellites are wrong by a cycle: with a known position all of these are rejected.
+    #[test]
+    fn a_known_position_tells_which_phases_are_wrong() {
+        let known = KnownPosition {
+            position: Vector3::from(TRUTH),
+            covariance: Matrix3::identity() * 4e-4,
+        };
+        let scratch = &mut RowScratch::default();
+        let mut place = |satellites: usize, faulty: usize, known: Option<&KnownPosition>| {
+            let (mut epoch, border, arcs) = epoch(satellites, SATELLITES, 0.0);
+            for row in &mut epoch.rows[..faulty] {
+                row.range_m += WAVELENGTH_M;
+            }
+            let start = Vector3::zeros();
+            let fixed = FixedEpoch { epoch: &epoch, border: &border, arcs: &arcs };
+            position_from_fixed_phases(&fixed, &start, known, scratch).unwrap()
+        };
+        let sigma_m = |found: PhasePosition| found.covariance.symmetric_eigenvalues().max().sqrt();
+        assert!(1.0 < sigma_m(place(3, 0, None)));
+        assert!((0.015..0.0201).contains(&sigma_m(place(3, 0, Some(&known)))));
+        let (alone, with) = (place(SATELLITES, 0, None), place(SATELLITES, 0, Some(&known)));
+        let vague = KnownPosition { covariance: Matrix3::identity() * 1e4, ..known };
+        let shared = place(SATELLITES, 0, Some(&vague));
+        assert!(sigma_m(with) < sigma_m(alone));
+        assert!((sigma_m(shared) / sigma_m(alone) - 0.8_f64.sqrt().recip()).abs() < 1e-3);
+        let wrong = place(SATELLITES, 4, Some(&known));
+        assert!(horizontal_error_m(&wrong) < 0.01, "{wrong:?}");
+    }
+
     /// An error too small to be rejected moves the position by no more than its residuals allow;
     /// the error of the worst satellite moves it by exactly that.
     #[test]
@@ -389,10 +481,9 @@ mod tests {
         for faulty in 0..SATELLITES {
             let (epoch, border, arcs) = epoch(SATELLITES, faulty, 1e-3);
             let scratch = &mut RowScratch::default();
-            let one =
-                position_from_fixed_phases(&epoch, &Vector3::zeros(), &border, &arcs, scratch)
-                    .unwrap();
-            let groups = phases(&epoch, &one.position, &border, &arcs, scratch);
+            let fixed = FixedEpoch { epoch: &epoch, border: &border, arcs: &arcs };
+            let one = position_from_fixed_phases(&fixed, &Vector3::zeros(), None, scratch).unwrap();
+            let groups = phases(&fixed, &one.position, false, scratch);
             let quadratic = &Kernel::QUADRATIC;
             let rows: Vec<_> = groups[0].iter().map(|phase| phase.row).collect();
             let offset_m = shared_offset(&rows, quadratic, &mut Vec::new());

@@ -15,7 +15,7 @@ use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
-use super::fixed_position::{FixedPosition, fixed_position};
+use super::fixed_position::{FixedPosition, KnownPosition, fixed_position};
 use super::float::FloatSolution;
 use super::hold::{FOUND_EPOCHS, Found, HoldState, NEARLY_CERTAIN};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
@@ -192,13 +192,15 @@ impl IntegerSearch {
             return None;
         }
         let least = if is_enough { 1.0 } else { options.probability_min };
+        let by_proven = is_enough.then(|| KnownPosition::of(&rest));
         let trial = self.try_others(arcs, hold, &rest, &others, judgement);
         let (rest, added, likely) = trial.unwrap_or((rest, 0, 1.0));
+        let fixed = fixed_position(&rest, held.len() + added, probability * likely * least);
         Some(Resolution {
             ambiguities: self.differences.pairs.len(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
-            outcome: Ok(fixed_position(&rest, held.len() + added, probability * likely * least)),
+            outcome: Ok(FixedPosition { by_proven, ..fixed }),
         })
     }
 
@@ -526,7 +528,10 @@ mod tests {
             *ambiguity += 0.15 * (1.7 * k as f64).sin();
         }
         let resolution = resolved(&mut arcs, &mut hold, &off);
-        assert_eq!(resolution.outcome.unwrap().held, N - 1);
+        let fixed = resolution.outcome.unwrap();
+        assert_eq!(fixed.held, N - 1);
+        // All of them are proven, so the position by these is the fixed one.
+        assert_eq!(fixed.by_proven.unwrap().position, fixed.position);
         assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
     }
 
@@ -565,7 +570,8 @@ mod tests {
             let sigmas = Vector3::new(horizontal_m, 0.01, vertical_m);
             let covariance = Matrix3::from_diagonal(&sigmas.map(|sigma_m| sigma_m.powi(2)));
             let position = Vector3::zeros();
-            let fixed = FixedPosition { position, covariance, held: 8, probability: 0.999 };
+            let (probability, by_proven) = (0.999, None);
+            let fixed = FixedPosition { position, covariance, held: 8, probability, by_proven };
             let (ratio, success_rate) = (None, None);
             let outcome = Ok(fixed);
             Resolution { ambiguities: 9, ratio, success_rate, outcome }.require_precise().outcome

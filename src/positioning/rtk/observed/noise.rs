@@ -107,6 +107,20 @@ impl NoiseScale {
         self.mean.max(1.0) * freedom / (freedom - 2.0)
     }
 
+    /// Probability that a horizontal error of this noise is within `radius` (m), given the largest
+    /// variance along a horizontal direction if the learnt scale were right (m²).
+    ///
+    /// P = 1 − (1 + R²/(νs²σ²))^(−ν/2), R the radius: two coordinates of a Student's t, since the
+    /// scale is uncertain. s² is the mean square of the residuals, at least one.
+    ///
+    /// Source: Kotz & Nadarajah (2004), *Multivariate t distributions and their applications*:
+    /// r²/2σ² has the F distribution with 2 and ν degrees of freedom, whose tail has this form.
+    pub(crate) fn probability_within(&self, radius_m: f64, variance_m2: f64) -> f64 {
+        let freedom = self.freedom();
+        let scaled = freedom * self.mean.max(1.0) * variance_m2;
+        1.0 - (1.0 + radius_m.powi(2) / scaled).powf(-0.5 * freedom)
+    }
+
     /// Learns from the residuals of one epoch, which have determined `determined` parameters.
     pub(crate) fn learn(&mut self, residuals: &mut [f64], determined: f64) {
         let n = residuals.len();
@@ -175,6 +189,9 @@ mod tests {
         assert_eq!(NoiseScale::stated().odds_divisor(), 1.0);
         // ν = 5.
         assert!((NoiseScale::stated().variance_factor() - 5.0 / 3.0).abs() < 1e-12);
+        // (1 + 100/(5·5))^(−5/2) = 5^(−5/2); of many degrees of freedom it would be e^(−10).
+        let within = NoiseScale::stated().probability_within(0.1, 5e-4);
+        assert!((within - (1.0 - 5_f64.powf(-2.5))).abs() < 1e-12, "{within}");
         let doubled = learnt(std::iter::repeat_n(2.0, 200));
         assert!((doubled.value / 2.0 - 1.0).abs() < 0.15, "{doubled:?}");
         assert_eq!(doubled.odds_divisor(), doubled.value.powi(5));

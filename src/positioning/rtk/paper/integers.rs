@@ -74,6 +74,7 @@ impl PaperIntegers {
             covariance: fixed.covariance.fixed_view::<STATE, STATE>(0, 0).into_owned(),
             held: count,
             probability: found.probability.unwrap_or(0.0),
+            by_proven: None,
         };
         Resolution { outcome: Ok(fixed), ..resolution }
     }
