@@ -1,12 +1,14 @@
 //! Group delays of a satellite's signals relative to its broadcast clock.
 
 use crate::gnss::constants::SPEED_OF_LIGHT;
-use crate::gnss::{Ephemeris, GroupDelays, NavigationMessage, ObservationCode, Signal};
+use crate::gnss::{
+    Ephemeris, GroupDelays, KeplerianEphemeris, NavigationMessage, ObservationCode, Signal,
+};
 
 /// γ of L2 and L1: (f_L1/f_L2)² = (77/60)²; IS-GPS-200N, 20.3.3.3.3.2.
 const GAMMA_L2: f64 = (77.0 / 60.0) * (77.0 / 60.0);
-/// (f_E1/f_E5a)² = (154/115)².
-const GAMMA_E5A: f64 = (154.0 / 115.0) * (154.0 / 115.0);
+/// (f_L1/f_L5)² = (154/115)², also of E1 and E5a.
+const GAMMA_L5: f64 = (154.0 / 115.0) * (154.0 / 115.0);
 /// (f_E1/f_E5b)² = (154/118)².
 const GAMMA_E5B: f64 = (154.0 / 118.0) * (154.0 / 118.0);
 
@@ -50,6 +52,24 @@ pub fn group_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64
     delay_s.map(|s| s * SPEED_OF_LIGHT)
 }
 
+/// Standard deviation of [`unstated_group_delay_m`] (m). At two stations that received L1 C/A, L2
+/// P(Y) and L5 (`klt-2021`, `meijo-static`), C5 − C1 − (γ₅ − 1)/(γ₂ − 1)·(C2 − C1) differed between
+/// five and six GPS satellites by 2.0 to 2.5 m (standard deviation).
+pub(crate) const UNSTATED_DELAY_M: f64 = 2.5;
+
+/// Approximate group delay τ (m) of a signal for which the message has no correction: γ·T_GD of L5
+/// for GPS and QZSS, as if its delay were in proportion to that of L2 P(Y). LNAV has no inter-signal
+/// correction of L5. `None` for all other signals.
+pub(crate) fn unstated_group_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64> {
+    match ephemeris {
+        Ephemeris::Keplerian(KeplerianEphemeris {
+            group_delays: GroupDelays::Gps { tgd_s, .. },
+            ..
+        }) if code.band_digit() == 5 => Some(GAMMA_L5 * tgd_s * SPEED_OF_LIGHT),
+        _ => None,
+    }
+}
+
 /// The constellation's group delays are `GroupDelays::Gps`.
 fn gps_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
     let &GroupDelays::Gps {
@@ -88,7 +108,7 @@ fn galileo_s(
     let e1_s = if message == NavigationMessage::Fnav { e5a_s } else { e5b_s? };
     match code.band_digit() {
         1 => Some(e1_s),
-        5 => Some(e1_s + (GAMMA_E5A - 1.0) * e5a_s),
+        5 => Some(e1_s + (GAMMA_L5 - 1.0) * e5a_s),
         7 => e5b_s.map(|bgd_s| e1_s + (GAMMA_E5B - 1.0) * bgd_s),
         _ => None,
     }
@@ -115,7 +135,6 @@ fn beidou_cnav_s(delays: &GroupDelays, code: ObservationCode) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gnss::KeplerianEphemeris;
     use crate::models::sample;
 
     fn delay_ns(ephemeris: &Ephemeris, code: &str) -> Option<f64> {
@@ -152,6 +171,20 @@ mod tests {
         );
     }
 
+    /// T_GD = −5 ns and γ = (154/115)² = 1.793270: −2.688045 m. L2 has a delay of its own, and the
+    /// messages of Galileo state that of E5a.
+    #[test]
+    fn an_unstated_delay_worked_by_hand() {
+        let delay_m = |ephemeris: KeplerianEphemeris, code: &str| {
+            let code = ObservationCode::parse(code).unwrap();
+            unstated_group_delay_m(&Ephemeris::Keplerian(ephemeris), code)
+        };
+        let l5_m = delay_m(sample::gps(), "5Q").unwrap();
+        assert!((l5_m + 2.688_045).abs() < 1e-5, "{l5_m}");
+        assert_eq!(delay_m(sample::gps(), "2W"), None);
+        assert_eq!(delay_m(sample::galileo(), "5Q"), None);
+    }
+
     /// T_GD − ISC.
     #[test]
     fn gps_civil() {
@@ -184,10 +217,10 @@ mod tests {
         for message in [NavigationMessage::Inav, NavigationMessage::Fnav] {
             let e = Ephemeris::Keplerian(KeplerianEphemeris { message, ..sample::galileo() });
             let [e1, e5a, e5b] = ["1C", "5Q", "7Q"].map(|code| delay_ns(&e, code).unwrap());
-            assert!(((e1 - e5a) / (1.0 - GAMMA_E5A) - 2.0).abs() < 1e-9);
+            assert!(((e1 - e5a) / (1.0 - GAMMA_L5) - 2.0).abs() < 1e-9);
             assert!(((e1 - e5b) / (1.0 - GAMMA_E5B) - 3.0).abs() < 1e-9);
             let of_pair = match message {
-                NavigationMessage::Fnav => GAMMA_E5A * e1 - e5a,
+                NavigationMessage::Fnav => GAMMA_L5 * e1 - e5a,
                 _ => GAMMA_E5B * e1 - e5b,
             };
             assert!(of_pair.abs() < 1e-9, "{message:?}: {of_pair}");
@@ -200,7 +233,7 @@ mod tests {
         let mut e = sample::galileo();
         e.group_delays = GroupDelays::Galileo { bgd_e5a_s: 2e-9, bgd_e5b_s: None };
         e.message = NavigationMessage::Fnav;
-        check(e, &[("1C", Some(2.0)), ("5Q", Some(2.0 * GAMMA_E5A)), ("7Q", None)]);
+        check(e, &[("1C", Some(2.0)), ("5Q", Some(2.0 * GAMMA_L5)), ("7Q", None)]);
     }
 
     #[test]

@@ -128,7 +128,8 @@ impl<'a> Atmosphere<'a> {
             // As published: elevation and C/N0 only.
             WeightModel::GoGps => measurement.noise_m2,
             WeightModel::Cn0Elevation | WeightModel::Rtklib => {
-                variance_m2 + measurement.state.variance_m2 + troposphere_m2
+                let satellite_m2 = measurement.state.variance_m2 + measurement.group_delay_m2;
+                variance_m2 + satellite_m2 + troposphere_m2
             }
         };
         measurement.ionosphere_share_m = ionosphere_share_m;

@@ -18,8 +18,8 @@ use crate::gnss::{
     Observation, ObservationCode, Odometry, Reason, SatelliteId, Signal,
 };
 use crate::models::{
-    LookAngles, SatelliteState, ephemerides_in_force, group_delay_m, select_ephemeris_within,
-    state_at_transmission,
+    LookAngles, SatelliteState, UNSTATED_DELAY_M, ephemerides_in_force, group_delay_m,
+    select_ephemeris_within, state_at_transmission, unstated_group_delay_m,
 };
 
 use atmosphere::Atmosphere;
@@ -75,6 +75,8 @@ pub struct Measurement {
     pub state: SatelliteState,
     /// Main pseudorange without satellite clock and group delay (m).
     pub pseudorange_m: f64,
+    /// Variance of that group delay (m²); zero if the message states the delay.
+    pub group_delay_m2: f64,
     /// The second frequency, if there is one.
     pub second: Option<SecondFrequency>,
     /// Range rate from Doppler without the satellite's clock drift (m/s): ρ̇ + c·δṫ_r.
@@ -262,6 +264,7 @@ fn measurement(
         },
         state,
         pseudorange_m: main.pseudorange_m - main.group_delay_m + state.clock_m,
+        group_delay_m2: main.group_delay_m2,
         second: second.map(|second| SecondFrequency {
             code: second.observation.code,
             pseudorange_m: second.pseudorange_m - second.group_delay_m + state.clock_m,
@@ -312,6 +315,24 @@ struct Candidate<'a> {
     place: u8,
     frequency_hz: f64,
     group_delay_m: f64,
+    /// Its variance (m²); zero if the message states it.
+    group_delay_m2: f64,
+}
+
+/// The group delay of a signal, and its variance (m²).
+fn group_delay(
+    ephemeris: &Ephemeris,
+    code: ObservationCode,
+    options: &PositioningOptions,
+) -> Option<(f64, f64)> {
+    if ephemeris.satellite().constellation == Constellation::BeiDou && !options.group_delay_beidou {
+        return Some((0.0, 0.0));
+    }
+    let stated = group_delay_m(ephemeris, code).map(|delay_m| (delay_m, 0.0));
+    stated.or_else(|| {
+        let delay_m = unstated_group_delay_m(ephemeris, code)?;
+        Some((delay_m, UNSTATED_DELAY_M * UNSTATED_DELAY_M))
+    })
 }
 
 /// The preferred signal of the first band, in the order of [`Band::ALL`], in which the satellite
@@ -333,16 +354,19 @@ fn best_of_first_band<'a>(
         if !is_wanted {
             return None;
         }
+        let (group_delay_m, group_delay_m2) = group_delay(ephemeris, observation.code, options)?;
+        // A second pseudorange is there to correct the first.
+        if other_than.is_some() && 0.0 < group_delay_m2 {
+            return None;
+        }
         Some(Candidate {
             observation,
             pseudorange_m,
             band,
             place: signals::preference(signal, band)?,
             frequency_hz: signal.frequency_hz(ephemeris.glonass_channel())?,
-            group_delay_m: match observation.satellite.constellation {
-                Constellation::BeiDou if !options.group_delay_beidou => 0.0,
-                _ => group_delay_m(ephemeris, observation.code)?,
-            },
+            group_delay_m,
+            group_delay_m2,
         })
     });
     usable.min_by_key(|candidate| (candidate.band, candidate.place))

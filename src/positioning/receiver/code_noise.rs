@@ -13,7 +13,8 @@
 //! signal with orbit and clock errors; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
 //! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
 //! receiver (docs/estimation.md). i is the standard deviation of the ionosphere's model beyond the
-//! smallest one of the epoch: a common error goes into the clock.
+//! smallest one of the epoch, since a common error goes into the clock, and of a group delay that
+//! the message does not state.
 
 use std::f64::consts::LN_10;
 
@@ -56,8 +57,9 @@ const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 pub(in crate::positioning) struct Signal {
     pub(in crate::positioning) cn0_db_hz: Option<f64>,
     pub(in crate::positioning) elevation_rad: f64,
-    /// Standard deviation of the ionosphere's model beyond the part that all satellites share (m).
-    pub(in crate::positioning) ionosphere_m: f64,
+    /// Standard deviation of the models of ionosphere and group delay beyond the part that all
+    /// satellites share (m).
+    pub(in crate::positioning) model_m: f64,
 }
 
 impl Signal {
@@ -66,7 +68,9 @@ impl Signal {
         Self {
             cn0_db_hz: measurement.cn0_db_hz,
             elevation_rad: measurement.look.elevation_rad,
-            ionosphere_m: (measurement.ionosphere_share_m - common_m).max(0.0),
+            model_m: (measurement.ionosphere_share_m - common_m)
+                .max(0.0)
+                .hypot(measurement.group_delay_m2.sqrt()),
         }
     }
 }
@@ -228,11 +232,11 @@ struct AnyLevel {
 
 impl AnyLevel {
     fn of(signal: &Signal) -> Self {
-        let Signal { cn0_db_hz, elevation_rad, ionosphere_m } = *signal;
+        let Signal { cn0_db_hz, elevation_rad, model_m } = *signal;
         let (noise, odds) = factors(cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ));
         let sine = elevation_rad.sin().max(LOWEST_SINE);
         let low_m = ELEVATION_M / sine;
-        let quiet_m2 = FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + ionosphere_m * ionosphere_m;
+        let quiet_m2 = FLOOR_M * FLOOR_M + 0.5 * low_m * low_m + model_m * model_m;
         let noise_m2 = NOISE_M * NOISE_M * noise;
         Self { quiet_m2, noise_m2, odds, extra_path_m: extra_path_m(sine) }
     }
@@ -262,7 +266,7 @@ mod tests {
     fn the_model_worked_by_hand() {
         let error = |cn0_db_hz| {
             let elevation_rad = std::f64::consts::FRAC_PI_2;
-            error_at(32.0, &Signal { cn0_db_hz: Some(cn0_db_hz), elevation_rad, ionosphere_m: 0.0 })
+            error_at(32.0, &Signal { cn0_db_hz: Some(cn0_db_hz), elevation_rad, model_m: 0.0 })
         };
         let at = error(32.0);
         assert!((at.reflected - 0.5).abs() < 1e-12);
@@ -276,7 +280,7 @@ mod tests {
         let mut noise = CodeNoise::default();
         let residual = CodeResidual {
             satellite: satellite.parse().unwrap(),
-            signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, ionosphere_m: 0.0 },
+            signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, model_m: 0.0 },
             sigma_m: 4.0,
             residual_m,
         };

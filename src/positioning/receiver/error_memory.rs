@@ -84,7 +84,7 @@ mod tests {
     fn residual(residual_m: f64) -> CodeResidual {
         CodeResidual {
             satellite: "G01".parse().unwrap(),
-            signal: Signal { cn0_db_hz: None, elevation_rad: 1.0, ionosphere_m: 0.0 },
+            signal: Signal { cn0_db_hz: None, elevation_rad: 1.0, model_m: 0.0 },
             sigma_m: 1.0,
             residual_m,
         }
