@@ -67,7 +67,7 @@ pub fn router(service: &Service) -> Router {
         .layer(Extension(BodyLimit(limit.min(CONTROL_BYTES))))
         .merge(contents().layer(Extension(BodyLimit(limit))))
         .with_state(service.clone())
-        .merge(dashboard::routes())
+        .merge(dashboard::routes(service.tiles().as_ref()))
         .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
         .layer(RequestDecompressionLayer::new())
         .layer(CatchPanicLayer::custom(server::panicked));
